@@ -1,0 +1,113 @@
+"""Whether the cylinders of a machine can do their work over the whole range of their joints."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from hydroopt.machine import BASE, Cylinder, GasCylinder, ImpossibleError, Joint, Machine
+from hydroopt.spatial import Pose, Triangle, joint_pose, link_pose, triangle
+
+
+def pose_between(machine: Machine, link: str, root: str, q: dict[str, ca.SX]) -> Pose:
+    """Pose of a link's frame P_i seen from the *far end* of one of its ancestors `root` (or from the base).
+
+    `q` gives the variables of the moving joints on the way; a joint left out stands at zero.
+    """
+    chain = machine.ancestry(link)
+    chain = chain[: chain.index(root)] if root != BASE else chain
+    pose: Pose | None = None
+    for name in reversed(chain):
+        joint = machine.link(name).joint
+        pose = _moved(joint, q.get(name, 0.0)) if pose is None else pose @ _moved(joint, q.get(name, 0.0))
+        if name != link:
+            pose = pose @ far_end(joint)
+    assert pose is not None
+    return pose
+
+
+def _moved(joint: Joint, q: ca.SX) -> Pose:
+    if joint.type == "prismatic":
+        return joint_pose(joint.theta, joint.d + q)
+    return joint_pose(joint.theta + q, joint.d)
+
+
+def far_end(joint: Joint) -> Pose:
+    """Frame at a link's far end, seen from its P_i."""
+    return link_pose(joint.a, joint.alpha, joint.beta)
+
+
+def triangle_of(machine: Machine, cylinder: Cylinder | GasCylinder) -> tuple[str, Triangle] | None:
+    """Joint and triangle of a cylinder that spans one revolute joint; None for any other cylinder."""
+    between = machine.joints_between(cylinder.barrel.link, cylinder.rod.link)
+    if len(between) != 1 or machine.link(between[0]).joint.type != "revolute":
+        return None
+    link = machine.link(between[0])
+    ends = (cylinder.barrel, cylinder.rod)
+    moving = next(end for end in ends if end.link != BASE and between[0] in machine.ancestry(end.link))
+    fixed = ends[0] if moving is ends[1] else ends[1]
+    # both pins in the joint's axis frame, that of the parent's far end: the fixed one, and the moving one at θ = 0
+    zero = dict.fromkeys(machine.joints, -0.0)
+    parent = (Pose(ca.DM.eye(3), ca.DM.zeros(3)) if link.parent == BASE else
+              _from_base(machine, link.parent, zero) @ far_end(machine.link(link.parent).joint))
+    in_axis_frame = [parent.rotation.T @ (_from_base(machine, end.link, zero).point(ca.DM(end.pin)) - parent.origin)
+                     for end in (fixed, moving)]
+    return between[0], triangle(*in_axis_frame)
+
+
+def _from_base(machine: Machine, link: str, q: dict[str, float]) -> Pose:
+    if link == BASE:
+        return Pose(ca.DM.eye(3), ca.DM.zeros(3))
+    return pose_between(machine, link, BASE, q)
+
+
+def check(machine: Machine) -> None:
+    """Check every cylinder over the range of the joint it moves.
+
+    The triangle must close at both ends of the stroke, the stroke must cover the joint's range, and the lever arm
+    must keep its sign. Cylinders across several joints are left to the limits of their logs.
+
+    Raises:
+        ImpossibleError: names the cylinder, the angle and the remedy.
+    """
+    for cylinder in (*machine.cylinders, *machine.gas_cylinders):
+        found = triangle_of(machine, cylinder)
+        if found is None:
+            continue
+        joint, sides = found
+        limits = machine.link(joint).joint
+        assert limits.lower is not None
+        assert limits.upper is not None
+        _lever_arm_keeps_sign(cylinder, joint, float(sides.offset), limits.lower, limits.upper)
+        if isinstance(cylinder, Cylinder):
+            _stroke_suffices(cylinder, joint, sides, limits.lower, limits.upper)
+
+
+def _lever_arm_keeps_sign(cylinder: Cylinder | GasCylinder, joint: str, offset: float, lower: float,
+                          upper: float) -> None:
+    # the lever arm fixed·moving·sin(θ + offset)/length is zero where the pins and the axis lie in one line; a passive
+    # cylinder may pass such a point (a counterbalance works on both sides of it), an actuator may not
+    if isinstance(cylinder, GasCylinder):
+        return
+    first = np.ceil((lower + offset) / np.pi)
+    dead = first * np.pi - offset
+    if dead <= upper:
+        raise ImpossibleError(
+            f"'{cylinder.name}' has a dead point at {joint} = {np.degrees(dead):.2f} deg, inside the joint's range "
+            f"{np.degrees(lower):.1f} to {np.degrees(upper):.1f} deg", "correct its pins or narrow the joint's limits")
+
+
+def _stroke_suffices(cylinder: Cylinder, joint: str, sides: Triangle, lower: float, upper: float) -> None:
+    fixed, moving, offset, lateral = (float(v) for v in sides)
+    shortest, longest = (np.hypot(fixed + sign * moving, lateral) for sign in (-1, 1))
+    retracted, extended = cylinder.dead_length, cylinder.dead_length + cylinder.stroke
+    for angle in (lower, upper):
+        length = np.sqrt(fixed**2 + moving**2 + lateral**2 - 2 * fixed * moving * np.cos(angle + offset))
+        if not retracted - 1e-9 <= length <= extended + 1e-9:
+            raise ImpossibleError(
+                f"'{cylinder.name}' would be {length:.3f} m long at {joint} = {np.degrees(angle):.1f} deg but can only be "
+                f"{retracted:.3f} to {extended:.3f} m", "correct dead length, stroke, pins or the joint's limits")
+    if retracted > longest or extended < shortest:
+        raise ImpossibleError(
+            f"the triangle of '{cylinder.name}' is open: its pins can be {shortest:.3f} to {longest:.3f} m apart, the "
+            f"cylinder {retracted:.3f} to {extended:.3f} m long", "correct its pins, dead length or stroke")

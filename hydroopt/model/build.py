@@ -1,0 +1,144 @@
+"""`Model`: every symbolic product of a machine as a named casadi.Function that can be called, derived or embedded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from hydroopt import dynamic_parameters, geometry
+from hydroopt.inertia import Array
+from hydroopt.machine import Cylinder, Drive, Machine, Motor
+from hydroopt.model import lagrange
+from hydroopt.model.kinematics import coordinates
+from hydroopt.model.regressor import Dynamics
+from hydroopt.parameters import ParameterSet
+from hydroopt.spatial import triangle_angle, triangle_length
+
+
+class Model:
+    """A machine's kinematics and dynamics; n joints, as many actuators, p dynamic parameters.
+
+    `actuator_inertia` tells the complete model (with barrels and rods) from the thesis's reduced one. All functions
+    take and return columns in SI; joint vectors are in the order of ``machine.joints``, actuator forces in that of
+    ``machine.actuators``, parameters in that of ``model.parameters``.
+    """
+
+    def __init__(self, machine: Machine, *, actuator_inertia: bool = True) -> None:
+        self.machine = machine
+        self.actuator_inertia = actuator_inertia
+        self.at = coordinates(machine)
+        self.dynamics = Dynamics(machine, self.at)
+
+    @cached_property
+    def parameters(self) -> ParameterSet:
+        """Names, units, nominal values, bounds and prior of ψ (p,)."""
+        return dynamic_parameters.parameter_set(self.machine, actuator_inertia=self.actuator_inertia)
+
+    @cached_property
+    def forward_kinematics(self) -> ca.Function:
+        """q (n,) → pose (4, 4) of every link's far end in the base frame, one output a link (Eq. 3.14)."""
+        ends = {}
+        for link in self.machine.links:
+            pose = self.dynamics.links[link.name].pose @ geometry.far_end(link.joint)
+            ends[link.name] = ca.vertcat(ca.horzcat(pose.rotation, pose.origin), ca.DM([[0, 0, 0, 1]]))
+        return ca.Function("forward_kinematics", [self.at.q], list(ends.values()), ["q"], list(ends))
+
+    @cached_property
+    def cylinder_kinematics(self) -> ca.Function:
+        """(q, qd, qdd) → length, speed, acceleration (c,) and lever arm ∂length/∂q with its time derivative (c, n)."""
+        motions = [self.dynamics.cylinders[c.name] for c in (*self.machine.cylinders, *self.machine.gas_cylinders)]
+        length, speed, acceleration = (ca.vertcat(*[getattr(m, key) for m in motions])
+                                       for key in ("length", "speed", "acceleration"))
+        lever_arm = ca.jacobian(length, self.at.q) if motions else ca.SX(0, len(self.machine.joints))
+        rate = ca.reshape(ca.jtimes(ca.vec(lever_arm), self.at.q, self.at.qd), lever_arm.shape)
+        return ca.Function("cylinder_kinematics", [*self.at], [length, speed, acceleration, lever_arm, rate],
+                           ["q", "qd", "qdd"], ["length", "speed", "acceleration", "lever_arm", "lever_arm_rate"])
+
+    @cached_property
+    def triangles(self) -> Mapping[str, tuple[ca.Function, ca.Function]]:
+        """For every cylinder on one revolute joint: angle → length and length → angle (Eq. 3.26, 3.27).
+
+        The second takes the branch on which the lever arm has the sign that it has over the joint's range, and gives
+        NaN for a length at which the triangle is open.
+        """
+        pairs = {}
+        for cylinder in self.machine.cylinders:
+            found = geometry.triangle_of(self.machine, cylinder)
+            if found is None:
+                continue
+            joint, sides = found
+            limits = self.machine.link(joint).joint
+            assert limits.lower is not None
+            assert limits.upper is not None
+            middle = (limits.lower + limits.upper) / 2
+            branch = int(np.sign(np.sin(middle + float(sides.offset))))
+            angle, length = ca.SX.sym("angle"), ca.SX.sym("length")
+            pairs[cylinder.name] = (
+                ca.Function("triangle_length", [angle], [triangle_length(sides, angle)], ["angle"], ["length"]),
+                ca.Function("triangle_angle", [length], [triangle_angle(sides, length, branch)], ["length"], ["angle"]))
+        return pairs
+
+    @cached_property
+    def regressor(self) -> ca.Function:
+        """(q, qd, qdd) → K (n, p), actuator forces per parameter (Eq. 4.55)."""
+        K = self.dynamics.regressor(actuator_inertia=self.actuator_inertia)
+        return ca.Function("regressor", [*self.at], [ca.densify(K)], ["q", "qd", "qdd"], ["K"])
+
+    @cached_property
+    def inverse_dynamics(self) -> ca.Function:
+        """(q, qd, qdd, psi) → measured actuator forces (n,) [N or N·m] (Eq. 4.56)."""
+        psi = ca.SX.sym("psi", len(self.parameters))
+        K = self.dynamics.regressor(actuator_inertia=self.actuator_inertia)
+        return ca.Function("inverse_dynamics", [*self.at, psi], [K @ psi], ["q", "qd", "qdd", "psi"], ["force"])
+
+    @cached_property
+    def lagrange_forces(self) -> ca.Function:
+        """(q, qd, qdd, psi) → the part of the actuator forces due to bodies, from their energies."""
+        psi = ca.SX.sym("psi", len(self.parameters))
+        total = ca.SX.zeros(len(self.machine.joints))
+        for owner in dynamic_parameters.bodies(self.machine, actuator_inertia=self.actuator_inertia):
+            first = self.parameters.index(f"{owner}.m")
+            total += lagrange.joint_forces(self.dynamics, owner, psi[first:first + 10])
+        return ca.Function("lagrange_forces", [*self.at, psi], [self.dynamics.at_actuators(total)],
+                           ["q", "qd", "qdd", "psi"], ["force"])
+
+    @cached_property
+    def residual(self) -> ca.Function:
+        """(q, qd, qdd, force, psi) → measured minus predicted actuator forces (n,)."""
+        psi, force = ca.SX.sym("psi", len(self.parameters)), ca.SX.sym("force", len(self.machine.actuators))
+        predicted = self.inverse_dynamics(*self.at, psi)
+        return ca.Function("residual", [*self.at, force, psi], [force - predicted],
+                           ["q", "qd", "qdd", "force", "psi"], ["residual"])
+
+    @cached_property
+    def residual_jacobian(self) -> ca.Function:
+        """Jacobians of `residual` with respect to all of its inputs."""
+        return self.residual.jacobian()
+
+    @cached_property
+    def force_from_pressure(self) -> Mapping[str, Mapping[str, float]]:
+        """For every actuator the factor [N/Pa, N·m/Pa or 1] of each channel its force is made of (Eq. 4.33, 4.61)."""
+        factors: dict[str, Mapping[str, float]] = {}
+        for joint, actuator in zip(self.machine.joints, self.machine.actuators, strict=True):
+            if isinstance(actuator, Cylinder):
+                head, rod = actuator.areas
+                factors[actuator.name] = {f"{actuator.name}.p_head": head, f"{actuator.name}.p_rod": -rod}
+            elif isinstance(actuator, Motor):
+                ratio = actuator.torque_per_pressure * actuator.gear
+                factors[actuator.name] = {f"{actuator.name}.p_a": ratio, f"{actuator.name}.p_b": -ratio}
+            else:
+                assert isinstance(actuator, Drive)
+                factors[actuator.name] = {f"{joint}.tau": 1.0}
+        return factors
+
+    def over(self, function: ca.Function, *series: Array) -> list[Array]:
+        """Evaluate a function at N samples, each series (N, k); outputs (N, rows, columns)."""
+        samples = len(series[0])
+        columns = [np.ascontiguousarray(np.asarray(s, dtype=float).T) for s in series]
+        results = function.map(samples)(*columns)
+        results = results if isinstance(results, tuple) else (results,)
+        # CasADi stacks the samples side by side
+        return [np.asarray(r).reshape(r.shape[0], samples, -1).swapaxes(0, 1) for r in results]

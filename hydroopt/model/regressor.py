@@ -1,0 +1,119 @@
+"""Actuator forces, linear in the dynamic parameters: f = K(q, q̇, q̈)·ψ (Eq. 4.14 to 4.56).
+
+The thesis eliminates the pin forces of every cylinder by hand (Eq. 4.23 to 4.44). Projecting each body's wrench on the
+motion that the joints allow removes them all at once, for any tree and any place of the pins: pin forces do no work.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from hydroopt import inertia
+from hydroopt.dynamic_parameters import bodies, parameter_set
+from hydroopt.machine import Cylinder, Drive, GasCylinder, Machine
+from hydroopt.model.bodies import CylinderMotion, cylinder_motion
+from hydroopt.model.kinematics import Coordinates, Motion, link_motions
+from hydroopt.spatial import skew
+
+
+def body_regressor(motion: Motion) -> ca.SX:
+    """Matrix (6, 10) with force and moment about the origin of P = A·φ (Eq. 4.14)."""
+    w, wd, a = motion.rotation, motion.rotation_rate, motion.acceleration
+    force = ca.horzcat(a, skew(wd) + skew(w) @ skew(w), ca.SX(3, 6))
+    moment = ca.horzcat(ca.SX(3, 1), -skew(a), _bullet(wd) + skew(w) @ _bullet(w))
+    return ca.vertcat(force, moment)
+
+
+def _bullet(w: ca.SX) -> ca.SX:
+    """[•ω] (3, 6) with I·ω = [•ω]·(I_xx, I_xy, I_xz, I_yy, I_yz, I_zz) (Eq. 4.12)."""
+    x, y, z = w[0], w[1], w[2]
+    return ca.blockcat([[x, y, z, 0, 0, 0], [0, x, 0, y, z, 0], [0, 0, x, 0, y, z]])
+
+
+class Dynamics:
+    """All expressions of a machine's dynamics in one set of symbols; `Model` turns them into functions."""
+
+    def __init__(self, machine: Machine, at: Coordinates) -> None:
+        self.machine, self.at = machine, at
+        self.links = link_motions(machine, at)
+        self.cylinders: dict[str, CylinderMotion] = {
+            c.name: cylinder_motion(machine, c, self.links, at)
+            for c in (*machine.cylinders, *machine.gas_cylinders)}
+        self.rates = ca.vertcat(*[self._rate_of(a) for a in machine.actuators])
+        self.transmission = ca.jacobian(self.rates, at.qd)
+        """(actuators, joints): actuator speed = transmission · q̇; its entries are the lever arms."""
+
+    def _rate_of(self, actuator: object) -> ca.SX:
+        if isinstance(actuator, Cylinder):
+            return self.cylinders[actuator.name].speed
+        assert hasattr(actuator, "joint")
+        return self.at.qd[self.machine.joints.index(actuator.joint)]
+
+    def body_motion(self, owner: str) -> Motion:
+        """Motion of the frame of a link (``boom``), barrel or rod (``boom_cylinder.rod``)."""
+        name, _, end = owner.partition(".")
+        if not end:
+            return self.links[name]
+        return self.cylinders[name].barrel if end == "barrel" else self.cylinders[name].rod
+
+    def joint_regressor(self, owner: str) -> ca.SX:
+        """Generalised forces (n, 10) that one body demands at the joints, by d'Alembert's principle."""
+        motion = self.body_motion(owner)
+        allowed = ca.jacobian(ca.vertcat(motion.velocity, motion.rotation), self.at.qd)
+        return allowed.T @ body_regressor(motion)
+
+    def at_actuators(self, generalised: ca.SX) -> ca.SX:
+        """Actuator forces (n, ·) that do the same work as generalised forces (n, ·)."""
+        pattern = self.transmission.sparsity()
+        if pattern.is_diag():
+            return ca.diag(1 / ca.diag(self.transmission)) @ generalised
+        return ca.solve(self.transmission.T, generalised)
+
+    def regressor(self, *, actuator_inertia: bool = True) -> ca.SX:
+        """K (n, p): measured actuator forces = K·ψ, columns in the order of `parameter_set` (Eq. 4.55)."""
+        columns: dict[str, ca.SX] = {}
+        for owner in bodies(self.machine, actuator_inertia=actuator_inertia):
+            block = self.at_actuators(self.joint_regressor(owner))
+            columns |= {f"{owner}.{element}": block[:, k] for k, element in enumerate(inertia.NAMES)}
+        columns |= self._friction_columns() | self._gas_columns()
+        names = parameter_set(self.machine, actuator_inertia=actuator_inertia).names
+        return ca.horzcat(*[columns[name] for name in names])
+
+    def _friction_columns(self) -> dict[str, ca.SX]:
+        machine, qd = self.machine, self.at.qd
+        n = len(machine.joints)
+        columns: dict[str, ca.SX] = {}
+        for k, (joint, actuator) in enumerate(zip(machine.joints, machine.actuators, strict=True)):
+            unit = ca.SX.eye(n)[:, k]
+            rate = self.rates[k]
+            columns |= {f"{joint}.tau_coulomb": self.at_actuators(unit * ca.sign(qd[k])),
+                        f"{joint}.tau_viscous": self.at_actuators(unit * qd[k])}
+            kind = "f" if isinstance(actuator, Cylinder) else "tau"
+            columns |= {f"{actuator.name}.{kind}_offset": unit,
+                        f"{actuator.name}.{kind}_coulomb": unit * ca.sign(rate),
+                        f"{actuator.name}.{kind}_viscous": unit * rate}
+            if isinstance(actuator, Cylinder):
+                motion = self.cylinders[actuator.name]
+                for pin, turn in (("n_barrel", motion.barrel_turn), ("n_rod", motion.rod_turn)):
+                    share = ca.jacobian(turn, qd).T * ca.sign(turn)
+                    columns[f"{actuator.name}.{pin}"] = self.at_actuators(share)
+            elif isinstance(actuator, Drive):
+                inertial = unit * actuator.gear**2 * self.at.qdd[k]
+                columns[f"{actuator.name}.rotor_inertia"] = self.at_actuators(inertial)
+        return columns
+
+    def _gas_columns(self) -> dict[str, ca.SX]:
+        columns: dict[str, ca.SX] = {}
+        for gas in self.machine.gas_cylinders:
+            motion = self.cylinders[gas.name]
+            share = ca.jacobian(motion.speed, self.at.qd).T
+            # what the gas pushes the actuators need not: its force, along the lengthening, enters with a minus
+            columns[f"{gas.name}.precharge"] = -self.at_actuators(share * gas_force(gas, motion.length))
+        return columns
+
+
+def gas_force(gas: GasCylinder, length: ca.SX) -> ca.SX:
+    """Force along the lengthening of the cylinder per unit of precharge pressure [m²], from p·Vⁿ = const."""
+    sign = 1 if gas.acts == "push" else -1
+    volume = gas.volume + sign * gas.area * (length - gas.reference_length)
+    return sign * gas.area * (gas.volume / volume) ** gas.polytropic

@@ -1,0 +1,240 @@
+"""A measurement log in SI units: reading it with every doubt named, cutting it, writing it."""
+
+import os
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hydroopt.errors import HydrooptError, LogError, ProblemError
+from hydroopt.signals import findings as find
+from hydroopt.signals.findings import Finding
+from hydroopt.signals.mapping import LogMap, map_of_header, read_map, si_unit
+from hydroopt.signals.table import CsvFile, MatFile, ParquetFile, Table, load, runs
+from hydroopt.signals.treatment import Samples, choose, treat
+from hydroopt.units import factor
+
+__all__ = ["Finding", "Log", "LogMap", "read_log", "read_map"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Log:
+    """Synchronously sampled channels of one recording.
+
+    Attributes:
+        name: short name, for tables and figures.
+        t: (N,) strictly increasing times [s].
+        channels: (N,) values by channel name such as ``boom.q``, in SI.
+        sample: (N,) 1-based data row in the file; survives dropping and cutting. Default 1..N.
+        segment: (N,) index of the uninterrupted stretch a sample belongs to. Default: cut at gaps.
+        findings: what looked wrong and what was done about it.
+        path: file it came from; empty for a log that was made.
+        sha256: of that file's bytes.
+        units: SI unit by channel; defaults to the usual one of the suffix (rad for ``.q``).
+
+    Raises:
+        LogError: lengths differ, fewer than two samples, times do not increase, or an unknown channel name.
+    """
+
+    name: str
+    t: Array
+    channels: Mapping[str, Array]
+    sample: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, int))
+    segment: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, int))
+    findings: tuple[Finding, ...] = ()
+    path: str = ""
+    sha256: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        where, t = self.path or self.name, _frozen(self.t, float)
+        if t.ndim != 1 or t.size < 2 or not np.all(np.diff(t) > 0):
+            raise LogError("times do not increase over two or more samples", where=where,
+                           remedy="mend the time stamps or choose a longer stretch")
+        channels = {name: _frozen(x, float) for name, x in self.channels.items()}
+        sample = _frozen(self.sample if np.size(self.sample) else np.arange(1, t.size + 1), int)
+        segment = _frozen(self.segment if np.size(self.segment) else np.cumsum(find.gaps(t)), int)
+        for name, x in {"sample": sample, "segment": segment, **channels}.items():
+            if x.shape != t.shape:
+                raise LogError(f"'{name}' has shape {x.shape}, the time {t.shape}", where=where,
+                               remedy="give all channels the same length")
+        units = {name: self.units.get(name) or si_unit(name) for name in channels}
+        for name, value in (("t", t), ("channels", channels), ("sample", sample), ("segment", segment),
+                            ("units", units)):
+            object.__setattr__(self, name, value)
+
+    def channel(self, name: str) -> Array:
+        """Values (N,) of one channel, in SI.
+
+        Raises:
+            LogError: the log has no such channel.
+        """
+        if name not in self.channels:
+            unit = {"rad": "deg", "Pa": "bar"}.get(usual := _usual(name), usual)
+            raise LogError(f"there is no channel '{name}' (present: {', '.join(self.channels) or 'none'})",
+                           where=self.path or self.name,
+                           remedy=f"record it as a column '{name} [{unit}]' or name its column in a map")
+        return self.channels[name]
+
+    def slice(self, start: int, stop: int) -> "Log":
+        """Samples `start` to `stop` (0-based, half open, negative from the end) as a log.
+
+        Raises:
+            LogError: fewer than two samples.
+        """
+        span = np.s_[start:stop]
+        sample = self.sample[span]
+        if sample.size < 2:
+            raise LogError(f"positions {start} to {stop} hold {sample.size} of {self.t.size} samples",
+                           where=self.path or self.name, remedy="choose a longer stretch")
+        kept = tuple(f for f in self.findings if f.last >= sample[0] and f.first <= sample[-1])
+        return replace(self, t=self.t[span], channels={k: x[span] for k, x in self.channels.items()},
+                       sample=sample, segment=self.segment[span], findings=kept)
+
+    def split(self, fraction: float) -> tuple["Log", "Log"]:
+        """The first `fraction` of the samples, and the rest.
+
+        Raises:
+            ProblemError: `fraction` is not between 0 and 1.
+            LogError: one part has fewer than two samples.
+        """
+        if not 0 < fraction < 1:
+            raise ProblemError(f"a log cannot be split at {fraction}", where=self.path or self.name,
+                               remedy="choose a fraction between 0 and 1")
+        cut = round(fraction * self.t.size)
+        return self.slice(0, cut), self.slice(cut, self.t.size)
+
+    def write(self, path: str | Path) -> None:
+        """Write as CSV or Parquet, by extension, with headers `name [SI unit]`; complete or not at all.
+
+        Raises:
+            LogError: another extension, or the file cannot be written.
+        """
+        import pyarrow as pa  # noqa: PLC0415 (import cost)
+        from pyarrow import csv, parquet  # noqa: PLC0415
+
+        target = Path(path)
+        if target.suffix.lower() not in (".csv", ".parquet"):
+            raise LogError(f"'{target.suffix}' is not a kind of log that can be written", where=str(path),
+                           remedy="use .csv or .parquet")
+        names = ["t [s]", *(f"{name} [{self.units[name]}]" for name in self.channels)]
+        table = pa.table([self.t, *self.channels.values()], names=names)
+        temporary = ""
+        try:
+            handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+            with os.fdopen(handle, "wb") as file:
+                if target.suffix.lower() == ".parquet":
+                    parquet.write_table(table, file)
+                else:
+                    file.write((",".join(names) + "\n").encode())
+                    csv.write_csv(table, file, csv.WriteOptions(include_header=False))
+            os.chmod(temporary, 0o644)
+            os.replace(temporary, target)
+        except OSError as error:
+            if temporary:
+                Path(temporary).unlink(missing_ok=True)
+            raise LogError(f"the log cannot be written ({error.strerror})", where=str(path),
+                           remedy="check the directory and its permissions") from None
+
+
+def read_log(
+    path: str | Path,
+    *,
+    mapping: LogMap | str | Path | None = None,
+    treatment: Mapping[str, str] | None = None,
+    limits: Mapping[str, tuple[float, float]] | None = None,
+) -> Log:
+    """Read a log from CSV, Parquet or, with a map, a MATLAB file.
+
+    Args:
+        path: file with headers `name [unit]`; columns whose name has no dot are foreign and left out (a finding of
+            kind "ignored" says so).
+        mapping: for foreign files, what stands where (`read_map`).
+        treatment: action by kind of finding, see `treatment.ACTIONS`. By default NaN and bad time stamps are
+            errors, gaps split the log into segments and everything else is reported only.
+        limits: (lowest, highest) value of a sensor's range by channel, in SI; samples there count as saturated.
+
+    Raises:
+        LogError: the file is missing, damaged or not understood; the sentence names row and column.
+        ProblemError: unknown treatment, or limits for a channel the log has not.
+    """
+    where, chosen = str(path), choose(treatment)
+    layout = mapping if isinstance(mapping, LogMap) or mapping is None else read_map(mapping)
+    data, digest, kind = load(path, layout.format if layout else None)
+    file = {"csv": CsvFile, "parquet": ParquetFile, "mat": MatFile}[kind](data, where, layout)
+    ignored: tuple[str, ...] = ()
+    if layout is None:
+        layout, ignored = map_of_header(list(file.header), where)
+    if len(layout.columns) < 2:
+        raise LogError("there is a time but no channel", where=where,
+                       remedy="add columns such as 'boom.q [deg]' or 'boom_cylinder.p_head [bar]'")
+    table = file.read(list(dict.fromkeys(k for column in layout.columns.values() for k in column.keys)))
+    values, units = _convert(layout, table, where)
+    t = values.pop("t")
+    _refuse_damage(table, t, where)
+    if table.rows.size < 2:
+        raise LogError("there is only one data row", where=where, remedy="record at least two samples")
+    if unknown := set(limits or {}) - set(values):
+        raise ProblemError(f"there are limits for {', '.join(sorted(unknown))}, but no such channels", where=where,
+                           remedy=f"give limits for {', '.join(values)}")
+    samples, segment = treat(Samples(t, values, table.rows), chosen, limits or {}, where)
+    notes = samples.findings
+    if layout.rows:
+        first, last = layout.rows
+        notes += (Finding("rows", "t", first, last, last - first + 1, f"only data rows {first} to {last} are read"),)
+    if ignored:
+        notes += (Finding("ignored", "", int(table.rows[0]), int(table.rows[-1]), 0,
+                          f"foreign columns left out: {', '.join(ignored)}"),)
+    return Log(Path(path).stem, samples.t, samples.channels, samples.sample, segment, notes, where, digest, units)
+
+
+def _convert(layout: LogMap, table: Table, where: str) -> tuple[dict[str, Array], dict[str, str]]:
+    values: dict[str, Array] = {}
+    units: dict[str, str] = {}
+    for name, column in layout.columns.items():
+        si = si_unit(name, column.unit)
+        raw = [table.columns[key] for key in column.keys]
+        difference = raw[0] if len(raw) == 1 else raw[0] - raw[1]
+        with np.errstate(over="ignore", invalid="ignore"):
+            values[name] = column.factor * factor(column.unit, si) * difference + column.shift(si, where)
+        units[name] = si
+    return values, {name: unit for name, unit in units.items() if name != "t"}
+
+
+def _refuse_damage(table: Table, t: Array, where: str) -> None:
+    """Refuse rows that are cut or hold garbage; where there are such, also name those whose time is astray."""
+    if not table.damage:
+        return
+    damage, sound = dict(table.damage), np.isfinite(t)
+    for row in table.rows[sound][find.out_of_order(t[sound])]:
+        damage.setdefault(int(row), "is out of the order of time")
+    rows = np.array(sorted(damage))
+    fences = np.concatenate([[table.rows[0] - 1], rows, [table.rows[-1] + 1]])
+    longest = int(np.argmax(np.diff(fences)))
+    start, stop = int(fences[longest]) + 1, int(fences[longest + 1]) - 1
+    reasons: dict[str, list[int]] = {}
+    for row in rows:
+        reasons.setdefault(damage[int(row)], []).append(int(row))
+    shown = ", ".join(f"{runs(which)} {reason}" for reason, which in list(reasons.items())[:4])
+    noun = "row" if rows.size == 1 else "rows"
+    trim = f"trim it with 'rows = [{start}, {stop}]' in a map, or " if stop > start else ""
+    raise LogError(f"data {noun} {runs(rows)} {'is' if rows.size == 1 else 'are'} damaged ({shown})", where=where,
+                   remedy=f"{trim}mend the file")
+
+
+def _usual(name: str) -> str:
+    try:
+        return si_unit(name)
+    except HydrooptError:
+        return "unit"
+
+
+def _frozen(values: ArrayLike, kind: type) -> NDArray[np.float64]:
+    array: NDArray[np.float64] = np.array(values, dtype=kind)
+    array.setflags(write=False)
+    return array

@@ -1,0 +1,119 @@
+"""Poses, modified Denavit-Hartenberg transforms and the cylinder triangle, symbolic (SX) or numeric (DM).
+
+All functions take and return CasADi matrices, so that the same lines serve expressions and numbers.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+
+
+class Pose(NamedTuple):
+    """A frame seen from another one: `rotation` (3, 3) and `origin` (3,) [m]."""
+
+    rotation: ca.SX
+    origin: ca.SX
+
+    def __matmul__(self, other: Pose) -> Pose:
+        """Pose of a frame that is `other` as seen from this one."""
+        return Pose(self.rotation @ other.rotation, self.origin + self.rotation @ other.origin)
+
+    def point(self, local: ca.SX) -> ca.SX:
+        """Coordinates (3,) in the outer frame of a point given in this frame."""
+        return self.origin + self.rotation @ local
+
+
+def identity() -> Pose:
+    """The pose of a frame in itself."""
+    return Pose(ca.DM.eye(3), ca.DM.zeros(3))
+
+
+def rotation_x(angle: ca.SX) -> ca.SX:
+    """Rotation matrix (3, 3) about x by `angle` [rad]."""
+    c, s = ca.cos(angle), ca.sin(angle)
+    return ca.blockcat([[1, 0, 0], [0, c, -s], [0, s, c]])
+
+
+def rotation_y(angle: ca.SX) -> ca.SX:
+    """Rotation matrix (3, 3) about y by `angle` [rad]."""
+    c, s = ca.cos(angle), ca.sin(angle)
+    return ca.blockcat([[c, 0, s], [0, 1, 0], [-s, 0, c]])
+
+
+def rotation_z(angle: ca.SX) -> ca.SX:
+    """Rotation matrix (3, 3) about z by `angle` [rad]."""
+    c, s = ca.cos(angle), ca.sin(angle)
+    return ca.blockcat([[c, -s, 0], [s, c, 0], [0, 0, 1]])
+
+
+def roll_pitch_yaw(angles: tuple[float, float, float]) -> ca.DM:
+    """Rotation matrix Rot(z, yaw)·Rot(y, pitch)·Rot(x, roll) (3, 3)."""
+    roll, pitch, yaw = angles
+    return ca.DM(rotation_z(yaw) @ rotation_y(pitch) @ rotation_x(roll))
+
+
+def joint_pose(theta: ca.SX, d: ca.SX) -> Pose:
+    """Trans(z, d)·Rot(z, θ): the frame P_i of a link, origin on its joint's axis, z along it (Eq. 4.14)."""
+    return Pose(rotation_z(theta), ca.vertcat(0, 0, d))
+
+
+def link_pose(a: ca.SX, alpha: ca.SX, beta: ca.SX) -> Pose:
+    """Trans(x, a)·Rot(x, α)·Rot(y, β): from P_i to the frame at the link's far end (Eq. 3.8)."""
+    return Pose(rotation_x(alpha) @ rotation_y(beta), ca.vertcat(a, 0, 0))
+
+
+def skew(v: ca.SX) -> ca.SX:
+    """Matrix (3, 3) of the cross product [v×] (Eq. 4.11)."""
+    return ca.skew(v)
+
+
+def unskew(m: ca.SX) -> ca.SX:
+    """Vector (3,) of a skew-symmetric matrix."""
+    return ca.vertcat(m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]) / 2
+
+
+class Triangle(NamedTuple):
+    """The triangle joint axis, barrel pin, rod pin, unrolled about the joint's axis (Figure 12).
+
+    `fixed` and `moving` [m] are the distances of the two pins from the axis, `offset` [rad] turns the
+    joint angle into the angle between them (Eq. 3.27), `lateral` [m] is the distance of the pins along
+    the axis: zero in a planar triangle, and all that a pair of ball joints in space adds to Eq. 3.26.
+    """
+
+    fixed: ca.SX
+    moving: ca.SX
+    offset: ca.SX
+    lateral: ca.SX
+
+
+def triangle(fixed_pin: ca.SX, moving_pin: ca.SX) -> Triangle:
+    """Triangle of a revolute joint from its pins.
+
+    Args:
+        fixed_pin: (3,) [m] pin on the link before the joint, in the joint's axis frame (z_{i-1}).
+        moving_pin: (3,) [m] pin on the link after the joint, in P_i moved by d_i along z.
+    """
+    return Triangle(
+        ca.hypot(fixed_pin[0], fixed_pin[1]), ca.hypot(moving_pin[0], moving_pin[1]),
+        ca.atan2(moving_pin[1], moving_pin[0]) - ca.atan2(fixed_pin[1], fixed_pin[0]),
+        moving_pin[2] - fixed_pin[2])
+
+
+def triangle_length(sides: Triangle, theta: ca.SX) -> ca.SX:
+    """Distance between the pins [m] at the joint angle θ [rad] (Eq. 3.26, without the dead length)."""
+    inside = (sides.fixed**2 + sides.moving**2 + sides.lateral**2
+              - 2 * sides.fixed * sides.moving * ca.cos(theta + sides.offset))
+    return ca.sqrt(inside)
+
+
+def triangle_angle(sides: Triangle, length: ca.SX, branch: int) -> ca.SX:
+    """Joint angle θ [rad] in (−π, π] at a pin distance [m]; NaN where the triangle cannot close.
+
+    `branch` is +1 where the length grows with the angle and −1 where it shrinks.
+    """
+    cosine = ((sides.fixed**2 + sides.moving**2 + sides.lateral**2 - length**2)
+              / (2 * sides.fixed * sides.moving))
+    angle = branch * ca.acos(cosine) - sides.offset
+    return ca.atan2(ca.sin(angle), ca.cos(angle))
