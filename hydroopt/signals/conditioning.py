@@ -17,7 +17,8 @@ Array = NDArray[np.float64]
 class SmoothingSpline:
     """Quintic smoothing spline; its weight follows from the stated noise, or from cross-validation.
 
-    `cross_validate` asks for generalised cross-validation even where the noise is stated. It supposes white noise.
+    `cross_validate` asks for generalised cross-validation even where the noise is stated;
+    it supposes white noise.
     """
 
     cross_validate: bool = False
@@ -50,7 +51,7 @@ class Motion:
         t: (N,) times [s].
         q: (N, n) positions [rad or m]; qd: velocities [rad/s]; qdd: accelerations [rad/s²].
         segment: (N,) index of the uninterrupted stretch.
-        interior: (N,) False near the ends of a stretch, where derivatives lean on one side only and are worse.
+        interior: (N,) False near the ends of a stretch, where derivatives lean on one side only.
         bandwidth: (n,) frequency passed by half (-6 dB), lowest of the stretches [Hz].
         notes: what was done, in plain words.
     """
@@ -69,7 +70,7 @@ def condition(
     t: ArrayLike,
     q: ArrayLike,
     segment: ArrayLike | None = None,
-    smoothing: Smoothing = SmoothingSpline(),  # noqa: B008 (frozen)
+    smoothing: Smoothing = SmoothingSpline(),
     noise: ArrayLike | None = None,
     *,
     where: str = "log",
@@ -85,9 +86,10 @@ def condition(
         where: name of the log, for error messages.
 
     Raises:
-        LogError: a stretch is too short, sampling is irregular for Butterworth, or the log is shorter than the
-            Fourier period.
-        ProblemError: an option is impossible (cutoff or harmonics beyond the Nyquist frequency, negative noise).
+        LogError: a stretch is too short, sampling is irregular for Butterworth, or the log is shorter than
+            the Fourier period.
+        ProblemError: an option is impossible (cutoff or harmonics beyond the Nyquist frequency, negative
+            noise).
     """
     times = np.asarray(t, dtype=float)
     positions = np.asarray(q, dtype=float)
@@ -116,7 +118,9 @@ def condition(
             out[:, span] = _butterworth(times[span], positions[span], smoothing, here)
             corners = np.full(positions.shape[1], smoothing.cutoff)
         else:
-            corners = _spline(times[span], positions[span], smoothing, stds, out[:, span], notes, here)
+            stated = None if smoothing.cross_validate else stds
+            out[:, span], corners, said = _spline(times[span], positions[span], stated, here)
+            notes += said
         bandwidth = np.minimum(bandwidth, corners)
         reach = min(0.5 / float(np.min(corners)), 0.1 * float(times[stop - 1] - times[start]))
         interior[span] = (times[span] >= times[start] + reach) & (times[span] <= times[stop - 1] - reach)
@@ -125,14 +129,13 @@ def condition(
     return Motion(times, out[0], out[1], out[2], parts, interior, bandwidth, tuple(notes))
 
 
-def _spline(t: Array, q: Array, smoothing: SmoothingSpline, stds: NDArray[np.float64] | None, out: Array,
-            notes: list[str], where: str) -> Array:
+def _spline(t: Array, q: Array, stds: Array | None, where: str) -> tuple[Array, Array, list[str]]:
     if t.size < spline.MIN_SAMPLES:
         raise LogError(f"a stretch of {t.size} samples is too short to differentiate", where=where,
                        remedy=f"leave it out or record at least {spline.MIN_SAMPLES} samples without a gap")
-    corners = np.empty(q.shape[1])
+    out, corners, notes = np.empty((3, *q.shape)), np.empty(q.shape[1]), []
     for joint, column in enumerate(q.T):
-        stated = None if stds is None or smoothing.cross_validate else float(stds[joint])
+        stated = None if stds is None else float(stds[joint])
         fitted = spline.fit(t, column, stated)
         for order in range(3):
             out[order, :, joint] = fitted(t, order)
@@ -143,7 +146,7 @@ def _spline(t: Array, q: Array, smoothing: SmoothingSpline, stds: NDArray[np.flo
         if stated and not 0.5 < fitted.residual / stated < 1.5:
             note += " (which does not agree: check the stated noise)"
         notes.append(note)
-    return corners
+    return out, corners, notes
 
 
 def _butterworth(t: Array, q: Array, smoothing: Butterworth, where: str) -> Array:
@@ -169,15 +172,16 @@ def _fourier(t: Array, q: Array, segment: NDArray[np.int64], smoothing: Fourier,
     """One least-squares fit over all stretches: the phase of a periodic motion survives a gap."""
     period, harmonics = smoothing.period, smoothing.harmonics
     if not period > 0 or harmonics < 1:
-        raise ProblemError(f"period {period:g} s with {harmonics} harmonics is no Fourier series", where=where,
-                           remedy="give a positive period and at least one harmonic")
+        raise ProblemError(f"period {period:g} s with {harmonics} harmonics is no Fourier series",
+                           where=where, remedy="give a positive period and at least one harmonic")
     step = float(np.median(np.diff(t))) if t.size > 1 else np.inf
     if t.size < 2 or t[-1] - t[0] + step < period * (1 - 1e-9) or t.size <= 2 * harmonics + 1:
         raise LogError(f"{t.size} samples over {np.ptp(t):.4g} s do not hold a period of {period:g} s",
                        where=where, remedy="record at least one full period or choose the smoothing spline")
-    if harmonics / period >= 0.5 / step:
-        raise ProblemError(f"harmonic {harmonics} at {harmonics / period:g} Hz exceeds half the sampling rate",
-                           where=where, remedy=f"choose fewer than {period / (2 * step):.0f} harmonics")
+    if harmonics / period >= (1 - 1e-9) * 0.5 / step:
+        raise ProblemError(f"harmonic {harmonics} at {harmonics / period:g} Hz exceeds half the sampling "
+                           "rate", where=where,
+                           remedy=f"choose fewer than {period / (2 * step):.0f} harmonics")
     omega = 2 * np.pi / period * np.arange(1, harmonics + 1)
     sine, cosine = np.sin(np.outer(t, omega)), np.cos(np.outer(t, omega))
     basis = np.column_stack([np.ones(t.size), sine, cosine])
@@ -188,8 +192,8 @@ def _fourier(t: Array, q: Array, segment: NDArray[np.int64], smoothing: Fourier,
     a, b = coefficients[1:harmonics + 1], coefficients[harmonics + 1:]
     w = omega[:, None]
     residual = np.sqrt(np.mean((q - basis @ coefficients) ** 2, axis=0))
-    notes = tuple(f"joint {j + 1}, {where}: Fourier series of {harmonics} harmonics of {period:g} s, residual "
-                  f"std {r:.3g}" for j, r in enumerate(residual))
+    notes = tuple(f"joint {j + 1}, {where}: Fourier series of {harmonics} harmonics of {period:g} s, "
+                  f"residual std {r:.3g}" for j, r in enumerate(residual))
     return Motion(t, basis @ coefficients, cosine @ (w * a) - sine @ (w * b),
                   -(sine @ (w**2 * a) + cosine @ (w**2 * b)), segment, np.ones(t.size, bool),
                   np.full(q.shape[1], harmonics / period), notes)

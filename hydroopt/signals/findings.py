@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,11 +36,13 @@ class Finding:
 
 
 def finding(kind: str, channel: str, mask: Mask, sample: NDArray[np.int64], text: str) -> Finding:
-    """The samples in `mask` (N,) as one finding; `text` follows "<channel>: samples ..."."""
+    """The samples in `mask` (N,) as one finding; `text` starts with a plural verb."""
     rows = sample[mask]
-    noun = "sample" if rows.size == 1 else "samples"
+    noun, (verb, rest) = "samples", text.split(" ", 1)
+    if rows.size == 1:
+        noun, verb = "sample", "is" if verb == "are" else f"{verb}s"
     return Finding(kind, channel, int(rows[0]), int(rows[-1]), int(rows.size),
-                   f"{channel}: {noun} {runs(rows)} {text}")
+                   f"{channel}: {noun} {runs(rows)} {verb} {rest}")
 
 
 def out_of_order(t: Array) -> Mask:
@@ -52,13 +55,18 @@ def out_of_order(t: Array) -> Mask:
         return np.zeros(t.size, bool)
     stray = median_filter(t, _WINDOW, mode="nearest") != t
     if 2 * np.count_nonzero(stray) < t.size and np.all(np.diff(t[~stray]) >= 0):
-        return np.asarray(stray)
-    return np.asarray(t < np.maximum.accumulate(t))
+        kept = np.where(stray, -np.inf, t)
+        before, after = np.maximum.accumulate(kept), np.inf
+        for i in range(t.size - 1, -1, -1):
+            if not stray[i] or before[i] < t[i] < after:
+                stray[i], after = False, t[i]
+        return np.asarray(stray, dtype=bool)
+    return np.asarray(t < np.maximum.accumulate(t), dtype=bool)
 
 
 def repeated(t: Array) -> Mask:
     """Samples that carry the same time stamp as the one before, t (N,) not decreasing."""
-    return np.diff(t, prepend=-np.inf) == 0
+    return np.asarray(np.diff(t, prepend=-np.inf) == 0, dtype=bool)
 
 
 def gaps(t: Array, times_median: float = 3.0) -> Mask:
@@ -81,13 +89,15 @@ def jitter(t: Array) -> Mask:
 def spikes(x: Array) -> Mask:
     """Samples far off the running median, both against the channel's usual residual and against their window.
 
-    The first test (6 robust sigma, from the 95th percentile of the residual) keeps noise quiet, the second (6 local
-    sigma, from the median deviation in the window) keeps sharp but real motion quiet.
+    The first test (6 robust sigma, from the 95th percentile of the residual) keeps noise quiet, the second (8
+    local sigma, from the median deviation in the window less its slope) keeps sharp but real motion quiet. A
+    spike extends by up to 3 samples on each side that stand off by 2 robust sigma.
     """
     mask = np.zeros(x.size, bool)
     if x.size < _WINDOW:
         return mask
-    residual = np.abs(x - median_filter(x, _WINDOW, mode="nearest"))
+    signed = x - median_filter(x, _WINDOW, mode="nearest")
+    residual = np.abs(signed)
     low, high = np.quantile(x, [0.01, 0.99])
     steps = np.abs(np.diff(x))
     lsb = float(np.min(steps[steps > 0], initial=np.inf))
@@ -96,43 +106,59 @@ def spikes(x: Array) -> Mask:
     half = _WINDOW // 2
     for i in np.flatnonzero(residual > usual):
         window = x[max(0, i - half):i + half + 1]
-        middle = float(np.median(window))
-        mask[i] = abs(x[i] - middle) > 6 * 1.4826 * float(np.median(np.abs(window - middle)))
+        third = window.size // 3
+        slope = (np.median(window[-third:]) - np.median(window[:third])) / (window.size - third)
+        window = window - slope * np.arange(window.size)
+        spread = 1.4826 * float(np.median(np.abs(window - np.median(window))))
+        mask[i] = residual[i] > 8 * spread
+    for i in np.flatnonzero(mask):
+        for direction in (-1, 1):
+            for j in range(i + direction, i + 4 * direction, direction):
+                if not 0 <= j < x.size or 3 * residual[j] < usual or signed[j] * signed[i] < 0:
+                    break
+                mask[j] = True
     return mask
 
 
 def saturated(x: Array, limits: tuple[float, float] | None, own_extremes: bool = True) -> Mask:
-    """Samples at or beyond `limits`, and runs that hit the channel's own extreme at speed and stay exactly there."""
+    """Samples at or beyond `limits`, and runs that hit the channel's own extreme at speed and stay there."""
     mask = np.zeros(x.size, bool) if limits is None else (x <= limits[0]) | (x >= limits[1])
     if not own_extremes or np.ptp(x) == 0:
         return mask
-    speed = float(np.sqrt(np.mean(np.diff(x) ** 2)))
     for start, stop in _level_runs(x, 10):
-        if x[start] not in (x.min(), x.max()):
-            continue
-        before, after = max(0, start - 3), min(x.size - 1, stop + 2)
-        slopes = [abs(x[start] - x[before]) / (start - before)] if start > before else []
-        slopes += [abs(x[after] - x[stop - 1]) / (after - stop + 1)] if after > stop - 1 else []
-        if slopes and max(slopes) > 0.5 * speed:
+        if x[start] in (x.min(), x.max()) and _abrupt(x, start, stop):
             mask[start:stop] = True
     return mask
 
 
 def stuck(channels: Mapping[str, Array]) -> dict[str, Mask]:
-    """For each channel, runs of one value longer than 25 samples and 1 % of the log while another channel moves.
+    """Frozen samples by channel: level for more than 25 samples and 1 % of the log, begun or ended at speed.
 
-    "Moves" means: passes through more than 5 % of its own range during the run.
+    A run counts only while another channel passes through more than 5 % of its range. A joint that comes to
+    rest slows down first and is not meant, nor is a velocity of zero; a channel that never changes at all is.
     """
     out = {name: np.zeros(x.size, bool) for name, x in channels.items()}
     for name, x in channels.items():
         for start, stop in _level_runs(x, max(26, x.size // 100 + 1)):
+            at_rest = name.endswith(".qd") and x[start] == 0
+            if stop - start < x.size and (at_rest or not _abrupt(x, start, stop)):
+                continue
             if any(np.ptp(y[start:stop]) > 0.05 * np.ptp(y) for other, y in channels.items()
                    if other != name and np.ptp(y) > 0):
                 out[name][start:stop] = True
     return out
 
 
+def _abrupt(x: Array, start: int, stop: int) -> bool:
+    """Whether x enters or leaves the level run at more than half its usual (RMS) speed, over 3 steps."""
+    speed = float(np.sqrt(np.mean(np.diff(x) ** 2)))
+    before, after = max(0, start - 3), min(x.size - 1, stop + 2)
+    entry = abs(x[start] - x[before]) / max(start - before, 1)
+    leave = abs(x[after] - x[stop - 1]) / max(after - stop + 1, 1)
+    return bool(max(entry, leave) > 0.5 * speed)
+
+
 def _level_runs(x: Array, shortest: int) -> list[tuple[int, int]]:
     """Half-open ranges in which x is exactly constant over at least `shortest` samples."""
     edges = np.concatenate([[0], np.flatnonzero(np.diff(x) != 0) + 1, [x.size]])
-    return [(int(a), int(b)) for a, b in zip(edges[:-1], edges[1:], strict=True) if b - a >= shortest]
+    return [(int(a), int(b)) for a, b in pairwise(edges) if b - a >= shortest]

@@ -11,9 +11,10 @@ from numpy.typing import ArrayLike, NDArray
 
 from hydroopt.errors import HydrooptError, LogError, ProblemError
 from hydroopt.signals import findings as find
+from hydroopt.signals.files import open_file
 from hydroopt.signals.findings import Finding
 from hydroopt.signals.mapping import LogMap, map_of_header, read_map, si_unit
-from hydroopt.signals.table import CsvFile, MatFile, ParquetFile, Table, load, runs
+from hydroopt.signals.table import Table, load, runs
 from hydroopt.signals.treatment import Samples, choose, treat
 from hydroopt.units import factor
 
@@ -115,7 +116,7 @@ class Log:
         Raises:
             LogError: another extension, or the file cannot be written.
         """
-        import pyarrow as pa  # noqa: PLC0415 (import cost)
+        import pyarrow as pa  # type: ignore[import-untyped]  # noqa: PLC0415
         from pyarrow import csv, parquet  # noqa: PLC0415
 
         target = Path(path)
@@ -152,12 +153,12 @@ def read_log(
     """Read a log from CSV, Parquet or, with a map, a MATLAB file.
 
     Args:
-        path: file with headers `name [unit]`; columns whose name has no dot are foreign and left out (a finding of
-            kind "ignored" says so).
+        path: file with headers `name [unit]`; columns whose name has no dot are foreign and left out (a
+            finding of kind "ignored" says so).
         mapping: for foreign files, what stands where (`read_map`).
         treatment: action by kind of finding, see `treatment.ACTIONS`. By default NaN and bad time stamps are
             errors, gaps split the log into segments and everything else is reported only.
-        limits: (lowest, highest) value of a sensor's range by channel, in SI; samples there count as saturated.
+        limits: (lowest, highest) value of a sensor's range by channel, in SI; samples there are saturated.
 
     Raises:
         LogError: the file is missing, damaged or not understood; the sentence names row and column.
@@ -166,7 +167,7 @@ def read_log(
     where, chosen = str(path), choose(treatment)
     layout = mapping if isinstance(mapping, LogMap) or mapping is None else read_map(mapping)
     data, digest, kind = load(path, layout.format if layout else None)
-    file = {"csv": CsvFile, "parquet": ParquetFile, "mat": MatFile}[kind](data, where, layout)
+    file = open_file(kind, data, where, layout)
     ignored: tuple[str, ...] = ()
     if layout is None:
         layout, ignored = map_of_header(list(file.header), where)
@@ -180,17 +181,20 @@ def read_log(
     if table.rows.size < 2:
         raise LogError("there is only one data row", where=where, remedy="record at least two samples")
     if unknown := set(limits or {}) - set(values):
-        raise ProblemError(f"there are limits for {', '.join(sorted(unknown))}, but no such channels", where=where,
+        raise ProblemError(f"there are limits for {', '.join(sorted(unknown))}, but no such channels",
+                           where=where,
                            remedy=f"give limits for {', '.join(values)}")
     samples, segment = treat(Samples(t, values, table.rows), chosen, limits or {}, where)
     notes = samples.findings
     if layout.rows:
         first, last = layout.rows
-        notes += (Finding("rows", "t", first, last, last - first + 1, f"only data rows {first} to {last} are read"),)
+        text = f"only data rows {first} to {last} were read"
+        notes += (Finding("rows", "t", first, last, last - first + 1, text),)
     if ignored:
         notes += (Finding("ignored", "", int(table.rows[0]), int(table.rows[-1]), 0,
                           f"foreign columns left out: {', '.join(ignored)}"),)
-    return Log(Path(path).stem, samples.t, samples.channels, samples.sample, segment, notes, where, digest, units)
+    return Log(Path(path).stem, samples.t, samples.channels, samples.sample, segment, notes, where, digest,
+               units)
 
 
 def _convert(layout: LogMap, table: Table, where: str) -> tuple[dict[str, Array], dict[str, str]]:
@@ -207,12 +211,12 @@ def _convert(layout: LogMap, table: Table, where: str) -> tuple[dict[str, Array]
 
 
 def _refuse_damage(table: Table, t: Array, where: str) -> None:
-    """Refuse rows that are cut or hold garbage; where there are such, also name those whose time is astray."""
+    """Refuse rows that are cut or hold garbage; then also name those whose time is astray."""
     if not table.damage:
         return
     damage, sound = dict(table.damage), np.isfinite(t)
     for row in table.rows[sound][find.out_of_order(t[sound])]:
-        damage.setdefault(int(row), "is out of the order of time")
+        damage.setdefault(int(row), "time out of order")
     rows = np.array(sorted(damage))
     fences = np.concatenate([[table.rows[0] - 1], rows, [table.rows[-1] + 1]])
     longest = int(np.argmax(np.diff(fences)))
@@ -220,10 +224,11 @@ def _refuse_damage(table: Table, t: Array, where: str) -> None:
     reasons: dict[str, list[int]] = {}
     for row in rows:
         reasons.setdefault(damage[int(row)], []).append(int(row))
-    shown = ", ".join(f"{runs(which)} {reason}" for reason, which in list(reasons.items())[:4])
+    shown = "; ".join(f"{runs(which)}: {reason}" for reason, which in list(reasons.items())[:4])
     noun = "row" if rows.size == 1 else "rows"
     trim = f"trim it with 'rows = [{start}, {stop}]' in a map, or " if stop > start else ""
-    raise LogError(f"data {noun} {runs(rows)} {'is' if rows.size == 1 else 'are'} damaged ({shown})", where=where,
+    raise LogError(f"data {noun} {runs(rows)} {'is' if rows.size == 1 else 'are'} damaged ({shown})",
+                   where=where,
                    remedy=f"{trim}mend the file")
 
 

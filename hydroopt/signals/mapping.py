@@ -1,4 +1,4 @@
-"""How the columns of a file become channels: from headers `name [unit]`, or from a TOML map for foreign files."""
+"""How the columns of a file become channels: by headers `name [unit]`, or by a TOML map for foreign files."""
 
 import re
 import tomllib
@@ -30,8 +30,8 @@ def si_unit(channel: str, unit: str | None = None) -> str:
     """
     kinds = ("s",) if channel == "t" else KINDS.get(channel.rpartition(".")[2] if "." in channel else "")
     if kinds is None:
-        raise LogError(f"'{channel}' is not a channel", where="channel", remedy="use 't' or a name that ends in "
-                       + ", ".join(f".{k}" for k in KINDS))
+        raise LogError(f"'{channel}' is not a channel", where="channel",
+                       remedy="use 't' or a name that ends in " + ", ".join(f".{k}" for k in KINDS))
     if unit is None:
         return kinds[0]
     for kind in kinds:
@@ -161,7 +161,8 @@ def map_of_header(header: list[str], where: str) -> tuple[LogMap, tuple[str, ...
             continue
         here = f"{where}, column {index + 1} '{text.strip()}'"
         if name in columns:
-            raise LogError(f"channel '{name}' stands there twice", where=here, remedy="remove or rename one")
+            raise LogError(f"channel '{name}' stands there twice", where=here,
+                           remedy="remove or rename one")
         try:
             usual = si_unit(name)
             if not unit or not unit.strip():

@@ -17,7 +17,7 @@ def measure(
     rng: np.random.Generator,
     distribution: Distribution = "uniform",
 ) -> NDArray[np.float64]:
-    """Readings of `values` (any shape, any unit), as a sensor of the given accuracy and resolution gives them.
+    """Readings of `values` (any shape, any unit), as a sensor of this accuracy and resolution gives them.
 
     Args:
         values: true values.

@@ -1,12 +1,14 @@
 """Quintic smoothing spline: least squares with a penalty on the third derivative, in O(N).
 
-Minimises Σ (y_i − f(t_i))² + λ ∫ f'''(t)² dt over quintic splines on evenly spaced knots. It is the continuous form
-of the dynamic-programming filter of Dohrmann and Busby (penalised derivatives), and beats a cubic smoothing spline
-where accelerations matter: its second derivative stays smooth. λ is chosen by unbiased risk (Mallows' C_L) when the
-noise is known, by generalised cross-validation when it is not.
+Minimises Σ (y_i − f(t_i))² + λ ∫ f'''(t)² dt over quintic splines on evenly spaced knots. It is the
+continuous form of the dynamic-programming filter of Dohrmann and Busby (penalised derivatives), and
+beats a cubic smoothing spline where accelerations matter: its second derivative stays smooth. λ is
+chosen by unbiased risk (Mallows' C_L) when the noise is known, by generalised cross-validation when it
+is not.
 """
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
@@ -59,7 +61,7 @@ class _Basis:
         self.x = np.clip((t - t[0]) / self.spacing, 0.0, float(intervals))
         self.knots = np.concatenate(
             [np.zeros(_DEGREE), np.arange(intervals + 1.0), np.full(_DEGREE, float(intervals))])
-        self.design = BSpline.design_matrix(self.x, self.knots, _DEGREE).tocsr()
+        self.design: Any = BSpline.design_matrix(self.x, self.knots, _DEGREE).tocsr()
         self.gram = _band(self.design.T @ self.design)
         self.penalty = _band(self._penalty())
         self.probes = np.random.default_rng(0).choice([-1.0, 1.0], (t.size, _PROBES))
@@ -114,7 +116,7 @@ class _Basis:
         return sp.csr_array(third.T @ sp.diags_array(np.tile(weights / 2, self.intervals)) @ third)
 
 
-def _band(matrix: sp.csr_array) -> Array:
+def _band(matrix: Any) -> Array:
     """Lower band storage (`scipy.linalg.cholesky_banded`) of a symmetric matrix of half bandwidth _DEGREE."""
     n = matrix.shape[0]
     band = np.zeros((_DEGREE + 1, n))

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.signals import findings as find
 from hydroopt.signals.findings import Array, Finding, Mask
+from hydroopt.signals.table import runs
 
 ACTIONS: dict[str, tuple[str, ...]] = {
     "nan": ("error", "drop", "interpolate"),
@@ -68,13 +69,14 @@ def treat(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, tupl
     for step in (_not_a_number, _order, _repeats, _outliers):
         samples = step(samples, chosen, limits, where)
         if samples.t.size < 2:
-            raise LogError(f"{samples.t.size or 'no'} sample{'s' * (samples.t.size != 1)} would be left", where=where,
+            raise LogError(f"only {samples.t.size} of the samples would be left", where=where,
                            remedy="choose other treatments or record the log again")
     return _sampling(samples, chosen, where)
 
 
-def _note(samples: Samples, kind: str, channel: str, mask: Mask, text: str, chosen: Mapping[str, str],
-          where: str) -> Samples:
+def _note(  # noqa: PLR0917 (the parts of one sentence)
+    samples: Samples, kind: str, channel: str, mask: Mask, text: str, chosen: Mapping[str, str], where: str
+) -> Samples:
     """Add a finding, or raise where the action is "error"."""
     action = chosen[kind]
     found = find.finding(kind, channel, mask, samples.sample, text)
@@ -83,8 +85,8 @@ def _note(samples: Samples, kind: str, channel: str, mask: Mask, text: str, chos
         raise LogError(f"{found.text} ({found.count} in all)", where=where,
                        remedy=f"choose {' or '.join(others)}, or mend the file")
     if action != "keep":
-        done = {"drop": "dropped", "interpolate": "interpolated", "first": "first one kept", "mean": "averaged",
-                "split": "split there"}[action]
+        done = {"drop": "dropped", "interpolate": "interpolated", "first": "first one kept",
+                "mean": "averaged", "split": "split there"}[action]
         found = replace(found, text=f"{found.text}; {done}")
     return replace(samples, findings=(*samples.findings, found))
 
@@ -97,7 +99,7 @@ def _not_a_number(samples: Samples, chosen: Mapping[str, str], limits: object, w
     if chosen["nan"] == "drop" and bad:
         return samples.keep(~np.logical_or.reduce(list(bad.values())))
     if "t" in bad:
-        raise LogError(f"t: samples {find.runs(samples.sample[bad['t']])} have no time, which cannot be "
+        raise LogError(f"t: samples {runs(samples.sample[bad['t']])} have no time, which cannot be "
                        "interpolated", where=where, remedy="choose --treat nan=drop or mend the file")
     for name, mask in bad.items():
         samples = _bridge(samples, name, mask, where)
@@ -123,7 +125,7 @@ def _order(samples: Samples, chosen: Mapping[str, str], limits: object, where: s
     samples = _note(samples, "non-monotonic", "t", mask, "are out of the order of time", chosen, where)
     if 2 * np.count_nonzero(mask) > mask.size:
         raise LogError("more than half of the samples are out of the order of time", where=where,
-                       remedy="select a good stretch with 'rows = [first, last]' in a map, or mend the time column")
+                       remedy="select a good stretch with 'rows = [first, last]' in a map, or mend the times")
     return samples.keep(~mask)
 
 
@@ -142,7 +144,7 @@ def _repeats(samples: Samples, chosen: Mapping[str, str], limits: object, where:
 
 def _outliers(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, tuple[float, float]],
               where: str) -> Samples:
-    """Saturation, then standstill, then spikes: a sample is counted once. Commands (`.u`) may rest or jump."""
+    """Saturation, standstill, spikes: each sample counts once. Commands (`.u`) may rest and jump."""
     sensed = {name: x for name, x in samples.channels.items() if not name.endswith(".u")}
     none = np.zeros(samples.t.size, bool)
     clipped = {name: find.saturated(x, limits.get(name), own_extremes=name in sensed)
@@ -151,7 +153,7 @@ def _outliers(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, 
     spiky = {name: find.spikes(x) & ~clipped[name] & ~level[name] for name, x in sensed.items()}
     texts: tuple[tuple[str, dict[str, Mask], Callable[[str, Mask], str]], ...] = (
         ("saturated", clipped, lambda name, mask: "sit at or beyond the limit of the range"),
-        ("stuck", level, lambda name, mask: "never change while other channels do"),
+        ("stuck", level, lambda name, mask: "rest at one value while other channels move"),
         ("spike", spiky, _worst(samples)))
     drop = none
     for kind, masks, text in texts:
@@ -169,7 +171,8 @@ def _outliers(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, 
 def _worst(samples: Samples) -> Callable[[str, Mask], str]:
     def text(name: str, mask: Mask) -> str:
         x = samples.channels[name]
-        worst = int(np.argmax(np.where(mask, np.abs(x - np.interp(samples.t, samples.t[~mask], x[~mask])), -1)))
+        off = np.abs(x - np.interp(samples.t, samples.t[~mask], x[~mask]))
+        worst = int(np.argmax(np.where(mask, off, -1.0)))
         return f"stand off their neighbours (worst at sample {samples.sample[worst]})"
     return text
 
@@ -182,7 +185,7 @@ def _sampling(samples: Samples, chosen: Mapping[str, str], where: str) -> tuple[
         samples = _note(samples, "gap", "t", after_gap, f"follow a gap (longest {longest:.4g} s, usual step "
                         f"{step:.4g} s)", chosen, where)
     if uneven.any():
-        samples = _note(samples, "irregular", "t", uneven, f"come off the usual step of {step:.4g} s by more than "
-                        "10 %", chosen, where)
+        samples = _note(samples, "irregular", "t", uneven, "come off the usual step of "
+                        f"{step:.4g} s by more than 10 %", chosen, where)
     split = after_gap if chosen["gap"] == "split" else np.zeros(samples.t.size, bool)
     return samples, np.cumsum(split)

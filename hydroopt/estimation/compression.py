@@ -1,0 +1,76 @@
+"""A log of any length as one small triangle for each actuator: streaming QR of [K, f]."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydroopt.estimation.experiment import Experiment
+from hydroopt.inertia import Array
+from hydroopt.model.build import Model
+
+CHUNK = 2048
+"""Samples evaluated at a time: bounds the memory that a log of any length needs."""
+
+
+@dataclass(frozen=True, eq=False)
+class Compressed:
+    """Triangles (n, p+1, p+1) with ``‖T_i·[ψ; −1]‖² = Σ (K_i·ψ − f_i)²`` for every actuator i, over `samples` samples."""
+
+    triangles: Array
+    samples: int
+
+    def squares(self, psi: Array) -> Array:
+        """Sum of squared residuals of each actuator (n,)."""
+        return np.asarray(np.sum((self.triangles @ np.append(psi, -1.0)) ** 2, axis=1))
+
+    def weighted(self, sigma: Array) -> tuple[Array, Array]:
+        """R (p, p) upper triangular and r (p,) with ``‖R·ψ − r‖²`` the weighted sum of squares, up to a constant."""
+        p = self.triangles.shape[2] - 1
+        stacked = (self.triangles / sigma[:, None, None]).reshape(-1, p + 1)
+        R = np.linalg.qr(stacked, mode="r")[:p]
+        return R[:, :p], R[:, p]
+
+
+def chunks(model: Model, experiments: Sequence[Experiment]) -> Iterator[tuple[int, Array, Array, Array]]:
+    """(experiment, sample indices, K (m, n, p), f (m, n)) for all samples that take part, a chunk at a time."""
+    for which, data in enumerate(experiments):
+        taken = np.flatnonzero(data.inside)
+        for start in range(0, len(taken), CHUNK):
+            rows = taken[start : start + CHUNK]
+            motion = data.motion
+            K = model.over(model.regressor, motion.q[rows], motion.qd[rows], motion.qdd[rows])[0]
+            yield which, rows, K, data.force[rows]
+
+
+def compress(model: Model, experiments: Sequence[Experiment], weights: Sequence[Array] | None = None) -> Compressed:
+    """Fold experiments into triangles; `weights` (N, n) per experiment multiply the squared residuals."""
+    n, p = len(model.machine.joints), len(model.parameters)
+    triangles = np.zeros((n, p + 1, p + 1))
+    samples = 0
+    for which, rows, K, force in chunks(model, experiments):
+        block = np.concatenate([K, force[:, :, None]], axis=2)
+        if weights is not None:
+            block = block * np.sqrt(weights[which][rows])[:, :, None]
+        for i in range(n):
+            triangles[i] = _fold(triangles[i], block[:, i])
+        samples += len(rows)
+    return Compressed(triangles, samples)
+
+
+def _fold(triangle: Array, block: Array) -> Array:
+    folded = np.linalg.qr(np.vstack([triangle, block]), mode="r")
+    return folded[: len(triangle)]
+
+
+def predict(model: Model, data: Experiment, psi: Array) -> Array:
+    """Actuator forces (N, n) that the parameters ψ predict for a measured motion, a chunk at a time."""
+    out = np.empty_like(data.force)
+    for start in range(0, len(out), CHUNK):
+        rows = np.s_[start : start + CHUNK]
+        motion = data.motion
+        K = model.over(model.regressor, motion.q[rows], motion.qd[rows], motion.qdd[rows])[0]
+        out[rows] = K @ psi
+    return out

@@ -1,0 +1,140 @@
+"""The answer: parameters with uncertainty, fit on data seen and unseen, and what is in doubt."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from hydroopt import inertia
+from hydroopt.dynamic_parameters import bodies
+from hydroopt.estimation.compression import predict
+from hydroopt.estimation.experiment import Experiment
+from hydroopt.estimation.problem import Problem
+from hydroopt.identifiability import Confounded, Identifiability
+from hydroopt.inertia import Array
+
+
+@dataclass(frozen=True)
+class Fit:
+    """How well one channel is predicted: RMS error [N or N·m], variance accounted for, error relative to the signal.
+
+    VAF is 1 − var(error)/var(signal) (Eq. 3.45); relative is ‖error‖/‖signal‖.
+    """
+
+    rms: float
+    vaf: float
+    relative: float
+    unit: str
+
+
+@dataclass(frozen=True, eq=False)
+class Estimate:
+    """A solved problem.
+
+    Attributes:
+        problem: what was solved.
+        method: how.
+        psi: (p,) parameters that predict; for methods on base parameters those outside the basis are zero.
+        value, std, ci95: (p,), (p,), (p, 2) per parameter, NaN where the data and the priors cannot tell.
+        bound: (p,) name of an active constraint on each parameter, or "".
+        active: names of all active constraints.
+        structure: identifiability under ideal motion; `seen` under the motion of the training data.
+        base_value, base_std: (r,) of the base parameters of `seen`.
+        sigma: (n,) weights used: standard deviation of each actuator's residual.
+        correlation_time: (n,) how many samples in a row the residuals repeat themselves; 1 is white noise.
+        confounded: parameters the motion cannot tell apart, though the model could.
+        notes: what was done, in plain words.
+    """
+
+    problem: Problem
+    method: str
+    psi: Array
+    value: Array
+    std: Array
+    ci95: Array
+    bound: tuple[str, ...]
+    active: tuple[str, ...]
+    structure: Identifiability
+    seen: Identifiability
+    base_value: Array
+    base_std: Array
+    sigma: Array
+    correlation_time: Array
+    confounded: tuple[Confounded, ...]
+    notes: tuple[str, ...]
+    seed: int = 0
+    status: str = "ok"
+
+    def __getitem__(self, name: str) -> float:
+        """Value of a parameter; NaN if it is not identifiable."""
+        return float(self.value[self.problem.parameters.index(name)])
+
+    def predict(self, data: Experiment) -> Array:
+        """Actuator forces (N, n) for the motion of an experiment."""
+        return predict(self.problem.model, data, self.psi)
+
+    @cached_property
+    def predictions(self) -> Mapping[str, list[Array]]:
+        """Predicted forces of every training and validation experiment."""
+        return {"train": [self.predict(e) for e in self.problem.experiments],
+                "validation": [self.predict(e) for e in self.problem.validation]}
+
+    @cached_property
+    def fit(self) -> dict[str, dict[str, Fit]]:
+        """Fit by data set and actuator; the entry ``all`` covers all actuators of one unit or of mixed units."""
+        sets = {"train": self.problem.experiments, "validation": self.problem.validation}
+        return {name: self._fit(data, self.predictions[name]) for name, data in sets.items() if data}
+
+    def _fit(self, data: tuple[Experiment, ...], predicted: list[Array]) -> dict[str, Fit]:
+        measured = np.concatenate([e.force[e.inside] for e in data])
+        error = measured - np.concatenate([p[e.inside] for e, p in zip(data, predicted, strict=True)])
+        units = self.force_units
+        table = {actuator.name: _fit_of(measured[:, k], error[:, k], units[k])
+                 for k, actuator in enumerate(self.problem.model.machine.actuators)}
+        if len(set(units)) == 1:
+            return table | {"all": _fit_of(measured.ravel(), error.ravel(), units[0])}
+        # channels of different units are compared in units of their own noise
+        return table | {"all": _fit_of((measured / self.sigma).ravel(), (error / self.sigma).ravel(), "sigma")}
+
+    @property
+    def force_units(self) -> tuple[str, ...]:
+        """Unit of each actuator's force."""
+        machine = self.problem.model.machine
+        return tuple("N" if a in machine.cylinders or machine.link(j).joint.type == "prismatic" else "N*m"
+                     for a, j in zip(machine.actuators, machine.joints, strict=True))
+
+    @cached_property
+    def consistency(self) -> dict[str, float]:
+        """Smallest eigenvalue of each body's pseudo-inertia at ψ; negative: no such body exists."""
+        names = bodies(self.problem.model.machine, actuator_inertia=self.problem.model.actuator_inertia)
+        at = {owner: self.problem.parameters.index(f"{owner}.m") for owner in names}
+        return {owner: inertia.smallest_eigenvalue(self.psi[k : k + 10]) for owner, k in at.items()}
+
+    def identifiability(self, k: int) -> str:
+        """``full``, ``combination``, ``none``, or ``not excited`` if only this motion is to blame."""
+        seen, possible = self.seen.category[k], self.structure.category[k]
+        return "not excited" if (possible, seen) in (("full", "combination"), ("full", "none"), ("combination", "none")
+                                                     ) else seen
+
+    def __str__(self) -> str:
+        lines = [f"{self.problem.model.machine.name} by {self.method}: {self.status}"]
+        for name, table in self.fit.items():
+            for channel, fit in table.items():
+                lines.append(f"  {name:<10} {channel:<18} RMS {fit.rms:10.4g} {fit.unit:<5} relative {100 * fit.relative:6.2f} %"
+                             f"  VAF {100 * fit.vaf:6.2f} %")
+        return "\n".join(lines)
+
+
+def _fit_of(measured: Array, error: Array, unit: str) -> Fit:
+    rms = float(np.sqrt(np.mean(error**2)))
+    size, spread = float(np.sqrt(np.mean(measured**2))), float(np.var(measured))
+    return Fit(rms, 1 - float(np.var(error)) / spread if spread else float("nan"), rms / size if size else float("inf"), unit)
+
+
+def as_json_number(value: Any) -> float | None:
+    """A float for JSON, None for NaN and infinity."""
+    return float(value) if np.isfinite(value) else None

@@ -1,0 +1,140 @@
+"""The physically consistent estimate: a semidefinite program, and the bounded quadratic program inside it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import cvxpy as cp
+import numpy as np
+
+from hydroopt import inertia, solvers
+from hydroopt.errors import ProblemError, SolverError
+from hydroopt.estimation.problem import Named, Problem
+from hydroopt.inertia import Array
+
+MARGIN = 1e-7
+"""Smallest eigenvalue allowed to a scaled pseudo-inertia: keeps bodies strictly possible despite rounding."""
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """ψ (p,) and the names of the constraints that hold it back."""
+
+    psi: Array
+    active: tuple[str, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ScaledBody:
+    """A body's place in ψ and the scaling that makes its pseudo-inertia about the identity's size."""
+
+    owner: str
+    columns: slice
+    scaling: Array
+
+    def pseudo_inertia(self, phi: Array) -> Array:
+        """D·J(φ)·D (4, 4)."""
+        return self.scaling @ inertia.pseudo_inertia(phi) @ self.scaling
+
+
+def scaled_bodies(problem: Problem) -> tuple[ScaledBody, ...]:
+    """All bodies of the problem, scaled by the mass and the radius of gyration of their nominal values."""
+    found = []
+    for k, name in enumerate(problem.parameters.names):
+        if name.endswith(".m"):
+            phi = problem.parameters.nominal[k : k + 10]
+            mass = max(phi[0], 1e-3)
+            second = max(np.trace(inertia.pseudo_inertia(phi)[:3, :3]) / 3, 1e-6 * mass)
+            scaling = np.diag([*[1 / np.sqrt(second)] * 3, 1 / np.sqrt(mass)])
+            found.append(ScaledBody(name.removesuffix(".m"), slice(k, k + 10), scaling))
+    return tuple(found)
+
+
+def solve(problem: Problem, R: Array, r: Array, *, consistent: bool) -> Solution:
+    """Minimise ``‖R·ψ − r‖²`` plus priors subject to bounds, the user's constraints and, if asked, consistency.
+
+    Raises:
+        ProblemError: constraints contradict each other; the smallest contradicting set is named.
+        SolverError: the solver's answer is not to be trusted.
+    """
+    where = f"identification of {problem.model.machine.name}"
+    nominal, scale = problem.parameters.nominal, problem.parameters.scale
+    rows, right = problem.prior_rows
+    stacked = np.vstack([np.column_stack([R, r]), np.column_stack([rows, right])])
+    stacked[:, -1] -= stacked[:, :-1] @ nominal
+    stacked[:, :-1] *= scale
+    folded = np.linalg.qr(stacked, mode="r")[: len(nominal) + 1]
+    A, b = folded[:, :-1], folded[:, -1]
+    size = max(1.0, float(np.linalg.norm(b)))  # an objective of order one suits the solver's tolerances
+    x = cp.Variable(len(nominal))
+    named = constraints_of(problem, x, consistent=consistent)
+    everything = [c for _, group in named for c in group]
+    program = cp.Problem(cp.Minimize(cp.sum_squares((A / size) @ x - b / size)), everything)
+    if not solvers.solve_convex(program, where):
+        culprits = _contradiction(named, x)
+        raise ProblemError(f"these cannot hold together: {'; '.join(culprits)}", where=where,
+                           remedy="drop or loosen one of them")
+    value = np.asarray(x.value, dtype=float)
+    gradient = 2 / size**2 * (A.T @ (A @ value - b))
+    solvers.certify_convex(x, gradient, everything).trust(where)
+    psi = nominal + scale * value
+    if consistent:
+        for body in scaled_bodies(problem):
+            smallest = np.linalg.eigvalsh(body.pseudo_inertia(psi[body.columns]))[0]
+            if smallest <= 0:
+                raise SolverError(f"the body '{body.owner}' came out impossible (eigenvalue {smallest:.1e})", where=where,
+                                  remedy="widen its prior or the constraints on it")
+    return Solution(psi, tuple(name for name, group in named if _is_active(group)))
+
+
+def constraints_of(problem: Problem, x: cp.Variable, *, consistent: bool) -> list[tuple[str, list[Any]]]:
+    """All constraints by name, in terms of the scaled step x from the nominal parameters."""
+    parameters = problem.parameters
+    nominal, scale = parameters.nominal, parameters.scale
+    named: list[tuple[str, list[Any]]] = []
+    for k, name in enumerate(parameters.names):
+        if name in problem.fixed:
+            named.append((f"{name} fixed", [x[k] == (problem.fixed[name] - nominal[k]) / scale[k]]))
+            continue
+        # a body's mass is positive anyway where bodies must be possible
+        if np.isfinite(parameters.lower[k]) and not (consistent and name.endswith(".m") and parameters.lower[k] == 0):
+            named.append((f"lower bound of {name}", [x[k] >= (parameters.lower[k] - nominal[k]) / scale[k]]))
+        if np.isfinite(parameters.upper[k]):
+            named.append((f"upper bound of {name}", [x[k] <= (parameters.upper[k] - nominal[k]) / scale[k]]))
+    if consistent:
+        named += [(f"physical consistency of {body.owner}", [_consistency(body, x, nominal, scale)])
+                  for body in scaled_bodies(problem)]
+    view = Named(parameters, lambda k: nominal[k] + scale[k] * x[k])
+    for constraint in problem.constraints:
+        relation = constraint.relation(view)
+        if not isinstance(relation, cp.Constraint):
+            raise ProblemError("it does not return a relation", where=f"constraint '{constraint.name}'",
+                               remedy="return left == right, left <= right or left >= right")
+        named.append((constraint.name, [relation]))
+    return named
+
+
+def _consistency(body: ScaledBody, x: cp.Variable, nominal: Array, scale: Array) -> Any:
+    at_nominal = body.pseudo_inertia(nominal[body.columns])
+    basis = body.scaling @ inertia.PSEUDO_BASIS @ body.scaling * scale[body.columns, None, None]
+    stacked = np.column_stack([matrix.ravel(order="F") for matrix in basis])
+    matrix = cp.reshape(stacked @ x[body.columns], (4, 4), order="F") + at_nominal
+    return matrix - MARGIN * np.eye(4) >> 0
+
+
+def _is_active(group: Sequence[Any]) -> bool:
+    return any(np.max(np.abs(np.asarray(c.dual_value, dtype=float))) > 1e-6 for c in group)
+
+
+def _contradiction(named: list[tuple[str, list[Any]]], x: cp.Variable) -> list[str]:
+    """A smallest set of constraints that cannot hold together: leave out one after the other what is not needed."""
+    kept = list(named)
+    for candidate in named:
+        rest = [c for item in kept if item is not candidate for c in item[1]]
+        probe = cp.Problem(cp.Minimize(0), rest)
+        probe.solve(solver=cp.CLARABEL)
+        if probe.status in ("infeasible", "infeasible_inaccurate"):
+            kept.remove(candidate)
+    return [name for name, _ in kept]

@@ -1,0 +1,187 @@
+"""From a problem to an estimate: weights, compression, the chosen estimator, and its uncertainty."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import numpy as np
+
+from hydroopt import identifiability, inertia
+from hydroopt.errors import IdentifiabilityError, ProblemError
+from hydroopt.estimation import feasible, linear, nonlinear, uncertainty
+from hydroopt.estimation.compression import Compressed, chunks, compress
+from hydroopt.estimation.estimate import Estimate
+from hydroopt.estimation.linear import RANK_TOLERANCE
+from hydroopt.estimation.problem import Problem
+from hydroopt.identifiability import Identifiability
+from hydroopt.inertia import Array
+
+Method = Literal["sdp", "qp", "nlp", "wls", "ridge", "tsvd"]
+METHODS: tuple[Method, ...] = get_args(Method)
+_LINEAR = ("wls", "ridge", "tsvd")
+
+
+def solve(problem: Problem, method: Method = "sdp", *, tolerance: float = RANK_TOLERANCE,
+          ridge: float | None = None, intervals: bool = True, seed: int = 0) -> Estimate:
+    """Solve an identification problem; the problem itself is not changed.
+
+    Args:
+        problem: what to solve.
+        method: ``sdp`` priors, bounds and physically possible bodies (default); ``qp`` the same without the bodies;
+            ``nlp`` as ``sdp`` but by IPOPT, for constraints that are not convex; ``wls`` weighted least squares on base
+            parameters (Eq. 4.58); ``ridge`` (Eq. 4.59); ``tsvd`` truncated singular values (Eq. 4.60).
+        tolerance: part of the largest singular value below which a direction counts as unseen.
+        ridge: strength λ for ``ridge``, relative to the largest eigenvalue; chosen by cross-validation if None.
+        intervals: whether to sample the posterior where constraints may be active.
+        seed: of that sampling.
+
+    Raises:
+        ProblemError: unknown method, or constraints the method cannot honour or that contradict each other.
+        IdentifiabilityError: the data show nothing.
+        SolverError: no trustworthy answer.
+    """
+    if method not in METHODS:
+        raise ProblemError(f"'{method}' is no method", where="solve", remedy=f"use one of {', '.join(METHODS)}")
+    if method in _LINEAR and (problem.constraints or problem.priors or problem.fixed):
+        extra = [*(c.name for c in problem.constraints), *(p.name for p in problem.priors), *problem.fixed]
+        raise ProblemError(f"method '{method}' cannot honour {', '.join(extra)}", where="solve",
+                           remedy="use qp, sdp or nlp")
+    data = compress(problem.model, problem.experiments)
+    sigma = _weights(problem, data, tolerance)
+    if problem.loss != "squares":
+        data, sigma = _robust(problem, data, sigma, tolerance)
+    R, r = data.weighted(sigma)
+    psi, covariance, seen = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
+    if seen.rank == 0:
+        raise IdentifiabilityError("these data show no parameter at all", where=problem.model.machine.name,
+                                   remedy="record a log in which the joints move")
+    # residuals that repeat themselves carry less information than as many independent ones
+    times = _correlation_times(problem, psi)
+    R, r = data.weighted(sigma * np.sqrt(times))
+    if method in _LINEAR:
+        return _linear_estimate(problem, method, R, r, sigma, times, tolerance, ridge)
+    solution = (nonlinear.solve(problem, R, r) if method == "nlp"
+                else feasible.solve(problem, R, r, consistent=method == "sdp" and problem.consistent))
+    return _constrained_estimate(problem, method, R, r, solution, sigma, times, seen, tolerance, intervals, seed)
+
+
+def _weights(problem: Problem, data: Compressed, tolerance: float) -> Array:
+    """Standard deviation (n,) of each actuator's residual: stated by its sensors, then estimated from the fit itself."""
+    force_size = np.sqrt(data.triangles[:, -1, -1] ** 2 + np.sum(data.triangles[:, :-1, -1] ** 2, axis=1))
+    sigma = np.where(np.isfinite(problem.force_std), problem.force_std, 0.1 * force_size / np.sqrt(data.samples))
+    sigma = np.where(sigma > 0, sigma, 1.0)
+    if not problem.reweight:
+        return np.asarray(sigma)
+    floor = 1e-9 * np.maximum(force_size / np.sqrt(data.samples), 1e-12)
+    for _ in range(3):
+        R, r = data.weighted(sigma)
+        psi, _, seen = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
+        freedom = max(data.samples - seen.rank / len(sigma), 1.0)
+        sigma = np.maximum(np.sqrt(data.squares(psi) / freedom), floor)
+    return np.asarray(sigma)
+
+
+def _robust(problem: Problem, data: Compressed, sigma: Array, tolerance: float) -> tuple[Compressed, Array]:
+    """Iteratively reweighted least squares: Huber (95 % efficient at 1.345 σ) or Student-t with four degrees of freedom."""
+    for _ in range(8):
+        R, r = data.weighted(sigma)
+        psi, _, _ = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
+        residuals = _residuals(problem, psi)
+        inside = np.concatenate([res[e.inside] for res, e in zip(residuals, problem.experiments, strict=True)])
+        sigma = 1.4826 * np.median(np.abs(inside), axis=0)
+        ratios = [np.abs(res) / sigma for res in residuals]
+        weights = [np.minimum(1.0, 1.345 / np.maximum(u, 1e-12)) if problem.loss == "huber" else 5.0 / (4.0 + u**2)
+                   for u in ratios]
+        data = compress(problem.model, problem.experiments, weights)
+    return data, sigma
+
+
+def _residuals(problem: Problem, psi: Array) -> list[Array]:
+    out = [np.zeros_like(e.force) for e in problem.experiments]
+    for which, rows, K, force in chunks(problem.model, problem.experiments):
+        out[which][rows] = force - K @ psi
+    return out
+
+
+def _correlation_times(problem: Problem, psi: Array) -> Array:
+    """Integrated autocorrelation time of each actuator's residuals in samples (n,), at least one.
+
+    Sums the autocorrelation until it first falls below zero (Geyer's initial positive sequence).
+    """
+    total = np.zeros(len(problem.model.machine.joints))
+    weight = 0.0
+    for residual, data in zip(_residuals(problem, psi), problem.experiments, strict=True):
+        part = residual[data.inside]
+        if len(part) < 2:
+            continue
+        size = 2 ** int(np.ceil(np.log2(2 * len(part))))
+        spectrum = np.abs(np.fft.rfft(part - part.mean(axis=0), size, axis=0)) ** 2
+        correlation = np.fft.irfft(spectrum, axis=0)[: len(part) // 2]
+        correlation /= np.maximum(correlation[0], 1e-300)
+        for i in range(len(total)):
+            negative = np.flatnonzero(correlation[:, i] <= 0)
+            until = negative[0] if negative.size else len(correlation)
+            total[i] += len(part) * (1 + 2 * np.sum(correlation[1:until, i]))
+        weight += len(part)
+    return np.maximum(total / max(weight, 1.0), 1.0)
+
+
+def _linear_estimate(problem: Problem, method: str, R: Array, r: Array, sigma: Array, times: Array, tolerance: float,
+                     ridge: float | None) -> Estimate:
+    names = problem.parameters.names
+    psi, covariance, seen = linear.base_least_squares(R, r, names, tolerance)
+    value, std = linear.individual_values(psi, covariance, seen)
+    base_std = np.sqrt(np.diag(covariance))
+    note = "standard deviations of weighted least squares on base parameters"
+    if method == "ridge":
+        psi, strength = linear.ridge(R, r, ridge)
+        note = f"ridge strength {strength:.3g}; a shrunk estimate is biased, so that it has no honest interval"
+    elif method == "tsvd":
+        psi, kept = linear.truncated_svd(R, r, tolerance)
+        note = f"{kept} directions kept; those cut off are biased to zero, so that there is no honest interval"
+    if method != "wls":
+        value = np.where(np.array(seen.category) == identifiability.FULL, psi, np.nan)
+        std, base_std = np.full_like(std, np.nan), np.full_like(base_std, np.nan)
+    ci = value[:, None] + 1.959964 * std[:, None] * np.array([-1, 1])
+    return _assemble(problem, method, R, psi, value, std, ci, (), seen, base_std, sigma, times, (note,), 0)
+
+
+def _constrained_estimate(problem: Problem, method: str, R: Array, r: Array, solution: feasible.Solution, sigma: Array,
+                          times: Array, seen: Identifiability, tolerance: float, intervals: bool, seed: int) -> Estimate:
+    p = len(problem.parameters)
+    value, std, ci = solution.psi.copy(), np.full(p, np.nan), np.full((p, 2), np.nan)
+    base_std = np.full(seen.rank, np.nan)
+    note = "intervals were not asked for"
+    if intervals:
+        posterior = uncertainty.sample(problem, R, r, solution.psi, consistent=method != "qp" and problem.consistent, seed=seed)
+        if posterior is None:
+            note = "no intervals: a constraint is a nonlinear equality or has no inside, which cannot be sampled"
+        else:
+            std, ci = posterior.interval()
+            base_std, _ = posterior.interval(seen.grouping)
+            note = posterior.note
+    # where neither data nor prior say anything, no number is an estimate
+    rows, _ = problem.prior_rows
+    told = identifiability.analyse(np.vstack([R, rows]), problem.parameters.names, tolerance=tolerance)
+    unseen = np.array(seen.category) == identifiability.NONE
+    untold = np.array(told.category) != identifiability.FULL
+    value[untold], std[untold | unseen], ci[untold | unseen] = np.nan, np.nan, np.nan
+    return _assemble(problem, method, R, solution.psi, value, std, ci, solution.active, seen, base_std, sigma, times,
+                     (note,), seed)
+
+
+def _assemble(problem: Problem, method: str, R: Array, psi: Array, value: Array, std: Array, ci: Array,
+              active: tuple[str, ...], seen: Identifiability, base_std: Array, sigma: Array, times: Array,
+              notes: tuple[str, ...], seed: int) -> Estimate:
+    bound = []
+    for name in problem.parameters.names:
+        owner = name.rpartition(".")[0]
+        hit = [a for a in active if a.endswith(f" of {name}") or a == f"{name} fixed"
+               or a == f"physical consistency of {owner}" and name.rpartition(".")[2] in inertia.NAMES]
+        bound.append(hit[0] if hit else "")
+    return Estimate(
+        problem, method, psi, value, std, ci, tuple(bound), active, identifiability.structural(problem.model), seen,
+        seen.grouping @ psi, base_std, sigma, times, identifiability.confounded(R, problem.parameters), notes, seed)
+
+
+

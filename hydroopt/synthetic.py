@@ -1,0 +1,157 @@
+"""Logs of machines that do not exist yet: truth, motion and sensors in, a `Log` out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydroopt import inertia
+from hydroopt.errors import IdentifiabilityError, ProblemError
+from hydroopt.inertia import Array
+from hydroopt.machine import Cylinder, Motor
+from hydroopt.model.build import Model
+from hydroopt.signals import sensors
+from hydroopt.signals.log import Log
+
+BACK_PRESSURE = 5e5
+"""Pressure [Pa] in the chamber that a simulated actuator does not push with."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Joint positions, velocities and accelerations (N, n) at the times t (N,), in SI."""
+
+    t: Array
+    q: Array
+    qd: Array
+    qdd: Array
+
+
+def random_trajectory(model: Model, *, duration: float, rate: float, seed: int, harmonics: int = 5,
+                      slowest: float = 0.05, fastest: float = 0.6) -> Trajectory:
+    """A smooth motion of all joints that uses about 90 % of what the machine's limits allow.
+
+    Each joint moves about the middle of its range by sines of random phase and random frequencies between `slowest` and
+    `fastest` [Hz]; amplitudes are the largest that position, speed and acceleration limits admit. A joint that may turn by
+    more than half a turn keeps within ±60 degrees of its middle.
+
+    Raises:
+        ProblemError: duration or rate is not positive, or the log would not fit in memory.
+    """
+    if not (duration > 0 and rate > 0 and duration * rate >= 2):
+        raise ProblemError(f"a motion of {duration} s at {rate} Hz has no samples", where="simulate",
+                           remedy="give a positive duration and rate")
+    if duration * rate > 1e8:
+        raise ProblemError(f"{duration * rate:.1e} samples do not fit in memory", where="simulate",
+                           remedy="shorten the duration or lower the rate")
+    rng = np.random.default_rng(seed)
+    t = np.arange(int(round(duration * rate))) / rate
+    n = len(model.machine.joints)
+    q, qd, qdd = (np.empty((len(t), n)) for _ in range(3))
+    for k, name in enumerate(model.machine.joints):
+        joint = model.machine.link(name).joint
+        assert joint.lower is not None
+        assert joint.upper is not None
+        omega = 2 * np.pi * np.sort(rng.uniform(slowest, fastest, harmonics))
+        phase, size = rng.uniform(0, 2 * np.pi, harmonics), rng.uniform(0.3, 1.0, harmonics) / omega
+        angle = np.outer(t, omega) + phase
+        unit = (np.sin(angle) @ size, np.cos(angle) @ (size * omega), -np.sin(angle) @ (size * omega**2))
+        room = (joint.upper - joint.lower) / 2
+        room = min(room, np.pi / 3) if joint.type == "revolute" else room
+        allowed = (room, joint.max_speed or np.inf, joint.max_acceleration or np.inf)
+        # the bounds on the sums hold at all times, not only at the samples
+        worst = (np.sum(size), np.sum(size * omega), np.sum(size * omega**2))
+        scale = 0.9 * min(limit / w for limit, w in zip(allowed, worst, strict=True)) * _unused(unit, worst)
+        q[:, k] = (joint.upper + joint.lower) / 2 + scale * unit[0]
+        qd[:, k], qdd[:, k] = scale * unit[1], scale * unit[2]
+    return Trajectory(t, q, qd, qdd)
+
+
+def _unused(unit: tuple[Array, ...], worst: tuple[float, ...]) -> float:
+    """How far sums of sines can still be enlarged, since their crests rarely meet."""
+    return float(min(w / np.max(np.abs(u)) for u, w in zip(unit, worst, strict=True)))
+
+
+def random_truth(model: Model, seed: int, *, tries: int = 20000) -> Array:
+    """Parameters ψ (p,) drawn from the machine file's confidences, with bodies that can exist.
+
+    Raises:
+        IdentifiabilityError: a body's confidences leave practically no possible body.
+    """
+    rng = np.random.default_rng(seed)
+    parameters = model.parameters
+    psi = parameters.nominal.copy()
+    k = 0
+    while k < len(parameters):
+        body = parameters.names[k].endswith(".m")
+        block = slice(k, k + (10 if body else 1))
+        information = parameters.information[block, block]
+        k = block.stop
+        if not np.any(information):
+            continue
+        root = np.linalg.cholesky(np.linalg.inv(information))
+        draws = parameters.nominal[block] + rng.standard_normal((tries if body else 200, len(root))) @ root.T
+        good = np.all((draws >= parameters.lower[block]) & (draws <= parameters.upper[block]), axis=1)
+        if body:
+            good &= np.linalg.eigvalsh(np.tensordot(draws, inertia.PSEUDO_BASIS, axes=1))[:, 0] > 0
+        if not good.any():
+            raise IdentifiabilityError(f"no possible body within the confidences of '{parameters.names[block.start]}'",
+                                       where=model.machine.name, remedy="correct its inertia or widen its sigma")
+        psi[block] = draws[np.argmax(good)]
+    return psi
+
+
+def forces(model: Model, motion: Trajectory, psi: Array) -> Array:
+    """Noise-free actuator forces (N, n) of a motion with the parameters ψ, a chunk of samples at a time."""
+    out = np.empty_like(motion.q)
+    for start in range(0, len(out), 4096):
+        rows = np.s_[start : start + 4096]
+        out[rows] = model.over(model.regressor, motion.q[rows], motion.qd[rows], motion.qdd[rows])[0] @ psi
+    return out
+
+
+def simulate(model: Model, motion: Trajectory, psi: Array | None = None, *, noise: bool = True, seed: int = 0,
+             name: str = "simulated") -> Log:
+    """The log that the machine's sensors would record.
+
+    Args:
+        model: the machine.
+        motion: what it does.
+        psi: its true parameters (p,); the nominal ones if None.
+        noise: whether sensors err and quantise as the machine file states.
+        seed: of the errors.
+        name: of the log.
+    """
+    psi = model.parameters.nominal if psi is None else psi
+    rng = np.random.default_rng(seed)
+    machine = model.machine
+    force = forces(model, motion, psi)
+    channels = {f"{joint}.q": motion.q[:, k] for k, joint in enumerate(machine.joints)}
+    for k, (joint, actuator) in enumerate(zip(machine.joints, machine.actuators, strict=True)):
+        if isinstance(actuator, Cylinder):
+            head, rod = actuator.areas
+            channels |= _chambers(force[:, k], head, rod, f"{actuator.name}.p_head", f"{actuator.name}.p_rod")
+        elif isinstance(actuator, Motor):
+            ratio = actuator.torque_per_pressure * actuator.gear
+            channels |= _chambers(force[:, k], ratio, ratio, f"{actuator.name}.p_a", f"{actuator.name}.p_b")
+        else:
+            channels[f"{joint}.tau"] = force[:, k]
+    if machine.cylinders:
+        lengths = model.over(model.cylinder_kinematics, motion.q, motion.qd, motion.qdd)[0][:, :, 0]
+        channels |= {f"{c.name}.length": lengths[:, k] for k, c in enumerate(machine.cylinders)}
+    if noise:
+        for channel in channels:
+            sensor = machine.sensor(channel)
+            if sensor is not None:
+                channels[channel] = sensors.measure(channels[channel], sensor.accuracy, sensor.resolution, rng,
+                                                    sensor.distribution)
+    return Log(name, motion.t, channels, units={c: machine.channel_units[c] for c in channels})
+
+
+def _chambers(force: Array, area: float, other_area: float, pushing: str, pulling: str) -> dict[str, Array]:
+    """Chamber pressures that make a force, the one not pushing at back pressure."""
+    forward = force + other_area * BACK_PRESSURE > area * BACK_PRESSURE
+    p = np.where(forward, (force + other_area * BACK_PRESSURE) / area, BACK_PRESSURE)
+    q = np.where(forward, BACK_PRESSURE, (area * BACK_PRESSURE - force) / other_area)
+    return {pushing: p, pulling: q}

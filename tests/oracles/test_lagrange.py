@@ -1,0 +1,19 @@
+"""Newton-Euler against Lagrange's equations, which differentiate energies and know positions alone."""
+
+import numpy as np
+import pytest
+from subjects import SUBJECTS, forces, model, random_bodies, relative_error, states
+
+
+@pytest.mark.parametrize("complete", [True, False])
+@pytest.mark.parametrize("name", SUBJECTS)
+def test_bodies(name, complete):
+    subject = model(name, actuator_inertia=complete)
+    rng = np.random.default_rng(24)
+    psi, _ = random_bodies(subject, rng)
+    state = states(subject.machine, rng, 100)
+    K, = subject.over(subject.regressor, *state)
+    expected, = subject.over(subject.lagrange_forces, *state, np.tile(psi, (100, 1)))
+    errors = relative_error(K @ psi, expected[:, :, 0]), relative_error(forces(subject, state, psi), K @ psi)
+    print(name, complete, errors)
+    assert max(errors) < 1e-9

@@ -1,0 +1,27 @@
+"""Newton-Euler of the library against Pinocchio's recursion on a tree built here from the same numbers."""
+
+import numpy as np
+import pytest
+from pinocchio_tree import PinocchioTree
+from subjects import forces, model, random_bodies, relative_error, states
+
+
+@pytest.mark.parametrize("name", ["cat215b", "kr300", "patu655_lift", "made_up"])
+def test_links_alone(name):
+    agrees(model(name, actuator_inertia=False), samples=40)
+
+
+@pytest.mark.parametrize("name", ["cat215b", "made_up"])
+def test_barrels_and_rods_on_their_pins(name):
+    agrees(model(name), samples=40)
+
+
+def agrees(subject, samples):
+    rng = np.random.default_rng(21)
+    psi, clouds = random_bodies(subject, rng)
+    state = states(subject.machine, rng, samples)
+    tree = PinocchioTree(subject.machine, clouds)
+    expected = np.array([tree.actuator_forces(*row) for row in zip(*state, strict=True)])
+    error = relative_error(forces(subject, state, psi), expected)
+    print(subject.machine.name, subject.actuator_inertia, error)
+    assert error < 1e-9
