@@ -6,11 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import scipy.linalg
 
 from hydroopt.inertia import Array
 from hydroopt.model.build import Model
-from hydroopt.parameters import ParameterSet
 
 FULL, COMBINATION, NONE = "full", "combination", "none"
 """A parameter is identifiable alone, only together with others, or not at all."""
@@ -126,30 +124,34 @@ def random_states(model: Model, samples: int, rng: np.random.Generator) -> tuple
 
 @dataclass(frozen=True)
 class Confounded:
-    """A parameter that these data cannot tell from others: `inflation` is its variance over what it would be alone."""
+    """A base parameter that these data hardly tell from others.
+
+    `inflation` is its variance over what it would be if the other base parameters were known (variance inflation
+    factor); `partners` are the base parameters that can stand in for it, each named by its first parameter.
+    """
 
     name: str
     inflation: float
     partners: tuple[str, ...]
 
 
-def confounded(R: Array, parameters: ParameterSet, *, threshold: float = 30.0) -> tuple[Confounded, ...]:
-    """Parameters whose columns the other columns nearly reproduce (variance inflation factor above `threshold`).
+def confounded(R: Array, found: Identifiability, *, threshold: float = 100.0) -> tuple[Confounded, ...]:
+    """Base parameters whose columns the other base columns nearly reproduce.
 
     Args:
         R: (·, p) weighted regressor or its triangular factor.
-        parameters: names.
-        threshold: variance inflation from which a parameter counts as confounded with others.
+        found: its base parameters.
+        threshold: variance inflation from which on a parameter counts as confounded; 100 makes its σ ten times larger.
     """
-    lengths = np.linalg.norm(R, axis=0)
-    found = []
-    for j in np.flatnonzero(lengths > 1e-12 * lengths.max(initial=0.0)):
-        others = np.flatnonzero((lengths > 0) & (np.arange(len(lengths)) != j))
-        weights, _, _, _ = scipy.linalg.lstsq(R[:, others] / lengths[others], R[:, j] / lengths[j], cond=1e-10)
-        rest = np.linalg.norm(R[:, j] / lengths[j] - R[:, others] / lengths[others] @ weights)
-        inflation = float("inf") if rest < 1e-8 else 1 / rest**2
-        if inflation > threshold:
-            largest = [k for k in np.argsort(-np.abs(weights))[:3] if abs(weights[k]) > 0.05]
-            found.append(Confounded(parameters.names[j], inflation,
-                                    tuple(parameters.names[others[k]] for k in largest)))
-    return tuple(found)
+    basis = np.array(found.basis, dtype=int)
+    scaled = R[:, basis] / np.linalg.norm(R[:, basis], axis=0)
+    inverse = np.linalg.pinv(np.linalg.qr(scaled, mode="r"), rcond=1e-14)
+    covariance = inverse @ inverse.T
+    result = []
+    for i in np.flatnonzero(np.diag(covariance) > threshold):
+        correlation = covariance[i] / np.sqrt(covariance[i, i] * np.diag(covariance))
+        near = [j for j in np.argsort(-np.abs(correlation)) if j != i and abs(correlation[j]) > 0.9]
+        partners = near or [j for j in np.argsort(-np.abs(correlation))[:2] if j != i]
+        result.append(Confounded(found.names[basis[i]], float(covariance[i, i]),
+                                 tuple(found.names[basis[j]] for j in partners[:4])))
+    return tuple(result)

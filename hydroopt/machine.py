@@ -37,16 +37,20 @@ class ImpossibleError(ValueError):
 class Quantity:
     """Marks a field as a physical quantity: its SI unit, and the reading of ``"27.8 deg"``."""
 
-    def __init__(self, si: str) -> None:
-        self.si = si
+    def __init__(self, si: str, *others: str) -> None:
+        self.si, self.others = si, others
 
     def __call__(self, value: Any, info: ValidationInfo) -> Any:
         """SI value of a string with unit; a bare number passes only where code, not a file, states it."""
         if isinstance(value, str):
-            try:
-                return to_si(value, self.si, where="")
-            except UnitError as error:
-                raise ImpossibleError(error.what, error.remedy) from None
+            problem: UnitError | None = None
+            for si in (self.si, *self.others):
+                try:
+                    return to_si(value, si, where="")
+                except UnitError as error:
+                    problem = problem or error
+            assert problem is not None
+            raise ImpossibleError(problem.what, problem.remedy)
         if isinstance(value, bool):
             raise ImpossibleError(f"{value} is not a number", "write a number with its unit")
         if self.si != "1" and isinstance(value, int | float) and (info.context or {}).get("from_file"):
@@ -54,8 +58,8 @@ class Quantity:
         return value
 
 
-def _quantity(si: str) -> tuple[Quantity, BeforeValidator]:
-    mark = Quantity(si)
+def _quantity(si: str, *others: str) -> tuple[Quantity, BeforeValidator]:
+    mark = Quantity(si, *others)
     return mark, BeforeValidator(mark)
 
 
@@ -67,13 +71,13 @@ Area = Annotated[float, *_quantity("m^2"), _finite]
 Volume = Annotated[float, *_quantity("m^3"), _finite]
 Pressure = Annotated[float, *_quantity("Pa"), _finite]
 Force = Annotated[float, *_quantity("N"), _finite]
-Torque = Annotated[float, *_quantity("N*m"), _finite]
+Torque = Annotated[float, *_quantity("N*m", "N"), _finite]  # of a joint: a force where the joint slides
 Mass = Annotated[float, *_quantity("kg"), _finite]
 MassMoment = Annotated[float, *_quantity("kg*m"), _finite]
 Inertia = Annotated[float, *_quantity("kg*m^2"), _finite]
 Acceleration = Annotated[float, *_quantity("m/s^2"), _finite]
 LinearViscosity = Annotated[float, *_quantity("N*s/m"), _finite]
-AngularViscosity = Annotated[float, *_quantity("N*m*s/rad"), _finite]
+AngularViscosity = Annotated[float, *_quantity("N*m*s/rad", "N*s/m"), _finite]
 TorquePerPressure = Annotated[float, *_quantity("N*m/Pa"), _finite]
 Rate = Annotated[float, *_quantity("Hz"), _finite]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
@@ -345,7 +349,8 @@ class Sensor(Noun):
 class Machine(Noun):
     """A manipulator: a tree of links on the base, their actuators, and the sensors.
 
-    `orientation` is roll, pitch, yaw of the base frame in a world whose z points up.
+    `orientation` is roll, pitch, yaw of the base frame in a world whose z points up. Above the frequency `bandwidth`
+    the links no longer move as rigid bodies driven by their actuators: measured motion is smoothed at least that much.
     """
 
     name: Name
@@ -353,6 +358,7 @@ class Machine(Noun):
     description: str = ""
     gravity: Acceleration = Field(9.80665, ge=0)
     orientation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+    bandwidth: Rate | None = Field(None, gt=0)
     links: tuple[Link, ...] = Field(min_length=1)
     cylinders: tuple[Cylinder, ...] = ()
     motors: tuple[Motor, ...] = ()
@@ -435,13 +441,13 @@ class Machine(Noun):
     @cached_property
     def actuators(self) -> tuple[Cylinder | Motor | Drive, ...]:
         """The actuators in the order of the joints they drive: the order of measured forces."""
-        def first_joint(actuator: Cylinder | Motor | Drive) -> int:
+        def driven_joint(actuator: Cylinder | Motor | Drive) -> int:
             if isinstance(actuator, Cylinder):
-                # of several joints between its ends, the one nearest to its rod is what it is there for
+                # of several joints between its ends, the last is what it is there for
                 return max(self.joints.index(j)
                            for j in self.joints_between(actuator.barrel.link, actuator.rod.link))
             return self.joints.index(actuator.joint)
-        return tuple(sorted((*self.cylinders, *self.motors, *self.drives), key=first_joint))
+        return tuple(sorted((*self.cylinders, *self.motors, *self.drives), key=driven_joint))
 
     def link(self, name: str) -> Link:
         """The link of this name."""
@@ -461,7 +467,7 @@ class Machine(Noun):
         return tuple(joint for joint in self.joints if joint in apart)
 
     def axis_of(self, cylinder: Cylinder | GasCylinder) -> str:
-        """The joint whose axis orients the cylinder's bodies: the driven one nearest to its rod."""
+        """The joint whose axis orients the cylinder's bodies: the last moving one between its ends."""
         return self.joints_between(cylinder.barrel.link, cylinder.rod.link)[-1]
 
     @cached_property

@@ -108,12 +108,12 @@ def triangle_length(sides: Triangle, theta: ca.SX) -> ca.SX:
     return ca.sqrt(inside)
 
 
-def triangle_angle(sides: Triangle, length: ca.SX, branch: int) -> ca.SX:
-    """Joint angle θ [rad] in (−π, π] at a pin distance [m]; NaN where the triangle cannot close.
+def triangle_angle(sides: Triangle, length: ca.SX, branch: int, near: float = 0.0) -> ca.SX:
+    """Joint angle θ [rad] within half a turn of `near` at a pin distance [m]; NaN where the triangle cannot close.
 
     `branch` is +1 where the length grows with the angle and −1 where it shrinks.
     """
     cosine = ((sides.fixed**2 + sides.moving**2 + sides.lateral**2 - length**2)
               / (2 * sides.fixed * sides.moving))
-    angle = branch * ca.acos(cosine) - sides.offset
-    return ca.atan2(ca.sin(angle), ca.cos(angle))
+    angle = branch * ca.acos(cosine) - sides.offset - near
+    return near + ca.atan2(ca.sin(angle), ca.cos(angle))

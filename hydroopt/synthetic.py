@@ -30,10 +30,10 @@ class Trajectory:
 
 def random_trajectory(model: Model, *, duration: float, rate: float, seed: int, harmonics: int = 5,
                       slowest: float = 0.05, fastest: float = 0.6) -> Trajectory:
-    """A smooth motion of all joints that uses about 90 % of what the machine's limits allow.
+    """A smooth motion of all joints that uses about 90 % of what the machine's limits allow, periodic over its duration.
 
-    Each joint moves about the middle of its range by sines of random phase and random frequencies between `slowest` and
-    `fastest` [Hz]; amplitudes are the largest that position, speed and acceleration limits admit. A joint that may turn by
+    Each joint moves about the middle of its range by sines of random phase at multiples of 1/duration, drawn between
+    `slowest` and `fastest` [Hz] (or the nearest that there are); amplitudes are the largest that position, speed and acceleration limits admit. A joint that may turn by
     more than half a turn keeps within ±60 degrees of its middle.
 
     Raises:
@@ -46,6 +46,9 @@ def random_trajectory(model: Model, *, duration: float, rate: float, seed: int, 
         raise ProblemError(f"{duration * rate:.1e} samples do not fit in memory", where="simulate",
                            remedy="shorten the duration or lower the rate")
     rng = np.random.default_rng(seed)
+    multiples = np.arange(1, max(1, int(fastest * duration)) + 1)
+    multiples = multiples[multiples >= min(slowest * duration, multiples[-1])]
+    harmonics = min(harmonics, len(multiples))
     t = np.arange(int(round(duration * rate))) / rate
     n = len(model.machine.joints)
     q, qd, qdd = (np.empty((len(t), n)) for _ in range(3))
@@ -53,7 +56,7 @@ def random_trajectory(model: Model, *, duration: float, rate: float, seed: int, 
         joint = model.machine.link(name).joint
         assert joint.lower is not None
         assert joint.upper is not None
-        omega = 2 * np.pi * np.sort(rng.uniform(slowest, fastest, harmonics))
+        omega = 2 * np.pi / duration * np.sort(rng.choice(multiples, harmonics, replace=False))
         phase, size = rng.uniform(0, 2 * np.pi, harmonics), rng.uniform(0.3, 1.0, harmonics) / omega
         angle = np.outer(t, omega) + phase
         unit = (np.sin(angle) @ size, np.cos(angle) @ (size * omega), -np.sin(angle) @ (size * omega**2))

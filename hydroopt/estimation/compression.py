@@ -17,10 +17,10 @@ CHUNK = 2048
 
 @dataclass(frozen=True, eq=False)
 class Compressed:
-    """Triangles (n, p+1, p+1) with ``‖T_i·[ψ; −1]‖² = Σ (K_i·ψ − f_i)²`` for every actuator i, over `samples` samples."""
+    """Triangles (n, p+1, p+1) with ``‖T_i·[ψ; −1]‖² = Σ (K_i·ψ − f_i)²`` for every actuator i, over `samples[i]` rows."""
 
     triangles: Array
-    samples: int
+    samples: Array
 
     def squares(self, psi: Array) -> Array:
         """Sum of squared residuals of each actuator (n,)."""
@@ -49,14 +49,15 @@ def compress(model: Model, experiments: Sequence[Experiment], weights: Sequence[
     """Fold experiments into triangles; `weights` (N, n) per experiment multiply the squared residuals."""
     n, p = len(model.machine.joints), len(model.parameters)
     triangles = np.zeros((n, p + 1, p + 1))
-    samples = 0
+    samples = np.zeros(n)
     for which, rows, K, force in chunks(model, experiments):
         block = np.concatenate([K, force[:, :, None]], axis=2)
         if weights is not None:
             block = block * np.sqrt(weights[which][rows])[:, :, None]
         for i in range(n):
-            triangles[i] = _fold(triangles[i], block[:, i])
-        samples += len(rows)
+            taken = experiments[which].moving[rows, i]
+            triangles[i] = _fold(triangles[i], block[taken, i])
+            samples[i] += np.sum(taken)
     return Compressed(triangles, samples)
 
 

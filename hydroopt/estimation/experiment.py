@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt.inertia import Array
 from hydroopt.machine import Cylinder, Machine
@@ -13,22 +14,36 @@ from hydroopt.signals.conditioning import Motion, Smoothing, SmoothingSpline, co
 from hydroopt.signals.log import Log
 
 
+NOISE_FACTOR, OVERSHOOT = 3.0, 0.15
+"""A joint counts as standing still below this many standard deviations of its velocity's noise, and below this part of
+its RMS speed: smoothing lets an abrupt stop ring, so that slower readings may have the wrong sign."""
+
+
 @dataclass(frozen=True, eq=False)
 class Experiment:
     """Motion (N, n) and measured actuator forces (N, n) [N or N·m] of one log.
 
     `inside` (N,) is False near the ends of a stretch, where derivatives of noisy angles are worse: those samples take
-    no part in estimation and validation.
+    no part in estimation and validation. `moving` (N, n) is False where a joint is too slow for the sign of its
+    velocity, and so of its dry friction, to be known (Eq. 4.51): those take no part in estimation.
     """
 
     log: Log
     motion: Motion
     force: Array
+    moving: NDArray[np.bool_]
 
     @property
-    def inside(self) -> Array:
+    def inside(self) -> NDArray[np.bool_]:
         """Samples that take part (N,)."""
         return self.motion.interior
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to the log, in plain words."""
+        still = np.sum(self.inside[:, None] & ~self.moving, axis=0)
+        left_out = f"{int(np.sum(~self.inside))} of {len(self.inside)} samples at the ends of stretches left out"
+        return (*self.motion.notes, left_out, f"standing still (no sign of friction) per joint: {still.tolist()} samples")
 
 
 def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Experiment:
@@ -42,9 +57,23 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
     """
     machine = model.machine
     angles = np.column_stack([_angle(model, log, joint) for joint in machine.joints])
-    motion = condition(log.t, angles, log.segment, smoothing or SmoothingSpline(), angle_noise(machine, log),
+    smoothing = smoothing or SmoothingSpline(bandwidth=machine.bandwidth)
+    motion = condition(log.t, angles, log.segment, smoothing, angle_noise(machine, log),
                        where=log.path or log.name)
-    return Experiment(log, motion, np.column_stack([_force(model, log, k) for k in range(len(machine.joints))]))
+    force = np.column_stack([_force(model, log, k) for k in range(len(machine.joints))])
+    slow = np.maximum(NOISE_FACTOR * _velocity_noise(angles, motion), OVERSHOOT * np.sqrt(np.mean(motion.qd**2, axis=0)))
+    return Experiment(log, motion, force, np.abs(motion.qd) > slow)
+
+
+def _velocity_noise(angles: Array, motion: Motion) -> Array:
+    """Standard deviation of the smoothed velocities (n,): white noise, low-passed and differentiated.
+
+    σ_v² = ∫₀^f (2πν)²·2σ²Δt dν with the smoother's bandwidth f and the σ of what it took out.
+    """
+    sigma = np.std(angles - motion.q, axis=0)
+    step = float(np.median(np.diff(motion.t)))
+    bandwidth = np.minimum(motion.bandwidth, 0.5 / step)
+    return np.asarray(sigma * np.sqrt(8 / 3 * np.pi**2 * step * bandwidth**3))
 
 
 def _angle(model: Model, log: Log, joint: str) -> Array:

@@ -67,16 +67,16 @@ def solve(problem: Problem, method: Method = "sdp", *, tolerance: float = RANK_T
 
 def _weights(problem: Problem, data: Compressed, tolerance: float) -> Array:
     """Standard deviation (n,) of each actuator's residual: stated by its sensors, then estimated from the fit itself."""
-    force_size = np.sqrt(data.triangles[:, -1, -1] ** 2 + np.sum(data.triangles[:, :-1, -1] ** 2, axis=1))
-    sigma = np.where(np.isfinite(problem.force_std), problem.force_std, 0.1 * force_size / np.sqrt(data.samples))
+    size = np.linalg.norm(data.triangles[:, :, -1], axis=1) / np.sqrt(np.maximum(data.samples, 1.0))  # RMS force
+    sigma = np.where(np.isfinite(problem.force_std), problem.force_std, 0.1 * size)
     sigma = np.where(sigma > 0, sigma, 1.0)
     if not problem.reweight:
         return np.asarray(sigma)
-    floor = 1e-9 * np.maximum(force_size / np.sqrt(data.samples), 1e-12)
+    floor = 1e-9 * np.maximum(size, 1e-12)
     for _ in range(3):
         R, r = data.weighted(sigma)
         psi, _, seen = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
-        freedom = max(data.samples - seen.rank / len(sigma), 1.0)
+        freedom = np.maximum(data.samples - seen.rank / len(sigma), 1.0)
         sigma = np.maximum(np.sqrt(data.squares(psi) / freedom), floor)
     return np.asarray(sigma)
 
@@ -87,8 +87,9 @@ def _robust(problem: Problem, data: Compressed, sigma: Array, tolerance: float) 
         R, r = data.weighted(sigma)
         psi, _, _ = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
         residuals = _residuals(problem, psi)
-        inside = np.concatenate([res[e.inside] for res, e in zip(residuals, problem.experiments, strict=True)])
-        sigma = 1.4826 * np.median(np.abs(inside), axis=0)
+        taken = [np.where(e.inside[:, None] & e.moving, res, np.nan)
+                 for res, e in zip(residuals, problem.experiments, strict=True)]
+        sigma = 1.4826 * np.nanmedian(np.abs(np.concatenate(taken)), axis=0)
         ratios = [np.abs(res) / sigma for res in residuals]
         weights = [np.minimum(1.0, 1.345 / np.maximum(u, 1e-12)) if problem.loss == "huber" else 5.0 / (4.0 + u**2)
                    for u in ratios]
@@ -181,7 +182,7 @@ def _assemble(problem: Problem, method: str, R: Array, psi: Array, value: Array,
         bound.append(hit[0] if hit else "")
     return Estimate(
         problem, method, psi, value, std, ci, tuple(bound), active, identifiability.structural(problem.model), seen,
-        seen.grouping @ psi, base_std, sigma, times, identifiability.confounded(R, problem.parameters), notes, seed)
+        seen.grouping @ psi, base_std, sigma, times, identifiability.confounded(R, seen), notes, seed)
 
 
 

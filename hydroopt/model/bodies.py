@@ -37,8 +37,10 @@ def cylinder_motion(machine: Machine, cylinder: Cylinder | GasCylinder, links: d
     length = ca.norm_2(to_p - from_p)
     x = (to_p - from_p) / length
     speed = ca.dot(x, to_v - from_v)
-    # the axis of the driven joint, made perpendicular to the centre line: in a planar triangle it is so already
-    axis = links[machine.axis_of(cylinder)].pose.rotation[:, 2]
+    # the axis of the driven joint, made perpendicular to the centre line: in a planar triangle it is so already; a
+    # cylinder may lie along the axis of a sliding joint, whose x axis serves instead
+    driven = machine.axis_of(cylinder)
+    axis = links[driven].pose.rotation[:, 0 if machine.link(driven).joint.type == "prismatic" else 2]
     y = ca.cross(axis, x)
     y = y / ca.norm_2(y)
     turn = ca.horzcat(x, y, ca.cross(x, y))

@@ -78,7 +78,8 @@ class Model:
             angle, length = ca.SX.sym("angle"), ca.SX.sym("length")
             pairs[cylinder.name] = (
                 ca.Function("triangle_length", [angle], [triangle_length(sides, angle)], ["angle"], ["length"]),
-                ca.Function("triangle_angle", [length], [triangle_angle(sides, length, branch)], ["length"], ["angle"]))
+                ca.Function("triangle_angle", [length], [triangle_angle(sides, length, branch, middle)],
+                            ["length"], ["angle"]))
         return pairs
 
     @cached_property

@@ -10,7 +10,7 @@ import casadi as ca
 
 from hydroopt import inertia
 from hydroopt.dynamic_parameters import bodies, parameter_set
-from hydroopt.machine import Cylinder, Drive, GasCylinder, Machine
+from hydroopt.machine import Cylinder, Drive, GasCylinder, Machine, Motor
 from hydroopt.model.bodies import CylinderMotion, cylinder_motion
 from hydroopt.model.kinematics import Coordinates, Motion, link_motions
 from hydroopt.spatial import skew
@@ -40,14 +40,25 @@ class Dynamics:
             c.name: cylinder_motion(machine, c, self.links, at)
             for c in (*machine.cylinders, *machine.gas_cylinders)}
         self.rates = ca.vertcat(*[self._rate_of(a) for a in machine.actuators])
-        self.transmission = ca.jacobian(self.rates, at.qd)
+        self.transmission = self._transmission()
         """(actuators, joints): actuator speed = transmission · q̇; its entries are the lever arms."""
 
-    def _rate_of(self, actuator: object) -> ca.SX:
+    def _rate_of(self, actuator: Cylinder | Motor | Drive) -> ca.SX:
         if isinstance(actuator, Cylinder):
             return self.cylinders[actuator.name].speed
-        assert hasattr(actuator, "joint")
         return self.at.qd[self.machine.joints.index(actuator.joint)]
+
+    def _transmission(self) -> ca.SX:
+        full = ca.jacobian(self.rates, self.at.qd)
+        sparse = ca.SX(*full.shape)
+        # joints that carry both ends of a cylinder cannot change its length: zero, though the expression does not show it
+        for k, actuator in enumerate(self.machine.actuators):
+            between = (self.machine.joints_between(actuator.barrel.link, actuator.rod.link)
+                       if isinstance(actuator, Cylinder) else (actuator.joint,))
+            for joint in between:
+                j = self.machine.joints.index(joint)
+                sparse[k, j] = full[k, j]
+        return sparse
 
     def body_motion(self, owner: str) -> Motion:
         """Motion of the frame of a link (``boom``), barrel or rod (``boom_cylinder.rod``)."""

@@ -17,11 +17,12 @@ Array = NDArray[np.float64]
 class SmoothingSpline:
     """Quintic smoothing spline; its weight follows from the stated noise, or from cross-validation.
 
-    `cross_validate` asks for generalised cross-validation even where the noise is stated;
-    it supposes white noise.
+    `cross_validate` asks for generalised cross-validation even where the noise is stated. Both suppose white noise;
+    where it is not white they pass too much, and the motion's `bandwidth` [Hz] bounds that: it is passed by half at most.
     """
 
     cross_validate: bool = False
+    bandwidth: float | None = None
 
 
 @dataclass(frozen=True)
@@ -119,7 +120,7 @@ def condition(
             corners = np.full(positions.shape[1], smoothing.cutoff)
         else:
             stated = None if smoothing.cross_validate else stds
-            out[:, span], corners, said = _spline(times[span], positions[span], stated, here)
+            out[:, span], corners, said = _spline(times[span], positions[span], smoothing, stated, here)
             notes += said
         bandwidth = np.minimum(bandwidth, corners)
         reach = min(0.5 / float(np.min(corners)), 0.1 * float(times[stop - 1] - times[start]))
@@ -129,18 +130,21 @@ def condition(
     return Motion(times, out[0], out[1], out[2], parts, interior, bandwidth, tuple(notes))
 
 
-def _spline(t: Array, q: Array, stds: Array | None, where: str) -> tuple[Array, Array, list[str]]:
+def _spline(t: Array, q: Array, smoothing: SmoothingSpline, stds: Array | None,
+            where: str) -> tuple[Array, Array, list[str]]:
     if t.size < spline.MIN_SAMPLES:
         raise LogError(f"a stretch of {t.size} samples is too short to differentiate", where=where,
                        remedy=f"leave it out or record at least {spline.MIN_SAMPLES} samples without a gap")
     out, corners, notes = np.empty((3, *q.shape)), np.empty(q.shape[1]), []
     for joint, column in enumerate(q.T):
         stated = None if stds is None else float(stds[joint])
-        fitted = spline.fit(t, column, stated)
+        fitted = spline.fit(t, column, stated, smoothing.bandwidth)
         for order in range(3):
             out[order, :, joint] = fitted(t, order)
         corners[joint] = fitted.bandwidth
         chosen = "cross-validation" if stated is None else f"the stated noise of {stated:.3g}"
+        if smoothing.bandwidth and fitted.bandwidth > 0.99 * smoothing.bandwidth:
+            chosen = "the stated bandwidth of the motion"
         note = (f"joint {joint + 1}, {where}: smoothing spline with {fitted.bandwidth:.3g} Hz bandwidth from "
                 f"{chosen}, residual std {fitted.residual:.3g}")
         if stated and not 0.5 < fitted.residual / stated < 1.5:

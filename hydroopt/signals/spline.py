@@ -38,15 +38,18 @@ class SmoothSpline:
         return np.asarray(self.curve(t - self.start, derivative))
 
 
-def fit(t: Array, y: Array, noise: float | None) -> SmoothSpline:
+def fit(t: Array, y: Array, noise: float | None, bandwidth: float | None = None) -> SmoothSpline:
     """Smoothing spline through `y` (N,) at increasing times `t` (N,) [s], N >= MIN_SAMPLES.
 
-    `noise` is the standard deviation of y's noise in y's unit; None asks for generalised cross-validation.
+    `noise` is the standard deviation of y's noise in y's unit; None asks for generalised cross-validation. Of a motion
+    known to end at a `bandwidth` [Hz], no more is passed than half of that frequency.
     """
     n, every = t.size, 2.0
     while True:
         basis = _Basis(t, max(3, int(np.ceil((n - 1) / every))))
         log_weight = basis.best(y, noise)
+        if bandwidth is not None:
+            log_weight = max(log_weight, basis.log_weight_of(bandwidth))
         if log_weight < _HIGHEST - 0.5 or basis.intervals == 3:
             return basis.spline(y, log_weight)
         every *= 6.0
@@ -86,6 +89,10 @@ class _Basis:
         lowest = int(np.argmin([risk(g) for g in grid]))
         around = (grid[max(lowest - 1, 0)], grid[min(lowest + 1, grid.size - 1)])
         return float(minimize_scalar(risk, bounds=around, method="bounded", options={"xatol": 0.03}).x)
+
+    def log_weight_of(self, bandwidth: float) -> float:
+        """log10 λ that passes the frequency `bandwidth` [Hz] by half."""
+        return float(np.log10(self.x.size / self.intervals) - 6 * np.log10(2 * np.pi * self.spacing * bandwidth))
 
     def spline(self, y: Array, log_weight: float) -> SmoothSpline:
         coefficients = self._solve(log_weight, self.design.T @ y)

@@ -34,9 +34,11 @@ def test_pseudo_inertia_is_the_second_moment_of_mass(seed):
     lifted = np.column_stack([points, np.ones(len(points))])
     expected = lifted.T @ (masses[:, None] * lifted)
     phi = np.array([masses.sum(), *masses @ points, *moments(masses, points)[np.triu_indices(3)]])
-    np.testing.assert_allclose(inertia.pseudo_inertia(phi), expected, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(np.einsum("k,kij", phi, inertia.PSEUDO_BASIS), expected, rtol=1e-12, atol=1e-12)
-    np.testing.assert_allclose(inertia.from_pseudo_inertia(inertia.pseudo_inertia(phi)), phi, rtol=1e-12, atol=1e-12)
+    found = inertia.pseudo_inertia(phi)
+    by_basis = np.einsum("k,kij", phi, inertia.PSEUDO_BASIS)
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(by_basis, expected, rtol=1e-12, atol=1e-12)
+    np.testing.assert_allclose(inertia.from_pseudo_inertia(found), phi, rtol=1e-12, atol=1e-12)
     assert inertia.smallest_eigenvalue(phi) == pytest.approx(np.linalg.eigvalsh(expected)[0], rel=1e-9)
 
 

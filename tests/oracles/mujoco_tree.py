@@ -1,7 +1,7 @@
 """A machine as MuJoCo sees it: links as a tree, barrels and rods as branches on hinges at their pins.
 
-Only for planar triangles whose barrel hangs on the link before the driven joint, as on an excavator; there the angle
-of the centre line is the argument of a complex number and its rates come by hand.
+Only for planar triangles whose barrel hangs on the link before the driven joint, as on an excavator; there
+the angle of the centre line is the argument of a complex number and its rates come by hand.
 """
 
 from __future__ import annotations
@@ -16,13 +16,12 @@ from hydroopt.machine import BASE, Cylinder, Link, Machine
 
 
 class Loop(NamedTuple):
-    """Centre line of a cylinder in the plane of its joint: length and direction, each with what q̇ and q̈ make of it.
+    """Centre line of a cylinder in the plane of its joint, seen from the link before the joint.
 
-    `direction` (angle, rate, acceleration) is seen from the link before the joint; per unit of q̇ the length changes by
-    `lever_arm` and the angle by `turn`.
+    `direction` is its angle with rate and acceleration; per unit of q̇ the length changes by `lever_arm` and
+    the angle by `turn`.
     """
 
-    length: float
     lever_arm: float
     turn: float
     direction: tuple[float, float, float]
@@ -53,7 +52,7 @@ class MujocoTree:
         start = np.array([0, 0, j.d])
         if before is not None:
             end = Rotation.from_euler("XY", [before.alpha, before.beta])
-            turn, start = end * turn, end.apply(start) + [before.a, 0, 0]
+            turn, start = end * turn, end.apply(start) + np.array([before.a, 0, 0])
         body = self.bodies[parent].add_body(name=link.name, pos=start, quat=turn.as_quat(scalar_first=True))
         self.bodies[link.name] = body
         if j.type != "locked":
@@ -83,19 +82,19 @@ class MujocoTree:
         before, theta = self.machine.link(driven.parent).joint, driven.joint.theta + q
         end = Rotation.from_euler("XY", [before.alpha, before.beta])
         barrel = end.inv().apply(np.array(cylinder.barrel.pin) - [before.a, 0, 0])
-        rod = np.array(cylinder.rod.pin) + [0, 0, driven.joint.d]
+        rod = np.array(cylinder.rod.pin) + np.array([0, 0, driven.joint.d])
         assert abs(barrel[2] - rod[2]) < 1e-12  # planar
         arm = complex(rod[0], rod[1]) * np.exp(1j * theta)
         line = arm - complex(barrel[0], barrel[1])
         # with line = s·exp(iφ), the logarithm's derivative is ṡ/s + iφ̇
         unit = 1j * arm / line
         rate, acceleration = unit * qd, (1j * qdd - qd**2) * arm / line
-        return Loop(abs(line), abs(line) * unit.real, unit.imag,
+        return Loop(abs(line) * unit.real, unit.imag,
                     (np.angle(line), rate.imag, (acceleration - rate**2).imag))
 
     def actuator_forces(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray,
                         pin_friction: dict[str, float] | None = None) -> np.ndarray:
-        """Forces (n,): MuJoCo's torques, with Coulomb friction at the pins (by ``<cylinder>.<end>``), projected."""
+        """Forces (n,): MuJoCo's torques through the loops, and friction of pins, by ``<cylinder>.<end>``."""
         joints = self.machine.joints
         for index, joint in enumerate(joints):
             self._set(joint, q[index], qd[index], qdd[index])
@@ -131,7 +130,8 @@ class MujocoTree:
 def _give_mass(body: mujoco.MjsBody, phi: np.ndarray) -> None:
     m, com = phi[0], phi[1:4] / phi[0]
     xx, xy, xz, yy, yz, zz = phi[4:]
-    about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]]) - m * (com @ com * np.eye(3) - np.outer(com, com))
+    about_origin = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+    about_com = about_origin - m * (com @ com * np.eye(3) - np.outer(com, com))
     # principal axes from here: MuJoCo's own are good to about ten digits only
     moments, axes = np.linalg.eigh(about_com)
     axes[:, 0] *= np.linalg.det(axes)

@@ -1,4 +1,4 @@
-"""A machine as Pinocchio sees it: the links as a tree, every barrel and rod a branch on a ball joint at its pin.
+"""A machine as Pinocchio sees it: links as a tree, barrels and rods as branches on ball joints at their pins.
 
 Built from the numbers of the machine alone; poses, loops and projections are derived here a second time.
 """
@@ -16,10 +16,8 @@ WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 
 
 class Branch(NamedTuple):
-    joint: int
     cylinder: Cylinder
     carrier: str
-    pin: str
 
 
 class Jet(NamedTuple):
@@ -63,7 +61,7 @@ class PinocchioTree:
             for end in ("barrel", "rod"):
                 attachment = getattr(cylinder, end)
                 joint, place = self.places[attachment.link]
-                self._frame(f"{cylinder.name}.{end}", joint, place * pin.SE3(np.eye(3), np.array(attachment.pin)))
+                self._frame(f"{cylinder.name}.{end}", joint, place * _shift(attachment.pin))
         for name, (joint, place) in self.places.items():
             self._frame(name, joint, place)
         self.data = self.model.createData()
@@ -76,23 +74,23 @@ class PinocchioTree:
         for link in self.machine.links:
             j = link.joint
             parent, end = ends[link.parent]
-            start = end * pin.SE3(pin.AngleAxis(j.theta, np.array([0, 0, 1])).matrix(), np.array([0, 0, j.d]))
-            place = self.places[link.name] = (parent, start) if j.type == "locked" else (
-                self.model.addJoint(parent, pin.JointModelPZ() if j.type == "prismatic" else pin.JointModelRZ(),
-                                    start, link.name), pin.SE3.Identity())
-            twist = (pin.AngleAxis(j.alpha, np.array([1, 0, 0])).matrix()
-                     @ pin.AngleAxis(j.beta, np.array([0, 1, 0])).matrix())
-            ends[link.name] = place[0], place[1] * pin.SE3(twist, np.array([j.a, 0, 0]))
+            start = end * _shift((0, 0, j.d)) * _turn(j.theta, 2)
+            if j.type == "locked":
+                joint, place = parent, start
+            else:
+                kind = pin.JointModelPZ() if j.type == "prismatic" else pin.JointModelRZ()
+                joint, place = self.model.addJoint(parent, kind, start, link.name), pin.SE3.Identity()
+            self.places[link.name] = joint, place
+            ends[link.name] = joint, place * _shift((j.a, 0, 0)) * _turn(j.alpha, 0) * _turn(j.beta, 1)
             if link.name in clouds:
-                self.model.appendBodyToJoint(place[0], _inertia(clouds[link.name]), place[1])
+                self.model.appendBodyToJoint(joint, _inertia(clouds[link.name]), place)
 
     def _branch(self, cylinder: Cylinder, end: str, clouds: dict[str, np.ndarray]) -> Branch:
         name, attachment = f"{cylinder.name}.{end}", getattr(cylinder, end)
         parent, place = self.places[attachment.link]
-        at_pin = place * pin.SE3(np.eye(3), np.array(attachment.pin))
-        joint = self.model.addJoint(parent, pin.JointModelSpherical(), at_pin, name)
+        joint = self.model.addJoint(parent, pin.JointModelSpherical(), place * _shift(attachment.pin), name)
         self.model.appendBodyToJoint(joint, _inertia(clouds[name]), pin.SE3.Identity())
-        return Branch(joint, cylinder, attachment.link, name)
+        return Branch(cylinder, attachment.link)
 
     def transmission(self, q: np.ndarray) -> np.ndarray:
         """Actuator speeds per joint speed (n, n), from the speeds of the pins along the centre line."""
@@ -104,17 +102,18 @@ class PinocchioTree:
                 rows.append(np.eye(self.joints)[self.machine.joints.index(actuator.joint)])
         return np.array(rows)
 
-    def centre_line(self, cylinder: Cylinder | GasCylinder, q: np.ndarray, qd: np.ndarray) -> tuple[float, float]:
+    def centre_line(self, cylinder: Cylinder | GasCylinder, q: np.ndarray,
+                    qd: np.ndarray) -> tuple[float, float]:
         """Length of a cylinder and its rate."""
         self._move(q, qd, np.zeros_like(qd))
         line = self._point(f"{cylinder.name}.rod") - self._point(f"{cylinder.name}.barrel")
         return float(np.linalg.norm(line.value)), float(line.unit().value @ line.rate)
 
     def distance_to_axis(self, cylinder: Cylinder, end: str) -> float:
-        """Distance [m] of a pin from the axis of the joint that the cylinder drives, where the tree stands."""
+        """Distance [m] of a pin from the axis of the joint that the cylinder drives, as the tree stands."""
         joint = self.machine.axis_of(cylinder)
-        pin_ = self._point(f"{cylinder.name}.{end}") - self._point(joint)
-        return float(np.linalg.norm(np.cross(self._axis(joint).value, pin_.value)))
+        away = self._point(f"{cylinder.name}.{end}") - self._point(joint)
+        return float(np.linalg.norm(np.cross(self._axis(joint).value, away.value)))
 
     def joint_forces(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """Generalised forces (n,): the torques of the whole tree, projected through the loops."""
@@ -143,14 +142,15 @@ class PinocchioTree:
         return [np.concatenate(part) for part in parts]
 
     def _ball(self, branch: Branch) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Quaternion, angular velocity and its rate of a barrel or rod relative to the link that carries it."""
+        """Quaternion, angular velocity and its rate of a barrel or rod relative to its carrier."""
         name = branch.cylinder.name
         x = (self._point(f"{name}.rod") - self._point(f"{name}.barrel")).unit()
         y = self._axis(self.machine.axis_of(branch.cylinder)).cross(x).unit()
-        turn, rate, acceleration = (np.column_stack(columns) for columns in zip(x, y, x.cross(y), strict=True))
+        axes = zip(x, y, x.cross(y), strict=True)
+        turn, rate, acceleration = (np.column_stack(columns) for columns in axes)
         spin, spun = pin.unSkew(turn.T @ rate), _antisymmetric(turn.T @ acceleration)
         carrier = self.model.getFrameId(f"at {branch.carrier}")
-        relative = self.data.oMi[self.model.frames[carrier].parentJoint].rotation.T @ turn
+        relative = self.data.oMf[carrier].rotation.T @ turn
         moved = pin.getFrameVelocity(self.model, self.data, carrier, WORLD).angular
         rotates = pin.getFrameAcceleration(self.model, self.data, carrier, WORLD).angular
         own = spin - turn.T @ moved
@@ -171,10 +171,20 @@ class PinocchioTree:
 
     def _axis(self, name: str) -> Jet:
         frame = self.model.getFrameId(f"at {name}")
-        z = self.data.oMf[frame].rotation[:, 2].copy()
+        # a cylinder may lie along the axis of a sliding joint: there the convention takes the joint's x axis
+        sliding = self.machine.link(name).joint.type == "prismatic"
+        z = self.data.oMf[frame].rotation[:, 0 if sliding else 2].copy()
         w = pin.getFrameVelocity(self.model, self.data, frame, WORLD).angular
         wd = pin.getFrameAcceleration(self.model, self.data, frame, WORLD).angular
         return Jet(z, np.cross(w, z), np.cross(wd, z) + np.cross(w, np.cross(w, z)))
+
+
+def _shift(by: tuple[float, float, float]) -> pin.SE3:
+    return pin.SE3(np.eye(3), np.array(by, dtype=float))
+
+
+def _turn(angle: float, axis: int) -> pin.SE3:
+    return pin.SE3(pin.AngleAxis(angle, np.eye(3)[axis]).matrix(), np.zeros(3))
 
 
 def _antisymmetric(matrix: np.ndarray) -> np.ndarray:

@@ -11,13 +11,13 @@ from hydroopt.dynamic_parameters import bodies
 from hydroopt.machine import Machine
 from hydroopt.model.build import Model
 
-SUBJECTS = ("cat215b", "kr300", "patu655_lift", "made_up")
+SUBJECTS = ("cat215b", "kr300", "patu655_lift", "lift_with_bodies", "made_up")
 BODY = {"m": 1.0, "com": (0, 0, 0), "inertia_com": (1, 0, 0, 1, 0, 1)}
 
 MADE_UP = {
     "name": "made_up",
-    "description": "nothing is aligned: tilted base, twisted axes, a locked link, a sliding and a branching one, "
-                   "ball-jointed cylinders out of any plane, one of them across two joints",
+    "description": "nothing is aligned: tilted base, twisted axes, a locked link, a sliding and a branching "
+                   "one, ball-jointed cylinders out of any plane, one upside down, one across two joints",
     "orientation": (0.2, -0.3, 0.5),
     "links": [
         {"name": "column", "parent": "base", "body": BODY,
@@ -35,7 +35,8 @@ MADE_UP = {
          "joint": {"type": "revolute", "theta": -0.4, "d": 0.2, "a": 1.1, "alpha": 0.3, "beta": 0.2,
                    "lower": 0.3, "upper": 1.4}},
         {"name": "mast", "parent": "column", "body": BODY,
-         "joint": {"type": "revolute", "theta": 0.1, "d": 0.3, "a": 0.5, "alpha": 0.7, "lower": 0.2, "upper": 1.8}}],
+         "joint": {"type": "revolute", "theta": 0.1, "d": 0.3, "a": 0.5, "alpha": 0.7,
+                   "lower": 0.2, "upper": 1.8}}],
     "motors": [{"name": "column_motor", "joint": "column", "torque_per_pressure": 1e-4,
                 "friction": {"offset": 0, "coulomb": 0, "viscous": 0}}],
     "drives": [{"name": "mast_drive", "joint": "mast", "gear": 40, "rotor_inertia": 0.01,
@@ -46,22 +47,34 @@ MADE_UP = {
          "rod": {"link": "boom", "pin": (0.9, -0.4, 0.25), "body": BODY},
          "friction": {"offset": 0, "coulomb": 0, "viscous": 0}},
         {"name": "slide_cylinder", "bore": 0.1, "rod_diameter": 0.06, "dead_length": 0.5, "stroke": 1.0,
-         "barrel": {"link": "boom", "pin": (0.6, 0.2, -0.2), "body": BODY},
-         "rod": {"link": "slide", "pin": (0.1, -0.2, 0.5), "body": BODY}, "friction": {"coulomb": 0}},
+         "barrel": {"link": "slide", "pin": (0.1, -0.2, 0.5), "body": BODY},
+         "rod": {"link": "boom", "pin": (0.6, 0.2, -0.2), "body": BODY}, "friction": {"coulomb": 0}},
         {"name": "arm_cylinder", "bore": 0.1, "rod_diameter": 0.06, "dead_length": 0.5, "stroke": 2.0,
          "barrel": {"link": "boom", "pin": (0.8, -0.9, 0.1), "body": BODY},
-         "rod": {"link": "arm", "pin": (0.4, 0.5, -0.15), "body": BODY}, "friction": {"viscous": 0}}],
+         "rod": {"link": "arm", "pin": (0.4, 0.5, -0.15), "body": BODY},
+         "friction": {"viscous": 0}}],
     "gas_cylinders": [
-        {"name": "balance", "acts": "push", "area": 0.002, "volume": 0.004, "reference_length": 0.8, "precharge": 5e6,
-         "polytropic": 1.3, "barrel": {"link": "column", "pin": (0.4, 0.3, 0.6)},
+        {"name": "balance", "acts": "push", "area": 0.002, "volume": 0.004, "reference_length": 0.8,
+         "precharge": 5e6, "polytropic": 1.3, "barrel": {"link": "column", "pin": (0.4, 0.3, 0.6)},
          "rod": {"link": "mast", "pin": (0.6, -0.2, 0.1)}}],
 }
 
 
 @cache
 def model(name: str, *, actuator_inertia: bool = True) -> Model:
-    machine = Machine.model_validate(MADE_UP) if name == "made_up" else load_machine(name)
-    return Model(machine, actuator_inertia=actuator_inertia)
+    return Model(machine(name), actuator_inertia=actuator_inertia)
+
+
+def machine(name: str) -> Machine:
+    """A bundled machine, the made-up one, or the log crane with a barrel that hangs on the base and a rod."""
+    if name == "made_up":
+        return Machine.model_validate(MADE_UP)
+    if name != "lift_with_bodies":
+        return load_machine(name)
+    data = load_machine("patu655_lift").model_dump()
+    for end in ("barrel", "rod"):
+        data["cylinders"][0][end]["body"] = BODY
+    return Machine.model_validate(data)
 
 
 def states(machine: Machine, rng: np.random.Generator, count: int) -> list[np.ndarray]:
@@ -69,8 +82,9 @@ def states(machine: Machine, rng: np.random.Generator, count: int) -> list[np.nd
     joints = [machine.link(name).joint for name in machine.joints]
     middle = np.array([(j.upper + j.lower) / 2 for j in joints])
     half = np.array([(j.upper - j.lower) / 2 for j in joints])
-    spread = [half, np.array([j.max_speed or 1.5 for j in joints]), np.array([j.max_acceleration or 3 for j in joints])]
-    q, qd, qdd = (rng.uniform(-1, 1, (count, len(joints))) * s for s in spread)
+    fastest = np.array([j.max_speed or 1.5 for j in joints])
+    strongest = np.array([j.max_acceleration or 3 for j in joints])
+    q, qd, qdd = (rng.uniform(-1, 1, (count, len(joints))) * s for s in (half, fastest, strongest))
     return [middle + q, qd, qdd]
 
 

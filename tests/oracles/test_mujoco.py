@@ -29,6 +29,4 @@ def agrees(subject, psi, clouds, rng, friction=None):
     state = states(subject.machine, rng, 100)
     tree = MujocoTree(subject.machine, clouds)
     expected = np.array([tree.actuator_forces(*row, friction) for row in zip(*state, strict=True)])
-    error = relative_error(forces(subject, state, psi), expected)
-    print(subject.machine.name, subject.actuator_inertia, error)
-    assert error < 1e-9
+    assert relative_error(forces(subject, state, psi), expected) < 1e-9
