@@ -5,6 +5,7 @@ A number may be given as a string with its unit wherever a machine is built: ``J
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections import Counter
 from collections.abc import Mapping
@@ -485,6 +486,11 @@ class Machine(Noun):
         for motor in self.motors:
             units |= {f"{motor.name}.p_a": "Pa", f"{motor.name}.p_b": "Pa"}
         return units
+
+    @cached_property
+    def sha256(self) -> str:
+        """Digest of the description, the same however its file is laid out."""
+        return hashlib.sha256(self.model_dump_json().encode()).hexdigest()
 
     def sensor(self, channel: str) -> Sensor | None:
         """The sensor that reads a channel, if the file states one."""

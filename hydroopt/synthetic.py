@@ -29,7 +29,7 @@ class Trajectory:
 
 
 def random_trajectory(model: Model, *, duration: float, rate: float, seed: int, harmonics: int = 5,
-                      slowest: float = 0.05, fastest: float = 0.6) -> Trajectory:
+                      slowest: float = 0.02, fastest: float = 0.3) -> Trajectory:
     """A smooth motion of all joints that uses about 90 % of what the machine's limits allow, periodic over its duration.
 
     Each joint moves about the middle of its range by sines of random phase at multiples of 1/duration, drawn between

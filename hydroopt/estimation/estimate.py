@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -133,8 +132,3 @@ def _fit_of(measured: Array, error: Array, unit: str) -> Fit:
     rms = float(np.sqrt(np.mean(error**2)))
     size, spread = float(np.sqrt(np.mean(measured**2))), float(np.var(measured))
     return Fit(rms, 1 - float(np.var(error)) / spread if spread else float("nan"), rms / size if size else float("inf"), unit)
-
-
-def as_json_number(value: Any) -> float | None:
-    """A float for JSON, None for NaN and infinity."""
-    return float(value) if np.isfinite(value) else None

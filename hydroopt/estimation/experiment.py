@@ -13,7 +13,6 @@ from hydroopt.model.build import Model
 from hydroopt.signals.conditioning import Motion, Smoothing, SmoothingSpline, condition
 from hydroopt.signals.log import Log
 
-
 NOISE_FACTOR, OVERSHOOT = 3.0, 0.15
 """A joint counts as standing still below this many standard deviations of its velocity's noise, and below this part of
 its RMS speed: smoothing lets an abrupt stop ring, so that slower readings may have the wrong sign."""

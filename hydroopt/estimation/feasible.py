@@ -11,6 +11,7 @@ import numpy as np
 
 from hydroopt import inertia, solvers
 from hydroopt.errors import ProblemError, SolverError
+from hydroopt.estimation.gaussian import Gaussian
 from hydroopt.estimation.problem import Named, Problem
 from hydroopt.inertia import Array
 
@@ -52,61 +53,53 @@ def scaled_bodies(problem: Problem) -> tuple[ScaledBody, ...]:
     return tuple(found)
 
 
-def solve(problem: Problem, R: Array, r: Array, *, consistent: bool) -> Solution:
-    """Minimise ``‖R·ψ − r‖²`` plus priors subject to bounds, the user's constraints and, if asked, consistency.
+def solve(problem: Problem, belief: Gaussian, *, consistent: bool) -> Solution:
+    """The most probable ψ under bounds, the user's constraints and, if asked, physical consistency.
 
     Raises:
         ProblemError: constraints contradict each other; the smallest contradicting set is named.
         SolverError: the solver's answer is not to be trusted.
     """
     where = f"identification of {problem.model.machine.name}"
-    nominal, scale = problem.parameters.nominal, problem.parameters.scale
-    rows, right = problem.prior_rows
-    stacked = np.vstack([np.column_stack([R, r]), np.column_stack([rows, right])])
-    stacked[:, -1] -= stacked[:, :-1] @ nominal
-    stacked[:, :-1] *= scale
-    folded = np.linalg.qr(stacked, mode="r")[: len(nominal) + 1]
-    A, b = folded[:, :-1], folded[:, -1]
-    size = max(1.0, float(np.linalg.norm(b)))  # an objective of order one suits the solver's tolerances
-    x = cp.Variable(len(nominal))
-    named = constraints_of(problem, x, consistent=consistent)
+    z = cp.Variable(belief.slope.shape[1])
+    named = constraints_of(problem, belief, z, consistent=consistent)
     everything = [c for _, group in named for c in group]
-    program = cp.Problem(cp.Minimize(cp.sum_squares((A / size) @ x - b / size)), everything)
+    program = cp.Problem(cp.Minimize(cp.sum_squares(z)), everything)
     if not solvers.solve_convex(program, where):
-        culprits = _contradiction(named, x)
+        culprits = _contradiction(named)
         raise ProblemError(f"these cannot hold together: {'; '.join(culprits)}", where=where,
                            remedy="drop or loosen one of them")
-    value = np.asarray(x.value, dtype=float)
-    gradient = 2 / size**2 * (A.T @ (A @ value - b))
-    solvers.certify_convex(x, gradient, everything).trust(where)
-    psi = nominal + scale * value
-    if consistent:
-        for body in scaled_bodies(problem):
-            smallest = np.linalg.eigvalsh(body.pseudo_inertia(psi[body.columns]))[0]
-            if smallest <= 0:
-                raise SolverError(f"the body '{body.owner}' came out impossible (eigenvalue {smallest:.1e})", where=where,
-                                  remedy="widen its prior or the constraints on it")
+    value = np.asarray(z.value, dtype=float)
+    solvers.certify_convex(z, 2 * value, everything).trust(where)
+    psi = belief.offset + belief.slope @ value
+    for body in scaled_bodies(problem) if consistent else ():
+        smallest = np.linalg.eigvalsh(body.pseudo_inertia(psi[body.columns]))[0]
+        if smallest <= 0:
+            raise SolverError(f"the body '{body.owner}' came out impossible (eigenvalue {smallest:.1e})", where=where,
+                              remedy="widen its prior or the constraints on it")
     return Solution(psi, tuple(name for name, group in named if _is_active(group)))
 
 
-def constraints_of(problem: Problem, x: cp.Variable, *, consistent: bool) -> list[tuple[str, list[Any]]]:
-    """All constraints by name, in terms of the scaled step x from the nominal parameters."""
+def constraints_of(problem: Problem, belief: Gaussian, z: cp.Variable, *,
+                   consistent: bool) -> list[tuple[str, list[Any]]]:
+    """All constraints by name, in terms of the Gaussian's coordinates z."""
     parameters = problem.parameters
-    nominal, scale = parameters.nominal, parameters.scale
+    step = belief.slope / parameters.scale[:, None]  # so that bounds of all units are of the same size
     named: list[tuple[str, list[Any]]] = []
     for k, name in enumerate(parameters.names):
+        at, size = belief.offset[k], parameters.scale[k]
         if name in problem.fixed:
-            named.append((f"{name} fixed", [x[k] == (problem.fixed[name] - nominal[k]) / scale[k]]))
+            named.append((f"{name} fixed", [step[k] @ z == (problem.fixed[name] - at) / size]))
             continue
         # a body's mass is positive anyway where bodies must be possible
         if np.isfinite(parameters.lower[k]) and not (consistent and name.endswith(".m") and parameters.lower[k] == 0):
-            named.append((f"lower bound of {name}", [x[k] >= (parameters.lower[k] - nominal[k]) / scale[k]]))
+            named.append((f"lower bound of {name}", [step[k] @ z >= (parameters.lower[k] - at) / size]))
         if np.isfinite(parameters.upper[k]):
-            named.append((f"upper bound of {name}", [x[k] <= (parameters.upper[k] - nominal[k]) / scale[k]]))
+            named.append((f"upper bound of {name}", [step[k] @ z <= (parameters.upper[k] - at) / size]))
     if consistent:
-        named += [(f"physical consistency of {body.owner}", [_consistency(body, x, nominal, scale)])
+        named += [(f"physical consistency of {body.owner}", [_consistency(body, belief, z)])
                   for body in scaled_bodies(problem)]
-    view = Named(parameters, lambda k: nominal[k] + scale[k] * x[k])
+    view = Named(parameters, lambda k: belief.offset[k] + belief.slope[k] @ z)
     for constraint in problem.constraints:
         relation = constraint.relation(view)
         if not isinstance(relation, cp.Constraint):
@@ -116,19 +109,18 @@ def constraints_of(problem: Problem, x: cp.Variable, *, consistent: bool) -> lis
     return named
 
 
-def _consistency(body: ScaledBody, x: cp.Variable, nominal: Array, scale: Array) -> Any:
-    at_nominal = body.pseudo_inertia(nominal[body.columns])
-    basis = body.scaling @ inertia.PSEUDO_BASIS @ body.scaling * scale[body.columns, None, None]
-    stacked = np.column_stack([matrix.ravel(order="F") for matrix in basis])
-    matrix = cp.reshape(stacked @ x[body.columns], (4, 4), order="F") + at_nominal
-    return matrix - MARGIN * np.eye(4) >> 0
+def _consistency(body: ScaledBody, belief: Gaussian, z: cp.Variable) -> Any:
+    at_mean = body.pseudo_inertia(belief.offset[body.columns])
+    basis = (body.scaling @ inertia.PSEUDO_BASIS @ body.scaling).reshape(10, 16)
+    matrix = cp.reshape((basis.T @ belief.slope[body.columns]) @ z, (4, 4), order="C") + at_mean
+    return (matrix + matrix.T) / 2 - MARGIN * np.eye(4) >> 0
 
 
 def _is_active(group: Sequence[Any]) -> bool:
     return any(np.max(np.abs(np.asarray(c.dual_value, dtype=float))) > 1e-6 for c in group)
 
 
-def _contradiction(named: list[tuple[str, list[Any]]], x: cp.Variable) -> list[str]:
+def _contradiction(named: list[tuple[str, list[Any]]]) -> list[str]:
     """A smallest set of constraints that cannot hold together: leave out one after the other what is not needed."""
     kept = list(named)
     for candidate in named:

@@ -6,6 +6,7 @@ import numpy as np
 
 from hydroopt.identifiability import Identifiability, analyse
 from hydroopt.inertia import Array
+from hydroopt.parameters import ParameterSet
 
 RANK_TOLERANCE = 1e-7
 """Default part of the largest singular value of the scaled regressor below which a direction counts as unseen."""
@@ -36,6 +37,15 @@ def individual_values(psi: Array, covariance: Array, found: Identifiability) -> 
         if found.category[j] == "full":
             value[j], std[j] = psi[j], np.sqrt(covariance[i, i])
     return value, std
+
+
+def nearest(parameters: ParameterSet, found: Identifiability, psi: Array) -> Array:
+    """The ψ (p,) with the same base parameters that is nearest to the nominal one, in units of the priors' sizes.
+
+    It predicts the same as `psi` wherever the data had something to say, and as the nominal model elsewhere.
+    """
+    step = np.linalg.pinv(found.grouping * parameters.scale, rcond=1e-12) @ (found.grouping @ (psi - parameters.nominal))
+    return np.asarray(parameters.nominal + parameters.scale * step)
 
 
 def ridge(R: Array, r: Array, strength: float | None = None) -> tuple[Array, float]:

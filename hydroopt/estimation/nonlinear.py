@@ -8,33 +8,32 @@ import numpy as np
 from hydroopt import inertia, solvers
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.feasible import MARGIN, Solution, scaled_bodies
+from hydroopt.estimation.gaussian import Gaussian
 from hydroopt.estimation.problem import Named, Problem
 from hydroopt.inertia import Array
 
 
-def solve(problem: Problem, R: Array, r: Array) -> Solution:
-    """Minimise ``‖R·ψ − r‖²`` plus priors; bodies stay possible because their pseudo-inertia is a Cholesky product.
+def solve(problem: Problem, belief: Gaussian) -> Solution:
+    """The most probable ψ; bodies stay possible because their pseudo-inertia is a Cholesky product.
 
     Raises:
         ProblemError: a constraint does not return a relation.
         SolverError: IPOPT failed or its answer failed our check.
     """
     parameters = problem.parameters
-    nominal, scale = parameters.nominal, parameters.scale
     where = f"identification of {problem.model.machine.name}"
-    rows, right = problem.prior_rows
-    A = np.vstack([R, rows]) * scale
-    b = np.concatenate([r, right]) - np.vstack([R, rows]) @ nominal
-    size = max(1.0, float(b @ b))
-    x = ca.SX.sym("x", len(nominal))
-    psi = ca.DM(nominal) + ca.DM(scale) * x
-    lower, upper = ((bound - nominal) / scale for bound in (parameters.lower, parameters.upper))
+    z = ca.SX.sym("z", belief.slope.shape[1])
+    psi = ca.DM(belief.offset) + ca.DM(belief.slope) @ z
+    lower, upper = parameters.lower.copy(), parameters.upper.copy()
     for name, value in problem.fixed.items():
-        k = parameters.index(name)
-        lower[k] = upper[k] = (value - nominal[k]) / scale[k]
-    unknowns, lows, highs, start = [x], [lower], [upper], [np.zeros(len(nominal))]
-    relations: list[ca.SX] = []
-    bounds: list[tuple[float, float]] = []
+        lower[parameters.index(name)] = upper[parameters.index(name)] = value
+    bounded = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
+    begin = np.linalg.lstsq(belief.slope / parameters.scale[:, None],
+                            (parameters.nominal - belief.offset) / parameters.scale, rcond=None)[0]
+    free = np.full(z.numel(), np.inf)
+    unknowns, lows, highs, start = [z], [-free], [free], [begin]
+    relations = [psi[int(k)] / parameters.scale[k] for k in bounded]
+    bounds = [(lower[k] / parameters.scale[k], upper[k] / parameters.scale[k]) for k in bounded]
     names: list[tuple[str, int]] = []
     if problem.consistent:
         below = np.tril_indices(4)
@@ -52,7 +51,7 @@ def solve(problem: Problem, R: Array, r: Array) -> Solution:
             diagonal = below[0] == below[1]
             lows.append(np.where(diagonal, 0.0, -np.inf))
             highs.append(np.full(len(below[0]), np.inf))
-            start.append(_cholesky(body.pseudo_inertia(nominal[body.columns]))[below])
+            start.append(_cholesky(body.pseudo_inertia(parameters.nominal[body.columns]))[below])
     named = Named(parameters, lambda k: psi[k])
     for constraint in problem.constraints:
         relation = constraint.relation(named)
@@ -64,14 +63,15 @@ def solve(problem: Problem, R: Array, r: Array) -> Solution:
         bounds.append((0.0, 0.0) if relation.op() == ca.OP_EQ else (-np.inf, 0.0))
     g = ca.vertcat(*relations) if relations else ca.SX(0, 1)
     g_lower, g_upper = (np.array([pair[k] for pair in bounds]) for k in (0, 1))
-    nlp = {"x": ca.vertcat(*unknowns), "f": ca.sumsqr(ca.DM(A) @ x - ca.DM(b)) / size, "g": g}
+    nlp = {"x": ca.vertcat(*unknowns), "f": ca.sumsqr(z), "g": g}
     answer = solvers.solve_nlp(nlp, np.concatenate(start), np.concatenate(lows), np.concatenate(highs), g_lower, g_upper,
                                where)
-    step = answer[: len(nominal)]
+    solution = belief.offset + belief.slope @ answer[: z.numel()]
     at = np.asarray(ca.Function("g", [nlp["x"]], [g])(answer)).ravel()
-    active = [f"lower bound of {n}" for k, n in enumerate(parameters.names) if step[k] - lower[k] < 1e-6]
-    active += [f"upper bound of {n}" for k, n in enumerate(parameters.names) if upper[k] - step[k] < 1e-6]
-    solution = nominal + scale * step
+    active = [f"{side} bound of {parameters.names[k]}" for side, bound in (("lower", lower), ("upper", upper))
+              for k in bounded if abs(solution[k] - bound[k]) < 1e-6 * parameters.scale[k]
+              and parameters.names[k] not in problem.fixed]
+    active += [f"{name} fixed" for name in problem.fixed]
     if problem.consistent:
         active += [f"physical consistency of {body.owner}" for body in scaled_bodies(problem)
                    if np.linalg.eigvalsh(body.pseudo_inertia(solution[body.columns]))[0] < 1e-4]

@@ -11,6 +11,7 @@ from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.estimation import feasible, linear, nonlinear, uncertainty
 from hydroopt.estimation.compression import Compressed, chunks, compress
 from hydroopt.estimation.estimate import Estimate
+from hydroopt.estimation.gaussian import gaussian
 from hydroopt.estimation.linear import RANK_TOLERANCE
 from hydroopt.estimation.problem import Problem
 from hydroopt.identifiability import Identifiability
@@ -60,8 +61,9 @@ def solve(problem: Problem, method: Method = "sdp", *, tolerance: float = RANK_T
     R, r = data.weighted(sigma * np.sqrt(times))
     if method in _LINEAR:
         return _linear_estimate(problem, method, R, r, sigma, times, tolerance, ridge)
-    solution = (nonlinear.solve(problem, R, r) if method == "nlp"
-                else feasible.solve(problem, R, r, consistent=method == "sdp" and problem.consistent))
+    belief = gaussian(problem, R, r)
+    solution = (nonlinear.solve(problem, belief) if method == "nlp"
+                else feasible.solve(problem, belief, consistent=method == "sdp" and problem.consistent))
     return _constrained_estimate(problem, method, R, r, solution, sigma, times, seen, tolerance, intervals, seed)
 
 
@@ -72,7 +74,7 @@ def _weights(problem: Problem, data: Compressed, tolerance: float) -> Array:
     sigma = np.where(sigma > 0, sigma, 1.0)
     if not problem.reweight:
         return np.asarray(sigma)
-    floor = 1e-9 * np.maximum(size, 1e-12)
+    floor = 1e-11 * np.maximum(size, 1e-12)
     for _ in range(3):
         R, r = data.weighted(sigma)
         psi, _, seen = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
@@ -132,6 +134,7 @@ def _linear_estimate(problem: Problem, method: str, R: Array, r: Array, sigma: A
     names = problem.parameters.names
     psi, covariance, seen = linear.base_least_squares(R, r, names, tolerance)
     value, std = linear.individual_values(psi, covariance, seen)
+    psi = linear.nearest(problem.parameters, seen, psi)
     base_std = np.sqrt(np.diag(covariance))
     note = "standard deviations of weighted least squares on base parameters"
     if method == "ridge":
@@ -178,7 +181,7 @@ def _assemble(problem: Problem, method: str, R: Array, psi: Array, value: Array,
     for name in problem.parameters.names:
         owner = name.rpartition(".")[0]
         hit = [a for a in active if a.endswith(f" of {name}") or a == f"{name} fixed"
-               or a == f"physical consistency of {owner}" and name.rpartition(".")[2] in inertia.NAMES]
+               or (a == f"physical consistency of {owner}" and name.rpartition(".")[2] in inertia.NAMES)]
         bound.append(hit[0] if hit else "")
     return Estimate(
         problem, method, psi, value, std, ci, tuple(bound), active, identifiability.structural(problem.model), seen,

@@ -15,10 +15,11 @@ import numpy as np
 
 from hydroopt import inertia
 from hydroopt.estimation.feasible import MARGIN, scaled_bodies
+from hydroopt.estimation.gaussian import Gaussian, gaussian
 from hydroopt.estimation.problem import Named, Problem
 from hydroopt.inertia import Array
 
-CHAINS, WARM_UP, STEPS, KEEP_EVERY = 128, 150, 250, 5
+CHAINS, WARM_UP, SWEEPS, KEEP_EVERY, BLOCK = 96, 16, 32, 2, 4
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,108 +45,107 @@ def sample(problem: Problem, R: Array, r: Array, psi: Array, *, consistent: bool
         consistent: whether bodies must be possible.
         seed: of the random numbers.
     """
-    parameters = problem.parameters
-    scale = parameters.scale
-    rows, right = problem.prior_rows
-    A = np.vstack([R, rows]) * scale
-    b = np.concatenate([r, right]) - np.vstack([R, rows]) @ parameters.nominal
     equalities, inequality = _linear_equalities(problem)
     if equalities is None:
         return None
-    mean, root = _gaussian(A, b, equalities)
-    inside = _indicator(problem, consistent=consistent, inequality=inequality)
-    start = _inner_point(problem, psi, consistent=consistent)
-    # the start must lie on the equalities; what the step inwards moved is put back
-    start = _project((start - parameters.nominal) / scale, equalities)
-    to_psi: Callable[[Array], Array] = lambda x: parameters.nominal + scale * x  # noqa: E731
-    if not inside(to_psi(start[None]))[0]:
+    belief = gaussian(problem, R, r, equalities)
+    limits = _Limits(problem, belief, consistent=consistent, inequality=inequality)
+    scale = problem.parameters.scale
+    start = (_inner_point(problem, psi, consistent=consistent) - belief.offset) / scale
+    # the start in the Gaussian's coordinates; what leaves the equalities is dropped
+    state = np.tile(np.linalg.lstsq(belief.slope / scale[:, None], start, rcond=None)[0], (CHAINS, 1))
+    reach = limits.of(state)
+    if not np.all(limits.hold(reach, state)):
         return None
     rng = np.random.default_rng(seed)
-    state = np.tile(start, (CHAINS, 1))
     kept = []
-    for step in range(WARM_UP + STEPS):
-        state = _elliptical_step(state, mean, root, lambda x: inside(to_psi(x)), rng)
-        if step >= WARM_UP and step % KEEP_EVERY == 0:
-            kept.append(to_psi(state))
-    note = f"Gaussian posterior cut off by bounds and constraints, {CHAINS * len(kept)} samples by elliptical slice sampling"
+    for sweep in range(WARM_UP + SWEEPS):
+        order = rng.permutation(state.shape[1])
+        for first in range(0, len(order), BLOCK):
+            state, reach = _elliptical_step(state, reach, order[first : first + BLOCK], limits, rng)
+        if sweep >= WARM_UP and sweep % KEEP_EVERY == 0:
+            kept.append(belief.offset + state @ belief.slope.T)
+    note = (f"intervals from the Gaussian posterior cut off by bounds and constraints: {CHAINS * len(kept)} samples by "
+            "elliptical slice sampling")
     return Posterior(np.concatenate(kept), note)
 
 
-def _gaussian(A: Array, b: Array, equalities: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Mean (p,) and a root (p, k) of the covariance of ``exp(−½‖A·x − b‖²)`` on ``E·x = e``."""
-    E, e = equalities
-    p = A.shape[1]
-    A = np.vstack([A, 1e-6 * np.eye(p)])  # directions that nothing determines get a width of 10⁶ scales
-    b = np.concatenate([b, np.zeros(p)])
-    if len(E):
-        particular = np.linalg.lstsq(E, e, rcond=None)[0]
-        free = np.linalg.svd(E, full_matrices=True)[2][np.linalg.matrix_rank(E) :].T
-    else:
-        particular, free = np.zeros(p), np.eye(p)
-    Q, T = np.linalg.qr(A @ free)
-    inverse = np.linalg.inv(T)
-    return particular + free @ (inverse @ (Q.T @ (b - A @ particular))), free @ inverse
+class _Limits:
+    """All inequalities as functions of the Gaussian's coordinates z.
+
+    The linear ones, bounds and the entries of pseudo-inertias, are kept as numbers (c, m) that a step updates cheaply.
+    """
+
+    def __init__(self, problem: Problem, belief: Gaussian, *, consistent: bool,
+                 inequality: Callable[[Array], Array] | None) -> None:
+        parameters = problem.parameters
+        p, scale = len(parameters), parameters.scale
+        free = np.array([name not in problem.fixed for name in parameters.names])
+        bodies = scaled_bodies(problem) if consistent else ()
+        # upper triangles of all scaled pseudo-inertias, then distances to lower and upper bounds: affine maps of ψ
+        upper = np.triu_indices(4)
+        columns, constants = [np.zeros((p, 0))], [np.zeros(0)]
+        for body in bodies:
+            column = np.zeros((p, 10))
+            column[body.columns] = (body.scaling @ inertia.PSEUDO_BASIS @ body.scaling)[:, upper[0], upper[1]]
+            columns.append(column)
+            constants.append(-MARGIN / 2 * (upper[0] == upper[1]))
+        for bound, sign in ((parameters.lower, 1.0), (parameters.upper, -1.0)):
+            bounded = np.flatnonzero(free & np.isfinite(bound))
+            columns.append(sign * np.diag(1 / scale)[:, bounded])
+            constants.append(-sign * (bound / scale)[bounded])
+        gradient = np.hstack(columns)
+        self.slope, self.start = belief.slope.T @ gradient, np.concatenate(constants) + belief.offset @ gradient
+        self._bodies = 10 * len(bodies)
+        self._inequality = inequality
+        self._to_psi = lambda z: belief.offset + z @ belief.slope.T
+
+    def of(self, state: Array) -> Array:
+        """The linear functions (c, m) at the states z (c, k)."""
+        return np.asarray(self.start + state @ self.slope)
+
+    def hold(self, reach: Array, state: Array) -> Array:
+        """Whether all limits hold (c,), from the linear functions and, if the user has others, the states."""
+        good = np.all(reach[:, self._bodies :] >= 0, axis=1)
+        if self._bodies:
+            good &= np.all(_positive_definite(reach[:, : self._bodies].reshape(len(reach), -1, 10)), axis=1)
+        if self._inequality is not None:
+            good[good] = self._inequality(self._to_psi(state[good]))
+        return np.asarray(good)
 
 
-def _project(x: Array, equalities: tuple[Array, Array]) -> Array:
-    E, e = equalities
-    return x - np.linalg.lstsq(E, E @ x - e, rcond=None)[0] if len(E) else x
-
-
-def _elliptical_step(state: Array, mean: Array, root: Array, inside: Callable[[Array], Array],
-                     rng: np.random.Generator) -> Array:
-    """One step of all chains: a random ellipse through each state, shrunk until a point on it is inside."""
-    chains = len(state)
-    centred = state - mean
-    other = rng.standard_normal((chains, root.shape[1])) @ root.T
-    angle = rng.uniform(0, 2 * np.pi, chains)
-    low, high = angle - 2 * np.pi, angle.copy()
-    moved = state.copy()
-    waiting = np.arange(chains)
+def _elliptical_step(state: Array, reach: Array, block: Array, limits: _Limits,
+                     rng: np.random.Generator) -> tuple[Array, Array]:
+    """Move a block of coordinates of all chains along random ellipses, shrunk until the limits hold."""
+    other = rng.standard_normal((len(state), len(block)))
+    high = rng.uniform(0, 2 * np.pi, len(state))
+    low, angle = high - 2 * np.pi, high.copy()
+    moved, reached = state.copy(), reach.copy()
+    waiting = np.arange(len(state))
     while waiting.size:
         at = angle[waiting, None]
-        proposal = mean + centred[waiting] * np.cos(at) + other[waiting] * np.sin(at)
-        good = inside(proposal)
-        moved[waiting[good]] = proposal[good]
+        here = state[np.ix_(waiting, block)]
+        step = here * (np.cos(at) - 1) + other[waiting] * np.sin(at)
+        proposal = state[waiting]
+        proposal[:, block] += step
+        linear = reach[waiting] + step @ limits.slope[block]
+        good = limits.hold(linear, proposal)
+        moved[waiting[good]], reached[waiting[good]] = proposal[good], linear[good]
         waiting = waiting[~good]
         behind = angle[waiting] < 0
         low[waiting[behind]] = angle[waiting[behind]]
         high[waiting[~behind]] = angle[waiting[~behind]]
         angle[waiting] = rng.uniform(low[waiting], high[waiting])
-    return moved
+    return moved, reached
 
 
-def _indicator(problem: Problem, *, consistent: bool,
-               inequality: Callable[[Array], Array] | None) -> Callable[[Array], Array]:
-    """Function from ψ (s, p) to whether all inequalities hold (s,)."""
-    parameters = problem.parameters
-    free = np.array([name not in problem.fixed for name in parameters.names])
-    low, high = parameters.lower[free], parameters.upper[free]
-    bodies = scaled_bodies(problem) if consistent else ()
-    maps = [(body.columns, np.einsum("ij,kjl,lm->kim", body.scaling, inertia.PSEUDO_BASIS, body.scaling))
-            for body in bodies]
-
-    def inside(psi: Array) -> Array:
-        good = np.all((psi[:, free] >= low) & (psi[:, free] <= high), axis=1)
-        for columns, basis in maps:
-            good[good] = _positive_definite(np.tensordot(psi[good][:, columns], basis, axes=1))
-        if inequality is not None:
-            good[good] = inequality(psi[good])
-        return np.asarray(good)
-
-    return inside
-
-
-def _positive_definite(matrices: Array) -> Array:
-    """Whether each of many (s, 4, 4) matrices is positive definite, by elimination on all of them at once."""
-    work = matrices - MARGIN / 2 * np.eye(4)
-    good = np.ones(len(work), dtype=bool)
-    for k in range(4):
-        pivot = work[:, k, k]
-        good &= pivot > 0
-        safe = np.where(good, pivot, 1.0)
-        work = work - work[:, :, k : k + 1] * work[:, k : k + 1, :] / safe[:, None, None]
-    return good
+def _positive_definite(upper: Array) -> Array:
+    """Whether each of many symmetric matrices, given by their upper triangles (..., 10), is positive definite."""
+    a, b, c, d, e, f, g, h, i, j = np.moveaxis(upper, -1, 0)
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # past a pivot that fails the rest is void
+        e, f, g, h, i, j = e - b * b / a, f - b * c / a, g - b * d / a, h - c * c / a, i - c * d / a, j - d * d / a
+        h, i, j = h - f * f / e, i - f * g / e, j - g * g / e
+        return np.asarray((a > 0) & (e > 0) & (h > 0) & (j - i * i / h > 0))
 
 
 def _inner_point(problem: Problem, psi: Array, *, consistent: bool) -> Array:
@@ -164,7 +164,7 @@ def _inner_point(problem: Problem, psi: Array, *, consistent: bool) -> Array:
 
 
 def _linear_equalities(problem: Problem) -> tuple[tuple[Array, Array] | None, Callable[[Array], Array] | None]:
-    """Equalities ``E·x = e`` on the scaled step x, and the inequalities as a function of ψ (s, p).
+    """Equalities ``E·ψ = e`` and the inequalities as a function of ψ (s, p).
 
     The first is None if a constraint cannot be sampled: a nonlinear equality, or one that only cvxpy understands.
     """
@@ -180,7 +180,7 @@ def _linear_equalities(problem: Problem) -> tuple[tuple[Array, Array] | None, Ca
     for constraint in problem.constraints:
         try:
             relation = constraint.relation(named)
-        except Exception:  # noqa: BLE001 - whatever a user's cvxpy function raises when handed CasADi symbols
+        except Exception:
             return None, None
         if not isinstance(relation, ca.SX) or relation.n_dep() != 2:
             return None, None
@@ -199,4 +199,4 @@ def _linear_equalities(problem: Problem) -> tuple[tuple[Array, Array] | None, Ca
         function = ca.Function("inequalities", [psi], [ca.vertcat(*insides)])
         inequality = lambda s: np.all(np.asarray(function(s.T)) <= 0, axis=0) if len(s) else np.ones(0, bool)  # noqa: E731
     E = np.array(rows).reshape(-1, len(parameters))
-    return (E * parameters.scale, np.array(values) - E @ parameters.nominal), inequality
+    return (E, np.array(values)), inequality

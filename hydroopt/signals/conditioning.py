@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_interp_spline
-from scipy.signal import butter, sosfiltfilt
 
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.signals import spline
@@ -167,6 +166,8 @@ def _butterworth(t: Array, q: Array, smoothing: Butterworth, where: str) -> Arra
         raise ProblemError(f"a cutoff of {smoothing.cutoff:g} Hz and order {smoothing.order} do not suit "
                            f"sampling at {rate:g} Hz", where=where,
                            remedy=f"choose a cutoff between 0 and {rate / 2:g} Hz and an order of 1 or more")
+    from scipy.signal import butter, sosfiltfilt  # noqa: PLC0415 (its import takes longer than most identifications)
+
     sections = butter(smoothing.order, smoothing.cutoff, fs=rate, output="sos")
     smooth = make_interp_spline(t, sosfiltfilt(sections, q, axis=0), k=5)
     return np.stack([smooth(t, order) for order in range(3)])

@@ -107,7 +107,7 @@ def _number(cell: str, decimal: str) -> float | None:
 def _parse(text: str, width: int, index: list[int], delimiter: str,
            decimal: str) -> dict[int, Array | list[str]]:
     """Columns as numbers; one that holds anything else comes back as its texts."""
-    from pyarrow import ArrowInvalid, float64, string  # type: ignore[import-untyped]  # noqa: PLC0415
+    from pyarrow import ArrowInvalid, float64, string  # noqa: PLC0415
     from pyarrow import csv as arrow  # noqa: PLC0415
 
     names = [str(i) for i in range(width)]
@@ -139,7 +139,7 @@ class ParquetFile:
 
     def __init__(self, data: bytes, where: str, layout: LogMap | None) -> None:
         from pyarrow import ArrowException, BufferReader  # noqa: PLC0415 (import cost)
-        from pyarrow.parquet import ParquetFile as Reader  # type: ignore[import-untyped]  # noqa: PLC0415
+        from pyarrow.parquet import ParquetFile as Reader  # noqa: PLC0415
 
         self.where, self._rows = where, layout.rows if layout else None
         try:

@@ -116,7 +116,7 @@ class Log:
         Raises:
             LogError: another extension, or the file cannot be written.
         """
-        import pyarrow as pa  # type: ignore[import-untyped]  # noqa: PLC0415
+        import pyarrow as pa  # noqa: PLC0415
         from pyarrow import csv, parquet  # noqa: PLC0415
 
         target = Path(path)

@@ -74,7 +74,7 @@ def treat(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, tupl
     return _sampling(samples, chosen, where)
 
 
-def _note(  # noqa: PLR0917 (the parts of one sentence)
+def _note(
     samples: Samples, kind: str, channel: str, mask: Mask, text: str, chosen: Mapping[str, str], where: str
 ) -> Samples:
     """Add a finding, or raise where the action is "error"."""

@@ -1,0 +1,5 @@
+"""`python -m hydroopt`."""
+
+from hydroopt.cli import main
+
+main()

@@ -1,0 +1,264 @@
+"""The command `hydroopt`: show, simulate, identify."""
+
+from __future__ import annotations
+
+import json
+import math
+import sys
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.table import Table
+
+from hydroopt import identifiability, synthetic
+from hydroopt.description import load_machine
+from hydroopt.errors import HydrooptError, LogError, ProblemError, SolverError
+from hydroopt.estimation.problem import Loss, identification_problem
+from hydroopt.estimation.solve import METHODS, Method, solve
+from hydroopt.estimation.verdict import doubts
+from hydroopt.machine import Machine
+from hydroopt.model.build import Model
+from hydroopt.report import folder
+from hydroopt.signals.conditioning import Butterworth, Fourier, Smoothing, SmoothingSpline, condition
+from hydroopt.signals.log import Log, read_log
+
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, no_args_is_help=True, help=(
+    "Calibrate hydraulically actuated manipulators: a machine file and logs in, a model with error bars out."))
+
+MachineName = Annotated[str, typer.Argument(metavar="MACHINE", help="A bundled machine's name or a .toml file.")]
+ParameterSetName = Annotated[str | None, typer.Option("--set", help="Which of the file's sets of inertial parameters.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="No progress and no summary.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
+Directory = Annotated[Path, typer.Option("-o", "--output", help="Directory that receives everything.")]
+MapFile = Annotated[Path | None, typer.Option("--map", help="TOML file that says which column is what in foreign logs.")]
+Treat = Annotated[list[str] | None, typer.Option(
+    help="What to do about a finding, KIND=ACTION, e.g. nan=drop, spike=interpolate, gap=keep; repeatable.")]
+
+
+@contextmanager
+def _progress(what: str, quiet: bool) -> Iterator[None]:
+    """A spinner on a terminal's error stream while something takes its time."""
+    with Console(stderr=True, quiet=quiet).status(what):
+        yield
+
+
+@app.command()
+def show(machine: MachineName, parameter_set: ParameterSetName = None, as_json: AsJson = False) -> None:
+    """Show a machine: links, actuators with their geometry, sensors, and which parameters a motion can reveal."""
+    described = load_machine(machine, parameter_set=parameter_set)
+    model = Model(described)
+    found = identifiability.structural(model)
+    cylinders = [_cylinder_facts(model, k) for k in range(len(described.cylinders))]
+    parameters = [{"name": name, "unit": unit, "nominal": float(value), "identifiability": category}
+                  for name, unit, value, category in zip(model.parameters.names, model.parameters.units,
+                                                         model.parameters.nominal, found.category, strict=True)]
+    facts = {"machine": {"name": described.name, "parameter_set": described.parameter_set, "sha256": described.sha256,
+                         "description": described.description},
+             "joints": [_joint_facts(described, name) for name in described.joints], "cylinders": cylinders,
+             "channels": described.channel_units, "parameters": parameters,
+             "identifiability": {"rank": found.rank, "full": found.count("full"),
+                                 "combination": found.count("combination"), "none": found.count("none")}}
+    if as_json:
+        typer.echo(json.dumps(facts, indent=1))
+        return
+    console = Console()
+    console.print(f"[bold]{described.name}[/bold] {described.description}")
+    console.print(_table("Joints", facts["joints"]), _table("Cylinders", cylinders), _table("Parameters", parameters))
+    console.print(f"Of {len(parameters)} parameters a motion without noise shows {found.count('full')} alone and "
+                  f"{found.count('combination')} in combination ({found.rank} base parameters); {found.count('none')} leave "
+                  "no trace.")
+
+
+def _joint_facts(machine: Machine, name: str) -> dict[str, Any]:
+    joint = machine.link(name).joint
+    turn = joint.type == "revolute"
+    unit, factor = ("deg", 180 / math.pi) if turn else ("m", 1.0)
+    actuator = machine.actuators[machine.joints.index(name)].name
+    return {"joint": name, "type": joint.type, "actuator": actuator, "unit": unit,
+            "lower": round(factor * (joint.lower or 0.0), 4), "upper": round(factor * (joint.upper or 0.0), 4)}
+
+
+def _cylinder_facts(model: Model, k: int) -> dict[str, Any]:
+    """Areas, and length and lever arm over the range of the joint that the cylinder moves."""
+    machine = model.machine
+    cylinder = machine.cylinders[k]
+    joint = machine.axis_of(cylinder)
+    limits = machine.link(joint).joint
+    q = np.zeros((181, len(machine.joints)))
+    q[:, machine.joints.index(joint)] = np.linspace(limits.lower or 0.0, limits.upper or 0.0, 181)
+    length, _, _, lever, _ = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)
+    lengths, arms = length[:, k, 0], lever[:, k, machine.joints.index(joint)]
+    head, rod = cylinder.areas
+    return {"cylinder": cylinder.name, "joint": joint, "head_area_cm2": round(1e4 * head, 3),
+            "rod_area_cm2": round(1e4 * rod, 3), "length_min_m": round(float(lengths.min()), 4),
+            "length_max_m": round(float(lengths.max()), 4), "lever_arm_min_m": round(float(arms.min()), 4),
+            "lever_arm_max_m": round(float(arms.max()), 4)}
+
+
+def _table(title: str, rows: Any) -> Table:
+    table = Table(title=title, title_justify="left", header_style="bold")
+    for key in rows[0] if rows else ():
+        table.add_column(key, no_wrap=True)
+    for row in rows:
+        table.add_row(*[f"{v:.6g}" if isinstance(v, float) else str(v) for v in row.values()])
+    return table
+
+
+@app.command()
+def simulate(
+    machine: MachineName,
+    output: Directory,
+    motion: Annotated[Path | None, typer.Option(help="Log whose joint positions are to be followed; else random.")] = None,
+    map_file: MapFile = None,
+    duration: Annotated[float, typer.Option(help="Of a random motion [s].")] = 33.28,
+    rate: Annotated[float, typer.Option(help="Samples per second of a random motion [Hz].")] = 50.0,
+    seed: Annotated[int, typer.Option(help="Of the random motion, the random truth and the noise.", min=0)] = 0,
+    truth: Annotated[str, typer.Option(help="'nominal', or 'random' within the file's confidences.")] = "nominal",
+    truth_seed: Annotated[int | None, typer.Option(help="Of the random truth alone, to share it by logs.", min=0)] = None,
+    noise: Annotated[bool, typer.Option(help="Whether sensors err as the file states.")] = True,
+    parquet: Annotated[bool, typer.Option("--parquet", help="Write Parquet instead of CSV.")] = False,
+    parameter_set: ParameterSetName = None,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate a log of a machine as its sensors would record it: DIR/log.csv and DIR/truth.json."""
+    described = load_machine(machine, parameter_set=parameter_set)
+    model = Model(described)
+    if truth not in ("nominal", "random"):
+        raise ProblemError(f"'{truth}' is no truth", where="--truth", remedy="use nominal or random")
+    with _progress("simulating", quiet):
+        path = (synthetic.random_trajectory(model, duration=duration, rate=rate, seed=seed) if motion is None
+                else _followed(described, read_log(motion, mapping=map_file)))
+        psi = (synthetic.random_truth(model, seed if truth_seed is None else truth_seed) if truth == "random"
+               else model.parameters.nominal)
+        log = synthetic.simulate(model, path, psi, noise=noise, seed=seed, name=described.name)
+    named = dict(zip(model.parameters.names, psi.tolist(), strict=True))
+    folder.write_files(output, {"truth.json": json.dumps(
+        {"machine": described.name, "sha256": described.sha256, "seed": seed, "noise": noise, "parameters": named}, indent=1)})
+    file = output / ("log.parquet" if parquet else "log.csv")
+    log.write(file)
+    if not quiet:
+        typer.echo(f"{file}: {len(log.t)} samples, channels {', '.join(log.channels)}")
+
+
+def _followed(machine: Machine, log: Log) -> synthetic.Trajectory:
+    positions = np.column_stack([log.channel(f"{joint}.q") for joint in machine.joints])
+    for k, joint in enumerate(machine.joints):
+        limits = machine.link(joint).joint
+        beyond = np.flatnonzero((positions[:, k] < limits.lower) | (positions[:, k] > limits.upper))
+        if beyond.size:
+            raise LogError(f"{joint}.q leaves the joint's range at sample {log.sample[beyond[0]]}", where=log.path,
+                           remedy="correct the motion or the joint's limits")
+    smooth = condition(log.t, positions, log.segment, SmoothingSpline(bandwidth=machine.bandwidth), where=log.path)
+    return synthetic.Trajectory(smooth.t, smooth.q, smooth.qd, smooth.qdd)
+
+
+@app.command()
+def identify(
+    machine: MachineName,
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs to learn from (.csv, .parquet, .mat).")],
+    output: Directory,
+    validate: Annotated[list[Path] | None, typer.Option(help="Log to judge the estimate by; repeatable.")] = None,
+    holdout: Annotated[float, typer.Option(help="Part of the end of every log that is held out to judge by.",
+                                           min=0.0, max=0.9)] = 0.0,
+    map_file: MapFile = None,
+    treat: Treat = None,
+    method: Annotated[str, typer.Option(help=f"One of {', '.join(METHODS)}.")] = "sdp",
+    loss: Annotated[str, typer.Option(help="squares, huber or student_t.")] = "squares",
+    smoothing: Annotated[str, typer.Option(help=(
+        "spline (weight from the stated noise), spline:cv (cross-validated), fourier:PERIOD:HARMONICS or "
+        "butterworth:HZ."))] = "spline",
+    bandwidth: Annotated[float | None, typer.Option(help="Highest frequency of the motion [Hz], for spline.")] = None,
+    tolerance: Annotated[float, typer.Option(help="Singular value, relative to the largest, that counts as zero.",
+                                             min=0.0, max=1.0)] = 1e-7,
+    ridge: Annotated[float | None, typer.Option(help="Strength of ridge regression; else cross-validated.", min=0.0)] = None,
+    reduced: Annotated[bool, typer.Option("--reduced", help="Leave out the inertia of barrels and rods.")] = False,
+    seed: Annotated[int, typer.Option(help="Of the sampling of intervals.", min=0)] = 0,
+    parameter_set: ParameterSetName = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Identify masses, inertias, friction and offsets: DIR gets estimate.json, report.html, the calibrated machine."""
+    began = time.perf_counter()
+    described = load_machine(machine, parameter_set=parameter_set)
+    treatment = _treatment(treat)
+    train = [read_log(path, mapping=map_file, treatment=treatment) for path in logs]
+    held_out = [read_log(path, mapping=map_file, treatment=treatment) for path in validate or ()]
+    if holdout:
+        pairs = [log.split(1 - holdout) for log in train]
+        train, held_out = [pair[0] for pair in pairs], held_out + [pair[1] for pair in pairs]
+    with _progress(f"identifying {described.name}", quiet):
+        problem = identification_problem(described, train, held_out, actuator_inertia=not reduced,
+                                         smoothing=_smoothing(smoothing, bandwidth or described.bandwidth))
+        problem = problem.with_loss(_one_of(loss, "--loss"))
+        try:
+            estimate = solve(problem, _method(method), tolerance=tolerance, ridge=ridge, seed=seed)
+        except SolverError as error:
+            folder.save_failure(problem, method, error, output)
+            raise
+        content = folder.save(estimate, output, wall_s=time.perf_counter() - began)
+    if as_json:
+        typer.echo(json.dumps(content, indent=1))
+    elif not quiet:
+        typer.echo(str(estimate))
+        for doubt in doubts(estimate):
+            typer.echo(f"  ! {doubt}")
+        typer.echo(f"{output / 'report.html'}")
+
+
+def _treatment(stated: list[str] | None) -> dict[str, str]:
+    pairs = {}
+    for text in stated or ():
+        kind, found, action = text.partition("=")
+        if not found:
+            raise ProblemError(f"'{text}' is not KIND=ACTION", where="--treat", remedy="write e.g. --treat nan=drop")
+        pairs[kind] = action
+    return pairs
+
+
+def _method(text: str) -> Method:
+    if text not in METHODS:
+        raise ProblemError(f"'{text}' is no method", where="--method", remedy=f"use one of {', '.join(METHODS)}")
+    return text
+
+
+def _one_of(text: str, where: str) -> Loss:
+    if text not in ("squares", "huber", "student_t"):
+        raise ProblemError(f"'{text}' is no loss", where=where, remedy="use squares, huber or student_t")
+    return text  # type: ignore[return-value]
+
+
+def _smoothing(text: str, bandwidth: float | None) -> Smoothing:
+    kind, *numbers = text.split(":")
+    try:
+        if kind == "spline" and numbers in ([], ["cv"]):
+            return SmoothingSpline(cross_validate=numbers == ["cv"], bandwidth=bandwidth)
+        if kind == "fourier" and len(numbers) == 2:
+            return Fourier(float(numbers[0]), int(numbers[1]))
+        if kind == "butterworth" and len(numbers) == 1:
+            return Butterworth(float(numbers[0]))
+    except ValueError:
+        pass
+    raise ProblemError(f"'{text}' is no way to smooth", where="--smoothing",
+                       remedy="use spline, spline:cv, fourier:PERIOD:HARMONICS or butterworth:HZ")
+
+
+def main() -> None:
+    """Run the command; a user's mistake ends in one sentence and exit code 2, a failed solver in 3."""
+    try:
+        app()
+    except HydrooptError as error:
+        typer.echo(f"hydroopt: {error}", err=True)
+        sys.exit(error.exit_code)
+    except KeyboardInterrupt:
+        typer.echo("hydroopt: interrupted; nothing was written", err=True)
+        sys.exit(130)
+
+
+if __name__ == "__main__":
+    main()

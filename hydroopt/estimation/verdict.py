@@ -1,0 +1,111 @@
+"""What a user should doubt about an estimate, in plain words."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hydroopt.estimation.estimate import Estimate
+from hydroopt.estimation.experiment import force_noise
+from hydroopt.identifiability import NONE, Confounded
+
+_KINDS = {"f_coulomb": "Coulomb friction", "tau_coulomb": "Coulomb friction", "f_viscous": "viscous friction",
+          "tau_viscous": "viscous friction", "f_offset": "force offset", "tau_offset": "torque offset",
+          "n_barrel": "friction of the barrel's pin", "n_rod": "friction of the rod's pin",
+          "precharge": "gas pressure", "rotor_inertia": "rotor inertia", "m": "gravity", "mc_x": "gravity",
+          "mc_y": "gravity", "mc_z": "gravity"}
+
+
+def doubts(estimate: Estimate) -> tuple[str, ...]:
+    """Sentences, the gravest first; none if nothing is in doubt."""
+    return (*_prediction(estimate), *_impossible(estimate), *_confounded(estimate.confounded), *_noise(estimate),
+            *_unseen(estimate), *_held(estimate), *_findings(estimate))
+
+
+def _prediction(estimate: Estimate) -> list[str]:
+    fit = estimate.fit
+    if "validation" not in fit:
+        return ["No log was held out, so how well unseen forces are predicted is not known: give --validate or --holdout."]
+    said = []
+    for name, held_out in fit["validation"].items():
+        trained = fit["train"][name]
+        if name == "all":
+            continue
+        if held_out.relative > 1:
+            said.append(f"Unseen forces of {name} are predicted worse than by zero ({100 * held_out.relative:.0f} % error).")
+        elif held_out.rms > 2 * trained.rms:
+            said.append(f"Unseen forces of {name} are predicted with {held_out.rms / trained.rms:.1f} times the error of "
+                        "the training data: the model is overfitted there, or the motion is of another kind.")
+    return said
+
+
+def _impossible(estimate: Estimate) -> list[str]:
+    bad = [owner for owner, smallest in estimate.consistency.items() if smallest < 0]
+    if not bad:
+        return []
+    return [f"No such body can exist: {', '.join(bad)}. Their numbers reproduce forces but mean nothing one by one, and no "
+            "calibrated machine is written; the method 'sdp' keeps bodies possible."]
+
+
+def _confounded(found: Sequence[Confounded]) -> list[str]:
+    """One sentence for each set of parameters that stand in for one another, the smallest sets first."""
+    groups: list[set[str]] = []
+    for one in found:
+        joined = {one.name, *one.partners}
+        for group in [g for g in groups if g & joined]:
+            groups.remove(group)
+            joined |= group
+        groups.append(joined)
+    said = []
+    for group in sorted(groups, key=len):
+        names = sorted(group, key=[f.name for f in found].index) if group <= {f.name for f in found} else sorted(group)
+        kinds = sorted({kind for name in names if (kind := _KINDS.get(name.rpartition(".")[2], "inertia"))})
+        subject = kinds[0] if len(kinds) == 1 else f"{', '.join(kinds[:-1])} and {kinds[-1]}"
+        worst = max(one.inflation for one in found if one.name in group)
+        said.append(f"Not separable in this motion: {subject} ({_some(names, 6)}; variance up to {worst:.0e} times what it "
+                    "would be if the others were known).")
+    if said:
+        said.append("Of what is not separable only the joint effect is known from these data, the rest from the priors: reverse "
+                    "the motion, vary its speed and reach, or state what you know.")
+    return said
+
+
+def _noise(estimate: Estimate) -> list[str]:
+    said = []
+    stated = force_noise(estimate.problem.model)
+    units = estimate.force_units
+    for k, actuator in enumerate(estimate.problem.model.machine.actuators):
+        if np.isfinite(stated[k]) and estimate.sigma[k] > 1.5 * stated[k]:
+            said.append(f"Residuals of {actuator.name} are {estimate.sigma[k] / stated[k]:.1f} times its sensors' noise of "
+                        f"{stated[k]:.3g} {units[k]}: noisy angles, or effects the model does not have.")
+        if estimate.correlation_time[k] > 3:
+            said.append(f"Residuals of {actuator.name} repeat themselves over {estimate.correlation_time[k]:.0f} samples: "
+                        "something is missing in the model; intervals are widened accordingly.")
+    return said
+
+
+def _unseen(estimate: Estimate) -> list[str]:
+    parameters = estimate.problem.parameters
+    said = []
+    not_excited = [name for k, name in enumerate(parameters.names) if estimate.identifiability(k) == "not excited"]
+    if not_excited:
+        said.append(f"This motion does not show what the machine could show: {_some(not_excited)}.")
+    never = [name for k, name in enumerate(parameters.names) if estimate.structure.category[k] == NONE]
+    if never:
+        said.append(f"No motion shows {_some(never)}.")
+    return said
+
+
+def _held(estimate: Estimate) -> list[str]:
+    return [f"Held by a constraint: {_some(list(estimate.active))}."] if estimate.active else []
+
+
+def _findings(estimate: Estimate) -> list[str]:
+    return [f"{data.log.path or data.log.name}: {finding.text}" for data in
+            (*estimate.problem.experiments, *estimate.problem.validation) for finding in data.log.findings
+            if finding.kind not in ("rows", "ignored")]
+
+
+def _some(names: Sequence[str], most: int = 8) -> str:
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")

@@ -1,0 +1,44 @@
+"""Lines are thinned without losing peaks, and machines stand upright in their side view."""
+
+import numpy as np
+import pytest
+
+from hydroopt.description import load_machine
+from hydroopt.model.build import Model
+from hydroopt.report.figures import thin
+from hydroopt.report.sideview import _plane, _scenes
+
+
+def test_thinning_keeps_peaks_and_gaps() -> None:
+    x, y = np.linspace(0, 10, 100_001), np.zeros(100_001)
+    y[[12_345, 77_777]] = 5.0, -3.0
+    y[40_000:50_000] = np.nan
+    thin_x, thin_y = thin(x, y)
+    assert len(thin_x) <= 2002
+    assert np.all(np.diff(thin_x) >= 0)
+    assert (np.nanmax(thin_y), np.nanmin(thin_y)) == (5.0, -3.0)
+    assert np.isnan(thin_y[(thin_x > 4.1) & (thin_x < 4.9)]).all()
+
+
+def test_short_line_is_left_alone() -> None:
+    x = np.arange(10.0)
+    assert thin(x, x) == (x, x)
+
+
+@pytest.mark.parametrize(("name", "q", "joint", "tip"), [
+    # by hand: the boom raised by 30 deg, the stick 90 deg down from it; the lift level; the arm at its zero
+    ("cat215b", [0.7, -np.pi / 6, np.pi / 2], "stick",
+     (0.34 + 5.18 * np.cos(np.pi / 6) + 1.8 * 0.5, 5.18 * 0.5 - 1.8 * np.cos(np.pi / 6))),
+    ("patu655_lift", [-np.radians(0.301921052)], "lift", (2.87503992, 0.0)),
+    ("kr300", [0.4, 0.0, 0.0, 0.0, 0.0, 0.0], "axis2", (0.35, 0.675 + 1.15)),
+])
+def test_machine_stands_upright(name: str, q: list[float], joint: str, tip: tuple[float, float]) -> None:
+    model = Model(load_machine(name))
+    pose = np.array([q])
+    plane = _plane(model, pose[0])
+    pose[:, list(plane.zeroed)] = 0.0
+    assert abs(plane.across[2]) < 1e-9
+    scene = _scenes(model, pose, plane)[0]
+    np.testing.assert_allclose(scene.end[joint], tip, atol=1e-6)
+    lengths = np.asarray(model.cylinder_kinematics(pose[0], 0 * pose[0], 0 * pose[0])[0]).ravel()
+    np.testing.assert_allclose(list(scene.length.values()), lengths, rtol=1e-9)

@@ -1,0 +1,111 @@
+"""The report is one page that stands alone, shows everything and believes nobody's markup."""
+
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import numpy as np
+import pytest
+
+from hydroopt.description import load_machine
+from hydroopt.estimation.estimate import Estimate
+from hydroopt.estimation.problem import identification_problem
+from hydroopt.estimation.solve import solve
+from hydroopt.model.build import Model
+from hydroopt.report.html import render
+from hydroopt.synthetic import random_trajectory, simulate
+
+EVIL = "<script>alert(1)</script>"
+
+
+@pytest.fixture(scope="module")
+def estimate() -> Estimate:
+    machine = load_machine("cat215b").model_copy(update={"description": f"an excavator {EVIL}"})
+    model = Model(machine)
+    motions = [random_trajectory(model, duration=20.0, rate=25.0, seed=k) for k in (1, 2)]
+    logs = [simulate(model, motion, seed=k, name=f'log "{k}" {EVIL}') for k, motion in enumerate(motions)]
+    return solve(identification_problem(machine, logs[:1], logs[1:]))
+
+
+@pytest.fixture(scope="module")
+def page(estimate: Estimate) -> str:
+    return render(estimate, ["the swing hardly moves", f"a doubt {EVIL}"])
+
+
+class Reader(HTMLParser):
+    """Tags with their attributes, open tags in order, and text."""
+
+    def __init__(self, page: str) -> None:
+        super().__init__()
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text: list[str] = []
+        self.feed(page)
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        self.tags.append((tag, dict(attrs)))
+
+    def handle_data(self, data: str) -> None:
+        self.text.append(data)
+
+
+def test_needs_nothing_from_outside(page: str) -> None:
+    reader = Reader(page)
+    assert not {tag for tag, _ in reader.tags} & {"script", "link", "iframe", "object", "embed", "base"}
+    for tag, attributes in reader.tags:
+        for name, value in attributes.items():
+            if name in ("src", "href", "xlink:href", "srcset", "data", "action"):
+                assert value is not None
+                assert value.startswith(("#", "data:image/png;base64,")), (tag, name)
+            assert not name.startswith("on")
+            if not name.startswith("xmlns"):
+                assert not re.match(r"\s*(https?:)?//", value or ""), (tag, name)
+    assert "@import" not in page
+    assert not re.findall(r"url\((?!#)", page)
+
+
+def test_has_every_parameter_and_doubt(page: str, estimate: Estimate) -> None:
+    text = set(Reader(page).text)
+    assert set(estimate.problem.parameters.names) <= text
+    assert {"the swing hardly moves", "What is in doubt"} <= text
+    assert page.index("the swing hardly moves") < page.index("<h2>Fit</h2>")
+
+
+def test_order_of_contents(page: str) -> None:
+    titles = re.findall(r"<h2>(.*?)</h2>", page)
+    assert titles == ["What is in doubt", "Fit", "Machine", "Parameters", "Base parameters", "Conditioning and weights",
+                      "Data and treatment", "Method"]
+
+
+def test_escapes_what_others_wrote(page: str) -> None:
+    assert EVIL not in page
+    assert page.count("&lt;script&gt;") >= 4  # description, two logs, doubt
+
+
+def test_is_small(page: str) -> None:
+    assert len(page.encode()) < 3e6
+
+
+def test_figures_do_not_share_ids(page: str) -> None:
+    identifiers = [a["id"] for _, a in Reader(page).tags if "id" in a]
+    assert len(identifiers) == len(set(identifiers))
+    used = re.findall(r'(?:url\(#|href="#)([^")]+)', page)
+    assert set(used) <= set(identifiers)
+
+
+def test_flags_impossible_body_and_failure(page: str, estimate: Estimate) -> None:
+    assert "no such body can exist" not in page
+    assert 'role="alert"' not in page
+    psi = estimate.psi.copy()
+    psi[estimate.problem.parameters.index("stick.m")] = -1.0
+    broken = render(replace(estimate, psi=psi, status=f"diverged {EVIL}"), [])
+    assert re.search(r'<td colspan="7">stick<span class="bad">no such body can exist: [^<]*−', broken)
+    assert broken.count("no such body can exist") == 1
+    assert 'role="alert"' in broken
+    assert EVIL not in broken
+
+
+def test_dash_where_nothing_is_known(estimate: Estimate) -> None:
+    unknown = np.full_like(estimate.std, np.nan)
+    blank = render(replace(estimate, value=unknown, std=unknown, ci95=np.column_stack([unknown, unknown])), [])
+    assert "nan" not in "".join(Reader(blank).text)
+    assert blank.count('<td class="n">—</td>') >= 2 * len(unknown)
