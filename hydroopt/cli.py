@@ -28,7 +28,7 @@ from hydroopt.report import folder
 from hydroopt.signals.conditioning import Butterworth, Fourier, Smoothing, SmoothingSpline, condition
 from hydroopt.signals.log import Log, read_log
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, no_args_is_help=True, help=(
+app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help=(
     "Calibrate hydraulically actuated manipulators: a machine file and logs in, a model with error bars out."))
 
 MachineName = Annotated[str, typer.Argument(metavar="MACHINE", help="A bundled machine's name or a .toml file.")]
@@ -248,16 +248,36 @@ def _smoothing(text: str, bandwidth: float | None) -> Smoothing:
                        remedy="use spline, spline:cv, fourier:PERIOD:HARMONICS or butterworth:HZ")
 
 
+_USAGE_ERROR = typer.BadParameter.__base__ or Exception
+"""What typer raises when arguments do not fit: click's UsageError, or the one typer brings along."""
+
+
 def main() -> None:
     """Run the command; a user's mistake ends in one sentence and exit code 2, a failed solver in 3."""
+    code: Any = 130
+    arguments = sys.argv[1:]
     try:
-        app()
+        code = app(arguments or ["--help"], standalone_mode=False) or (0 if arguments else 2)
     except HydrooptError as error:
+        code = error.exit_code
         typer.echo(f"hydroopt: {error}", err=True)
-        sys.exit(error.exit_code)
-    except KeyboardInterrupt:
-        typer.echo("hydroopt: interrupted; nothing was written", err=True)
-        sys.exit(130)
+    except _USAGE_ERROR as error:
+        code = 2
+        _explain(error)
+    except (KeyboardInterrupt, typer.Abort):
+        pass
+    if code == 130:  # typer turns an interrupt into this exit code
+        typer.echo("hydroopt: interrupted; no result was written", err=True)
+    sys.exit(code)
+
+
+def _explain(error: Any) -> None:
+    """Print a wrong use of the command line as one sentence."""
+    context = error.ctx
+    command = context.command_path if context else "hydroopt"
+    what = " ".join(error.format_message().split()).rstrip(".?").replace(". Did you mean", ", did you mean")
+    place = command.partition(" ")[2]
+    typer.echo(f"hydroopt: {place + ': ' if place else ''}{what[:1].lower()}{what[1:]}; see '{command} --help'.", err=True)
 
 
 if __name__ == "__main__":

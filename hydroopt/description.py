@@ -6,8 +6,10 @@ adds its confidence (``sigma`` absolute or in %), bounds (``lower``, ``upper``) 
 
 from __future__ import annotations
 
+import math
 import tomllib
 from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
 from importlib import resources
 from pathlib import Path
 from typing import Any
@@ -17,7 +19,7 @@ from pydantic import BaseModel, ValidationError
 
 from hydroopt import geometry
 from hydroopt.errors import MachineError
-from hydroopt.machine import ImpossibleError, Machine, Note, Quantity, Sensor
+from hydroopt.machine import ImpossibleError, Machine, Note, Noun, Quantity, Sensor
 from hydroopt.units import UnitError, spread_to_si, to_si
 
 _NOTE_KEYS = {"value", "sigma", "lower", "upper", "source"}
@@ -48,7 +50,7 @@ def load_machine(machine: str | Path, *, parameter_set: str | None = None) -> Ma
         raise MachineError("this is neither a bundled machine nor a .toml file", where=name,
                            remedy=f"name a .toml file or one of {', '.join(bundled())}")
     try:
-        text = path.read_text("utf-8")
+        text = path.read_text("utf-8-sig")
     except UnicodeDecodeError:
         raise MachineError("the file is not text", where=name, remedy="give a TOML file in UTF-8") from None
     except OSError as error:
@@ -62,105 +64,183 @@ def read_machine(text: str, *, where: str = "machine", parameter_set: str | None
     Raises:
         MachineError: see `load_machine`.
     """
+    if "\0" in text:
+        raise MachineError("the file is not text", where=where, remedy="give a TOML file in UTF-8")
     try:
         data: dict[str, Any] = tomllib.loads(text)
-    except tomllib.TOMLDecodeError as error:
+    except (ValueError, RecursionError) as error:  # a ValueError is bad TOML or a number of a thousand digits
         raise MachineError(f"is not valid TOML ({error})", where=where, remedy="correct that line") from None
-    _choose_parameter_set(data, parameter_set, where)
+    if not data:
+        raise MachineError("the file is empty", where=where, remedy="describe a machine in it")
+    if "notes" in data:
+        raise MachineError("this key is unknown", where=f"{where}: notes", remedy="remove it")
+    moved = _choose_parameter_set(data, parameter_set, where)
     notes: dict[str, Note] = {}
-    data = _strip_notes(data, "", notes, where)
-    for earlier, link in zip([None, *data.get("links", [])], data.get("links", []), strict=False):
-        if isinstance(link, dict):  # in a serial chain the parent need not be said
-            link.setdefault("parent", "base" if earlier is None else earlier.get("name"))
     try:
+        data = _strip_notes(data, "", "", notes)
+        before = "base"
+        for link in links if isinstance(links := data.get("links"), list) else []:
+            if isinstance(link, dict):  # in a serial chain the parent need not be said
+                before = link.setdefault("parent", before) and link.get("name")
         machine = Machine.model_validate(data | {"notes": notes}, context={"from_file": True})
         geometry.check(machine)
     except ValidationError as error:
-        raise _in_plain_words(error, data, where) from None
+        what, place, remedy = _in_plain_words(error, data)
+        raise MachineError(what, where=_at(where, place, moved), remedy=remedy) from None
+    except UnitError as error:
+        raise MachineError(error.what, where=_at(where, error.where, moved), remedy=error.remedy) from None
     except ImpossibleError as error:
-        raise MachineError(error.what, where=where, remedy=error.remedy) from None
+        raise MachineError(error.what, where=_at(where, error.key, moved), remedy=error.remedy) from None
     return machine
 
 
-def _choose_parameter_set(data: dict[str, Any], wanted: str | None, where: str) -> None:
-    sets = data.pop("parameter_sets", {})
-    chosen = wanted or data.pop("default_parameter_set", None)
-    data.pop("default_parameter_set", None)
+def _choose_parameter_set(data: dict[str, Any], wanted: str | None, where: str) -> dict[str, str]:
+    """Put the chosen bodies in their places; returns which place of the machine stands where in the file."""
+    sets, default = data.pop("parameter_sets", {}), data.pop("default_parameter_set", None)
+    chosen = wanted or default
     if chosen is None:
-        return
-    if not isinstance(sets, dict) or chosen not in sets:
-        have = ", ".join(sets) or "none"
+        return {}
+    if not isinstance(sets, dict) or str(chosen) not in sets:
+        have = ", ".join(sets) if isinstance(sets, dict) and sets else "none"
         raise MachineError(f"there is no parameter set '{chosen}'", where=where, remedy=f"the file has: {have}")
-    parts = {part.get("name"): part for key in ("links", "cylinders") for part in data.get(key, [])
-             if isinstance(part, dict)}
-    for name, stated in sets[chosen].items():
-        if name not in parts:
+    data["parameter_set"] = chosen
+    parts = [(kind, part) for kind in ("links", "cylinders") if isinstance(data.get(kind), list)
+             for part in data[kind] if isinstance(part, dict)]
+    moved = {}
+    for name, stated in _table(sets[chosen], f"{where}: parameter_sets.{chosen}").items():
+        there = f"parameter_sets.{chosen}.{name}"
+        found = [(kind, part) for kind, part in parts if part.get("name") == name]
+        if not found:
             raise MachineError(f"parameter set '{chosen}' speaks of '{name}', which does not exist", where=where,
                                remedy="name a link or a cylinder")
-        for end in ("barrel", "rod"):
-            if isinstance(stated.get(end), dict) and isinstance(parts[name].get(end), dict):
-                parts[name][end]["body"] = stated[end]
-        if "m" in stated:
-            parts[name]["body"] = stated
-    data["parameter_set"] = chosen
+        if len(found) > 1:
+            raise MachineError(f"the name '{name}' is used {len(found)} times", where=where,
+                               remedy="give each part a name of its own")
+        kind, part = found[0]
+        _table(stated, f"{where}: {there}")
+        if kind == "links":
+            part["body"] = stated
+            moved[f"links[{name}].body"] = there
+            continue
+        for end, body in stated.items():
+            if end not in ("barrel", "rod"):
+                raise MachineError("this key is unknown", where=f"{where}: {there}.{end}",
+                                   remedy="give the bodies of 'barrel' and 'rod'")
+            if isinstance(part.get(end), dict):
+                part[end]["body"] = body
+                moved[f"cylinders[{name}].{end}.body"] = f"{there}.{end}"
+    return moved
 
 
-def _strip_notes(node: Any, path: str, notes: dict[str, Note], where: str) -> Any:
-    """The same tree with plain values; what was said about them goes to `notes` under their dotted path."""
-    if isinstance(node, dict) and "value" in node and set(node) <= _NOTE_KEYS:
-        notes[path] = _note(node, f"{where}: {path}")
-        return node["value"]
-    if isinstance(node, dict):
-        return {key: _strip_notes(value, f"{path}.{key}".lstrip("."), notes, where) for key, value in node.items()}
-    if isinstance(node, list):
-        # parts are addressed by their names, which are unique over the machine
-        return [_strip_notes(item, str(item["name"]) if isinstance(item, dict) and "name" in item else f"{path}.{k}",
-                             notes, where) for k, item in enumerate(node)]
+def _table(node: Any, where: str) -> dict[str, Any]:
+    if not isinstance(node, dict):
+        raise MachineError(f"must be a table, not {node!r:.60}", where=where, remedy="state it key by key")
     return node
 
 
-def _note(node: Mapping[str, Any], where: str) -> Note:
+def _at(where: str, place: str, moved: Mapping[str, str]) -> str:
+    """File and key as the file has them."""
+    for inside, there in moved.items():
+        if place == inside or place.startswith(f"{inside}."):
+            place = there + place[len(inside):]
+    return f"{where}: {place}" if place else where
+
+
+def _strip_notes(node: Any, path: str, place: str, notes: dict[str, Note]) -> Any:
+    """The same tree with plain values; what was said about them goes to `notes` under their dotted path.
+
+    `place` is where the node stands in the file, for error messages.
+    """
+    if isinstance(node, dict) and "value" in node:
+        notes[path] = _note(node, place)
+        return node["value"]
+    if isinstance(node, dict):
+        return {key: _strip_notes(value, f"{path}.{key}".lstrip("."), f"{place}.{key}".lstrip("."), notes)
+                for key, value in node.items()}
+    if isinstance(node, list):
+        # parts are addressed by their names, which are unique over the machine
+        names = [item["name"] if isinstance(item, dict) and "name" in item else None for item in node]
+        return [_strip_notes(item, f"{path}.{k}" if name is None else str(name), f"{place}[{k if name is None else name}]",
+                             notes) for k, (name, item) in enumerate(zip(names, node, strict=True))]
+    return node
+
+
+def _note(node: Mapping[str, Any], place: str) -> Note:
     value = node["value"]
     like = str(value[0] if isinstance(value, list) and value else value)
     said: dict[str, Any] = {"source": node.get("source", "")}
-    try:
-        for key in ("lower", "upper"):
-            if key in node:
-                said[key] = spread_to_si(str(node[key]), like, where=f"{where}.{key}")
-        sigma = str(node.get("sigma", "")).strip()
-        if sigma.endswith("%"):
-            said |= {"sigma": to_si(sigma.replace("%", " %").replace("  ", " "), "1", where=where), "relative": True}
-        elif sigma:
-            said["sigma"] = spread_to_si(sigma, like, where=f"{where}.sigma")
-        if said.get("sigma", 1.0) <= 0:
-            raise MachineError("a confidence (sigma) must be positive", where=where, remedy="give one or leave it out")
-        return Note(**said)
-    except UnitError as error:
-        raise MachineError(error.what, where=error.where, remedy=error.remedy) from None
-    except ValidationError:
-        raise MachineError("'source' must be text", where=where, remedy="put it in quotation marks") from None
+    for key in node:
+        if key not in _NOTE_KEYS:
+            raise ImpossibleError("this key is unknown",
+                                  f"beside 'value', use {', '.join(sorted(_NOTE_KEYS - {'value'}))}", f"{place}.{key}")
+    for key in ("lower", "upper"):
+        if key in node:
+            said[key] = spread_to_si(str(node[key]), like, where=f"{place}.{key}")
+    if said.get("lower", -math.inf) >= said.get("upper", math.inf):
+        raise ImpossibleError(f"the lower bound {node['lower']} is not below the upper one, {node['upper']}",
+                              "exchange or correct them", place)
+    sigma = str(node.get("sigma", "")).strip()
+    if sigma.endswith("%"):
+        percent = f"{sigma.removesuffix('%').strip()} %"
+        said |= {"sigma": to_si(percent, "1", where=f"{place}.sigma"), "relative": True}
+    elif sigma:
+        said["sigma"] = spread_to_si(sigma, like, where=f"{place}.sigma")
+    if not 0 < said.get("sigma", 1.0) < math.inf:
+        raise ImpossibleError(f"a confidence must be positive and finite, not {sigma}", "correct it or leave it out",
+                              f"{place}.sigma")
+    if not isinstance(said["source"], str):
+        raise ImpossibleError("this must be text", "put it in quotation marks", f"{place}.source")
+    return Note(**said)
 
 
-def _in_plain_words(error: ValidationError, data: dict[str, Any], where: str) -> MachineError:
-    first = error.errors()[0]
-    place, node = [], data
+def _in_plain_words(error: ValidationError, data: dict[str, Any]) -> tuple[str, str, str]:
+    """What, place and remedy of the first mistake, an unknown key before all: it often is the one that is missing."""
+    mistakes = error.errors()
+    first = next((m for m in mistakes if m["type"] == "extra_forbidden"), mistakes[0])
+    place, node, above = "", data, data
     for step in first["loc"]:
+        above = node
         node = node[step] if isinstance(node, list | dict) and step in (
             node if isinstance(node, dict) else range(len(node))) else None  # type: ignore[index]
-        if isinstance(step, int) and isinstance(node, dict) and "name" in node:
-            place.append(f"[{node['name']}]")
+        if isinstance(step, int):
+            called = node.get("name") if isinstance(node, dict) else None
+            place += f"[{step if called is None else called}]"
         else:
-            place.append(f".{step}" if place and not isinstance(step, int) else f"[{step}]"
-                         if isinstance(step, int) else str(step))
-    at = f"{where}: {''.join(place)}" if place else where
-    impossible = first.get("ctx", {}).get("error")
+            place += f".{step}" if place else str(step)
+    kind, context = first["type"], first.get("ctx", {})
+    impossible = context.get("error")
     if isinstance(impossible, ImpossibleError):
-        return MachineError(impossible.what, where=at, remedy=impossible.remedy)
-    if first["type"] == "missing":
-        return MachineError("this key is missing", where=at, remedy="add it")
-    if first["type"] == "extra_forbidden":
-        return MachineError("this key is unknown", where=at, remedy="correct its spelling or remove it")
-    return MachineError(f"{first['msg'].lower()}, not {first['input']!r:.60}", where=at, remedy="correct the value")
+        return impossible.what, f"{place}.{impossible.key}".strip("."), impossible.remedy
+    if kind == "missing" and isinstance(first["loc"][-1], int):
+        wanted = 1 + max(m["loc"][-1] for m in mistakes if m["loc"][:-1] == first["loc"][:-1])
+        return f"there are {len(above)} values instead of {wanted}", place.rpartition("[")[0], "state them all"
+    if kind == "too_long":
+        return f"there are {len(node)} values instead of {context['max_length']}", place, "remove those beyond"
+    if kind == "too_short":
+        return "the list is empty", place, "state at least one"
+    if kind == "missing":
+        return "this key is missing", place, "add it"
+    if kind == "extra_forbidden":
+        known = sorted({key for noun in Noun.__subclasses__() for key in noun.model_fields})
+        like = get_close_matches(str(first["loc"][-1]), known, 1, 0.75)
+        return "this key is unknown", place, (f"write '{like[0]}'" if like else "correct its spelling") + " or remove it"
+    said = str(node if isinstance(node, bool | int | float | str) else first["input"])
+    said = said.lower() if isinstance(node, bool) else said
+    return f"{_must(kind, context, first['msg'], first['input'])}, not '{said:.60}'", place, "correct it"
+
+
+def _must(kind: str, context: Mapping[str, Any], message: str, value: Any) -> str:
+    """A rule that pydantic found broken, in plain words."""
+    if kind == "finite_number" or (isinstance(value, float) and not math.isfinite(value)):
+        return "must be a finite number"
+    for start, words in {"greater_than_equal": "at least {ge:g}", "greater_than": "greater than {gt:g}",
+                         "less_than_equal": "at most {le:g}", "less_than": "less than {lt:g}", "literal": "{expected}",
+                         "int_": "a whole number", "float_": "a number", "string_pattern":
+                         "made of letters, digits and _, a letter first", "string_": "text in quotation marks",
+                         "tuple_": "a list in brackets", "model_": "a table of keys"}.items():
+        if kind.startswith(start):
+            return f"must be {words.format(**context)}"
+    return message[:1].lower() + message[1:]
 
 
 def dump_machine(machine: Machine) -> str:

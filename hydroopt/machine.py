@@ -28,10 +28,13 @@ CHANNEL_UNITS = {"q": ("rad", "m"), "qd": ("rad/s", "m/s"), "tau": ("N*m", "N"),
 
 
 class ImpossibleError(ValueError):
-    """A statement that no machine can fulfil; `description` adds the place and raises a MachineError."""
+    """A statement that no machine can fulfil; `description` adds the place and raises a MachineError.
 
-    def __init__(self, what: str, remedy: str) -> None:
-        self.what, self.remedy = what, remedy
+    `key` names the one at fault where a rule over several keys finds it.
+    """
+
+    def __init__(self, what: str, remedy: str, key: str = "") -> None:
+        self.what, self.remedy, self.key = what, remedy, key
         super().__init__(f"{what}; {remedy}")
 
 
@@ -53,10 +56,18 @@ class Quantity:
             assert problem is not None
             raise ImpossibleError(problem.what, problem.remedy)
         if isinstance(value, bool):
-            raise ImpossibleError(f"{value} is not a number", "write a number with its unit")
+            raise ImpossibleError(f"{str(value).lower()} is not a number", "write a number with its unit")
         if self.si != "1" and isinstance(value, int | float) and (info.context or {}).get("from_file"):
-            raise ImpossibleError(f"{value} has no unit", f"write it as \"{value} {self.si}\"")
+            raise ImpossibleError(f"{value:.9g} has no unit", f"write it as \"{value:.9g} {self.si}\"")
         return value
+
+
+def _keyed(quantity: Quantity, value: Any, info: ValidationInfo, key: str) -> Any:
+    """A value whose unit only its neighbours tell; errors name its key."""
+    try:
+        return quantity(value, info)
+    except ImpossibleError as error:
+        raise ImpossibleError(error.what, error.remedy, key) from None
 
 
 def _quantity(si: str, *others: str) -> tuple[Quantity, BeforeValidator]:
@@ -154,33 +165,38 @@ class Joint(Noun):
     a: Length = 0.0
     alpha: Angle = 0.0
     beta: Angle = 0.0
-    lower: float | None = None
-    upper: float | None = None
-    max_speed: float | None = Field(None, gt=0)
-    max_acceleration: float | None = Field(None, gt=0)
+    lower: float | None = Field(None, allow_inf_nan=False)
+    upper: float | None = Field(None, allow_inf_nan=False)
+    max_speed: float | None = Field(None, gt=0, allow_inf_nan=False)
+    max_acceleration: float | None = Field(None, gt=0, allow_inf_nan=False)
     friction: JointFriction = JointFriction()
 
     @model_validator(mode="before")
     @classmethod
     def _limits(cls, data: Any, info: ValidationInfo) -> Any:
         # the unit of a limit depends on the joint's type, so that a field's annotation cannot state it
-        if isinstance(data, Mapping) and data.get("type") in ("revolute", "prismatic"):
-            unit = "rad" if data["type"] == "revolute" else "m"
-            units = {"lower": unit, "upper": unit, "max_speed": f"{unit}/s", "max_acceleration": f"{unit}/s^2"}
-            data = {key: Quantity(units[key])(value, info) if key in units and value is not None else value
-                    for key, value in data.items()}
+        if not isinstance(data, Mapping) or data.get("type") not in ("revolute", "prismatic", "locked"):
+            return data
+        unit = "m" if data["type"] == "prismatic" else "rad"
+        units = {"lower": unit, "upper": unit, "max_speed": f"{unit}/s", "max_acceleration": f"{unit}/s^2"}
+        data = dict(data)
+        for key, si in units.items():
+            if data.get(key) is not None:
+                if data["type"] == "locked":
+                    raise ImpossibleError("a locked joint has a limit", "remove it or let the joint move", key)
+                data[key] = _keyed(Quantity(si), data[key], info, key)
         return data
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.type == "locked":
-            if any(v is not None for v in (self.lower, self.upper, self.max_speed, self.max_acceleration)):
-                raise ImpossibleError("a locked joint has limits", "remove them or make it revolute or prismatic")
-        elif self.lower is None or self.upper is None:
+            return self
+        if self.lower is None or self.upper is None:
             raise ImpossibleError("a moving joint needs 'lower' and 'upper'", "state both limits")
-        elif self.lower >= self.upper:
-            raise ImpossibleError(f"lower limit {self.lower:.4g} is not below upper limit {self.upper:.4g}",
-                                  "exchange or correct them")
+        if self.lower >= self.upper:
+            factor, unit = (180 / math.pi, "deg") if self.type == "revolute" else (1.0, "m")
+            raise ImpossibleError(f"the lower limit, {factor * self.lower:.6g} {unit}, is not below the upper one, "
+                                  f"{factor * self.upper:.6g} {unit}", "exchange or correct them")
         return self
 
 
@@ -225,7 +241,7 @@ class Cylinder(Noun):
     name: Name
     barrel: Attachment
     rod: Attachment
-    jacks: int = Field(1, ge=1)
+    jacks: int = Field(1, ge=1, le=100)
     head_area: Area | None = Field(None, gt=0)
     rod_area: Area | None = Field(None, gt=0)
     bore: Length | None = Field(None, gt=0)
@@ -313,31 +329,37 @@ class Sensor(Noun):
     """
 
     channels: tuple[str, ...] = Field(min_length=1)
-    accuracy: float = Field(ge=0)
-    resolution: float = Field(0.0, ge=0)
+    accuracy: float = Field(ge=0, allow_inf_nan=False)
+    resolution: float = Field(0.0, ge=0, allow_inf_nan=False)
     rate: Rate | None = Field(None, gt=0)
     distribution: Literal["uniform", "gaussian"] = "uniform"
 
     @model_validator(mode="before")
     @classmethod
     def _units(cls, data: Any, info: ValidationInfo) -> Any:
-        if not isinstance(data, Mapping):
+        if not isinstance(data, Mapping) or not isinstance(data.get("channels"), list | tuple) or not data["channels"]:
             return data
         data = dict(data)
         for key in ("accuracy", "resolution"):
             if key in data:
-                data[key] = cls._reading(data[key], data.get("channels", ()), info)
+                data[key] = cls._reading(data[key], data["channels"], info, key)
         return data
 
     @staticmethod
-    def _reading(value: Any, channels: Any, info: ValidationInfo) -> Any:
-        problem = ImpossibleError("the channels of a sensor are not of one known kind", "see the list of log columns")
-        kinds = {CHANNEL_UNITS.get(str(channel).rpartition(".")[2], ()) for channel in channels}
-        for si in kinds.pop() if len(kinds) == 1 else ():
+    def _reading(value: Any, channels: Any, info: ValidationInfo, key: str) -> Any:
+        names = [str(channel) for channel in channels]
+        kinds = {CHANNEL_UNITS.get(name.rpartition(".")[2], ()) for name in names}
+        if len(kinds) > 1 or () in kinds:
+            raise ImpossibleError(
+                f"the channels {', '.join(names)} are not of one known kind", "name channels that end alike, in one of "
+                + ", ".join(f".{suffix}" for suffix in CHANNEL_UNITS), "channels")
+        problem: ImpossibleError | None = None
+        for si in kinds.pop():
             try:
-                return Quantity(si)(value, info)
+                return _keyed(Quantity(si), value, info, key)
             except ImpossibleError as error:
-                problem = error
+                problem = problem or error
+        assert problem is not None
         raise problem
 
     @property
@@ -419,6 +441,13 @@ class Machine(Noun):
         for joint in self.joints:
             if not driven[joint]:
                 raise ImpossibleError(f"nothing drives the joint '{joint}'", "add its actuator or make it locked")
+        mains: dict[str, str] = {}
+        for actuator in self.actuators:
+            joint = self._main_joint(actuator)
+            if joint in mains:
+                raise ImpossibleError(f"the joint '{joint}' is driven by both '{mains[joint]}' and '{actuator.name}'",
+                                      "keep one of them")
+            mains[joint] = actuator.name
         if len(self.actuators) != len(self.joints):
             raise ImpossibleError(f"{len(self.actuators)} actuators drive {len(self.joints)} moving joints",
                                   "give every moving joint one actuator")
@@ -442,13 +471,12 @@ class Machine(Noun):
     @cached_property
     def actuators(self) -> tuple[Cylinder | Motor | Drive, ...]:
         """The actuators in the order of the joints they drive: the order of measured forces."""
-        def driven_joint(actuator: Cylinder | Motor | Drive) -> int:
-            if isinstance(actuator, Cylinder):
-                # of several joints between its ends, the last is what it is there for
-                return max(self.joints.index(j)
-                           for j in self.joints_between(actuator.barrel.link, actuator.rod.link))
-            return self.joints.index(actuator.joint)
-        return tuple(sorted((*self.cylinders, *self.motors, *self.drives), key=driven_joint))
+        return tuple(sorted((*self.cylinders, *self.motors, *self.drives),
+                            key=lambda actuator: self.joints.index(self._main_joint(actuator))))
+
+    def _main_joint(self, actuator: Cylinder | Motor | Drive) -> str:
+        # of several joints between a cylinder's ends, the last is what it is there for
+        return self.axis_of(actuator) if isinstance(actuator, Cylinder) else actuator.joint
 
     def link(self, name: str) -> Link:
         """The link of this name."""

@@ -1,6 +1,8 @@
 """The only place where units are converted; everything inside hydroopt is SI (m, rad, kg, s, N, Pa)."""
 
+import re
 from functools import cache
+from tokenize import TokenError
 
 import pint
 
@@ -10,6 +12,11 @@ _registry: "pint.UnitRegistry[float]" = pint.UnitRegistry(cache_folder=":auto:")
 _ANGLES = {"radian", "milliradian", "degree", "arcminute", "arcsecond", "grade", "turn", "revolution",
            "revolutions_per_minute", "revolutions_per_second"}
 _COEFFICIENT = {"N*m*s/rad"}  # a friction coefficient may be stated per radian or not
+_ABSURD = re.compile(r"\d{3}|(\^|\*\*)[^*/]*(\^|\*\*)|.{60}")  # pint would compute m^9^9^9 for hours
+
+_TROUBLE = (pint.errors.PintError, AttributeError, TypeError, ValueError, AssertionError, TokenError, SyntaxError,
+            ArithmeticError, LookupError)
+"""What pint raises when asked to read a text that is no unit."""
 
 
 class UnitError(HydrooptError):
@@ -23,12 +30,14 @@ def factor(unit: str, si: str, *, where: str = "unit") -> float:
     Raises:
         UnitError: the unit is unknown or measures something else than `si`.
     """
+    if _ABSURD.search(unit):
+        raise _wrong(unit, si, where)
     try:
         quantity = _registry.Quantity(1.0, unit)
         value = float(quantity.to(si).magnitude)
         is_angle = bool(_ANGLES & set(quantity.units._units))
         wants_angle = bool(_ANGLES & set(_registry.Unit(si)._units))
-    except (pint.errors.PintError, AttributeError, TypeError, ValueError, AssertionError) as error:
+    except _TROUBLE as error:
         raise _wrong(unit, si, where) from error
     if is_angle != wants_angle and si not in _COEFFICIENT:
         raise _wrong(unit, si, where)
@@ -45,12 +54,12 @@ def to_si(text: str, si: str, *, where: str) -> float:
     try:
         value = float(number)
     except ValueError:
-        raise UnitError(f"'{text}' is not a number followed by a unit", where=where,
+        raise UnitError(f"'{text:.60}' is not a number followed by a unit", where=where,
                         remedy=f"write it as in \"1.5 {si}\"") from None
     if si == "1" and unit.strip() in ("", "1"):
         return value
     if not unit.strip():
-        raise UnitError(f"'{text}' has no unit", where=where, remedy=f"add one of the kind of '{si}'")
+        raise UnitError(f"'{text:.60}' has no unit", where=where, remedy=f"add one of the kind of '{si}'")
     return value * factor(unit.strip(), si, where=where)
 
 
@@ -64,13 +73,14 @@ def same_kind(unit: str, si: str) -> bool:
 
 
 def _wrong(unit: str, si: str, where: str) -> UnitError:
-    return UnitError(f"'{unit}' is not a unit of the kind '{si}'", where=where,
+    return UnitError(f"'{unit:.40}' is not a unit of the kind '{si}'", where=where,
                      remedy=f"use '{si}' or another unit of that kind")
 
 
 def spread_to_si(text: str, like: str, *, where: str) -> float:
     """SI value of an uncertainty, which must be of the same kind as the quantity `like` it belongs to."""
     unit = like.strip().partition(" ")[2].strip() or "1"
-    kind = str(_registry.Unit(unit)) if unit != "1" else "1"
-    in_unit = to_si(text, kind, where=where)
+    if not same_kind(unit, unit):
+        raise UnitError(f"the value's unit '{unit:.40}' is unknown", where=where, remedy="correct it")
+    in_unit = to_si(text, unit, where=where)
     return float(_registry.Quantity(in_unit, unit).to_base_units().magnitude)

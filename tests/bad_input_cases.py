@@ -144,9 +144,9 @@ def _directory(folder: Path) -> list[str]:
 
 BODY = 'm = "688 kg"\n'
 FILES = {
-    "machine: not TOML": Case(lambda d: show(d, DIGGER + "pin = [1,\n"), r"digger\.toml: .*line \d+"),
+    "machine: not TOML": Case(lambda d: show(d, DIGGER + "pin = [1,\n"), r"digger\.toml: .*end of document"),
     "machine: not TOML, value without quotes": Case(
-        lambda d: show(d, edited(DIGGER, '"1.1 m"', "1.1 m")), r"digger\.toml: .*line 46"),
+        lambda d: show(d, edited(DIGGER, '"1.1 m"', "1.1 m")), r"digger\.toml: .*line 44"),
     "machine: empty": Case(lambda d: show(d, ""), r"digger\.toml: .*empty"),
     "machine: comments only": Case(lambda d: show(d, "# to do\n"), r"digger\.toml: .*empty"),
     "machine: no such file": Case(lambda d: ["show", str(d / "digger.toml")], r"digger\.toml: "),
@@ -170,7 +170,7 @@ MACHINES = {
     "unknown key at the top": machine('gravity =', 'gravitation =', "gravitation: "),
     "unknown key deep": machine('dead_length = "1.799 m"', 'dead_lenght = "1.799 m"', r"cylinders\[stick_cylinder\]\.dead_len"),
     "unknown key in a body": machine('com = ["2.3 m"', 'cog = ["2.3 m"', r"links\[boom\]\.body\.c"),
-    "unknown key of a note": machine('sigma = "20 %"', 'std = "20 %"', r"links\[boom\]\.body\.m: .*std"),
+    "unknown key of a note": machine('sigma = "20 %"', 'std = "20 %"', r"links\[boom\]\.body\.m\.std: "),
     "table for a number": machine('gear = 307', 'gear = { ratio = 307 }', r"motors\[swing_motor\]\.gear: "),
     "missing torque": machine('torque_per_pressure = "0.089 N*m/psi"\n', "", r"motors\[swing_motor\]\.torque_per_pressure: "),
     # units and numbers
@@ -210,11 +210,12 @@ MACHINES = {
     "unknown kind of joint": machine('type = "locked"', 'type = "hinge"', r"links\[bucket\]\.joint\.type: .*revolute"),
     "polytropic exponent of 3": machine("polytropic = 1.3", "polytropic = 3", r"gas_cylinders\[balance\]\.polytropic: "),
     # geometry
-    "open triangle": machine('"-0.58979 m", "-0.41298 m"', '"-0.1 m", "-0.1 m"', r".*'stick_cylinder'.* m"),
+    "open triangle": machine('dead_length = "1.799 m"', 'dead_length = "17.99 m"', r"the triangle of 'stick_cylinder' is open.* m"),
+    "pin on the joint's axis": machine('"-0.58979 m", "-0.41298 m"', '"-1.8 m", "0 m"', r".*'stick_cylinder'"),
     "stroke too short": machine('"1.35 m"', '"0.9 m"', r".*'stick_cylinder' .*stick = .* deg"),
     "dead point in the range": machine('lower = "35 deg"', 'lower = "-30 deg"', r".*'stick_cylinder' .*stick = .* deg"),
     "limits exchanged": machine('lower = "35 deg"', 'lower = "150 deg"', r"links\[stick\]\.joint: "),
-    "locked joint with limits": machine('{ type = "locked" }', '{ type = "locked", lower = "0 deg" }', r"links\[bucket\]\.joint: "),
+    "locked joint with limits": machine('{ type = "locked" }', '{ type = "locked", lower = "0 deg" }', r"links\[bucket\]\.joint\.lower: "),
     # structure
     "links in a circle": machine('parent = "boom"', 'parent = "bucket"', ".*'stick'.*'bucket'"),
     "no such parent": machine('parent = "boom"', 'parent = "broom"', ".*'stick'.*'broom'"),
@@ -224,13 +225,18 @@ MACHINES = {
     "name with a blank": machine('name = "bucket"', 'name = "big bucket"', r"links\[.*\]\.name: .*'big bucket'"),
     "name with a dot": machine('name = "swing_motor"', 'name = "swing.motor"', r"motors\[.*\]\.name: .*'swing\.motor'"),
     "joint that nothing drives": machine('{ type = "locked" }', '{ type = "revolute", lower = "0 deg", upper = "1 deg" }', ".*'bucket'"),
-    "two actuators on one joint": machine('joint = "swing"\n', 'joint = "boom"\n', ".*'(swing|boom)'"),
+    "two actuators on one joint": machine(
+        "[[sensors]]\nchannels = [\"boom.q\"", "[[drives]]\nname = \"extra\"\njoint = \"stick\"\n[[sensors]]\nchannels = [\"boom.q\"",
+        ".*'stick'.*'stick_cylinder'.*'extra'"),
+    "actuator on the wrong joint": machine('joint = "swing"\n', 'joint = "boom"\n', ".*'swing'"),
     "cylinder within one link": machine('link = "stick"', 'link = "boom"', ".*'stick_cylinder'"),
     "cylinder on no link": machine('link = "stick"', 'link = "dipper"', ".*'stick_cylinder'.*'dipper'"),
     "motor on no joint": machine('joint = "swing"\n', 'joint = "slew"\n', ".*'swing_motor'.*'slew'"),
     # what is known about numbers
     "sensor of no channel": machine('"boom.q"', '"bucket.q"', ".*'bucket.q'"),
-    "sensor of unknown kind": machine('"boom.q", "stick.q"', '"boom.angle"', r"sensors\[0\].*'boom.angle'"),
+    "sensor of unknown kind": machine('"boom.q", "stick.q"', '"boom.angle"', r"sensors\[0\]\.channels: .*boom\.angle"),
+    "sensor of angles and pressures": machine('"boom.q", "stick.q"', '"boom.q", "boom_cylinder.p_rod"', r"sensors\[0\]\.channels: "),
+    "sensor of no list": machine('["boom.q", "stick.q"]', '"boom.q"', r"sensors\[0\]\.channels: .*list"),
     "two sensors of one channel": machine('"boom_cylinder.p_head", "boom_cylinder.p_rod"]\naccuracy = "25 psi"',
                                           '"boom.q"]\naccuracy = "1 deg"', ".*'boom.q'"),
     "accuracy in the wrong unit": machine('accuracy = "25 psi"', 'accuracy = "25 mm"', r"sensors\[1\].*accuracy: 'mm'"),
@@ -241,15 +247,14 @@ MACHINES = {
     "sigma without unit": machine('sigma = "50 N"', "sigma = 50", r".*stick_cylinder.*friction\.coulomb\.sigma: "),
     "sigma not a number": machine('sigma = "50 N"', 'sigma = "nan N"', r".*stick_cylinder.*friction\.coulomb"),
     "bounds exchanged": machine('sigma = "50 N"', 'lower = "60 N", upper = "50 N"', r".*stick_cylinder.*friction\.coulomb"),
-    "value outside its bounds": machine('sigma = "50 N"', 'upper = "50 N"', r".*stick_cylinder.*friction\.coulomb"),
     "source not text": machine('source = "guess"', "source = 5", r".*boom.*body\.m"),
     "unit of value unknown": machine('"100 N", sigma', '"100 quux", sigma', r".*stick_cylinder.*friction\.coulomb.*'quux'"),
     "no such parameter set": machine('set = "guess"', 'set = "measured"', ".*'measured'; .*guess"),
     "set of an unknown part": machine("sets.guess.stick]", "sets.guess.dipper]", ".*'guess'.*'dipper'"),
     "set is a number": machine('[parameter_sets.guess.stick]\n' + BODY, '[parameter_sets.guess]\nstick = 5\n[other]\n',
-                               ".*'guess'.*'stick'"),
-    "set with a bad number": machine(BODY, 'm = "688 m"\n', r"links\[stick\]\.body\.m: 'm'"),
-    "set without mass": machine(BODY, "", ".*stick"),
+                               r"parameter_sets\.guess\.stick: "),
+    "set with a bad number": machine(BODY, 'm = "688 m"\n', r"parameter_sets\.guess\.stick\.m: 'm'"),
+    "set without mass": machine(BODY, "", r"parameter_sets\.guess\.stick\.m: "),
 }
 
 
@@ -260,3 +265,196 @@ def good_log() -> list[str]:
     header = ["t [s]", *(f"{name} [{unit}]" for name, unit in log.units.items())]
     rows = zip(log.t, *log.channels.values(), strict=True)
     return [",".join(header), *(",".join(f"{x:.9g}" for x in row) for row in rows)]
+
+
+GOOD_LOG = good_log()
+OPEN = GOOD_LOG[0].replace("lift.q", "tilt.q")  # without the angle, it follows from the cylinder's length
+
+
+def identify(folder: Path, content: str | bytes | list[str], *more: str, name: str = "log.csv") -> list[str]:
+    """Arguments that identify the bundled crane from one log."""
+    data = "\n".join(content) + "\n" if isinstance(content, list) else content
+    return ["identify", "patu655_lift", str(written(folder, data, name)), "-o", str(folder / "out"), *more]
+
+
+def log(change: Callable[[list[str]], object], place: str, *more: str) -> Case:
+    """The good log with its lines changed (returned, or in place)."""
+    def spoil(folder: Path) -> list[str]:
+        lines = list(GOOD_LOG)
+        changed = change(lines)
+        return identify(folder, changed if isinstance(changed, list | bytes | str) else lines, *more)
+    return Case(spoil, rf"log\.csv.*{place}")
+
+
+def header(old: str, new: str) -> Callable[[list[str]], list[str]]:
+    return lambda lines: [edited(lines[0], old, new), *lines[1:]]
+
+
+def cell(row: int, column: int, text: str) -> Callable[[list[str]], list[str]]:
+    """One cell of data row `row` (from 1) and column `column` (from 0) replaced."""
+    def change(lines: list[str]) -> list[str]:
+        cells = lines[row].split(",")
+        cells[column] = text
+        return [*lines[:row], ",".join(cells), *lines[row + 1:]]
+    return change
+
+
+def constant(lines: list[str]) -> list[str]:
+    """The arm never moves: angle and length as in the first row."""
+    first = lines[1].split(",")
+    rows = [line.split(",") for line in lines[1:]]
+    return [lines[0], *(",".join([row[0], first[1], *row[2:4], first[4]]) for row in rows)]
+
+
+def mapped(content: str, place: str, data: list[str] | bytes | None = None, name: str = "log.csv") -> Case:
+    """The good log read through a map."""
+    def spoil(folder: Path) -> list[str]:
+        return identify(folder, GOOD_LOG if data is None else data, "--map", str(written(folder, content, "map.toml")), name=name)
+    return Case(spoil, place)
+
+
+MAP = '[columns]\nt = { column = 0, unit = "s" }\n"lift.q" = { column = 1, unit = "rad" }\n'
+
+
+def huge_parquet() -> bytes:
+    buffer = io.BytesIO()
+    pq.write_table(pa.table({"t [s]": pa.nulls(100_000_000, pa.int8()), **{
+        f"lift{k}.q [rad]": pa.nulls(100_000_000, pa.int8()) for k in range(13)}}), buffer)
+    return buffer.getvalue()
+
+
+def huge_mat() -> bytes:
+    buffer = io.BytesIO()
+    savemat(buffer, {"t": [[0.0, 1.0]], "q": [[0.0, 1.0]]})
+    data = bytearray(buffer.getvalue())
+    at = data.index(struct.pack("<ii", 1, 2))
+    data[at:at + 8] = struct.pack("<ii", 50_000, 50_000)
+    return bytes(data)
+
+
+def _ur10e(folder: Path) -> list[str]:
+    if not UR10E.exists():
+        pytest.skip(f"measured data absent: {UR10E}")
+    columns = "".join(f'"j{i}.q" = {{ column = {i}, unit = "rad" }}\n' for i in range(1, 7))
+    layout = f'header = false\n[columns]\nt = {{ column = 0, unit = "s" }}\n{columns}'
+    return ["identify", "patu655_lift", str(UR10E), "-o", str(folder / "out"), "--map", str(written(folder, layout, "map.toml"))]
+
+
+MAT_MAP = '[columns]\nt = { variable = "t", unit = "s" }\n"lift.q" = { variable = "q", unit = "rad" }\n'
+LOGS = {
+    "no such log": Case(lambda d: ["identify", "patu655_lift", str(d / "log.csv"), "-o", str(d / "out")], r"log\.csv: "),
+    "log is a directory": Case(lambda d: ["identify", "patu655_lift", str(d), "-o", str(d / "out")], "directory"),
+    "empty log": log(lambda lines: "", "empty"),
+    "log with a header only": log(lambda lines: lines[:1], "header"),
+    "log of one row": log(lambda lines: lines[:2], "one data row"),
+    "binary log": log(lambda lines: bytes(range(256)) * 9, "binary"),
+    "log of another format": Case(lambda d: identify(d, GOOD_LOG, name="log.xlsx"), r"log\.xlsx: .*; .*\.csv"),
+    "CSV called Parquet": Case(lambda d: identify(d, GOOD_LOG, name="log.parquet"), r"log\.parquet: "),
+    "MATLAB file without map": Case(lambda d: identify(d, GOOD_LOG, name="log.mat"), r"log\.mat: .*; .*--map"),
+    "no angle and no length": log(lambda lines: [line.rpartition(",")[0] for line in header("lift.q", "tilt.q")(lines)],
+                                  r"'lift\.q'"),
+    "no pressure": log(header(
+        "lift_cylinder.p_head [Pa]", "head pressure"), r"'lift_cylinder\.p_head'"),
+    "header without unit": log(header("lift.q [rad]", "lift.q"), r"column 2 'lift\.q'.*; .*\[rad\]"),
+    "unit of the wrong kind": log(header("[rad]", "[bar]"), "column 2 .*'bar'"),
+    "unknown unit in a header": log(header("[rad]", "[radd]"), "column 2 .*'radd'"),
+    "unknown channel": log(header("lift.q", "lift.angle"), r"column 2 .*'lift\.angle'"),
+    "column twice": log(header("lift_cylinder.p_rod", "lift_cylinder.p_head"), r"column 4 .*'lift_cylinder\.p_head'"),
+    "no time": log(header("t [s]", "time [s]"), r"'t \[s\]'"),
+    "text among numbers": log(cell(7, 2, "n/a?"), "data row 7, column 3 .*'n/a\\?'"),
+    "NaN": log(cell(7, 1, "nan"), r"lift\.q: sample 7 .*; .*--treat nan="),
+    "infinite": log(cell(7, 1, "inf"), r"lift\.q: sample 7 .*; .*--treat nan="),
+    "empty cell": log(cell(7, 1, ""), r"lift\.q: sample 7 .*; .*--treat nan="),
+    "NaN as time": log(cell(7, 0, "nan"), r"t: sample 7 "),
+    "time runs back": log(cell(7, 0, "0.01"), r"t: sample 7 .*; .*--treat non-monotonic="),
+    "time stamp twice": log(cell(7, 0, "0.25"), r"t: sample 7 .*; .*--treat duplicate="),
+    "ragged row": log(cell(7, 4, "1,2,3"), "data row 7 .*7 of 5 columns"),
+    "last row cut": log(lambda lines: [*lines[:-1], lines[-1][:20]], "data row 400 "),
+    "number beyond all measure": log(cell(7, 1, "1e200"), "data row 7 "),
+    "too short to differentiate": log(lambda lines: lines[:5], "4 samples"),
+    "arm that never moves": log(constant, r"."),
+    "length beyond the triangle": log(lambda lines: cell(7, 4, "9.9")([OPEN, *lines[1:]]),
+                                      r"lift_cylinder\.length.*sample 7"),
+    "lines without end": log(lambda lines: "t [s]," + "x" * 5_000_000, "."),
+    "Parquet that declares 11 GB": Case(lambda d: identify(d, huge_parquet(), name="log.parquet"), r"log\.parquet: .*GB"),
+    "MATLAB that declares 20 GB": mapped(MAT_MAP, r"log\.mat: .*GB", huge_mat(), "log.mat"),
+    "MATLAB cut short": mapped(MAT_MAP, r"log\.mat: ", huge_mat()[:150], "log.mat"),
+    "damaged UR10e recording": Case(_ur10e, r"15harm50secLoad\.csv: data rows 2–10, 6107 .*; .*rows = \[11, 6106\]"),
+    "no such map": Case(lambda d: identify(d, GOOD_LOG, "--map", str(d / "map.toml")), r"map\.toml: "),
+    "map is not TOML": mapped("columns = [", r"map\.toml: "),
+    "map is binary": mapped("\0\1", r"map\.toml: "),
+    "map without columns": mapped("header = true\n", r"map\.toml: .*columns"),
+    "map without time": mapped('[columns]\n"lift.q" = { column = 1, unit = "rad" }\n', r"map\.toml: .*'t'"),
+    "map with an unknown key": mapped(MAP.replace("column = 1", "colum = 1"), r"map\.toml: .*colum"),
+    "map with a unit of the wrong kind": mapped(MAP.replace('"rad"', '"mm"'), r"map\.toml: .*lift\.q.*'mm'"),
+    "map of an absent column": mapped(MAP.replace("column = 1", 'column = "angle"'), r"log\.csv: .*'angle'"),
+    "map of a column beyond the last": mapped(MAP.replace("column = 1", "column = 55"), r"log\.csv: .*55"),
+    "map of a joint that the machine lacks": mapped(MAP.replace("lift.q", "stick.q"), r"log\.csv: .*'lift\.q'"),
+    "map of rows beyond the last": mapped("rows = [1, 9999]\n" + MAP, r"log\.csv: .*9999"),
+    "unknown finding to treat": log(list, "", "--treat", "dirt=drop"),
+    "unknown treatment": log(list, "", "--treat", "nan=guess"),
+    "treatment without action": log(list, "", "--treat", "nan"),
+    "holdout leaves nothing": log(lambda lines: lines[:9], "samples", "--holdout", "0.9"),
+    "validation log missing": log(list, "", "--validate", "none.csv"),
+}
+for name, place in {"unknown finding to treat": "--treat: .*'dirt'", "unknown treatment": "--treat: .*'guess'",
+                    "treatment without action": "--treat: .*'nan'", "validation log missing": r"none\.csv: "}.items():
+    LOGS[name] = Case(LOGS[name].spoil, place)
+
+
+def _in_the_way(folder: Path) -> list[str]:
+    written(folder, "a file", "out")
+    return identify(folder, GOOD_LOG, "--method", "wls")
+
+
+def _log_in_the_way(folder: Path) -> list[str]:
+    (folder / "out" / "log.csv").mkdir(parents=True)
+    return ["simulate", "patu655_lift", "-o", str(folder / "out"), "--duration", "5"]
+
+
+def option(*more: str, place: str) -> Case:
+    return Case(lambda d: identify(d, GOOD_LOG, *more), place)
+
+
+def simulate(*more: str, place: str) -> Case:
+    return Case(lambda d: ["simulate", "patu655_lift", "-o", str(d / "out"), *more], place)
+
+
+OPTIONS = {
+    "unknown command": Case(lambda d: ["calibrat", "patu655_lift"], "'calibrat'"),
+    "unknown option": option("--metod", "wls", place="identify: .*--metod"),
+    "missing argument": Case(lambda d: ["identify", "-o", str(d / "out")], "identify: .*'MACHINE'"),
+    "missing log": Case(lambda d: ["identify", "patu655_lift", "-o", str(d / "out")], r"identify: .*LOG"),
+    "missing output": Case(lambda d: ["simulate", "patu655_lift"], "simulate: .*'--output'"),
+    "one argument too many": Case(lambda d: ["show", "patu655_lift", "cat215b"], "show: .*cat215b"),
+    "option without value": Case(lambda d: ["show", "patu655_lift", "--set"], "'--set'"),
+    "text for a number's option": simulate("--rate", "fast", place="simulate: .*'--rate'"),
+    "unknown method": option("--method", "magic", place="--method: 'magic'"),
+    "unknown loss": option("--loss", "cubes", place="--loss: 'cubes'"),
+    "unknown smoothing": option("--smoothing", "magic", place="--smoothing: 'magic'"),
+    "smoothing without numbers": option("--smoothing", "fourier:x:y", place="--smoothing: 'fourier:x:y'"),
+    "period longer than the log": option("--smoothing", "fourier:99:3", place=r"log\.csv: .*99 s"),
+    "period not a number": option("--smoothing", "fourier:nan:3", place=r"log\.csv: .*nan"),
+    "more harmonics than samples can show": option("--smoothing", "fourier:19:300", place=r"log\.csv: .*300"),
+    "cutoff above Nyquist": option("--smoothing", "butterworth:15", place=r"log\.csv.*: .*15 Hz.*; .*10 Hz"),
+    "cutoff not a number": option("--smoothing", "butterworth:nan", place=r"log\.csv.*: .*nan"),
+    "negative bandwidth": option("--bandwidth", "-1", place="--bandwidth"),
+    "bandwidth not a number": option("--bandwidth", "nan", place="--bandwidth"),
+    "negative tolerance": option("--tolerance", "-1", place="identify: .*'--tolerance'"),
+    "tolerance not a number": option("--tolerance", "nan", place="--tolerance"),
+    "ridge not a number": option("--method", "ridge", "--ridge", "nan", place="--ridge"),
+    "holdout of everything": option("--holdout", "1", place="identify: .*'--holdout'"),
+    "holdout not a number": option("--holdout", "nan", place="--holdout"),
+    "output is a file": Case(_in_the_way, "out: "),
+    "directory where the log goes": Case(_log_in_the_way, "out"),
+    "negative duration": simulate("--duration", "-5", place="simulate: .*-5"),
+    "duration not a number": simulate("--duration", "nan", place="simulate: .*nan"),
+    "endless duration": simulate("--duration", "inf", place="simulate: .*inf"),
+    "rate of zero": simulate("--rate", "0", place="simulate: "),
+    "more samples than memory": simulate("--duration", "1e9", place="simulate: .*samples"),
+    "unknown truth": simulate("--truth", "maybe", place="--truth: 'maybe'"),
+    "motion beyond the limits": Case(lambda d: ["simulate", "patu655_lift", "-o", str(d / "out"), "--motion", str(written(
+        d, "\n".join(cell(7, 1, "3")(GOOD_LOG)), "log.csv"))], r"log\.csv: lift\.q .*sample 7"),
+    "unknown set of a bundled machine": Case(lambda d: ["show", "cat215b", "--set", "magic"], "cat215b: .*'magic'"),
+}
+CASES = FILES | {f"machine: {name}": case for name, case in MACHINES.items()} | LOGS | OPTIONS

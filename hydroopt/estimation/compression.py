@@ -34,7 +34,7 @@ class Compressed:
         return R[:, :p], R[:, p]
 
 
-def chunks(model: Model, experiments: Sequence[Experiment]) -> Iterator[tuple[int, Array, Array, Array]]:
+def _chunks(model: Model, experiments: Sequence[Experiment]) -> Iterator[tuple[int, Array, Array, Array]]:
     """(experiment, sample indices, K (m, n, p), f (m, n)) for all samples that take part, a chunk at a time."""
     for which, data in enumerate(experiments):
         taken = np.flatnonzero(data.inside)
@@ -50,7 +50,7 @@ def compress(model: Model, experiments: Sequence[Experiment], weights: Sequence[
     n, p = len(model.machine.joints), len(model.parameters)
     triangles = np.zeros((n, p + 1, p + 1))
     samples = np.zeros(n)
-    for which, rows, K, force in chunks(model, experiments):
+    for which, rows, K, force in _chunks(model, experiments):
         block = np.concatenate([K, force[:, :, None]], axis=2)
         if weights is not None:
             block = block * np.sqrt(weights[which][rows])[:, :, None]
@@ -69,9 +69,9 @@ def _fold(triangle: Array, block: Array) -> Array:
 def predict(model: Model, data: Experiment, psi: Array) -> Array:
     """Actuator forces (N, n) that the parameters ψ predict for a measured motion, a chunk at a time."""
     out = np.empty_like(data.force)
+    motion = data.motion
     for start in range(0, len(out), CHUNK):
         rows = np.s_[start : start + CHUNK]
-        motion = data.motion
-        K = model.over(model.regressor, motion.q[rows], motion.qd[rows], motion.qdd[rows])[0]
-        out[rows] = K @ psi
+        psis = np.broadcast_to(psi, (len(motion.q[rows]), len(psi)))
+        out[rows] = model.over(model.inverse_dynamics, motion.q[rows], motion.qd[rows], motion.qdd[rows], psis)[0][:, :, 0]
     return out

@@ -58,7 +58,7 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
     angles = np.column_stack([_angle(model, log, joint) for joint in machine.joints])
     smoothing = smoothing or SmoothingSpline(bandwidth=machine.bandwidth)
     motion = condition(log.t, angles, log.segment, smoothing, angle_noise(machine, log),
-                       where=log.path or log.name)
+                       names=machine.joints, where=log.path or log.name)
     force = np.column_stack([_force(model, log, k) for k in range(len(machine.joints))])
     slow = np.maximum(NOISE_FACTOR * _velocity_noise(angles, motion), OVERSHOOT * np.sqrt(np.mean(motion.qd**2, axis=0)))
     return Experiment(log, motion, force, np.abs(motion.qd) > slow)

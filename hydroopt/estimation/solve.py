@@ -5,11 +5,12 @@ from __future__ import annotations
 from typing import Literal, get_args
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from hydroopt import identifiability, inertia
 from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.estimation import feasible, linear, nonlinear, uncertainty
-from hydroopt.estimation.compression import Compressed, chunks, compress
+from hydroopt.estimation.compression import Compressed, compress, predict
 from hydroopt.estimation.estimate import Estimate
 from hydroopt.estimation.gaussian import gaussian
 from hydroopt.estimation.linear import RANK_TOLERANCE
@@ -33,7 +34,8 @@ def solve(problem: Problem, method: Method = "sdp", *, tolerance: float = RANK_T
             parameters (Eq. 4.58); ``ridge`` (Eq. 4.59); ``tsvd`` truncated singular values (Eq. 4.60).
         tolerance: part of the largest singular value below which a direction counts as unseen.
         ridge: strength λ for ``ridge``, relative to the largest eigenvalue; chosen by cross-validation if None.
-        intervals: whether to sample the posterior where constraints may be active.
+        intervals: whether to sample the posterior. The estimate is then its mean, else its most probable point; the
+            mean of possible machines is a possible machine, is nearer to the truth and lies inside its intervals.
         seed: of that sampling.
 
     Raises:
@@ -47,6 +49,12 @@ def solve(problem: Problem, method: Method = "sdp", *, tolerance: float = RANK_T
         extra = [*(c.name for c in problem.constraints), *(p.name for p in problem.priors), *problem.fixed]
         raise ProblemError(f"method '{method}' cannot honour {', '.join(extra)}", where="solve",
                            remedy="use qp, sdp or nlp")
+    # the matrices are too small to gain from threads, which only get in each other's way
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _solve(problem, method, tolerance, ridge, intervals, seed)
+
+
+def _solve(problem: Problem, method: Method, tolerance: float, ridge: float | None, intervals: bool, seed: int) -> Estimate:
     data = compress(problem.model, problem.experiments)
     sigma = _weights(problem, data, tolerance)
     if problem.loss != "squares":
@@ -100,10 +108,7 @@ def _robust(problem: Problem, data: Compressed, sigma: Array, tolerance: float) 
 
 
 def _residuals(problem: Problem, psi: Array) -> list[Array]:
-    out = [np.zeros_like(e.force) for e in problem.experiments]
-    for which, rows, K, force in chunks(problem.model, problem.experiments):
-        out[which][rows] = force - K @ psi
-    return out
+    return [e.force - predict(problem.model, e, psi) for e in problem.experiments]
 
 
 def _correlation_times(problem: Problem, psi: Array) -> Array:
@@ -153,7 +158,7 @@ def _linear_estimate(problem: Problem, method: str, R: Array, r: Array, sigma: A
 def _constrained_estimate(problem: Problem, method: str, R: Array, r: Array, solution: feasible.Solution, sigma: Array,
                           times: Array, seen: Identifiability, tolerance: float, intervals: bool, seed: int) -> Estimate:
     p = len(problem.parameters)
-    value, std, ci = solution.psi.copy(), np.full(p, np.nan), np.full((p, 2), np.nan)
+    psi, std, ci = solution.psi, np.full(p, np.nan), np.full((p, 2), np.nan)
     base_std = np.full(seen.rank, np.nan)
     note = "intervals were not asked for"
     if intervals:
@@ -163,14 +168,17 @@ def _constrained_estimate(problem: Problem, method: str, R: Array, r: Array, sol
         else:
             std, ci = posterior.interval()
             base_std, _ = posterior.interval(seen.grouping)
-            note = posterior.note
+            # the most probable point sits in a corner of the constraints, with most of what is possible on one side of it
+            psi = solution.psi if posterior.mean is None else posterior.mean
+            note = f"values are {'the most probable ones' if posterior.mean is None else 'posterior means'}; {posterior.note}"
     # where neither data nor prior say anything, no number is an estimate
     rows, _ = problem.prior_rows
     told = identifiability.analyse(np.vstack([R, rows]), problem.parameters.names, tolerance=tolerance)
     unseen = np.array(seen.category) == identifiability.NONE
     untold = np.array(told.category) != identifiability.FULL
+    value = psi.copy()
     value[untold], std[untold | unseen], ci[untold | unseen] = np.nan, np.nan, np.nan
-    return _assemble(problem, method, R, solution.psi, value, std, ci, solution.active, seen, base_std, sigma, times,
+    return _assemble(problem, method, R, psi, value, std, ci, solution.active, seen, base_std, sigma, times,
                      (note,), seed)
 
 

@@ -19,14 +19,18 @@ from hydroopt.estimation.gaussian import Gaussian, gaussian
 from hydroopt.estimation.problem import Named, Problem
 from hydroopt.inertia import Array
 
-CHAINS, WARM_UP, SWEEPS, KEEP_EVERY, BLOCK = 96, 16, 32, 2, 4
+CHAINS, WARM_UP, SWEEPS, KEEP_EVERY, BLOCK, TRIES = 64, 20, 40, 2, 4, 5
 
 
 @dataclass(frozen=True, eq=False)
 class Posterior:
-    """Samples (s, p) of the parameters; `note` tells in words how they were drawn, or why there are none."""
+    """Samples (s, p) of the parameters, their mean (p,), and how they were drawn in words.
+
+    `mean` is None where the mean of possible parameters is not itself possible: constraints that are not convex.
+    """
 
     samples: Array
+    mean: Array | None
     note: str
 
     def interval(self, rows: Array | None = None) -> tuple[Array, Array]:
@@ -65,9 +69,12 @@ def sample(problem: Problem, R: Array, r: Array, psi: Array, *, consistent: bool
             state, reach = _elliptical_step(state, reach, order[first : first + BLOCK], limits, rng)
         if sweep >= WARM_UP and sweep % KEEP_EVERY == 0:
             kept.append(belief.offset + state @ belief.slope.T)
-    note = (f"intervals from the Gaussian posterior cut off by bounds and constraints: {CHAINS * len(kept)} samples by "
+    samples = np.concatenate(kept)
+    centre = np.linalg.lstsq(belief.slope / scale[:, None], (samples.mean(axis=0) - belief.offset) / scale, rcond=None)[0]
+    possible = bool(limits.hold(limits.of(centre[None]), centre[None])[0])
+    note = (f"intervals from the Gaussian posterior cut off by bounds and constraints: {len(samples)} samples by "
             "elliptical slice sampling")
-    return Posterior(np.concatenate(kept), note)
+    return Posterior(samples, samples.mean(axis=0) if possible else None, note)
 
 
 class _Limits:
@@ -108,7 +115,7 @@ class _Limits:
         """Whether all limits hold (c,), from the linear functions and, if the user has others, the states."""
         good = np.all(reach[:, self._bodies :] >= 0, axis=1)
         if self._bodies:
-            good &= np.all(_positive_definite(reach[:, : self._bodies].reshape(len(reach), -1, 10)), axis=1)
+            good &= np.all(_positive_definite(reach[:, : self._bodies].reshape(len(reach), self._bodies // 10, 10)), axis=1)
         if self._inequality is not None:
             good[good] = self._inequality(self._to_psi(state[good]))
         return np.asarray(good)
@@ -116,13 +123,19 @@ class _Limits:
 
 def _elliptical_step(state: Array, reach: Array, block: Array, limits: _Limits,
                      rng: np.random.Generator) -> tuple[Array, Array]:
-    """Move a block of coordinates of all chains along random ellipses, shrunk until the limits hold."""
+    """Move a block of coordinates of all chains along random ellipses, shrunk until the limits hold.
+
+    A chain that found no place after `TRIES` stays: every number of rejected places is as likely on the way back, so
+    that stopping early keeps the distribution, and the slowest chain does not hold up the others.
+    """
     other = rng.standard_normal((len(state), len(block)))
     high = rng.uniform(0, 2 * np.pi, len(state))
     low, angle = high - 2 * np.pi, high.copy()
     moved, reached = state.copy(), reach.copy()
     waiting = np.arange(len(state))
-    while waiting.size:
+    for _ in range(TRIES):
+        if not waiting.size:
+            break
         at = angle[waiting, None]
         here = state[np.ix_(waiting, block)]
         step = here * (np.cos(at) - 1) + other[waiting] * np.sin(at)

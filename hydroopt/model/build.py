@@ -31,6 +31,7 @@ class Model:
         self.actuator_inertia = actuator_inertia
         self.at = coordinates(machine)
         self.dynamics = Dynamics(machine, self.at)
+        self._maps: dict[tuple[str, int], ca.Function] = {}
 
     @cached_property
     def parameters(self) -> ParameterSet:
@@ -44,7 +45,7 @@ class Model:
         for link in self.machine.links:
             pose = self.dynamics.links[link.name].pose @ geometry.far_end(link.joint)
             ends[link.name] = ca.vertcat(ca.horzcat(pose.rotation, pose.origin), ca.DM([[0, 0, 0, 1]]))
-        return ca.Function("forward_kinematics", [self.at.q], list(ends.values()), ["q"], list(ends))
+        return _dense("forward_kinematics", [self.at.q], list(ends.values()), ["q"], list(ends))
 
     @cached_property
     def cylinder_kinematics(self) -> ca.Function:
@@ -54,7 +55,7 @@ class Model:
                                        for key in ("length", "speed", "acceleration"))
         lever_arm = ca.jacobian(length, self.at.q) if motions else ca.SX(0, len(self.machine.joints))
         rate = ca.reshape(ca.jtimes(ca.vec(lever_arm), self.at.q, self.at.qd), lever_arm.shape)
-        return ca.Function("cylinder_kinematics", [*self.at], [length, speed, acceleration, lever_arm, rate],
+        return _dense("cylinder_kinematics", [*self.at], [length, speed, acceleration, lever_arm, rate],
                            ["q", "qd", "qdd"], ["length", "speed", "acceleration", "lever_arm", "lever_arm_rate"])
 
     @cached_property
@@ -77,8 +78,8 @@ class Model:
             branch = int(np.sign(np.sin(middle + float(sides.offset))))
             angle, length = ca.SX.sym("angle"), ca.SX.sym("length")
             pairs[cylinder.name] = (
-                ca.Function("triangle_length", [angle], [triangle_length(sides, angle)], ["angle"], ["length"]),
-                ca.Function("triangle_angle", [length], [triangle_angle(sides, length, branch, middle)],
+                _dense("triangle_length", [angle], [triangle_length(sides, angle)], ["angle"], ["length"]),
+                _dense("triangle_angle", [length], [triangle_angle(sides, length, branch, middle)],
                             ["length"], ["angle"]))
         return pairs
 
@@ -86,14 +87,14 @@ class Model:
     def regressor(self) -> ca.Function:
         """(q, qd, qdd) → K (n, p), actuator forces per parameter (Eq. 4.55)."""
         K = self.dynamics.regressor(actuator_inertia=self.actuator_inertia)
-        return ca.Function("regressor", [*self.at], [ca.densify(K)], ["q", "qd", "qdd"], ["K"])
+        return _dense("regressor", [*self.at], [K], ["q", "qd", "qdd"], ["K"])
 
     @cached_property
     def inverse_dynamics(self) -> ca.Function:
         """(q, qd, qdd, psi) → measured actuator forces (n,) [N or N·m] (Eq. 4.56)."""
         psi = ca.SX.sym("psi", len(self.parameters))
         K = self.dynamics.regressor(actuator_inertia=self.actuator_inertia)
-        return ca.Function("inverse_dynamics", [*self.at, psi], [K @ psi], ["q", "qd", "qdd", "psi"], ["force"])
+        return _dense("inverse_dynamics", [*self.at, psi], [K @ psi], ["q", "qd", "qdd", "psi"], ["force"])
 
     @cached_property
     def lagrange_forces(self) -> ca.Function:
@@ -103,7 +104,7 @@ class Model:
         for owner in dynamic_parameters.bodies(self.machine, actuator_inertia=self.actuator_inertia):
             first = self.parameters.index(f"{owner}.m")
             total += lagrange.joint_forces(self.dynamics, owner, psi[first:first + 10])
-        return ca.Function("lagrange_forces", [*self.at, psi], [self.dynamics.at_actuators(total)],
+        return _dense("lagrange_forces", [*self.at, psi], [self.dynamics.at_actuators(total)],
                            ["q", "qd", "qdd", "psi"], ["force"])
 
     @cached_property
@@ -111,7 +112,7 @@ class Model:
         """(q, qd, qdd, force, psi) → measured minus predicted actuator forces (n,)."""
         psi, force = ca.SX.sym("psi", len(self.parameters)), ca.SX.sym("force", len(self.machine.actuators))
         predicted = self.inverse_dynamics(*self.at, psi)
-        return ca.Function("residual", [*self.at, force, psi], [force - predicted],
+        return _dense("residual", [*self.at, force, psi], [force - predicted],
                            ["q", "qd", "qdd", "force", "psi"], ["residual"])
 
     @cached_property
@@ -138,8 +139,28 @@ class Model:
     def over(self, function: ca.Function, *series: Array) -> list[Array]:
         """Evaluate a function at N samples, each series (N, k); outputs (N, rows, columns)."""
         samples = len(series[0])
-        columns = [np.ascontiguousarray(np.asarray(s, dtype=float).T) for s in series]
-        results = function.map(samples)(*columns)
-        results = results if isinstance(results, tuple) else (results,)
-        # CasADi stacks the samples side by side
-        return [np.asarray(r).reshape(r.shape[0], samples, -1).swapaxes(0, 1) for r in results]
+        mapped = self._mapped(function, samples)
+        buffer, evaluate = mapped.buffer()
+        held = [np.ascontiguousarray(s, dtype=float).reshape(samples, -1) for s in series]
+        results = [np.empty((samples, function.size2_out(i), function.size1_out(i))) for i in range(function.n_out())]
+        for i, values in enumerate(held):
+            if values.shape[1] != function.numel_in(i):
+                raise ValueError(f"{function.name()} takes {function.numel_in(i)} values for {function.name_in(i)}, "
+                                 f"not {values.shape[1]}")
+            buffer.set_arg(i, memoryview(values).cast("B").cast("d"))
+        for i, values in enumerate(results):
+            buffer.set_res(i, memoryview(values).cast("B").cast("d"))
+        evaluate()
+        return [values.swapaxes(1, 2) for values in results]  # CasADi writes column by column
+
+    def _mapped(self, function: ca.Function, samples: int) -> ca.Function:
+        key = (function.name(), samples)
+        if key not in self._maps:
+            self._maps[key] = function.map(samples)
+        return self._maps[key]
+
+
+def _dense(name: str, inputs: list[ca.SX], outputs: list[ca.SX], input_names: list[str],
+           output_names: list[str]) -> ca.Function:
+    """A function whose outputs are full matrices, so that their layout is the same for every machine."""
+    return ca.Function(name, inputs, [ca.densify(out) for out in outputs], input_names, output_names)

@@ -1,5 +1,6 @@
 """From sampled joint positions to smooth positions, velocities and accelerations, each stretch by itself."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -73,6 +74,7 @@ def condition(
     smoothing: Smoothing = SmoothingSpline(),
     noise: ArrayLike | None = None,
     *,
+    names: Sequence[str] = (),
     where: str = "log",
 ) -> Motion:
     """Smooth positions and their first and second derivatives.
@@ -83,6 +85,7 @@ def condition(
         segment: (N,) index of the stretch each sample belongs to; None for one stretch.
         smoothing: how.
         noise: (n,) or scalar standard deviation of each joint's sensor, unit of q; None if unknown.
+        names: of the joints, for the notes.
         where: name of the log, for error messages.
 
     Raises:
@@ -119,7 +122,7 @@ def condition(
             corners = np.full(positions.shape[1], smoothing.cutoff)
         else:
             stated = None if smoothing.cross_validate else stds
-            out[:, span], corners, said = _spline(times[span], positions[span], smoothing, stated, here)
+            out[:, span], corners, said = _spline(times[span], positions[span], smoothing, stated, names, here)
             notes += said
         bandwidth = np.minimum(bandwidth, corners)
         reach = min(0.5 / float(np.min(corners)), 0.1 * float(times[stop - 1] - times[start]))
@@ -129,7 +132,7 @@ def condition(
     return Motion(times, out[0], out[1], out[2], parts, interior, bandwidth, tuple(notes))
 
 
-def _spline(t: Array, q: Array, smoothing: SmoothingSpline, stds: Array | None,
+def _spline(t: Array, q: Array, smoothing: SmoothingSpline, stds: Array | None, names: Sequence[str],
             where: str) -> tuple[Array, Array, list[str]]:
     if t.size < spline.MIN_SAMPLES:
         raise LogError(f"a stretch of {t.size} samples is too short to differentiate", where=where,
@@ -144,7 +147,7 @@ def _spline(t: Array, q: Array, smoothing: SmoothingSpline, stds: Array | None,
         chosen = "cross-validation" if stated is None else f"the stated noise of {stated:.3g}"
         if smoothing.bandwidth and fitted.bandwidth > 0.99 * smoothing.bandwidth:
             chosen = "the stated bandwidth of the motion"
-        note = (f"joint {joint + 1}, {where}: smoothing spline with {fitted.bandwidth:.3g} Hz bandwidth from "
+        note = (f"{names[joint] if names else f'joint {joint + 1}'}, {where}: smoothing spline with {fitted.bandwidth:.3g} Hz bandwidth from "
                 f"{chosen}, residual std {fitted.residual:.3g}")
         if stated and not 0.5 < fitted.residual / stated < 1.5:
             note += " (which does not agree: check the stated noise)"

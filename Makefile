@@ -1,0 +1,38 @@
+PYTHON ?= python3
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+
+.PHONY: demo test lint studies bench wheel clean
+
+$(READY): pyproject.toml constraints.txt
+	$(PYTHON) -m venv $(VENV)
+	$(BIN)/pip install --quiet --constraint constraints.txt --editable '.[dev]'
+	touch $@
+
+# the main job on real data, then the excavator
+demo: $(READY)
+	$(BIN)/hydroopt identify kr300 data/kr300/run_A.mat --map data/kr300/map.toml --holdout 0.3 -o out/kr300
+	$(BIN)/hydroopt simulate cat215b --truth random --truth-seed 1 --seed 1 -o out/cat215b/run1
+	$(BIN)/hydroopt simulate cat215b --truth random --truth-seed 1 --seed 2 -o out/cat215b/run2
+	$(BIN)/hydroopt identify cat215b out/cat215b/run1/log.csv --validate out/cat215b/run2/log.csv -o out/cat215b
+	@echo "open out/kr300/report.html and out/cat215b/report.html"
+
+test: $(READY) lint
+	$(BIN)/pytest
+
+lint: $(READY)
+	$(BIN)/ruff check
+	$(BIN)/mypy
+
+studies: $(READY)
+	$(BIN)/python -m studies
+
+bench: $(READY)
+	$(BIN)/python -m studies.bench
+
+wheel: $(READY)
+	$(BIN)/python -m build --wheel
+
+clean:
+	rm -rf $(VENV) out build dist *.egg-info

@@ -1,0 +1,54 @@
+"""Run studies and hold their results against their expected.json."""
+
+import json
+import runpy
+import sys
+import time
+from pathlib import Path
+
+HERE = Path(__file__).parent
+
+
+def verdicts(results: dict, expected: dict) -> list[tuple[str, bool, str]]:
+    """For every expected quantity: its name, whether it holds, and the comparison in words."""
+    found = []
+    for name, limits in expected.items():
+        value = results.get(name)
+        text, holds = f"{value}", value is not None
+        for kind, bound in limits.items():
+            if kind == "max":
+                good, sign = holds and value <= bound, "≤"
+            elif kind == "min":
+                good, sign = holds and value >= bound, "≥"
+            elif kind == "equals":
+                good, sign = holds and value == bound, "="
+            else:
+                continue  # "why" and the like explain
+            text, holds = f"{text} {sign} {bound}", good
+        found.append((name, holds, text))
+    return found
+
+
+def main(names: list[str]) -> int:
+    """Exit code: the number of studies that failed."""
+    failed = 0
+    for folder in sorted(path.parent for path in HERE.glob("*/run.py")):
+        if names and folder.name not in names:
+            continue
+        began = time.perf_counter()
+        results = runpy.run_path(str(folder / "run.py"))["run"]()
+        if results is None:
+            print(f"{folder.name}: skipped, its data set is not at hand")
+            continue
+        table = verdicts(results, json.loads((folder / "expected.json").read_text()))
+        failed += not all(holds for _, holds, _ in table)
+        print(f"{folder.name} ({time.perf_counter() - began:.0f} s)")
+        for name, holds, text in table:
+            print(f"  {'ok  ' if holds else 'FAIL'} {name}: {text}")
+        for name in sorted(results.keys() - {name for name, _, _ in table}):
+            print(f"       {name}: {results[name]}")
+    return failed
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))
