@@ -18,7 +18,7 @@ from rich.table import Table
 
 from hydroopt import identifiability, synthetic
 from hydroopt.description import load_machine
-from hydroopt.errors import HydrooptError, LogError, ProblemError, SolverError
+from hydroopt.errors import HydrooptError, IdentifiabilityError, LogError, ProblemError, SolverError
 from hydroopt.estimation.problem import Loss, identification_problem
 from hydroopt.estimation.solve import METHODS, Method, solve
 from hydroopt.estimation.verdict import doubts
@@ -30,6 +30,9 @@ from hydroopt.signals.log import Log, read_log
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help=(
     "Calibrate hydraulically actuated manipulators: a machine file and logs in, a model with error bars out."))
+
+STANDSTILL = 1e-6
+"""Range of a position [rad or m] within which a joint stands still in a log."""
 
 MachineName = Annotated[str, typer.Argument(metavar="MACHINE", help="A bundled machine's name or a .toml file.")]
 ParameterSetName = Annotated[str | None, typer.Option("--set", help="Which of the file's sets of inertial parameters.")]
@@ -138,10 +141,11 @@ def simulate(
                else model.parameters.nominal)
         log = synthetic.simulate(model, path, psi, noise=noise, seed=seed, name=described.name)
     named = dict(zip(model.parameters.names, psi.tolist(), strict=True))
-    folder.write_files(output, {"truth.json": json.dumps(
-        {"machine": described.name, "sha256": described.sha256, "seed": seed, "noise": noise, "parameters": named}, indent=1)})
+    folder.write_files(output, {})  # the directory
     file = output / ("log.parquet" if parquet else "log.csv")
     log.write(file)
+    folder.write_files(output, {"truth.json": json.dumps(
+        {"machine": described.name, "sha256": described.sha256, "seed": seed, "noise": noise, "parameters": named}, indent=1)})
     if not quiet:
         typer.echo(f"{file}: {len(log.t)} samples, channels {', '.join(log.channels)}")
 
@@ -194,7 +198,11 @@ def identify(
         train, held_out = [pair[0] for pair in pairs], held_out + [pair[1] for pair in pairs]
     with _progress(f"identifying {described.name}", quiet):
         problem = identification_problem(described, train, held_out, actuator_inertia=not reduced,
-                                         smoothing=_smoothing(smoothing, bandwidth or described.bandwidth))
+                                         smoothing=_smoothing(
+                                             smoothing, described.bandwidth if bandwidth is None else bandwidth))
+        if all(np.max(np.ptp(data.motion.q, axis=0)) < STANDSTILL for data in problem.experiments):
+            raise IdentifiabilityError("no joint moves in what is to be learnt from", where=", ".join(map(str, logs)),
+                                       remedy="record a log in which the joints move")
         problem = problem.with_loss(_one_of(loss, "--loss"))
         try:
             estimate = solve(problem, _method(method), tolerance=tolerance, ridge=ridge, seed=seed)
@@ -234,6 +242,8 @@ def _one_of(text: str, where: str) -> Loss:
 
 
 def _smoothing(text: str, bandwidth: float | None) -> Smoothing:
+    if bandwidth is not None and not 0 < bandwidth < math.inf:
+        raise ProblemError(f"{bandwidth:g} Hz is no frequency", where="--bandwidth", remedy="give a positive one")
     kind, *numbers = text.split(":")
     try:
         if kind == "spline" and numbers in ([], ["cv"]):
@@ -248,7 +258,7 @@ def _smoothing(text: str, bandwidth: float | None) -> Smoothing:
                        remedy="use spline, spline:cv, fourier:PERIOD:HARMONICS or butterworth:HZ")
 
 
-_USAGE_ERROR = typer.BadParameter.__base__ or Exception
+_USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]
 """What typer raises when arguments do not fit: click's UsageError, or the one typer brings along."""
 
 
@@ -277,7 +287,8 @@ def _explain(error: Any) -> None:
     command = context.command_path if context else "hydroopt"
     what = " ".join(error.format_message().split()).rstrip(".?").replace(". Did you mean", ", did you mean")
     place = command.partition(" ")[2]
-    typer.echo(f"hydroopt: {place + ': ' if place else ''}{what[:1].lower()}{what[1:]}; see '{command} --help'.", err=True)
+    typer.echo(f"hydroopt: {place + ': ' if place else ''}{what[:1].lower()}{what[1:]}; see '{command} --help'.",
+               err=True)
 
 
 if __name__ == "__main__":

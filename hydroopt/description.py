@@ -78,7 +78,7 @@ def read_machine(text: str, *, where: str = "machine", parameter_set: str | None
     notes: dict[str, Note] = {}
     try:
         data = _strip_notes(data, "", "", notes)
-        before = "base"
+        before: Any = "base"
         for link in links if isinstance(links := data.get("links"), list) else []:
             if isinstance(link, dict):  # in a serial chain the parent need not be said
                 before = link.setdefault("parent", before) and link.get("name")
@@ -160,8 +160,9 @@ def _strip_notes(node: Any, path: str, place: str, notes: dict[str, Note]) -> An
     if isinstance(node, list):
         # parts are addressed by their names, which are unique over the machine
         names = [item["name"] if isinstance(item, dict) and "name" in item else None for item in node]
-        return [_strip_notes(item, f"{path}.{k}" if name is None else str(name), f"{place}[{k if name is None else name}]",
-                             notes) for k, (name, item) in enumerate(zip(names, node, strict=True))]
+        return [_strip_notes(item, f"{path}.{k}" if name is None else str(name),
+                             f"{place}[{k if name is None else name}]", notes)
+                for k, (name, item) in enumerate(zip(names, node, strict=True))]
     return node
 
 
@@ -197,7 +198,9 @@ def _in_plain_words(error: ValidationError, data: dict[str, Any]) -> tuple[str, 
     """What, place and remedy of the first mistake, an unknown key before all: it often is the one that is missing."""
     mistakes = error.errors()
     first = next((m for m in mistakes if m["type"] == "extra_forbidden"), mistakes[0])
-    place, node, above = "", data, data
+    place = ""
+    node: Any = data
+    above: Any = data
     for step in first["loc"]:
         above = node
         node = node[step] if isinstance(node, list | dict) and step in (
@@ -212,7 +215,7 @@ def _in_plain_words(error: ValidationError, data: dict[str, Any]) -> tuple[str, 
     if isinstance(impossible, ImpossibleError):
         return impossible.what, f"{place}.{impossible.key}".strip("."), impossible.remedy
     if kind == "missing" and isinstance(first["loc"][-1], int):
-        wanted = 1 + max(m["loc"][-1] for m in mistakes if m["loc"][:-1] == first["loc"][:-1])
+        wanted = 1 + max(int(m["loc"][-1]) for m in mistakes if m["loc"][:-1] == first["loc"][:-1])
         return f"there are {len(above)} values instead of {wanted}", place.rpartition("[")[0], "state them all"
     if kind == "too_long":
         return f"there are {len(node)} values instead of {context['max_length']}", place, "remove those beyond"
@@ -223,7 +226,8 @@ def _in_plain_words(error: ValidationError, data: dict[str, Any]) -> tuple[str, 
     if kind == "extra_forbidden":
         known = sorted({key for noun in Noun.__subclasses__() for key in noun.model_fields})
         like = get_close_matches(str(first["loc"][-1]), known, 1, 0.75)
-        return "this key is unknown", place, (f"write '{like[0]}'" if like else "correct its spelling") + " or remove it"
+        better = f"write '{like[0]}'" if like else "correct its spelling"
+        return "this key is unknown", place, f"{better} or remove it"
     said = str(node if isinstance(node, bool | int | float | str) else first["input"])
     said = said.lower() if isinstance(node, bool) else said
     return f"{_must(kind, context, first['msg'], first['input'])}, not '{said:.60}'", place, "correct it"

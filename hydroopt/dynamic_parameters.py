@@ -127,13 +127,14 @@ def _driver(machine: Machine, joint: str) -> Cylinder | Motor | Drive | None:
 
 def _body_block(owned: Owned, notes: dict[str, Note]) -> tuple[Array, Array, Array, Array]:
     phi = owned.body.phi
-    lower, upper = np.full(10, -np.inf), np.full(10, np.inf)
+    lower: Array = np.full(10, -np.inf)
+    upper: Array = np.full(10, np.inf)
     note = notes.get(f"{owned.path}.m", Note())
     lower[0] = note.lower if note.lower is not None else 0.0
     if note.upper is not None:
         upper[0] = note.upper
     covariance = _body_covariance(owned, notes)
-    information = np.linalg.inv(covariance) if covariance is not None else np.zeros((10, 10))
+    information: Array = np.linalg.inv(covariance) if covariance is not None else np.zeros((10, 10))
     return phi, lower, upper, information
 
 

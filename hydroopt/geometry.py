@@ -103,8 +103,8 @@ def _stroke_suffices(cylinder: Cylinder, joint: str, sides: Triangle, lower: flo
     retracted, extended = cylinder.dead_length, cylinder.dead_length + cylinder.stroke
     if retracted > longest or extended < shortest:
         raise ImpossibleError(
-            f"the triangle of '{cylinder.name}' is open at every {joint}: its pins can be {shortest:.3f} to {longest:.3f} m "
-            f"apart, the cylinder {retracted:.3f} to {extended:.3f} m long", "correct its pins, dead length or stroke")
+            f"the triangle of '{cylinder.name}' is open at every {joint}: its pins can be {shortest:.3f} to "
+            f"{longest:.3f} m apart, the cylinder {retracted:.3f} to {extended:.3f} m long", "correct its pins, dead length or stroke")
     for angle in (lower, upper):
         length = np.sqrt(fixed**2 + moving**2 + lateral**2 - 2 * fixed * moving * np.cos(angle + offset))
         if not retracted - 1e-9 <= length <= extended + 1e-9:

@@ -54,7 +54,7 @@ def analyse(regressor: Array, names: Sequence[str], *, tolerance: float = 1e-8) 
         tolerance: a singular value of the scaled regressor below this part of the largest counts as zero, and so does a
             column below this part of its row space.
     """
-    R = np.linalg.qr(regressor, mode="r") if regressor.shape[0] > regressor.shape[1] else regressor
+    R: Array = np.asarray(np.linalg.qr(regressor, mode="r") if regressor.shape[0] > regressor.shape[1] else regressor)
     lengths = np.linalg.norm(R, axis=0)
     present = np.flatnonzero(lengths > 1e-12 * max(lengths.max(initial=0.0), 1e-300))
     scaled = R[:, present] / lengths[present]

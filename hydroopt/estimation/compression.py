@@ -6,6 +6,7 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt.estimation.experiment import Experiment
 from hydroopt.inertia import Array
@@ -30,11 +31,11 @@ class Compressed:
         """R (p, p) upper triangular and r (p,) with ``‖R·ψ − r‖²`` the weighted sum of squares, up to a constant."""
         p = self.triangles.shape[2] - 1
         stacked = (self.triangles / sigma[:, None, None]).reshape(-1, p + 1)
-        R = np.linalg.qr(stacked, mode="r")[:p]
+        R: Array = np.asarray(np.linalg.qr(stacked, mode="r"))[:p]
         return R[:, :p], R[:, p]
 
 
-def _chunks(model: Model, experiments: Sequence[Experiment]) -> Iterator[tuple[int, Array, Array, Array]]:
+def _chunks(model: Model, experiments: Sequence[Experiment]) -> Iterator[tuple[int, NDArray[np.intp], Array, Array]]:
     """(experiment, sample indices, K (m, n, p), f (m, n)) for all samples that take part, a chunk at a time."""
     for which, data in enumerate(experiments):
         taken = np.flatnonzero(data.inside)
@@ -62,7 +63,7 @@ def compress(model: Model, experiments: Sequence[Experiment], weights: Sequence[
 
 
 def _fold(triangle: Array, block: Array) -> Array:
-    folded = np.linalg.qr(np.vstack([triangle, block]), mode="r")
+    folded: Array = np.asarray(np.linalg.qr(np.vstack([triangle, block]), mode="r"))
     return folded[: len(triangle)]
 
 

@@ -32,7 +32,8 @@ def gaussian(problem: Problem, R: Array, r: Array, equalities: tuple[Array, Arra
     rows, right = problem.prior_rows
     A = np.vstack([np.vstack([R, rows]) * scale, np.eye(p) / WIDEST])
     b = np.concatenate([r - R @ nominal, right - rows @ nominal, np.zeros(p)])
-    particular, free = np.zeros(p), np.eye(p)
+    particular: Array = np.zeros(p)
+    free: Array = np.eye(p)
     if equalities is not None and len(equalities[0]):
         E, e = equalities[0] * scale, equalities[1] - equalities[0] @ nominal
         particular = np.linalg.lstsq(E, e, rcond=None)[0]

@@ -12,12 +12,15 @@ from dataclasses import dataclass
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt import inertia
 from hydroopt.estimation.feasible import MARGIN, scaled_bodies
 from hydroopt.estimation.gaussian import Gaussian, gaussian
 from hydroopt.estimation.problem import Named, Problem
 from hydroopt.inertia import Array
+
+Mask = NDArray[np.bool_]
 
 CHAINS, WARM_UP, SWEEPS, KEEP_EVERY, BLOCK, TRIES = 64, 20, 40, 2, 4, 5
 
@@ -105,20 +108,20 @@ class _Limits:
         self.slope, self.start = belief.slope.T @ gradient, np.concatenate(constants) + belief.offset @ gradient
         self._bodies = 10 * len(bodies)
         self._inequality = inequality
-        self._to_psi = lambda z: belief.offset + z @ belief.slope.T
+        self._belief = belief
 
     def of(self, state: Array) -> Array:
         """The linear functions (c, m) at the states z (c, k)."""
         return np.asarray(self.start + state @ self.slope)
 
-    def hold(self, reach: Array, state: Array) -> Array:
+    def hold(self, reach: Array, state: Array) -> Mask:
         """Whether all limits hold (c,), from the linear functions and, if the user has others, the states."""
-        good = np.all(reach[:, self._bodies :] >= 0, axis=1)
+        good: Mask = np.all(reach[:, self._bodies :] >= 0, axis=1)
         if self._bodies:
             good &= np.all(_positive_definite(reach[:, : self._bodies].reshape(len(reach), self._bodies // 10, 10)), axis=1)
         if self._inequality is not None:
-            good[good] = self._inequality(self._to_psi(state[good]))
-        return np.asarray(good)
+            good[good] = self._inequality(self._belief.offset + state[good] @ self._belief.slope.T)
+        return good
 
 
 def _elliptical_step(state: Array, reach: Array, block: Array, limits: _Limits,
@@ -152,7 +155,7 @@ def _elliptical_step(state: Array, reach: Array, block: Array, limits: _Limits,
     return moved, reached
 
 
-def _positive_definite(upper: Array) -> Array:
+def _positive_definite(upper: Array) -> Mask:
     """Whether each of many symmetric matrices, given by their upper triangles (..., 10), is positive definite."""
     a, b, c, d, e, f, g, h, i, j = np.moveaxis(upper, -1, 0)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # past a pivot that fails the rest is void

@@ -19,8 +19,9 @@ _KINDS = {"f_coulomb": "Coulomb friction", "tau_coulomb": "Coulomb friction", "f
 
 def doubts(estimate: Estimate) -> tuple[str, ...]:
     """Sentences, the gravest first; none if nothing is in doubt."""
-    return (*_prediction(estimate), *_impossible(estimate), *_confounded(estimate.confounded), *_noise(estimate),
+    said = (*_prediction(estimate), *_impossible(estimate), *_noise(estimate), *_confounded(estimate.confounded),
             *_unseen(estimate), *_held(estimate), *_findings(estimate))
+    return tuple(dict.fromkeys(said))
 
 
 def _prediction(estimate: Estimate) -> list[str]:
@@ -34,6 +35,9 @@ def _prediction(estimate: Estimate) -> list[str]:
             continue
         if held_out.relative > 1:
             said.append(f"Unseen forces of {name} are predicted worse than by zero ({100 * held_out.relative:.0f} % error).")
+        elif held_out.vaf < 0:
+            said.append(f"Unseen forces of {name} are off by a constant of their own: the mean of the signal would have followed "
+                        "it more closely.")
         elif held_out.rms > 2 * trained.rms:
             said.append(f"Unseen forces of {name} are predicted with {held_out.rms / trained.rms:.1f} times the error of "
                         "the training data: the model is overfitted there, or the motion is of another kind.")
@@ -59,15 +63,14 @@ def _confounded(found: Sequence[Confounded]) -> list[str]:
         groups.append(joined)
     said = []
     for group in sorted(groups, key=len):
-        names = sorted(group, key=[f.name for f in found].index) if group <= {f.name for f in found} else sorted(group)
-        kinds = sorted({kind for name in names if (kind := _KINDS.get(name.rpartition(".")[2], "inertia"))})
+        kinds = sorted({_KINDS.get(name.rpartition(".")[2], "inertia") for name in group})
         subject = kinds[0] if len(kinds) == 1 else f"{', '.join(kinds[:-1])} and {kinds[-1]}"
         worst = max(one.inflation for one in found if one.name in group)
-        said.append(f"Not separable in this motion: {subject} ({_some(names, 6)}; variance up to {worst:.0e} times what it "
-                    "would be if the others were known).")
+        said.append(f"Not separable in this motion: {subject} ({_some(sorted(group), 6)}), whose variances are up to "
+                    f"10^{np.log10(worst):.0f} times what they would be if the others were known.")
     if said:
-        said.append("Of what is not separable only the joint effect is known from these data, the rest from the priors: reverse "
-                    "the motion, vary its speed and reach, or state what you know.")
+        said.append("Of what is not separable these data tell only the joint effect, and priors the rest: reverse the motion, vary "
+                    "its speed and reach, or state what you know.")
     return said
 
 
@@ -79,9 +82,11 @@ def _noise(estimate: Estimate) -> list[str]:
         if np.isfinite(stated[k]) and estimate.sigma[k] > 1.5 * stated[k]:
             said.append(f"Residuals of {actuator.name} are {estimate.sigma[k] / stated[k]:.1f} times its sensors' noise of "
                         f"{stated[k]:.3g} {units[k]}: noisy angles, or effects the model does not have.")
-        if estimate.correlation_time[k] > 3:
-            said.append(f"Residuals of {actuator.name} repeat themselves over {estimate.correlation_time[k]:.0f} samples: "
-                        "something is missing in the model; intervals are widened accordingly.")
+    slow = [f"{a.name} ({t:.0f} samples)" for a, t in zip(estimate.problem.model.machine.actuators,
+                                                          estimate.correlation_time, strict=True) if t > 3]
+    if slow:
+        said.append(f"Residuals repeat themselves: {', '.join(slow)}. Something is missing in the model, or angles are "
+                    "noisy; intervals are widened accordingly.")
     return said
 
 

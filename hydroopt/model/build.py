@@ -147,9 +147,9 @@ class Model:
             if values.shape[1] != function.numel_in(i):
                 raise ValueError(f"{function.name()} takes {function.numel_in(i)} values for {function.name_in(i)}, "
                                  f"not {values.shape[1]}")
-            buffer.set_arg(i, memoryview(values).cast("B").cast("d"))
+            buffer.set_arg(i, memoryview(values.data).cast("B").cast("d"))
         for i, values in enumerate(results):
-            buffer.set_res(i, memoryview(values).cast("B").cast("d"))
+            buffer.set_res(i, memoryview(values.data).cast("B").cast("d"))
         evaluate()
         return [values.swapaxes(1, 2) for values in results]  # CasADi writes column by column
 

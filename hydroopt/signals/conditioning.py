@@ -98,9 +98,11 @@ def condition(
     positions = np.asarray(q, dtype=float)
     positions = positions.reshape(times.size, -1)
     parts = np.zeros(times.size, int) if segment is None else np.asarray(segment, dtype=int)
-    if not (np.all(np.isfinite(times)) and np.all(np.isfinite(positions))):
-        raise LogError("positions or times hold values that are not finite", where=where,
-                       remedy="read the log with nan=drop or nan=interpolate")
+    lost = np.flatnonzero(~np.isfinite(times + positions.sum(axis=1)))
+    if lost.size:
+        raise LogError(f"the position or time at sample {lost[0] + 1} is not finite ({lost.size} in all; a "
+                       "cylinder's length gives no angle where its triangle is open)", where=where,
+                       remedy="mend it or read the log with --treat nan=drop")
     stds = None if noise is None else np.broadcast_to(np.asarray(noise, dtype=float), positions.shape[1:])
     if stds is not None and not np.all(np.isfinite(stds) & (stds >= 0)):
         raise ProblemError("the stated noise is negative or not finite", where=where,
@@ -183,13 +185,16 @@ def _fourier(t: Array, q: Array, segment: NDArray[np.int64], smoothing: Fourier,
         raise ProblemError(f"period {period:g} s with {harmonics} harmonics is no Fourier series",
                            where=where, remedy="give a positive period and at least one harmonic")
     step = float(np.median(np.diff(t))) if t.size > 1 else np.inf
-    if t.size < 2 or t[-1] - t[0] + step < period * (1 - 1e-9) or t.size <= 2 * harmonics + 1:
+    if t.size < 2 or t[-1] - t[0] + step < period * (1 - 1e-9):
         raise LogError(f"{t.size} samples over {np.ptp(t):.4g} s do not hold a period of {period:g} s",
                        where=where, remedy="record at least one full period or choose the smoothing spline")
     if harmonics / period >= (1 - 1e-9) * 0.5 / step:
         raise ProblemError(f"harmonic {harmonics} at {harmonics / period:g} Hz exceeds half the sampling "
                            "rate", where=where,
                            remedy=f"choose fewer than {period / (2 * step):.0f} harmonics")
+    if t.size <= 2 * harmonics + 1:
+        raise LogError(f"{t.size} samples do not determine {harmonics} harmonics", where=where,
+                       remedy="choose fewer harmonics or record a longer log")
     omega = 2 * np.pi / period * np.arange(1, harmonics + 1)
     sine, cosine = np.sin(np.outer(t, omega)), np.cos(np.outer(t, omega))
     basis = np.column_stack([np.ones(t.size), sine, cosine])

@@ -91,7 +91,11 @@ class CsvFile:
         return Table(columns, rows, damage)
 
     def _split(self, line: str) -> list[str]:
-        return next(csv.reader([line], delimiter=self._delimiter), [""])
+        try:
+            return next(csv.reader([line], delimiter=self._delimiter), [""])
+        except csv.Error:
+            raise LogError(f"a line of {len(line)} characters cannot be split into columns", where=self.where,
+                           remedy="check the ends of its lines, its quotation marks and the delimiter") from None
 
     def _width(self, line: str) -> int:
         return len(self._split(line)) if '"' in line else line.count(self._delimiter) + 1

@@ -133,14 +133,15 @@ def read_map(path: str | Path) -> LogMap:
     except OSError as error:
         raise LogError(f"the map cannot be read ({error.strerror or error})", where=where,
                        remedy="give the path of a TOML file") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+    except (ValueError, RecursionError) as error:  # a ValueError is bad TOML, no text or a number of a thousand digits
         raise LogError(f"the map is not TOML ({error})", where=where, remedy="mend that line") from None
     try:
         return LogMap.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        message = first["msg"].removeprefix("Value error, ")
+        message = {"missing": "this key is missing", "extra_forbidden": "this key is unknown"}.get(
+            first["type"], first["msg"].removeprefix("Value error, "))
         raise LogError(f"{key + ': ' if key else ''}{message[0].lower()}{message[1:]}", where=where,
                        remedy=_remedy(first["type"], key)) from None
 

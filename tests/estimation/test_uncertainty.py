@@ -11,8 +11,8 @@ from scipy.stats import truncnorm, wishart
 from hydroopt.estimation.problem import Problem, identification_problem
 from hydroopt.estimation.solve import solve
 from hydroopt.estimation.uncertainty import _positive_definite, sample
-from hydroopt.machine import Machine
 from hydroopt.model.build import Model
+from hydroopt.signals.conditioning import Fourier
 from hydroopt.signals.log import Log
 
 NAMES = ("drive.tau_offset", "drive.tau_coulomb", "drive.tau_viscous", "drive.rotor_inertia")
@@ -57,7 +57,7 @@ def test_priors_sharpen_what_data_say(one_body: Callable[..., Problem]) -> None:
 
 @pytest.mark.parametrize("mean", [1.0, 0.0, -1.5])
 def test_truncated_normal_where_a_friction_meets_its_bound(free_wheel: Problem, mean: float) -> None:
-    # correlated with the offset, so that the cut shifts the offset too: E[offset] = μ − ½(E[coulomb] − mean)·…
+    # correlated with the offset, so that the cut shifts the offset too
     std = np.array([2.0, 1.0, 1.0, 1.0])
     correlation = np.eye(4)
     correlation[0, 1] = correlation[1, 0] = 0.6
@@ -152,17 +152,14 @@ def test_a_whole_identification_at_a_bound(wheel: Model) -> None:
     noise -= columns @ np.linalg.lstsq(columns, noise, rcond=None)[0]  # so that the estimate before the cut is known
     psi = np.array([0.5, -0.03, 3.0, 2.0])
     log = Log("wheel", t, {"wheel.q": q, "wheel.tau": columns @ psi + noise})
-    from hydroopt.signals.conditioning import Fourier  # noqa: PLC0415
     problem = identification_problem(wheel.machine, [log], smoothing=Fourier(period=40.0, harmonics=12))
     rows = problem.experiments[0].moving[:, 0]
-    estimate = solve(problem, "qp")
+    estimates = [solve(problem, "qp", seed=seed) for seed in range(6)]
+    estimate = estimates[0]
     unbounded = np.linalg.lstsq(columns[rows], (columns @ psi + noise)[rows], rcond=None)[0][1]
     sigma = np.sqrt(estimate.correlation_time[0] * np.linalg.inv(columns[rows].T @ columns[rows])[1, 1]) * estimate.sigma[0]
     exact = truncnorm(-unbounded / sigma, np.inf, loc=unbounded, scale=sigma)
     k = NAMES.index("drive.tau_coulomb")
-    assert estimate.std[k] == pytest.approx(exact.std(), rel=0.15)
-    np.testing.assert_allclose(estimate.ci95[k], exact.ppf([0.025, 0.975]), atol=0.25 * exact.std())
-
-
-def test_a_wheel_needs_no_body(wheel: Model) -> None:
-    assert Machine.model_validate(wheel.machine.model_dump()) == wheel.machine
+    assert np.mean([e.std[k] for e in estimates]) == pytest.approx(exact.std(), rel=0.06)
+    low, high = np.mean([e.ci95[k] for e in estimates], axis=0)
+    np.testing.assert_allclose(exact.cdf([low, high]), [0.025, 0.975], atol=0.01)

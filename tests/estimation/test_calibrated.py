@@ -1,0 +1,81 @@
+"""The calibrated machine is the estimate in the form of a machine file."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydroopt.description import dump_machine, read_machine
+from hydroopt.dynamic_parameters import parameter_set
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.calibrated import calibrated_machine
+from hydroopt.estimation.compression import predict
+from hydroopt.estimation.estimate import Estimate
+from hydroopt.estimation.problem import Problem
+from hydroopt.estimation.solve import solve
+from hydroopt.machine import Machine
+from hydroopt.model.build import Model
+
+
+@pytest.fixture(scope="module")
+def estimate(noisy: Problem) -> Estimate:
+    return solve(noisy, "sdp")
+
+
+@pytest.fixture(scope="module")
+def calibrated(estimate: Estimate) -> Machine:
+    return calibrated_machine(estimate)
+
+
+def test_survives_being_written_and_read(calibrated: Machine) -> None:
+    again = read_machine(dump_machine(calibrated))
+    assert again == calibrated
+    assert again.sha256 == calibrated.sha256
+
+
+def test_nominal_parameters_are_the_estimate(calibrated: Machine, estimate: Estimate) -> None:
+    parameters = parameter_set(read_machine(dump_machine(calibrated)))
+    assert parameters.names == estimate.problem.parameters.names
+    np.testing.assert_allclose(parameters.nominal, estimate.psi, rtol=1e-12, atol=0)
+
+
+def test_predicts_the_same_forces(calibrated: Machine, estimate: Estimate) -> None:
+    data, model = estimate.problem.validation[0], Model(calibrated)
+    forces = predict(model, data, model.parameters.nominal)
+    np.testing.assert_allclose(forces, estimate.predictions["validation"][0], rtol=1e-9, atol=1e-6)
+
+
+def test_confidences_are_those_found_and_keep_their_source(calibrated: Machine, estimate: Estimate) -> None:
+    std = dict(zip(estimate.problem.parameters.names, estimate.std, strict=True))
+    note = calibrated.notes["boom.body.m"]
+    assert (note.sigma, note.relative) == (pytest.approx(std["boom.m"]), False)
+    assert note.source.startswith("identified by sdp from motion 1, motion 2")
+    assert calibrated.notes["boom.body.mc"].sigma == pytest.approx(max(std[f"boom.mc_{axis}"] for axis in "xyz"))
+    assert calibrated.notes["stick_cylinder.friction.coulomb"].sigma == pytest.approx(std["stick_cylinder.f_coulomb"])
+    assert "boom.body.com" not in calibrated.notes
+    assert calibrated.notes["boom.joint.a"] == estimate.problem.model.machine.notes["boom.joint.a"]
+
+
+def test_geometry_sensors_and_limits_stay(calibrated: Machine, estimate: Estimate) -> None:
+    nominal = estimate.problem.model.machine
+    assert calibrated.sensors == nominal.sensors
+    for one, other in zip(calibrated.links, nominal.links, strict=True):
+        assert one.joint.model_copy(update={"friction": None}) == other.joint.model_copy(update={"friction": None})
+    for one, other in zip(calibrated.cylinders, nominal.cylinders, strict=True):
+        assert (one.barrel.pin, one.rod.pin, one.areas) == (other.barrel.pin, other.rod.pin, other.areas)
+
+
+def test_reduced_model_keeps_the_stated_barrels_and_rods(noisy: Problem) -> None:
+    machine = noisy.model.machine
+    reduced = Problem(Model(machine, actuator_inertia=False), noisy.experiments, (), noisy.force_std)
+    found = calibrated_machine(solve(reduced, "sdp", intervals=False))
+    assert [c.rod.body for c in found.cylinders] == [c.rod.body for c in machine.cylinders]
+    assert found.link("stick").body != machine.link("stick").body
+
+
+def test_impossible_bodies_are_refused_by_name(noisy: Problem) -> None:
+    estimate = solve(noisy, "wls")
+    impossible = [owner for owner, smallest in estimate.consistency.items() if smallest < 0]
+    assert impossible
+    with pytest.raises(ProblemError, match=f"{impossible[0]}.* cannot exist; identify with method 'sdp'"):
+        calibrated_machine(estimate)

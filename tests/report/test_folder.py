@@ -1,0 +1,174 @@
+"""What an identification leaves behind: complete, strict, consistent with itself, or not there at all."""
+
+from __future__ import annotations
+
+import csv
+import hashlib
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from hydroopt.description import load_machine
+from hydroopt.errors import ProblemError, SolverError
+from hydroopt.estimation.estimate import Estimate
+from hydroopt.estimation.problem import identification_problem
+from hydroopt.estimation.solve import solve
+from hydroopt.model.build import Model
+from hydroopt.report import folder
+from hydroopt.signals.log import read_log
+from hydroopt.synthetic import random_trajectory, simulate
+
+CONTRACT = {"machine", "inputs", "method", "status", "parameters", "base_parameters", "fit", "conditioning",
+            "physical_consistency", "versions", "seed", "wall_s"}
+EXTRA = {"schema", "weights", "active_constraints", "doubts", "notes"}
+FILES = {"estimate.json", "report.html", "parameters.csv", "base_parameters.csv", "fit.csv", "cat215b.toml"}
+
+
+@pytest.fixture(scope="module")
+def estimate(tmp_path_factory: pytest.TempPathFactory) -> Estimate:
+    machine = load_machine("cat215b")
+    model, place = Model(machine), tmp_path_factory.mktemp("logs")
+    logs = []
+    for seed in (1, 2):
+        simulate(model, random_trajectory(model, duration=20.0, rate=25.0, seed=seed), seed=seed).write(place / f"{seed}.csv")
+        logs.append(read_log(place / f"{seed}.csv"))
+    return solve(identification_problem(machine, logs[:1], logs[1:]), seed=5)
+
+
+@pytest.fixture(scope="module")
+def left(estimate: Estimate, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("run") / "new" / "folder"
+    folder.save(estimate, place, wall_s=1.5)
+    return place
+
+
+@pytest.fixture(scope="module")
+def content(left: Path) -> dict[str, Any]:
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is not JSON")
+    found: dict[str, Any] = json.loads((left / "estimate.json").read_text("utf-8"), parse_constant=refuse)
+    return found
+
+
+def rows(file: Path) -> list[dict[str, str]]:
+    with file.open(encoding="utf-8", newline="") as lines:
+        return list(csv.DictReader(lines))
+
+
+def test_files_are_complete_and_nothing_else_is_left(left: Path) -> None:
+    assert {file.name for file in left.iterdir()} == FILES
+    assert load_machine(left / "cat215b.toml").name == "cat215b"
+
+
+def test_keys_are_those_of_the_contract(content: dict[str, Any]) -> None:
+    assert set(content) == CONTRACT | EXTRA
+    assert set(content["machine"]) >= {"name", "sha256"}
+    for one in content["inputs"]:
+        assert set(one) >= {"path", "sha256", "samples"}
+    for one in content["parameters"]:
+        assert set(one) == {"name", "unit", "nominal", "value", "std", "ci95", "bound", "identifiability"}
+        assert one["identifiability"] in {"full", "combination", "none", "not excited"}
+    for one in content["base_parameters"]:
+        assert set(one) == {"expression", "unit", "value", "std"}
+    assert set(content["fit"]) == {"train", "validation"}
+    for table in content["fit"].values():
+        for one in table.values():
+            assert set(one) == {"rms", "vaf", "relative", "unit"}
+    assert set(content["conditioning"]) >= {"rank", "condition_number"}
+    for one in content["physical_consistency"].values():
+        assert set(one) == {"consistent", "min_eigenvalue"}
+        assert one["consistent"] == (one["min_eigenvalue"] >= 0)
+
+
+def test_values_are_those_of_the_estimate(content: dict[str, Any], estimate: Estimate) -> None:
+    assert (content["method"], content["status"], content["seed"], content["wall_s"]) == ("sdp", "ok", 5, 1.5)
+    assert content["machine"]["sha256"] == estimate.problem.model.machine.sha256
+    for one in content["inputs"]:
+        assert one["sha256"] == hashlib.sha256(Path(one["path"]).read_bytes()).hexdigest()
+        assert one["samples"] == 500
+    by_name = {one["name"]: one for one in content["parameters"]}
+    for k, name in enumerate(estimate.problem.parameters.names):
+        one = by_name[name]
+        assert one["value"] == (None if np.isnan(estimate.value[k]) else estimate.value[k])
+        assert (one["ci95"] is None) == bool(np.isnan(estimate.ci95[k, 0]))
+        assert (one["bound"] or "") == estimate.bound[k]
+    assert by_name["swing.I_xx"]["std"] is None
+    assert len(content["base_parameters"]) == content["conditioning"]["rank"] == estimate.seen.rank
+    error = np.concatenate([e.force[e.inside] - p[e.inside] for e, p in zip(
+        estimate.problem.validation, estimate.predictions["validation"], strict=True)])
+    assert content["fit"]["validation"]["boom_cylinder"]["rms"] == pytest.approx(np.sqrt(np.mean(error[:, 1] ** 2)))
+    assert content["fit"]["validation"]["swing_motor"]["unit"] == "N*m"
+
+
+def test_tables_say_the_same(content: dict[str, Any], left: Path) -> None:
+    table = rows(left / "parameters.csv")
+    assert [row["name"] for row in table] == [one["name"] for one in content["parameters"]]
+    for row, one in zip(table, content["parameters"], strict=True):
+        for key in ("nominal", "value", "std"):
+            assert row[key] == ("" if one[key] is None else repr(one[key]))
+        assert [row["low"], row["high"]] == (["", ""] if one["ci95"] is None else [repr(v) for v in one["ci95"]])
+        assert row["bound"] == (one["bound"] or "")
+    base = rows(left / "base_parameters.csv")
+    assert [row["expression"] for row in base] == [one["expression"] for one in content["base_parameters"]]
+    assert [float(row["value"]) for row in base] == [one["value"] for one in content["base_parameters"]]
+    fit = {(row["data"], row["channel"]): float(row["rms"]) for row in rows(left / "fit.csv")}
+    assert fit == {(data, channel): one["rms"] for data, table in content["fit"].items() for channel, one in table.items()}
+
+
+def test_saving_again_replaces_and_leaves_the_estimate_alone(estimate: Estimate, tmp_path: Path) -> None:
+    first = folder.save(estimate, tmp_path)
+    before = {file.name: file.read_bytes() for file in tmp_path.iterdir()}
+    assert folder.save(estimate, tmp_path) == first
+    assert {file.name: file.read_bytes() for file in tmp_path.iterdir() if file.name != "report.html"} == {
+        name: text for name, text in before.items() if name != "report.html"}
+    assert first["wall_s"] is None
+
+
+def test_a_failing_report_leaves_nothing(estimate: Estimate, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: Any) -> str:
+        raise RuntimeError("no ink")
+    monkeypatch.setattr(folder.html, "render", fail)
+    with pytest.raises(RuntimeError, match="no ink"):
+        folder.save(estimate, tmp_path / "run")
+    assert not list(tmp_path.rglob("*"))
+
+
+def test_a_disk_that_fails_in_between_leaves_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "one").write_text("old")
+    real = Path.write_text
+
+    def fail(self: Path, text: str, **options: Any) -> int:
+        if self.name == "two":
+            real(self, text[:3], **options)
+            raise OSError(28, "No space left on device")
+        return real(self, text, **options)
+    monkeypatch.setattr(Path, "write_text", fail)
+    with pytest.raises(ProblemError, match="No space left on device.*-o"):
+        folder.write_files(tmp_path, {"one": "new text", "two": "more text"})
+    assert {file.name: file.read_text() for file in tmp_path.iterdir()} == {"one": "old"}
+
+
+def test_a_place_that_is_no_folder_is_refused(estimate: Estimate, tmp_path: Path) -> None:
+    (tmp_path / "file").touch()
+    with pytest.raises(ProblemError, match="cannot be written.*choose another directory"):
+        folder.save(estimate, tmp_path / "file")
+
+
+def test_failure_is_marked(estimate: Estimate, tmp_path: Path) -> None:
+    error = SolverError("it ran out of iterations", where="identification of cat215b", remedy="start elsewhere")
+    folder.save_failure(estimate.problem, "nlp", error, tmp_path)
+    assert [file.name for file in tmp_path.iterdir()] == ["estimate.json"]
+    said = json.loads((tmp_path / "estimate.json").read_text("utf-8"))
+    assert (said["status"], said["method"], said["reason"]) == ("failed", "nlp", str(error))
+    assert "parameters" not in said
+
+
+def test_an_impossible_machine_is_not_exported(estimate: Estimate, tmp_path: Path) -> None:
+    impossible = solve(estimate.problem, "wls")
+    assert min(impossible.consistency.values()) < 0
+    content = folder.save(impossible, tmp_path)
+    assert {file.name for file in tmp_path.iterdir()} == FILES - {"cat215b.toml"}
+    assert not all(one["consistent"] for one in content["physical_consistency"].values())
