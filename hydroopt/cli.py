@@ -18,7 +18,7 @@ from rich.table import Table
 
 from hydroopt import identifiability, synthetic
 from hydroopt.description import load_machine
-from hydroopt.errors import HydrooptError, IdentifiabilityError, LogError, ProblemError, SolverError
+from hydroopt.errors import HydrooptError, LogError, ProblemError, SolverError
 from hydroopt.estimation.problem import Loss, identification_problem
 from hydroopt.estimation.solve import METHODS, Method, solve
 from hydroopt.estimation.verdict import doubts
@@ -30,9 +30,6 @@ from hydroopt.signals.log import Log, read_log
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help=(
     "Calibrate hydraulically actuated manipulators: a machine file and logs in, a model with error bars out."))
-
-STANDSTILL = 1e-6
-"""Range of a position [rad or m] within which a joint stands still in a log."""
 
 MachineName = Annotated[str, typer.Argument(metavar="MACHINE", help="A bundled machine's name or a .toml file.")]
 ParameterSetName = Annotated[str | None, typer.Option("--set", help="Which of the file's sets of inertial parameters.")]
@@ -92,9 +89,8 @@ def _cylinder_facts(model: Model, k: int) -> dict[str, Any]:
     machine = model.machine
     cylinder = machine.cylinders[k]
     joint = machine.axis_of(cylinder)
-    limits = machine.link(joint).joint
     q = np.zeros((181, len(machine.joints)))
-    q[:, machine.joints.index(joint)] = np.linspace(limits.lower or 0.0, limits.upper or 0.0, 181)
+    q[:, machine.joints.index(joint)] = np.linspace(*machine.link(joint).joint.range, 181)
     length, _, _, lever, _ = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)
     lengths, arms = length[:, k, 0], lever[:, k, machine.joints.index(joint)]
     head, rod = cylinder.areas
@@ -153,8 +149,8 @@ def simulate(
 def _followed(machine: Machine, log: Log) -> synthetic.Trajectory:
     positions = np.column_stack([log.channel(f"{joint}.q") for joint in machine.joints])
     for k, joint in enumerate(machine.joints):
-        limits = machine.link(joint).joint
-        beyond = np.flatnonzero((positions[:, k] < limits.lower) | (positions[:, k] > limits.upper))
+        lower, upper = machine.link(joint).joint.range
+        beyond = np.flatnonzero((positions[:, k] < lower) | (positions[:, k] > upper))
         if beyond.size:
             raise LogError(f"{joint}.q leaves the joint's range at sample {log.sample[beyond[0]]}", where=log.path,
                            remedy="correct the motion or the joint's limits")
@@ -200,9 +196,6 @@ def identify(
         problem = identification_problem(described, train, held_out, actuator_inertia=not reduced,
                                          smoothing=_smoothing(
                                              smoothing, described.bandwidth if bandwidth is None else bandwidth))
-        if all(np.max(np.ptp(data.motion.q, axis=0)) < STANDSTILL for data in problem.experiments):
-            raise IdentifiabilityError("no joint moves in what is to be learnt from", where=", ".join(map(str, logs)),
-                                       remedy="record a log in which the joints move")
         problem = problem.with_loss(_one_of(loss, "--loss"))
         try:
             estimate = solve(problem, _method(method), tolerance=tolerance, ridge=ridge, seed=seed)

@@ -19,7 +19,9 @@ from pydantic import BaseModel, ValidationError
 
 from hydroopt import geometry
 from hydroopt.errors import MachineError
-from hydroopt.machine import ImpossibleError, Machine, Note, Noun, Quantity, Sensor
+from hydroopt.machine import Machine
+from hydroopt.parts import Note, Noun, Sensor
+from hydroopt.quantity import ImpossibleError, Quantity
 from hydroopt.units import UnitError, spread_to_si, to_si
 
 _NOTE_KEYS = {"value", "sigma", "lower", "upper", "source"}
@@ -203,8 +205,8 @@ def _in_plain_words(error: ValidationError, data: dict[str, Any]) -> tuple[str, 
     above: Any = data
     for step in first["loc"]:
         above = node
-        node = node[step] if isinstance(node, list | dict) and step in (
-            node if isinstance(node, dict) else range(len(node))) else None  # type: ignore[index]
+        node = node[step] if isinstance(node, list | dict) and step in (  # type: ignore[index]
+            node if isinstance(node, dict) else range(len(node))) else None
         if isinstance(step, int):
             called = node.get("name") if isinstance(node, dict) else None
             place += f"[{step if called is None else called}]"

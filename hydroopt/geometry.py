@@ -5,7 +5,9 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from hydroopt.machine import BASE, Cylinder, GasCylinder, ImpossibleError, Joint, Machine
+from hydroopt.machine import BASE, Machine
+from hydroopt.parts import Cylinder, GasCylinder, Joint
+from hydroopt.quantity import ImpossibleError
 from hydroopt.spatial import Pose, Triangle, joint_pose, link_pose, triangle
 
 
@@ -55,40 +57,59 @@ def triangle_of(machine: Machine, cylinder: Cylinder | GasCylinder) -> tuple[str
     return between[0], triangle(*in_axis_frame)
 
 
-def _from_base(machine: Machine, link: str, q: dict[str, float]) -> Pose:
+def _from_base(machine: Machine, link: str, q: dict[str, ca.SX]) -> Pose:
     if link == BASE:
         return Pose(ca.DM.eye(3), ca.DM.zeros(3))
     return pose_between(machine, link, BASE, q)
 
 
 def check(machine: Machine) -> None:
-    """Check every cylinder over the range of the joint it moves.
+    """Check every cylinder over the range of the joints it moves.
 
-    The triangle must close at both ends of the stroke, the stroke must cover the joint's range, and the lever arm
-    must keep its sign. Cylinders across several joints are left to the limits of their logs.
+    The triangle must close, the stroke must cover the range, and the lever arm must keep its sign. For a cylinder on one
+    revolute joint this is exact; any other is checked on a grid of its joints.
 
     Raises:
-        ImpossibleError: names the cylinder, the angle and the remedy.
+        ImpossibleError: names the cylinder, the place and the remedy.
     """
-    for cylinder in (*machine.cylinders, *machine.gas_cylinders):
+    for cylinder in machine.cylinders:
         found = triangle_of(machine, cylinder)
         if found is None:
+            _check_on_grid(machine, cylinder)
             continue
         joint, sides = found
-        limits = machine.link(joint).joint
-        assert limits.lower is not None
-        assert limits.upper is not None
-        _lever_arm_keeps_sign(cylinder, joint, float(sides.offset), limits.lower, limits.upper)
-        if isinstance(cylinder, Cylinder):
-            _stroke_suffices(cylinder, joint, sides, limits.lower, limits.upper)
+        _lever_arm_keeps_sign(cylinder, joint, float(sides.offset), *machine.link(joint).joint.range)
+        _stroke_suffices(cylinder, joint, sides, *machine.link(joint).joint.range)
 
 
-def _lever_arm_keeps_sign(cylinder: Cylinder | GasCylinder, joint: str, offset: float, lower: float,
-                          upper: float) -> None:
-    # the lever arm fixed·moving·sin(θ + offset)/length is zero where the pins and the axis lie in one line; a passive
+def _check_on_grid(machine: Machine, cylinder: Cylinder, points: int = 25) -> None:
+    joints = machine.joints_between(cylinder.barrel.link, cylinder.rod.link)
+    q = ca.SX.sym("q", len(joints))
+    at: dict[str, ca.SX] = dict.fromkeys(machine.joints, 0.0) | {joint: q[k] for k, joint in enumerate(joints)}
+    ends = [_from_base(machine, end.link, at).point(ca.DM(end.pin)) for end in (cylinder.barrel, cylinder.rod)]
+    length = ca.norm_2(ends[1] - ends[0])
+    function = ca.Function("length", [q], [length, ca.jacobian(length, q)[-1]])
+    grid = np.meshgrid(*[np.linspace(*machine.link(joint).joint.range, points) for joint in joints], indexing="ij")
+    states = np.stack([values.ravel() for values in grid])
+    lengths, arms = (np.asarray(values).ravel() for values in function(states))
+    place = ", ".join(joints)
+    beyond = np.flatnonzero((lengths < cylinder.dead_length - 1e-9)
+                            | (lengths > cylinder.dead_length + cylinder.stroke + 1e-9))
+    if beyond.size:
+        raise ImpossibleError(
+            f"'{cylinder.name}' would be {lengths[beyond[0]]:.3f} m long at {place} = {np.round(states[:, beyond[0]], 4)} "
+            f"(SI) but can only be {cylinder.dead_length:.3f} to {cylinder.dead_length + cylinder.stroke:.3f} m",
+            "correct dead length, stroke, pins or the joints' limits")
+    turned = np.flatnonzero(arms * arms[0] <= 0)
+    if turned.size:
+        raise ImpossibleError(
+            f"'{cylinder.name}' has a dead point near {place} = {np.round(states[:, turned[0]], 4)} (SI), where its lever "
+            f"arm on {joints[-1]} changes sign", "correct its pins or narrow the joints' limits")
+
+
+def _lever_arm_keeps_sign(cylinder: Cylinder, joint: str, offset: float, lower: float, upper: float) -> None:
+    # the lever arm fixed·moving·sin(θ + offset)/length is zero where the pins and the axis lie in one line; a passive gas
     # cylinder may pass such a point (a counterbalance works on both sides of it), an actuator may not
-    if isinstance(cylinder, GasCylinder):
-        return
     first = np.ceil((lower + offset) / np.pi)
     dead = first * np.pi - offset
     if dead <= upper:

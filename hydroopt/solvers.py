@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -91,19 +92,24 @@ def certify_convex(variable: cp.Variable, gradient: Array, constraints: list[Any
 
 
 def solve_nlp(nlp: dict[str, Any], start: Array, lower: Array, upper: Array, constraint_lower: Array,
-              constraint_upper: Array, where: str) -> Array:
-    """Minimise a CasADi NLP with IPOPT and check the answer ourselves.
+              constraint_upper: Array, where: str, names: Mapping[str, int]) -> Array:
+    """Minimise a CasADi NLP with IPOPT and check the answer ourselves; `names` gives the rows of named constraints.
 
     Raises:
         SolverError: IPOPT's reason in plain words, or a failed check.
     """
     options = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-9,
+               "ipopt.dual_inf_tol": 1e-7, "ipopt.nlp_scaling_method": "none",
                "ipopt.max_iter": 1000, "error_on_fail": False}
     solver = ca.nlpsol("identification", "ipopt", nlp, options)
     answer = solver(x0=start, lbx=lower, ubx=upper, lbg=constraint_lower, ubg=constraint_upper)
     status = solver.stats()["return_status"]
     if status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level"):
-        raise SolverError(f"IPOPT failed: {_IPOPT_WORDS.get(status, status)}", where=where,
+        g = np.asarray(answer["g"]).ravel()
+        gap = np.maximum(constraint_lower - g, g - constraint_upper)
+        broken = [name for name, row in names.items() if not gap[row] < 1e-6]
+        named = f" ({', '.join(broken)} not fulfilled)" if broken else ""
+        raise SolverError(f"IPOPT failed: {_IPOPT_WORDS.get(status, status)}{named}", where=where,
                           remedy="check the constraints you added, or start from a better nominal model")
     gradients = ca.Function("kkt", [nlp["x"]], [ca.gradient(nlp["f"], nlp["x"]), ca.jacobian(nlp["g"], nlp["x"])])
     gradient, jacobian = (np.asarray(v) for v in gradients(answer["x"]))

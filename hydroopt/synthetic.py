@@ -9,10 +9,13 @@ import numpy as np
 from hydroopt import inertia
 from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.inertia import Array
-from hydroopt.machine import Cylinder, Motor
+from hydroopt.parts import Cylinder, Motor
 from hydroopt.model.build import Model
 from hydroopt.signals import sensors
 from hydroopt.signals.log import Log
+
+USED = 0.9
+"""Part of the tightest limit of a joint that a random motion uses."""
 
 BACK_PRESSURE = 5e5
 """Pressure [Pa] in the chamber that a simulated actuator does not push with."""
@@ -30,7 +33,7 @@ class Trajectory:
 
 def random_trajectory(model: Model, *, duration: float, rate: float, seed: int, harmonics: int = 5,
                       slowest: float = 0.02, fastest: float = 0.3) -> Trajectory:
-    """A smooth motion of all joints that uses about 90 % of what the machine's limits allow, periodic over its duration.
+    """A smooth motion of all joints within 90 % of the machine's limits, periodic over its duration.
 
     Each joint moves about the middle of its range by sines of random phase at multiples of 1/duration, drawn between
     `slowest` and `fastest` [Hz] (or the nearest that there are); amplitudes are the largest that position, speed and acceleration limits admit. A joint that may turn by
@@ -42,38 +45,35 @@ def random_trajectory(model: Model, *, duration: float, rate: float, seed: int, 
     if not (duration > 0 and rate > 0 and duration * rate >= 2):
         raise ProblemError(f"a motion of {duration} s at {rate} Hz has no samples", where="simulate",
                            remedy="give a positive duration and rate")
-    if duration * rate > 1e8:
+    if duration * rate > 1e7:
         raise ProblemError(f"{duration * rate:.1e} samples do not fit in memory", where="simulate",
                            remedy="shorten the duration or lower the rate")
     rng = np.random.default_rng(seed)
     multiples = np.arange(1, max(1, int(fastest * duration)) + 1)
     multiples = multiples[multiples >= min(slowest * duration, multiples[-1])]
     harmonics = min(harmonics, len(multiples))
-    t = np.arange(int(round(duration * rate))) / rate
+    t = np.arange(round(duration * rate)) / rate
+    fine = np.linspace(0, duration, 40 * int(multiples[-1]))  # on which crests between the samples are seen
     n = len(model.machine.joints)
     q, qd, qdd = (np.empty((len(t), n)) for _ in range(3))
     for k, name in enumerate(model.machine.joints):
         joint = model.machine.link(name).joint
-        assert joint.lower is not None
-        assert joint.upper is not None
+        lower, upper = joint.range
         omega = 2 * np.pi / duration * np.sort(rng.choice(multiples, harmonics, replace=False))
         phase, size = rng.uniform(0, 2 * np.pi, harmonics), rng.uniform(0.3, 1.0, harmonics) / omega
-        angle = np.outer(t, omega) + phase
-        unit = (np.sin(angle) @ size, np.cos(angle) @ (size * omega), -np.sin(angle) @ (size * omega**2))
-        room = (joint.upper - joint.lower) / 2
-        room = min(room, np.pi / 3) if joint.type == "revolute" else room
-        allowed = (room, joint.max_speed or np.inf, joint.max_acceleration or np.inf)
-        # the bounds on the sums hold at all times, not only at the samples
-        worst = (np.sum(size), np.sum(size * omega), np.sum(size * omega**2))
-        scale = 0.9 * min(limit / w for limit, w in zip(allowed, worst, strict=True)) * _unused(unit, worst)
-        q[:, k] = (joint.upper + joint.lower) / 2 + scale * unit[0]
-        qd[:, k], qdd[:, k] = scale * unit[1], scale * unit[2]
+        room = min((upper - lower) / 2, np.pi / 3) if joint.type == "revolute" else (upper - lower) / 2
+        limits = (room, joint.max_speed or np.inf, joint.max_acceleration or np.inf)
+        crests = (np.max(np.abs(values)) for values in _sines(fine, omega, phase, size))
+        scale = USED * min(limit / crest for limit, crest in zip(limits, crests, strict=True))
+        q[:, k], qd[:, k], qdd[:, k] = _sines(t, omega, phase, scale * size)
+        q[:, k] += (upper + lower) / 2
     return Trajectory(t, q, qd, qdd)
 
 
-def _unused(unit: tuple[Array, ...], worst: tuple[float, ...]) -> float:
-    """How far sums of sines can still be enlarged, since their crests rarely meet."""
-    return float(min(w / np.max(np.abs(u)) for u, w in zip(unit, worst, strict=True)))
+def _sines(t: Array, omega: Array, phase: Array, size: Array) -> tuple[Array, Array, Array]:
+    """A sum of sines with its first and second derivative, (N,) each."""
+    angle = np.outer(t, omega) + phase
+    return np.sin(angle) @ size, np.cos(angle) @ (size * omega), -np.sin(angle) @ (size * omega**2)
 
 
 def random_truth(model: Model, seed: int, *, tries: int = 20000) -> Array:

@@ -374,7 +374,7 @@ LOGS = {
     "too short to differentiate": log(lambda lines: lines[:5], "4 samples"),
     "arm that never moves": log(constant, "no joint moves"),
     "length beyond the triangle": log(lambda lines: cell(7, 4, "9.9")([OPEN, *lines[1:]]),
-                                      r"sample 7 .*triangle"),
+                                      r"sample 7,.*triangle"),
     "lines without end": log(lambda lines: "t [s]," + "x" * 5_000_000, "5000006 characters"),
     "Parquet that declares 11 GB": Case(lambda d: identify(d, huge_parquet(), name="log.parquet"), r"log\.parquet: .*GB"),
     "MATLAB that declares 20 GB": mapped(MAT_MAP, r"log\.mat: .*GB", huge_mat(), "log.mat"),

@@ -10,7 +10,8 @@ import pytest
 from hydroopt import inertia
 from hydroopt.description import load_machine
 from hydroopt.dynamic_parameters import bodies, parameter_set
-from hydroopt.machine import Machine, Note
+from hydroopt.machine import Machine
+from hydroopt.parts import Note
 
 ELEMENTS = ("m", "mc_x", "mc_y", "mc_z", "I_xx", "I_xy", "I_xz", "I_yy", "I_yz", "I_zz")
 
@@ -23,27 +24,76 @@ def body(m: float) -> dict:
 EVERYTHING = {
     "name": "everything",
     "links": [
-        {"name": "turret", "parent": "base", "body": body(100),
-         "joint": {"type": "revolute", "alpha": -1.5, "lower": -2, "upper": 2, "friction": {"coulomb": 11, "viscous": 12}}},
-        {"name": "boom", "parent": "turret", "body": body(200),
-         "joint": {"type": "revolute", "a": 2.0, "lower": 0.2, "upper": 1.2, "friction": {"viscous": 13}}},
+        {
+            "name": "turret",
+            "parent": "base",
+            "body": body(100),
+            "joint": {
+                "type": "revolute",
+                "alpha": -1.5,
+                "lower": -2,
+                "upper": 2,
+                "friction": {"coulomb": 11, "viscous": 12},
+            },
+        },
+        {
+            "name": "boom",
+            "parent": "turret",
+            "body": body(200),
+            "joint": {"type": "revolute", "a": 2.0, "lower": 0.2, "upper": 1.2, "friction": {"viscous": 13}},
+        },
         {"name": "bracket", "parent": "boom", "body": body(300), "joint": {"type": "locked"}},
-        {"name": "slide", "parent": "bracket", "body": body(400),
-         "joint": {"type": "prismatic", "lower": 0, "upper": 1, "friction": {"coulomb": 14, "viscous": 15}}},
-        {"name": "tool", "parent": "slide", "joint": {"type": "revolute", "lower": -1, "upper": 1}}],
-    "motors": [{"name": "turret_motor", "joint": "turret", "torque_per_pressure": 1e-4,
-                "friction": {"offset": -1, "coulomb": 2, "viscous": 3}}],
-    "drives": [{"name": "slide_drive", "joint": "slide", "rotor_inertia": 0.5, "friction": {"offset": 4, "coulomb": 5}},
-               {"name": "tool_drive", "joint": "tool", "friction": {"viscous": 6}}],
-    "cylinders": [{"name": "boom_cylinder", "bore": 0.1, "rod_diameter": 0.06, "dead_length": 0.3, "stroke": 2.0,
-                   "barrel": {"link": "turret", "pin": (0.4, 0.1, 0.0), "body": body(500)},
-                   "rod": {"link": "boom", "pin": (1.0, 0.2, 0.0), "body": body(600)},
-                   "friction": {"offset": -21, "coulomb": 22, "viscous": 23, "barrel_pin": 24, "rod_pin": 25}}],
-    "gas_cylinders": [{"name": "gas", "acts": "push", "area": 0.002, "volume": 0.004, "reference_length": 0.8, "precharge": 5e6,
-                       "barrel": {"link": "turret", "pin": (0.4, 0.3, 0.0)}, "rod": {"link": "boom", "pin": (0.6, -0.2, 0)}}],
-    "notes": {"boom.body.m": Note(lower=150.0, upper=260.0), "boom_cylinder.friction.offset": Note(upper=0.0),
-              "turret_motor.friction.coulomb": Note(lower=1.0, sigma=0.5, relative=True),
-              "turret_motor.friction.offset": Note(sigma=0.25), "slide_drive.friction.offset": Note(sigma=0.5, relative=True)},
+        {
+            "name": "slide",
+            "parent": "bracket",
+            "body": body(400),
+            "joint": {"type": "prismatic", "lower": 0, "upper": 1, "friction": {"coulomb": 14, "viscous": 15}},
+        },
+        {"name": "tool", "parent": "slide", "joint": {"type": "revolute", "lower": -1, "upper": 1}},
+    ],
+    "motors": [
+        {
+            "name": "turret_motor",
+            "joint": "turret",
+            "torque_per_pressure": 1e-4,
+            "friction": {"offset": -1, "coulomb": 2, "viscous": 3},
+        }
+    ],
+    "drives": [
+        {"name": "slide_drive", "joint": "slide", "rotor_inertia": 0.5, "friction": {"offset": 4, "coulomb": 5}},
+        {"name": "tool_drive", "joint": "tool", "friction": {"viscous": 6}},
+    ],
+    "cylinders": [
+        {
+            "name": "boom_cylinder",
+            "bore": 0.1,
+            "rod_diameter": 0.06,
+            "dead_length": 0.3,
+            "stroke": 2.0,
+            "barrel": {"link": "turret", "pin": (0.4, 0.1, 0.0), "body": body(500)},
+            "rod": {"link": "boom", "pin": (1.0, 0.2, 0.0), "body": body(600)},
+            "friction": {"offset": -21, "coulomb": 22, "viscous": 23, "barrel_pin": 24, "rod_pin": 25},
+        }
+    ],
+    "gas_cylinders": [
+        {
+            "name": "gas",
+            "acts": "push",
+            "area": 0.002,
+            "volume": 0.004,
+            "reference_length": 0.8,
+            "precharge": 5e6,
+            "barrel": {"link": "turret", "pin": (0.4, 0.3, 0.0)},
+            "rod": {"link": "boom", "pin": (0.6, -0.2, 0)},
+        }
+    ],
+    "notes": {
+        "boom.body.m": Note(lower=150.0, upper=260.0),
+        "boom_cylinder.friction.offset": Note(upper=0.0),
+        "turret_motor.friction.coulomb": Note(lower=1.0, sigma=0.5, relative=True),
+        "turret_motor.friction.offset": Note(sigma=0.25),
+        "slide_drive.friction.offset": Note(sigma=0.5, relative=True),
+    },
 }
 
 
@@ -59,13 +109,31 @@ def block(owner: str, m: float) -> list[tuple[str, float]]:
 def test_order_and_nominal_values(everything: Machine) -> None:
     """Eq. 4.53 to 4.55: joint after joint, link, rod, barrel, then friction of the joint and of its actuator."""
     expected = [
-        *block("turret", 100), ("turret.tau_coulomb", 11), ("turret.tau_viscous", 12), ("turret_motor.tau_offset", -1),
-        ("turret_motor.tau_coulomb", 2), ("turret_motor.tau_viscous", 3),
-        *block("boom", 200), *block("boom_cylinder.rod", 600), *block("boom_cylinder.barrel", 500), ("boom.tau_viscous", 13),
-        ("boom_cylinder.f_offset", -21), ("boom_cylinder.f_coulomb", 22), ("boom_cylinder.f_viscous", 23),
-        ("boom_cylinder.n_barrel", 24), ("boom_cylinder.n_rod", 25), *block("bracket", 300), *block("slide", 400),
-        ("slide.tau_coulomb", 14), ("slide.tau_viscous", 15), ("slide_drive.tau_offset", 4), ("slide_drive.tau_coulomb", 5),
-        ("slide_drive.rotor_inertia", 0.5), ("tool_drive.tau_viscous", 6), ("gas.precharge", 5e6)]
+        *block("turret", 100),
+        ("turret.tau_coulomb", 11),
+        ("turret.tau_viscous", 12),
+        ("turret_motor.tau_offset", -1),
+        ("turret_motor.tau_coulomb", 2),
+        ("turret_motor.tau_viscous", 3),
+        *block("boom", 200),
+        *block("boom_cylinder.rod", 600),
+        *block("boom_cylinder.barrel", 500),
+        ("boom.tau_viscous", 13),
+        ("boom_cylinder.f_offset", -21),
+        ("boom_cylinder.f_coulomb", 22),
+        ("boom_cylinder.f_viscous", 23),
+        ("boom_cylinder.n_barrel", 24),
+        ("boom_cylinder.n_rod", 25),
+        *block("bracket", 300),
+        *block("slide", 400),
+        ("slide.tau_coulomb", 14),
+        ("slide.tau_viscous", 15),
+        ("slide_drive.tau_offset", 4),
+        ("slide_drive.tau_coulomb", 5),
+        ("slide_drive.rotor_inertia", 0.5),
+        ("tool_drive.tau_viscous", 6),
+        ("gas.precharge", 5e6),
+    ]
     parameters = parameter_set(everything)
     assert list(zip(parameters.names, parameters.nominal.tolist(), strict=True)) == expected
 
@@ -75,7 +143,14 @@ def test_reduced_model_leaves_barrels_and_rods_out(everything: Machine) -> None:
     gone = [name for name in complete.names if name not in reduced.names]
     assert gone == [f"boom_cylinder.{end}.{element}" for end in ("rod", "barrel") for element in ELEMENTS]
     assert list(bodies(everything, actuator_inertia=False)) == ["turret", "boom", "bracket", "slide"]
-    assert list(bodies(everything)) == ["turret", "boom", "boom_cylinder.rod", "boom_cylinder.barrel", "bracket", "slide"]
+    assert list(bodies(everything)) == [
+        "turret",
+        "boom",
+        "boom_cylinder.rod",
+        "boom_cylinder.barrel",
+        "bracket",
+        "slide",
+    ]
 
 
 def test_units_follow_the_kind_of_joint(everything: Machine) -> None:
@@ -161,7 +236,7 @@ def test_nothing_stated_is_nothing_precise(everything: Machine) -> None:
 
 
 def test_an_impossible_nominal_body_is_no_numerical_accident() -> None:
-    """A file may state what cannot exist (the estimate need not keep it); that must not end in the square root of −1."""
+    """A file may state what cannot exist (the estimate need not keep it); it must not end in the root of −1."""
     data = load_machine("patu655_lift").model_dump(exclude={"notes"})
     data["links"][0]["body"] = {"m": 3.0, "mc": (0.1, 0.2, 0.3), "inertia": (0.7, 0.1, 0.1, -1.4, 0.1, -2.5)}
     with warnings.catch_warnings():

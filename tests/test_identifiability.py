@@ -56,7 +56,9 @@ def test_order_of_rows_and_size_of_columns_do_not_matter(seed: int) -> None:
     assert (other.rank, other.basis, other.category) == (found.rank, found.basis, found.category)
     assert other.condition_number == pytest.approx(found.condition_number, rel=1e-6)
     # K·ψ = (K·S)·(S⁻¹·ψ): a grouping of scaled columns is the scaled grouping
-    np.testing.assert_allclose(other.grouping, grouping * size / size[list(other.basis)][:, None], rtol=1e-6, atol=1e-300)
+    np.testing.assert_allclose(
+        other.grouping, grouping * size / size[list(other.basis)][:, None], rtol=1e-6, atol=1e-300
+    )
     triangle = analyse(np.linalg.qr(K, mode="r"), NAMES)
     assert (triangle.basis, triangle.category) == (found.basis, found.category)
 
@@ -133,7 +135,12 @@ def test_swing_of_the_excavator_shows_only_its_inertia_about_the_vertical() -> N
     hidden = {f"swing.{element}" for element in ("m", "mc_x", "mc_y", "mc_z", "I_xx", "I_xy", "I_xz", "I_yy", "I_yz")}
     assert {name for name in found.names if name.startswith("swing.") and category[name] == NONE} == hidden
     assert category["swing.I_zz"] != NONE
-    for name in ("swing_motor.tau_offset", "swing_motor.tau_coulomb", "boom_cylinder.f_coulomb", "stick_cylinder.f_coulomb"):
+    for name in (
+        "swing_motor.tau_offset",
+        "swing_motor.tau_coulomb",
+        "boom_cylinder.f_coulomb",
+        "stick_cylinder.f_coulomb",
+    ):
         assert category[name] == FULL
     assert structural(model, seed=9).category == found.category
     assert structural(model, seed=9).basis == found.basis

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
-from hydroopt.machine import Body, Cylinder, Joint, Machine, Sensor
+from hydroopt.machine import Machine
+from hydroopt.parts import Body, Cylinder, Joint, Sensor
 
 INCH = 0.0254
 
@@ -19,8 +20,15 @@ def pin(link: str, x: float = 0.5, y: float = 0.0) -> dict[str, Any]:
 
 
 def cylinder(name: str, barrel: str, rod: str) -> dict[str, Any]:
-    return {"name": name, "bore": 0.1, "rod_diameter": 0.06, "dead_length": 0.1, "stroke": 3.0, "barrel": pin(barrel, 0.3, 0.4),
-            "rod": pin(rod, 0.8)}
+    return {
+        "name": name,
+        "bore": 0.1,
+        "rod_diameter": 0.06,
+        "dead_length": 0.1,
+        "stroke": 3.0,
+        "barrel": pin(barrel, 0.3, 0.4),
+        "rod": pin(rod, 0.8),
+    }
 
 
 TREE: dict[str, Any] = {
@@ -53,7 +61,12 @@ def test_a_tree_knows_its_branches(tree: Machine) -> None:
 
 
 def test_actuators_stand_in_the_order_of_their_joints(tree: Machine) -> None:
-    assert [actuator.name for actuator in tree.actuators] == ["trunk_motor", "left_drive", "right_cylinder", "twig_cylinder"]
+    assert [actuator.name for actuator in tree.actuators] == [
+        "trunk_motor",
+        "left_drive",
+        "right_cylinder",
+        "twig_cylinder",
+    ]
     assert [tree.axis_of(c) for c in tree.cylinders] == ["twig", "right"]
 
 
@@ -72,7 +85,14 @@ def test_machines_are_frozen_and_equal_by_value(tree: Machine) -> None:
     with pytest.raises(ValidationError):
         tree.name = "bush"  # type: ignore[misc]
     assert tree.sha256 == Machine.model_validate(tree.model_dump()).sha256
-    assert tree.sha256 != tree.model_copy(update={"gravity": 1.62}).sha256
+    assert tree.sha256 != Machine.model_validate(TREE | {"gravity": 1.62}).sha256
+
+
+def test_a_changed_copy_knows_itself(tree: Machine) -> None:
+    """What was computed of the original (joints, actuators, digest) must not stick to a copy that differs."""
+    assert (tree.joints[0], len(tree.sha256)) == ("trunk", 64)
+    moon = tree.model_copy(update={"gravity": 1.62})
+    assert moon.sha256 == Machine.model_validate(TREE | {"gravity": 1.62}).sha256
 
 
 def test_code_may_use_units_or_plain_numbers() -> None:
@@ -86,17 +106,24 @@ def test_code_may_use_units_or_plain_numbers() -> None:
     assert (slide.upper, slide.max_speed, slide.friction.coulomb) == (pytest.approx(0.8), pytest.approx(0.12), 2000)
 
 
-@pytest.mark.parametrize(("joint", "words"), [
-    ({"type": "revolute", "lower": "0 m", "upper": 1}, "'m' is not a unit of the kind 'rad'"),
-    ({"type": "prismatic", "lower": "0 deg", "upper": 1}, "'deg' is not a unit of the kind 'm'"),
-    ({"type": "revolute", "lower": 1, "upper": 1}, "not below"),
-    ({"type": "revolute", "lower": 0}, "needs 'lower' and 'upper'"),
-    ({"type": "locked", "upper": 1}, "locked joint has limits"),
-    ({"type": "revolute", "lower": 0, "upper": float("nan")}, ""), ({"type": "revolute", "lower": -float("inf"), "upper": 1}, ""),
-    ({"type": "revolute", "lower": 0, "upper": 1, "a": float("inf")}, ""), ({"type": "sliding", "lower": 0, "upper": 1}, ""),
-    ({"type": "revolute", "lower": 0, "upper": 1, "a": True}, ""), ({"type": "revolute", "lower": 0, "upper": 1, "length": 1}, "")])
+@pytest.mark.parametrize(
+    ("joint", "words"),
+    [
+        ({"type": "revolute", "lower": "0 m", "upper": 1}, "'m' is not a unit of the kind 'rad'"),
+        ({"type": "prismatic", "lower": "0 deg", "upper": 1}, "'deg' is not a unit of the kind 'm'"),
+        ({"type": "revolute", "lower": 1, "upper": 1}, "not below"),
+        ({"type": "revolute", "lower": 0}, "needs 'lower' and 'upper'"),
+        ({"type": "locked", "upper": 1}, "locked joint has"),
+        ({"type": "revolute", "lower": 0, "upper": float("nan")}, ""),
+        ({"type": "revolute", "lower": -float("inf"), "upper": 1}, ""),
+        ({"type": "revolute", "lower": 0, "upper": 1, "a": float("inf")}, ""),
+        ({"type": "sliding", "lower": 0, "upper": 1}, ""),
+        ({"type": "revolute", "lower": 0, "upper": 1, "a": True}, ""),
+        ({"type": "revolute", "lower": 0, "upper": 1, "length": 1}, ""),
+    ],
+)
 def test_impossible_joints(joint: dict[str, Any], words: str) -> None:
-    with pytest.raises(ValidationError, match=words):
+    with pytest.raises(ValidationError, match=words or None):
         Joint.model_validate(joint)
 
 
@@ -108,13 +135,27 @@ def test_areas_of_all_jacks_together() -> None:
     np.testing.assert_allclose(by_bore.areas, 3 * np.pi * np.array([0.05**2, 0.05**2 - 0.028**2]), rtol=1e-12)
 
 
-@pytest.mark.parametrize("areas", [
-    {}, {"bore": 0.1}, {"head_area": 0.01}, {"bore": 0.1, "head_area": 0.01}, {"bore": 0.1, "rod_area": 0.005},
-    {"bore": 0.1, "rod_diameter": 0.06, "head_area": 0.01}, {"bore": 0.06, "rod_diameter": 0.1}, {"bore": 0.1, "rod_diameter": 0.1},
-    {"head_area": 0.01, "rod_area": 0.01}, {"head_area": 0.01, "rod_area": 0.02}, {"bore": -0.1, "rod_diameter": 0.06}])
+@pytest.mark.parametrize(
+    "areas",
+    [
+        {},
+        {"bore": 0.1},
+        {"head_area": 0.01},
+        {"bore": 0.1, "head_area": 0.01},
+        {"bore": 0.1, "rod_area": 0.005},
+        {"bore": 0.1, "rod_diameter": 0.06, "head_area": 0.01},
+        {"bore": 0.06, "rod_diameter": 0.1},
+        {"bore": 0.1, "rod_diameter": 0.1},
+        {"head_area": 0.01, "rod_area": 0.01},
+        {"head_area": 0.01, "rod_area": 0.02},
+        {"bore": -0.1, "rod_diameter": 0.06},
+    ],
+)
 def test_impossible_pistons(areas: dict[str, float]) -> None:
     with pytest.raises(ValidationError):
-        Cylinder.model_validate({"name": "c", "barrel": pin("base"), "rod": pin("boom"), "dead_length": 1.0, "stroke": 1.0} | areas)
+        Cylinder.model_validate(
+            {"name": "c", "barrel": pin("base"), "rod": pin("boom"), "dead_length": 1.0, "stroke": 1.0} | areas
+        )
 
 
 def test_a_body_by_its_centre_is_the_same_about_the_origin() -> None:
@@ -124,7 +165,10 @@ def test_a_body_by_its_centre_is_the_same_about_the_origin() -> None:
 
     def inertia(about: np.ndarray) -> np.ndarray:
         arms = points - about
-        return sum(m * (a @ a * np.eye(3) - np.outer(a, a)) for m, a in zip(masses, arms, strict=True))[np.triu_indices(3)]
+        return sum(m * (a @ a * np.eye(3) - np.outer(a, a)) for m, a in zip(masses, arms, strict=True))[
+            np.triu_indices(3)
+        ]
+
     m, com = masses.sum(), masses @ points / masses.sum()
     by_centre = Body(m=m, com=tuple(com), inertia_com=tuple(inertia(com)))
     by_origin = Body(m=m, mc=tuple(m * com), inertia=tuple(inertia(np.zeros(3))))
@@ -144,7 +188,9 @@ def test_bodies_stated_halfway_or_twice(body: dict[str, Any]) -> None:
 @pytest.mark.parametrize(("distribution", "accuracy", "resolution", "expected"), [
     ("uniform", 0.6, 0.0, 0.6 / 3**0.5), ("gaussian", 0.6, 0.0, 0.6), ("uniform", 0.0, 1.2, 1.2 / 12**0.5),
     ("gaussian", 0.3, 0.4 * 12**0.5, 0.5)])
-def test_standard_deviation_of_a_reading(distribution: Any, accuracy: float, resolution: float, expected: float) -> None:
+def test_standard_deviation_of_a_reading(
+    distribution: Any, accuracy: float, resolution: float, expected: float
+) -> None:
     sensor = Sensor(channels=("boom.q",), accuracy=accuracy, resolution=resolution, distribution=distribution)
     assert sensor.std == pytest.approx(expected)
 
@@ -153,7 +199,12 @@ def test_sensors_read_the_unit_of_their_channels() -> None:
     assert Sensor(channels=("boom.q",), accuracy="0.1 deg").accuracy == pytest.approx(np.pi / 1800)
     assert Sensor(channels=("slide.q",), accuracy="2 mm").accuracy == pytest.approx(0.002)
     assert Sensor(channels=("c.p_head", "c.p_rod"), accuracy="25 psi").accuracy == pytest.approx(25 * 6894.757293)
-    for channels, accuracy in ((("c.p_head",), "25 deg"), (("c.p_head", "boom.q"), "1 bar"), (("boom.q",), "-1 deg"), ((), 1.0)):
+    for channels, accuracy in (
+        (("c.p_head",), "25 deg"),
+        (("c.p_head", "boom.q"), "1 bar"),
+        (("boom.q",), "-1 deg"),
+        ((), 1.0),
+    ):
         with pytest.raises(ValidationError):
             Sensor.model_validate({"channels": channels, "accuracy": accuracy})
 
@@ -169,17 +220,27 @@ def edited(**changes: Any) -> dict[str, Any]:
     return data
 
 
-@pytest.mark.parametrize(("data", "words"), [
-    (edited(links__1__name="trunk"), "'trunk' is used 2 times"), (edited(links__1__name="base"), "is the chassis"),
-    (edited(links__1__name="left side"), ""), (edited(links__1__parent="root"), "'root', which does not exist"),
-    (edited(links__0__parent="twig"), "before its parent|circle"), (edited(links__2__parent="stump"), "circle"),
-    (edited(cylinders__0__rod=pin("leaf")), "'leaf', which does not exist"),
-    (edited(cylinders__1__barrel=pin("right")), "no moving joint lies between"), (edited(drives=[]), "nothing drives the joint 'left'"),
-    (edited(drives=[{"name": "d", "joint": "stump"}]), "'stump', which is not a moving joint"),
-    (edited(drives=[*TREE["drives"], {"name": "d", "joint": "left"}]), "5 actuators drive 4 moving joints"),
-    (edited(sensors__1__channels=("stump.q",)), "'stump.q', which this machine does not have"),
-    (edited(sensors__1__channels=("twig.q",)), "two sensors"), (edited(links=[]), ""), (edited(gravity=-9.81), ""),
-    (edited(colour="yellow"), "")])
+@pytest.mark.parametrize(
+    ("data", "words"),
+    [
+        (edited(links__1__name="trunk"), "'trunk' is used 2 times"),
+        (edited(links__1__name="base"), "is the chassis"),
+        (edited(links__1__name="left side"), ""),
+        (edited(links__1__parent="root"), "'root', which does not exist"),
+        (edited(links__0__parent="twig"), "before its parent|circle"),
+        (edited(links__2__parent="stump"), "circle"),
+        (edited(cylinders__0__rod=pin("leaf")), "'leaf', which does not exist"),
+        (edited(cylinders__1__barrel=pin("right")), "no moving joint lies between"),
+        (edited(drives=[]), "nothing drives the joint 'left'"),
+        (edited(drives=[{"name": "d", "joint": "stump"}]), "'stump', which is not a moving joint"),
+        (edited(drives=[*TREE["drives"], {"name": "d", "joint": "left"}]), "'left'.*'d'|5 actuators"),
+        (edited(sensors__1__channels=("stump.q",)), "'stump.q', which this machine does not have"),
+        (edited(sensors__1__channels=("twig.q",)), "two sensors"),
+        (edited(links=[]), ""),
+        (edited(gravity=-9.81), ""),
+        (edited(colour="yellow"), ""),
+    ],
+)
 def test_impossible_machines(data: dict[str, Any], words: str) -> None:
-    with pytest.raises(ValidationError, match=words):
+    with pytest.raises(ValidationError, match=words or None):
         Machine.model_validate(data)

@@ -9,7 +9,8 @@ import numpy as np
 from hydroopt import dynamic_parameters
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.estimate import Estimate
-from hydroopt.machine import Machine, Note
+from hydroopt.machine import Machine
+from hydroopt.parts import Note
 
 
 def calibrated_machine(estimate: Estimate) -> Machine:

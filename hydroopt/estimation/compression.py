@@ -27,12 +27,12 @@ class Compressed:
         """Sum of squared residuals of each actuator (n,)."""
         return np.asarray(np.sum((self.triangles @ np.append(psi, -1.0)) ** 2, axis=1))
 
-    def weighted(self, sigma: Array) -> tuple[Array, Array]:
-        """R (p, p) upper triangular and r (p,) with ``‖R·ψ − r‖²`` the weighted sum of squares, up to a constant."""
+    def weighted(self, sigma: Array) -> tuple[Array, Array, float]:
+        """R (p, p) upper triangular, r (p,) and a rest with ``‖R·ψ − r‖² + rest`` the weighted sum of squares."""
         p = self.triangles.shape[2] - 1
         stacked = (self.triangles / sigma[:, None, None]).reshape(-1, p + 1)
-        R: Array = np.asarray(np.linalg.qr(stacked, mode="r"))[:p]
-        return R[:, :p], R[:, p]
+        R: Array = np.asarray(np.linalg.qr(stacked, mode="r"))
+        return R[:p, :p], R[:p, p], float(np.sum(R[p:, p] ** 2))
 
 
 def _chunks(model: Model, experiments: Sequence[Experiment]) -> Iterator[tuple[int, NDArray[np.intp], Array, Array]]:

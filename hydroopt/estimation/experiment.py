@@ -7,15 +7,21 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.errors import LogError
 from hydroopt.inertia import Array
-from hydroopt.machine import Cylinder, Machine
+from hydroopt.machine import Machine
+from hydroopt.parts import Cylinder
 from hydroopt.model.build import Model
 from hydroopt.signals.conditioning import Motion, Smoothing, SmoothingSpline, condition
 from hydroopt.signals.log import Log
 
-NOISE_FACTOR, OVERSHOOT = 3.0, 0.15
-"""A joint counts as standing still below this many standard deviations of its velocity's noise, and below this part of
-its RMS speed: smoothing lets an abrupt stop ring, so that slower readings may have the wrong sign."""
+NOISE_FACTOR, OVERSHOOT, STANDSTILL = 4.0, 0.15, 1e-6
+"""A joint counts as standing still below this many standard deviations of its velocity's noise, below this part of its RMS
+speed (smoothing lets an abrupt stop ring, so that slower readings may have the wrong sign), and below this speed in rad/s
+or m/s."""
+
+SELDOM = 0.01
+"""A joint that seems to move in less than this part of the samples stands still: noise alone does as much."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -61,7 +67,8 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
                        names=machine.joints, where=log.path or log.name)
     force = np.column_stack([_force(model, log, k) for k in range(len(machine.joints))])
     slow = np.maximum(NOISE_FACTOR * _velocity_noise(angles, motion), OVERSHOOT * np.sqrt(np.mean(motion.qd**2, axis=0)))
-    return Experiment(log, motion, force, np.abs(motion.qd) > slow)
+    moving = np.abs(motion.qd) > np.maximum(slow, STANDSTILL)
+    return Experiment(log, motion, force, moving & (np.mean(moving, axis=0) > SELDOM))
 
 
 def _velocity_noise(angles: Array, motion: Motion) -> Array:
@@ -71,7 +78,7 @@ def _velocity_noise(angles: Array, motion: Motion) -> Array:
     """
     sigma = np.std(angles - motion.q, axis=0)
     step = float(np.median(np.diff(motion.t)))
-    bandwidth = np.minimum(motion.bandwidth, 0.5 / step)
+    bandwidth = np.clip(motion.bandwidth, 1 / float(motion.t[-1] - motion.t[0]), 0.5 / step)
     return np.asarray(sigma * np.sqrt(8 / 3 * np.pi**2 * step * bandwidth**3))
 
 
@@ -80,7 +87,13 @@ def _angle(model: Model, log: Log, joint: str) -> Array:
     by_length = f"{actuator.name}.length"
     if f"{joint}.q" in log.channels or by_length not in log.channels or actuator.name not in model.triangles:
         return log.channel(f"{joint}.q")
-    return np.asarray(model.triangles[actuator.name][1](log.channel(by_length))).ravel()
+    angle = np.asarray(model.triangles[actuator.name][1](log.channel(by_length))).ravel()
+    if (open_at := np.flatnonzero(~np.isfinite(angle))).size:
+        first = open_at[0]
+        raise LogError(f"'{by_length}' is {log.channel(by_length)[first]:.4g} m at sample {log.sample[first]}, at which the "
+                       "triangle of the cylinder is open", where=log.path or log.name,
+                       remedy="correct the cylinder's geometry or the transducer's zero")
+    return angle
 
 
 def _force(model: Model, log: Log, k: int) -> Array:

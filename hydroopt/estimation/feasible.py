@@ -12,7 +12,7 @@ import numpy as np
 from hydroopt import inertia, solvers
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.gaussian import Gaussian
-from hydroopt.estimation.problem import Named, Problem
+from hydroopt.estimation.problem import Named, Problem, no_relation
 from hydroopt.inertia import Array
 
 MARGIN = 1e-7
@@ -66,7 +66,7 @@ def solve(problem: Problem, belief: Gaussian, *, consistent: bool) -> Solution:
     everything = [c for _, group in named for c in group]
     program = cp.Problem(cp.Minimize(cp.sum_squares(z)), everything)
     if not solvers.solve_convex(program, where):
-        culprits = _contradiction(named)
+        culprits = _contradiction(named, z, where)
         raise ProblemError(f"these cannot hold together: {'; '.join(culprits)}", where=where,
                            remedy="drop or loosen one of them")
     value = np.asarray(z.value, dtype=float)
@@ -103,8 +103,7 @@ def constraints_of(problem: Problem, belief: Gaussian, z: cp.Variable, *,
     for constraint in problem.constraints:
         relation = constraint.relation(view)
         if not isinstance(relation, cp.Constraint):
-            raise ProblemError("it does not return a relation", where=f"constraint '{constraint.name}'",
-                               remedy="return left == right, left <= right or left >= right")
+            raise no_relation(constraint)
         named.append((constraint.name, [relation]))
     return named
 
@@ -120,13 +119,11 @@ def _is_active(group: Sequence[Any]) -> bool:
     return any(np.max(np.abs(np.asarray(c.dual_value, dtype=float))) > 1e-6 for c in group)
 
 
-def _contradiction(named: list[tuple[str, list[Any]]]) -> list[str]:
+def _contradiction(named: list[tuple[str, list[Any]]], z: cp.Variable, where: str) -> list[str]:
     """A smallest set of constraints that cannot hold together: leave out one after the other what is not needed."""
     kept = list(named)
     for candidate in named:
         rest = [c for item in kept if item is not candidate for c in item[1]]
-        probe = cp.Problem(cp.Minimize(0), rest)
-        probe.solve(solver=cp.CLARABEL)
-        if probe.status in ("infeasible", "infeasible_inaccurate"):
+        if not solvers.solve_convex(cp.Problem(cp.Minimize(cp.sum_squares(z)), rest), where):
             kept.remove(candidate)
     return [name for name, _ in kept]

@@ -48,20 +48,23 @@ def nearest(parameters: ParameterSet, found: Identifiability, psi: Array) -> Arr
     return np.asarray(parameters.nominal + parameters.scale * step)
 
 
-def ridge(R: Array, r: Array, strength: float | None = None) -> tuple[Array, float]:
+def ridge(R: Array, r: Array, strength: float | None = None, *, rows: float | None = None,
+          rest: float = 0.0) -> tuple[Array, float]:
     """Ridge regression on columns of unit length (Eq. 4.59); `strength` λ is relative to the largest eigenvalue of KᵀK.
 
-    Without a strength, generalised cross-validation chooses it. Returns ψ (p,) and the λ used.
+    Without a strength, generalised cross-validation chooses it, for which the number of `rows` and the sum of squares
+    outside of R (`rest`) must be given if R is a triangle that stands for more. Returns ψ (p,) and the λ used.
     """
     lengths = np.linalg.norm(R, axis=0)
     lengths[lengths == 0] = 1.0
     U, s, Vt = np.linalg.svd(R / lengths, full_matrices=False)
     projected = U.T @ r
     if strength is None:
-        rest = max(float(r @ r - projected @ projected), 0.0)
-        grid = np.logspace(-16, 0, 129)
+        outside = rest + max(float(r @ r - projected @ projected), 0.0)
+        idle = (len(r) if rows is None else rows) - len(s)
+        grid = np.logspace(-16, 0, 257)
         shrunk = [grid_point / (s**2 / s[0] ** 2 + grid_point) for grid_point in grid]
-        score = [(rest + np.sum((f * projected) ** 2)) / max(np.sum(f), 1e-12) ** 2 for f in shrunk]
+        score = [(outside + np.sum((f * projected) ** 2)) / max(idle + np.sum(f), 1e-12) ** 2 for f in shrunk]
         strength = float(grid[int(np.argmin(score))])
     filtered = s / (s**2 + strength * s[0] ** 2) * projected
     return Vt.T @ filtered / lengths, strength

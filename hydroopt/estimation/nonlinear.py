@@ -6,10 +6,9 @@ import casadi as ca
 import numpy as np
 
 from hydroopt import inertia, solvers
-from hydroopt.errors import ProblemError
 from hydroopt.estimation.feasible import MARGIN, Solution, scaled_bodies
 from hydroopt.estimation.gaussian import Gaussian
-from hydroopt.estimation.problem import Named, Problem
+from hydroopt.estimation.problem import Named, Problem, as_casadi
 from hydroopt.inertia import Array
 
 
@@ -54,18 +53,15 @@ def solve(problem: Problem, belief: Gaussian) -> Solution:
             start.append(_cholesky(body.pseudo_inertia(parameters.nominal[body.columns]))[below])
     named = Named(parameters, lambda k: psi[k])
     for constraint in problem.constraints:
-        relation = constraint.relation(named)
-        if not isinstance(relation, ca.SX) or relation.n_dep() != 2:
-            raise ProblemError("it does not return a relation", where=f"constraint '{constraint.name}'",
-                               remedy="return left == right, left <= right or left >= right")
+        difference, equal = as_casadi(constraint, named)
         names.append((constraint.name, len(relations)))
-        relations.append(relation.dep(0) - relation.dep(1))
-        bounds.append((0.0, 0.0) if relation.op() == ca.OP_EQ else (-np.inf, 0.0))
+        relations.append(difference)
+        bounds.append((0.0, 0.0) if equal else (-np.inf, 0.0))
     g = ca.vertcat(*relations) if relations else ca.SX(0, 1)
     g_lower, g_upper = (np.array([pair[k] for pair in bounds]) for k in (0, 1))
     nlp = {"x": ca.vertcat(*unknowns), "f": ca.sumsqr(z), "g": g}
     answer = solvers.solve_nlp(nlp, np.concatenate(start), np.concatenate(lows), np.concatenate(highs), g_lower, g_upper,
-                               where)
+                               where, dict(names))
     solution = belief.offset + belief.slope @ answer[: z.numel()]
     at = np.asarray(ca.Function("g", [nlp["x"]], [g])(answer)).ravel()
     active = [f"{side} bound of {parameters.names[k]}" for side, bound in (("lower", lower), ("upper", upper))

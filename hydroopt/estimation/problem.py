@@ -41,6 +41,24 @@ class Named(Mapping[str, Any]):
 Expression = Callable[[Named], Any]
 
 
+def as_casadi(constraint: Constraint, named: Named) -> tuple[ca.SX, bool]:
+    """Left minus right side of a constraint in CasADi, and whether the two must be equal (else left ≤ right).
+
+    Raises:
+        ProblemError: it is not a relation.
+    """
+    relation = constraint.relation(named)
+    if not isinstance(relation, ca.SX) or relation.n_dep() != 2 or relation.op() not in (ca.OP_EQ, ca.OP_LE, ca.OP_LT):
+        raise no_relation(constraint)
+    return relation.dep(0) - relation.dep(1), relation.op() == ca.OP_EQ
+
+
+def no_relation(constraint: Constraint) -> ProblemError:
+    """The error of a constraint that returns something else than a relation."""
+    return ProblemError("it does not return a relation", where=f"constraint '{constraint.name}'",
+                        remedy="return left == right, left <= right or left >= right")
+
+
 @dataclass(frozen=True)
 class Constraint:
     """A relation between parameters that must hold: `relation` returns ``left == right``, ``<=`` or ``>=``."""

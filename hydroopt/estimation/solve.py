@@ -56,19 +56,20 @@ def solve(problem: Problem, method: Method = "sdp", *, tolerance: float = RANK_T
 
 def _solve(problem: Problem, method: Method, tolerance: float, ridge: float | None, intervals: bool, seed: int) -> Estimate:
     data = compress(problem.model, problem.experiments)
+    if not np.any(data.samples):
+        names = ", ".join(e.log.path or e.log.name for e in problem.experiments)
+        raise IdentifiabilityError("no joint moves in what is to be learnt from", where=names,
+                                   remedy="record a log in which the joints move")
     sigma = _weights(problem, data, tolerance)
     if problem.loss != "squares":
         data, sigma = _robust(problem, data, sigma, tolerance)
-    R, r = data.weighted(sigma)
-    psi, covariance, seen = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
-    if seen.rank == 0:
-        raise IdentifiabilityError("these data show no parameter at all", where=problem.model.machine.name,
-                                   remedy="record a log in which the joints move")
+    R, r, _ = data.weighted(sigma)
+    psi, _, seen = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
     # residuals that repeat themselves carry less information than as many independent ones
     times = _correlation_times(problem, psi)
-    R, r = data.weighted(sigma * np.sqrt(times))
+    R, r, rest = data.weighted(sigma * np.sqrt(times))
     if method in _LINEAR:
-        return _linear_estimate(problem, method, R, r, sigma, times, tolerance, ridge)
+        return _linear_estimate(problem, method, R, r, rest, float(np.sum(data.samples)), sigma, times, tolerance, ridge)
     belief = gaussian(problem, R, r)
     solution = (nonlinear.solve(problem, belief) if method == "nlp"
                 else feasible.solve(problem, belief, consistent=method == "sdp" and problem.consistent))
@@ -84,7 +85,7 @@ def _weights(problem: Problem, data: Compressed, tolerance: float) -> Array:
         return np.asarray(sigma)
     floor = 1e-11 * np.maximum(size, 1e-12)
     for _ in range(3):
-        R, r = data.weighted(sigma)
+        R, r, _ = data.weighted(sigma)
         psi, _, seen = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
         freedom = np.maximum(data.samples - seen.rank / len(sigma), 1.0)
         sigma = np.maximum(np.sqrt(data.squares(psi) / freedom), floor)
@@ -94,7 +95,7 @@ def _weights(problem: Problem, data: Compressed, tolerance: float) -> Array:
 def _robust(problem: Problem, data: Compressed, sigma: Array, tolerance: float) -> tuple[Compressed, Array]:
     """Iteratively reweighted least squares: Huber (95 % efficient at 1.345 σ) or Student-t with four degrees of freedom."""
     for _ in range(8):
-        R, r = data.weighted(sigma)
+        R, r, _ = data.weighted(sigma)
         psi, _, _ = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
         residuals = _residuals(problem, psi)
         taken = [np.where(e.inside[:, None] & e.moving, res, np.nan)
@@ -134,8 +135,8 @@ def _correlation_times(problem: Problem, psi: Array) -> Array:
     return np.maximum(total / max(weight, 1.0), 1.0)
 
 
-def _linear_estimate(problem: Problem, method: str, R: Array, r: Array, sigma: Array, times: Array, tolerance: float,
-                     ridge: float | None) -> Estimate:
+def _linear_estimate(problem: Problem, method: str, R: Array, r: Array, rest: float, rows: float, sigma: Array,
+                     times: Array, tolerance: float, ridge: float | None) -> Estimate:
     names = problem.parameters.names
     psi, covariance, seen = linear.base_least_squares(R, r, names, tolerance)
     value, std = linear.individual_values(psi, covariance, seen)
@@ -143,7 +144,7 @@ def _linear_estimate(problem: Problem, method: str, R: Array, r: Array, sigma: A
     base_std = np.sqrt(np.diag(covariance))
     note = "standard deviations of weighted least squares on base parameters"
     if method == "ridge":
-        psi, strength = linear.ridge(R, r, ridge)
+        psi, strength = linear.ridge(R, r, ridge, rows=rows, rest=rest)
         note = f"ridge strength {strength:.3g}; a shrunk estimate is biased, so that it has no honest interval"
     elif method == "tsvd":
         psi, kept = linear.truncated_svd(R, r, tolerance)

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from hydroopt import inertia
 from hydroopt.estimation.feasible import MARGIN, scaled_bodies
 from hydroopt.estimation.gaussian import Gaussian, gaussian
-from hydroopt.estimation.problem import Named, Problem
+from hydroopt.estimation.problem import Named, Problem, as_casadi
 from hydroopt.inertia import Array
 
 Mask = NDArray[np.bool_]
@@ -195,13 +195,10 @@ def _linear_equalities(problem: Problem) -> tuple[tuple[Array, Array] | None, Ca
         values.append(value)
     for constraint in problem.constraints:
         try:
-            relation = constraint.relation(named)
-        except Exception:
+            body, equal = as_casadi(constraint, named)
+        except Exception:  # noqa: BLE001 - whatever a user's cvxpy function raises when handed CasADi symbols
             return None, None
-        if not isinstance(relation, ca.SX) or relation.n_dep() != 2:
-            return None, None
-        body = relation.dep(0) - relation.dep(1)
-        if relation.op() != ca.OP_EQ:
+        if not equal:
             insides.append(body)
             continue
         row = ca.jacobian(body, psi)

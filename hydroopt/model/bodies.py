@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from hydroopt.machine import Cylinder, GasCylinder, Machine
+from hydroopt.machine import Machine
+from hydroopt.parts import Cylinder, GasCylinder
 from hydroopt.model.kinematics import Coordinates, Motion
 from hydroopt.spatial import Pose, unskew
 

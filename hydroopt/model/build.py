@@ -10,7 +10,8 @@ import numpy as np
 
 from hydroopt import dynamic_parameters, geometry
 from hydroopt.inertia import Array
-from hydroopt.machine import Cylinder, Drive, Machine, Motor
+from hydroopt.machine import Machine
+from hydroopt.parts import Cylinder, Drive, Motor
 from hydroopt.model import lagrange
 from hydroopt.model.kinematics import coordinates
 from hydroopt.model.regressor import Dynamics
@@ -50,7 +51,7 @@ class Model:
     @cached_property
     def cylinder_kinematics(self) -> ca.Function:
         """(q, qd, qdd) → length, speed, acceleration (c,) and lever arm ∂length/∂q with its time derivative (c, n)."""
-        motions = [self.dynamics.cylinders[c.name] for c in (*self.machine.cylinders, *self.machine.gas_cylinders)]
+        motions = [self.dynamics.cylinders[c.name] for c in self.machine.all_cylinders]
         length, speed, acceleration = (ca.vertcat(*[getattr(m, key) for m in motions])
                                        for key in ("length", "speed", "acceleration"))
         lever_arm = ca.jacobian(length, self.at.q) if motions else ca.SX(0, len(self.machine.joints))
@@ -71,10 +72,7 @@ class Model:
             if found is None:
                 continue
             joint, sides = found
-            limits = self.machine.link(joint).joint
-            assert limits.lower is not None
-            assert limits.upper is not None
-            middle = (limits.lower + limits.upper) / 2
+            middle = sum(self.machine.link(joint).joint.range) / 2
             branch = int(np.sign(np.sin(middle + float(sides.offset))))
             angle, length = ca.SX.sym("angle"), ca.SX.sym("length")
             pairs[cylinder.name] = (

@@ -7,7 +7,8 @@ from typing import NamedTuple
 import casadi as ca
 
 from hydroopt.geometry import far_end
-from hydroopt.machine import BASE, Joint, Machine
+from hydroopt.machine import BASE, Machine
+from hydroopt.parts import Joint
 from hydroopt.spatial import Pose, identity, joint_pose, roll_pitch_yaw
 
 UP = ca.DM([0, 0, 1])

@@ -10,7 +10,8 @@ import casadi as ca
 
 from hydroopt import inertia
 from hydroopt.dynamic_parameters import bodies, parameter_set
-from hydroopt.machine import Cylinder, Drive, GasCylinder, Machine, Motor
+from hydroopt.machine import Machine
+from hydroopt.parts import Cylinder, Drive, GasCylinder, Motor
 from hydroopt.model.bodies import CylinderMotion, cylinder_motion
 from hydroopt.model.kinematics import Coordinates, Motion, link_motions
 from hydroopt.spatial import skew
@@ -38,7 +39,7 @@ class Dynamics:
         self.links = link_motions(machine, at)
         self.cylinders: dict[str, CylinderMotion] = {
             c.name: cylinder_motion(machine, c, self.links, at)
-            for c in (*machine.cylinders, *machine.gas_cylinders)}
+            for c in machine.all_cylinders}
         self.rates = ca.vertcat(*[self._rate_of(a) for a in machine.actuators])
         self.transmission = self._transmission()
         """(actuators, joints): actuator speed = transmission · q̇; its entries are the lever arms."""

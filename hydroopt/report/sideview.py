@@ -15,7 +15,8 @@ from matplotlib.lines import Line2D
 from hydroopt import geometry, inertia
 from hydroopt.estimation.estimate import Estimate
 from hydroopt.inertia import Array
-from hydroopt.machine import BASE, Cylinder, GasCylinder, Link, Machine
+from hydroopt.machine import BASE, Machine
+from hydroopt.parts import Cylinder, GasCylinder, Link
 from hydroopt.model.build import Model
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE, STYLE, WIDTH
 from hydroopt.spatial import roll_pitch_yaw

@@ -9,7 +9,8 @@ import pytest
 
 from hydroopt.description import load_machine
 from hydroopt.estimation.problem import Problem, identification_problem
-from hydroopt.machine import Machine, Note
+from hydroopt.machine import Machine
+from hydroopt.parts import Note
 from hydroopt.model.build import Model
 from hydroopt.signals.conditioning import Fourier
 from hydroopt.signals.log import Log
@@ -35,7 +36,10 @@ def cat_truth(cat215b: Model) -> np.ndarray:
 @pytest.fixture(scope="session")
 def record() -> Logs:
     """Logs of random motions of a model with the parameters ψ, one a seed."""
-    def logs(model: Model, psi: np.ndarray, seeds: tuple[int, ...], *, rate: float = 12.5, noise: bool = False) -> list[Log]:
+
+    def logs(
+        model: Model, psi: np.ndarray, seeds: tuple[int, ...], *, rate: float = 12.5, noise: bool = False
+    ) -> list[Log]:
         return [simulate(model, random_trajectory(model, duration=PERIOD, rate=rate, seed=seed), psi, noise=noise,
                          seed=seed, name=f"motion {seed}") for seed in seeds]
     return logs

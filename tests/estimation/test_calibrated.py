@@ -28,9 +28,7 @@ def calibrated(estimate: Estimate) -> Machine:
 
 
 def test_survives_being_written_and_read(calibrated: Machine) -> None:
-    again = read_machine(dump_machine(calibrated))
-    assert again == calibrated
-    assert again.sha256 == calibrated.sha256
+    assert read_machine(dump_machine(calibrated)) == calibrated
 
 
 def test_nominal_parameters_are_the_estimate(calibrated: Machine, estimate: Estimate) -> None:

@@ -104,7 +104,9 @@ def test_nearest_keeps_the_base_parameters_and_no_other_point_is_nearer(dependen
     K, f = dependent
     rng = np.random.default_rng(8)
     nominal, scale = rng.standard_normal(9), rng.uniform(0.5, 2.0, 9)
-    parameters = ParameterSet(NAMES, ("1",) * 9, nominal, np.full(9, -np.inf), np.full(9, np.inf), scale, np.zeros((9, 9)))
+    parameters = ParameterSet(
+        NAMES, ("1",) * 9, nominal, np.full(9, -np.inf), np.full(9, np.inf), scale, np.zeros((9, 9))
+    )
     found = analyse(K, NAMES)
     psi = np.linalg.lstsq(K, f, rcond=None)[0]
     near = linear.nearest(parameters, found, psi)

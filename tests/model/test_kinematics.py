@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from hydroopt.description import load_machine
-from hydroopt.machine import BASE, GasCylinder, Machine
+from hydroopt.machine import BASE, Machine
+from hydroopt.parts import GasCylinder
 from hydroopt.model.build import Model
 from hydroopt.model.regressor import gas_force
 

@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hydroopt.machine import BASE, Cylinder, Link, Machine
+from hydroopt.machine import BASE, Machine
+from hydroopt.parts import Cylinder, Link
 
 
 class Loop(NamedTuple):

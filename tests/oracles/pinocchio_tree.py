@@ -10,7 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from hydroopt.machine import BASE, Cylinder, GasCylinder, Machine
+from hydroopt.machine import BASE, Machine
+from hydroopt.parts import Cylinder, GasCylinder
 
 WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 

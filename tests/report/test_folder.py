@@ -33,7 +33,9 @@ def estimate(tmp_path_factory: pytest.TempPathFactory) -> Estimate:
     model, place = Model(machine), tmp_path_factory.mktemp("logs")
     logs = []
     for seed in (1, 2):
-        simulate(model, random_trajectory(model, duration=20.0, rate=25.0, seed=seed), seed=seed).write(place / f"{seed}.csv")
+        simulate(model, random_trajectory(model, duration=20.0, rate=25.0, seed=seed), seed=seed).write(
+            place / f"{seed}.csv"
+        )
         logs.append(read_log(place / f"{seed}.csv"))
     return solve(identification_problem(machine, logs[:1], logs[1:]), seed=5)
 
@@ -115,7 +117,9 @@ def test_tables_say_the_same(content: dict[str, Any], left: Path) -> None:
     assert [row["expression"] for row in base] == [one["expression"] for one in content["base_parameters"]]
     assert [float(row["value"]) for row in base] == [one["value"] for one in content["base_parameters"]]
     fit = {(row["data"], row["channel"]): float(row["rms"]) for row in rows(left / "fit.csv")}
-    assert fit == {(data, channel): one["rms"] for data, table in content["fit"].items() for channel, one in table.items()}
+    assert fit == {
+        (data, channel): one["rms"] for data, table in content["fit"].items() for channel, one in table.items()
+    }
 
 
 def test_saving_again_replaces_and_leaves_the_estimate_alone(estimate: Estimate, tmp_path: Path) -> None:
@@ -136,7 +140,9 @@ def test_a_failing_report_leaves_nothing(estimate: Estimate, tmp_path: Path, mon
     assert not list(tmp_path.rglob("*"))
 
 
-def test_a_disk_that_fails_in_between_leaves_nothing_half_written(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_disk_that_fails_in_between_leaves_nothing_half_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     (tmp_path / "one").write_text("old")
     real = Path.write_text
 
@@ -146,14 +152,14 @@ def test_a_disk_that_fails_in_between_leaves_nothing_half_written(tmp_path: Path
             raise OSError(28, "No space left on device")
         return real(self, text, **options)
     monkeypatch.setattr(Path, "write_text", fail)
-    with pytest.raises(ProblemError, match="No space left on device.*-o"):
+    with pytest.raises(ProblemError, match=r"No space left on device.*-o"):
         folder.write_files(tmp_path, {"one": "new text", "two": "more text"})
     assert {file.name: file.read_text() for file in tmp_path.iterdir()} == {"one": "old"}
 
 
 def test_a_place_that_is_no_folder_is_refused(estimate: Estimate, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(ProblemError, match="cannot be written.*choose another directory"):
+    with pytest.raises(ProblemError, match=r"cannot be written.*choose another directory"):
         folder.save(estimate, tmp_path / "file")
 
 

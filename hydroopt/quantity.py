@@ -1,0 +1,83 @@
+"""Physical quantities as pydantic fields: a number in SI, or a string with its unit."""
+
+from __future__ import annotations
+
+from typing import Annotated, Any
+
+from pydantic import BeforeValidator, Field, ValidationInfo
+
+from hydroopt.units import UnitError, to_si
+
+CHANNEL_UNITS = {"q": ("rad", "m"), "qd": ("rad/s", "m/s"), "tau": ("N*m", "N"), "length": ("m",), "force": ("N",),
+                 "p_head": ("Pa",), "p_rod": ("Pa",), "p_a": ("Pa",), "p_b": ("Pa",), "u": ("V", "1")}
+"""SI units that a log column may have, by the part of its name after the dot."""
+
+
+class ImpossibleError(ValueError):
+    """A statement that no machine can fulfil; `description` adds the place and raises a MachineError.
+
+    `key` names the one at fault where a rule over several keys finds it.
+    """
+
+    def __init__(self, what: str, remedy: str, key: str = "") -> None:
+        self.what, self.remedy, self.key = what, remedy, key
+        super().__init__(f"{what}; {remedy}")
+
+
+class Quantity:
+    """Marks a field as a physical quantity: its SI unit, and the reading of ``"27.8 deg"``."""
+
+    def __init__(self, si: str, *others: str) -> None:
+        self.si, self.others = si, others
+
+    def __call__(self, value: Any, info: ValidationInfo) -> Any:
+        """SI value of a string with unit; a bare number passes only where code, not a file, states it."""
+        if isinstance(value, str):
+            problem: UnitError | None = None
+            for si in (self.si, *self.others):
+                try:
+                    return to_si(value, si, where="")
+                except UnitError as error:
+                    problem = problem or error
+            assert problem is not None
+            raise ImpossibleError(problem.what, problem.remedy)
+        if isinstance(value, bool):
+            raise ImpossibleError(f"{str(value).lower()} is not a number", "write a number with its unit")
+        if self.si != "1" and isinstance(value, int | float) and (info.context or {}).get("from_file"):
+            raise ImpossibleError(f"{value:.9g} has no unit", f"write it as \"{value:.9g} {self.si}\"")
+        return value
+
+
+def keyed(quantity: Quantity, value: Any, info: ValidationInfo, key: str) -> Any:
+    """A value whose unit only its neighbours tell; errors name its key."""
+    try:
+        return quantity(value, info)
+    except ImpossibleError as error:
+        raise ImpossibleError(error.what, error.remedy, key) from None
+
+
+def _quantity(si: str, *others: str) -> tuple[Quantity, BeforeValidator]:
+    mark = Quantity(si, *others)
+    return mark, BeforeValidator(mark)
+
+
+_finite = Field(allow_inf_nan=False)
+Number = Annotated[float, *_quantity("1"), _finite]
+Length = Annotated[float, *_quantity("m"), _finite]
+Angle = Annotated[float, *_quantity("rad"), _finite]
+Area = Annotated[float, *_quantity("m^2"), _finite]
+Volume = Annotated[float, *_quantity("m^3"), _finite]
+Pressure = Annotated[float, *_quantity("Pa"), _finite]
+Force = Annotated[float, *_quantity("N"), _finite]
+Torque = Annotated[float, *_quantity("N*m", "N"), _finite]  # of a joint: a force where the joint slides
+Mass = Annotated[float, *_quantity("kg"), _finite]
+MassMoment = Annotated[float, *_quantity("kg*m"), _finite]
+Inertia = Annotated[float, *_quantity("kg*m^2"), _finite]
+Acceleration = Annotated[float, *_quantity("m/s^2"), _finite]
+LinearViscosity = Annotated[float, *_quantity("N*s/m"), _finite]
+AngularViscosity = Annotated[float, *_quantity("N*m*s/rad", "N*s/m"), _finite]
+TorquePerPressure = Annotated[float, *_quantity("N*m/Pa"), _finite]
+Rate = Annotated[float, *_quantity("Hz"), _finite]
+Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
+Lengths = tuple[Length, Length, Length]
+Six = tuple[Inertia, Inertia, Inertia, Inertia, Inertia, Inertia]
