@@ -22,7 +22,7 @@ from hydroopt.inertia import Array
 
 Mask = NDArray[np.bool_]
 
-CHAINS, WARM_UP, SWEEPS, KEEP_EVERY, BLOCK, TRIES = 64, 20, 40, 2, 4, 5
+CHAINS, WARM_UP, SWEEPS, KEEP_EVERY, BLOCK, TRIES = 64, 20, 40, 2, 6, 5
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,7 +62,7 @@ def sample(problem: Problem, R: Array, r: Array, psi: Array, *, consistent: bool
     # the start in the Gaussian's coordinates; what leaves the equalities is dropped
     state = np.tile(np.linalg.lstsq(belief.slope / scale[:, None], start, rcond=None)[0], (CHAINS, 1))
     reach = limits.of(state)
-    if not np.all(limits.hold(reach, state)):
+    if not np.all(limits.hold(reach, lambda: state)):
         return None
     rng = np.random.default_rng(seed)
     kept = []
@@ -74,7 +74,7 @@ def sample(problem: Problem, R: Array, r: Array, psi: Array, *, consistent: bool
             kept.append(belief.offset + state @ belief.slope.T)
     samples = np.concatenate(kept)
     centre = np.linalg.lstsq(belief.slope / scale[:, None], (samples.mean(axis=0) - belief.offset) / scale, rcond=None)[0]
-    possible = bool(limits.hold(limits.of(centre[None]), centre[None])[0])
+    possible = bool(limits.hold(limits.of(centre[None]), lambda: centre[None])[0])
     note = (f"intervals from the Gaussian posterior cut off by bounds and constraints: {len(samples)} samples by "
             "elliptical slice sampling")
     return Posterior(samples, samples.mean(axis=0) if possible else None, note)
@@ -114,13 +114,13 @@ class _Limits:
         """The linear functions (c, m) at the states z (c, k)."""
         return np.asarray(self.start + state @ self.slope)
 
-    def hold(self, reach: Array, state: Array) -> Mask:
-        """Whether all limits hold (c,), from the linear functions and, if the user has others, the states."""
+    def hold(self, reach: Array, state: Callable[[], Array]) -> Mask:
+        """Whether all limits hold (c,), from the linear functions and, only if the user has others, the states."""
         good: Mask = np.all(reach[:, self._bodies :] >= 0, axis=1)
         if self._bodies:
             good &= np.all(_positive_definite(reach[:, : self._bodies].reshape(len(reach), self._bodies // 10, 10)), axis=1)
         if self._inequality is not None:
-            good[good] = self._inequality(self._belief.offset + state[good] @ self._belief.slope.T)
+            good[good] = self._inequality(self._belief.offset + state()[good] @ self._belief.slope.T)
         return good
 
 
@@ -131,28 +131,31 @@ def _elliptical_step(state: Array, reach: Array, block: Array, limits: _Limits,
     A chain that found no place after `TRIES` stays: every number of rejected places is as likely on the way back, so
     that stopping early keeps the distribution, and the slowest chain does not hold up the others.
     """
-    other = rng.standard_normal((len(state), len(block)))
+    here, slope = state[:, block], limits.slope[block]
+    other = rng.standard_normal(here.shape)
     high = rng.uniform(0, 2 * np.pi, len(state))
-    low, angle = high - 2 * np.pi, high.copy()
+    low, angle = high - 2 * np.pi, high
     moved, reached = state.copy(), reach.copy()
     waiting = np.arange(len(state))
     for _ in range(TRIES):
-        if not waiting.size:
+        at = angle[:, None]
+        step = here * (np.cos(at) - 1) + other * np.sin(at)
+        linear = reach[waiting] + step @ slope
+        good = limits.hold(linear, lambda step=step, waiting=waiting: _stepped(state[waiting], block, step))
+        moved[waiting[good][:, None], block] += step[good]
+        reached[waiting[good]] = linear[good]
+        if np.all(good):
             break
-        at = angle[waiting, None]
-        here = state[np.ix_(waiting, block)]
-        step = here * (np.cos(at) - 1) + other[waiting] * np.sin(at)
-        proposal = state[waiting]
-        proposal[:, block] += step
-        linear = reach[waiting] + step @ limits.slope[block]
-        good = limits.hold(linear, proposal)
-        moved[waiting[good]], reached[waiting[good]] = proposal[good], linear[good]
-        waiting = waiting[~good]
-        behind = angle[waiting] < 0
-        low[waiting[behind]] = angle[waiting[behind]]
-        high[waiting[~behind]] = angle[waiting[~behind]]
-        angle[waiting] = rng.uniform(low[waiting], high[waiting])
+        left = ~good
+        waiting, here, other, low, high, angle = (x[left] for x in (waiting, here, other, low, high, angle))
+        low, high = np.where(angle < 0, angle, low), np.where(angle < 0, high, angle)
+        angle = rng.uniform(low, high)
     return moved, reached
+
+
+def _stepped(state: Array, block: Array, step: Array) -> Array:
+    state[:, block] += step
+    return state
 
 
 def _positive_definite(upper: Array) -> Mask:
