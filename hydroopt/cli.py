@@ -36,7 +36,8 @@ ParameterSetName = Annotated[str | None, typer.Option("--set", help="Which of th
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress and no summary.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Directory = Annotated[Path, typer.Option("-o", "--output", help="Directory that receives everything.")]
-MapFile = Annotated[Path | None, typer.Option("--map", help="TOML file that says which column is what in foreign logs.")]
+MapFile = Annotated[Path | None, typer.Option(
+    "--map", help="TOML file that says which column is what in foreign logs.")]
 Treat = Annotated[list[str] | None, typer.Option(
     help="What to do about a finding, KIND=ACTION, e.g. nan=drop, spike=interpolate, gap=keep; repeatable.")]
 
@@ -71,8 +72,8 @@ def show(machine: MachineName, parameter_set: ParameterSetName = None, as_json: 
     console.print(f"[bold]{described.name}[/bold] {described.description}")
     console.print(_table("Joints", facts["joints"]), _table("Cylinders", cylinders), _table("Parameters", parameters))
     console.print(f"Of {len(parameters)} parameters a motion without noise shows {found.count('full')} alone and "
-                  f"{found.count('combination')} in combination ({found.rank} base parameters); {found.count('none')} leave "
-                  "no trace.")
+                  f"{found.count('combination')} in combination ({found.rank} base parameters); {found.count('none')} "
+                  "leave no trace.")
 
 
 def _joint_facts(machine: Machine, name: str) -> dict[str, Any]:
@@ -113,13 +114,15 @@ def _table(title: str, rows: Any) -> Table:
 def simulate(
     machine: MachineName,
     output: Directory,
-    motion: Annotated[Path | None, typer.Option(help="Log whose joint positions are to be followed; else random.")] = None,
+    motion: Annotated[Path | None, typer.Option(
+        help="Log whose joint positions are to be followed; else random.")] = None,
     map_file: MapFile = None,
     duration: Annotated[float, typer.Option(help="Of a random motion [s].")] = 33.28,
     rate: Annotated[float, typer.Option(help="Samples per second of a random motion [Hz].")] = 50.0,
     seed: Annotated[int, typer.Option(help="Of the random motion, the random truth and the noise.", min=0)] = 0,
     truth: Annotated[str, typer.Option(help="'nominal', or 'random' within the file's confidences.")] = "nominal",
-    truth_seed: Annotated[int | None, typer.Option(help="Of the random truth alone, to share it by logs.", min=0)] = None,
+    truth_seed: Annotated[int | None, typer.Option(help="Of the random truth alone, to share it by logs.",
+                                                   min=0)] = None,
     noise: Annotated[bool, typer.Option(help="Whether sensors err as the file states.")] = True,
     parquet: Annotated[bool, typer.Option("--parquet", help="Write Parquet instead of CSV.")] = False,
     parameter_set: ParameterSetName = None,
@@ -141,7 +144,8 @@ def simulate(
     file = output / ("log.parquet" if parquet else "log.csv")
     log.write(file)
     folder.write_files(output, {"truth.json": json.dumps(
-        {"machine": described.name, "sha256": described.sha256, "seed": seed, "noise": noise, "parameters": named}, indent=1)})
+        {"machine": described.name, "sha256": described.sha256, "seed": seed, "noise": noise, "parameters": named},
+        indent=1)})
     if not quiet:
         typer.echo(f"{file}: {len(log.t)} samples, channels {', '.join(log.channels)}")
 
@@ -176,7 +180,8 @@ def identify(
     bandwidth: Annotated[float | None, typer.Option(help="Highest frequency of the motion [Hz], for spline.")] = None,
     tolerance: Annotated[float, typer.Option(help="Singular value, relative to the largest, that counts as zero.",
                                              min=0.0, max=1.0)] = 1e-7,
-    ridge: Annotated[float | None, typer.Option(help="Strength of ridge regression; else cross-validated.", min=0.0)] = None,
+    ridge: Annotated[float | None, typer.Option(help="Strength of ridge regression; else cross-validated.",
+                                                min=0.0)] = None,
     reduced: Annotated[bool, typer.Option("--reduced", help="Leave out the inertia of barrels and rods.")] = False,
     seed: Annotated[int, typer.Option(help="Of the sampling of intervals.", min=0)] = 0,
     parameter_set: ParameterSetName = None,

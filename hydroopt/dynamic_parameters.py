@@ -9,8 +9,8 @@ import numpy as np
 from hydroopt import inertia
 from hydroopt.inertia import Array
 from hydroopt.machine import Machine
-from hydroopt.parts import Body, Cylinder, Drive, Motor, Note
 from hydroopt.parameters import ParameterSet
+from hydroopt.parts import Body, Cylinder, Drive, Motor, Note
 
 DEFAULT_CONFIDENCE = 1.0
 """Prior σ of a body's numbers when the file states none, as a part of their size."""
@@ -135,7 +135,7 @@ def _body_block(owned: Owned, notes: dict[str, Note]) -> tuple[Array, Array, Arr
     if note.upper is not None:
         upper[0] = note.upper
     covariance = _body_covariance(owned, notes)
-    information: Array = np.linalg.inv(covariance) if covariance is not None else np.zeros((10, 10))
+    information = np.zeros((10, 10)) if covariance is None else np.asarray(np.linalg.inv(covariance), dtype=float)
     return phi, lower, upper, information
 
 
@@ -149,7 +149,8 @@ def _body_covariance(owned: Owned, notes: dict[str, Note]) -> Array | None:
     second = np.array(body.inertia_com if by_com else body.inertia)
     # the size of the body stands in for the size of a number that happens to be zero
     trace = second[0] + second[3] + second[5]
-    length = max(float(np.linalg.norm(first)) / (1.0 if by_com else body.m), float(np.sqrt(max(trace, 0.0) / (2 * body.m))), 1e-3)
+    length = max(float(np.linalg.norm(first)) / (1.0 if by_com else body.m),
+                 float(np.sqrt(max(trace, 0.0) / (2 * body.m))), 1e-3)
     keys = ("m", "com", "inertia_com") if by_com else ("m", "mc", "inertia")
     sizes = (body.m, length * (1.0 if by_com else body.m), body.m * length**2)
     values = (np.array([body.m]), first, second)

@@ -66,8 +66,8 @@ def _from_base(machine: Machine, link: str, q: dict[str, ca.SX]) -> Pose:
 def check(machine: Machine) -> None:
     """Check every cylinder over the range of the joints it moves.
 
-    The triangle must close, the stroke must cover the range, and the lever arm must keep its sign. For a cylinder on one
-    revolute joint this is exact; any other is checked on a grid of its joints.
+    The triangle must close, the stroke must cover the range, and the lever arm must keep its sign. For a cylinder on
+    one revolute joint this is exact; any other is checked on a grid of its joints.
 
     Raises:
         ImpossibleError: names the cylinder, the place and the remedy.
@@ -97,19 +97,20 @@ def _check_on_grid(machine: Machine, cylinder: Cylinder, points: int = 25) -> No
                             | (lengths > cylinder.dead_length + cylinder.stroke + 1e-9))
     if beyond.size:
         raise ImpossibleError(
-            f"'{cylinder.name}' would be {lengths[beyond[0]]:.3f} m long at {place} = {np.round(states[:, beyond[0]], 4)} "
-            f"(SI) but can only be {cylinder.dead_length:.3f} to {cylinder.dead_length + cylinder.stroke:.3f} m",
+            f"'{cylinder.name}' would be {lengths[beyond[0]]:.3f} m long at {place} = "
+            f"{np.round(states[:, beyond[0]], 4)} (SI) but can only be {cylinder.dead_length:.3f} to "
+            f"{cylinder.dead_length + cylinder.stroke:.3f} m",
             "correct dead length, stroke, pins or the joints' limits")
     turned = np.flatnonzero(arms * arms[0] <= 0)
     if turned.size:
         raise ImpossibleError(
-            f"'{cylinder.name}' has a dead point near {place} = {np.round(states[:, turned[0]], 4)} (SI), where its lever "
-            f"arm on {joints[-1]} changes sign", "correct its pins or narrow the joints' limits")
+            f"'{cylinder.name}' has a dead point near {place} = {np.round(states[:, turned[0]], 4)} (SI), where its "
+            f"lever arm on {joints[-1]} changes sign", "correct its pins or narrow the joints' limits")
 
 
 def _lever_arm_keeps_sign(cylinder: Cylinder, joint: str, offset: float, lower: float, upper: float) -> None:
-    # the lever arm fixed·moving·sin(θ + offset)/length is zero where the pins and the axis lie in one line; a passive gas
-    # cylinder may pass such a point (a counterbalance works on both sides of it), an actuator may not
+    # the lever arm fixed·moving·sin(θ + offset)/length is zero where the pins and the axis lie in one line; a passive
+    # gas cylinder may pass such a point (a counterbalance works on both sides of it), an actuator may not
     first = np.ceil((lower + offset) / np.pi)
     dead = first * np.pi - offset
     if dead <= upper:
@@ -125,10 +126,11 @@ def _stroke_suffices(cylinder: Cylinder, joint: str, sides: Triangle, lower: flo
     if retracted > longest or extended < shortest:
         raise ImpossibleError(
             f"the triangle of '{cylinder.name}' is open at every {joint}: its pins can be {shortest:.3f} to "
-            f"{longest:.3f} m apart, the cylinder {retracted:.3f} to {extended:.3f} m long", "correct its pins, dead length or stroke")
+            f"{longest:.3f} m apart, the cylinder {retracted:.3f} to {extended:.3f} m long",
+            "correct its pins, dead length or stroke")
     for angle in (lower, upper):
         length = np.sqrt(fixed**2 + moving**2 + lateral**2 - 2 * fixed * moving * np.cos(angle + offset))
         if not retracted - 1e-9 <= length <= extended + 1e-9:
             raise ImpossibleError(
-                f"'{cylinder.name}' would be {length:.3f} m long at {joint} = {np.degrees(angle):.1f} deg but can only be "
-                f"{retracted:.3f} to {extended:.3f} m", "correct dead length, stroke, pins or the joint's limits")
+                f"'{cylinder.name}' would be {length:.3f} m long at {joint} = {np.degrees(angle):.1f} deg but can only "
+                f"be {retracted:.3f} to {extended:.3f} m", "correct dead length, stroke, pins or the joint's limits")

@@ -18,8 +18,8 @@ FULL, COMBINATION, NONE = "full", "combination", "none"
 class Identifiability:
     """Which of p parameters, and which r combinations of them, a regressor determines.
 
-    The basis is fixed by the order of the parameters: going through them once, a parameter joins it unless its column is
-    a combination of those already there. Base parameter i is ``basis[i]`` plus dependent ones (Gautier 1991),
+    The basis is fixed by the order of the parameters: going through them once, a parameter joins it unless its column
+    is a combination of those already there. Base parameter i is ``basis[i]`` plus dependent ones (Gautier 1991),
     ``β = grouping @ ψ`` with grouping (r, p). `category` (p,) holds `FULL`, `COMBINATION` or `NONE`.
     """
 
@@ -105,7 +105,7 @@ def _null_space(scaled: Array, rank: int) -> Array:
 
 
 def structural(model: Model, *, samples: int = 400, seed: int = 0, tolerance: float = 1e-8) -> Identifiability:
-    """Identifiability of a model under ideal motion: random joint states within the limits, no noise (Section 4.4.2)."""
+    """Identifiability of a model under ideal motion: random joint states within limits, no noise (Section 4.4.2)."""
     q, qd, qdd = random_states(model, samples, np.random.default_rng(seed))
     K = model.over(model.regressor, q, qd, qdd)[0]
     return analyse(K.reshape(-1, K.shape[2]), model.parameters.names, tolerance=tolerance)

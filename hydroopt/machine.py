@@ -72,8 +72,8 @@ class Machine(Noun):
         for cylinder in self.all_cylinders:
             for end, attachment in (("barrel", cylinder.barrel), ("rod", cylinder.rod)):
                 if attachment.link not in links | {BASE}:
-                    raise ImpossibleError(f"the {end} of '{cylinder.name}' is pinned to '{attachment.link}', which does "
-                                          "not exist", "name a link or the base")
+                    raise ImpossibleError(f"the {end} of '{cylinder.name}' is pinned to '{attachment.link}', which "
+                                          "does not exist", "name a link or the base")
             between = self.joints_between(cylinder.barrel.link, cylinder.rod.link)
             if not between:
                 raise ImpossibleError(f"no moving joint lies between the two ends of '{cylinder.name}'",

@@ -57,7 +57,8 @@ def solve_convex(problem: cp.Problem, where: str) -> bool:
             warnings.simplefilter("ignore", UserWarning)
             problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-10, tol_gap_rel=1e-10, tol_feas=1e-10)
     except cp.SolverError as error:
-        raise SolverError(f"Clarabel gave up ({error})", where=where, remedy="check the scale of priors and data") from None
+        raise SolverError(f"Clarabel gave up ({error})", where=where,
+                          remedy="check the scale of priors and data") from None
     if problem.status in ("infeasible", "infeasible_inaccurate"):
         return False
     if problem.status not in ("optimal", "optimal_inaccurate"):

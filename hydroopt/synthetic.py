@@ -9,8 +9,8 @@ import numpy as np
 from hydroopt import inertia
 from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.inertia import Array
-from hydroopt.parts import Cylinder, Motor
 from hydroopt.model.build import Model
+from hydroopt.parts import Cylinder, Motor
 from hydroopt.signals import sensors
 from hydroopt.signals.log import Log
 
@@ -36,8 +36,8 @@ def random_trajectory(model: Model, *, duration: float, rate: float, seed: int, 
     """A smooth motion of all joints within 90 % of the machine's limits, periodic over its duration.
 
     Each joint moves about the middle of its range by sines of random phase at multiples of 1/duration, drawn between
-    `slowest` and `fastest` [Hz] (or the nearest that there are); amplitudes are the largest that position, speed and acceleration limits admit. A joint that may turn by
-    more than half a turn keeps within ±60 degrees of its middle.
+    `slowest` and `fastest` [Hz] (or the nearest that there are); amplitudes are the largest that position, speed and
+    acceleration limits admit. A joint that may turn by more than half a turn keeps within ±60 degrees of its middle.
 
     Raises:
         ProblemError: duration or rate is not positive, or the log would not fit in memory.

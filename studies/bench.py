@@ -41,7 +41,8 @@ def main() -> None:
             walls, peaks = zip(*[measured(command) for _ in range(runs)], strict=True)
             wall = statistics.median(walls)
             base = base or (samples, wall)
-            beyond = f"{wall - base[1]:22.2f} {1000 * (wall - base[1]) / (samples - base[0]):17.4f}" if samples > base[0] else ""
+            more, longer = samples - base[0], wall - base[1]
+            beyond = f"{longer:22.2f} {1000 * longer / more:17.4f}" if more > 0 else ""
             print(f"{samples:8d} {wall:8.2f} {max(peaks):8.0f} {beyond}")
     print(f"target for 1664 samples: 4 s, 600 MB; this process itself: "
           f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")

@@ -168,21 +168,25 @@ MACHINES = {
     "a link without name": machine('name = "bucket"\n', "", r"links\[3\]\.name: "),
     "no limits": machine(', lower = "-60 deg", upper = "25 deg"', "", r"links\[boom\]\.joint: .*'lower' and 'upper'"),
     "unknown key at the top": machine('gravity =', 'gravitation =', "gravitation: "),
-    "unknown key deep": machine('dead_length = "1.799 m"', 'dead_lenght = "1.799 m"', r"cylinders\[stick_cylinder\]\.dead_len"),
+    "unknown key deep": machine('dead_length = "1.799 m"', 'dead_lenght = "1.799 m"',
+                                r"cylinders\[stick_cylinder\]\.dead_len"),
     "unknown key in a body": machine('com = ["2.3 m"', 'cog = ["2.3 m"', r"links\[boom\]\.body\.c"),
     "unknown key of a note": machine('sigma = "20 %"', 'std = "20 %"', r"links\[boom\]\.body\.m\.std: "),
     "table for a number": machine('gear = 307', 'gear = { ratio = 307 }', r"motors\[swing_motor\]\.gear: "),
-    "missing torque": machine('torque_per_pressure = "0.089 N*m/psi"\n', "", r"motors\[swing_motor\]\.torque_per_pressure: "),
+    "missing torque": machine('torque_per_pressure = "0.089 N*m/psi"\n', "",
+                              r"motors\[swing_motor\]\.torque_per_pressure: "),
     # units and numbers
     "angle for a length": machine('a = "5.18 m"', 'a = "5.18 deg"', r"links\[boom\]\.joint\.a: 'deg'.*'m'"),
     "length for an angle": machine('lower = "35 deg"', 'lower = "35 mm"', r"links\[stick\]\.joint\.lower: 'mm'"),
     "number without unit": machine('a = "1.8 m"', "a = 1.8", r"links\[stick\]\.joint\.a: .*; .*1\.8 m"),
     "limit without unit": machine('upper = "145 deg"', "upper = 145", r"links\[stick\]\.joint\.upper: .*; .*rad"),
-    "text for a number": machine('stroke = "1.1 m"', 'stroke = "about 1 m"', r"cylinders\[boom_cylinder\]\.stroke: 'about 1 m'"),
+    "text for a number": machine('stroke = "1.1 m"', 'stroke = "about 1 m"',
+                                 r"cylinders\[boom_cylinder\]\.stroke: 'about 1 m'"),
     "decimal comma": machine('stroke = "1.1 m"', 'stroke = "1,1 m"', r"cylinders\[boom_cylinder\]\.stroke: '1,1 m'"),
     "unknown unit": machine('"140 mm"', '"140 furlongz"', r"cylinders\[stick_cylinder\]\.bore: 'furlongz'"),
     "unit glued to its number": machine('"140 mm"', '"140mm"', r"cylinders\[stick_cylinder\]\.bore: '140mm'"),
-    "orientation in metres": machine('["0 deg", "0 deg", "0 deg"]', '["0 m", "0 deg", "0 deg"]', r"orientation\[0\]: 'm'"),
+    "orientation in metres": machine('["0 deg", "0 deg", "0 deg"]', '["0 m", "0 deg", "0 deg"]',
+                                     r"orientation\[0\]: 'm'"),
     "true for a number": machine("gear = 307", "gear = true", r"motors\[swing_motor\]\.gear: "),
     "jacks not whole": machine("jacks = 2", "jacks = 1.5", r"cylinders\[boom_cylinder\]\.jacks: "),
     "negative area": machine('"15.9 in^2"', '"-15.9 in^2"', r"cylinders\[boom_cylinder\]\.head_area: "),
@@ -205,17 +209,21 @@ MACHINES = {
                                    r"cylinders\[stick_cylinder\]\.rod\.pin: .*3"),
     "pin as text": machine('["-0.58979 m", "-0.41298 m", "0 m"]', '"-0.6 m, -0.4 m, 0 m"',
                            r"cylinders\[stick_cylinder\]\.rod\.pin: "),
-    "unit wrong within a pin": machine('"-0.41298 m"', '"-0.41298 bar"', r"cylinders\[stick_cylinder\]\.rod\.pin\[1\]: 'bar'"),
+    "unit wrong within a pin": machine('"-0.41298 m"', '"-0.41298 bar"',
+                                       r"cylinders\[stick_cylinder\]\.rod\.pin\[1\]: 'bar'"),
     "gear of zero": machine("gear = 307", "gear = 0", r"motors\[swing_motor\]\.gear: "),
     "unknown kind of joint": machine('type = "locked"', 'type = "hinge"', r"links\[bucket\]\.joint\.type: .*revolute"),
-    "polytropic exponent of 3": machine("polytropic = 1.3", "polytropic = 3", r"gas_cylinders\[balance\]\.polytropic: "),
+    "polytropic exponent of 3": machine("polytropic = 1.3", "polytropic = 3",
+                                        r"gas_cylinders\[balance\]\.polytropic: "),
     # geometry
-    "open triangle": machine('dead_length = "1.799 m"', 'dead_length = "17.99 m"', r"the triangle of 'stick_cylinder' is open.* m"),
+    "open triangle": machine('dead_length = "1.799 m"', 'dead_length = "17.99 m"',
+                             r"the triangle of 'stick_cylinder' is open.* m"),
     "pin on the joint's axis": machine('"-0.58979 m", "-0.41298 m"', '"-1.8 m", "0 m"', r".*'stick_cylinder'"),
     "stroke too short": machine('"1.35 m"', '"0.9 m"', r".*'stick_cylinder' .*stick = .* deg"),
     "dead point in the range": machine('lower = "35 deg"', 'lower = "-30 deg"', r".*'stick_cylinder' .*stick = .* deg"),
     "limits exchanged": machine('lower = "35 deg"', 'lower = "150 deg"', r"links\[stick\]\.joint: "),
-    "locked joint with limits": machine('{ type = "locked" }', '{ type = "locked", lower = "0 deg" }', r"links\[bucket\]\.joint\.lower: "),
+    "locked joint with limits": machine('{ type = "locked" }', '{ type = "locked", lower = "0 deg" }',
+                                        r"links\[bucket\]\.joint\.lower: "),
     # structure
     "links in a circle": machine('parent = "boom"', 'parent = "bucket"', ".*'stick'.*'bucket'"),
     "no such parent": machine('parent = "boom"', 'parent = "broom"', ".*'stick'.*'broom'"),
@@ -224,9 +232,11 @@ MACHINES = {
     "link named base": machine('name = "bucket"', 'name = "base"', ".*'base'"),
     "name with a blank": machine('name = "bucket"', 'name = "big bucket"', r"links\[.*\]\.name: .*'big bucket'"),
     "name with a dot": machine('name = "swing_motor"', 'name = "swing.motor"', r"motors\[.*\]\.name: .*'swing\.motor'"),
-    "joint that nothing drives": machine('{ type = "locked" }', '{ type = "revolute", lower = "0 deg", upper = "1 deg" }', ".*'bucket'"),
+    "joint that nothing drives": machine(
+        '{ type = "locked" }', '{ type = "revolute", lower = "0 deg", upper = "1 deg" }', ".*'bucket'"),
     "two actuators on one joint": machine(
-        "[[sensors]]\nchannels = [\"boom.q\"", "[[drives]]\nname = \"extra\"\njoint = \"stick\"\n[[sensors]]\nchannels = [\"boom.q\"",
+        '[[sensors]]\nchannels = ["boom.q"',
+        '[[drives]]\nname = "extra"\njoint = "stick"\n[[sensors]]\nchannels = ["boom.q"',
         ".*'stick'.*'stick_cylinder'.*'extra'"),
     "actuator on the wrong joint": machine('joint = "swing"\n', 'joint = "boom"\n', ".*'swing'"),
     "cylinder within one link": machine('link = "stick"', 'link = "boom"', ".*'stick_cylinder'"),
@@ -235,20 +245,24 @@ MACHINES = {
     # what is known about numbers
     "sensor of no channel": machine('"boom.q"', '"bucket.q"', ".*'bucket.q'"),
     "sensor of unknown kind": machine('"boom.q", "stick.q"', '"boom.angle"', r"sensors\[0\]\.channels: .*boom\.angle"),
-    "sensor of angles and pressures": machine('"boom.q", "stick.q"', '"boom.q", "boom_cylinder.p_rod"', r"sensors\[0\]\.channels: "),
+    "sensor of angles and pressures": machine('"boom.q", "stick.q"', '"boom.q", "boom_cylinder.p_rod"',
+                                              r"sensors\[0\]\.channels: "),
     "sensor of no list": machine('["boom.q", "stick.q"]', '"boom.q"', r"sensors\[0\]\.channels: .*list"),
     "two sensors of one channel": machine('"boom_cylinder.p_head", "boom_cylinder.p_rod"]\naccuracy = "25 psi"',
                                           '"boom.q"]\naccuracy = "1 deg"', ".*'boom.q'"),
     "accuracy in the wrong unit": machine('accuracy = "25 psi"', 'accuracy = "25 mm"', r"sensors\[1\].*accuracy: 'mm'"),
     "negative accuracy": machine('accuracy = "25 psi"', 'accuracy = "-25 psi"', r"sensors\[1\].*accuracy: "),
-    "sigma of another kind": machine('sigma = "50 N"', 'sigma = "50 bar"', r".*stick_cylinder.*friction\.coulomb\.sigma: 'bar'"),
+    "sigma of another kind": machine('sigma = "50 N"', 'sigma = "50 bar"',
+                                     r".*stick_cylinder.*friction\.coulomb\.sigma: 'bar'"),
     "sigma of zero": machine('sigma = "50 N"', 'sigma = "0 N"', r".*stick_cylinder.*friction\.coulomb"),
     "negative sigma in percent": machine('sigma = "20 %"', 'sigma = "-20 %"', r".*boom.*body\.m"),
     "sigma without unit": machine('sigma = "50 N"', "sigma = 50", r".*stick_cylinder.*friction\.coulomb\.sigma: "),
     "sigma not a number": machine('sigma = "50 N"', 'sigma = "nan N"', r".*stick_cylinder.*friction\.coulomb"),
-    "bounds exchanged": machine('sigma = "50 N"', 'lower = "60 N", upper = "50 N"', r".*stick_cylinder.*friction\.coulomb"),
+    "bounds exchanged": machine('sigma = "50 N"', 'lower = "60 N", upper = "50 N"',
+                                r".*stick_cylinder.*friction\.coulomb"),
     "source not text": machine('source = "guess"', "source = 5", r".*boom.*body\.m"),
-    "unit of value unknown": machine('"100 N", sigma', '"100 quux", sigma', r".*stick_cylinder.*friction\.coulomb.*'quux'"),
+    "unit of value unknown": machine('"100 N", sigma', '"100 quux", sigma',
+                                     r".*stick_cylinder.*friction\.coulomb.*'quux'"),
     "no such parameter set": machine('set = "guess"', 'set = "measured"', ".*'measured'; .*guess"),
     "set of an unknown part": machine("sets.guess.stick]", "sets.guess.dipper]", ".*'guess'.*'dipper'"),
     "set is a number": machine('[parameter_sets.guess.stick]\n' + BODY, '[parameter_sets.guess]\nstick = 5\n[other]\n',
@@ -309,7 +323,8 @@ def constant(lines: list[str]) -> list[str]:
 def mapped(content: str, place: str, data: list[str] | bytes | None = None, name: str = "log.csv") -> Case:
     """The good log read through a map."""
     def spoil(folder: Path) -> list[str]:
-        return identify(folder, GOOD_LOG if data is None else data, "--map", str(written(folder, content, "map.toml")), name=name)
+        layout = str(written(folder, content, "map.toml"))
+        return identify(folder, GOOD_LOG if data is None else data, "--map", layout, name=name)
     return Case(spoil, place)
 
 
@@ -337,12 +352,14 @@ def _ur10e(folder: Path) -> list[str]:
         pytest.skip(f"measured data absent: {UR10E}")
     columns = "".join(f'"j{i}.q" = {{ column = {i}, unit = "rad" }}\n' for i in range(1, 7))
     layout = f'header = false\n[columns]\nt = {{ column = 0, unit = "s" }}\n{columns}'
-    return ["identify", "patu655_lift", str(UR10E), "-o", str(folder / "out"), "--map", str(written(folder, layout, "map.toml"))]
+    return ["identify", "patu655_lift", str(UR10E), "-o", str(folder / "out"),
+            "--map", str(written(folder, layout, "map.toml"))]
 
 
 MAT_MAP = '[columns]\nt = { variable = "t", unit = "s" }\n"lift.q" = { variable = "q", unit = "rad" }\n'
 LOGS = {
-    "no such log": Case(lambda d: ["identify", "patu655_lift", str(d / "log.csv"), "-o", str(d / "out")], r"log\.csv: "),
+    "no such log": Case(lambda d: ["identify", "patu655_lift", str(d / "log.csv"), "-o", str(d / "out")],
+                        r"log\.csv: "),
     "log is a directory": Case(lambda d: ["identify", "patu655_lift", str(d), "-o", str(d / "out")], "directory"),
     "empty log": log(lambda lines: "", "empty"),
     "log with a header only": log(lambda lines: lines[:1], "header"),
@@ -376,7 +393,8 @@ LOGS = {
     "length beyond the triangle": log(lambda lines: cell(7, 4, "9.9")([OPEN, *lines[1:]]),
                                       r"sample 7,.*triangle"),
     "lines without end": log(lambda lines: "t [s]," + "x" * 5_000_000, "5000006 characters"),
-    "Parquet that declares 11 GB": Case(lambda d: identify(d, huge_parquet(), name="log.parquet"), r"log\.parquet: .*GB"),
+    "Parquet that declares 11 GB": Case(lambda d: identify(d, huge_parquet(), name="log.parquet"),
+                                        r"log\.parquet: .*GB"),
     "MATLAB that declares 20 GB": mapped(MAT_MAP, r"log\.mat: .*GB", huge_mat(), "log.mat"),
     "MATLAB cut short": mapped(MAT_MAP, r"log\.mat: ", huge_mat()[:150], "log.mat"),
     "damaged UR10e recording": Case(_ur10e, r"15harm50secLoad\.csv: data rows 2–10, 6107 .*; .*rows = \[11, 6106\]"),
@@ -435,7 +453,8 @@ OPTIONS = {
     "smoothing without numbers": option("--smoothing", "fourier:x:y", place="--smoothing: 'fourier:x:y'"),
     "period longer than the log": option("--smoothing", "fourier:99:3", place=r"log\.csv: .*99 s"),
     "period not a number": option("--smoothing", "fourier:nan:3", place=r"log\.csv: .*nan"),
-    "more harmonics than samples can show": option("--smoothing", "fourier:19:300", place=r"log\.csv: harmonic 300 .*sampling"),
+    "more harmonics than samples can show": option("--smoothing", "fourier:19:300",
+                                                   place=r"log\.csv: harmonic 300 .*sampling"),
     "cutoff above Nyquist": option("--smoothing", "butterworth:15", place=r"log\.csv.*: .*15 Hz.*; .*10 Hz"),
     "cutoff not a number": option("--smoothing", "butterworth:nan", place=r"log\.csv.*: .*nan"),
     "negative bandwidth": option("--bandwidth", "-1", place="--bandwidth"),
@@ -453,8 +472,10 @@ OPTIONS = {
     "rate of zero": simulate("--rate", "0", place="simulate: "),
     "more samples than memory": simulate("--duration", "1e9", place="simulate: .*samples"),
     "unknown truth": simulate("--truth", "maybe", place="--truth: 'maybe'"),
-    "motion beyond the limits": Case(lambda d: ["simulate", "patu655_lift", "-o", str(d / "out"), "--motion", str(written(
-        d, "\n".join(cell(7, 1, "3")(GOOD_LOG)), "log.csv"))], r"log\.csv: lift\.q .*sample 7"),
+    "motion beyond the limits": Case(
+        lambda d: ["simulate", "patu655_lift", "-o", str(d / "out"),
+                   "--motion", str(written(d, "\n".join(cell(7, 1, "3")(GOOD_LOG)), "log.csv"))],
+        r"log\.csv: lift\.q .*sample 7"),
     "unknown set of a bundled machine": Case(lambda d: ["show", "cat215b", "--set", "magic"], "cat215b: .*'magic'"),
 }
 CASES = FILES | {f"machine: {name}": case for name, case in MACHINES.items()} | LOGS | OPTIONS

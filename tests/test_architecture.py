@@ -11,9 +11,9 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "hydroopt"
 FILES = sorted(PACKAGE.rglob("*.py"))
 
-LEVELS = {"errors": 0, "units": 0, "quantity": 1, "parts": 2, "spatial": 1, "inertia": 1, "parameters": 1, "machine": 2, "description": 2,
-          "geometry": 2, "dynamic_parameters": 2, "model": 3, "signals": 3, "synthetic": 4, "identifiability": 4,
-          "solvers": 4, "estimation": 5, "report": 6, "cli": 6, "__main__": 6, "__init__": 6}
+LEVELS = {"errors": 0, "units": 0, "quantity": 1, "parts": 2, "spatial": 1, "inertia": 1, "parameters": 1, "machine": 2,
+          "description": 2, "geometry": 2, "dynamic_parameters": 2, "model": 3, "signals": 3, "synthetic": 4,
+          "identifiability": 4, "solvers": 4, "estimation": 5, "report": 6, "cli": 6, "__main__": 6, "__init__": 6}
 
 QUARANTINE = {
     "casadi": ("spatial", "geometry", "model", "solvers", "estimation"),

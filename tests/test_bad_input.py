@@ -1,4 +1,4 @@
-"""Whatever is wrong with the input: exit code 2, one sentence with place and remedy, and nothing that looks like a result."""
+"""Whatever is wrong with the input: exit code 2, one sentence with place and remedy, and nothing like a result."""
 
 import re
 import subprocess
@@ -40,7 +40,8 @@ def test_bad_input_is_refused_in_one_sentence(name, tmp_path, monkeypatch, capsy
     check(ended.value.code, caught.out, caught.err, case, tmp_path)
 
 
-@pytest.mark.parametrize("name", ["machine: binary", "machine: pin of two numbers", "NaN", "unknown option", "output is a file"])
+@pytest.mark.parametrize("name", ["machine: binary", "machine: pin of two numbers", "NaN", "unknown option",
+                                  "output is a file"])
 def test_the_command_itself_refuses_bad_input(name, tmp_path):
     case = CASES[name]
     done = subprocess.run([sys.executable, "-m", "hydroopt", *case.spoil(tmp_path)], capture_output=True, text=True,

@@ -39,7 +39,8 @@ def test_machine_file_in_the_readme_is_valid() -> None:
 @pytest.mark.parametrize("command", re.findall(r"^    (hydroopt (?:show|simulate|identify) .*?)(?:\s+#.*)?$", README,
                                                re.MULTILINE))
 def test_commands_in_the_readme_parse(command: str) -> None:
-    done = subprocess.run([sys.executable, "-m", *command.split()[:2], "--help"], capture_output=True, text=True, check=False)
+    done = subprocess.run([sys.executable, "-m", *command.split()[:2], "--help"], capture_output=True, text=True,
+                          check=False)
     assert done.returncode == 0
     for option in re.findall(r"--[a-z-]+", command):
         assert option in done.stdout

@@ -10,8 +10,8 @@ from hydroopt import inertia
 from hydroopt.description import load_machine
 from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.machine import Machine
-from hydroopt.parts import Note
 from hydroopt.model.build import Model
+from hydroopt.parts import Note
 from hydroopt.synthetic import Trajectory, forces, random_trajectory, random_truth, simulate
 
 MACHINES = ("cat215b", "kr300", "patu655_lift")

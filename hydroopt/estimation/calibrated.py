@@ -24,8 +24,8 @@ def calibrated_machine(estimate: Estimate) -> Machine:
     impossible = [owner for owner, smallest in estimate.consistency.items() if smallest < 0]
     below = [name for k, name in enumerate(names) if estimate.psi[k] < problem.parameters.lower[k] - 1e-9]
     if impossible or below:
-        raise ProblemError(f"{', '.join([*impossible, *below])} cannot exist", where=f"{machine.name} by {estimate.method}",
-                           remedy="identify with method 'sdp'")
+        raise ProblemError(f"{', '.join([*impossible, *below])} cannot exist",
+                           where=f"{machine.name} by {estimate.method}", remedy="identify with method 'sdp'")
     source = f"identified by {estimate.method} from {', '.join(e.log.path or e.log.name for e in problem.experiments)}"
     data: dict[str, Any] = machine.model_dump(exclude={"notes"})
     notes = dict(machine.notes)

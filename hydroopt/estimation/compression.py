@@ -18,7 +18,7 @@ CHUNK = 2048
 
 @dataclass(frozen=True, eq=False)
 class Compressed:
-    """Triangles (n, p+1, p+1) with ``‖T_i·[ψ; −1]‖² = Σ (K_i·ψ − f_i)²`` for every actuator i, over `samples[i]` rows."""
+    """Triangles (n, p+1, p+1) with ``‖T_i·[ψ; −1]‖² = Σ (K_i·ψ − f_i)²`` for actuator i, over `samples[i]` rows."""
 
     triangles: Array
     samples: Array
@@ -74,5 +74,6 @@ def predict(model: Model, data: Experiment, psi: Array) -> Array:
     for start in range(0, len(out), CHUNK):
         rows = np.s_[start : start + CHUNK]
         psis = np.broadcast_to(psi, (len(motion.q[rows]), len(psi)))
-        out[rows] = model.over(model.inverse_dynamics, motion.q[rows], motion.qd[rows], motion.qdd[rows], psis)[0][:, :, 0]
+        forces = model.over(model.inverse_dynamics, motion.q[rows], motion.qd[rows], motion.qdd[rows], psis)[0]
+        out[rows] = forces[:, :, 0]
     return out

@@ -123,12 +123,13 @@ class Estimate:
         lines = [f"{self.problem.model.machine.name} by {self.method}: {self.status}"]
         for name, table in self.fit.items():
             for channel, fit in table.items():
-                lines.append(f"  {name:<10} {channel:<18} RMS {fit.rms:10.4g} {fit.unit:<5} relative {100 * fit.relative:6.2f} %"
-                             f"  VAF {100 * fit.vaf:6.2f} %")
+                lines.append(f"  {name:<10} {channel:<18} RMS {fit.rms:10.4g} {fit.unit:<5} "
+                             f"relative {100 * fit.relative:6.2f} %  VAF {100 * fit.vaf:6.2f} %")
         return "\n".join(lines)
 
 
 def _fit_of(measured: Array, error: Array, unit: str) -> Fit:
     rms = float(np.sqrt(np.mean(error**2)))
     size, spread = float(np.sqrt(np.mean(measured**2))), float(np.var(measured))
-    return Fit(rms, 1 - float(np.var(error)) / spread if spread else float("nan"), rms / size if size else float("inf"), unit)
+    vaf = 1 - float(np.var(error)) / spread if spread else float("nan")
+    return Fit(rms, vaf, rms / size if size else float("inf"), unit)

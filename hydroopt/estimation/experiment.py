@@ -10,15 +10,15 @@ from numpy.typing import NDArray
 from hydroopt.errors import LogError
 from hydroopt.inertia import Array
 from hydroopt.machine import Machine
-from hydroopt.parts import Cylinder
 from hydroopt.model.build import Model
+from hydroopt.parts import Cylinder
 from hydroopt.signals.conditioning import Motion, Smoothing, SmoothingSpline, condition
 from hydroopt.signals.log import Log
 
 NOISE_FACTOR, OVERSHOOT, STANDSTILL = 4.0, 0.15, 1e-6
-"""A joint counts as standing still below this many standard deviations of its velocity's noise, below this part of its RMS
-speed (smoothing lets an abrupt stop ring, so that slower readings may have the wrong sign), and below this speed in rad/s
-or m/s."""
+"""A joint counts as standing still below this many standard deviations of its velocity's noise, below this part of its
+RMS speed (smoothing lets an abrupt stop ring, so that slower readings may have the wrong sign), and below this speed in
+rad/s or m/s."""
 
 SELDOM = 0.01
 """A joint that seems to move in less than this part of the samples stands still: noise alone does as much."""
@@ -48,7 +48,8 @@ class Experiment:
         """What was done to the log, in plain words."""
         still = np.sum(self.inside[:, None] & ~self.moving, axis=0)
         left_out = f"{int(np.sum(~self.inside))} of {len(self.inside)} samples at the ends of stretches left out"
-        return (*self.motion.notes, left_out, f"standing still (no sign of friction) per joint: {still.tolist()} samples")
+        return (*self.motion.notes, left_out,
+                f"standing still (no sign of friction) per joint: {still.tolist()} samples")
 
 
 def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Experiment:
@@ -66,7 +67,8 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
     motion = condition(log.t, angles, log.segment, smoothing, angle_noise(machine, log),
                        names=machine.joints, where=log.path or log.name)
     force = np.column_stack([_force(model, log, k) for k in range(len(machine.joints))])
-    slow = np.maximum(NOISE_FACTOR * _velocity_noise(angles, motion), OVERSHOOT * np.sqrt(np.mean(motion.qd**2, axis=0)))
+    rms_speed = np.sqrt(np.mean(motion.qd**2, axis=0))
+    slow = np.maximum(NOISE_FACTOR * _velocity_noise(angles, motion), OVERSHOOT * rms_speed)
     moving = np.abs(motion.qd) > np.maximum(slow, STANDSTILL)
     return Experiment(log, motion, force, moving & (np.mean(moving, axis=0) > SELDOM))
 
@@ -90,8 +92,8 @@ def _angle(model: Model, log: Log, joint: str) -> Array:
     angle = np.asarray(model.triangles[actuator.name][1](log.channel(by_length))).ravel()
     if (open_at := np.flatnonzero(~np.isfinite(angle))).size:
         first = open_at[0]
-        raise LogError(f"'{by_length}' is {log.channel(by_length)[first]:.4g} m at sample {log.sample[first]}, at which the "
-                       "triangle of the cylinder is open", where=log.path or log.name,
+        raise LogError(f"'{by_length}' is {log.channel(by_length)[first]:.4g} m at sample {log.sample[first]}, "
+                       "at which the triangle of the cylinder is open", where=log.path or log.name,
                        remedy="correct the cylinder's geometry or the transducer's zero")
     return angle
 

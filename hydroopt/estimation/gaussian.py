@@ -36,8 +36,8 @@ def gaussian(problem: Problem, R: Array, r: Array, equalities: tuple[Array, Arra
     free: Array = np.eye(p)
     if equalities is not None and len(equalities[0]):
         E, e = equalities[0] * scale, equalities[1] - equalities[0] @ nominal
-        particular = np.linalg.lstsq(E, e, rcond=None)[0]
-        free = np.linalg.svd(E, full_matrices=True)[2][np.linalg.matrix_rank(E) :].T
+        particular = np.asarray(np.linalg.lstsq(E, e, rcond=None)[0], dtype=float)
+        free = np.asarray(np.linalg.svd(E, full_matrices=True)[2][np.linalg.matrix_rank(E) :].T, dtype=float)
     U, s, Vt = np.linalg.svd(A @ free, full_matrices=False)
     mean = particular + free @ (Vt.T @ (U.T @ (b - A @ particular) / s))
     return Gaussian(nominal + scale * mean, scale[:, None] * (free @ (Vt.T / s)))

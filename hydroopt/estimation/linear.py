@@ -44,7 +44,8 @@ def nearest(parameters: ParameterSet, found: Identifiability, psi: Array) -> Arr
 
     It predicts the same as `psi` wherever the data had something to say, and as the nominal model elsewhere.
     """
-    step = np.linalg.pinv(found.grouping * parameters.scale, rcond=1e-12) @ (found.grouping @ (psi - parameters.nominal))
+    change = found.grouping @ (psi - parameters.nominal)
+    step = np.linalg.pinv(found.grouping * parameters.scale, rcond=1e-12) @ change
     return np.asarray(parameters.nominal + parameters.scale * step)
 
 

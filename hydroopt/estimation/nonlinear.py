@@ -60,8 +60,8 @@ def solve(problem: Problem, belief: Gaussian) -> Solution:
     g = ca.vertcat(*relations) if relations else ca.SX(0, 1)
     g_lower, g_upper = (np.array([pair[k] for pair in bounds]) for k in (0, 1))
     nlp = {"x": ca.vertcat(*unknowns), "f": ca.sumsqr(z), "g": g}
-    answer = solvers.solve_nlp(nlp, np.concatenate(start), np.concatenate(lows), np.concatenate(highs), g_lower, g_upper,
-                               where, dict(names))
+    answer = solvers.solve_nlp(nlp, np.concatenate(start), np.concatenate(lows), np.concatenate(highs),
+                               g_lower, g_upper, where, dict(names))
     solution = belief.offset + belief.slope @ answer[: z.numel()]
     at = np.asarray(ca.Function("g", [nlp["x"]], [g])(answer)).ravel()
     active = [f"{side} bound of {parameters.names[k]}" for side, bound in (("lower", lower), ("upper", upper))

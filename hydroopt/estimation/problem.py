@@ -131,7 +131,8 @@ class Problem:
             ProblemError: the expression is not linear in the parameters, or sigma is not positive.
         """
         if not sigma > 0:
-            raise ProblemError(f"sigma is {sigma}", where=f"prior '{name}'", remedy="give a positive one, or a constraint")
+            raise ProblemError(f"sigma is {sigma}", where=f"prior '{name}'",
+                               remedy="give a positive one, or a constraint")
         symbols = ca.SX.sym("p", len(self.parameters))
         named = Named(self.parameters, lambda k: symbols[k])
         result = ca.SX(named[expression] if isinstance(expression, str) else expression(named))

@@ -54,7 +54,8 @@ def solve(problem: Problem, method: Method = "sdp", *, tolerance: float = RANK_T
         return _solve(problem, method, tolerance, ridge, intervals, seed)
 
 
-def _solve(problem: Problem, method: Method, tolerance: float, ridge: float | None, intervals: bool, seed: int) -> Estimate:
+def _solve(problem: Problem, method: Method, tolerance: float, ridge: float | None, intervals: bool,
+           seed: int) -> Estimate:
     data = compress(problem.model, problem.experiments)
     if not np.any(data.samples):
         names = ", ".join(e.log.path or e.log.name for e in problem.experiments)
@@ -69,7 +70,8 @@ def _solve(problem: Problem, method: Method, tolerance: float, ridge: float | No
     times = _correlation_times(problem, psi)
     R, r, rest = data.weighted(sigma * np.sqrt(times))
     if method in _LINEAR:
-        return _linear_estimate(problem, method, R, r, rest, float(np.sum(data.samples)), sigma, times, tolerance, ridge)
+        return _linear_estimate(problem, method, R, r, rest, float(np.sum(data.samples)), sigma, times,
+                                tolerance, ridge)
     belief = gaussian(problem, R, r)
     solution = (nonlinear.solve(problem, belief) if method == "nlp"
                 else feasible.solve(problem, belief, consistent=method == "sdp" and problem.consistent))
@@ -77,7 +79,7 @@ def _solve(problem: Problem, method: Method, tolerance: float, ridge: float | No
 
 
 def _weights(problem: Problem, data: Compressed, tolerance: float) -> Array:
-    """Standard deviation (n,) of each actuator's residual: stated by its sensors, then estimated from the fit itself."""
+    """Standard deviation (n,) of each actuator's residual: stated by its sensors, then estimated from the fit."""
     size = np.linalg.norm(data.triangles[:, :, -1], axis=1) / np.sqrt(np.maximum(data.samples, 1.0))  # RMS force
     sigma = np.where(np.isfinite(problem.force_std), problem.force_std, 0.1 * size)
     sigma = np.where(sigma > 0, sigma, 1.0)
@@ -93,7 +95,7 @@ def _weights(problem: Problem, data: Compressed, tolerance: float) -> Array:
 
 
 def _robust(problem: Problem, data: Compressed, sigma: Array, tolerance: float) -> tuple[Compressed, Array]:
-    """Iteratively reweighted least squares: Huber (95 % efficient at 1.345 σ) or Student-t with four degrees of freedom."""
+    """Iteratively reweighted least squares: Huber (95 % efficient at 1.345 σ) or Student-t (4 degrees of freedom)."""
     for _ in range(8):
         R, r, _ = data.weighted(sigma)
         psi, _, _ = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
@@ -156,22 +158,25 @@ def _linear_estimate(problem: Problem, method: str, R: Array, r: Array, rest: fl
     return _assemble(problem, method, R, psi, value, std, ci, (), seen, base_std, sigma, times, (note,), 0)
 
 
-def _constrained_estimate(problem: Problem, method: str, R: Array, r: Array, solution: feasible.Solution, sigma: Array,
-                          times: Array, seen: Identifiability, tolerance: float, intervals: bool, seed: int) -> Estimate:
+def _constrained_estimate(problem: Problem, method: str, R: Array, r: Array, solution: feasible.Solution,
+                          sigma: Array, times: Array, seen: Identifiability, tolerance: float, intervals: bool,
+                          seed: int) -> Estimate:
     p = len(problem.parameters)
     psi, std, ci = solution.psi, np.full(p, np.nan), np.full((p, 2), np.nan)
     base_std = np.full(seen.rank, np.nan)
     note = "intervals were not asked for"
     if intervals:
-        posterior = uncertainty.sample(problem, R, r, solution.psi, consistent=method != "qp" and problem.consistent, seed=seed)
+        posterior = uncertainty.sample(problem, R, r, solution.psi,
+                                       consistent=method != "qp" and problem.consistent, seed=seed)
         if posterior is None:
             note = "no intervals: a constraint is a nonlinear equality or has no inside, which cannot be sampled"
         else:
             std, ci = posterior.interval()
             base_std, _ = posterior.interval(seen.grouping)
-            # the most probable point sits in a corner of the constraints, with most of what is possible on one side of it
+            # the most probable point sits in a corner of the constraints, with most of what is possible to one side
             psi = solution.psi if posterior.mean is None else posterior.mean
-            note = f"values are {'the most probable ones' if posterior.mean is None else 'posterior means'}; {posterior.note}"
+            kind = "the most probable ones" if posterior.mean is None else "posterior means"
+            note = f"values are {kind}; {posterior.note}"
     # where neither data nor prior say anything, no number is an estimate
     rows, _ = problem.prior_rows
     told = identifiability.analyse(np.vstack([R, rows]), problem.parameters.names, tolerance=tolerance)

@@ -1,14 +1,15 @@
 """Intervals that stay honest when constraints are active: samples of the posterior, cut off where bodies end to exist.
 
-Residuals and priors make a Gaussian posterior; bounds, physical consistency and the user's constraints cut it. Its samples
-are drawn by elliptical slice sampling (Murray, Adams, MacKay 2010), many chains side by side. Covariances of the
-unconstrained problem would be wrong at an active constraint, and those of the active set alone too small.
+Residuals and priors make a Gaussian posterior; bounds, physical consistency and the user's constraints cut it. Its
+samples are drawn by elliptical slice sampling (Murray, Adams, MacKay 2010), many chains side by side. Covariances of
+the unconstrained problem would be wrong at an active constraint, and those of the active set alone too small.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import casadi as ca
 import numpy as np
@@ -73,7 +74,8 @@ def sample(problem: Problem, R: Array, r: Array, psi: Array, *, consistent: bool
         if sweep >= WARM_UP and sweep % KEEP_EVERY == 0:
             kept.append(belief.offset + state @ belief.slope.T)
     samples = np.concatenate(kept)
-    centre = np.linalg.lstsq(belief.slope / scale[:, None], (samples.mean(axis=0) - belief.offset) / scale, rcond=None)[0]
+    mean = (samples.mean(axis=0) - belief.offset) / scale
+    centre = np.linalg.lstsq(belief.slope / scale[:, None], mean, rcond=None)[0]
     possible = bool(limits.hold(limits.of(centre[None]), lambda: centre[None])[0])
     note = (f"intervals from the Gaussian posterior cut off by bounds and constraints: {len(samples)} samples by "
             "elliptical slice sampling")
@@ -118,7 +120,8 @@ class _Limits:
         """Whether all limits hold (c,), from the linear functions and, only if the user has others, the states."""
         good: Mask = np.all(reach[:, self._bodies :] >= 0, axis=1)
         if self._bodies:
-            good &= np.all(_positive_definite(reach[:, : self._bodies].reshape(len(reach), self._bodies // 10, 10)), axis=1)
+            bodies = reach[:, : self._bodies].reshape(len(reach), self._bodies // 10, 10)
+            good &= np.all(_positive_definite(bodies), axis=1)
         if self._inequality is not None:
             good[good] = self._inequality(self._belief.offset + state()[good] @ self._belief.slope.T)
         return good
@@ -141,21 +144,23 @@ def _elliptical_step(state: Array, reach: Array, block: Array, limits: _Limits,
         at = angle[:, None]
         step = here * (np.cos(at) - 1) + other * np.sin(at)
         linear = reach[waiting] + step @ slope
-        good = limits.hold(linear, lambda step=step, waiting=waiting: _stepped(state[waiting], block, step))
+        good = limits.hold(linear, partial(_stepped, state, waiting, block, step))
         moved[waiting[good][:, None], block] += step[good]
         reached[waiting[good]] = linear[good]
         if np.all(good):
             break
         left = ~good
-        waiting, here, other, low, high, angle = (x[left] for x in (waiting, here, other, low, high, angle))
+        waiting = waiting[left]
+        here, other, low, high, angle = (x[left] for x in (here, other, low, high, angle))
         low, high = np.where(angle < 0, angle, low), np.where(angle < 0, high, angle)
         angle = rng.uniform(low, high)
     return moved, reached
 
 
-def _stepped(state: Array, block: Array, step: Array) -> Array:
-    state[:, block] += step
-    return state
+def _stepped(state: Array, chains: NDArray[np.intp], block: Array, step: Array) -> Array:
+    moved = state[chains]
+    moved[:, block] += step
+    return moved
 
 
 def _positive_definite(upper: Array) -> Mask:
@@ -199,7 +204,7 @@ def _linear_equalities(problem: Problem) -> tuple[tuple[Array, Array] | None, Ca
     for constraint in problem.constraints:
         try:
             body, equal = as_casadi(constraint, named)
-        except Exception:  # noqa: BLE001 - whatever a user's cvxpy function raises when handed CasADi symbols
+        except Exception:
             return None, None
         if not equal:
             insides.append(body)

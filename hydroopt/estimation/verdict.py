@@ -27,20 +27,22 @@ def doubts(estimate: Estimate) -> tuple[str, ...]:
 def _prediction(estimate: Estimate) -> list[str]:
     fit = estimate.fit
     if "validation" not in fit:
-        return ["No log was held out, so how well unseen forces are predicted is not known: give --validate or --holdout."]
+        return ["No log was held out, so how well unseen forces are predicted is not known: give --validate or "
+                "--holdout."]
     said = []
     for name, held_out in fit["validation"].items():
         trained = fit["train"][name]
         if name == "all":
             continue
         if held_out.relative > 1:
-            said.append(f"Unseen forces of {name} are predicted worse than by zero ({100 * held_out.relative:.0f} % error).")
+            said.append(f"Unseen forces of {name} are predicted worse than by zero "
+                        f"({100 * held_out.relative:.0f} % error).")
         elif held_out.vaf < 0:
-            said.append(f"Unseen forces of {name} are off by a constant of their own: the mean of the signal would have followed "
-                        "it more closely.")
+            said.append(f"Unseen forces of {name} are off by a constant of their own: the mean of the signal would "
+                        "have followed it more closely.")
         elif held_out.rms > 2 * trained.rms:
-            said.append(f"Unseen forces of {name} are predicted with {held_out.rms / trained.rms:.1f} times the error of "
-                        "the training data: the model is overfitted there, or the motion is of another kind.")
+            said.append(f"Unseen forces of {name} are predicted with {held_out.rms / trained.rms:.1f} times the error "
+                        "of the training data: the model is overfitted there, or the motion is of another kind.")
     return said
 
 
@@ -48,8 +50,8 @@ def _impossible(estimate: Estimate) -> list[str]:
     bad = [owner for owner, smallest in estimate.consistency.items() if smallest < 0]
     if not bad:
         return []
-    return [f"No such body can exist: {', '.join(bad)}. Their numbers reproduce forces but mean nothing one by one, and no "
-            "calibrated machine is written; the method 'sdp' keeps bodies possible."]
+    return [f"No such body can exist: {', '.join(bad)}. Their numbers reproduce forces but mean nothing one by one, "
+            "and no calibrated machine is written; the method 'sdp' keeps bodies possible."]
 
 
 def _confounded(found: Sequence[Confounded]) -> list[str]:
@@ -69,8 +71,8 @@ def _confounded(found: Sequence[Confounded]) -> list[str]:
         said.append(f"Not separable in this motion: {subject} ({_some(sorted(group), 6)}), whose variances are up to "
                     f"10^{np.log10(worst):.0f} times what they would be if the others were known.")
     if said:
-        said.append("Of what is not separable these data tell only the joint effect, and priors the rest: reverse the motion, vary "
-                    "its speed and reach, or state what you know.")
+        said.append("Of what is not separable these data tell only the joint effect, and priors the rest: reverse the "
+                    "motion, vary its speed and reach, or state what you know.")
     return said
 
 
@@ -80,8 +82,8 @@ def _noise(estimate: Estimate) -> list[str]:
     units = estimate.force_units
     for k, actuator in enumerate(estimate.problem.model.machine.actuators):
         if np.isfinite(stated[k]) and estimate.sigma[k] > 1.5 * stated[k]:
-            said.append(f"Residuals of {actuator.name} are {estimate.sigma[k] / stated[k]:.1f} times its sensors' noise of "
-                        f"{stated[k]:.3g} {units[k]}: noisy angles, or effects the model does not have.")
+            said.append(f"Residuals of {actuator.name} are {estimate.sigma[k] / stated[k]:.1f} times its sensors' "
+                        f"noise of {stated[k]:.3g} {units[k]}: noisy angles, or effects the model does not have.")
     slow = [f"{a.name} ({t:.0f} samples)" for a, t in zip(estimate.problem.model.machine.actuators,
                                                           estimate.correlation_time, strict=True) if t > 3]
     if slow:

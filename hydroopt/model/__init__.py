@@ -1,0 +1,1 @@
+"""The machine in equations: kinematics, regressor and inverse dynamics as CasADi functions."""

@@ -7,8 +7,8 @@ from typing import NamedTuple
 import casadi as ca
 
 from hydroopt.machine import Machine
-from hydroopt.parts import Cylinder, GasCylinder
 from hydroopt.model.kinematics import Coordinates, Motion
+from hydroopt.parts import Cylinder, GasCylinder
 from hydroopt.spatial import Pose, unskew
 
 
@@ -34,7 +34,7 @@ def cylinder_motion(machine: Machine, cylinder: Cylinder | GasCylinder, links: d
     carriers = links[cylinder.barrel.link], links[cylinder.rod.link]
     ends = [carrier.of_point(ca.DM(end.pin))
             for carrier, end in zip(carriers, (cylinder.barrel, cylinder.rod), strict=True)]
-    (from_p, from_v, from_a), (to_p, to_v, to_a) = ends
+    (from_p, from_v), (to_p, to_v) = (end[:2] for end in ends)
     length = ca.norm_2(to_p - from_p)
     x = (to_p - from_p) / length
     speed = ca.dot(x, to_v - from_v)

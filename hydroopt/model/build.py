@@ -11,11 +11,11 @@ import numpy as np
 from hydroopt import dynamic_parameters, geometry
 from hydroopt.inertia import Array
 from hydroopt.machine import Machine
-from hydroopt.parts import Cylinder, Drive, Motor
 from hydroopt.model import lagrange
 from hydroopt.model.kinematics import coordinates
 from hydroopt.model.regressor import Dynamics
 from hydroopt.parameters import ParameterSet
+from hydroopt.parts import Cylinder, Drive, Motor
 from hydroopt.spatial import triangle_angle, triangle_length
 
 

@@ -11,9 +11,9 @@ import casadi as ca
 from hydroopt import inertia
 from hydroopt.dynamic_parameters import bodies, parameter_set
 from hydroopt.machine import Machine
-from hydroopt.parts import Cylinder, Drive, GasCylinder, Motor
 from hydroopt.model.bodies import CylinderMotion, cylinder_motion
 from hydroopt.model.kinematics import Coordinates, Motion, link_motions
+from hydroopt.parts import Cylinder, Drive, GasCylinder, Motor
 from hydroopt.spatial import skew
 
 
@@ -52,7 +52,7 @@ class Dynamics:
     def _transmission(self) -> ca.SX:
         full = ca.jacobian(self.rates, self.at.qd)
         sparse = ca.SX(*full.shape)
-        # joints that carry both ends of a cylinder cannot change its length: zero, though the expression does not show it
+        # joints that carry both ends of a cylinder cannot change its length: zero, though the expression hides it
         for k, actuator in enumerate(self.machine.actuators):
             between = (self.machine.joints_between(actuator.barrel.link, actuator.rod.link)
                        if isinstance(actuator, Cylinder) else (actuator.joint,))

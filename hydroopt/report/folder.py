@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import csv
 import io
 import json
@@ -49,10 +50,8 @@ def save(estimate: Estimate, directory: str | Path, *, wall_s: float = float("na
              "base_parameters.csv": _csv(content["base_parameters"]),
              "fit.csv": _csv([{"data": data, "channel": channel} | fit for data, table in content["fit"].items()
                               for channel, fit in table.items()])}
-    try:
+    with contextlib.suppress(ProblemError):  # the doubts and the report say which body cannot exist
         files[f"{estimate.problem.model.machine.name}.toml"] = dump_machine(calibrated_machine(estimate))
-    except ProblemError:
-        pass  # the doubts and the report say which body cannot exist
     write_files(directory, files | {"estimate.json": json.dumps(content, indent=1, allow_nan=False)})
     return content
 
@@ -98,7 +97,8 @@ def as_dict(estimate: Estimate, wall_s: float = float("nan")) -> dict[str, Any]:
     base = [{"expression": seen.expression(i), "unit": parameters.units[seen.basis[i]],
              "value": _number(estimate.base_value[i]), "std": _number(estimate.base_std[i])} for i in range(seen.rank)]
     fit = {data: {channel: {"rms": _number(one.rms), "vaf": _number(one.vaf), "relative": _number(one.relative),
-                            "unit": one.unit} for channel, one in table.items()} for data, table in estimate.fit.items()}
+                            "unit": one.unit} for channel, one in table.items()}
+           for data, table in estimate.fit.items()}
     structure = estimate.structure
     return _origin(estimate.problem, estimate.method) | {
         "status": estimate.status, "parameters": rows, "base_parameters": base, "fit": fit,

@@ -16,8 +16,8 @@ from hydroopt import geometry, inertia
 from hydroopt.estimation.estimate import Estimate
 from hydroopt.inertia import Array
 from hydroopt.machine import BASE, Machine
-from hydroopt.parts import Cylinder, GasCylinder, Link
 from hydroopt.model.build import Model
+from hydroopt.parts import Cylinder, GasCylinder, Link
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE, STYLE, WIDTH
 from hydroopt.spatial import roll_pitch_yaw
 

@@ -1,0 +1,1 @@
+"""Measured signals: reading logs, finding and treating their defects, smooth motion from samples."""

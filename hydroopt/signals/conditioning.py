@@ -18,7 +18,7 @@ class SmoothingSpline:
     """Quintic smoothing spline; its weight follows from the stated noise, or from cross-validation.
 
     `cross_validate` asks for generalised cross-validation even where the noise is stated. Both suppose white noise;
-    where it is not white they pass too much, and the motion's `bandwidth` [Hz] bounds that: it is passed by half at most.
+    where it is not white they pass too much, and the motion's `bandwidth` [Hz] bounds that: at most half of it passes.
     """
 
     cross_validate: bool = False
@@ -149,8 +149,9 @@ def _spline(t: Array, q: Array, smoothing: SmoothingSpline, stds: Array | None, 
         chosen = "cross-validation" if stated is None else f"the stated noise of {stated:.3g}"
         if smoothing.bandwidth and fitted.bandwidth > 0.99 * smoothing.bandwidth:
             chosen = "the stated bandwidth of the motion"
-        note = (f"{names[joint] if names else f'joint {joint + 1}'}, {where}: smoothing spline with {fitted.bandwidth:.3g} Hz bandwidth from "
-                f"{chosen}, residual std {fitted.residual:.3g}")
+        name = names[joint] if names else f"joint {joint + 1}"
+        note = (f"{name}, {where}: smoothing spline with {fitted.bandwidth:.3g} Hz bandwidth from {chosen}, "
+                f"residual std {fitted.residual:.3g}")
         if stated and not 0.5 < fitted.residual / stated < 1.5:
             note += " (which does not agree: check the stated noise)"
         notes.append(note)

@@ -1,4 +1,4 @@
-"""CAT 215B with the thesis's sensors: plain least squares against the physically possible estimate, on unseen motion."""
+"""CAT 215B with the thesis's sensors: least squares against the physically possible estimate, on unseen motion."""
 
 import numpy as np
 

@@ -22,6 +22,7 @@ def run() -> dict:
         below.append(truth[known] < low)
     share = np.mean(inside, axis=0)
     names = np.array(model.parameters.names)[known]
-    return {"pooled_coverage": round(float(np.mean(inside)), 4), "truth_below_interval": round(float(np.mean(below)), 4),
+    return {"pooled_coverage": round(float(np.mean(inside)), 4),
+            "truth_below_interval": round(float(np.mean(below)), 4),
             "intervals_per_seed": int(known.sum()), "lowest_coverage": round(float(share.min()), 3),
             "lowest_coverage_of": str(names[np.argmin(share)])}

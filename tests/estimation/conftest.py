@@ -10,8 +10,8 @@ import pytest
 from hydroopt.description import load_machine
 from hydroopt.estimation.problem import Problem, identification_problem
 from hydroopt.machine import Machine
-from hydroopt.parts import Note
 from hydroopt.model.build import Model
+from hydroopt.parts import Note
 from hydroopt.signals.conditioning import Fourier
 from hydroopt.signals.log import Log
 from hydroopt.synthetic import random_trajectory, random_truth, simulate

@@ -133,7 +133,8 @@ def test_two_logs_are_one_log_of_both(noisy: Problem) -> None:
     both = Experiment(one.log, Motion(**joined, bandwidth=one.motion.bandwidth, notes=()),
                       np.concatenate([one.force, other.force]), np.concatenate([one.moving, other.moving]))
     sigma = np.array([700.0, 800.0, 900.0])
-    (R, r, _), (S, s, _) = (compression.compress(noisy.model, parts).weighted(sigma) for parts in ((one, other), (both,)))
+    (R, r, _), (S, s, _) = (compression.compress(noisy.model, parts).weighted(sigma)
+                            for parts in ((one, other), (both,)))
     lengths = np.maximum(np.linalg.norm(R, axis=0), 1e-9)
     np.testing.assert_allclose(
         (R.T @ R) / np.outer(lengths, lengths), (S.T @ S) / np.outer(lengths, lengths), atol=1e-12

@@ -5,9 +5,9 @@ import pytest
 
 from hydroopt.description import load_machine
 from hydroopt.machine import BASE, Machine
-from hydroopt.parts import GasCylinder
 from hydroopt.model.build import Model
 from hydroopt.model.regressor import gas_force
+from hydroopt.parts import GasCylinder
 
 STEP = 1e-30
 
