@@ -14,6 +14,7 @@ from typing import Annotated, Any
 import numpy as np
 import typer
 from rich.console import Console
+from rich.markup import escape
 from rich.table import Table
 
 from hydroopt import identifiability, synthetic
@@ -56,21 +57,27 @@ def show(machine: MachineName, parameter_set: ParameterSetName = None, as_json: 
     model = Model(described)
     found = identifiability.structural(model)
     cylinders = [_cylinder_facts(model, k) for k in range(len(described.cylinders))]
-    parameters = [{"name": name, "unit": unit, "nominal": float(value), "identifiability": category}
-                  for name, unit, value, category in zip(model.parameters.names, model.parameters.units,
-                                                         model.parameters.nominal, found.category, strict=True)]
+    known = model.parameters.information.diagonal() > 0
+    parameters = [{"name": name, "unit": unit, "nominal": float(value), "prior_std": float(scale) if prior else None,
+                   "identifiability": category}
+                  for name, unit, value, scale, prior, category in zip(
+                      model.parameters.names, model.parameters.units, model.parameters.nominal, model.parameters.scale,
+                      known, found.category, strict=True)]
+    sensors = [{"channel": channel, "unit": described.channel_units[channel], "std": sensor.std, "rate_hz": sensor.rate}
+               for sensor in described.sensors for channel in sensor.channels]
     facts = {"machine": {"name": described.name, "parameter_set": described.parameter_set, "sha256": described.sha256,
                          "description": described.description},
              "joints": [_joint_facts(described, name) for name in described.joints], "cylinders": cylinders,
-             "channels": described.channel_units, "parameters": parameters,
+             "channels": described.channel_units, "sensors": sensors, "parameters": parameters,
              "identifiability": {"rank": found.rank, "full": found.count("full"),
                                  "combination": found.count("combination"), "none": found.count("none")}}
     if as_json:
         typer.echo(json.dumps(facts, indent=1))
         return
     console = Console()
-    console.print(f"[bold]{described.name}[/bold] {described.description}")
-    console.print(_table("Joints", facts["joints"]), _table("Cylinders", cylinders), _table("Parameters", parameters))
+    console.print(f"[bold]{described.name}[/bold] {escape(described.description)}")
+    console.print(_table("Joints", facts["joints"]), _table("Cylinders", [_cylinder_row(c) for c in cylinders]),
+                  _table("Sensors (standard deviation of a reading)", sensors), _table("Parameters", parameters))
     console.print(f"Of {len(parameters)} parameters a motion without noise shows {found.count('full')} alone and "
                   f"{found.count('combination')} in combination ({found.rank} base parameters); {found.count('none')} "
                   "leave no trace.")
@@ -101,10 +108,18 @@ def _cylinder_facts(model: Model, k: int) -> dict[str, Any]:
             "lever_arm_max_m": round(float(arms.max()), 4)}
 
 
+def _cylinder_row(facts: dict[str, Any]) -> dict[str, Any]:
+    """The same for a screen, in fewer columns."""
+    return {"cylinder": facts["cylinder"], "joint": facts["joint"],
+            "areas [cm²]": f"{facts['head_area_cm2']:.1f} / {facts['rod_area_cm2']:.1f}",
+            "length [m]": f"{facts['length_min_m']:.3f} … {facts['length_max_m']:.3f}",
+            "lever arm [m]": f"{facts['lever_arm_min_m']:.3f} … {facts['lever_arm_max_m']:.3f}"}
+
+
 def _table(title: str, rows: Any) -> Table:
     table = Table(title=title, title_justify="left", header_style="bold")
     for key in rows[0] if rows else ():
-        table.add_column(key, no_wrap=True)
+        table.add_column(escape(key), no_wrap=True)
     for row in rows:
         table.add_row(*[f"{v:.6g}" if isinstance(v, float) else str(v) for v in row.values()])
     return table
