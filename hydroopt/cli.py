@@ -20,11 +20,13 @@ from rich.table import Table
 from hydroopt import identifiability, synthetic
 from hydroopt.description import load_machine
 from hydroopt.errors import HydrooptError, LogError, ProblemError, SolverError
+from hydroopt.estimation.experiment import reading
 from hydroopt.estimation.problem import Loss, identification_problem
 from hydroopt.estimation.solve import METHODS, Method, solve
 from hydroopt.estimation.verdict import doubts
 from hydroopt.machine import Machine
 from hydroopt.model.build import Model
+from hydroopt.parts import Cylinder, Motor
 from hydroopt.report import folder
 from hydroopt.signals.conditioning import Butterworth, Fourier, Smoothing, SmoothingSpline, condition
 from hydroopt.signals.log import Log, read_log
@@ -93,11 +95,11 @@ def _joint_facts(machine: Machine, name: str) -> dict[str, Any]:
 
 
 def _cylinder_facts(model: Model, k: int) -> dict[str, Any]:
-    """Areas, and length and lever arm over the range of the joint that the cylinder moves."""
+    """Areas, and length and lever arm over the range of the joint that the cylinder moves, others at mid-range."""
     machine = model.machine
     cylinder = machine.cylinders[k]
     joint = machine.axis_of(cylinder)
-    q = np.zeros((181, len(machine.joints)))
+    q = np.tile([sum(machine.link(name).joint.range) / 2 for name in machine.joints], (181, 1))
     q[:, machine.joints.index(joint)] = np.linspace(*machine.link(joint).joint.range, 181)
     length, _, _, lever, _ = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)
     lengths, arms = length[:, k, 0], lever[:, k, machine.joints.index(joint)]
@@ -132,8 +134,10 @@ def simulate(
     motion: Annotated[Path | None, typer.Option(
         help="Log whose joint positions are to be followed; else random.")] = None,
     map_file: MapFile = None,
-    duration: Annotated[float, typer.Option(help="Of a random motion [s].")] = 33.28,
-    rate: Annotated[float, typer.Option(help="Samples per second of a random motion [Hz].")] = 50.0,
+    duration: Annotated[float | None, typer.Option(help="Of a random motion [s]; 33.28 if not given.")] = None,
+    rate: Annotated[float | None, typer.Option(help=(
+        "Samples per second of a random motion [Hz]; if not given, the highest that the file states for a joint's "
+        "sensor, or 50."))] = None,
     seed: Annotated[int, typer.Option(help="Of the random motion, the random truth and the noise.", min=0)] = 0,
     truth: Annotated[str, typer.Option(help="'nominal', or 'random' within the file's confidences.")] = "nominal",
     truth_seed: Annotated[int | None, typer.Option(help="Of the random truth alone, to share it by logs.",
@@ -146,10 +150,13 @@ def simulate(
     """Simulate a log of a machine as its sensors would record it: DIR/log.csv and DIR/truth.json."""
     described = load_machine(machine, parameter_set=parameter_set)
     model = Model(described)
+    if motion is not None and (duration is not None or rate is not None):
+        raise ProblemError("a given motion has its own duration and rate", where="--motion",
+                           remedy="leave out --duration and --rate, or --motion")
     if truth not in ("nominal", "random"):
         raise ProblemError(f"'{truth}' is no truth", where="--truth", remedy="use nominal or random")
     with _progress("simulating", quiet):
-        path = (synthetic.random_trajectory(model, duration=duration, rate=rate, seed=seed) if motion is None
+        path = (_random(model, duration, rate, seed) if motion is None
                 else _followed(described, read_log(motion, mapping=map_file)))
         psi = (synthetic.random_truth(model, seed if truth_seed is None else truth_seed) if truth == "random"
                else model.parameters.nominal)
@@ -165,8 +172,15 @@ def simulate(
         typer.echo(f"{file}: {len(log.t)} samples, channels {', '.join(log.channels)}")
 
 
+def _random(model: Model, duration: float | None, rate: float | None, seed: int) -> synthetic.Trajectory:
+    sensors = [model.machine.sensor(f"{joint}.q") for joint in model.machine.joints]
+    stated = max((sensor.rate for sensor in sensors if sensor and sensor.rate), default=50.0)
+    return synthetic.random_trajectory(model, duration=33.28 if duration is None else duration,
+                                       rate=stated if rate is None else rate, seed=seed)
+
+
 def _followed(machine: Machine, log: Log) -> synthetic.Trajectory:
-    positions = np.column_stack([log.channel(f"{joint}.q") for joint in machine.joints])
+    positions = np.column_stack([reading(machine, log, f"{joint}.q") for joint in machine.joints])
     for k, joint in enumerate(machine.joints):
         lower, upper = machine.link(joint).joint.range
         beyond = np.flatnonzero((positions[:, k] < lower) | (positions[:, k] > upper))
@@ -206,19 +220,22 @@ def identify(
     """Identify masses, inertias, friction and offsets: DIR gets estimate.json, report.html, the calibrated machine."""
     began = time.perf_counter()
     described = load_machine(machine, parameter_set=parameter_set)
-    treatment = _treatment(treat)
-    train = [read_log(path, mapping=map_file, treatment=treatment) for path in logs]
-    held_out = [read_log(path, mapping=map_file, treatment=treatment) for path in validate or ()]
+    chosen = _method(method)
+    if ridge is not None and chosen != "ridge":
+        raise ProblemError(f"the method '{method}' takes no strength", where="--ridge",
+                           remedy="leave it out or choose --method ridge")
+    way, treatment, limits = _smoothing(smoothing, bandwidth, described), _treatment(treat), _reliefs(described)
+    train = [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in logs]
+    held_out = [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in validate or ()]
     if holdout:
         pairs = [log.split(1 - holdout) for log in train]
         train, held_out = [pair[0] for pair in pairs], held_out + [pair[1] for pair in pairs]
     with _progress(f"identifying {described.name}", quiet):
         problem = identification_problem(described, train, held_out, actuator_inertia=not reduced,
-                                         smoothing=_smoothing(
-                                             smoothing, described.bandwidth if bandwidth is None else bandwidth))
+                                         smoothing=way)
         problem = problem.with_loss(_one_of(loss, "--loss"))
         try:
-            estimate = solve(problem, _method(method), tolerance=tolerance, ridge=ridge, seed=seed)
+            estimate = solve(problem, chosen, tolerance=tolerance, ridge=ridge, seed=seed)
         except SolverError as error:
             folder.save_failure(problem, method, error, output)
             raise
@@ -230,6 +247,15 @@ def identify(
         for doubt in doubts(estimate):
             typer.echo(f"  ! {doubt}")
         typer.echo(f"{output / 'report.html'}")
+
+
+def _reliefs(machine: Machine) -> dict[str, tuple[float, float]]:
+    """Relief pressures as the upper ends of what pressure channels can show."""
+    chambers: list[tuple[Cylinder | Motor, tuple[str, str]]] = [
+        *((cylinder, ("p_head", "p_rod")) for cylinder in machine.cylinders),
+        *((motor, ("p_a", "p_b")) for motor in machine.motors)]
+    return {f"{part.name}.{chamber}": (-math.inf, part.relief_pressure) for part, both in chambers
+            if part.relief_pressure is not None for chamber in both}
 
 
 def _treatment(stated: list[str] | None) -> dict[str, str]:
@@ -254,13 +280,16 @@ def _one_of(text: str, where: str) -> Loss:
     return text  # type: ignore[return-value]
 
 
-def _smoothing(text: str, bandwidth: float | None) -> Smoothing:
+def _smoothing(text: str, bandwidth: float | None, machine: Machine) -> Smoothing:
     if bandwidth is not None and not 0 < bandwidth < math.inf:
         raise ProblemError(f"{bandwidth:g} Hz is no frequency", where="--bandwidth", remedy="give a positive one")
     kind, *numbers = text.split(":")
+    if bandwidth is not None and kind in ("fourier", "butterworth"):
+        raise ProblemError(f"the smoothing '{text}' takes no bandwidth", where="--bandwidth",
+                           remedy="leave it out or choose --smoothing spline")
     try:
         if kind == "spline" and numbers in ([], ["cv"]):
-            return SmoothingSpline(cross_validate=numbers == ["cv"], bandwidth=bandwidth)
+            return SmoothingSpline(numbers == ["cv"], machine.bandwidth if bandwidth is None else bandwidth)
         if kind == "fourier" and len(numbers) == 2:
             return Fourier(float(numbers[0]), int(numbers[1]))
         if kind == "butterworth" and len(numbers) == 1:

@@ -20,7 +20,7 @@ from pydantic import BaseModel, ValidationError
 from hydroopt import geometry
 from hydroopt.errors import MachineError
 from hydroopt.machine import Machine
-from hydroopt.parts import Note, Noun, Sensor
+from hydroopt.parts import Cylinder, JointFriction, Note, Noun, Sensor, TorqueFriction
 from hydroopt.quantity import ImpossibleError, Quantity
 from hydroopt.units import UnitError, spread_to_si, to_si
 
@@ -267,13 +267,19 @@ def _plain(node: BaseModel, path: str, machine: Machine) -> dict[str, Any]:
         elif isinstance(value, tuple) and value and isinstance(value[0], BaseModel):
             table[key] = [_plain(item, getattr(item, "name", f"{at}.{k}"), machine) for k, item in enumerate(value)]
         else:
-            unit = _unit(node, key, machine)
+            unit = _unit(node, key, machine, path.partition(".")[0])
             table[key] = _noted(_with_unit(value, unit), machine.notes.get(at), unit)
     return table
 
 
-def _unit(node: BaseModel, key: str, machine: Machine) -> str | None:
-    """SI unit of a field: from its annotation, or from the kind of the joint or channel it belongs to."""
+def _unit(node: BaseModel, key: str, machine: Machine, owner: str) -> str | None:
+    """SI unit of a field: from its annotation, or from the kind of the joint or channel it belongs to.
+
+    `owner` is the name of the part that the field belongs to.
+    """
+    if isinstance(node, JointFriction | TorqueFriction):
+        driven = {part.name: part.joint for part in machine.actuators if not isinstance(part, Cylinder)}
+        return machine.effort_units(driven.get(owner, owner))[key == "viscous"]
     if isinstance(node, Sensor) and key in ("accuracy", "resolution"):
         return machine.channel_units[node.channels[0]]
     if key in ("lower", "upper", "max_speed", "max_acceleration"):

@@ -51,8 +51,7 @@ def bodies(machine: Machine, *, actuator_inertia: bool = True) -> dict[str, Owne
 
 def scalars(machine: Machine, joint: str) -> dict[str, Scalar]:
     """Friction, offset and rotor parameters of one moving joint and its actuator, in the order of Eq. 4.53, 4.54."""
-    linear = machine.link(joint).joint.type == "prismatic"
-    torque, viscosity = ("N", "N*s/m") if linear else ("N*m", "N*m*s/rad")
+    torque, viscosity = machine.effort_units(joint)
     own, at = machine.link(joint).joint.friction, f"{joint}.joint.friction"
     stated = {f"{joint}.tau_coulomb": (own.coulomb, torque, f"{at}.coulomb", False),
               f"{joint}.tau_viscous": (own.viscous, viscosity, f"{at}.viscous", False)}

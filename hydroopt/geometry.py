@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import casadi as ca
 import numpy as np
 
+from hydroopt.inertia import Array
 from hydroopt.machine import BASE, Machine
 from hydroopt.parts import Cylinder, GasCylinder, Joint
 from hydroopt.quantity import ImpossibleError
@@ -67,7 +71,8 @@ def check(machine: Machine) -> None:
     """Check every cylinder over the range of the joints it moves.
 
     The triangle must close, the stroke must cover the range, and the lever arm must keep its sign. For a cylinder on
-    one revolute joint this is exact; any other is checked on a grid of its joints.
+    one revolute joint this is exact; any other is checked on a grid of its joints. The volume of a gas cylinder must
+    stay positive and its pins apart, also checked on a grid.
 
     Raises:
         ImpossibleError: names the cylinder, the place and the remedy.
@@ -80,32 +85,65 @@ def check(machine: Machine) -> None:
         joint, sides = found
         _lever_arm_keeps_sign(cylinder, joint, float(sides.offset), *machine.link(joint).joint.range)
         _stroke_suffices(cylinder, joint, sides, *machine.link(joint).joint.range)
+    for gas in machine.gas_cylinders:
+        _gas_has_room(machine, gas)
 
 
-def _check_on_grid(machine: Machine, cylinder: Cylinder, points: int = 25) -> None:
+class _Grid(NamedTuple):
+    """Lengths [m] and lever arms on the last joint (N,) of a cylinder over its joints; `place` words a sample's."""
+
+    lengths: Array
+    arms: Array
+    place: Callable[[int], str]
+
+
+def _on_grid(machine: Machine, cylinder: Cylinder | GasCylinder) -> _Grid:
     joints = machine.joints_between(cylinder.barrel.link, cylinder.rod.link)
     q = ca.SX.sym("q", len(joints))
     at: dict[str, ca.SX] = dict.fromkeys(machine.joints, 0.0) | {joint: q[k] for k, joint in enumerate(joints)}
     ends = [_from_base(machine, end.link, at).point(ca.DM(end.pin)) for end in (cylinder.barrel, cylinder.rod)]
     length = ca.norm_2(ends[1] - ends[0])
     function = ca.Function("length", [q], [length, ca.jacobian(length, q)[-1]])
+    points = 721 if len(joints) == 1 else 25
     grid = np.meshgrid(*[np.linspace(*machine.link(joint).joint.range, points) for joint in joints], indexing="ij")
     states = np.stack([values.ravel() for values in grid])
     lengths, arms = (np.asarray(values).ravel() for values in function(states))
-    place = ", ".join(joints)
+
+    def place(sample: int) -> str:
+        slides = [machine.link(joint).joint.type == "prismatic" for joint in joints]
+        return ", ".join(f"{joint} = {value:.3f} m" if slide else f"{joint} = {np.degrees(value):.1f} deg"
+                         for joint, value, slide in zip(joints, states[:, sample], slides, strict=True))
+
+    return _Grid(lengths, arms, place)
+
+
+def _gas_has_room(machine: Machine, gas: GasCylinder) -> None:
+    lengths, _, place = _on_grid(machine, gas)
+    if (closed := np.flatnonzero(lengths < 1e-9)).size:
+        raise ImpossibleError(f"the pins of '{gas.name}' meet at {place(int(closed[0]))}, where its force has no "
+                              "direction", "correct its pins or narrow the joints' limits")
+    volumes = gas.gas_volume(lengths)
+    smallest = int(np.argmin(volumes))
+    if not volumes[smallest] > 0:
+        raise ImpossibleError(
+            f"the gas of '{gas.name}' would have a volume of {1e3 * volumes[smallest]:.3f} l at {place(smallest)}",
+            "correct its volume, area, reference length or pins, or narrow the joints' limits")
+
+
+def _check_on_grid(machine: Machine, cylinder: Cylinder) -> None:
+    lengths, arms, place = _on_grid(machine, cylinder)
     beyond = np.flatnonzero((lengths < cylinder.dead_length - 1e-9)
                             | (lengths > cylinder.dead_length + cylinder.stroke + 1e-9))
     if beyond.size:
         raise ImpossibleError(
-            f"'{cylinder.name}' would be {lengths[beyond[0]]:.3f} m long at {place} = "
-            f"{np.round(states[:, beyond[0]], 4)} (SI) but can only be {cylinder.dead_length:.3f} to "
-            f"{cylinder.dead_length + cylinder.stroke:.3f} m",
+            f"'{cylinder.name}' would be {lengths[beyond[0]]:.3f} m long at {place(int(beyond[0]))} but can only be "
+            f"{cylinder.dead_length:.3f} to {cylinder.dead_length + cylinder.stroke:.3f} m",
             "correct dead length, stroke, pins or the joints' limits")
     turned = np.flatnonzero(arms * arms[0] <= 0)
     if turned.size:
         raise ImpossibleError(
-            f"'{cylinder.name}' has a dead point near {place} = {np.round(states[:, turned[0]], 4)} (SI), where its "
-            f"lever arm on {joints[-1]} changes sign", "correct its pins or narrow the joints' limits")
+            f"'{cylinder.name}' has a dead point near {place(int(turned[0]))}, where its lever arm on "
+            f"{machine.axis_of(cylinder)} changes sign", "correct its pins or narrow the joints' limits")
 
 
 def _lever_arm_keeps_sign(cylinder: Cylinder, joint: str, offset: float, lower: float, upper: float) -> None:

@@ -5,12 +5,14 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from typing import Self
+from collections.abc import Iterator, Mapping
+from typing import Any, Self
 
-from pydantic import Field, model_validator
+from pydantic import Field, ModelWrapValidatorHandler, model_validator
 
 from hydroopt.parts import Cylinder, Drive, GasCylinder, Link, Motor, Note, Noun, Sensor
 from hydroopt.quantity import Acceleration, Angle, ImpossibleError, Name, Rate
+from hydroopt.units import same_kind
 
 BASE = "base"
 """Name of the machine's chassis, the root of the tree; it does not move."""
@@ -44,6 +46,32 @@ class Machine(Noun):
         self._actuation()
         self._channels()
         return self
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _units_fit(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        # whether a joint turns or slides is known here only, and the unit of a text before it became a number
+        machine = handler(data)
+        for place, text, si in machine._stated_units(data) if isinstance(data, Mapping) else ():
+            if isinstance(text, str) and not same_kind(unit := text.strip().partition(" ")[2].strip(), si):
+                raise ImpossibleError(f"'{unit}' is not a unit of the kind '{si}', which this joint calls for",
+                                      f"use '{si}' or another unit of that kind", place)
+        return machine
+
+    def _stated_units(self, data: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
+        """Place, statement and proper SI unit of each number whose unit depends on whether a joint turns or slides."""
+        frictions = [(f"links[{link.name}].joint.friction", link.name, _under(raw, "joint", "friction"))
+                     for link, raw in zip(self.links, data["links"], strict=True)]
+        frictions += [(f"{kind}[{part.name}].friction", part.joint, _under(raw, "friction"))
+                      for kind in ("motors", "drives")
+                      for part, raw in zip(getattr(self, kind), data.get(kind, ()), strict=True)]
+        for place, joint, raw in frictions:
+            effort, viscosity = self.effort_units(joint)
+            for key, si in (("offset", effort), ("coulomb", effort), ("viscous", viscosity)):
+                yield f"{place}.{key}", _under(raw, key), si
+        for k, (sensor, raw) in enumerate(zip(self.sensors, data.get("sensors", ()), strict=True)):
+            for key in ("accuracy", "resolution"):
+                yield f"sensors[{k}].{key}", _under(raw, key), self.channel_units[sensor.channels[0]]
 
     def _names(self) -> None:
         kinds = (self.links, self.cylinders, self.motors, self.drives, self.gas_cylinders)
@@ -107,6 +135,10 @@ class Machine(Noun):
                 if channel not in known:
                     raise ImpossibleError(f"a sensor reads '{channel}', which this machine does not have",
                                           f"use one of {', '.join(known)}")
+            if len(units := {known[channel] for channel in sensor.channels}) > 1:
+                raise ImpossibleError(f"one sensor reads {', '.join(sensor.channels)}, which are in "
+                                      f"{' and '.join(sorted(units))}",
+                                      "state one sensor for joints that turn and one for joints that slide")
         twice = [c for c, n in Counter(c for s in self.sensors for c in s.channels).items() if n > 1]
         if twice:
             raise ImpossibleError(f"the channel '{twice[0]}' has two sensors", "keep one of them")
@@ -152,6 +184,10 @@ class Machine(Noun):
         """The joint whose axis orients the cylinder's bodies: the last moving one between its ends."""
         return self.joints_between(cylinder.barrel.link, cylinder.rod.link)[-1]
 
+    def effort_units(self, joint: str) -> tuple[str, str]:
+        """SI units of a joint's effort (torque, or force where it slides) and of its viscous coefficient."""
+        return ("N", "N*s/m") if self.link(joint).joint.type == "prismatic" else ("N*m", "N*m*s/rad")
+
     @property
     def channel_units(self) -> dict[str, str]:
         """Every channel that a log of this machine may have, with its SI unit."""
@@ -160,7 +196,7 @@ class Machine(Noun):
             prismatic = self.link(joint).joint.type == "prismatic"
             units[f"{joint}.q"] = "m" if prismatic else "rad"
             units[f"{joint}.qd"] = "m/s" if prismatic else "rad/s"
-            units[f"{joint}.tau"] = "N" if prismatic else "N*m"
+            units[f"{joint}.tau"] = self.effort_units(joint)[0]
         for cylinder in self.cylinders:
             units |= {f"{cylinder.name}.length": "m", f"{cylinder.name}.p_head": "Pa",
                       f"{cylinder.name}.p_rod": "Pa", f"{cylinder.name}.force": "N"}
@@ -176,3 +212,10 @@ class Machine(Noun):
     def sensor(self, channel: str) -> Sensor | None:
         """The sensor that reads a channel, if the file states one."""
         return next((s for s in self.sensors if channel in s.channels), None)
+
+
+def _under(node: Any, *steps: str) -> Any:
+    """What a part states under its keys, be it a table or already an object; None where it does not."""
+    for step in steps:
+        node = node.get(step) if isinstance(node, Mapping) else getattr(node, step, None)
+    return node

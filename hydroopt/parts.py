@@ -257,8 +257,12 @@ class Drive(Noun):
 class GasCylinder(Noun):
     """A passive cylinder on a gas volume (accumulator counterbalance) between two links.
 
-    Pressure is `precharge` at `reference_length` and follows p·Vⁿ = const with the exponent n = `polytropic`. A
-    `pull` cylinder compresses the gas when it lengthens, a `push` cylinder when it shortens.
+    Pressure is `precharge` at `reference_length` and follows p·Vⁿ = const with the exponent n = `polytropic`; the
+    force is p·`area`. A `pull` cylinder compresses the gas when it lengthens, a `push` cylinder when it shortens.
+
+    What acts is the pressure above ambient, what follows the law is the absolute one. `precharge` stands for both, as
+    in the source of the KR300's counterbalance: it is taken as absolute and its difference to ambient is neglected, an
+    error of 1 bar in 163 there. The ends carry no body yet.
     """
 
     name: Name
@@ -270,6 +274,18 @@ class GasCylinder(Noun):
     reference_length: Length = Field(gt=0)
     precharge: Pressure = Field(ge=0)
     polytropic: Number = Field(1.0, ge=1.0, le=1.67)
+
+    def gas_volume(self, length: Any) -> Any:
+        """Volume of the gas [m³] at pin distances [m]: numbers or symbols."""
+        return self.volume + (1 if self.acts == "push" else -1) * self.area * (length - self.reference_length)
+
+    @model_validator(mode="after")
+    def _no_bodies(self) -> Self:
+        for end, attachment in (("barrel", self.barrel), ("rod", self.rod)):
+            if attachment.body is not None:
+                raise ImpossibleError("the ends of a gas cylinder carry no body yet",
+                                      "remove it or add its mass to the link it is pinned to", f"{end}.body")
+        return self
 
 
 class Sensor(Noun):
@@ -314,6 +330,9 @@ class Sensor(Noun):
 
     @property
     def std(self) -> float:
-        """Standard deviation of one reading: noise and quantisation together."""
+        """Standard deviation of one reading, noise and quantisation together.
+
+        A uniform band ±a has variance a²/3, a quantisation step r (spread over several steps) r²/12.
+        """
         noise = self.accuracy / math.sqrt(3) if self.distribution == "uniform" else self.accuracy
         return math.hypot(noise, self.resolution / math.sqrt(12))

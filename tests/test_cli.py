@@ -95,3 +95,41 @@ def test_simulate_follows_a_motion_and_repeats_itself(tmp_path: Path) -> None:
     assert (second / "log.parquet").read_bytes() == (again / "log.parquet").read_bytes()
     truth = json.loads((second / "truth.json").read_text())
     assert len(truth["parameters"]) == 82
+
+
+def test_simulate_samples_at_the_stated_rate(tmp_path: Path) -> None:
+    run("simulate", "patu655_lift", "-o", str(tmp_path / "stated"), "--duration", "5", "--quiet")
+    run("simulate", "patu655_lift", "-o", str(tmp_path / "asked"), "--duration", "5", "--rate", "20", "--quiet")
+    logs = [hydroopt.read_log(tmp_path / name / "log.csv") for name in ("stated", "asked")]
+    assert [log.t.size for log in logs] == [500, 100]
+
+
+def test_show_holds_other_joints_at_the_middle_of_their_range() -> None:
+    from test_machine import TREE
+
+    from hydroopt.cli import _cylinder_facts
+    from hydroopt.machine import Machine
+    from hydroopt.model.build import Model
+    across = {**TREE["cylinders"][0], "barrel": {"link": "trunk", "pin": (0.3, 0.4, 0.0)}}
+    limits = [{**link, "joint": {**link["joint"], "a": 1.0, "theta": 0.3}} for link in TREE["links"]]
+    model = Model(Machine.model_validate(TREE | {"links": limits, "cylinders": [across, TREE["cylinders"][1]]}))
+    q = [sum(model.machine.link(name).joint.range) / 2 for name in model.machine.joints]
+    facts = _cylinder_facts(model, 0)
+    q[3] = 0.2
+    ends = float(model.cylinder_kinematics(q, [0] * 4, [0] * 4)[0][0])
+    assert round(ends, 4) in (facts["length_min_m"], facts["length_max_m"])
+
+
+def test_relief_pressures_are_the_ends_of_the_pressure_sensors(tmp_path: Path) -> None:
+    run("simulate", "patu655_lift", "-o", str(tmp_path), "--duration", "10", "--quiet")
+    text = (tmp_path / "log.csv").read_text().splitlines()
+    column = text[0].split(",").index("lift_cylinder.p_head [Pa]")
+    for row in (200, 201):
+        cells = text[row].split(",")
+        cells[column] = "2.2e7"
+        text[row] = ",".join(cells)
+    (tmp_path / "clipped.csv").write_text("\n".join(text) + "\n")
+    done = CliRunner().invoke(app, ["identify", "patu655_lift", str(tmp_path / "clipped.csv"), "--treat",
+                                    "saturated=error", "-o", str(tmp_path / "out")])
+    assert "lift_cylinder.p_head: samples 200–201" in str(done.exception)
+    assert "limit of the range" in str(done.exception)

@@ -200,6 +200,41 @@ def test_digest_changes_with_the_content(arm: Machine) -> None:
         assert read_machine(ARM.replace(old, new, 1)).sha256 != arm.sha256
 
 
+def test_friction_is_written_in_the_units_of_its_joint() -> None:
+    text = ARM.replace('rotor_inertia = "20 g*m^2"', """rotor_inertia = "20 g*m^2"
+friction = { coulomb = { value = "2 kN", sigma = "1 kN" }, viscous = "3 kN*s/m" }""")
+    sliding = read_machine(text)
+    written = dump_machine(sliding)
+    assert '"2000.0 N"' in written
+    assert '"3000.0 N*s/m"' in written
+    assert read_machine(written) == sliding
+    with pytest.raises(MachineError, match=r"drives\[slide_drive\]\.friction\.coulomb: 'kN\*m'"):
+        read_machine(text.replace('"2 kN"', '"2 kN*m"').replace('"1 kN"', '"1 kN*m"'))
+
+
+def test_gas_keeps_a_volume(arm: Machine) -> None:
+    """Within the range a dead point at 18.4 deg is where the cylinder is shortest."""
+    angles = np.radians(np.linspace(12, 80, 10001))
+    states = np.column_stack([0 * angles, angles, 0 * angles])
+    model = Model(arm)
+    shortest = np.min(model.over(model.cylinder_kinematics, states, 0 * states, 0 * states)[0][:, 1, 0])
+    least = 2 * (0.8 - shortest)  # litres: 20 cm² times the way from the reference length
+    assert read_machine(ARM.replace('"4 L"', f'"{least + 0.001:.4f} L"', 1)).gas_cylinders[0].volume > 0
+    with pytest.raises(MachineError, match=r"gas of 'balance' .* volume of -0\.001 l at boom = 18\.4 deg"):
+        read_machine(ARM.replace('"4 L"', f'"{least - 0.001:.4f} L"', 1))
+
+
+def test_gas_pushes_in_a_direction() -> None:
+    """A pin that passes through the other one leaves the force without a direction."""
+    ends = (('"0.4 m", "0.3 m", "0 m"', '"0 m", "0 m", "0 m"'), ('"0.6 m", "-0.2 m", "0 m"', '"0 m", "0 m", "0 m"'))
+    text = ARM
+    for old, new in ends:
+        assert old in text
+        text = text.replace(old, new, 1)
+    with pytest.raises(MachineError, match="'balance'"):
+        read_machine(text)
+
+
 def test_paths_and_names(tmp_path: Any, arm: Machine) -> None:
     (tmp_path / "arm.toml").write_text(ARM, encoding="utf-8")
     assert load_machine(tmp_path / "arm.toml") == arm

@@ -10,7 +10,7 @@ import pytest
 from pydantic import ValidationError
 
 from hydroopt.machine import Machine
-from hydroopt.parts import Body, Cylinder, Joint, Sensor
+from hydroopt.parts import Body, Cylinder, GasCylinder, Joint, Sensor
 
 INCH = 0.0254
 
@@ -237,6 +237,15 @@ def edited(**changes: Any) -> dict[str, Any]:
         (edited(sensors__1__channels=("stump.q",)), "'stump.q', which this machine does not have"),
         (edited(sensors__1__channels=("twig.q",)), "two sensors"),
         (edited(links=[]), ""),
+        (edited(sensors__1__channels=("left.q", "right.q")), "one sensor reads left.q, right.q, .* m and rad"),
+        (edited(sensors__1__accuracy="0.1 deg"), r"'deg' is not a unit of the kind 'm'"),
+        (edited(sensors__0__accuracy="1 mm"), r"'mm' is not a unit of the kind 'rad'"),
+        (edited(sensors__0__resolution="1 mm"), r"'mm' is not a unit of the kind 'rad'"),
+        (edited(links__1__joint__friction={"coulomb": "2 N*m"}), r"'N\*m' is not a unit of the kind 'N'"),
+        (edited(links__1__joint__friction={"viscous": "2 N*m*s/rad"}), r"not a unit of the kind 'N\*s/m'"),
+        (edited(links__3__joint__friction={"coulomb": "2 kN"}), r"'kN' is not a unit of the kind 'N\*m'"),
+        (edited(drives__0__friction={"offset": "2 N*m"}), r"'N\*m' is not a unit of the kind 'N'"),
+        (edited(motors__0__friction={"viscous": "2 N*s/m"}), r"'N\*s/m' is not a unit of the kind 'N\*m\*s/rad'"),
         (edited(gravity=-9.81), ""),
         (edited(colour="yellow"), ""),
     ],
@@ -244,3 +253,23 @@ def edited(**changes: Any) -> dict[str, Any]:
 def test_impossible_machines(data: dict[str, Any], words: str) -> None:
     with pytest.raises(ValidationError, match=words or None):
         Machine.model_validate(data)
+
+
+def test_units_that_suit_their_joint_pass() -> None:
+    made = Machine.model_validate(edited(
+        sensors__1__accuracy="1 mm", sensors__0__accuracy="1 mrad",
+        drives__0__friction={"offset": "2 kN", "coulomb": 5},
+        links__1__joint__friction={"coulomb": "2 kN", "viscous": "3 kN*s/m"},
+        links__3__joint__friction={"coulomb": "2 kN*m", "viscous": "1 N*m*s"}))
+    assert made.sensors[1].accuracy == pytest.approx(1e-3)
+    assert made.drives[0].friction.offset == 2000
+    assert made.links[3].joint.friction.viscous == 1
+
+
+def test_ends_of_a_gas_cylinder_carry_no_body() -> None:
+    gas = {"name": "gas", "acts": "push", "area": 0.002, "volume": 0.004, "reference_length": 0.8, "precharge": 5e6,
+           "barrel": pin("stump"), "rod": pin("right")}
+    assert GasCylinder.model_validate(gas).gas_volume(0.9) == pytest.approx(0.0042)
+    body = {"m": 5, "mc": (0, 0, 0), "inertia": (1, 0, 0, 1, 0, 1)}
+    with pytest.raises(ValidationError, match="carry no body yet"):
+        GasCylinder.model_validate(gas | {"rod": pin("right") | {"body": body}})

@@ -9,12 +9,17 @@ import numpy as np
 from hydroopt import dynamic_parameters
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.estimate import Estimate
+from hydroopt.inertia import Array
 from hydroopt.machine import Machine
+from hydroopt.parameters import ParameterSet
 from hydroopt.parts import Note
 
 
 def calibrated_machine(estimate: Estimate) -> Machine:
-    """Machine with the identified bodies (about their frames' origins), friction and offsets.
+    """Machine with the identified bodies (about their frames' origins), friction and offsets, and their confidences.
+
+    What the data did not show keeps the confidence it had. The file is a prior for other logs: identifying again on
+    the same ones would count them twice. Of the reduced model barrels and rods are left out, whose part the links took.
 
     Raises:
         ProblemError: a body is impossible or a friction negative, so that no machine could have these numbers.
@@ -31,15 +36,20 @@ def calibrated_machine(estimate: Estimate) -> Machine:
     notes = dict(machine.notes)
     parts = {part["name"]: part for key in ("links", "cylinders", "motors", "drives", "gas_cylinders")
              for part in data[key]}
-    for owner, owned in dynamic_parameters.bodies(machine, actuator_inertia=problem.model.actuator_inertia).items():
-        k = problem.parameters.index(f"{owner}.m")
-        phi, std = estimate.psi[k : k + 10].tolist(), estimate.std[k : k + 10]
+    confidence = np.where(np.isfinite(estimate.std), estimate.std, prior_std(problem.parameters))
+    for owner, owned in dynamic_parameters.bodies(machine).items():
         name, _, end = owner.partition(".")
-        (parts[name][end] if end else parts[name])["body"] = {"m": phi[0], "mc": phi[1:4], "inertia": phi[4:]}
-        for key in ("com", "inertia_com"):
+        holder = parts[name][end] if end else parts[name]
+        for key in ("m", "com", "mc", "inertia_com", "inertia"):
             notes.pop(f"{owned.path}.{key}", None)
-        for key, span in (("m", slice(0, 1)), ("mc", slice(1, 4)), ("inertia", slice(4, 10))):
-            notes[f"{owned.path}.{key}"] = _note(std[span], source, notes.get(f"{owned.path}.{key}"))
+        if f"{owner}.m" not in problem.parameters.positions:
+            holder["body"] = None
+            continue
+        k = problem.parameters.index(f"{owner}.m")
+        phi = estimate.psi[k : k + 10].tolist()
+        holder["body"] = {"m": phi[0], "mc": phi[1:4], "inertia": phi[4:]}
+        for key, span in (("m", slice(k, k + 1)), ("mc", slice(k + 1, k + 4)), ("inertia", slice(k + 4, k + 10))):
+            notes[f"{owned.path}.{key}"] = _note(estimate, span, confidence, source)
     scalars = dynamic_parameters.passive_scalars(machine)
     for joint in machine.joints:
         scalars |= dynamic_parameters.scalars(machine, joint)
@@ -50,14 +60,24 @@ def calibrated_machine(estimate: Estimate) -> Machine:
         for step in steps:
             node = node[step]
         node[last] = float(estimate.psi[k])
-        notes[scalar.path] = _note(estimate.std[k : k + 1], source, notes.get(scalar.path))
+        before = machine.notes.get(scalar.path, Note())
+        notes[scalar.path] = _note(estimate, slice(k, k + 1), confidence, source).model_copy(
+            update={"lower": before.lower, "upper": before.upper})
     return Machine.model_validate(data | {"notes": notes})
 
 
-def _note(std: Any, source: str, before: Note | None) -> Note:
-    """One confidence for a whole vector can only be its largest; without any, the nominal one stays."""
-    known = std[np.isfinite(std) & (std > 0)]
-    if not known.size:
-        return before or Note(source=source)
-    bounds = {"lower": before.lower, "upper": before.upper} if before else {}
-    return Note(sigma=float(np.max(known)), source=source, **bounds)
+def prior_std(parameters: ParameterSet) -> Array:
+    """Standard deviations (p,) of the machine file's priors, NaN where it states none."""
+    return np.where(np.diag(parameters.information) > 0, parameters.scale, np.nan)
+
+
+def _note(estimate: Estimate, span: slice, confidence: Array, source: str) -> Note:
+    """One confidence for a whole vector can only be its largest; numbers that were not identified say so."""
+    names = estimate.problem.parameters.names[span]
+    if any(name in estimate.problem.fixed for name in names):
+        return Note(source="held at a value chosen by the user")
+    known = confidence[span][np.isfinite(confidence[span]) & (confidence[span] > 0)]
+    seen = [name for name, std in zip(names, estimate.std[span], strict=True) if np.isfinite(std)]
+    missing = ", ".join(name for name in names if name not in seen)
+    said = f"{source}; not shown by the data: {missing}" if missing else source
+    return Note(sigma=float(np.max(known)) if known.size else None, source=said if seen else "nominal, not identified")

@@ -37,10 +37,11 @@ class Estimate:
     Attributes:
         problem: what was solved.
         method: how.
-        psi: (p,) parameters that predict; for methods on base parameters those outside the basis are zero.
+        psi: (p,) parameters that predict. Where base parameters alone are known, the ones nearest to nominal with these
+            base parameters; for ridge and truncated SVD whatever these give.
         value, std, ci95: (p,), (p,), (p, 2) per parameter, NaN where the data and the priors cannot tell.
-        bound: (p,) name of an active constraint on each parameter, or "".
-        active: names of all active constraints.
+        bound: (p,) name of a constraint that holds the most probable value of each parameter, or "".
+        active: names of all constraints that hold the most probable parameters.
         structure: identifiability under ideal motion; `seen` under the motion of the training data.
         base_value, base_std: (r,) of the base parameters of `seen`.
         sigma: (n,) weights used: standard deviation of each actuator's residual.
@@ -91,20 +92,13 @@ class Estimate:
     def _fit(self, data: tuple[Experiment, ...], predicted: list[Array]) -> dict[str, Fit]:
         measured = np.concatenate([e.force[e.inside] for e in data])
         error = measured - np.concatenate([p[e.inside] for e, p in zip(data, predicted, strict=True)])
-        units = self.force_units
+        units = self.problem.model.force_units
         table = {actuator.name: _fit_of(measured[:, k], error[:, k], units[k])
                  for k, actuator in enumerate(self.problem.model.machine.actuators)}
         if len(set(units)) == 1:
             return table | {"all": _fit_of(measured.ravel(), error.ravel(), units[0])}
         # channels of different units are compared in units of their own noise
         return table | {"all": _fit_of((measured / self.sigma).ravel(), (error / self.sigma).ravel(), "sigma")}
-
-    @property
-    def force_units(self) -> tuple[str, ...]:
-        """Unit of each actuator's force."""
-        machine = self.problem.model.machine
-        return tuple("N" if a in machine.cylinders or machine.link(j).joint.type == "prismatic" else "N*m"
-                     for a, j in zip(machine.actuators, machine.joints, strict=True))
 
     @cached_property
     def consistency(self) -> dict[str, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -30,13 +31,15 @@ class Experiment:
 
     `inside` (N,) is False near the ends of a stretch, where derivatives of noisy angles are worse: those samples take
     no part in estimation and validation. `moving` (N, n) is False where a joint is too slow for the sign of its
-    velocity, and so of its dry friction, to be known (Eq. 4.51): those take no part in estimation.
+    velocity, and so of its dry friction, to be known (Eq. 4.51): those take no part in estimation. `remarks` say which
+    channels were not used and how measured lengths compare with the geometry.
     """
 
     log: Log
     motion: Motion
     force: Array
     moving: NDArray[np.bool_]
+    remarks: tuple[str, ...] = ()
 
     @property
     def inside(self) -> NDArray[np.bool_]:
@@ -49,28 +52,67 @@ class Experiment:
         still = np.sum(self.inside[:, None] & ~self.moving, axis=0)
         left_out = f"{int(np.sum(~self.inside))} of {len(self.inside)} samples at the ends of stretches left out"
         return (*self.motion.notes, left_out,
-                f"standing still (no sign of friction) per joint: {still.tolist()} samples")
+                f"standing still (no sign of friction) per joint: {still.tolist()} samples", *self.remarks)
 
 
 def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Experiment:
     """Condition a log.
 
     Joint angles are read from ``<joint>.q`` or, where a log lacks them, from the length of the cylinder that moves the
-    joint. Forces are those of the pressures (Eq. 4.33, 4.61), or ``<cylinder>.force`` or ``<joint>.tau`` if present.
+    joint. Forces are those of the pressures (Eq. 4.33, 4.61) or, where a log lacks one of them, ``<cylinder>.force`` or
+    ``<joint>.tau``. What else the log holds is named in the notes.
 
     Raises:
-        LogError: a channel is missing, or a length at which a triangle is open.
+        LogError: a channel is missing or in a unit that does not suit its joint, or a length at which a triangle is
+            open.
     """
     machine = model.machine
-    angles = np.column_stack([_angle(model, log, joint) for joint in machine.joints])
+    read = [_angle(model, log, joint) for joint in machine.joints]
+    angles = np.column_stack([values for _, values in read])
     smoothing = smoothing or SmoothingSpline(bandwidth=machine.bandwidth)
-    motion = condition(log.t, angles, log.segment, smoothing, angle_noise(machine, log),
+    motion = condition(log.t, angles, log.segment, smoothing, angle_noise(model, log),
                        names=machine.joints, where=log.path or log.name)
-    force = np.column_stack([_force(model, log, k) for k in range(len(machine.joints))])
+    factors = [_force_channels(model, log, k) for k in range(len(machine.actuators))]
+    force = np.column_stack([sum((factor * reading(machine, log, channel) for channel, factor in parts.items()),
+                                 np.zeros(log.t.size)) for parts in factors])
     rms_speed = np.sqrt(np.mean(motion.qd**2, axis=0))
     slow = np.maximum(NOISE_FACTOR * _velocity_noise(angles, motion), OVERSHOOT * rms_speed)
     moving = np.abs(motion.qd) > np.maximum(slow, STANDSTILL)
-    return Experiment(log, motion, force, moving & (np.mean(moving, axis=0) > SELDOM))
+    used = {channel for channel, _ in read} | {channel for parts in factors for channel in parts}
+    return Experiment(log, motion, force, moving & (np.mean(moving, axis=0) > SELDOM),
+                      (*_unused(log, used), *_length_check(model, log, used, angles)))
+
+
+def reading(machine: Machine, log: Log, channel: str) -> Array:
+    """Values (N,) of a log's channel in the SI unit that the machine has for it.
+
+    Raises:
+        LogError: the log has no such channel, or it measures another kind of quantity than the machine's joint.
+    """
+    values, have, want = log.channel(channel), log.units[channel], machine.channel_units[channel]
+    if have != want:
+        joint = channel.rpartition(".")[0]
+        raise LogError(f"'{channel}' is of the kind '{have}', but the machine's joint '{joint}' is "
+                       f"{machine.link(joint).joint.type} and needs '{want}'", where=log.path or log.name,
+                       remedy="correct the column's unit or the joint's type")
+    return values
+
+
+def _unused(log: Log, used: set[str]) -> tuple[str, ...]:
+    rest = [channel for channel in log.channels if channel not in used]
+    return (f"not used: {', '.join(rest)}",) if rest else ()
+
+
+def _length_check(model: Model, log: Log, used: set[str], angles: Array) -> Iterator[str]:
+    """What measured cylinder lengths say about the geometry, where they did not give the angle themselves."""
+    checked = [(k, f"{c.name}.length") for k, c in enumerate(model.machine.cylinders)
+               if f"{c.name}.length" in log.channels and f"{c.name}.length" not in used]
+    if not checked:
+        return
+    expected = model.over(model.cylinder_kinematics, angles, 0 * angles, 0 * angles)[0][:, :, 0]
+    for k, channel in checked:
+        off = 1e3 * (log.channel(channel) - expected[:, k])
+        yield f"{channel} differs from the geometry by {np.mean(off):.1f} mm mean, {np.std(off):.1f} mm std"
 
 
 def _velocity_noise(angles: Array, motion: Motion) -> Array:
@@ -84,42 +126,65 @@ def _velocity_noise(angles: Array, motion: Motion) -> Array:
     return np.asarray(sigma * np.sqrt(8 / 3 * np.pi**2 * step * bandwidth**3))
 
 
-def _angle(model: Model, log: Log, joint: str) -> Array:
+def _angle_channel(model: Model, log: Log, joint: str) -> str:
+    """The channel that the angle of a joint is read from."""
     actuator = model.machine.actuators[model.machine.joints.index(joint)]
     by_length = f"{actuator.name}.length"
-    if f"{joint}.q" in log.channels or by_length not in log.channels or actuator.name not in model.triangles:
-        return log.channel(f"{joint}.q")
-    angle = np.asarray(model.triangles[actuator.name][1](log.channel(by_length))).ravel()
+    stands_in = f"{joint}.q" not in log.channels and by_length in log.channels and actuator.name in model.triangles
+    return by_length if stands_in else f"{joint}.q"
+
+
+def _angle(model: Model, log: Log, joint: str) -> tuple[str, Array]:
+    """The channel that the angle of a joint is read from, and the angle (N,)."""
+    channel = _angle_channel(model, log, joint)
+    values = reading(model.machine, log, channel)
+    if channel == f"{joint}.q":
+        return channel, values
+    angle = np.asarray(model.triangles[channel.removesuffix(".length")][1](values)).ravel()
     if (open_at := np.flatnonzero(~np.isfinite(angle))).size:
         first = open_at[0]
-        raise LogError(f"'{by_length}' is {log.channel(by_length)[first]:.4g} m at sample {log.sample[first]}, "
+        raise LogError(f"'{channel}' is {values[first]:.4g} m at sample {log.sample[first]}, "
                        "at which the triangle of the cylinder is open", where=log.path or log.name,
                        remedy="correct the cylinder's geometry or the transducer's zero")
-    return angle
+    return channel, angle
 
 
-def _force(model: Model, log: Log, k: int) -> Array:
+def _force_channels(model: Model, log: Log | None, k: int) -> Mapping[str, float]:
+    """The channels that an actuator's force is read from, with their factors; pressures where there is no log."""
     joint, actuator = model.machine.joints[k], model.machine.actuators[k]
     direct = f"{actuator.name}.force" if isinstance(actuator, Cylinder) else f"{joint}.tau"
     parts = model.force_from_pressure[actuator.name]
-    if direct in log.channels and not set(parts) <= set(log.channels):
-        return log.channel(direct)
-    total: Array = sum((factor * log.channel(channel) for channel, factor in parts.items()), np.zeros(log.t.size))
-    return total
+    if log is not None and direct in log.channels and not set(parts) <= set(log.channels):
+        return {direct: 1.0}
+    return parts
 
 
-def angle_noise(machine: Machine, log: Log) -> Array | None:
-    """Standard deviation of each joint's reading (n,), or None if the machine file does not state all of them."""
-    sensors = [machine.sensor(f"{joint}.q") for joint in machine.joints]
-    if any(s is None for s in sensors) or any(f"{joint}.q" not in log.channels for joint in machine.joints):
-        return None
-    return np.array([s.std for s in sensors if s is not None])
+def angle_noise(model: Model, log: Log) -> Array:
+    """Standard deviation of each joint's reading (n,); NaN where the machine file states none.
+
+    An angle that comes from a cylinder's length has that of the length over the lever arm's mean over the log.
+    """
+    machine, stds = model.machine, []
+    for joint in machine.joints:
+        channel, angle = _angle(model, log, joint)
+        sensor = machine.sensor(channel)
+        std = sensor.std if sensor else np.nan
+        if channel != f"{joint}.q":
+            length = model.triangles[channel.removesuffix(".length")][0]
+            arm = length.jacobian()(angle[None], 0)
+            std /= float(np.mean(np.abs(np.asarray(arm))))
+        stds.append(std)
+    return np.array(stds)
 
 
-def force_noise(model: Model) -> Array:
-    """Standard deviation of each actuator's force from its sensors' accuracy (n,); NaN where the file states none."""
+def force_noise(model: Model, log: Log | None = None) -> Array:
+    """Standard deviation of each actuator's force from its sensors' accuracy (n,); NaN where the file states none.
+
+    The sensors are those of the channels that `log` has, as in `experiment`; those of the pressures without a log.
+    """
     stds = []
-    for parts in model.force_from_pressure.values():
+    for k in range(len(model.machine.actuators)):
+        parts = _force_channels(model, log, k)
         sensors = [(model.machine.sensor(channel), factor) for channel, factor in parts.items()]
         stds.append(np.sqrt(sum((s.std * factor) ** 2 if s else np.nan for s, factor in sensors)))
     return np.array(stds)

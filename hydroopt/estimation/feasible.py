@@ -101,7 +101,7 @@ def constraints_of(problem: Problem, belief: Gaussian, z: cp.Variable, *,
                   for body in scaled_bodies(problem)]
     view = Named(parameters, lambda k: belief.offset[k] + belief.slope[k] @ z)
     for constraint in problem.constraints:
-        relation = constraint.relation(view)
+        relation = constraint.evaluated(view)
         if not isinstance(relation, cp.Constraint):
             raise no_relation(constraint)
         named.append((constraint.name, [relation]))

@@ -47,7 +47,7 @@ def as_casadi(constraint: Constraint, named: Named) -> tuple[ca.SX, bool]:
     Raises:
         ProblemError: it is not a relation.
     """
-    relation = constraint.relation(named)
+    relation = constraint.evaluated(named)
     if not isinstance(relation, ca.SX) or relation.n_dep() != 2 or relation.op() not in (ca.OP_EQ, ca.OP_LE, ca.OP_LT):
         raise no_relation(constraint)
     return relation.dep(0) - relation.dep(1), relation.op() == ca.OP_EQ
@@ -65,6 +65,20 @@ class Constraint:
 
     name: str
     relation: Expression
+
+    def evaluated(self, named: Named) -> Any:
+        """The relation in a solver's own symbols.
+
+        Raises:
+            ProblemError: the function failed, for instance at a chain such as ``1 <= x <= 2``.
+        """
+        try:
+            return self.relation(named)
+        except ProblemError:
+            raise
+        except Exception as error:
+            raise ProblemError(f"its function failed ({error})".replace("\n", " "), where=f"constraint '{self.name}'",
+                               remedy="state one relation, left == right, left <= right or left >= right") from error
 
 
 @dataclass(frozen=True)
@@ -117,9 +131,7 @@ class Problem:
         Raises:
             ProblemError: the name is taken.
         """
-        if name in {c.name for c in self.constraints}:
-            raise ProblemError("two constraints have the same name", where=f"constraint '{name}'",
-                               remedy="give each a name of its own")
+        self._refuse_taken(name)
         return replace(self, constraints=(*self.constraints, Constraint(name, relation)))
 
     def with_prior(self, name: str, expression: str | Expression, *, value: float, sigma: float) -> Problem:
@@ -128,21 +140,27 @@ class Problem:
         It adds to what the machine file already says.
 
         Raises:
-            ProblemError: the expression is not linear in the parameters, or sigma is not positive.
+            ProblemError: the expression is not linear in the parameters, sigma is not positive, or the name is taken.
         """
-        if not sigma > 0:
-            raise ProblemError(f"sigma is {sigma}", where=f"prior '{name}'",
-                               remedy="give a positive one, or a constraint")
+        if not (0 < sigma < np.inf and np.isfinite(value)):
+            raise ProblemError(f"{value} ± {sigma} is no prior", where=f"prior '{name}'",
+                               remedy="give a finite value and a positive sigma, or a constraint")
+        self._refuse_taken(name)
         symbols = ca.SX.sym("p", len(self.parameters))
         named = Named(self.parameters, lambda k: symbols[k])
         result = ca.SX(named[expression] if isinstance(expression, str) else expression(named))
         row = ca.jacobian(result, symbols)
-        if result.shape != (1, 1) or ca.depends_on(row, symbols):
+        if result.shape != (1, 1) or ca.depends_on(row, symbols) or not row.nnz():
             raise ProblemError("the expression is not one linear sum of parameters", where=f"prior '{name}'",
                                remedy="use a constraint with method 'nlp' for anything else")
         at_zero = ca.Function("prior", [symbols], [row, result])(ca.DM.zeros(symbols.shape))
         prior = Prior(name, np.asarray(ca.DM(at_zero[0])).ravel(), value - float(at_zero[1]), sigma)
         return replace(self, priors=(*self.priors, prior))
+
+    def _refuse_taken(self, name: str) -> None:
+        if name in {*(c.name for c in self.constraints), *(p.name for p in self.priors)}:
+            raise ProblemError("two constraints or priors have the same name", where=f"'{name}'",
+                               remedy="give each a name of its own")
 
     def fix(self, name: str, value: float | None = None) -> Problem:
         """With a parameter held at a value (SI), or at its nominal one.
@@ -151,6 +169,9 @@ class Problem:
             ProblemError: there is no such parameter.
         """
         k = self.parameters.index(name)
+        if value is not None and not np.isfinite(value):
+            raise ProblemError(f"it cannot be held at {value}", where=f"parameter '{name}'",
+                               remedy="give a finite value")
         return replace(self, fixed={**self.fixed, name: float(self.parameters.nominal[k] if value is None else value)})
 
     def with_loss(self, loss: Loss) -> Problem:
@@ -163,32 +184,41 @@ class Problem:
     def prior_rows(self) -> tuple[Array, Array]:
         """Rows and right-hand side of ``‖A·ψ − b‖²``, the negative logarithm of all priors times two."""
         parameters = self.parameters
-        values, vectors = np.linalg.eigh(parameters.information / _outer_information(parameters))
+        diagonal = np.diag(parameters.information)
+        size = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))  # so that units do not decide what counts as known
+        values, vectors = np.linalg.eigh(parameters.information / np.outer(size, size))
         known = values > 1e-12
-        root = (np.sqrt(values[known])[:, None] * vectors[:, known].T) * np.sqrt(_size(parameters))
+        root = np.sqrt(values[known])[:, None] * vectors[:, known].T * size
         rows = np.vstack([root, *[prior.row / prior.sigma for prior in self.priors]])
         right = np.concatenate([root @ parameters.nominal, [prior.value / prior.sigma for prior in self.priors]])
         return rows, right
 
     def __str__(self) -> str:
-        lines = [f"identification of {self.model.machine.name}: {len(self.parameters)} parameters, "
-                 f"{sum(int(e.inside.sum()) for e in self.experiments)} samples, loss {self.loss}"]
-        lines += [f"  residual {a.name}: weight 1/{s:.4g} {'N' if 'cylinder' in type(a).__name__.lower() else 'N*m'}"
-                  for a, s in zip(self.model.machine.actuators, self.force_std, strict=True)]
+        parameters, machine = self.parameters, self.model.machine
+        used = sum(int(e.inside.sum()) for e in self.experiments)
+        stated = int(np.sum(np.diag(parameters.information) > 0))
+        bounded = int(np.sum(np.isfinite(parameters.lower) | np.isfinite(parameters.upper)))
+        lines = [f"identification of {machine.name}: {len(parameters)} parameters, {used} samples, loss {self.loss}"]
+        for actuator, std, unit in zip(machine.actuators, self.force_std, self.model.force_units, strict=True):
+            weight = f"sigma {std:.4g} {unit}" if np.isfinite(std) else "sigma unknown"
+            again = ", re-estimated from the residuals" if self.reweight else ""
+            lines.append(f"  residual {actuator.name}: {weight}{again}")
+        lines.append(f"  priors of the machine file on {stated} parameters, bounds on {bounded}")
         lines += [f"  prior {p.name}: {p.value:.6g} ± {p.sigma:.3g}" for p in self.priors]
         lines += [f"  constraint {c.name}" for c in self.constraints]
         lines += [f"  fixed {name} = {value:.6g}" for name, value in self.fixed.items()]
-        return "\n".join([*lines, "  physical consistency of every body" if self.consistent else ""]).rstrip()
+        lines += ["  physical consistency of every body"] * self.consistent
+        return "\n".join(lines)
 
 
-def _size(parameters: ParameterSet) -> Array:
-    diagonal = np.diag(parameters.information)
-    return np.where(diagonal > 0, diagonal, 1.0)
-
-
-def _outer_information(parameters: ParameterSet) -> Array:
-    root = np.sqrt(_size(parameters))
-    return np.outer(root, root)
+def _refuse_repetition(logs: Sequence[Log]) -> None:
+    """The same samples twice would count twice, or judge an estimate by what it was fitted to."""
+    for k, log in enumerate(logs):
+        for other in logs[:k]:
+            same = log is other or (log.sha256 and log.sha256 == other.sha256)
+            if same and log.sample[0] <= other.sample[-1] and other.sample[0] <= log.sample[-1]:
+                raise ProblemError("the same samples are given twice", where=log.path or log.name,
+                                   remedy="give each log once, and hold out another one or --holdout to judge by")
 
 
 def identification_problem(machine: Machine, logs: Sequence[Log], validation: Sequence[Log] = (), *,
@@ -204,10 +234,11 @@ def identification_problem(machine: Machine, logs: Sequence[Log], validation: Se
 
     Raises:
         LogError: a channel is missing or a log is too short.
-        ProblemError: there is no log.
+        ProblemError: there is no log, or one is given twice.
     """
+    _refuse_repetition([*logs, *validation])
     if not logs:
         raise ProblemError("there is no log to learn from", where="identification", remedy="give at least one")
     model = Model(machine, actuator_inertia=actuator_inertia)
     train, held_out = ([experiment(model, log, smoothing) for log in some] for some in (logs, validation))
-    return Problem(model, tuple(train), tuple(held_out), force_noise(model))
+    return Problem(model, tuple(train), tuple(held_out), force_noise(model, logs[0]))

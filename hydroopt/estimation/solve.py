@@ -8,15 +8,17 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt import identifiability, inertia
-from hydroopt.errors import IdentifiabilityError, ProblemError
+from hydroopt.errors import IdentifiabilityError, ProblemError, SolverError
 from hydroopt.estimation import feasible, linear, nonlinear, uncertainty
 from hydroopt.estimation.compression import Compressed, compress, predict
+from hydroopt.estimation.correlation import correlation_time
 from hydroopt.estimation.estimate import Estimate
 from hydroopt.estimation.gaussian import gaussian
 from hydroopt.estimation.linear import RANK_TOLERANCE
 from hydroopt.estimation.problem import Problem
 from hydroopt.identifiability import Identifiability
 from hydroopt.inertia import Array
+from hydroopt.solvers import Certificate
 
 Method = Literal["sdp", "qp", "nlp", "wls", "ridge", "tsvd"]
 METHODS: tuple[Method, ...] = get_args(Method)
@@ -63,9 +65,10 @@ def _solve(problem: Problem, method: Method, tolerance: float, ridge: float | No
                                    remedy="record a log in which the joints move")
     sigma = _weights(problem, data, tolerance)
     if problem.loss != "squares":
-        data, sigma = _robust(problem, data, sigma, tolerance)
+        data, sigma = _robust(problem, data, sigma)
     R, r, _ = data.weighted(sigma)
     psi, _, seen = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
+    _trust(R, r, psi, seen, f"identification of {problem.model.machine.name}")
     # residuals that repeat themselves carry less information than as many independent ones
     times = _correlation_times(problem, psi)
     R, r, rest = data.weighted(sigma * np.sqrt(times))
@@ -76,6 +79,20 @@ def _solve(problem: Problem, method: Method, tolerance: float, ridge: float | No
     solution = (nonlinear.solve(problem, belief) if method == "nlp"
                 else feasible.solve(problem, belief, consistent=method == "sdp" and problem.consistent))
     return _constrained_estimate(problem, method, R, r, solution, sigma, times, seen, tolerance, intervals, seed)
+
+
+def _trust(R: Array, r: Array, psi: Array, seen: Identifiability, where: str) -> None:
+    """Check least squares by its normal equations: what is left over must be perpendicular to every base column.
+
+    Raises:
+        SolverError: it is not, because directions of rounding errors were taken for information.
+    """
+    basis = R[:, list(seen.basis)]
+    slope = np.max(np.abs(basis.T @ (r - R @ psi)) / np.linalg.norm(basis, axis=0), initial=0.0)
+    Certificate(0.0, float(slope / max(1.0, np.linalg.norm(r)))).trust(where, tolerance=1e-6)
+    if seen.condition_number > 1e12:
+        raise SolverError(f"the condition number of what counts as seen is {seen.condition_number:.0e}", where=where,
+                          remedy="raise the tolerance above rounding errors, e.g. to 1e-9")
 
 
 def _weights(problem: Problem, data: Compressed, tolerance: float) -> Array:
@@ -94,19 +111,27 @@ def _weights(problem: Problem, data: Compressed, tolerance: float) -> Array:
     return np.asarray(sigma)
 
 
-def _robust(problem: Problem, data: Compressed, sigma: Array, tolerance: float) -> tuple[Compressed, Array]:
-    """Iteratively reweighted least squares: Huber (95 % efficient at 1.345 σ) or Student-t (4 degrees of freedom)."""
-    for _ in range(8):
+def _robust(problem: Problem, data: Compressed, sigma: Array) -> tuple[Compressed, Array]:
+    """Iteratively reweighted least squares: Huber (95 % efficient at 1.345 σ) or Student-t (4 degrees of freedom).
+
+    The residuals are those of the most probable parameters before constraints, which good data hardly move.
+    """
+    floor = 1e-6 * sigma
+    psi = np.full(len(problem.parameters), np.inf)
+    for _ in range(20):
         R, r, _ = data.weighted(sigma)
-        psi, _, _ = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
+        before, psi = psi, gaussian(problem, R, r).offset
         residuals = _residuals(problem, psi)
         taken = [np.where(e.inside[:, None] & e.moving, res, np.nan)
                  for res, e in zip(residuals, problem.experiments, strict=True)]
-        sigma = 1.4826 * np.nanmedian(np.abs(np.concatenate(taken)), axis=0)
+        if problem.reweight:
+            sigma = np.maximum(1.4826 * np.nanmedian(np.abs(np.concatenate(taken)), axis=0), floor)
         ratios = [np.abs(res) / sigma for res in residuals]
         weights = [np.minimum(1.0, 1.345 / np.maximum(u, 1e-12)) if problem.loss == "huber" else 5.0 / (4.0 + u**2)
                    for u in ratios]
         data = compress(problem.model, problem.experiments, weights)
+        if np.all(np.abs(psi - before) < 1e-3 * problem.parameters.scale):
+            break
     return data, sigma
 
 
@@ -115,26 +140,14 @@ def _residuals(problem: Problem, psi: Array) -> list[Array]:
 
 
 def _correlation_times(problem: Problem, psi: Array) -> Array:
-    """Integrated autocorrelation time of each actuator's residuals in samples (n,), at least one.
-
-    Sums the autocorrelation until it first falls below zero (Geyer's initial positive sequence).
-    """
-    total = np.zeros(len(problem.model.machine.joints))
-    weight = 0.0
-    for residual, data in zip(_residuals(problem, psi), problem.experiments, strict=True):
-        part = residual[data.inside]
-        if len(part) < 2:
-            continue
-        size = 2 ** int(np.ceil(np.log2(2 * len(part))))
-        spectrum = np.abs(np.fft.rfft(part - part.mean(axis=0), size, axis=0)) ** 2
-        correlation = np.fft.irfft(spectrum, axis=0)[: len(part) // 2]
-        correlation /= np.maximum(correlation[0], 1e-300)
-        for i in range(len(total)):
-            negative = np.flatnonzero(correlation[:, i] <= 0)
-            until = negative[0] if negative.size else len(correlation)
-            total[i] += len(part) * (1 + 2 * np.sum(correlation[1:until, i]))
-        weight += len(part)
-    return np.maximum(total / max(weight, 1.0), 1.0)
+    """Correlation time of each actuator's residuals (n,), in samples; the logs weigh by their lengths."""
+    residuals = _residuals(problem, psi)
+    times, weights = [], []
+    for residual, data in zip(residuals, problem.experiments, strict=True):
+        taken = data.inside[:, None] & data.moving
+        times.append([correlation_time(r, t, data.motion.segment) for r, t in zip(residual.T, taken.T, strict=True)])
+        weights.append(np.maximum(np.sum(taken, axis=0), 1e-9))
+    return np.asarray(np.average(times, axis=0, weights=weights))
 
 
 def _linear_estimate(problem: Problem, method: str, R: Array, r: Array, rest: float, rows: float, sigma: Array,
@@ -169,7 +182,8 @@ def _constrained_estimate(problem: Problem, method: str, R: Array, r: Array, sol
         posterior = uncertainty.sample(problem, R, r, solution.psi,
                                        consistent=method != "qp" and problem.consistent, seed=seed)
         if posterior is None:
-            note = "no intervals: a constraint is a nonlinear equality or has no inside, which cannot be sampled"
+            note = ("no intervals: a constraint cannot be sampled (a nonlinear equality, one without an inside, or one "
+                    "that only cvxpy understands); values are the most probable ones")
         else:
             std, ci = posterior.interval()
             base_std, _ = posterior.interval(seen.grouping)
@@ -177,15 +191,27 @@ def _constrained_estimate(problem: Problem, method: str, R: Array, r: Array, sol
             psi = solution.psi if posterior.mean is None else posterior.mean
             kind = "the most probable ones" if posterior.mean is None else "posterior means"
             note = f"values are {kind}; {posterior.note}"
-    # where neither data nor prior say anything, no number is an estimate
+    psi = _nominal_where_unseen(problem, seen, psi)
+    # where the data say nothing, a number would be no estimate, whatever the priors say
     rows, _ = problem.prior_rows
     told = identifiability.analyse(np.vstack([R, rows]), problem.parameters.names, tolerance=tolerance)
     unseen = np.array(seen.category) == identifiability.NONE
     untold = np.array(told.category) != identifiability.FULL
     value = psi.copy()
-    value[untold], std[untold | unseen], ci[untold | unseen] = np.nan, np.nan, np.nan
+    value[untold | unseen], std[untold | unseen], ci[untold | unseen] = np.nan, np.nan, np.nan
     return _assemble(problem, method, R, psi, value, std, ci, solution.active, seen, base_std, sigma, times,
                      (note,), seed)
+
+
+def _nominal_where_unseen(problem: Problem, seen: Identifiability, psi: Array) -> Array:
+    """ψ with bodies that leave no trace at all back at their nominal values, unless the user spoke of them."""
+    if problem.constraints or problem.priors or problem.fixed:
+        return psi
+    psi = psi.copy()
+    for k, name in enumerate(problem.parameters.names):
+        if name.endswith(".m") and set(seen.category[k : k + 10]) == {identifiability.NONE}:
+            psi[k : k + 10] = problem.parameters.nominal[k : k + 10]
+    return psi
 
 
 def _assemble(problem: Problem, method: str, R: Array, psi: Array, value: Array, std: Array, ci: Array,

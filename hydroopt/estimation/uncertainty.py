@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt import inertia
+from hydroopt.errors import ProblemError
 from hydroopt.estimation.feasible import MARGIN, scaled_bodies
 from hydroopt.estimation.gaussian import Gaussian, gaussian
 from hydroopt.estimation.problem import Named, Problem, as_casadi
@@ -23,7 +24,13 @@ from hydroopt.inertia import Array
 
 Mask = NDArray[np.bool_]
 
-CHAINS, WARM_UP, SWEEPS, KEEP_EVERY, BLOCK, TRIES = 64, 20, 40, 2, 6, 5
+CHAINS, WARM_UP, SWEEPS, KEEP_EVERY, BLOCK, TRIES = 128, 60, 16, 2, 8, 6
+"""Chains side by side, sweeps until they have settled and of which every second is kept, coordinates moved together,
+places tried for each move."""
+
+DRIFT, ROUNDS = 0.5, 4
+"""Chains have settled when their mean moves by less than this many of its standard deviations over half a warm-up; they
+are given this many warm-ups."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,32 +60,52 @@ def sample(problem: Problem, R: Array, r: Array, psi: Array, *, consistent: bool
         consistent: whether bodies must be possible.
         seed: of the random numbers.
     """
-    equalities, inequality = _linear_equalities(problem)
-    if equalities is None:
+    wishes = _wishes(problem)
+    if wishes is None:
         return None
-    belief = gaussian(problem, R, r, equalities)
-    limits = _Limits(problem, belief, consistent=consistent, inequality=inequality)
+    belief = gaussian(problem, R, r, wishes.equalities)
+    limits = _Limits(problem, belief, wishes, consistent=consistent)
     scale = problem.parameters.scale
-    start = (_inner_point(problem, psi, consistent=consistent) - belief.offset) / scale
-    # the start in the Gaussian's coordinates; what leaves the equalities is dropped
-    state = np.tile(np.linalg.lstsq(belief.slope / scale[:, None], start, rcond=None)[0], (CHAINS, 1))
-    reach = limits.of(state)
-    if not np.all(limits.hold(reach, lambda: state)):
+    for distance in (0.1, 0.01, 0.001):
+        inner = wishes.inwards(_inner_point(problem, psi, consistent=consistent), belief, distance)
+        # the start in the Gaussian's coordinates; what leaves the equalities is dropped
+        start = np.linalg.lstsq(belief.slope / scale[:, None], (inner - belief.offset) / scale, rcond=None)[0]
+        state = np.tile(start, (CHAINS, 1))
+        reach = limits.of(state)
+        if np.all(limits.hold(reach, lambda: state)):  # noqa: B023 - called at once
+            break
+    else:
         return None
     rng = np.random.default_rng(seed)
-    kept = []
-    for sweep in range(WARM_UP + SWEEPS):
+
+    def sweep() -> None:
+        nonlocal state, reach
         order = rng.permutation(state.shape[1])
         for first in range(0, len(order), BLOCK):
             state, reach = _elliptical_step(state, reach, order[first : first + BLOCK], limits, rng)
-        if sweep >= WARM_UP and sweep % KEEP_EVERY == 0:
+
+    settled = False
+    for _ in range(ROUNDS):
+        for _ in range(WARM_UP // 2):
+            sweep()
+        half_way = state.mean(axis=0)
+        for _ in range(WARM_UP - WARM_UP // 2):
+            sweep()
+        drift = np.abs(state.mean(axis=0) - half_way) / np.maximum(state.std(axis=0), 1e-12)
+        settled = bool(np.all(drift < DRIFT))
+        if settled:
+            break
+    kept = []
+    for step in range(SWEEPS):
+        sweep()
+        if step % KEEP_EVERY == 0:
             kept.append(belief.offset + state @ belief.slope.T)
     samples = np.concatenate(kept)
     mean = (samples.mean(axis=0) - belief.offset) / scale
     centre = np.linalg.lstsq(belief.slope / scale[:, None], mean, rcond=None)[0]
     possible = bool(limits.hold(limits.of(centre[None]), lambda: centre[None])[0])
     note = (f"intervals from the Gaussian posterior cut off by bounds and constraints: {len(samples)} samples by "
-            "elliptical slice sampling")
+            "elliptical slice sampling" + ("" if settled else ", WHICH HAD NOT SETTLED: do not rely on them"))
     return Posterior(samples, samples.mean(axis=0) if possible else None, note)
 
 
@@ -88,8 +115,7 @@ class _Limits:
     The linear ones, bounds and the entries of pseudo-inertias, are kept as numbers (c, m) that a step updates cheaply.
     """
 
-    def __init__(self, problem: Problem, belief: Gaussian, *, consistent: bool,
-                 inequality: Callable[[Array], Array] | None) -> None:
+    def __init__(self, problem: Problem, belief: Gaussian, wishes: _Wishes, *, consistent: bool) -> None:
         parameters = problem.parameters
         p, scale = len(parameters), parameters.scale
         free = np.array([name not in problem.fixed for name in parameters.names])
@@ -109,7 +135,7 @@ class _Limits:
         gradient = np.hstack(columns)
         self.slope, self.start = belief.slope.T @ gradient, np.concatenate(constants) + belief.offset @ gradient
         self._bodies = 10 * len(bodies)
-        self._inequality = inequality
+        self._wishes = wishes
         self._belief = belief
 
     def of(self, state: Array) -> Array:
@@ -122,8 +148,8 @@ class _Limits:
         if self._bodies:
             bodies = reach[:, : self._bodies].reshape(len(reach), self._bodies // 10, 10)
             good &= np.all(_positive_definite(bodies), axis=1)
-        if self._inequality is not None:
-            good[good] = self._inequality(self._belief.offset + state()[good] @ self._belief.slope.T)
+        if self._wishes.inequality is not None:
+            good[good] = self._wishes.hold(self._belief.offset + state()[good] @ self._belief.slope.T)
         return good
 
 
@@ -187,37 +213,60 @@ def _inner_point(problem: Problem, psi: Array, *, consistent: bool) -> Array:
     return start
 
 
-def _linear_equalities(problem: Problem) -> tuple[tuple[Array, Array] | None, Callable[[Array], Array] | None]:
-    """Equalities ``E·ψ = e`` and the inequalities as a function of ψ (s, p).
+@dataclass(frozen=True)
+class _Wishes:
+    """The user's constraints: equalities ``E·ψ = e``, and inequalities ``g(ψ) ≤ 0`` with their slopes, if any."""
 
-    The first is None if a constraint cannot be sampled: a nonlinear equality, or one that only cvxpy understands.
+    equalities: tuple[Array, Array]
+    inequality: ca.Function | None
+    slopes: ca.Function | None
+
+    def hold(self, psi: Array) -> Mask:
+        """Whether all inequalities hold (s,) at ψ (s, p)."""
+        if self.inequality is None or not len(psi):
+            return np.ones(len(psi), dtype=bool)
+        return np.asarray(np.all(np.asarray(self.inequality(psi.T)) <= 0, axis=0))
+
+    def inwards(self, psi: Array, belief: Gaussian, distance: float) -> Array:
+        """ψ moved until every inequality is `distance` standard deviations from its edge, to first order."""
+        if self.inequality is None or self.slopes is None:
+            return psi
+        for i in range(self.inequality.size1_out(0)):
+            slope = belief.slope.T @ np.asarray(self.slopes(psi))[i]
+            size = float(np.linalg.norm(slope)) or 1.0
+            excess = float(np.asarray(self.inequality(psi)).ravel()[i]) / size + distance
+            psi = psi - belief.slope @ (max(excess, 0.0) * slope / size)
+        return psi
+
+
+def _wishes(problem: Problem) -> _Wishes | None:
+    """The user's constraints in a form that can be sampled.
+
+    None if one cannot be: a nonlinear equality, or a relation that only cvxpy understands.
     """
     parameters = problem.parameters
     psi = ca.SX.sym("psi", len(parameters))
     named = Named(parameters, lambda k: psi[k])
-    rows: list[Array] = []
-    values: list[float] = []
+    rows = [np.eye(len(parameters))[parameters.index(name)] for name in problem.fixed]
+    values = list(problem.fixed.values())
     insides: list[ca.SX] = []
-    for name, value in problem.fixed.items():
-        rows.append(np.eye(len(parameters))[parameters.index(name)])
-        values.append(value)
     for constraint in problem.constraints:
         try:
             body, equal = as_casadi(constraint, named)
-        except Exception:
-            return None, None
+        except (ProblemError, TypeError, ValueError, NotImplementedError):  # what cvxpy raises at CasADi symbols
+            return None
         if not equal:
             insides.append(body)
             continue
         row = ca.jacobian(body, psi)
         if ca.depends_on(row, psi):
-            return None, None
+            return None
         at_zero = ca.Function("equality", [psi], [row, body])(ca.DM.zeros(psi.shape))
         rows.append(np.asarray(ca.DM(at_zero[0])).ravel())
         values.append(-float(at_zero[1]))
-    inequality = None
-    if insides:
-        function = ca.Function("inequalities", [psi], [ca.vertcat(*insides)])
-        inequality = lambda s: np.all(np.asarray(function(s.T)) <= 0, axis=0) if len(s) else np.ones(0, bool)  # noqa: E731
-    E = np.array(rows).reshape(-1, len(parameters))
-    return (E, np.array(values)), inequality
+    equalities = (np.array(rows).reshape(-1, len(parameters)), np.array(values))
+    if not insides:
+        return _Wishes(equalities, None, None)
+    g = ca.vertcat(*insides)
+    return _Wishes(equalities, ca.Function("inequality", [psi], [g]),
+                   ca.Function("slopes", [psi], [ca.densify(ca.jacobian(g, psi))]))

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from hydroopt.dynamic_parameters import bodies
 from hydroopt.estimation.estimate import Estimate
 from hydroopt.estimation.experiment import force_noise
 from hydroopt.identifiability import NONE, Confounded
@@ -20,7 +21,7 @@ _KINDS = {"f_coulomb": "Coulomb friction", "tau_coulomb": "Coulomb friction", "f
 def doubts(estimate: Estimate) -> tuple[str, ...]:
     """Sentences, the gravest first; none if nothing is in doubt."""
     said = (*_prediction(estimate), *_impossible(estimate), *_noise(estimate), *_confounded(estimate.confounded),
-            *_unseen(estimate), *_held(estimate), *_findings(estimate))
+            *_unseen(estimate), *_held(estimate), *_sampling(estimate), *_confidences(estimate), *_findings(estimate))
     return tuple(dict.fromkeys(said))
 
 
@@ -78,8 +79,8 @@ def _confounded(found: Sequence[Confounded]) -> list[str]:
 
 def _noise(estimate: Estimate) -> list[str]:
     said = []
-    stated = force_noise(estimate.problem.model)
-    units = estimate.force_units
+    stated = force_noise(estimate.problem.model, estimate.problem.experiments[0].log)
+    units = estimate.problem.model.force_units
     for k, actuator in enumerate(estimate.problem.model.machine.actuators):
         if np.isfinite(stated[k]) and estimate.sigma[k] > 1.5 * stated[k]:
             said.append(f"Residuals of {actuator.name} are {estimate.sigma[k] / stated[k]:.1f} times its sensors' "
@@ -105,7 +106,24 @@ def _unseen(estimate: Estimate) -> list[str]:
 
 
 def _held(estimate: Estimate) -> list[str]:
-    return [f"Held by a constraint: {_some(list(estimate.active))}."] if estimate.active else []
+    held = _some(list(estimate.active))
+    return [f"At the most probable point held by constraints: {held}."] if held else []
+
+
+def _sampling(estimate: Estimate) -> list[str]:
+    if any("HAD NOT SETTLED" in note for note in estimate.notes):
+        return ["The sampling of the intervals had not settled: do not rely on them."]
+    return [note[0].upper() + note[1:] + "." for note in estimate.notes if note.startswith("no intervals: ")]
+
+
+def _confidences(estimate: Estimate) -> list[str]:
+    """Bodies whose file states no confidence got one by default."""
+    model = estimate.problem.model
+    silent = [owner for owner, owned in bodies(model.machine, actuator_inertia=model.actuator_inertia).items()
+              if not any(note.sigma for path, note in model.machine.notes.items() if path.startswith(f"{owned.path}."))]
+    if not silent or estimate.method not in ("sdp", "qp", "nlp"):
+        return []
+    return [f"No confidence is stated for {_some(silent)}: 100 % of their size is assumed."]
 
 
 def _findings(estimate: Estimate) -> list[str]:

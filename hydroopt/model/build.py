@@ -32,7 +32,7 @@ class Model:
         self.actuator_inertia = actuator_inertia
         self.at = coordinates(machine)
         self.dynamics = Dynamics(machine, self.at)
-        self._maps: dict[tuple[str, int], ca.Function] = {}
+        self._maps: dict[tuple[int, int], tuple[ca.Function, ca.Function]] = {}
 
     @cached_property
     def parameters(self) -> ParameterSet:
@@ -118,6 +118,13 @@ class Model:
         """Jacobians of `residual` with respect to all of its inputs."""
         return self.residual.jacobian()
 
+    @property
+    def force_units(self) -> tuple[str, ...]:
+        """Unit of each actuator's force."""
+        machine = self.machine
+        return tuple("N" if isinstance(a, Cylinder) or machine.link(j).joint.type == "prismatic" else "N*m"
+                     for a, j in zip(machine.actuators, machine.joints, strict=True))
+
     @cached_property
     def force_from_pressure(self) -> Mapping[str, Mapping[str, float]]:
         """For every actuator the factor [N/Pa, N·m/Pa or 1] of each channel its force is made of (Eq. 4.33, 4.61)."""
@@ -152,10 +159,12 @@ class Model:
         return [values.swapaxes(1, 2) for values in results]  # CasADi writes column by column
 
     def _mapped(self, function: ca.Function, samples: int) -> ca.Function:
-        key = (function.name(), samples)
+        key = (hash(function), samples)
         if key not in self._maps:
-            self._maps[key] = function.map(samples)
-        return self._maps[key]
+            if len(self._maps) > 32:
+                self._maps.clear()
+            self._maps[key] = function, function.map(samples)  # holding the function keeps its hash its own
+        return self._maps[key][1]
 
 
 def _dense(name: str, inputs: list[ca.SX], outputs: list[ca.SX], input_names: list[str],

@@ -125,7 +125,9 @@ class Dynamics:
 
 
 def gas_force(gas: GasCylinder, length: ca.SX) -> ca.SX:
-    """Force along the lengthening of the cylinder per unit of precharge pressure [m²], from p·Vⁿ = const."""
+    """Force along the lengthening of the cylinder per unit of precharge pressure [m²], from p·Vⁿ = const.
+
+    The pressure is taken as given, see `GasCylinder`: ambient pressure on the other side is neglected.
+    """
     sign = 1 if gas.acts == "push" else -1
-    volume = gas.volume + sign * gas.area * (length - gas.reference_length)
-    return sign * gas.area * (gas.volume / volume) ** gas.polytropic
+    return sign * gas.area * (gas.volume / gas.gas_volume(length)) ** gas.polytropic

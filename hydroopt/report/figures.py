@@ -92,7 +92,7 @@ def forces(estimate: Estimate) -> Figure:
     logs = _timeline(estimate)
     with matplotlib.rc_context(STYLE):
         figure, axes = _rows(len(machine.actuators), 1.45)
-        for k, (actuator, unit) in enumerate(zip(machine.actuators, estimate.force_units, strict=True)):
+        for k, (actuator, unit) in enumerate(zip(machine.actuators, estimate.problem.model.force_units, strict=True)):
             ax = axes[k][0]
             factor, label = _force_axis(unit, np.concatenate([log.data.force[:, k] for log in logs]))
             for log in logs:
@@ -116,7 +116,7 @@ def residuals(estimate: Estimate) -> Figure:
     logs = _timeline(estimate)
     with matplotlib.rc_context(STYLE):
         figure, axes = _rows(len(machine.actuators), 1.55, widths=(2.0, 1.0))
-        for k, (actuator, unit) in enumerate(zip(machine.actuators, estimate.force_units, strict=True)):
+        for k, (actuator, unit) in enumerate(zip(machine.actuators, estimate.problem.model.force_units, strict=True)):
             over_time, over_speed = axes[k]
             errors = [np.where(log.data.inside, log.data.force[:, k] - log.predicted[:, k], np.nan) for log in logs]
             factor, label = _force_axis(unit, np.concatenate(errors), "residual")

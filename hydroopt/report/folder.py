@@ -44,6 +44,7 @@ def save(estimate: Estimate, directory: str | Path, *, wall_s: float = float("na
         ProblemError: the directory cannot be written.
     """
     content = as_dict(estimate, wall_s)
+    machine_file = f"{estimate.problem.model.machine.name}.toml"
     files = {"report.html": html.render(estimate, doubts(estimate)),
              "parameters.csv": _csv([row | dict(zip(("low", "high"), row.pop("ci95") or (None, None), strict=True))
                                      for row in map(dict, content["parameters"])]),
@@ -51,9 +52,17 @@ def save(estimate: Estimate, directory: str | Path, *, wall_s: float = float("na
              "fit.csv": _csv([{"data": data, "channel": channel} | fit for data, table in content["fit"].items()
                               for channel, fit in table.items()])}
     with contextlib.suppress(ProblemError):  # the doubts and the report say which body cannot exist
-        files[f"{estimate.problem.model.machine.name}.toml"] = dump_machine(calibrated_machine(estimate))
+        files[machine_file] = dump_machine(calibrated_machine(estimate))
+    _forget(directory, machine_file)
     write_files(directory, files | {"estimate.json": json.dumps(content, indent=1, allow_nan=False)})
     return content
+
+
+def _forget(directory: str | Path, machine_file: str) -> None:
+    """Remove an earlier result from the directory, so that none of it is taken for part of the next."""
+    for name in ("estimate.json", "report.html", "parameters.csv", "base_parameters.csv", "fit.csv", machine_file):
+        with contextlib.suppress(OSError):  # not there, or the directory is no directory, which writing will say
+            (Path(directory) / name).unlink()
 
 
 def save_failure(problem: Problem, method: str, error: HydrooptError, directory: str | Path) -> dict[str, Any]:
@@ -63,6 +72,7 @@ def save_failure(problem: Problem, method: str, error: HydrooptError, directory:
         ProblemError: the directory cannot be written.
     """
     content = _origin(problem, method) | {"status": "failed", "reason": str(error)}
+    _forget(directory, f"{problem.model.machine.name}.toml")
     write_files(directory, {"estimate.json": json.dumps(content, indent=1, allow_nan=False)})
     return content
 
@@ -99,7 +109,7 @@ def as_dict(estimate: Estimate, wall_s: float = float("nan")) -> dict[str, Any]:
     fit = {data: {channel: {"rms": _number(one.rms), "vaf": _number(one.vaf), "relative": _number(one.relative),
                             "unit": one.unit} for channel, one in table.items()}
            for data, table in estimate.fit.items()}
-    structure = estimate.structure
+    structure, model = estimate.structure, estimate.problem.model
     return _origin(estimate.problem, estimate.method) | {
         "status": estimate.status, "parameters": rows, "base_parameters": base, "fit": fit,
         "conditioning": {"rank": seen.rank, "condition_number": _number(seen.condition_number),
@@ -109,9 +119,9 @@ def as_dict(estimate: Estimate, wall_s: float = float("nan")) -> dict[str, Any]:
                          "structurally_invisible": structure.count("none")},
         "physical_consistency": {owner: {"consistent": smallest >= 0, "min_eigenvalue": smallest}
                                  for owner, smallest in estimate.consistency.items()},
-        "weights": {a.name: {"sigma": float(s), "unit": u, "correlation_time": float(c)} for a, s, u, c in zip(
-            estimate.problem.model.machine.actuators, estimate.sigma, estimate.force_units, estimate.correlation_time,
-            strict=True)},
+        "weights": {actuator.name: {"sigma": float(sigma), "unit": unit, "correlation_time": float(time)}
+                    for actuator, sigma, unit, time in zip(model.machine.actuators, estimate.sigma, model.force_units,
+                                                           estimate.correlation_time, strict=True)},
         "active_constraints": list(estimate.active), "doubts": list(doubts(estimate)), "notes": list(estimate.notes),
         "seed": estimate.seed, "wall_s": _number(wall_s)}
 
@@ -131,7 +141,7 @@ def _input(data: Experiment, role: str) -> dict[str, Any]:
     log = data.log
     return {"path": log.path or log.name, "sha256": log.sha256 or None, "samples": len(log.t), "role": role,
             "first_sample": int(log.sample[0]), "last_sample": int(log.sample[-1]),
-            "findings": [f.text for f in log.findings]}
+            "findings": [f.text for f in log.findings], "notes": list(data.notes)}
 
 
 def _csv(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -84,15 +84,16 @@ def condition(
         q: (N, n) or (N,) measured positions [rad or m].
         segment: (N,) index of the stretch each sample belongs to; None for one stretch.
         smoothing: how.
-        noise: (n,) or scalar standard deviation of each joint's sensor, unit of q; None if unknown.
+        noise: (n,) or scalar standard deviation of each joint's sensor, unit of q; None or NaN where unknown, which
+            asks for cross-validation.
         names: of the joints, for the notes.
         where: name of the log, for error messages.
 
     Raises:
         LogError: a stretch is too short, sampling is irregular for Butterworth, or the log is shorter than
             the Fourier period.
-        ProblemError: an option is impossible (cutoff or harmonics beyond the Nyquist frequency, negative
-            noise).
+        ProblemError: an option is impossible (cutoff or harmonics beyond the Nyquist frequency, a bandwidth
+            below one period in the whole log, negative noise).
     """
     times = np.asarray(t, dtype=float)
     positions = np.asarray(q, dtype=float)
@@ -104,8 +105,8 @@ def condition(
                        "cylinder's length gives no angle where its triangle is open)", where=where,
                        remedy="mend it or read the log with --treat nan=drop")
     stds = None if noise is None else np.broadcast_to(np.asarray(noise, dtype=float), positions.shape[1:])
-    if stds is not None and not np.all(np.isfinite(stds) & (stds >= 0)):
-        raise ProblemError("the stated noise is negative or not finite", where=where,
+    if stds is not None and np.any(np.isinf(stds) | (stds < 0)):
+        raise ProblemError("the stated noise is negative or infinite", where=where,
                            remedy="give each joint's standard deviation in SI units")
     if isinstance(smoothing, Fourier):
         return _fourier(times, positions, parts, smoothing, where)
@@ -124,6 +125,8 @@ def condition(
             corners = np.full(positions.shape[1], smoothing.cutoff)
         else:
             stated = None if smoothing.cross_validate else stds
+            if stop - start >= spline.MIN_SAMPLES:
+                _refuse_too_slow(smoothing, float(times[-1] - times[0]), where)
             out[:, span], corners, said = _spline(times[span], positions[span], smoothing, stated, names, here)
             notes += said
         bandwidth = np.minimum(bandwidth, corners)
@@ -134,6 +137,12 @@ def condition(
     return Motion(times, out[0], out[1], out[2], parts, interior, bandwidth, tuple(notes))
 
 
+def _refuse_too_slow(smoothing: SmoothingSpline, duration: float, where: str) -> None:
+    if smoothing.bandwidth is not None and not smoothing.bandwidth * duration >= 1:
+        raise ProblemError(f"a bandwidth of {smoothing.bandwidth:g} Hz leaves nothing of a motion of {duration:.4g} s",
+                           where=where, remedy=f"state one above {1 / duration:.2g} Hz or record a longer log")
+
+
 def _spline(t: Array, q: Array, smoothing: SmoothingSpline, stds: Array | None, names: Sequence[str],
             where: str) -> tuple[Array, Array, list[str]]:
     if t.size < spline.MIN_SAMPLES:
@@ -141,7 +150,7 @@ def _spline(t: Array, q: Array, smoothing: SmoothingSpline, stds: Array | None, 
                        remedy=f"leave it out or record at least {spline.MIN_SAMPLES} samples without a gap")
     out, corners, notes = np.empty((3, *q.shape)), np.empty(q.shape[1]), []
     for joint, column in enumerate(q.T):
-        stated = None if stds is None else float(stds[joint])
+        stated = None if stds is None or np.isnan(stds[joint]) else float(stds[joint])
         fitted = spline.fit(t, column, stated, smoothing.bandwidth)
         for order in range(3):
             out[order, :, joint] = fitted(t, order)

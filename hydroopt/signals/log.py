@@ -158,11 +158,12 @@ def read_log(
         mapping: for foreign files, what stands where (`read_map`).
         treatment: action by kind of finding, see `treatment.ACTIONS`. By default NaN and bad time stamps are
             errors, gaps split the log into segments and everything else is reported only.
-        limits: (lowest, highest) value of a sensor's range by channel, in SI; samples there are saturated.
+        limits: (lowest, highest) value of a sensor's range by channel, in SI; samples there are saturated. Limits of
+            channels that the log lacks mean nothing.
 
     Raises:
         LogError: the file is missing, damaged or not understood; the sentence names row and column.
-        ProblemError: unknown treatment, or limits for a channel the log has not.
+        ProblemError: unknown treatment.
     """
     where, chosen = str(path), choose(treatment)
     layout = mapping if isinstance(mapping, LogMap) or mapping is None else read_map(mapping)
@@ -180,10 +181,6 @@ def read_log(
     _refuse_damage(table, t, where)
     if table.rows.size < 2:
         raise LogError("there is only one data row", where=where, remedy="record at least two samples")
-    if unknown := set(limits or {}) - set(values):
-        raise ProblemError(f"there are limits for {', '.join(sorted(unknown))}, but no such channels",
-                           where=where,
-                           remedy=f"give limits for {', '.join(values)}")
     samples, segment = treat(Samples(t, values, table.rows), chosen, limits or {}, where)
     notes = samples.findings
     if layout.rows:

@@ -8,14 +8,8 @@ from typing import Annotated, Any, Literal
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
 
 from hydroopt.errors import HydrooptError, LogError
+from hydroopt.quantity import CHANNEL_UNITS
 from hydroopt.units import UnitError, factor, to_si
-
-KINDS: dict[str, tuple[str, ...]] = {
-    "q": ("rad", "m"), "qd": ("rad/s", "m/s"), "tau": ("N*m", "N"),
-    "length": ("m",), "p_head": ("Pa",), "p_rod": ("Pa",), "force": ("N",),
-    "p_a": ("Pa",), "p_b": ("Pa",), "u": ("V", "1", "A"),
-}
-"""SI units that a channel may have, by the suffix of its name; the first is the usual one."""
 
 Key = str | int
 _HEADER = re.compile(r"^(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?$")
@@ -28,10 +22,10 @@ def si_unit(channel: str, unit: str | None = None) -> str:
         LogError: unknown suffix.
         UnitError: `unit` is of no kind that suits the channel.
     """
-    kinds = ("s",) if channel == "t" else KINDS.get(channel.rpartition(".")[2] if "." in channel else "")
+    kinds = ("s",) if channel == "t" else CHANNEL_UNITS.get(channel.rpartition(".")[2] if "." in channel else "")
     if kinds is None:
         raise LogError(f"'{channel}' is not a channel", where="channel",
-                       remedy="use 't' or a name that ends in " + ", ".join(f".{k}" for k in KINDS))
+                       remedy="use 't' or a name that ends in " + ", ".join(f".{k}" for k in CHANNEL_UNITS))
     if unit is None:
         return kinds[0]
     for kind in kinds:

@@ -38,21 +38,6 @@ def measure(
     return np.round(reading / step) * step if step > 0 else reading
 
 
-def noise_std(
-    accuracy: float, resolution: float | None = None, distribution: Distribution = "uniform"
-) -> float:
-    """Standard deviation of what `measure` adds: noise and quantisation, in the unit of `accuracy`.
-
-    A uniform band ±a has variance a²/3, a quantisation step r (spread over several steps) r²/12.
-
-    Raises:
-        ProblemError: as `measure`.
-    """
-    step = _step(accuracy, resolution, distribution)
-    noise = accuracy**2 / 3 if distribution == "uniform" else accuracy**2
-    return float(np.sqrt(noise + step**2 / 12))
-
-
 def _step(accuracy: float, resolution: float | None, distribution: str) -> float:
     step = resolution or 0.0
     for name, value in (("accuracy", accuracy), ("resolution", step)):

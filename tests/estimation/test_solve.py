@@ -5,12 +5,13 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 import pytest
 from scipy.signal import lfilter
 
 from hydroopt.description import load_machine
-from hydroopt.errors import IdentifiabilityError, LogError, ProblemError
+from hydroopt.errors import IdentifiabilityError, LogError, ProblemError, SolverError
 from hydroopt.estimation import compression
 from hydroopt.estimation.experiment import Experiment, force_noise
 from hydroopt.estimation.problem import Problem, identification_problem
@@ -146,8 +147,10 @@ def test_two_logs_are_one_log_of_both(noisy: Problem) -> None:
 
 
 def test_priors_fill_in_what_no_motion_shows(noisy: Problem) -> None:
+    """They go into the parameters that the calibrated machine gets, but are reported as no estimate."""
     told = solve(noisy.with_prior("drawing", "swing.I_xx", value=12_345.0, sigma=1.0), intervals=False)
-    assert told["swing.I_xx"] == pytest.approx(12_345, abs=5)
+    assert told.psi[told.problem.parameters.index("swing.I_xx")] == pytest.approx(12_345, abs=5)
+    assert np.isnan(told["swing.I_xx"])
     assert np.isnan(solve(noisy, "wls")["swing.I_xx"])
 
 
@@ -286,3 +289,23 @@ def test_force_noise_is_that_of_the_sensors(cat215b: Model) -> None:
         np.hypot(23.75, 14.13) * inch * one,
     ]
     np.testing.assert_allclose(force_noise(cat215b), expected, rtol=1e-6)
+
+
+def test_the_same_samples_twice_are_refused(noisy: Problem) -> None:
+    machine, log = noisy.model.machine, noisy.experiments[0].log
+    for train, held_out in (([log, log], []), ([log], [log])):
+        with pytest.raises(ProblemError, match="same samples are given twice"):
+            identification_problem(machine, train, held_out)
+
+
+def test_rounding_errors_taken_for_information_are_no_estimate(noisy: Problem) -> None:
+    with pytest.raises(SolverError, match=r"condition number|stationarity"):
+        solve(noisy, "wls", tolerance=0.0)
+
+
+def test_functions_of_one_name_are_not_confused(cat215b: Model) -> None:
+    x = ca.SX.sym("x")
+    one, two = ca.Function("f", [x], [x]), ca.Function("f", [x], [2 * x])
+    values = np.arange(3.0)[:, None]
+    np.testing.assert_array_equal(cat215b.over(one, values)[0].ravel(), [0, 1, 2])
+    np.testing.assert_array_equal(cat215b.over(two, values)[0].ravel(), [0, 2, 4])

@@ -18,7 +18,8 @@ from hydroopt.signals.log import Log
 NAMES = ("drive.tau_offset", "drive.tau_coulomb", "drive.tau_viscous", "drive.rotor_inertia")
 
 
-def pooled(problem: Problem, R: np.ndarray, mean: np.ndarray, *, consistent: bool = False, runs: int = 6) -> np.ndarray:
+def pooled(problem: Problem, R: np.ndarray, mean: np.ndarray, *, consistent: bool = False,
+           runs: int = 24) -> np.ndarray:
     """Samples (s, p) of the posterior of ``‖R·(ψ − mean)‖²``, from several seeds."""
     start = np.maximum(mean, problem.parameters.lower)
     drawn = [sample(problem, R, R @ mean, start, consistent=consistent, seed=seed) for seed in range(runs)]
@@ -167,3 +168,13 @@ def test_a_whole_identification_at_a_bound(wheel: Model) -> None:
     assert np.mean([e.std[k] for e in estimates]) == pytest.approx(exact.std(), rel=0.06)
     low, high = np.mean([e.ci95[k] for e in estimates], axis=0)
     np.testing.assert_allclose(exact.cdf([low, high]), [0.025, 0.975], atol=0.01)
+
+
+def test_an_active_inequality_keeps_its_intervals(noisy: Problem) -> None:
+    """A half-space that cuts off the most probable point is sampled up to its edge."""
+    free = solve(noisy, "sdp")
+    limit = free["boom.m"] + free["stick.m"] - 300
+    cut = solve(noisy.subject_to("light", lambda p: p["boom.m"] + p["stick.m"] <= limit), "sdp")
+    assert "light" in cut.active
+    assert np.isfinite(cut.std[cut.problem.parameters.index("boom.m")])
+    assert cut["boom.m"] + cut["stick.m"] < limit

@@ -178,3 +178,17 @@ def test_an_impossible_machine_is_not_exported(estimate: Estimate, tmp_path: Pat
     content = folder.save(impossible, tmp_path)
     assert {file.name for file in tmp_path.iterdir()} == FILES - {"cat215b.toml"}
     assert not all(one["consistent"] for one in content["physical_consistency"].values())
+
+
+
+def test_an_earlier_result_is_not_left_beside_a_new_one(tmp_path: Path) -> None:
+    """The calibrated machine of one method must not pass for that of the next, which has none."""
+    machine = load_machine("cat215b")
+    model = Model(machine)
+    log = simulate(model, random_trajectory(model, duration=20, rate=25, seed=1), seed=1)
+    problem = identification_problem(machine, [log])
+    folder.save(solve(problem, "sdp", intervals=False), tmp_path)
+    assert (tmp_path / "cat215b.toml").exists()
+    folder.save(solve(problem, "wls"), tmp_path)
+    assert not (tmp_path / "cat215b.toml").exists()
+    assert json.loads((tmp_path / "estimate.json").read_text())["method"] == "wls"

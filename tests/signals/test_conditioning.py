@@ -4,11 +4,12 @@ import numpy as np
 import pytest
 
 from hydroopt.errors import LogError, ProblemError
+from hydroopt.parts import Sensor
 from hydroopt.signals.conditioning import Butterworth, Fourier, SmoothingSpline, condition
-from hydroopt.signals.sensors import measure, noise_std
+from hydroopt.signals.sensors import measure
 
 ACCURACY, STEP = np.deg2rad(0.1), 2 * np.pi / 2**14
-NOISE = noise_std(ACCURACY, STEP)
+NOISE = Sensor(channels=("boom.q",), accuracy=ACCURACY, resolution=STEP).std
 
 
 def sines(t, seed=0):
@@ -130,6 +131,27 @@ def test_butterworth_has_no_phase_lag():
 def test_what_cannot_be_done_is_refused(smoothing, t, error, word):
     with pytest.raises(error, match=word):
         condition(t, np.sin(t), None, smoothing)
+
+
+def test_a_joint_without_stated_noise_is_cross_validated_alone():
+    noisy = measure(np.column_stack([sines(T)[0], sines(T, 1)[0]]), ACCURACY, STEP, np.random.default_rng(7))
+    made = condition(T, noisy, noise=[np.nan, NOISE])
+    assert "from cross-validation" in made.notes[0]
+    assert "from the stated noise" in made.notes[1]
+    np.testing.assert_array_equal(made.qd[:, 0], condition(T, noisy[:, 0]).qd[:, 0])
+    np.testing.assert_array_equal(made.qd[:, 1], condition(T, noisy[:, 1], noise=NOISE).qd[:, 0])
+
+
+@pytest.mark.parametrize("noise", [-1.0, np.inf])
+def test_impossible_noise_is_refused(noise):
+    with pytest.raises(ProblemError, match="negative or infinite"):
+        condition(T, np.sin(T), noise=noise)
+
+
+@pytest.mark.parametrize("bandwidth", [1e-9, 0.9 / 30])
+def test_a_bandwidth_that_leaves_nothing_of_the_motion_is_refused(bandwidth):
+    with pytest.raises(ProblemError, match=r"leaves nothing.*state one above 0\.03"):
+        condition(T, np.sin(T), None, SmoothingSpline(bandwidth=bandwidth))
 
 
 def test_a_nan_is_refused():

@@ -2,7 +2,8 @@ import numpy as np
 import pytest
 
 from hydroopt.errors import ProblemError
-from hydroopt.signals.sensors import measure, noise_std
+from hydroopt.parts import Sensor
+from hydroopt.signals.sensors import measure
 
 
 @pytest.mark.parametrize(("accuracy", "resolution", "distribution"), [
@@ -12,7 +13,8 @@ def test_stated_std_is_what_monte_carlo_shows(accuracy, resolution, distribution
     truth = rng.uniform(-10, 10, 200_000)
     error = measure(truth, accuracy, resolution, rng, distribution) - truth
     assert abs(error.mean()) < 2e-3
-    assert error.std() == pytest.approx(noise_std(accuracy, resolution, distribution), rel=0.01)
+    sensor = Sensor(channels=("boom.q",), accuracy=accuracy, resolution=resolution or 0.0, distribution=distribution)
+    assert error.std() == pytest.approx(sensor.std, rel=0.01)
     if distribution == "uniform":
         assert np.max(np.abs(error)) <= accuracy + (resolution or 0) / 2 + 1e-12
 
@@ -29,5 +31,6 @@ def test_a_perfect_sensor_changes_nothing():
 @pytest.mark.parametrize("options", [
     (-1.0, None, "uniform"), (1.0, -1.0, "uniform"), (1.0, None, "triangle")])
 def test_impossible_sensors_are_refused(options):
+    accuracy, resolution, distribution = options
     with pytest.raises(ProblemError):
-        noise_std(*options)
+        measure([1.0], accuracy, resolution, np.random.default_rng(0), distribution)
