@@ -70,7 +70,7 @@ def sample(problem: Problem, R: Array, r: Array, psi: Array, *, consistent: bool
         inner = wishes.inwards(_inner_point(problem, psi, consistent=consistent), belief, distance)
         # the start in the Gaussian's coordinates; what leaves the equalities is dropped
         start = np.linalg.lstsq(belief.slope / scale[:, None], (inner - belief.offset) / scale, rcond=None)[0]
-        state = np.tile(start, (CHAINS, 1))
+        state = np.tile(start[:, None], CHAINS)
         reach = limits.of(state)
         if np.all(limits.hold(reach, lambda: state)):  # noqa: B023 - called at once
             break
@@ -80,7 +80,7 @@ def sample(problem: Problem, R: Array, r: Array, psi: Array, *, consistent: bool
 
     def sweep() -> None:
         nonlocal state, reach
-        order = rng.permutation(state.shape[1])
+        order = rng.permutation(len(state))
         for first in range(0, len(order), BLOCK):
             state, reach = _elliptical_step(state, reach, order[first : first + BLOCK], limits, rng)
 
@@ -88,10 +88,10 @@ def sample(problem: Problem, R: Array, r: Array, psi: Array, *, consistent: bool
     for _ in range(ROUNDS):
         for _ in range(WARM_UP // 2):
             sweep()
-        half_way = state.mean(axis=0)
+        half_way = state.mean(axis=1)
         for _ in range(WARM_UP - WARM_UP // 2):
             sweep()
-        drift = np.abs(state.mean(axis=0) - half_way) / np.maximum(state.std(axis=0), 1e-12)
+        drift = np.abs(state.mean(axis=1) - half_way) / np.maximum(state.std(axis=1), 1e-12)
         settled = bool(np.all(drift < DRIFT))
         if settled:
             break
@@ -99,20 +99,20 @@ def sample(problem: Problem, R: Array, r: Array, psi: Array, *, consistent: bool
     for step in range(SWEEPS):
         sweep()
         if step % KEEP_EVERY == 0:
-            kept.append(belief.offset + state @ belief.slope.T)
+            kept.append(belief.offset + (belief.slope @ state).T)
     samples = np.concatenate(kept)
     mean = (samples.mean(axis=0) - belief.offset) / scale
-    centre = np.linalg.lstsq(belief.slope / scale[:, None], mean, rcond=None)[0]
-    possible = bool(limits.hold(limits.of(centre[None]), lambda: centre[None])[0])
+    centre = np.linalg.lstsq(belief.slope / scale[:, None], mean[:, None], rcond=None)[0]
+    possible = bool(limits.hold(limits.of(centre), lambda: centre)[0])
     note = (f"intervals from the Gaussian posterior cut off by bounds and constraints: {len(samples)} samples by "
             "elliptical slice sampling" + ("" if settled else ", WHICH HAD NOT SETTLED: do not rely on them"))
     return Posterior(samples, samples.mean(axis=0) if possible else None, note)
 
 
 class _Limits:
-    """All inequalities as functions of the Gaussian's coordinates z.
+    """All inequalities as functions of the Gaussian's coordinates z; a column each chain.
 
-    The linear ones, bounds and the entries of pseudo-inertias, are kept as numbers (c, m) that a step updates cheaply.
+    The linear ones, bounds and the entries of pseudo-inertias, are kept as numbers (m, c) that a step updates cheaply.
     """
 
     def __init__(self, problem: Problem, belief: Gaussian, wishes: _Wishes, *, consistent: bool) -> None:
@@ -120,78 +120,81 @@ class _Limits:
         p, scale = len(parameters), parameters.scale
         free = np.array([name not in problem.fixed for name in parameters.names])
         bodies = scaled_bodies(problem) if consistent else ()
-        # upper triangles of all scaled pseudo-inertias, then distances to lower and upper bounds: affine maps of ψ
+        # first entries of all scaled pseudo-inertias, second entries, ..., then distances to lower and upper bounds
         upper = np.triu_indices(4)
-        columns, constants = [np.zeros((p, 0))], [np.zeros(0)]
-        for body in bodies:
-            column = np.zeros((p, 10))
-            column[body.columns] = (body.scaling @ inertia.PSEUDO_BASIS @ body.scaling)[:, upper[0], upper[1]]
-            columns.append(column)
-            constants.append(-MARGIN / 2 * (upper[0] == upper[1]))
+        entries = np.zeros((10, len(bodies), p))
+        for k, body in enumerate(bodies):
+            entries[:, k, body.columns] = (body.scaling @ inertia.PSEUDO_BASIS @ body.scaling)[:, upper[0], upper[1]].T
+        rows = [entries.reshape(10 * len(bodies), p)]
+        constants = [np.repeat(-MARGIN / 2 * (upper[0] == upper[1]), len(bodies))]
         for bound, sign in ((parameters.lower, 1.0), (parameters.upper, -1.0)):
             bounded = np.flatnonzero(free & np.isfinite(bound))
-            columns.append(sign * np.diag(1 / scale)[:, bounded])
+            rows.append(sign * np.diag(1 / scale)[bounded])
             constants.append(-sign * (bound / scale)[bounded])
-        gradient = np.hstack(columns)
-        self.slope, self.start = belief.slope.T @ gradient, np.concatenate(constants) + belief.offset @ gradient
-        self._bodies = 10 * len(bodies)
+        gradient = np.vstack(rows)
+        self.slope, self.start = gradient @ belief.slope, np.concatenate(constants) + gradient @ belief.offset
+        self._bodies = len(bodies)
         self._wishes = wishes
         self._belief = belief
 
     def of(self, state: Array) -> Array:
-        """The linear functions (c, m) at the states z (c, k)."""
-        return np.asarray(self.start + state @ self.slope)
+        """The linear functions (m, c) at the states z (k, c)."""
+        return np.asarray(self.start[:, None] + self.slope @ state)
 
     def hold(self, reach: Array, state: Callable[[], Array]) -> Mask:
         """Whether all limits hold (c,), from the linear functions and, only if the user has others, the states."""
-        good: Mask = np.all(reach[:, self._bodies :] >= 0, axis=1)
+        good: Mask = np.all(reach[10 * self._bodies :] >= 0, axis=0)
         if self._bodies:
-            bodies = reach[:, : self._bodies].reshape(len(reach), self._bodies // 10, 10)
-            good &= np.all(_positive_definite(bodies), axis=1)
+            entries = reach[: 10 * self._bodies].reshape(10, self._bodies, -1)
+            good &= np.all(_positive_definite(entries), axis=0)
         if self._wishes.inequality is not None:
-            good[good] = self._wishes.hold(self._belief.offset + state()[good] @ self._belief.slope.T)
+            good[good] = self._wishes.hold(self._belief.offset + (self._belief.slope @ state()[:, good]).T)
         return good
 
 
-def _elliptical_step(state: Array, reach: Array, block: Array, limits: _Limits,
+def _elliptical_step(state: Array, reach: Array, block: NDArray[np.intp], limits: _Limits,
                      rng: np.random.Generator) -> tuple[Array, Array]:
     """Move a block of coordinates of all chains along random ellipses, shrunk until the limits hold.
 
     A chain that found no place after `TRIES` stays: every number of rejected places is as likely on the way back, so
     that stopping early keeps the distribution, and the slowest chain does not hold up the others.
     """
-    here, slope = state[:, block], limits.slope[block]
-    other = rng.standard_normal(here.shape)
-    high = rng.uniform(0, 2 * np.pi, len(state))
-    low, angle = high - 2 * np.pi, high
-    moved, reached = state.copy(), reach.copy()
-    waiting = np.arange(len(state))
-    for _ in range(TRIES):
-        at = angle[:, None]
-        step = here * (np.cos(at) - 1) + other * np.sin(at)
-        linear = reach[waiting] + step @ slope
-        good = limits.hold(linear, partial(_stepped, state, waiting, block, step))
-        moved[waiting[good][:, None], block] += step[good]
-        reached[waiting[good]] = linear[good]
-        if np.all(good):
-            break
-        left = ~good
-        waiting = waiting[left]
-        here, other, low, high, angle = (x[left] for x in (here, other, low, high, angle))
-        low, high = np.where(angle < 0, angle, low), np.where(angle < 0, high, angle)
-        angle = rng.uniform(low, high)
-    return moved, reached
+    chains = state.shape[1]
+    other = rng.standard_normal((len(block), chains))
+    # how the bracket shrinks does not depend on the limits: all places to try are known beforehand
+    angles = np.empty((TRIES, chains))
+    angles[0] = rng.uniform(0, 2 * np.pi, chains)
+    high = angles[0]
+    low = high - 2 * np.pi
+    for k in range(1, TRIES):
+        angles[k] = rng.uniform(low, high)
+        low, high = np.where(angles[k] < 0, angles[k], low), np.where(angles[k] < 0, high, angles[k])
+    state, reach = state.copy(), reach.copy()
+    waiting = np.arange(chains)
+    for tries in (angles[:1], angles[1:]):  # most chains are done after one
+        at, here = tries[:, waiting], state[np.ix_(block, waiting)]
+        step = here[:, None] * (np.cos(at) - 1) + other[:, waiting][:, None] * np.sin(at)
+        flat = step.reshape(len(block), -1)
+        linear = np.tile(reach[:, waiting], len(tries)) + limits.slope[:, block] @ flat
+        good = limits.hold(linear, partial(_stepped, state, np.tile(waiting, len(tries)), block, flat))
+        good = good.reshape(at.shape)
+        found = np.flatnonzero(good.any(axis=0))
+        pick = np.argmax(good[:, found], axis=0) * len(waiting) + found  # the first good one
+        state[np.ix_(block, waiting[found])] += flat[:, pick]
+        reach[:, waiting[found]] = linear[:, pick]
+        waiting = np.delete(waiting, found)
+    return state, reach
 
 
-def _stepped(state: Array, chains: NDArray[np.intp], block: Array, step: Array) -> Array:
-    moved = state[chains]
-    moved[:, block] += step
+def _stepped(state: Array, chains: NDArray[np.intp], block: NDArray[np.intp], step: Array) -> Array:
+    moved = state[:, chains]
+    moved[block] += step
     return moved
 
 
 def _positive_definite(upper: Array) -> Mask:
-    """Whether each of many symmetric matrices, given by their upper triangles (..., 10), is positive definite."""
-    a, b, c, d, e, f, g, h, i, j = np.moveaxis(upper, -1, 0)
+    """Whether each of many symmetric matrices, given by their upper triangles (10, ...), is positive definite."""
+    a, b, c, d, e, f, g, h, i, j = upper
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # past a pivot that fails the rest is void
         e, f, g, h, i, j = e - b * b / a, f - b * c / a, g - b * d / a, h - c * c / a, i - c * d / a, j - d * d / a
         h, i, j = h - f * f / e, i - f * g / e, j - g * g / e
