@@ -34,11 +34,12 @@ def bundled() -> tuple[str, ...]:
 
 
 def load_machine(machine: str | Path, *, parameter_set: str | None = None) -> Machine:
-    """Read a machine: the name of a bundled one, or the path of a ``.toml`` file.
+    """Read a machine: the name of a bundled one, or the path of a ``.toml`` or ``.urdf`` file.
 
     Args:
         machine: name or path.
-        parameter_set: which of the file's sets of inertial parameters; by default the one the file names.
+        parameter_set: which of the file's sets of inertial parameters; by default the one the file names. A URDF file
+            has none; of one that branches, `hydroopt.urdf.read_urdf` reads the chain to a `tip`.
 
     Raises:
         MachineError: the file is missing, malformed, incomplete, contradictory or geometrically impossible.
@@ -48,9 +49,16 @@ def load_machine(machine: str | Path, *, parameter_set: str | None = None) -> Ma
         return read_machine(resources.files("hydroopt").joinpath(f"models/{name}.toml").read_text("utf-8"),
                             where=name, parameter_set=parameter_set)
     path = Path(machine)
+    if path.suffix == ".urdf":
+        from hydroopt.urdf import read_urdf  # noqa: PLC0415 (most machines need no XML)
+
+        if parameter_set is not None:
+            raise MachineError(f"there is no parameter set '{parameter_set}'", where=name,
+                               remedy="leave it out: a URDF file states its bodies once")
+        return read_urdf(path)
     if path.suffix != ".toml":
-        raise MachineError("this is neither a bundled machine nor a .toml file", where=name,
-                           remedy=f"name a .toml file or one of {', '.join(bundled())}")
+        raise MachineError("this is neither a bundled machine nor a .toml or .urdf file", where=name,
+                           remedy=f"name a .toml or .urdf file or one of {', '.join(bundled())}")
     try:
         text = path.read_text("utf-8-sig")
     except UnicodeDecodeError:
@@ -84,6 +92,12 @@ def read_machine(text: str, *, where: str = "machine", parameter_set: str | None
         for link in links if isinstance(links := data.get("links"), list) else []:
             if isinstance(link, dict):  # in a serial chain the parent need not be said
                 before = link.setdefault("parent", before) and link.get("name")
+        calibrator = data.get("calibrator")
+        if isinstance(calibrator, dict):
+            before = calibrator.get("parent")
+            for link in more if isinstance(more := calibrator.get("links"), list) else []:
+                if isinstance(link, dict):
+                    before = link.setdefault("parent", before) and link.get("name")
         machine = Machine.model_validate(data | {"notes": notes}, context={"from_file": True})
         geometry.check(machine)
     except ValidationError as error:
@@ -258,12 +272,16 @@ def _plain(node: BaseModel, path: str, machine: Machine) -> dict[str, Any]:
     table: dict[str, Any] = {}
     for key, field in type(node).model_fields.items():
         value = getattr(node, key)
-        if key == "notes" or value is None or (not field.is_required() and value == field.get_default(
-                call_default_factory=True)):
-            continue
         at = f"{path}.{key}".lstrip(".")
+        usual = not field.is_required() and value == field.get_default(call_default_factory=True)
+        if key == "notes" or value is None or (usual and at not in machine.notes):
+            continue
         if isinstance(value, BaseModel):
             table[key] = _plain(value, at, machine)
+        elif isinstance(value, dict):
+            unit = _unit(node, key, machine, "")
+            table[key] = {name: _noted(_with_unit(item, unit), machine.notes.get(f"{at}.{name}"), unit)
+                          for name, item in value.items()}
         elif isinstance(value, tuple) and value and isinstance(value[0], BaseModel):
             table[key] = [_plain(item, getattr(item, "name", f"{at}.{k}"), machine) for k, item in enumerate(value)]
         else:

@@ -10,6 +10,7 @@ from typing import Any, Self
 
 from pydantic import Field, ModelWrapValidatorHandler, model_validator
 
+from hydroopt.linkage import Calibrator, Distance, Fixture, Stage, Tracker
 from hydroopt.parts import Cylinder, Drive, GasCylinder, Link, Motor, Note, Noun, Sensor
 from hydroopt.quantity import Acceleration, Angle, ImpossibleError, Name, Rate
 from hydroopt.units import same_kind
@@ -37,6 +38,11 @@ class Machine(Noun):
     drives: tuple[Drive, ...] = ()
     gas_cylinders: tuple[GasCylinder, ...] = ()
     sensors: tuple[Sensor, ...] = ()
+    calibrator: Calibrator | None = None
+    fixtures: tuple[Fixture, ...] = ()
+    distances: tuple[Distance, ...] = ()
+    tracker: Tracker | None = None
+    stages: tuple[Stage, ...] = ()
     notes: dict[str, Note] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -44,6 +50,7 @@ class Machine(Noun):
         self._names()
         self._tree()
         self._actuation()
+        self._chain()
         self._channels()
         return self
 
@@ -74,7 +81,9 @@ class Machine(Noun):
                 yield f"sensors[{k}].{key}", _under(raw, key), self.channel_units[sensor.channels[0]]
 
     def _names(self) -> None:
-        kinds = (self.links, self.cylinders, self.motors, self.drives, self.gas_cylinders)
+        extra = self.calibrator.links if self.calibrator else ()
+        kinds = (self.links, extra, self.cylinders, self.motors, self.drives, self.gas_cylinders, self.fixtures,
+                 self.distances, self.stages)
         count = Counter([BASE, *(part.name for kind in kinds for part in kind)])
         for name, times in count.items():
             if times > 1:
@@ -128,6 +137,27 @@ class Machine(Noun):
             raise ImpossibleError(f"{len(self.actuators)} actuators drive {len(self.joints)} moving joints",
                                   "give every moving joint one actuator")
 
+    def _chain(self) -> None:
+        if self.calibrator and self.calibrator.parent not in {link.name for link in self.links}:
+            raise ImpossibleError(f"the calibrator hangs on '{self.calibrator.parent}', which does not exist",
+                                  "name the link that carries it", "calibrator.parent")
+        if (self.fixtures or self.tracker) and not self.calibrator:
+            raise ImpossibleError("nothing holds the ball or the target that fixtures and trackers speak of",
+                                  "state a calibrator, if need be with a tip only")
+        for distance in self.distances:
+            for name in distance.between:
+                if name not in {fixture.name for fixture in self.fixtures}:
+                    raise ImpossibleError(f"'{distance.name}' begins or ends at '{name}', which is no fixture",
+                                          "name two fixtures")
+            if distance.between[0] == distance.between[1]:
+                raise ImpossibleError(f"'{distance.name}' begins and ends at the same fixture", "name two fixtures")
+        joints = {link.name for link in self.chain if link.joint.type != "locked"} | set(self.joints)
+        for stage in self.stages:
+            for name in (*stage.moves, *stage.locked):
+                if name not in joints:
+                    raise ImpossibleError(f"stage '{stage.name}' speaks of '{name}', which is not a moving joint",
+                                          f"use {', '.join(sorted(joints))}")
+
     def _channels(self) -> None:
         known = self.channel_units
         for sensor in self.sensors:
@@ -147,6 +177,14 @@ class Machine(Noun):
     def joints(self) -> tuple[str, ...]:
         """Names of the moving joints (those of their links), in the order of the joint vector q."""
         return tuple(link.name for link in self.links if link.joint.type != "locked")
+
+    @property
+    def chain(self) -> tuple[Link, ...]:
+        """Links from the base to the tip that carries the ball: those of the machine, then the calibrator's."""
+        if self.calibrator is None:
+            return ()
+        own = (self.link(name) for name in reversed(self.ancestry(self.calibrator.parent)))
+        return (*own, *self.calibrator.links)
 
     @property
     def actuators(self) -> tuple[Cylinder | Motor | Drive, ...]:
@@ -202,7 +240,11 @@ class Machine(Noun):
                       f"{cylinder.name}.p_rod": "Pa", f"{cylinder.name}.force": "N"}
         for motor in self.motors:
             units |= {f"{motor.name}.p_a": "Pa", f"{motor.name}.p_b": "Pa"}
-        return units
+        for link in self.chain:
+            if link.joint.type != "locked":
+                units[f"{link.name}.q"] = "m" if link.joint.type == "prismatic" else "rad"
+            units[f"{link.name}.distance"] = "m"
+        return units | (dict.fromkeys(("tip.x", "tip.y", "tip.z"), "m") if self.tracker else {})
 
     @property
     def sha256(self) -> str:

@@ -17,6 +17,7 @@ from hydroopt.inertia import Array
 from hydroopt.quantity import (
     CHANNEL_UNITS,
     Angle,
+    AngularCompliance,
     AngularViscosity,
     Area,
     Force,
@@ -99,7 +100,8 @@ class JointFriction(Noun):
 class Joint(Noun):
     """Modified Denavit-Hartenberg joint and link: Trans(z,d)·Rot(z,θ)·Trans(x,a)·Rot(x,α)·Rot(y,β) (Eq. 3.8).
 
-    The joint variable adds to `theta` (revolute) or `d` (prismatic); a locked joint has none.
+    The joint variable adds to `theta` (revolute) or `d` (prismatic); a locked joint has none. Under the torque of
+    gravity the joint gives way by `compliance` times that torque.
     """
 
     type: Literal["revolute", "prismatic", "locked"]
@@ -112,6 +114,7 @@ class Joint(Noun):
     upper: float | None = Field(None, allow_inf_nan=False)
     max_speed: float | None = Field(None, gt=0, allow_inf_nan=False)
     max_acceleration: float | None = Field(None, gt=0, allow_inf_nan=False)
+    compliance: AngularCompliance | None = Field(None, ge=0)
     friction: JointFriction = JointFriction()
 
     @model_validator(mode="before")

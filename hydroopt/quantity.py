@@ -9,7 +9,8 @@ from pydantic import BeforeValidator, Field, ValidationInfo
 from hydroopt.units import UnitError, to_si
 
 CHANNEL_UNITS = {"q": ("rad", "m"), "qd": ("rad/s", "m/s"), "tau": ("N*m", "N"), "length": ("m",), "force": ("N",),
-                 "p_head": ("Pa",), "p_rod": ("Pa",), "p_a": ("Pa",), "p_b": ("Pa",), "u": ("V", "1", "A")}
+                 "p_head": ("Pa",), "p_rod": ("Pa",), "p_a": ("Pa",), "p_b": ("Pa",), "u": ("V", "1", "A"),
+                 "x": ("m",), "y": ("m",), "z": ("m",), "distance": ("m",)}
 """SI units that a channel may have, by the part of its name after the dot; the first is the usual one."""
 
 
@@ -76,6 +77,7 @@ Inertia = Annotated[float, *_quantity("kg*m^2"), _finite]
 Acceleration = Annotated[float, *_quantity("m/s^2"), _finite]
 LinearViscosity = Annotated[float, *_quantity("N*s/m"), _finite]
 AngularViscosity = Annotated[float, *_quantity("N*m*s/rad", "N*s/m"), _finite]
+AngularCompliance = Annotated[float, *_quantity("rad/(N*m)", "m/N"), _finite]
 TorquePerPressure = Annotated[float, *_quantity("N*m/Pa"), _finite]
 Rate = Annotated[float, *_quantity("Hz"), _finite]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]

@@ -93,15 +93,18 @@ def certify_convex(variable: cp.Variable, gradient: Array, constraints: list[Any
 
 
 def solve_nlp(nlp: dict[str, Any], start: Array, lower: Array, upper: Array, constraint_lower: Array,
-              constraint_upper: Array, where: str, names: Mapping[str, int]) -> Array:
+              constraint_upper: Array, where: str, names: Mapping[str, int],
+              derivatives: Mapping[str, ca.Function] | None = None) -> Array:
     """Minimise a CasADi NLP with IPOPT and check the answer ourselves; `names` gives the rows of named constraints.
+
+    `derivatives` are the options grad_f, jac_g and hess_lag of nlpsol, for a caller who knows them.
 
     Raises:
         SolverError: IPOPT's reason in plain words, or a failed check.
     """
     options = {"ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-9,
                "ipopt.dual_inf_tol": 1e-7, "ipopt.nlp_scaling_method": "none",
-               "ipopt.max_iter": 1000, "error_on_fail": False}
+               "ipopt.max_iter": 1000, "error_on_fail": False} | dict(derivatives or {})
     solver = ca.nlpsol("identification", "ipopt", nlp, options)
     answer = solver(x0=start, lbx=lower, ubx=upper, lbg=constraint_lower, ubg=constraint_upper)
     status = solver.stats()["return_status"]
@@ -112,9 +115,12 @@ def solve_nlp(nlp: dict[str, Any], start: Array, lower: Array, upper: Array, con
         named = f" ({', '.join(broken)} not fulfilled)" if broken else ""
         raise SolverError(f"IPOPT failed: {_IPOPT_WORDS.get(status, status)}{named}", where=where,
                           remedy="check the constraints you added, or start from a better nominal model")
-    gradients = ca.Function("kkt", [nlp["x"]], [ca.gradient(nlp["f"], nlp["x"]), ca.jacobian(nlp["g"], nlp["x"])])
-    gradient, jacobian = (np.asarray(v) for v in gradients(answer["x"]))
-    shares = [gradient.ravel(), jacobian.T @ np.asarray(answer["lam_g"]).ravel(), np.asarray(answer["lam_x"]).ravel()]
+    multipliers = ca.MX.sym("lam", nlp["g"].numel()) if isinstance(nlp["x"], ca.MX) else ca.SX.sym(
+        "lam", nlp["g"].numel())
+    parts = ca.Function("kkt", [nlp["x"], multipliers], [
+        ca.gradient(nlp["f"], nlp["x"]), ca.jtimes(nlp["g"], nlp["x"], multipliers, True)])
+    shares = [*(np.asarray(v).ravel() for v in parts(answer["x"], answer["lam_g"])),
+              np.asarray(answer["lam_x"]).ravel()]
     x, g = np.asarray(answer["x"]).ravel(), np.asarray(answer["g"]).ravel()
     gaps = [lower - x, x - upper, constraint_lower - g, g - constraint_upper]
     size = max(1.0, float(np.max(sum(np.abs(s) for s in shares))))

@@ -48,10 +48,10 @@ def rotation_z(angle: ca.SX) -> ca.SX:
     return ca.blockcat([[c, -s, 0], [s, c, 0], [0, 0, 1]])
 
 
-def roll_pitch_yaw(angles: tuple[float, float, float]) -> ca.DM:
+def roll_pitch_yaw(angles: tuple[ca.SX, ca.SX, ca.SX] | tuple[float, float, float]) -> ca.SX:
     """Rotation matrix Rot(z, yaw)·Rot(y, pitch)·Rot(x, roll) (3, 3)."""
     roll, pitch, yaw = angles
-    return ca.DM(rotation_z(yaw) @ rotation_y(pitch) @ rotation_x(roll))
+    return rotation_z(yaw) @ rotation_y(pitch) @ rotation_x(roll)
 
 
 def joint_pose(theta: ca.SX, d: ca.SX) -> Pose:

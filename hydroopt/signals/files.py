@@ -7,11 +7,21 @@ from collections.abc import Sequence
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt.errors import LogError
-from hydroopt.signals.mapping import LogMap
+from hydroopt.signals.mapping import Key, LogMap
 from hydroopt.signals.matfile import MatFile
-from hydroopt.signals.table import Array, RawKey, Table, check_size, find_column, selected, unreadable
+from hydroopt.signals.table import (
+    Array,
+    RawKey,
+    Table,
+    check_size,
+    find_column,
+    refuse_damage,
+    selected,
+    unreadable,
+)
 
 _IMPLAUSIBLE = 1e30
 
@@ -31,9 +41,14 @@ def open_file(kind: str, data: bytes, where: str, layout: LogMap | None) -> LogF
     Raises:
         LogError: the file is damaged or not of that kind, or declares more than can be held.
     """
-    if kind == "csv":
-        return CsvFile(data, where, layout)
-    return ParquetFile(data, where, layout) if kind == "parquet" else MatFile(data, where, layout)
+    return MatFile(data, where, layout) if kind == "mat" else open_table(kind, data, where, layout)
+
+
+def open_table(kind: str, data: bytes, where: str, layout: LogMap | None) -> "CsvFile | ParquetFile":
+    """As `open_file`, of those kinds whose columns may also be texts."""
+    if kind == "mat":
+        raise LogError("a .mat file has no columns of text", where=where, remedy="export it as .csv or .parquet")
+    return CsvFile(data, where, layout) if kind == "csv" else ParquetFile(data, where, layout)
 
 
 class CsvFile:
@@ -61,19 +76,23 @@ class CsvFile:
         if not self._lines:
             raise LogError("there is a header but no data", where=where, remedy="record it again")
 
-    def read(self, keys: Sequence[RawKey]) -> Table:
-        """The columns `keys` as numbers; empty cells and 'nan' are NaN."""
+    def read(self, keys: Sequence[RawKey], texts: Sequence[Key] = ()) -> Table:
+        """The columns `keys` as numbers, where empty cells and 'nan' are NaN, and the columns `texts` as they are."""
         rows = selected(len(self._lines), self._layout.rows, self.where)
         lines = [self._lines[r - 1] for r in rows]
         widths = [self._width(line) for line in lines]
-        width = len(self.header) or int(np.bincount(widths).argmax())
-        damage = {int(r): f"{w} of {width} columns" for r, w in zip(rows, widths, strict=True) if w != width}
+        width = len(self.header) or max(1, int(np.bincount(widths).argmax()))
+        damage = {int(r): f"{w} of {width} columns" if w else "a quotation mark out of place"
+                  for r, w in zip(rows, widths, strict=True) if w != width}
         index = [find_column(k, self.header, width, self.where) for k in keys if not isinstance(k, tuple)]
         if len(index) < len(keys):
             raise LogError("the map names a 'variable', which only .mat files have", where=self.where,
                            remedy="use 'column'")
         good = [i for i, w in enumerate(widths) if w == width]
-        found = _parse("\n".join(lines[i] for i in good), width, index, self._delimiter, self._layout.decimal)
+        if not good:
+            refuse_damage(damage, rows, self.where)
+        sound = "\n".join(lines[i] for i in good)
+        found = _parse(sound, width, index, self._delimiter, self._layout.decimal)
         columns: dict[RawKey, Array] = {}
         for key, position in zip(keys, index, strict=True):
             values = np.full(rows.size, np.nan)
@@ -88,7 +107,23 @@ class CsvFile:
             for row in rows[np.abs(np.where(np.isfinite(values), values, 0)) > _IMPLAUSIBLE]:
                 damage.setdefault(int(row), "numbers beyond 1e30")
             columns[key] = values
-        return Table(columns, rows, damage)
+        return Table(columns, rows, damage, self._texts(texts, sound, width, np.array(good, int), rows.size))
+
+    def _texts(self, keys: Sequence[Key], sound: str, width: int, good: NDArray[np.int64],
+               size: int) -> dict[Key, list[str]]:
+        """Text columns of length `size`, '' in the rows that are not `good`."""
+        from pyarrow import string  # noqa: PLC0415
+
+        if not keys:
+            return {}
+        index = [find_column(key, self.header, width, self.where) for key in keys]
+        cells = _columns(sound, width, index, self._delimiter, self._layout.decimal, string())
+        out = {}
+        for key, position in zip(keys, index, strict=True):
+            column = np.full(size, "", dtype=object)
+            column[good] = cells[position].to_pylist()
+            out[key] = column.tolist()
+        return out
 
     def _split(self, line: str) -> list[str]:
         try:
@@ -98,7 +133,13 @@ class CsvFile:
                            remedy="check the ends of its lines, its quotation marks and the delimiter") from None
 
     def _width(self, line: str) -> int:
-        return len(self._split(line)) if '"' in line else line.count(self._delimiter) + 1
+        """Number of columns; 0 where a quotation mark stays open, which would swallow the rows that follow."""
+        if '"' not in line:
+            return line.count(self._delimiter) + 1
+        try:
+            return len(next(csv.reader([line], delimiter=self._delimiter, strict=True)))
+        except csv.Error:
+            return 0
 
 
 def _number(cell: str, decimal: str) -> float | None:
@@ -108,33 +149,37 @@ def _number(cell: str, decimal: str) -> float | None:
         return None
 
 
+def _columns(text: str, width: int, index: Sequence[int], delimiter: str, decimal: str, kind: Any) -> dict[int, Any]:
+    """The columns `index` as Arrow columns of `kind`."""
+    from pyarrow import csv as arrow  # noqa: PLC0415
+    from pyarrow import float64  # noqa: PLC0415
+
+    names = [str(i) for i in range(width)]
+    wanted = sorted({names[i] for i in index})
+    result = arrow.read_csv(
+        io.BytesIO(text.encode()),
+        read_options=arrow.ReadOptions(column_names=names),
+        parse_options=arrow.ParseOptions(delimiter=delimiter, ignore_empty_lines=False),
+        convert_options=arrow.ConvertOptions(
+            column_types=dict.fromkeys(wanted, kind), include_columns=wanted, decimal_point=decimal,
+            null_values=["", "nan", "NaN", "NAN", "NA", "null"] if kind == float64() else []))
+    return {int(name): result.column(name) for name in wanted}
+
+
 def _parse(text: str, width: int, index: list[int], delimiter: str,
            decimal: str) -> dict[int, Array | list[str]]:
     """Columns as numbers; one that holds anything else comes back as its texts."""
     from pyarrow import ArrowInvalid, float64, string  # noqa: PLC0415
-    from pyarrow import csv as arrow  # noqa: PLC0415
-
-    names = [str(i) for i in range(width)]
-    wanted = sorted({names[i] for i in index})
-
-    def table(kind: Any) -> dict[str, Any]:
-        result = arrow.read_csv(
-            io.BytesIO(text.encode()),
-            read_options=arrow.ReadOptions(column_names=names),
-            parse_options=arrow.ParseOptions(delimiter=delimiter, ignore_empty_lines=False),
-            convert_options=arrow.ConvertOptions(
-                column_types=dict.fromkeys(wanted, kind), include_columns=wanted, decimal_point=decimal,
-                null_values=["", "nan", "NaN", "NAN", "NA", "null"] if kind == float64() else []))
-        return {name: result.column(name) for name in wanted}
 
     try:
-        return {int(n): np.asarray(c.to_numpy(), dtype=np.float64) for n, c in table(float64()).items()}
+        columns = _columns(text, width, index, delimiter, decimal, float64())
+        return {i: np.asarray(column.to_numpy(), dtype=np.float64) for i, column in columns.items()}
     except ArrowInvalid:
         out: dict[int, Array | list[str]] = {}
-        for name, column in table(string()).items():
+        for i, column in _columns(text, width, index, delimiter, decimal, string()).items():
             cells: list[str] = column.to_pylist()
             numbers = [_number(cell, decimal) for cell in cells]
-            out[int(name)] = cells if None in numbers else np.array(numbers, dtype=float)
+            out[i] = cells if None in numbers else np.array(numbers, dtype=float)
         return out
 
 
@@ -156,8 +201,8 @@ class ParquetFile:
             raise LogError("the table has no rows", where=where, remedy="record it again")
         self.header: list[str] = list(self._file.schema_arrow.names)
 
-    def read(self, keys: Sequence[RawKey]) -> Table:
-        """The columns `keys` as numbers; nulls are NaN."""
+    def read(self, keys: Sequence[RawKey], texts: Sequence[Key] = ()) -> Table:
+        """The columns `keys` as numbers, where nulls are NaN, and the columns `texts` as texts."""
         from pyarrow import ArrowException, types  # noqa: PLC0415 (import cost)
 
         rows = selected(self._file.metadata.num_rows, self._rows, self.where)
@@ -176,4 +221,16 @@ class ParquetFile:
                 columns[key] = np.asarray(column.to_numpy(), dtype=float)[rows - 1]
             except (ArrowException, OSError, ValueError, IndexError) as error:
                 raise unreadable("Parquet", self.where, error) from None
-        return Table(columns, rows)
+        return Table(columns, rows, texts={key: [cells[row - 1] for row in rows]
+                                           for key, cells in zip(texts, map(self._text, texts), strict=True)})
+
+    def _text(self, key: Key) -> list[str]:
+        from pyarrow import ArrowException  # noqa: PLC0415 (import cost)
+
+        name = self.header[find_column(key, self.header, len(self.header), self.where)]
+        try:
+            cells = self._file.read(columns=[name]).column(0).cast("string").to_pylist()
+        except (ArrowException, OSError, ValueError, IndexError):
+            raise LogError(f"column '{name}' cannot be read as text", where=self.where,
+                           remedy="convert the column to strings") from None
+        return ["" if cell is None else cell for cell in cells]

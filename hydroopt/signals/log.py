@@ -1,22 +1,19 @@
 """A measurement log in SI units: reading it with every doubt named, cutting it, writing it."""
 
-import os
-import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from hydroopt.errors import HydrooptError, LogError, ProblemError
 from hydroopt.signals import findings as find
 from hydroopt.signals.files import open_file
 from hydroopt.signals.findings import Finding
-from hydroopt.signals.mapping import LogMap, map_of_header, read_map, si_unit
-from hydroopt.signals.table import Table, load, runs
+from hydroopt.signals.mapping import LogMap, for_log, map_of_header, read_map, si_unit
+from hydroopt.signals.table import Table, frozen, in_si, load, refuse_damage, write_columns
 from hydroopt.signals.treatment import Samples, choose, treat
-from hydroopt.units import factor
 
 __all__ = ["Finding", "Log", "LogMap", "read_log", "read_map"]
 
@@ -53,13 +50,13 @@ class Log:
     units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        where, t = self.path or self.name, _frozen(self.t, float)
+        where, t = self.path or self.name, frozen(self.t, float)
         if t.ndim != 1 or t.size < 2 or not np.all(np.diff(t) > 0):
             raise LogError("times do not increase over two or more samples", where=where,
                            remedy="mend the time stamps or choose a longer stretch")
-        channels = {name: _frozen(x, float) for name, x in self.channels.items()}
-        sample = _frozen(self.sample if np.size(self.sample) else np.arange(1, t.size + 1), int)
-        segment = _frozen(self.segment if np.size(self.segment) else np.cumsum(find.gaps(t)), int)
+        channels = {name: frozen(x, float) for name, x in self.channels.items()}
+        sample = frozen(self.sample if np.size(self.sample) else np.arange(1, t.size + 1), int)
+        segment = frozen(self.segment if np.size(self.segment) else np.cumsum(find.gaps(t)), int)
         for name, x in {"sample": sample, "segment": segment, **channels}.items():
             if x.shape != t.shape:
                 raise LogError(f"'{name}' has shape {x.shape}, the time {t.shape}", where=where,
@@ -116,31 +113,9 @@ class Log:
         Raises:
             LogError: another extension, or the file cannot be written.
         """
-        import pyarrow as pa  # noqa: PLC0415
-        from pyarrow import csv, parquet  # noqa: PLC0415
-
-        target = Path(path)
-        if target.suffix.lower() not in (".csv", ".parquet"):
-            raise LogError(f"'{target.suffix}' is not a kind of log that can be written", where=str(path),
-                           remedy="use .csv or .parquet")
-        names = ["t [s]", *(f"{name} [{self.units[name]}]" for name in self.channels)]
-        table = pa.table([self.t, *self.channels.values()], names=names)
-        temporary = ""
-        try:
-            handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-            with os.fdopen(handle, "wb") as file:
-                if target.suffix.lower() == ".parquet":
-                    parquet.write_table(table, file)
-                else:
-                    file.write((",".join(names) + "\n").encode())
-                    csv.write_csv(table, file, csv.WriteOptions(include_header=False))
-            os.chmod(temporary, 0o644)
-            os.replace(temporary, target)
-        except OSError as error:
-            if temporary:
-                Path(temporary).unlink(missing_ok=True)
-            raise LogError(f"the log cannot be written ({error.strerror})", where=str(path),
-                           remedy="check the directory and its permissions") from None
+        headers = (f"{name} [{self.units[name]}]" for name in self.channels)
+        columns = {"t [s]": self.t, **dict(zip(headers, self.channels.values(), strict=True))}
+        write_columns(path, columns, "log")
 
 
 def read_log(
@@ -155,7 +130,7 @@ def read_log(
     Args:
         path: file with headers `name [unit]`; columns whose name has no dot are foreign and left out (a
             finding of kind "ignored" says so).
-        mapping: for foreign files, what stands where (`read_map`).
+        mapping: for foreign files, what stands where (`read_map`); it needs the time `t` and has no labels.
         treatment: action by kind of finding, see `treatment.ACTIONS`. By default NaN and bad time stamps are
             errors, gaps split the log into segments and everything else is reported only.
         limits: (lowest, highest) value of a sensor's range by channel, in SI; samples there are saturated. Limits of
@@ -166,7 +141,8 @@ def read_log(
         ProblemError: unknown treatment.
     """
     where, chosen = str(path), choose(treatment)
-    layout = mapping if isinstance(mapping, LogMap) or mapping is None else read_map(mapping)
+    layout = (None if mapping is None else for_log(mapping, where) if isinstance(mapping, LogMap)
+              else read_map(mapping))
     data, digest, kind = load(path, layout.format if layout else None)
     file = open_file(kind, data, where, layout)
     ignored: tuple[str, ...] = ()
@@ -175,8 +151,8 @@ def read_log(
     if len(layout.columns) < 2:
         raise LogError("there is a time but no channel", where=where,
                        remedy="add columns such as 'boom.q [deg]' or 'boom_cylinder.p_head [bar]'")
-    table = file.read(list(dict.fromkeys(k for column in layout.columns.values() for k in column.keys)))
-    values, units = _convert(layout, table, where)
+    table = file.read(layout.keys)
+    values, units = in_si(layout, table, where)
     t = values.pop("t")
     _refuse_damage(table, t, where)
     if table.rows.size < 2:
@@ -194,19 +170,6 @@ def read_log(
                units)
 
 
-def _convert(layout: LogMap, table: Table, where: str) -> tuple[dict[str, Array], dict[str, str]]:
-    values: dict[str, Array] = {}
-    units: dict[str, str] = {}
-    for name, column in layout.columns.items():
-        si = si_unit(name, column.unit)
-        raw = [table.columns[key] for key in column.keys]
-        difference = raw[0] if len(raw) == 1 else raw[0] - raw[1]
-        with np.errstate(over="ignore", invalid="ignore"):
-            values[name] = column.factor * factor(column.unit, si) * difference + column.shift(si, where)
-        units[name] = si
-    return values, {name: unit for name, unit in units.items() if name != "t"}
-
-
 def _refuse_damage(table: Table, t: Array, where: str) -> None:
     """Refuse rows that are cut or hold garbage; then also name those whose time is astray."""
     if not table.damage:
@@ -214,19 +177,7 @@ def _refuse_damage(table: Table, t: Array, where: str) -> None:
     damage, sound = dict(table.damage), np.isfinite(t)
     for row in table.rows[sound][find.out_of_order(t[sound])]:
         damage.setdefault(int(row), "time out of order")
-    rows = np.array(sorted(damage))
-    fences = np.concatenate([[table.rows[0] - 1], rows, [table.rows[-1] + 1]])
-    longest = int(np.argmax(np.diff(fences)))
-    start, stop = int(fences[longest]) + 1, int(fences[longest + 1]) - 1
-    reasons: dict[str, list[int]] = {}
-    for row in rows:
-        reasons.setdefault(damage[int(row)], []).append(int(row))
-    shown = "; ".join(f"{runs(which)}: {reason}" for reason, which in list(reasons.items())[:4])
-    noun = "row" if rows.size == 1 else "rows"
-    trim = f"trim it with 'rows = [{start}, {stop}]' in a map, or " if stop > start else ""
-    raise LogError(f"data {noun} {runs(rows)} {'is' if rows.size == 1 else 'are'} damaged ({shown})",
-                   where=where,
-                   remedy=f"{trim}mend the file")
+    refuse_damage(damage, table.rows, where)
 
 
 def _usual(name: str) -> str:
@@ -234,9 +185,3 @@ def _usual(name: str) -> str:
         return si_unit(name)
     except HydrooptError:
         return "unit"
-
-
-def _frozen(values: ArrayLike, kind: type) -> NDArray[np.float64]:
-    array: NDArray[np.float64] = np.array(values, dtype=kind)
-    array.setflags(write=False)
-    return array

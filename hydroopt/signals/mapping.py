@@ -5,7 +5,15 @@ import tomllib
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError, field_validator, model_validator
+from pydantic import (
+    BaseModel,
+    BeforeValidator,
+    ConfigDict,
+    Field,
+    ValidationError,
+    field_validator,
+    model_validator,
+)
 
 from hydroopt.errors import HydrooptError, LogError
 from hydroopt.quantity import CHANNEL_UNITS
@@ -76,8 +84,43 @@ class ColumnMap(BaseModel):
         return 0.0 if self.offset is None else to_si(self.offset, si, where=where)
 
 
+class TextColumn(BaseModel):
+    """A text column of a file."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    column: Key
+
+
+def _label(value: object) -> object:
+    """Judged here, because of a union pydantic would name the branches instead of the fault."""
+    if isinstance(value, TextColumn):
+        return value
+    if isinstance(value, str):
+        if re.search("[{}]", re.sub(r"\{(folder|file)\}", "", value)):
+            raise ValueError(f"'{value:.40}' has braces other than {{folder}} and {{file}}")
+        return value
+    try:
+        return TextColumn.model_validate(value)
+    except ValidationError:
+        raise ValueError("a label is a text or { column = ... }") from None
+
+
+Label = Annotated[str | TextColumn, BeforeValidator(_label)]
+
+
+class Labels(BaseModel):
+    """Texts that tell poses apart: constant, with {folder} and {file} of the file's path, or from a column."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    stage: Label = ""
+    fixture: Label = ""
+    pose: Label = ""
+
+
 class LogMap(BaseModel):
-    """What stands where in a foreign file; read from TOML by `read_map`."""
+    """What stands where in a foreign file; read from TOML by `read_map`. Only tables of poses have `labels`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -88,6 +131,7 @@ class LogMap(BaseModel):
     rows: Annotated[tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]],
                     Field(strict=False)] | None = None
     columns: dict[str, ColumnMap]
+    labels: Labels | None = None
 
     @field_validator("delimiter")
     @classmethod
@@ -105,8 +149,6 @@ class LogMap(BaseModel):
 
     @model_validator(mode="after")
     def _channels(self) -> "LogMap":
-        if "t" not in self.columns:
-            raise ValueError("channel 't' is missing")
         for name, column in self.columns.items():
             try:
                 column.shift(si_unit(name, column.unit), f"columns.{name}")
@@ -114,9 +156,18 @@ class LogMap(BaseModel):
                 raise ValueError(f"[columns] {name}: {error.what}, {error.remedy}") from None
         return self
 
+    @property
+    def keys(self) -> "list[Key | tuple[str, int | None]]":
+        """Keys of the raw columns that the channels need, each once."""
+        return list(dict.fromkeys(key for column in self.columns.values() for key in column.keys))
 
-def read_map(path: str | Path) -> LogMap:
+
+def read_map(path: str | Path, *, poses: bool = False) -> LogMap:
     """Read a map of foreign columns.
+
+    Args:
+        path: a TOML file.
+        poses: whether it is for tables of poses, which need no time and may have labels.
 
     Raises:
         LogError: the file is missing, is not TOML, or a key is unknown, missing or of the wrong kind.
@@ -130,34 +181,62 @@ def read_map(path: str | Path) -> LogMap:
     except (ValueError, RecursionError) as error:  # a ValueError is bad TOML, no text or a number of a thousand digits
         raise LogError(f"the map is not TOML ({error})", where=where, remedy="mend that line") from None
     try:
-        return LogMap.model_validate(data)
+        layout = LogMap.model_validate(data)
     except ValidationError as error:
         first = error.errors()[0]
         key = ".".join(str(part) for part in first["loc"])
-        message = {"missing": "this key is missing", "extra_forbidden": "this key is unknown"}.get(
+        message = {"missing": "this key is missing", "extra_forbidden": "this key is unknown",
+                   "model_type": "this is not a table", "dict_type": "this is not a table"}.get(
             first["type"], first["msg"].removeprefix("Value error, "))
         raise LogError(f"{key + ': ' if key else ''}{message[0].lower()}{message[1:]}", where=where,
                        remedy=_remedy(first["type"], key)) from None
+    return layout if poses else for_log(layout, where)
 
 
-def map_of_header(header: list[str], where: str) -> tuple[LogMap, tuple[str, ...]]:
+def for_log(layout: LogMap, where: str) -> LogMap:
+    """The map itself, where a log can be read with it.
+
+    Raises:
+        LogError: it has no time, or labels, which a log cannot keep.
+    """
+    if "t" not in layout.columns:
+        raise LogError("channel 't' is missing", where=where, remedy="correct the map")
+    if layout.labels is not None:
+        raise LogError("labels belong to tables of poses, not to a log over time", where=where,
+                       remedy="remove [labels] from the map")
+    return layout
+
+
+def map_of_header(header: list[str], where: str, *, poses: bool = False) -> tuple[LogMap, tuple[str, ...]]:
     """Map of a file with headers `name [unit]`, and the names of foreign columns that are left out.
+
+    A table of `poses` needs no time, may have labels (`stage`, `fixture`, `pose`, without unit) and no foreign columns:
+    one might be a misspelt label, without which its poses would be taken for others.
 
     Raises:
         LogError: no time, a missing or unsuitable unit, an unknown suffix, or a name that stands twice.
     """
     columns: dict[str, ColumnMap] = {}
+    labels: dict[str, TextColumn] = {}
     ignored: list[str] = []
     for index, text in enumerate(header):
         match = _HEADER.match(text.strip())
         name, unit = (match["name"], match["unit"]) if match else (text.strip(), None)
+        here = f"{where}, column {index + 1} '{text.strip()}'"
+        if name in columns or name in labels:
+            raise LogError(f"{'channel' if name in columns else 'label'} '{name}' stands there twice", where=here,
+                           remedy="remove or rename one")
+        if poses and name in Labels.model_fields:
+            if unit is not None:
+                raise LogError("a label has no unit", where=here, remedy=f"write its header as '{name}'")
+            labels[name] = TextColumn(column=index)
+            continue
         if name != "t" and "." not in name:
+            if poses:
+                raise LogError("this is neither a channel nor a label", where=here, remedy="remove the column, name it "
+                               f"as in 'boom.q [deg]' or {', '.join(Labels.model_fields)}, or give a map")
             ignored.append(text.strip())
             continue
-        here = f"{where}, column {index + 1} '{text.strip()}'"
-        if name in columns:
-            raise LogError(f"channel '{name}' stands there twice", where=here,
-                           remedy="remove or rename one")
         try:
             usual = si_unit(name)
             if not unit or not unit.strip():
@@ -169,15 +248,16 @@ def map_of_header(header: list[str], where: str) -> tuple[LogMap, tuple[str, ...
         except UnitError as error:
             raise LogError(error.what, where=here, remedy=error.remedy) from None
         columns[name] = ColumnMap(column=index, unit=unit.strip())
-    if "t" not in columns:
+    if "t" not in columns and not poses:
         shown = ", ".join(f"'{name.strip()[:40]}'" for name in header[:12])
         raise LogError(f"there is no column 't [s]' among {shown}", where=where,
                        remedy="name the time column 't [s]' or give a map of the columns with --map")
-    return LogMap(columns=columns), tuple(ignored)
+    return LogMap(columns=columns, labels=Labels(**labels) if poses else None), tuple(ignored)
 
 
 def _remedy(kind: str, key: str) -> str:
     if kind == "extra_forbidden":
-        allowed = ColumnMap if key.startswith("columns.") else LogMap
+        tables: dict[str, type[BaseModel]] = {"columns": ColumnMap, "labels": Labels}
+        allowed = tables.get(key.rpartition(".")[0].partition(".")[0], LogMap)
         return "use one of " + ", ".join(allowed.model_fields)
     return "correct that key" if key else "correct the map"

@@ -1,15 +1,19 @@
-"""Raw columns of a file as numbers, and what all file formats have in common."""
+"""Raw columns of a file as numbers or texts, their writing, and what all file formats have in common."""
 
 import hashlib
-from collections.abc import Sequence
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from hydroopt.errors import LogError
-from hydroopt.signals.mapping import Key
+from hydroopt.signals.mapping import Key, LogMap, si_unit
+from hydroopt.units import factor
 
 Array = NDArray[np.float64]
 RawKey = Key | tuple[str, int | None]
@@ -22,11 +26,15 @@ EXPANDED_LIMIT = 10 * 1000**3
 
 @dataclass(frozen=True)
 class Table:
-    """Raw columns by key, each (N,); `rows` (N,) 1-based data rows; `damage`: why a row cannot be trusted."""
+    """Raw columns by key, each (N,); `rows` (N,) 1-based data rows; `damage`: why a row cannot be trusted.
+
+    `texts` are the columns (N,) that were asked for as texts, '' where a cell is empty.
+    """
 
     columns: dict[RawKey, Array]
     rows: NDArray[np.int64]
     damage: dict[int, str] = field(default_factory=dict)
+    texts: dict[Key, list[str]] = field(default_factory=dict)
 
 
 def load(path: str | Path, declared: str | None) -> tuple[bytes, str, str]:
@@ -55,6 +63,78 @@ def load(path: str | Path, declared: str | None) -> tuple[bytes, str, str]:
     if not data.strip():
         raise LogError("the file is empty", where=where, remedy="record it again")
     return data, hashlib.sha256(data).hexdigest(), kind
+
+
+def in_si(layout: LogMap, table: Table, where: str) -> tuple[dict[str, Array], dict[str, str]]:
+    """Channels (N,) of a map in SI, the time `t` among them, and the SI unit of each but the time."""
+    values: dict[str, Array] = {}
+    units: dict[str, str] = {}
+    for name, column in layout.columns.items():
+        si = si_unit(name, column.unit)
+        raw = [table.columns[key] for key in column.keys]
+        difference = raw[0] if len(raw) == 1 else raw[0] - raw[1]
+        with np.errstate(over="ignore", invalid="ignore"):
+            values[name] = column.factor * factor(column.unit, si) * difference + column.shift(si, where)
+        units[name] = si
+    return values, {name: unit for name, unit in units.items() if name != "t"}
+
+
+def refuse_damage(damage: Mapping[int, str], every: NDArray[np.int64], where: str) -> None:
+    """Raise a LogError if there is `damage` (reason by row), naming the longest sound stretch of all rows `every`."""
+    if not damage:
+        return
+    rows = np.array(sorted(damage))
+    fences = np.concatenate([[every[0] - 1], rows, [every[-1] + 1]])
+    longest = int(np.argmax(np.diff(fences)))
+    start, stop = int(fences[longest]) + 1, int(fences[longest + 1]) - 1
+    reasons: dict[str, list[int]] = {}
+    for row in rows:
+        reasons.setdefault(damage[int(row)], []).append(int(row))
+    shown = "; ".join(f"{runs(which)}: {reason}" for reason, which in list(reasons.items())[:4])
+    noun = "row" if rows.size == 1 else "rows"
+    trim = f"trim it with 'rows = [{start}, {stop}]' in a map, or " if stop > start else ""
+    raise LogError(f"data {noun} {runs(rows)} {'is' if rows.size == 1 else 'are'} damaged ({shown})",
+                   where=where,
+                   remedy=f"{trim}mend the file")
+
+
+def frozen(values: ArrayLike, kind: type) -> NDArray[Any]:
+    """A copy of `values` as an array of `kind` that cannot be written to."""
+    array: NDArray[Any] = np.array(values, dtype=kind)
+    array.setflags(write=False)
+    return array
+
+
+def write_columns(path: str | Path, columns: Mapping[str, NDArray[Any]], what: str) -> None:
+    """Write columns (N,) by header as CSV or Parquet, by extension; complete or not at all, NaN as an empty cell.
+
+    Raises:
+        LogError: another extension, or the file cannot be written; the sentence calls it `what`.
+    """
+    import pyarrow as pa  # noqa: PLC0415 (import cost)
+    from pyarrow import csv, parquet  # noqa: PLC0415
+
+    target = Path(path)
+    if target.suffix.lower() not in (".csv", ".parquet"):
+        raise LogError(f"'{target.suffix}' is not a kind of {what} that can be written", where=str(path),
+                       remedy="use .csv or .parquet")
+    table = pa.table({name: pa.array(column, from_pandas=True) for name, column in columns.items()})
+    temporary = ""
+    try:
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+        with os.fdopen(handle, "wb") as file:
+            if target.suffix.lower() == ".parquet":
+                parquet.write_table(table, file)
+            else:
+                file.write((",".join(columns) + "\n").encode())
+                csv.write_csv(table, file, csv.WriteOptions(include_header=False))
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, target)
+    except OSError as error:
+        if temporary:
+            Path(temporary).unlink(missing_ok=True)
+        raise LogError(f"the {what} cannot be written ({error.strerror})", where=str(path),
+                       remedy="check the directory and its permissions") from None
 
 
 def runs(rows: Sequence[int] | NDArray[np.int64], most: int = 4) -> str:

@@ -254,7 +254,7 @@ BAD_MAPS = {
     "no unit": (T_LINE + '"a.q" = {column = "a"}', "columns.a.q.unit"),
     "wrong unit": (T_LINE + '"a.q" = {column = "a", unit = "bar"}', "'bar' does not suit"),
     "offset": (T_LINE + '"a.q" = {column = "a", unit = "deg", offset = "3 bar"}', "a.q"),
-    "suffix": (T_LINE + '"a.z" = {column = "a", unit = "deg"}', "not a channel"),
+    "suffix": (T_LINE + '"a.w" = {column = "a", unit = "deg"}', "not a channel"),
     "no time": ('[columns]\n"a.q" = {column = "a", unit = "deg"}', "'t' is missing"),
     "rows": ("rows = [5, 2]\n" + T_LINE, "rows"),
     "not toml": ("[columns", "not TOML"),

@@ -1,0 +1,220 @@
+"""Closed chains: tip in its fixture, cylinder lengths and taped distances as functions of geometry and angles.
+
+Every number of the machine file that states a confidence is a parameter; all others are taken as exact.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from hydroopt.inertia import Array
+from hydroopt.machine import BASE, Machine
+from hydroopt.parameters import ParameterSet
+from hydroopt.parts import Link
+from hydroopt.spatial import Pose, identity, joint_pose, link_pose, roll_pitch_yaw
+
+DENAVIT_HARTENBERG = {"theta": "rad", "d": "m", "a": "m", "alpha": "rad", "beta": "rad"}
+TINY = 1e-9
+"""Length [m] that keeps a distance differentiable at zero."""
+_POINT = ("x", "y", "z")
+_TURN = ("roll", "pitch", "yaw")
+
+
+class Number(NamedTuple):
+    """One number of the machine file: name, unit, value, the key of its note."""
+
+    name: str
+    unit: str
+    value: float
+    path: str
+
+
+class KinematicModel:
+    """Geometry of a machine with its calibrator, for the calibration of chapter 3.
+
+    Attributes:
+        machine: what is modelled.
+        links: all links, the calibrator's last; `joints` are the moving ones, in the order of q (n,) [rad, m].
+        parameters: the geometry g (p,) that is not taken as exact, with its priors.
+        tip: casadi.Function (g, q) -> ball's centre (3,) [m] in the base frame (Eq. 3.17).
+        closure: (g, q, fixture (3,)) -> tip − fixture (3,) [m]: the loop's residual where all joints are known.
+        far_ends: (g, q) -> far ends of the chain's links (3, number of links) [m] in the base frame.
+        lengths: (g, q) -> readings of the cylinders' length transducers (c,) [m] (Eq. 3.26 in space).
+        observed: (g, q, fixture (3,)) -> all of the above that a pose table can hold, (m,), see `channels`.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+        self.links = (*machine.links, *(machine.calibrator.links if machine.calibrator else ()))
+        self.joints = tuple(link.name for link in self.links if link.joint.type != "locked")
+        numbers = _numbers(machine, self.links)
+        self.parameters = _parameters(machine, numbers)
+        g, q, fixture = (ca.SX.sym("g", len(self.parameters)), ca.SX.sym("q", len(self.joints)),
+                         ca.SX.sym("fixture", 3))
+        value = {number.name: ca.SX(number.value) for number in numbers}
+        value |= {name: g[k] for k, name in enumerate(self.parameters.names)}
+        poses = self._poses(value, q)
+        chain = [link.name for link in machine.chain]
+        ends = [poses[name] @ _far_end(value, name) for name in chain]
+        tip = ends[-1].point(_vector(value, "tip", _POINT)) if machine.calibrator else ca.SX(3, 1)
+        ends_of = ca.horzcat(*(end.origin for end in ends)) if ends else ca.SX(3, 0)
+        lengths = ca.vertcat(*(self._length(value, poses, k) for k in range(len(machine.cylinders))))
+        # the last far end may lie in the fixture, where a plain norm has no derivative
+        taped = ca.vertcat(*(ca.sqrt(ca.sumsqr(end.origin - fixture) + TINY**2) for end in ends))
+        self.tip = ca.Function("tip", [g, q], [tip], ["g", "q"], ["tip"])
+        self.closure = ca.Function("closure", [g, q, fixture], [tip - fixture], ["g", "q", "fixture"], ["gap"])
+        self.far_ends = ca.Function("far_ends", [g, q], [ends_of], ["g", "q"], ["ends"])
+        self.lengths = ca.Function("lengths", [g, q], [lengths], ["g", "q"], ["lengths"])
+        tracked = self._tracked(value, tip)
+        self.observed = ca.Function("observed", [g, q, fixture], [ca.vertcat(tip - fixture, lengths, tracked, taped)],
+                                    ["g", "q", "fixture"], ["observed"])
+        self._axis_frame = {name: self._before(value, poses, name) for name in self.joints}
+        self._symbols = g, q, tip
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the rows (m,) of `observed`; the first three are the loop's residual."""
+        machine = self.machine
+        return ("gap.x", "gap.y", "gap.z", *(f"{c.name}.length" for c in machine.cylinders),
+                *(f"tip.{axis}" for axis in _POINT), *(f"{link.name}.distance" for link in machine.chain))
+
+    @cached_property
+    def observed_jacobians(self) -> ca.Function:
+        """(g, q, fixture) -> `observed` (m,) and its Jacobians by g (m, p) and q (m, n)."""
+        g, q = self._symbols[:2]
+        fixture = ca.SX.sym("fixture", 3)
+        rows = self.observed(g, q, fixture)
+        return ca.Function("observed_jacobians", [g, q, fixture], [rows, ca.jacobian(rows, g), ca.jacobian(rows, q)],
+                           ["g", "q", "fixture"], ["observed", "by_g", "by_q"])
+
+    @cached_property
+    def closure_jacobian(self) -> ca.Function:
+        """(g, q, fixture) -> `closure` (3,) and its Jacobian by q (3, n)."""
+        g, q = self._symbols[:2]
+        fixture = ca.SX.sym("fixture", 3)
+        gap = self.closure(g, q, fixture)
+        return ca.Function("closure_jacobian", [g, q, fixture], [gap, ca.jacobian(gap, q)],
+                           ["g", "q", "fixture"], ["gap", "by_q"])
+
+    def seen_from(self, joint: str) -> ca.Function:
+        """(g, q) -> tip (3,) [m] in the frame at the far end of the link before a joint, the frame of Eq. 3.22.
+
+        With the joint at zero this is the vector s of Eq. 3.24, for a revolute joint with d added to its z.
+        """
+        g, q, tip = self._symbols
+        frame = self._axis_frame[joint]
+        return ca.Function(f"tip_from_{joint}", [g, q], [frame.rotation.T @ (tip - frame.origin)], ["g", "q"], ["p"])
+
+    def over(self, function: ca.Function, *columns: Array) -> list[Array]:
+        """Evaluate at N poses: each argument (N, k) or (k,), each result (N, rows, columns)."""
+        count = max(len(column) for column in columns if np.ndim(column) == 2)
+        stacked = [ca.DM(np.asarray(c).T) if np.ndim(c) == 2 else ca.repmat(ca.DM(c), 1, count) for c in columns]
+        results = function.map(count).call(stacked)
+        shapes = [function.size_out(k) for k in range(function.n_out())]
+        return [np.asarray(result).reshape(rows, count, width).transpose(1, 0, 2)
+                for result, (rows, width) in zip(results, shapes, strict=True)]
+
+    def _poses(self, value: dict[str, ca.SX], q: ca.SX) -> dict[str, Pose]:
+        """Frames P_i of all links in the base frame; joints give way under gravity by their compliance."""
+        if any(f"{link.name}.compliance" in value for link in self.links):
+            torque = _gravity_torque(self.machine, self.links, self._rigid(value, q), q)
+            give = [value.get(f"{name}.compliance", ca.SX(0)) for name in self.joints]
+            q = q + ca.vertcat(*give) * torque
+        return self._rigid(value, q)
+
+    def _rigid(self, value: dict[str, ca.SX], q: ca.SX) -> dict[str, Pose]:
+        poses = {BASE: identity()}
+        for link in self.links:
+            start = poses[link.parent]
+            if link.parent != BASE:
+                start = start @ _far_end(value, link.parent)
+            variable = q[self.joints.index(link.name)] if link.name in self.joints else 0
+            sliding = link.joint.type == "prismatic"
+            theta, d = value[f"{link.name}.theta"], value[f"{link.name}.d"]
+            turned, slid = (theta, d + variable) if sliding else (theta + variable, d)
+            poses[link.name] = start @ joint_pose(turned, slid)
+        return poses
+
+    def _before(self, value: dict[str, ca.SX], poses: dict[str, Pose], joint: str) -> Pose:
+        parent = next(link.parent for link in self.links if link.name == joint)
+        return poses[parent] if parent == BASE else poses[parent] @ _far_end(value, parent)
+
+    def _length(self, value: dict[str, ca.SX], poses: dict[str, Pose], k: int) -> ca.SX:
+        cylinder = self.machine.cylinders[k]
+        pins = [poses[end.link].point(_vector(value, f"{cylinder.name}.{name}", _POINT))
+                for name, end in (("barrel", cylinder.barrel), ("rod", cylinder.rod))]
+        # a transducer reads the stroke; what it is added to is the nominal dead length
+        return ca.norm_2(pins[1] - pins[0]) + cylinder.dead_length - value[f"{cylinder.name}.dead_length"]
+
+    def _tracked(self, value: dict[str, ca.SX], tip: ca.SX) -> ca.SX:
+        if self.machine.tracker is None:
+            return tip
+        roll, pitch, yaw = (value[f"tracker.{name}"] for name in _TURN)
+        turn = roll_pitch_yaw((roll, pitch, yaw))
+        return turn.T @ (tip - _vector(value, "tracker", _POINT))
+
+
+def _far_end(value: dict[str, ca.SX], link: str) -> Pose:
+    return link_pose(*(value[f"{link}.{key}"] for key in ("a", "alpha", "beta")))
+
+
+def _vector(value: dict[str, ca.SX], name: str, axes: tuple[str, ...]) -> ca.SX:
+    return ca.vertcat(*(value[f"{name}.{axis}"] for axis in axes))
+
+
+def _gravity_torque(machine: Machine, links: tuple[Link, ...], poses: dict[str, Pose], q: ca.SX) -> ca.SX:
+    """Generalised force of gravity (n,) [N·m, N] on the joints: −∂U/∂q, from the nominal masses of all links."""
+    turn = roll_pitch_yaw(machine.orientation)
+    potential = ca.SX(0)
+    for link in links:
+        if link.body is not None and link.body.m > 0:
+            centre = ca.DM(link.body.phi[1:4] / link.body.phi[0])
+            potential += link.body.m * machine.gravity * (turn @ poses[link.name].point(centre))[2]
+    return -ca.gradient(potential, q)
+
+
+def _numbers(machine: Machine, links: tuple[Link, ...]) -> list[Number]:
+    """All numbers of the geometry, each with the key under which the machine's notes speak of it."""
+    numbers = [Number(f"{link.name}.{key}", unit, getattr(link.joint, key), f"{link.name}.joint.{key}")
+               for link in links for key, unit in DENAVIT_HARTENBERG.items()]
+    numbers += [Number(f"{link.name}.compliance", "rad/(N*m)" if link.joint.type == "revolute" else "m/N",
+                       link.joint.compliance, f"{link.name}.joint.compliance")
+                for link in links if link.joint.compliance is not None and link.joint.type != "locked"]
+    vectors: list[tuple[str, tuple[float, ...], str, tuple[str, ...], str]] = []
+    if machine.calibrator:
+        vectors.append(("tip", machine.calibrator.tip, "calibrator.tip", _POINT, "m"))
+    if machine.tracker:
+        vectors += [("tracker", machine.tracker.position, "tracker.position", _POINT, "m"),
+                    ("tracker", machine.tracker.orientation, "tracker.orientation", _TURN, "rad")]
+    for cylinder in machine.cylinders:
+        vectors += [(f"{cylinder.name}.{end}", getattr(cylinder, end).pin, f"{cylinder.name}.{end}.pin", _POINT, "m")
+                    for end in ("barrel", "rod")]
+        numbers.append(Number(f"{cylinder.name}.dead_length", "m", cylinder.dead_length,
+                              f"{cylinder.name}.dead_length"))
+    return numbers + [Number(f"{owner}.{axis}", unit, component, path) for owner, vector, path, axes, unit in vectors
+                      for axis, component in zip(axes, vector, strict=True)]
+
+
+def _parameters(machine: Machine, numbers: list[Number]) -> ParameterSet:
+    """The numbers that state a confidence, with Gaussian priors about their nominal values."""
+    free, sigmas = [], []
+    for number in numbers:
+        note = machine.notes.get(number.path)
+        sigma = 0.0 if note is None or note.sigma is None else note.sigma * (abs(number.value) if note.relative else 1)
+        if sigma > 0:
+            free.append(number)
+            sigmas.append(sigma)
+    scale = np.array(sigmas)
+    lower, upper = (np.array([_bound(machine, number.path, key, default) for number in free])
+                    for key, default in (("lower", -np.inf), ("upper", np.inf)))
+    return ParameterSet(tuple(number.name for number in free), tuple(number.unit for number in free),
+                        np.array([number.value for number in free]), lower, upper, scale, np.diag(1 / scale**2))
+
+
+def _bound(machine: Machine, path: str, key: str, default: float) -> float:
+    stated = getattr(machine.notes[path], key)
+    return default if stated is None else float(stated)
