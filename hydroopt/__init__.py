@@ -3,20 +3,26 @@
 from hydroopt.description import bundled, dump_machine, load_machine, read_machine
 from hydroopt.errors import HydrooptError, IdentifiabilityError, LogError, MachineError, ProblemError, SolverError
 from hydroopt.estimation.calibrated import calibrated_machine
+from hydroopt.estimation.calibration import Calibration, calibrate
+from hydroopt.estimation.closure import CalibrationProblem, calibration_problem
 from hydroopt.estimation.estimate import Estimate
 from hydroopt.estimation.problem import Problem, identification_problem
 from hydroopt.estimation.solve import solve
 from hydroopt.estimation.verdict import doubts
 from hydroopt.machine import Machine
 from hydroopt.model.build import Model
+from hydroopt.model.loops import KinematicModel
 from hydroopt.report.folder import save
 from hydroopt.signals.conditioning import Butterworth, Fourier, SmoothingSpline
 from hydroopt.signals.log import Log, read_log
+from hydroopt.signals.poses import Poses, read_pose_files, read_poses
 from hydroopt.synthetic import random_trajectory, random_truth, simulate
+from hydroopt.urdf import read_urdf
 
 __all__ = [
-    "Butterworth", "Estimate", "Fourier", "HydrooptError", "IdentifiabilityError", "Log", "LogError", "Machine",
-    "MachineError", "Model", "Problem", "ProblemError", "SmoothingSpline", "SolverError", "bundled",
-    "calibrated_machine", "doubts", "dump_machine", "identification_problem", "load_machine", "random_trajectory",
-    "random_truth", "read_log", "read_machine", "save", "simulate", "solve",
+    "Butterworth", "Calibration", "CalibrationProblem", "Estimate", "Fourier", "HydrooptError", "IdentifiabilityError",
+    "KinematicModel", "Log", "LogError", "Machine", "MachineError", "Model", "Poses", "Problem", "ProblemError",
+    "SmoothingSpline", "SolverError", "bundled", "calibrate", "calibrated_machine", "calibration_problem", "doubts",
+    "dump_machine", "identification_problem", "load_machine", "random_trajectory", "random_truth", "read_log",
+    "read_machine", "read_pose_files", "read_poses", "read_urdf", "save", "simulate", "solve",
 ]

@@ -1,4 +1,4 @@
-"""Whole-process time and peak memory of `hydroopt identify`, and how they grow with the log.
+"""Time and peak memory of `hydroopt identify` and of the joint kinematic calibration, and how they grow.
 
 Prints medians over a few runs and ratios taken side by side in one run; nothing here can fail on a slow machine.
 """
@@ -14,6 +14,7 @@ from pathlib import Path
 
 SIZES = {1664: 3, 10_000: 1, 100_000: 1}
 """Samples of the log, and how many runs are taken."""
+POSES = (360, 3000, 10_000)
 
 
 def measured(command: list[str]) -> tuple[float, float]:
@@ -27,8 +28,33 @@ def measured(command: list[str]) -> tuple[float, float]:
     return wall, usage.ru_maxrss / 1024
 
 
+def calibration() -> None:
+    """The joint kinematic problem alone, in this process: 360 poses to 10,000, and time per pose."""
+    import numpy as np  # noqa: PLC0415
+
+    from hydroopt import KinematicModel, calibrate, calibration_problem, load_machine, postures  # noqa: PLC0415
+
+    machine = load_machine("cat215b")
+    model = KinematicModel(machine)
+    geometry, fixture = model.parameters.nominal, machine.fixtures[0].position
+    print(f"{'poses':>8} {'joint s':>8} {'ms/pose':>8}")
+    for poses in POSES:
+        q = np.concatenate([
+            postures.random_postures(model, stage, poses // 3, geometry=geometry, fixture=fixture, seed=k)
+            for k, stage in enumerate(machine.stages)])
+        labels = [stage.name for stage in machine.stages for _ in range(poses // 3)]
+        table = postures.record(model, q, labels, ["ball"] * len(q), geometry=geometry)
+        problem = calibration_problem(machine, table, fixed={"ball.y": 0.0})
+        began = time.perf_counter()
+        calibrate(problem)
+        wall = time.perf_counter() - began
+        print(f"{poses:8d} {wall:8.2f} {1e3 * wall / poses:8.2f}")
+    print("targets: 2 s for 360 poses, 60 s for 10,000")
+
+
 def main() -> None:
-    """Run the benchmark and print its table."""
+    """Run the benchmark and print its tables."""
+    calibration()
     hydroopt = str(Path(sys.executable).with_name("hydroopt"))
     with tempfile.TemporaryDirectory() as folder:
         base = None

@@ -66,7 +66,7 @@ class CalibrationProblem:
         row_sigma: (N, m) standard deviation of each row [m]; 0 must hold exactly.
         distances: between fixtures.
         fixed: parameters that keep the value given here.
-        priors: whether the machine file's confidences count as measurements.
+        priors: whether the machine file's confidences count as measurements; those of drifts always do.
         loss: what a pose's squared error, in standard deviations, costs.
     """
 
@@ -86,6 +86,12 @@ class CalibrationProblem:
     def free(self) -> NDArray[np.bool_]:
         """(P,) which parameters are estimated."""
         return np.array([name not in self.fixed for name in self.parameters.names])
+
+    @property
+    def known(self) -> Array:
+        """(P,) root of the information that counts beside the data: of drifts always, of the rest as `priors` says."""
+        counts = [self.priors or ".drift." in name for name in self.parameters.names]
+        return np.asarray(np.sqrt(np.diag(self.parameters.information)) * counts)
 
     @property
     def start(self) -> Array:
@@ -248,13 +254,13 @@ class _Builder:
                 raise ProblemError(f"there is no fixture '{name}'", where=self._row(row),
                                    remedy=f"use {', '.join(known) or 'a machine file that states it'}")
             fixture = known[name]
-            owner = f"{name}.{stage}" if fixture.moves else name
+            owner = f"{name}.{stage}" if fixture.moves and stage else name
             if f"{owner}.x" not in self.names:
                 note = self.machine.notes.get(f"{name}.position")
                 sigma = None if note is None or note.sigma is None else note.sigma
                 for axis, value in zip("xyz", fixture.position, strict=True):
                     self._add(f"{owner}.{axis}", "m", value, None if fixture.moves else sigma,
-                              1.0 if fixture.moves else sigma)
+                              1e-3 if fixture.moves else sigma)
             self.fixture[row] = [self.names[f"{owner}.{axis}"] for axis in "xyz"]
         self.present[:, :3] = self.fixture >= 0
 

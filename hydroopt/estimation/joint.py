@@ -24,6 +24,8 @@ FREEDOM = 4.0
 """Degrees of freedom of Student's t."""
 ANGLE_STEP = 0.01
 """Scale [rad, m] of the angles that move unsensed."""
+STEEPEST = 1e4
+"""Curvature of the cost, by a parameter in its unit, that the units are chosen not to exceed."""
 
 
 def solve(problem: CalibrationProblem, start: Array, own: Array) -> tuple[Array, Array]:
@@ -40,10 +42,11 @@ def solve(problem: CalibrationProblem, start: Array, own: Array) -> tuple[Array,
     at, parameters = problem.at, problem.parameters
     count, n = at.reading.shape
     estimated = np.flatnonzero(problem.free)
-    begin = np.clip(start, parameters.lower, parameters.upper)
-    unknowns = _Unknowns(problem, estimated, begin, own)
+    begin = np.where(problem.free, np.clip(start, parameters.lower, parameters.upper), problem.start)
+    scale = _scale(problem, begin, own)
+    unknowns = _Unknowns(problem, estimated, begin, own, scale)
     x = ca.MX.sym("x", unknowns.size)
-    theta = ca.DM(begin) + _scatter(estimated, parameters.scale[estimated], len(parameters)) @ x[: len(estimated)]
+    theta = ca.DM(begin) + _scatter(estimated, scale[estimated], len(parameters)) @ x[: len(estimated)]
     shared = _shared_cost(problem, theta)
     pose = _PoseTerms(problem)
     v = ca.reshape(ca.DM(unknowns.offset) + unknowns.slope @ x, pose.size, count)
@@ -66,8 +69,8 @@ def solve(problem: CalibrationProblem, start: Array, own: Array) -> tuple[Array,
         "hess_lag": ca.Function("hess_lag", [x, nothing, weight, multipliers], [ca.triu(hessian)],
                                 ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"])}
     lower, upper = np.full(unknowns.size, -np.inf), np.full(unknowns.size, np.inf)
-    lower[: len(estimated)] = ((parameters.lower - begin) / parameters.scale)[estimated]
-    upper[: len(estimated)] = ((parameters.upper - begin) / parameters.scale)[estimated]
+    lower[: len(estimated)] = ((parameters.lower - begin) / scale)[estimated]
+    upper[: len(estimated)] = ((parameters.upper - begin) / scale)[estimated]
     zero = np.zeros(len(strict))
     answer = solvers.solve_nlp({"x": x, "f": cost, "g": rows}, np.zeros(unknowns.size), lower, upper, zero, zero,
                                f"calibration of {problem.model.machine.name}", {}, derivatives)
@@ -79,7 +82,8 @@ def solve(problem: CalibrationProblem, start: Array, own: Array) -> tuple[Array,
 class _Unknowns:
     """x = (parameters, errors of readings, unsensed angles), scaled, and v = offset + slope·x of all poses."""
 
-    def __init__(self, problem: CalibrationProblem, estimated: NDArray[np.intp], begin: Array, own: Array) -> None:
+    def __init__(self, problem: CalibrationProblem, estimated: NDArray[np.intp], begin: Array, own: Array,
+                 scale: Array) -> None:
         at, g = problem.at, len(problem.model.parameters)
         count, n = at.reading.shape
         width = g + n + 3
@@ -106,7 +110,7 @@ class _Unknowns:
         angles = np.concatenate([erring, moving])
         slope = (np.concatenate([row[free], angles // n * width + g + angles % n]),
                  np.concatenate([column[parameter[free]], len(estimated) + np.arange(len(angles))]),
-                 np.concatenate([value[free] * problem.parameters.scale[parameter[free]], sigma[erring],
+                 np.concatenate([value[free] * scale[parameter[free]], sigma[erring],
                                  np.full(len(moving), ANGLE_STEP)]))
         self.slope = _matrix(slope, count * width, self.size)
 
@@ -141,6 +145,17 @@ class _PoseTerms:
             _inverse(problem.row_sigma, weighed), np.maximum(at.present.sum(axis=1, keepdims=True), 1)]).T)
 
 
+def _scale(problem: CalibrationProblem, theta: Array, own: Array) -> Array:
+    """Units (P,) of the parameters in which the cost is not too steep.
+
+    With 1 m beside a reading's 1 mm, rounding errors alone would be larger than the gradient that IPOPT accepts.
+    """
+    weighed = problem.at.present & (problem.row_sigma > 0)
+    slope = problem.rows(theta, problem.angles(theta, own))[1] * _inverse(problem.row_sigma, weighed)[:, :, None]
+    steep = np.sum(slope**2, axis=(0, 1))
+    return np.asarray(1 / np.sqrt(1 / problem.parameters.scale**2 + steep / STEEPEST))
+
+
 def _inverse(sigma: Array, where: NDArray[np.bool_]) -> Array:
     return np.where(where, 1 / np.where(where, sigma, 1.0), 0.0)
 
@@ -157,10 +172,7 @@ def _loss(square: ca.SX, loss: str, expected: ca.SX) -> ca.SX:
 
 def _shared_cost(problem: CalibrationProblem, theta: ca.MX) -> ca.MX:
     """Priors and known distances."""
-    cost = ca.MX(0)
-    if problem.priors:
-        known = np.sqrt(np.diag(problem.parameters.information))
-        cost += ca.sumsqr(ca.DM(known) * (theta - ca.DM(problem.parameters.nominal))) / 2
+    cost = ca.sumsqr(ca.DM(problem.known) * (theta - ca.DM(problem.parameters.nominal))) / 2
     known_distances = problem.distances
     for ends, length, spread in zip(known_distances.ends, known_distances.length, known_distances.sigma, strict=True):
         apart = theta[ends[0].tolist()] - theta[ends[1].tolist()]

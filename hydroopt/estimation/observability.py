@@ -19,7 +19,9 @@ from hydroopt.inertia import Array
 
 UNSEEN = 1e-10
 """Eigenvalue of the normalised information, relative to the largest, below which a combination is not identifiable."""
-SHARE = 1e-3
+ROUNDING = 1e-7
+"""Size of a scaled column, relative to the largest, that is rounding only."""
+SHARE = 1e-5
 """Part of a parameter's unit vector in the unseen space from which on it counts as touched by it."""
 
 
@@ -27,7 +29,7 @@ SHARE = 1e-3
 class Linearised:
     """Whitened rows of all poses: residual (N, m), Jacobian (N, m, P) by all parameters, rank (N,) of each pose's rows.
 
-    `shared` and `shared_residual` are those of known distances and, if the problem counts them, of the priors.
+    `shared` and `shared_residual` are those of known distances, then of what is known before.
     """
 
     residual: Array
@@ -43,7 +45,7 @@ class Linearised:
         return np.asarray(np.sum(self.residual**2, axis=1))
 
 
-def linearise(problem: CalibrationProblem, theta: Array, q: Array, *, priors: bool | None = None) -> Linearised:
+def linearise(problem: CalibrationProblem, theta: Array, q: Array) -> Linearised:
     """Whitened rows around parameters (P,) and joint vectors (N, n).
 
     Raises:
@@ -78,12 +80,12 @@ def linearise(problem: CalibrationProblem, theta: Array, q: Array, *, priors: bo
         u = u * (kept & (s > 0))[:, None, :]
         white = white - u @ (u.transpose(0, 2, 1) @ white)
         rank = rank - (kept & (s > 0)).sum(axis=1)
-    extra, extra_residual = _shared(problem, theta, problem.priors if priors is None else priors)
+    extra, extra_residual = _shared(problem, theta)
     return Linearised(white[:, :, 0], white[:, :, 1 : 1 + total], rank, extra, extra_residual,
                       white[:, :, 1 + total + n :])
 
 
-def _shared(problem: CalibrationProblem, theta: Array, priors: bool) -> tuple[Array, Array]:
+def _shared(problem: CalibrationProblem, theta: Array) -> tuple[Array, Array]:
     rows, residuals = [], []
     for ends, length, sigma in zip(problem.distances.ends, problem.distances.length, problem.distances.sigma,
                                    strict=True):
@@ -92,11 +94,9 @@ def _shared(problem: CalibrationProblem, theta: Array, priors: bool) -> tuple[Ar
         row[ends[0]], row[ends[1]] = apart / np.linalg.norm(apart) / sigma, -apart / np.linalg.norm(apart) / sigma
         rows.append(row)
         residuals.append((np.linalg.norm(apart) - length) / sigma)
-    if priors:
-        for k in np.flatnonzero(np.diag(problem.parameters.information) > 0):
-            weight = np.sqrt(problem.parameters.information[k, k])
-            rows.append(np.eye(len(theta))[k] * weight)
-            residuals.append(weight * (theta[k] - problem.parameters.nominal[k]))
+    for k in np.flatnonzero(problem.known):
+        rows.append(np.eye(len(theta))[k] * problem.known[k])
+        residuals.append(problem.known[k] * (theta[k] - problem.parameters.nominal[k]))
     return np.array(rows).reshape(-1, len(theta)), np.array(residuals)
 
 
@@ -213,6 +213,8 @@ def observability(problem: CalibrationProblem, at: Linearised) -> Observability:
     jacobian = at.jacobian[:, :, free].reshape(-1, len(free))
     known = len(problem.distances.length)
     jacobian = np.vstack([jacobian, at.shared[:known][:, free]])
+    size = np.linalg.norm(jacobian * problem.parameters.scale[free], axis=0)
+    jacobian[:, size < ROUNDING * np.max(size, initial=0.0)] = 0.0  # what projecting left of columns that vanish
     prior = at.shared[known:][:, free]
     names = tuple(problem.parameters.names[k] for k in free)
     return Observability(names, problem.parameters.scale[free], jacobian.T @ jacobian, prior.T @ prior)

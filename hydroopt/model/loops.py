@@ -25,12 +25,13 @@ _TURN = ("roll", "pitch", "yaw")
 
 
 class Number(NamedTuple):
-    """One number of the machine file: name, unit, value, the key of its note."""
+    """One number of the machine file: name, unit, value, the key of its note, and its place if that is a vector."""
 
     name: str
     unit: str
     value: float
     path: str
+    axis: int | None = None
 
 
 class KinematicModel:
@@ -39,7 +40,8 @@ class KinematicModel:
     Attributes:
         machine: what is modelled.
         links: all links, the calibrator's last; `joints` are the moving ones, in the order of q (n,) [rad, m].
-        parameters: the geometry g (p,) that is not taken as exact, with its priors.
+        parameters: the geometry g (p,) that is not taken as exact, with its priors; `paths` says for every number under
+            which key of the machine file it stands, and where in a vector.
         tip: casadi.Function (g, q) -> ball's centre (3,) [m] in the base frame (Eq. 3.17).
         closure: (g, q, fixture (3,)) -> tip − fixture (3,) [m]: the loop's residual where all joints are known.
         far_ends: (g, q) -> far ends of the chain's links (3, number of links) [m] in the base frame.
@@ -53,16 +55,18 @@ class KinematicModel:
         self.joints = tuple(link.name for link in self.links if link.joint.type != "locked")
         numbers = _numbers(machine, self.links)
         self.parameters = _parameters(machine, numbers)
+        self.paths = {number.name: (number.path, number.axis) for number in numbers}
         g, q, fixture = (ca.SX.sym("g", len(self.parameters)), ca.SX.sym("q", len(self.joints)),
                          ca.SX.sym("fixture", 3))
         value = {number.name: ca.SX(number.value) for number in numbers}
         value |= {name: g[k] for k, name in enumerate(self.parameters.names)}
-        poses = self._poses(value, q)
+        loaded = self._loaded(value, q)
+        poses = self._poses(value, loaded)
         chain = [link.name for link in machine.chain]
         ends = [poses[name] @ _far_end(value, name) for name in chain]
         tip = ends[-1].point(_vector(value, "tip", _POINT)) if machine.calibrator else ca.SX(3, 1)
         ends_of = ca.horzcat(*(end.origin for end in ends)) if ends else ca.SX(3, 0)
-        lengths = ca.vertcat(*(self._length(value, poses, k) for k in range(len(machine.cylinders))))
+        lengths = ca.vertcat(*(self._length(value, loaded, k) for k in range(len(machine.cylinders))))
         # the last far end may lie in the fixture, where a plain norm has no derivative
         taped = ca.vertcat(*(ca.sqrt(ca.sumsqr(end.origin - fixture) + TINY**2) for end in ends))
         self.tip = ca.Function("tip", [g, q], [tip], ["g", "q"], ["tip"])
@@ -74,6 +78,7 @@ class KinematicModel:
                                     ["g", "q", "fixture"], ["observed"])
         self._axis_frame = {name: self._before(value, poses, name) for name in self.joints}
         self._symbols = g, q, tip
+        self._maps: dict[tuple[int, int], ca.Function] = {}
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -90,6 +95,15 @@ class KinematicModel:
         rows = self.observed(g, q, fixture)
         return ca.Function("observed_jacobians", [g, q, fixture], [rows, ca.jacobian(rows, g), ca.jacobian(rows, q)],
                            ["g", "q", "fixture"], ["observed", "by_g", "by_q"])
+
+    @cached_property
+    def observed_by_angles(self) -> ca.Function:
+        """(g, q, fixture) -> `observed` (m,) and its Jacobian by q (m, n)."""
+        g, q = self._symbols[:2]
+        fixture = ca.SX.sym("fixture", 3)
+        rows = self.observed(g, q, fixture)
+        return ca.Function("observed_by_angles", [g, q, fixture], [rows, ca.jacobian(rows, q)],
+                           ["g", "q", "fixture"], ["observed", "by_q"])
 
     @cached_property
     def closure_jacobian(self) -> ca.Function:
@@ -113,40 +127,50 @@ class KinematicModel:
         """Evaluate at N poses: each argument (N, k) or (k,), each result (N, rows, columns)."""
         count = max(len(column) for column in columns if np.ndim(column) == 2)
         stacked = [ca.DM(np.asarray(c).T) if np.ndim(c) == 2 else ca.repmat(ca.DM(c), 1, count) for c in columns]
-        results = function.map(count).call(stacked)
+        key = hash(function), count
+        mapped = self._maps.get(key) or function.map(count)
+        self._maps[key] = mapped  # making it anew takes longer than a call; it keeps the function, and so its hash
+        results = mapped.call(stacked)
         shapes = [function.size_out(k) for k in range(function.n_out())]
         return [np.asarray(result).reshape(rows, count, width).transpose(1, 0, 2)
                 for result, (rows, width) in zip(results, shapes, strict=True)]
 
-    def _poses(self, value: dict[str, ca.SX], q: ca.SX) -> dict[str, Pose]:
-        """Frames P_i of all links in the base frame; joints give way under gravity by their compliance."""
-        if any(f"{link.name}.compliance" in value for link in self.links):
-            torque = _gravity_torque(self.machine, self.links, self._rigid(value, q), q)
-            give = [value.get(f"{name}.compliance", ca.SX(0)) for name in self.joints]
-            q = q + ca.vertcat(*give) * torque
-        return self._rigid(value, q)
+    def _loaded(self, value: dict[str, ca.SX], q: ca.SX) -> ca.SX:
+        """Joint vector after every joint has given way under gravity by its compliance."""
+        if not any(f"{link.name}.compliance" in value for link in self.links):
+            return q
+        torque = _gravity_torque(self.machine, self.links, self._poses(value, q), q)
+        return q + ca.vertcat(*(value.get(f"{name}.compliance", ca.SX(0)) for name in self.joints)) * torque
 
-    def _rigid(self, value: dict[str, ca.SX], q: ca.SX) -> dict[str, Pose]:
+    def _poses(self, value: dict[str, ca.SX], q: ca.SX) -> dict[str, Pose]:
+        """Frames P_i of all links in the base frame."""
         poses = {BASE: identity()}
         for link in self.links:
-            start = poses[link.parent]
-            if link.parent != BASE:
-                start = start @ _far_end(value, link.parent)
-            variable = q[self.joints.index(link.name)] if link.name in self.joints else 0
-            sliding = link.joint.type == "prismatic"
-            theta, d = value[f"{link.name}.theta"], value[f"{link.name}.d"]
-            turned, slid = (theta, d + variable) if sliding else (theta + variable, d)
-            poses[link.name] = start @ joint_pose(turned, slid)
+            poses[link.name] = poses[link.parent] @ self._step(value, q, link)
         return poses
+
+    def _step(self, value: dict[str, ca.SX], q: ca.SX, link: Link) -> Pose:
+        """A link's P_i seen from that of its parent."""
+        variable = q[self.joints.index(link.name)] if link.name in self.joints else 0
+        theta, d = value[f"{link.name}.theta"], value[f"{link.name}.d"]
+        own = joint_pose(theta, d + variable) if link.joint.type == "prismatic" else joint_pose(theta + variable, d)
+        return own if link.parent == BASE else _far_end(value, link.parent) @ own
 
     def _before(self, value: dict[str, ca.SX], poses: dict[str, Pose], joint: str) -> Pose:
         parent = next(link.parent for link in self.links if link.name == joint)
         return poses[parent] if parent == BASE else poses[parent] @ _far_end(value, parent)
 
-    def _length(self, value: dict[str, ca.SX], poses: dict[str, Pose], k: int) -> ca.SX:
+    def _length(self, value: dict[str, ca.SX], q: ca.SX, k: int) -> ca.SX:
         cylinder = self.machine.cylinders[k]
-        pins = [poses[end.link].point(_vector(value, f"{cylinder.name}.{name}", _POINT))
-                for name, end in (("barrel", cylinder.barrel), ("rod", cylinder.rod))]
+        # seen from the last link that both ends hang on, so that joints before it do not enter
+        chains = [self.machine.ancestry(end.link)[::-1] for end in (cylinder.barrel, cylinder.rod)]
+        shared = sum(1 for one, other in zip(*chains, strict=False) if one == other)
+        pins = []
+        for name, chain in zip(("barrel", "rod"), chains, strict=True):
+            pose = identity()
+            for link in chain[shared:]:
+                pose = pose @ self._step(value, q, self.machine.link(link))
+            pins.append(pose.point(_vector(value, f"{cylinder.name}.{name}", _POINT)))
         # a transducer reads the stroke; what it is added to is the nominal dead length
         return ca.norm_2(pins[1] - pins[0]) + cylinder.dead_length - value[f"{cylinder.name}.dead_length"]
 
@@ -195,8 +219,8 @@ def _numbers(machine: Machine, links: tuple[Link, ...]) -> list[Number]:
                     for end in ("barrel", "rod")]
         numbers.append(Number(f"{cylinder.name}.dead_length", "m", cylinder.dead_length,
                               f"{cylinder.name}.dead_length"))
-    return numbers + [Number(f"{owner}.{axis}", unit, component, path) for owner, vector, path, axes, unit in vectors
-                      for axis, component in zip(axes, vector, strict=True)]
+    return numbers + [Number(f"{owner}.{axis}", unit, vector[k], path, k) for owner, vector, path, axes, unit in vectors
+                      for k, axis in enumerate(axes)]
 
 
 def _parameters(machine: Machine, numbers: list[Number]) -> ParameterSet:
@@ -209,8 +233,10 @@ def _parameters(machine: Machine, numbers: list[Number]) -> ParameterSet:
             free.append(number)
             sigmas.append(sigma)
     scale = np.array(sigmas)
-    lower, upper = (np.array([_bound(machine, number.path, key, default) for number in free])
-                    for key, default in (("lower", -np.inf), ("upper", np.inf)))
+    # what gravity bends gives way, and never the other way
+    least = [0.0 if number.name.endswith((".compliance", ".dead_length")) else -np.inf for number in free]
+    lower = np.array([_bound(machine, number.path, "lower", low) for number, low in zip(free, least, strict=True)])
+    upper = np.array([_bound(machine, number.path, "upper", np.inf) for number in free])
     return ParameterSet(tuple(number.name for number in free), tuple(number.unit for number in free),
                         np.array([number.value for number in free]), lower, upper, scale, np.diag(1 / scale**2))
 

@@ -162,7 +162,11 @@ def parameters(estimate: Estimate, columns: int = 4) -> Figure | None:
 
     In units of the prior's standard deviation, or of the estimate's own where the machine file states no prior.
     """
-    groups = _changes(estimate)
+    return changes(_changes(estimate), columns)
+
+
+def changes(groups: Sequence[tuple[str, list[Change]]], columns: int = 4) -> Figure | None:
+    """Chart of changes by owner; None if there is none."""
     if not groups:
         return None
     columns = max(1, min(columns, len(groups)))
@@ -214,7 +218,7 @@ def _changes(estimate: Estimate) -> list[tuple[str, list[Change]]]:
     return list(groups.items())
 
 
-def _columns(groups: list[tuple[str, list[Change]]], columns: int) -> list[list[tuple[str, list[Change]]]]:
+def _columns(groups: Sequence[tuple[str, list[Change]]], columns: int) -> list[list[tuple[str, list[Change]]]]:
     """Groups in reading order, dealt to columns of about equal length."""
     total = sum(len(group) + 1.6 for _, group in groups)
     filled: list[list[tuple[str, list[Change]]]] = [[] for _ in range(columns)]

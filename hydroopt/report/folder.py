@@ -1,4 +1,4 @@
-"""The folder that an identification leaves: estimate.json, calibrated machine, report and tables."""
+"""The folder that an identification or a calibration leaves: estimate.json, calibrated machine, report and tables."""
 
 from __future__ import annotations
 
@@ -18,12 +18,19 @@ import numpy as np
 
 from hydroopt.description import dump_machine
 from hydroopt.errors import HydrooptError, ProblemError
+from hydroopt.estimation.appraisal import Appraisal
 from hydroopt.estimation.calibrated import calibrated_machine
-from hydroopt.estimation.estimate import Estimate
+from hydroopt.estimation.calibration import Calibration
+from hydroopt.estimation.closure import CalibrationProblem
+from hydroopt.estimation.diagnosis import Suspect
+from hydroopt.estimation.estimate import Estimate, Fit
 from hydroopt.estimation.experiment import Experiment
 from hydroopt.estimation.problem import Problem
 from hydroopt.estimation.verdict import doubts
+from hydroopt.machine import Machine
+from hydroopt.report import calibration as calibration_page
 from hydroopt.report import html
+from hydroopt.signals.poses import Poses
 
 SCHEMA = 1
 """Version of estimate.json; it changes when a key changes its meaning or goes."""
@@ -46,11 +53,8 @@ def save(estimate: Estimate, directory: str | Path, *, wall_s: float = float("na
     content = as_dict(estimate, wall_s)
     machine_file = f"{estimate.problem.model.machine.name}.toml"
     files = {"report.html": html.render(estimate, doubts(estimate)),
-             "parameters.csv": _csv([row | dict(zip(("low", "high"), row.pop("ci95") or (None, None), strict=True))
-                                     for row in map(dict, content["parameters"])]),
-             "base_parameters.csv": _csv(content["base_parameters"]),
-             "fit.csv": _csv([{"data": data, "channel": channel} | fit for data, table in content["fit"].items()
-                              for channel, fit in table.items()])}
+             "parameters.csv": _csv([_flat(row) for row in content["parameters"]]),
+             "base_parameters.csv": _csv(content["base_parameters"]), "fit.csv": _fit_csv(content["fit"])}
     with contextlib.suppress(ProblemError):  # the doubts and the report say which body cannot exist
         files[machine_file] = dump_machine(calibrated_machine(estimate))
     _forget(directory, machine_file)
@@ -60,12 +64,44 @@ def save(estimate: Estimate, directory: str | Path, *, wall_s: float = float("na
 
 def _forget(directory: str | Path, machine_file: str) -> None:
     """Remove an earlier result from the directory, so that none of it is taken for part of the next."""
-    for name in ("estimate.json", "report.html", "parameters.csv", "base_parameters.csv", "fit.csv", machine_file):
+    for name in ("estimate.json", "report.html", "parameters.csv", "base_parameters.csv", "fit.csv", "residuals.csv",
+                 machine_file):
         with contextlib.suppress(OSError):  # not there, or the directory is no directory, which writing will say
             (Path(directory) / name).unlink()
 
 
-def save_failure(problem: Problem, method: str, error: HydrooptError, directory: str | Path) -> dict[str, Any]:
+def save_calibration(calibration: Calibration, directory: str | Path, *, wall_s: float = float("nan"), seed: int = 0,
+                     before: Calibration | None = None) -> dict[str, Any]:
+    """Write everything about a kinematic calibration; each file appears complete or not at all, estimate.json last.
+
+    Args:
+        calibration: what to write.
+        directory: created if need be.
+        wall_s: how long it took.
+        seed: of its starts, and of the workspace that the report shows.
+        before: the calibration with all poses, if those that did not fit were left out.
+
+    Returns:
+        The content of estimate.json.
+
+    Raises:
+        ProblemError: the directory cannot be written.
+    """
+    appraisal = Appraisal(calibration, before, seed)
+    content = calibration_as_dict(appraisal, wall_s)
+    machine_file = f"{calibration.problem.model.machine.name}.toml"
+    files = {"report.html": calibration_page.render(appraisal),
+             "parameters.csv": _csv([_flat(row) for row in content["parameters"]]),
+             "fit.csv": _fit_csv(content["fit"]), "residuals.csv": _csv(_residual_rows(appraisal))}
+    if appraisal.machine_text[0]:
+        files[machine_file] = appraisal.machine_text[0]
+    _forget(directory, machine_file)
+    write_files(directory, files | {"estimate.json": json.dumps(content, indent=1, allow_nan=False)})
+    return content
+
+
+def save_failure(problem: Problem | CalibrationProblem, method: str, error: HydrooptError,
+                 directory: str | Path) -> dict[str, Any]:
     """Write an estimate.json that says why there is no estimate; nothing else.
 
     Raises:
@@ -106,12 +142,10 @@ def as_dict(estimate: Estimate, wall_s: float = float("nan")) -> dict[str, Any]:
             for k, name in enumerate(parameters.names)]
     base = [{"expression": seen.expression(i), "unit": parameters.units[seen.basis[i]],
              "value": _number(estimate.base_value[i]), "std": _number(estimate.base_std[i])} for i in range(seen.rank)]
-    fit = {data: {channel: {"rms": _number(one.rms), "vaf": _number(one.vaf), "relative": _number(one.relative),
-                            "unit": one.unit} for channel, one in table.items()}
-           for data, table in estimate.fit.items()}
     structure, model = estimate.structure, estimate.problem.model
     return _origin(estimate.problem, estimate.method) | {
-        "status": estimate.status, "parameters": rows, "base_parameters": base, "fit": fit,
+        "status": estimate.status, "parameters": rows, "base_parameters": base,
+        "fit": _fits(estimate.fit),
         "conditioning": {"rank": seen.rank, "condition_number": _number(seen.condition_number),
                          "parameters": len(estimate.problem.parameters), "structural_rank": structure.rank,
                          "structurally_identifiable": structure.count("full"),
@@ -126,14 +160,81 @@ def as_dict(estimate: Estimate, wall_s: float = float("nan")) -> dict[str, Any]:
         "seed": estimate.seed, "wall_s": _number(wall_s)}
 
 
-def _origin(problem: Problem, method: str) -> dict[str, Any]:
-    machine = problem.model.machine
+def calibration_as_dict(appraisal: Appraisal, wall_s: float = float("nan")) -> dict[str, Any]:
+    """The content of a calibration's estimate.json; numbers that do not exist are null."""
+    c, seen = appraisal.calibration, appraisal.calibration.seen
+    rank = len(seen.names) - seen.unseen.shape[1]
+    std = 1e3 * appraisal.workspace.std[np.isfinite(appraisal.workspace.std)]
+    return _origin(c.problem if appraisal.before is None else appraisal.before.problem, c.method) | {
+        "status": c.status, "parameters": [_calibrated(c, k) for k in range(len(c.theta))], "base_parameters": [],
+        "combinations": [{"parameters": list(group)} for group in appraisal.combinations], "fit": _fits(c.fit),
+        "conditioning": {"rank": rank, "condition_number": _number(seen.condition_number),
+                         "noise_amplification_index": _number(seen.noise_amplification_index),
+                         "parameters": len(seen.names),
+                         "degrees_of_freedom": int(c.at.rank.sum()) + len(c.problem.distances.length) - rank},
+        "noise_scale": _number(c.noise_scale), "suspects": [_suspect(c.problem.poses, s) for s in c.suspects],
+        "left_out": [_suspect(appraisal.before.problem.poses, s) for s in appraisal.left_out if appraisal.before],
+        "uniqueness": c.uniqueness,
+        "tip_uncertainty": {"point": appraisal.workspace.point,
+                            "median_mm": float(np.median(std)) if std.size else None,
+                            "max_mm": float(np.max(std)) if std.size else None},
+        "physical_consistency": {}, "doubts": list(appraisal.doubts), "seed": appraisal.seed, "wall_s": _number(wall_s)}
+
+
+def _calibrated(c: Calibration, k: int) -> dict[str, Any]:
+    """One parameter; without a value where neither the poses nor a prior tell it."""
+    parameters = c.problem.parameters
+    name, unit = parameters.names[k], parameters.units[k]
+    told, other, correlation = True, "", float("nan")
+    if c.problem.free[k]:
+        at = c.seen.names.index(name)
+        told = bool(np.isfinite(c.seen.covariance[at, at]))
+        other, correlation = c.seen.strongest(at)
+    bound = None
+    if c.at_bound[k]:
+        low = c.theta[k] - parameters.lower[k] < parameters.upper[k] - c.theta[k]
+        bound = f"{name} {'>=' if low else '<='} {parameters.lower[k] if low else parameters.upper[k]:.9g} {unit}"
+    return {"name": name, "unit": unit, "nominal": float(parameters.nominal[k]),
+            "value": float(c.theta[k]) if told else None, "std": _number(c.std[k]) if told else None,
+            "ci95": [float(v) for v in c.ci95[k]] if told and np.all(np.isfinite(c.ci95[k])) else None,
+            "bound": bound, "identifiability": c.category(name),
+            "correlated_with": {"name": other, "correlation": correlation} if np.isfinite(correlation) else None}
+
+
+def _suspect(poses: Poses, suspect: Suspect) -> dict[str, Any]:
+    """`rows` are the files' data rows, `poses` the positions from 1 among the poses of this role."""
+    return {"kind": suspect.kind, "name": suspect.name, "text": suspect.text, "strength": _number(suspect.strength),
+            "rows": poses.row[suspect.poses].tolist(), "poses": (np.flatnonzero(suspect.poses) + 1).tolist(),
+            "paths": list(dict.fromkeys(map(str, poses.file[suspect.poses])))}
+
+
+def _residual_rows(appraisal: Appraisal) -> list[dict[str, Any]]:
+    """One row per pose: what it leaves open [m] at the nominal and at the calibrated geometry."""
+    rows = []
+    channels = list(dict.fromkeys(channel for part in appraisal.residuals for channel in part.after))
+    nothing = np.array(np.nan)
+    for part in appraisal.residuals:
+        for k in range(len(part.poses)):
+            poses = part.poses
+            row: dict[str, Any] = {"data": part.role, "path": str(poses.file[k]), "row": int(poses.row[k]),
+                                   "stage": str(poses.stage[k]), "fixture": str(poses.fixture[k]),
+                                   "pose": str(poses.pose[k]),
+                                   "suspect": int(part.role == "train" and appraisal.suspicious[k])}
+            for channel in channels:
+                for when, table in (("before", part.before), ("after", part.after)):
+                    row[f"{channel}_{when} [m]"] = _number(table[channel][k] if channel in table else nothing)
+            rows.append(row)
+    return rows
+
+
+def _origin(problem: Problem | CalibrationProblem, method: str) -> dict[str, Any]:
+    machine: Machine = problem.model.machine
     packages = ("hydroopt", "casadi", "clarabel", "cvxpy", "numpy", "scipy")
+    inputs = ([_input(e, "train") for e in problem.experiments] + [_input(e, "validation") for e in problem.validation]
+              if isinstance(problem, Problem) else _tables(problem))
     return {"schema": SCHEMA, "machine": {"name": machine.name, "parameter_set": machine.parameter_set,
                                           "sha256": machine.sha256},
-            "inputs": [_input(e, "train") for e in problem.experiments] + [_input(e, "validation")
-                                                                          for e in problem.validation],
-            "method": method,
+            "inputs": inputs, "method": method,
             "versions": {"python": platform.python_version()} | {p: metadata.version(p) for p in packages}}
 
 
@@ -142,6 +243,33 @@ def _input(data: Experiment, role: str) -> dict[str, Any]:
     return {"path": log.path or log.name, "sha256": log.sha256 or None, "samples": len(log.t), "role": role,
             "first_sample": int(log.sample[0]), "last_sample": int(log.sample[-1]),
             "findings": [f.text for f in log.findings], "notes": list(data.notes)}
+
+
+def _tables(problem: CalibrationProblem) -> list[dict[str, Any]]:
+    roles = (("train", problem.poses), ("validation", problem.validation))
+    return [{"path": path or poses.name, "sha256": poses.sha256.get(path), "samples": int(np.sum(poses.file == path)),
+             "role": role, "findings": []}
+            for role, poses in roles if poses is not None for path in dict.fromkeys(map(str, poses.file))]
+
+
+def _fits(fit: Mapping[str, Mapping[str, Fit]]) -> dict[str, dict[str, dict[str, Any]]]:
+    return {data: {channel: {"rms": _number(one.rms), "vaf": _number(one.vaf), "relative": _number(one.relative),
+                             "unit": one.unit} for channel, one in table.items()} for data, table in fit.items()}
+
+
+def _fit_csv(fit: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
+    return _csv([{"data": data, "channel": channel, **one} for data, table in fit.items()
+                 for channel, one in table.items()])
+
+
+def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
+    """A parameter without nested values."""
+    flat = dict(row)
+    flat |= dict(zip(("low", "high"), flat.pop("ci95") or (None, None), strict=True))
+    if "correlated_with" in flat:
+        partner = flat.pop("correlated_with") or {"name": None, "correlation": None}
+        flat |= {"correlated_with": partner["name"], "correlation": partner["correlation"]}
+    return flat
 
 
 def _csv(rows: Sequence[Mapping[str, Any]]) -> str:

@@ -58,11 +58,8 @@ def render(estimate: Estimate, doubts: Sequence[str]) -> str:
         estimate: what to report.
         doubts: what a reader should know before trusting it, in plain words.
     """
-    page = files("hydroopt.report").joinpath("report.html").read_text(encoding="utf-8")
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
-                                     lstrip_blocks=True)
     problem = estimate.problem
-    return environment.from_string(page).render(
+    return page("report.html").render(
         machine=problem.model.machine, estimate=estimate, doubts=list(doubts), method=METHODS.get(estimate.method, ""),
         failed=estimate.status != "ok", fit=_fit(estimate), weights=_weights(estimate), groups=_groups(estimate),
         base=_base(estimate), figures=_figures(estimate), condition=plain(estimate.seen.condition_number, 3),
@@ -73,6 +70,13 @@ def render(estimate: Estimate, doubts: Sequence[str]) -> str:
         constraints=[c.name for c in problem.constraints],
         priors=[f"{p.name}: {plain(p.value, 5)} ± {plain(p.sigma, 2)}" for p in problem.priors],
         fixed=[f"{name} = {plain(value, 5)}" for name, value in problem.fixed.items()])
+
+
+def page(name: str) -> jinja2.Template:
+    """A template that lies beside this file; all share one style."""
+    loader = jinja2.FunctionLoader(lambda part: files("hydroopt.report").joinpath(part).read_text(encoding="utf-8"))
+    return jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
+                              loader=loader).get_template(name)
 
 
 def _figures(estimate: Estimate) -> dict[str, Markup]:

@@ -1,0 +1,1 @@
+"""What to measure: poses and motions that tell most about the parameters."""

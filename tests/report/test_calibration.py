@@ -1,0 +1,249 @@
+"""What a kinematic calibration leaves behind: strict, consistent with the answer, legible, or not there at all."""
+
+from __future__ import annotations
+
+import csv
+import json
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from hydroopt import cli, postures
+from hydroopt.description import load_machine
+from hydroopt.errors import MachineError, SolverError
+from hydroopt.estimation.appraisal import Appraisal
+from hydroopt.estimation.calibration import Calibration, calibrate, gaps
+from hydroopt.estimation.closure import calibration_problem
+from hydroopt.model.loops import KinematicModel
+from hydroopt.report import folder
+from hydroopt.signals.poses import Poses
+
+ROOT = Path(__file__).parents[2]
+MUKCA = ROOT / "data/mukca_panda_2"
+CONTRACT = {"schema", "machine", "inputs", "method", "status", "parameters", "base_parameters", "combinations", "fit",
+            "conditioning", "noise_scale", "suspects", "left_out", "uniqueness", "tip_uncertainty",
+            "physical_consistency", "versions", "seed", "wall_s", "doubts"}
+FILES = {"estimate.json", "report.html", "parameters.csv", "fit.csv", "residuals.csv", "cat215b.toml"}
+SECTIONS = ("What is in doubt", "Fit", "Closed chain", "Parameters", "Accuracy over the workspace", "Conditioning",
+            "Data", "Method")
+FIGURES = ("residuals", "chain", "changes", "correlations", "workspace")
+
+
+def table(count: int, seed: int, scale: float = 0.3) -> Poses:
+    """Poses of a machine whose shape differs a little from the file's, with one pose that was read wrongly."""
+    machine = load_machine("cat215b")
+    model = KinematicModel(machine)
+    away = np.random.default_rng(7).standard_normal(len(model.parameters))
+    geometry = model.parameters.nominal + scale * away * model.parameters.scale * np.array(
+        ["cylinder" not in name for name in model.parameters.names])
+    fixture = np.array(machine.fixtures[0].position)
+    q = [postures.random_postures(model, stage, count, geometry=geometry, fixture=fixture, seed=seed + k)
+         for k, stage in enumerate(machine.stages)]
+    stages = [stage.name for stage in machine.stages for _ in range(count)]
+    return postures.record(model, np.concatenate(q), stages, ["ball"] * len(stages), geometry=geometry, seed=seed)
+
+
+@pytest.fixture(scope="module")
+def solved() -> Calibration:
+    poses = table(15, 1)
+    wrong = dict(poses.channels) | {"yoke.q": poses.channels["yoke.q"] + 0.02 * (np.arange(45) == 20)}
+    poses = Poses("made", poses.stage, poses.fixture, channels=wrong)
+    return calibrate(calibration_problem(load_machine("cat215b"), poses, table(4, 50), fixed={"ball.y": 0.0}))
+
+
+@pytest.fixture(scope="module")
+def left(solved: Calibration, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    place = tmp_path_factory.mktemp("calibration") / "new"
+    folder.save_calibration(solved, place, wall_s=2.5, seed=3)
+    return place
+
+
+def read(place: Path) -> dict[str, Any]:
+    def refuse(constant: str) -> None:
+        raise AssertionError(f"{constant} is not JSON")
+    found: dict[str, Any] = json.loads((place / "estimate.json").read_text("utf-8"), parse_constant=refuse)
+    return found
+
+
+def rows(file: Path) -> list[dict[str, str]]:
+    with file.open(encoding="utf-8", newline="") as lines:
+        return list(csv.DictReader(lines))
+
+
+def test_files_are_complete_and_the_machine_reads_back(left: Path, solved: Calibration) -> None:
+    assert {file.name for file in left.iterdir()} == FILES
+    machine = load_machine(left / "cat215b.toml")
+    assert machine.link("boom").joint.a == solved["boom.a"]
+    assert machine.notes["boom.joint.a"].sigma == pytest.approx(solved.std[solved.problem.parameters.index("boom.a")])
+
+
+def test_json_is_what_was_agreed(left: Path) -> None:
+    content = read(left)
+    assert set(content) == CONTRACT
+    assert (content["method"], content["status"], content["seed"], content["wall_s"]) == ("joint", "ok", 3, 2.5)
+    for one in content["parameters"]:
+        assert set(one) == {"name", "unit", "nominal", "value", "std", "ci95", "bound", "identifiability",
+                            "correlated_with"}
+        assert one["identifiability"] in {"full", "combination", "none", "fixed"}
+        assert one["ci95"] is None or one["ci95"][0] < one["value"] < one["ci95"][1]
+        partner = one["correlated_with"]
+        assert partner is None or (set(partner) == {"name", "correlation"} and abs(partner["correlation"]) <= 1)
+    assert set(content["conditioning"]) == {"rank", "condition_number", "noise_amplification_index", "parameters",
+                                            "degrees_of_freedom"}
+    assert set(content["tip_uncertainty"]) == {"point", "median_mm", "max_mm"}
+    assert 0 < content["tip_uncertainty"]["median_mm"] <= content["tip_uncertainty"]["max_mm"]
+    assert {one["role"]: one["samples"] for one in content["inputs"]} == {"train": 45, "validation": 12}
+    assert (content["base_parameters"], content["physical_consistency"]) == ([], {})
+    assert all(doubt.endswith(".") and doubt[0].isupper() for doubt in content["doubts"])
+
+
+def test_numbers_are_those_of_the_answer(left: Path, solved: Calibration) -> None:
+    content = read(left)
+    for k, one in enumerate(content["parameters"]):
+        assert (one["name"], one["value"]) == (solved.problem.parameters.names[k], solved.theta[k])
+        assert one["std"] == (None if np.isnan(solved.std[k]) else solved.std[k])
+        assert one["identifiability"] == solved.category(one["name"])
+    by_name = {one["name"]: one for one in content["parameters"]}
+    assert (by_name["ball.y"]["value"], by_name["ball.y"]["identifiability"], by_name["ball.y"]["std"]) == (
+        0.0, "fixed", None)
+    assert by_name["boom_cylinder.barrel.x"]["identifiability"] == "none"  # the prior tells it, the poses do not
+    assert content["noise_scale"] == solved.noise_scale
+    for data, one in content["fit"].items():
+        assert {key: one["gap"][key] for key in ("rms", "vaf", "unit")} == {
+            "rms": solved.fit[data]["gap"].rms, "vaf": solved.fit[data]["gap"].vaf, "unit": "m"}
+    assert {(row["data"], float(row["rms"])) for row in rows(left / "fit.csv")} == {
+        (data, one["gap"]["rms"]) for data, one in content["fit"].items()}
+    table_of = rows(left / "parameters.csv")
+    assert [row["value"] for row in table_of] == [repr(one["value"]) for one in content["parameters"]]
+
+
+def test_the_wrong_pose_is_among_the_suspects(left: Path) -> None:
+    content = read(left)
+    named = {row for one in content["suspects"] if one["kind"] in ("stage", "stretch", "pose") for row in one["rows"]}
+    assert 21 in named
+    assert {k + 1 for k, row in enumerate(rows(left / "residuals.csv")) if row["suspect"] == "1"} == named
+    for one in content["suspects"]:
+        assert set(one) == {"kind", "name", "text", "strength", "rows", "poses", "paths"}
+        assert any(one["text"][1:] in doubt for doubt in content["doubts"])
+
+
+def test_residuals_are_those_of_every_pose(left: Path, solved: Calibration) -> None:
+    found = rows(left / "residuals.csv")
+    assert [row["data"] for row in found] == ["train"] * 45 + ["validation"] * 12
+    own = np.linalg.norm(gaps(solved.problem, solved.theta, solved.q)[:, :3], axis=1)
+    assert [float(row["gap_after [m]"]) for row in found[:45]] == pytest.approx(own)
+    for data, before in (("train", "nominal"), ("validation", None)):
+        some = [row for row in found if row["data"] == data]
+        size = np.sqrt(np.mean([float(row["gap_after [m]"]) ** 2 for row in some]))
+        assert size == pytest.approx(solved.fit[data]["gap"].rms)
+        if before:
+            size = np.sqrt(np.mean([float(row["gap_before [m]"]) ** 2 for row in some]))
+            assert size == pytest.approx(solved.fit[before]["gap"].rms)
+    assert found[20]["stage"] == solved.problem.poses.stage[20]
+
+
+def test_page_stands_alone(left: Path) -> None:
+    text = (left / "report.html").read_text("utf-8")
+    for section in SECTIONS:
+        assert f"<h2>{section}</h2>" in text
+    for figure in FIGURES:
+        assert f'aria-label="{figure}"' in text
+    assert not re.search(r'(?:src|href)="(?!#|data:)', text)
+    assert not re.search(r"url\((?!#)", text)
+    assert "<script" not in text
+    assert re.search(r"\bnan\b", re.sub(r"<svg.*?</svg>", "", text, flags=re.DOTALL)) is None
+
+
+def test_what_nothing_tells_has_no_number() -> None:
+    machine = load_machine("cat215b")
+    poses = table(10, 5)
+    content = folder.calibration_as_dict(Appraisal(calibrate(calibration_problem(machine, poses, priors=False))))
+    by_name = {one["name"]: one for one in content["parameters"]}
+    lost = by_name["boom_cylinder.barrel.x"]
+    assert (lost["value"], lost["std"], lost["ci95"], lost["identifiability"]) == (None, None, None, "none")
+    unknown = [one for one in content["parameters"] if one["value"] is None]
+    assert all(one["identifiability"] in {"none", "combination"} for one in unknown)
+    assert any(doubt.startswith("Neither poses nor priors tell") for doubt in content["doubts"])
+    assert content["combinations"]
+    assert content["conditioning"]["rank"] < content["conditioning"]["parameters"]
+
+
+def test_impossible_geometry_is_not_written(solved: Calibration, tmp_path: Path,
+                                            monkeypatch: pytest.MonkeyPatch) -> None:
+    def refuse(*_: Any, **__: Any) -> None:
+        raise MachineError("a dead point lies in the range", where="the calibrated machine", remedy="widen it")
+    monkeypatch.setattr("hydroopt.estimation.appraisal.read_machine", refuse)
+    content = folder.save_calibration(solved, tmp_path)
+    assert {file.name for file in tmp_path.iterdir()} == FILES - {"cat215b.toml"}
+    assert any("No calibrated machine is written" in d and "a dead point" in d for d in content["doubts"])
+
+
+def run(*arguments: str) -> str:
+    done = CliRunner().invoke(cli.app, ["calibrate", *arguments], catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
+def mukca(*stages: str) -> list[str]:
+    return ["panda_mukca", *(str(MUKCA / stage / "hole_0.csv") for stage in stages), "--map", str(MUKCA / "map.toml")]
+
+
+def test_command_on_real_poses(tmp_path: Path) -> None:
+    arguments = mukca("front_center", "back_left", "mid_right")
+    content = json.loads(run(*arguments, "--holdout-stage", "back_left", "--json", "-o", str(tmp_path)))
+    assert content == read(tmp_path)
+    assert {Path(one["path"]).parent.name: one["role"] for one in content["inputs"]} == {
+        "front_center": "train", "mid_right": "train", "back_left": "validation"}
+    assert content["fit"]["train"]["gap"]["rms"] < 0.2 * content["fit"]["nominal"]["gap"]["rms"]
+    assert len(rows(tmp_path / "residuals.csv")) == sum(one["samples"] for one in content["inputs"])
+    assert (tmp_path / "report.html").exists()
+
+
+def test_command_leaves_out_what_does_not_fit(tmp_path: Path) -> None:
+    arguments = mukca("high", "front_center", "mid_right", "back_right")
+    text = run(*arguments, "--without-suspects", "--fix", "panda_joint5.compliance=0 rad/(N*m)", "-o", str(tmp_path))
+    content = read(tmp_path)
+    assert [one["name"] for one in content["left_out"] if one["kind"] == "stage"] == ["high"]
+    assert "were left out" in text
+    assert sum(one["samples"] for one in content["inputs"]) > len(rows(tmp_path / "residuals.csv"))
+    by_name = {one["name"]: one for one in content["parameters"]}
+    assert by_name["panda_joint5.compliance"]["identifiability"] == "fixed"
+    assert by_name["hole_0.high.x"]["value"] is None
+    assert not any("hole_0.high" in doubt for doubt in content["doubts"])
+
+
+@pytest.mark.parametrize(("options", "said"), [
+    (("--method", "magic"), "no method"), (("--loss", "cubes"), "no loss"), (("--fix", "ball.y"), "NAME=VALUE"),
+    (("--fix", "tip.x=1 rad"), "rad"), (("--fix", "tip.q=1 m"), "did you mean tip"),
+    (("--holdout-stage", "nowhere"), "no pose is of stage"), (("--holdout-stage", "high"), "no pose is left"),
+    (("--starts", "0"), "--starts"), (("--validate", "missing.csv"), "missing.csv")])
+def test_wrong_options_end_in_one_sentence(options: tuple[str, ...], said: str, tmp_path: Path,
+                                           capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(sys, "argv", ["hydroopt", "calibrate", *mukca("high"), *options, "-o", str(tmp_path / "new")])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 2
+    sentence = capsys.readouterr().err.strip().splitlines()
+    assert len(sentence) == 1
+    assert said in sentence[0]
+    assert not (tmp_path / "new").exists()
+
+
+def test_a_failed_solver_leaves_its_reason(tmp_path: Path, capsys: pytest.CaptureFixture[str],
+                                           monkeypatch: pytest.MonkeyPatch) -> None:
+    def fail(*_: Any, **__: Any) -> None:
+        raise SolverError("no convergence", where="IPOPT", remedy="check the poses")
+    monkeypatch.setattr(cli, "solve_calibration", fail)
+    monkeypatch.setattr(sys, "argv", ["hydroopt", "calibrate", *mukca("high"), "-o", str(tmp_path)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 3
+    assert "no convergence" in capsys.readouterr().err
+    content = read(tmp_path)
+    assert (content["status"], content["reason"]) == ("failed", "IPOPT: no convergence; check the poses.")
+    assert [file.name for file in tmp_path.iterdir()] == ["estimate.json"]
