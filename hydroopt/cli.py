@@ -1,4 +1,4 @@
-"""The command `hydroopt`: show, simulate, identify, calibrate."""
+"""The command `hydroopt`: show, simulate, identify, calibrate, excite."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from hydroopt import identifiability, synthetic
+from hydroopt import synthetic
 from hydroopt.description import load_machine
 from hydroopt.errors import HydrooptError, LogError, ProblemError, SolverError
 from hydroopt.estimation.appraisal import leavable
@@ -28,10 +28,12 @@ from hydroopt.estimation.experiment import reading
 from hydroopt.estimation.problem import Loss, identification_problem
 from hydroopt.estimation.solve import METHODS, Method, solve
 from hydroopt.estimation.verdict import doubts
+from hydroopt.excitation.poses import plan_poses
 from hydroopt.machine import Machine
 from hydroopt.model.build import Model
 from hydroopt.parts import Cylinder, Motor
 from hydroopt.report import folder
+from hydroopt.report.facts import machine_facts
 from hydroopt.signals.conditioning import Butterworth, Fourier, Smoothing, SmoothingSpline, condition
 from hydroopt.signals.log import Log, read_log
 from hydroopt.signals.poses import Poses, joined, read_pose_files
@@ -62,58 +64,24 @@ def _progress(what: str, quiet: bool) -> Iterator[Callable[[str], None]]:
 def show(machine: MachineName, parameter_set: ParameterSetName = None, as_json: AsJson = False) -> None:
     """Show a machine: links, actuators with their geometry, sensors, and which parameters a motion can reveal."""
     described = load_machine(machine, parameter_set=parameter_set)
-    model = Model(described)
-    found = identifiability.structural(model)
-    cylinders = [_cylinder_facts(model, k) for k in range(len(described.cylinders))]
-    known = model.parameters.information.diagonal() > 0
-    parameters = [{"name": name, "unit": unit, "nominal": float(value), "prior_std": float(scale) if prior else None,
-                   "identifiability": category}
-                  for name, unit, value, scale, prior, category in zip(
-                      model.parameters.names, model.parameters.units, model.parameters.nominal, model.parameters.scale,
-                      known, found.category, strict=True)]
-    sensors = [{"channel": channel, "unit": described.channel_units[channel], "std": sensor.std, "rate_hz": sensor.rate}
-               for sensor in described.sensors for channel in sensor.channels]
-    facts = {"machine": {"name": described.name, "parameter_set": described.parameter_set, "sha256": described.sha256,
-                         "description": described.description},
-             "joints": [_joint_facts(described, name) for name in described.joints], "cylinders": cylinders,
-             "channels": described.channel_units, "sensors": sensors, "parameters": parameters,
-             "identifiability": {"rank": found.rank, "full": found.count("full"),
-                                 "combination": found.count("combination"), "none": found.count("none")}}
+    facts = machine_facts(described)
     if as_json:
         typer.echo(json.dumps(facts, indent=1))
         return
     console = Console()
     console.print(f"[bold]{described.name}[/bold] {escape(described.description)}")
-    console.print(_table("Joints", facts["joints"]), _table("Cylinders", [_cylinder_row(c) for c in cylinders]),
-                  _table("Sensors (standard deviation of a reading)", sensors), _table("Parameters", parameters))
-    console.print(f"Of {len(parameters)} parameters a motion without noise shows {found.count('full')} alone and "
-                  f"{found.count('combination')} in combination ({found.rank} base parameters); {found.count('none')} "
-                  "leave no trace.")
-
-
-def _joint_facts(machine: Machine, name: str) -> dict[str, Any]:
-    joint = machine.link(name).joint
-    turn = joint.type == "revolute"
-    unit, factor = ("deg", 180 / math.pi) if turn else ("m", 1.0)
-    actuator = machine.actuators[machine.joints.index(name)].name
-    return {"joint": name, "type": joint.type, "actuator": actuator, "unit": unit,
-            "lower": round(factor * (joint.lower or 0.0), 4), "upper": round(factor * (joint.upper or 0.0), 4)}
-
-
-def _cylinder_facts(model: Model, k: int) -> dict[str, Any]:
-    """Areas, and length and lever arm over the range of the joint that the cylinder moves, others at mid-range."""
-    machine = model.machine
-    cylinder = machine.cylinders[k]
-    joint = machine.axis_of(cylinder)
-    q = np.tile([sum(machine.link(name).joint.range) / 2 for name in machine.joints], (181, 1))
-    q[:, machine.joints.index(joint)] = np.linspace(*machine.link(joint).joint.range, 181)
-    length, _, _, lever, _ = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)
-    lengths, arms = length[:, k, 0], lever[:, k, machine.joints.index(joint)]
-    head, rod = cylinder.areas
-    return {"cylinder": cylinder.name, "joint": joint, "head_area_cm2": round(1e4 * head, 3),
-            "rod_area_cm2": round(1e4 * rod, 3), "length_min_m": round(float(lengths.min()), 4),
-            "length_max_m": round(float(lengths.max()), 4), "lever_arm_min_m": round(float(arms.min()), 4),
-            "lever_arm_max_m": round(float(arms.max()), 4)}
+    console.print(_table("Joints", facts["joints"]),
+                  _table("Cylinders", [_cylinder_row(cylinder) for cylinder in facts["cylinders"]]),
+                  _table("Sensors (standard deviation of a reading)", facts["sensors"]),
+                  _table("Parameters", facts["parameters"]))
+    seen = facts["identifiability"]
+    console.print(f"Of {len(facts['parameters'])} parameters a motion without noise shows {seen['full']} alone and "
+                  f"{seen['combination']} in combination ({seen['rank']} base parameters); {seen['none']} leave "
+                  "no trace.")
+    if lines := facts["calibration"]["lines"]:
+        console.print("[bold]Kinematic calibration[/bold]")
+        for line in lines:
+            console.print(escape(line), soft_wrap=True)
 
 
 def _cylinder_row(facts: dict[str, Any]) -> dict[str, Any]:
@@ -330,6 +298,34 @@ def _fixed(problem: CalibrationProblem, stated: Sequence[str]) -> CalibrationPro
             raise ProblemError(f"'{text}' is not NAME=VALUE", where="--fix", remedy="write e.g. --fix 'ball.y=0 m'")
         values[name] = to_si(value, problem.parameters.units[problem.parameters.index(name)], where=f"--fix {name}")
     return problem.fixing(**values)
+
+
+@app.command()
+def excite(
+    machine: MachineName,
+    output: Directory,
+    poses: Annotated[int, typer.Option(help="Poses to measure in each stage.", min=1)],
+    focus: Annotated[list[str] | None, typer.Option(help="A parameter that matters most; repeatable.")] = None,
+    seed: Annotated[int, typer.Option(help="Of the postures to choose from.", min=0)] = 0,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Plan the poses of a kinematic calibration: DIR gets sheet.txt, poses.csv and plan.json."""
+    described = load_machine(machine)
+    with _progress(f"choosing poses for {described.name}", quiet):
+        plan = plan_poses(described, poses, focus=focus or (), seed=seed)
+    content = {"machine": {"name": described.name, "sha256": described.sha256}, "poses": len(plan.q), "seed": seed,
+               "expected": [{"name": name, "unit": unit, "std": float(std) if math.isfinite(std) else None}
+                            for name, unit, std in zip(plan.names, plan.units, plan.std, strict=True)],
+               "condition_number": plan.condition_number, "log_det": plan.log_det,
+               "noise_amplification_index": plan.noise_amplification_index}
+    folder.write_files(output, {"sheet.txt": plan.sheet()})
+    plan.write(output / "poses.csv")
+    folder.write_files(output, {"plan.json": json.dumps(content, indent=1, allow_nan=False)})
+    if as_json:
+        typer.echo(json.dumps(content, indent=1))
+    elif not quiet:
+        typer.echo(plan.sheet())
 
 
 def _reliefs(machine: Machine) -> dict[str, tuple[float, float]]:

@@ -15,6 +15,7 @@ from hydroopt.estimation import hierarchical, joint
 from hydroopt.estimation.closure import CalibrationProblem, calibration_problem
 from hydroopt.estimation.diagnosis import Suspect, diagnose
 from hydroopt.estimation.estimate import Fit
+from hydroopt.estimation.misreading import refuse_misread
 from hydroopt.estimation.observability import Linearised, Observability, linearise, observability
 from hydroopt.inertia import Array
 from hydroopt.machine import Machine
@@ -132,6 +133,7 @@ def calibrate(problem: CalibrationProblem, method: str = "joint", *, starts: int
     parameters = problem.parameters
     _refuse_too_few(problem)
     _refuse_without_scale(problem)
+    refuse_misread(problem, guess_unsensed)
     answers: list[tuple[float, Array, Array]] = []
     failed = 0
     for k in range(starts):

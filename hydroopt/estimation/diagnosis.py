@@ -23,6 +23,12 @@ LARGER = 2.0
 """How many times the others' typical error a stage must show: smaller differences are the model's, not the stage's."""
 BEYOND = 3.0
 """How many times its stated standard deviation a sensor must be off: less is what was stated."""
+TURNED = 0.05
+"""Range of angles [rad] over the poses from which on a joint counts as turning."""
+TILTED = 0.05
+"""Sine of the angle between two axes below which they count as parallel."""
+SPLITS = 24
+"""Places in the poses of a fixture at which it is asked whether the fixture moved there."""
 SHORTEST = 5
 """Fewest poses that count as a stretch."""
 
@@ -45,8 +51,26 @@ def diagnose(problem: CalibrationProblem, q: Array, at: Linearised, seen: Observ
     stages = _stages(problem, square, rank)
     stretches = () if stages else _stretches(problem, square / typical, rank)
     taken = np.any([s.poses for s in (*stages, *stretches)], axis=0) if stages or stretches else np.zeros(len(q), bool)
-    return (*stages, *stretches, *_outliers(problem, square / typical, rank, taken),
+    return (*_one_plane(problem, q), *stages, *stretches, *_outliers(problem, square / typical, rank, taken),
             *_defects(problem, q, at, seen, typical))
+
+
+def _one_plane(problem: CalibrationProblem, q: Array) -> tuple[Suspect, ...]:
+    """All that turned between the poses turned about parallel axes."""
+    model = problem.model
+    closed = np.asarray(problem.at.present[:, :3].all(axis=1))
+    chain = model.closure_jacobian.sparsity_out(1)
+    moves = [k for k in range(len(model.joints)) if chain.has_nz(0, k) or chain.has_nz(1, k) or chain.has_nz(2, k)]
+    turning = [k for k in moves if np.any(closed) and np.ptp(q[closed, k]) > TURNED]
+    if len(turning) < 2:
+        return ()
+    axes = model.over(model.axes, model.parameters.nominal, q[closed])[0][:, :, turning]
+    across = np.linalg.norm(np.cross(axes, axes[:, :, :1], axis=1), axis=1)
+    if np.max(across) > TILTED:
+        return ()
+    return (Suspect("plane", "", closed, float(len(turning)), "all joints that turned between the poses have parallel "
+                    "axes, so that the poses lie in one plane and what stands across it is not told: measure poses "
+                    "that leave it"),)
 
 
 def _typical(square: Array, rank: NDArray[np.int64]) -> float:
@@ -129,6 +153,7 @@ def _defects(problem: CalibrationProblem, q: Array, at: Linearised, seen: Observ
     basis, s, _ = np.linalg.svd(stack, full_matrices=False)
     basis = basis[:, s > 1e-9 * s[0]] if s.size else basis
     residual = np.concatenate([at.residual.ravel(), at.shared_residual])
+    moved = _moved_fixtures(problem, at, basis, residual, typical)
     candidates = list(_candidates(problem, q))
     found = []
     for kind, joint, unit_change, poses, words in candidates:
@@ -154,7 +179,44 @@ def _defects(problem: CalibrationProblem, q: Array, at: Linearised, seen: Observ
         if joint not in named:  # what is wrong with a joint shows in all its columns; the strongest names it
             named[joint] = Suspect(kind, joint, poses, float(np.sqrt(drop)), words.format(
                 size=f"{np.degrees(abs(amount)):.3f} deg" if kind != "scale" else f"{100 * abs(amount):.2f} %"))
-    return tuple(named.values())
+    # a fixture that moved would accuse the sensors too
+    return tuple(moved) or tuple(named.values())
+
+
+def _moved_fixtures(problem: CalibrationProblem, at: Linearised, basis: Array, residual: Array,
+                    typical: float) -> list[Suspect]:
+    """Fixtures that stand elsewhere from some pose on: the position's columns, for the later poses alone."""
+    found = []
+    fixtures = problem.at.fixture
+    for columns in np.unique(fixtures[fixtures[:, 0] >= 0], axis=0):
+        rows = np.flatnonzero(np.all(fixtures == columns, axis=1))
+        best = (0.0, 0, 0.0)
+        splits = np.unique(np.linspace(SHORTEST, len(rows) - SHORTEST, SPLITS).astype(int))
+        for split in splits[splits > 0]:
+            later = np.zeros(at.jacobian.shape[0], dtype=bool)
+            later[rows[split:]] = True
+            step = (at.jacobian[:, :, columns] * later[:, None, None]).reshape(-1, 3)
+            step = np.vstack([step, np.zeros((len(residual) - len(step), 3))])
+            across = step - basis @ (basis.T @ step)
+            values, vectors = np.linalg.eigh(across.T @ across)
+            told = values > 1e-6 * values[-1]  # of a swing that is not sensed, not the way along its circle
+            along = -(vectors.T @ (across.T @ residual))[told] / values[told]
+            best = max(best, (float(np.sum(along**2 * values[told]) / typical), int(split),
+                              float(np.linalg.norm(along))))
+        if stats.chi2.sf(best[0], 3) < FALSE_ALARM / SPLITS and best[2] > _stated_gap(problem):
+            poses = np.zeros(len(fixtures), dtype=bool)
+            poses[rows[best[1] :]] = True
+            name = problem.parameters.names[columns[0]].removesuffix(".x")
+            found.append(Suspect("fixture", name, poses, float(np.sqrt(best[0])), f"the fixture '{name}' moved by "
+                                 f"about {1e3 * best[2]:.1f} mm before {_where(problem, poses)}"))
+    return found
+
+
+def _stated_gap(problem: CalibrationProblem) -> float:
+    """How far [m] stated errors let the tip miss its fixture."""
+    reach = sum(abs(link.joint.a) + abs(link.joint.d) for link in problem.model.machine.chain)
+    play = float(np.max(problem.row_sigma[:, :3], initial=0.0))
+    return float(np.hypot(np.max(problem.angle_sigma, initial=0.0) * reach, play))
 
 
 def _candidates(problem: CalibrationProblem, q: Array) -> Iterator[tuple[str, str, Array, NDArray[np.bool_], str]]:

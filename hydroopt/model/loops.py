@@ -45,6 +45,7 @@ class KinematicModel:
         tip: casadi.Function (g, q) -> ball's centre (3,) [m] in the base frame (Eq. 3.17).
         closure: (g, q, fixture (3,)) -> tip − fixture (3,) [m]: the loop's residual where all joints are known.
         far_ends: (g, q) -> far ends of the chain's links (3, number of links) [m] in the base frame.
+        axes: (g, q) -> directions of the joints' axes (3, n) in the base frame.
         lengths: (g, q) -> readings of the cylinders' length transducers (c,) [m] (Eq. 3.26 in space).
         observed: (g, q, fixture (3,)) -> all of the above that a pose table can hold, (m,), see `channels`.
     """
@@ -76,7 +77,10 @@ class KinematicModel:
         tracked = self._tracked(value, tip)
         self.observed = ca.Function("observed", [g, q, fixture], [ca.vertcat(tip - fixture, lengths, tracked, taped)],
                                     ["g", "q", "fixture"], ["observed"])
-        self._axis_frame = {name: self._before(value, poses, name) for name in self.joints}
+        frames = {name: self._before(value, poses, name) for name in self.joints}
+        self.axes = ca.Function("axes", [g, q], [ca.horzcat(*(frame.rotation[:, 2] for frame in frames.values()))],
+                                ["g", "q"], ["axes"])
+        self._axis_frame = frames
         self._symbols = g, q, tip
         self._maps: dict[tuple[int, int], ca.Function] = {}
 

@@ -423,3 +423,84 @@ def test_bad_poses_are_refused(model: KinematicModel, machine: Machine,
     with pytest.raises(ProblemError, match="no method"):
         calibrate(held(calibration_problem(machine, poses)), "guessing")
     assert len(joined([poses.select([0, 1]), poses.select([2])])) == 3
+
+
+def changed(poses: Poses, **channels: np.ndarray) -> Poses:
+    return Poses(name="odd", stage=poses.stage, fixture=poses.fixture, channels={**poses.channels, **channels})
+
+
+def test_degrees_given_as_radians_are_recognised(model: KinematicModel, machine: Machine,
+                                                 closed: tuple[np.ndarray, list[str]]) -> None:
+    poses = read(model, closed, 0)
+    odd = changed(poses, **{"yoke.q": np.degrees(poses.channels["yoke.q"])})
+    with pytest.raises(ProblemError, match=r"'yoke\.q' lies outside .* look like degrees given as radians"):
+        calibrate(held(calibration_problem(machine, odd)))
+
+
+def test_exchanged_columns_are_recognised(model: KinematicModel, machine: Machine,
+                                          closed: tuple[np.ndarray, list[str]]) -> None:
+    poses = read(model, closed, 0)
+    odd = changed(poses, **{"yoke.q": poses.channels["grapple.q"], "grapple.q": poses.channels["yoke.q"]})
+    with pytest.raises(ProblemError, match=r"'grapple\.q' and 'yoke\.q' seem to be exchanged"):
+        calibrate(held(calibration_problem(machine, odd)))
+
+
+def test_a_start_far_off_is_no_exchange(model: KinematicModel, machine: Machine,
+                                        closed: tuple[np.ndarray, list[str]]) -> None:
+    far = machine.model_copy(update={"links": tuple(
+        link.model_copy(update={"joint": link.joint.model_copy(update={"a": 1.1 * link.joint.a})})
+        for link in machine.links)})
+    solved = calibrate(held(calibration_problem(far, read(model, closed, None), priors=False)))
+    assert solved["boom.a"] == pytest.approx(5.18, abs=1e-8)
+
+
+def test_no_length_scale_is_refused(model: KinematicModel, machine: Machine,
+                                    closed: tuple[np.ndarray, list[str]]) -> None:
+    notes = dict(machine.notes)
+    assert machine.calibrator is not None
+    for link in (*machine.links, *machine.calibrator.links):
+        notes |= {f"{link.name}.joint.a": Note(sigma=0.1), f"{link.name}.joint.d": Note(sigma=0.1)}
+    loose = machine.model_copy(update={"notes": notes})
+    with pytest.raises(ProblemError, match="no length scale"):
+        calibrate(calibration_problem(loose, read(model, closed, None), priors=False))
+
+
+def test_a_fixture_that_moved_is_named(model: KinematicModel, machine: Machine,
+                                       closed: tuple[np.ndarray, list[str]]) -> None:
+    """The ball is pushed 30 mm along the machine in the middle of the last stage."""
+    q = closed[0].copy()
+    late = slice(2 * PER_STAGE + PER_STAGE // 2, None)
+    moved = np.array(machine.fixtures[0].position) + np.array([0.03, 0.0, 0.0])
+    q[late], good = postures.close(model, model.parameters.nominal, q[late], postures.sensed_joints(model), moved)
+    assert good.all()
+    solved = calibrate(held(calibration_problem(machine, read(model, (q, closed[1]), 0), priors=False)))
+    named = [s for s in solved.suspects if s.kind == "fixture"]
+    assert named, [s.text for s in solved.suspects]
+    assert named[0].name == "ball"
+    assert abs(int(np.argmax(named[0].poses)) - (2 * PER_STAGE + PER_STAGE // 2)) <= 6
+
+
+def test_poses_in_one_plane_are_named(model: KinematicModel, machine: Machine) -> None:
+    """Only parallel axes turn: the stick, sweeping, with the yoke and forearm of a calibrator that starts straight."""
+    stage = machine.stages[0].model_copy(update={"locked": {**machine.stages[0].locked, "grapple_swing": 0.0}})
+    flat = machine.model_copy(update={"stages": (stage,)})
+    assert flat.calibrator is not None
+    links = tuple(link.model_copy(update={"joint": link.joint.model_copy(update={
+        "alpha": {"grapple_swing": -np.pi / 2, "grapple": np.pi / 2}.get(link.name, 0.0), "d": 0.0,
+        "a": {"yoke": 2.0, "upper_arm": 2.0, "forearm": 1.5}.get(link.name, 0.0)})}) for link in flat.calibrator.links)
+    flat = flat.model_copy(update={"calibrator": flat.calibrator.model_copy(update={"links": links})})
+    planar = KinematicModel(flat)
+    fixture = np.array([2.16, -0.11, -0.84])
+    q = np.zeros((30, len(planar.joints)))
+    q[:, 1:3] = np.column_stack([np.full(30, np.radians(-27.8)), np.radians(np.linspace(60, 110, 30))])
+    q[:, 5:] = np.radians([20, 30, -40])
+    free = [planar.joints.index(name) for name in ("yoke", "upper_arm", "forearm")]
+    q, good = postures.close(planar, planar.parameters.nominal, q, free, fixture)
+    assert good.sum() > 20
+    flat = flat.model_copy(update={"fixtures": (flat.fixtures[0].model_copy(update={
+        "position": tuple(fixture), "play": 0.001}),)})
+    planar = KinematicModel(flat)
+    poses = postures.record(planar, q[good], ["stick_moves"] * good.sum(), ["ball"] * good.sum(),
+                            geometry=planar.parameters.nominal, seed=0)
+    solved = calibrate(calibration_problem(flat, poses))
+    assert [s.kind for s in solved.suspects][:1] == ["plane"]
