@@ -56,6 +56,12 @@ class Note(Noun):
     upper: float | None = None
     source: str = ""
 
+    def spread(self, *values: float) -> float | None:
+        """Standard deviation of a number, or of each of a vector's, a relative one of the largest; None if unstated."""
+        if self.sigma is None:
+            return None
+        return self.sigma * max(abs(value) for value in values) if self.relative else self.sigma
+
 
 class Body(Noun):
     """A rigid body: mass, centre of mass or first moment, inertia about either, in the owner's frame.

@@ -36,8 +36,11 @@ def test_machine_file_in_the_readme_is_valid() -> None:
     assert [n for n in names if n.startswith("lift_cylinder")] == ["lift_cylinder.f_coulomb", "lift_cylinder.f_viscous"]
 
 
-@pytest.mark.parametrize("command", re.findall(r"^    (hydroopt (?:show|simulate|identify|calibrate|excite) .*?)(?:\s+#.*)?$", README,
-                                               re.MULTILINE))
+COMMANDS = re.findall(r"^    (hydroopt (?:show|simulate|identify|calibrate|excite) .*?)(?:\s+#.*)?$", README,
+                      re.MULTILINE)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
 def test_commands_in_the_readme_parse(command: str) -> None:
     done = subprocess.run([sys.executable, "-m", *command.split()[:2], "--help"], capture_output=True, text=True,
                           check=False)

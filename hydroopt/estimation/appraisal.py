@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from hydroopt import geometry, postures
 from hydroopt.description import dump_machine, read_machine
 from hydroopt.errors import HydrooptError
-from hydroopt.estimation.calibration import Calibration, follow_unsensed, gaps, guess_unsensed, predicted
+from hydroopt.estimation.calibration import Calibration, fit_of, follow_unsensed, gaps, guess_unsensed, predicted
 from hydroopt.estimation.closure import CalibrationProblem
 from hydroopt.estimation.diagnosis import Suspect
+from hydroopt.estimation.estimate import Fit
 from hydroopt.inertia import Array
 from hydroopt.machine import BASE, Machine
 from hydroopt.model.loops import KinematicModel
@@ -155,8 +156,8 @@ class Appraisal:
     @cached_property
     def doubts(self) -> tuple[str, ...]:
         """Sentences, the gravest first; none if nothing is in doubt."""
-        said = (*self._left_out(), *self._suspects(), *self._prediction(), *self._noise(), *self._unseen(),
-                *self._priors(), *self._uniqueness(), *self._held(), *self._machine())
+        said = (*self._left_out(), *self._poses(), *self._suspects(), *self._prediction(), *self._noise(),
+                *self._unseen(), *self._priors(), *self._uniqueness(), *self._held(), *self._machine())
         return tuple(dict.fromkeys(said))
 
     def _left_out(self) -> Iterator[str]:
@@ -173,6 +174,25 @@ class Appraisal:
             else:
                 yield from (f"{text[0].upper()}{text[1:]}." for text in texts)
 
+    @cached_property
+    def _nominal_prediction(self) -> dict[str, Fit]:
+        problem = self.calibration.problem
+        return {} if problem.validation is None else fit_of(*predicted(problem, problem.start, problem.validation))
+
+    def _poses(self) -> Iterator[str]:
+        problem = self.calibration.problem
+        idle = ~problem.at.present.any(axis=1)
+        if np.any(idle):
+            yield (f"{int(idle.sum())} poses name no fixture and read nothing else, so that they were not used (data "
+                   f"rows {_some([str(row) for row in problem.poses.row[idle]], 5, ', ')}).")
+        held = np.column_stack([problem.at.reading, problem.at.target, problem.at.fixture])
+        labels = np.unique(problem.poses.stage, return_inverse=True)[1]
+        twice = len(held) - len(np.unique(np.column_stack([held, labels]), axis=0))
+        if twice:
+            yield (f"{twice} poses repeat others in every reading: if rows were copied, intervals are too narrow.")
+        if self.calibration.method != "joint":
+            yield "The link-by-link method gives no intervals: use the method 'joint' for them."
+
     def _prediction(self) -> Iterator[str]:
         fit = self.calibration.fit
         if "validation" not in fit:
@@ -180,9 +200,10 @@ class Appraisal:
                    "--holdout-stage.")
         for channel, held_out in fit.get("validation", {}).items():
             trained = fit["train"].get(channel)
-            if channel in fit["nominal"] and held_out.rms > fit["nominal"][channel].rms:
-                yield (f"Unseen poses fit worse after calibration than the training poses did before ({channel}: "
-                       f"{1e3 * held_out.rms:.3g} mm against {1e3 * fit['nominal'][channel].rms:.3g} mm).")
+            before = self._nominal_prediction.get(channel)
+            if before is not None and held_out.rms > before.rms:
+                yield (f"Unseen poses fit worse after calibration than before ({channel}: "
+                       f"{1e3 * held_out.rms:.3g} mm against {1e3 * before.rms:.3g} mm).")
             elif trained is not None and held_out.rms > 2 * trained.rms:
                 yield (f"Unseen poses leave {held_out.rms / trained.rms:.1f} times the error of the training poses "
                        f"({channel}): the geometry is overfitted, or they lie where it was not measured.")

@@ -23,8 +23,12 @@ from hydroopt.parts import Note
 
 CalibrationMethod = Literal["joint", "hierarchical"]
 METHODS: tuple[CalibrationMethod, ...] = get_args(CalibrationMethod)
+HOPELESS = 10.0
+"""How many times the stated errors must be exceeded for an answer to be doubtful as a whole."""
 SAME = 0.1
 """Distance in standard deviations within which two solutions are the same."""
+TIGHT = 1e-11
+"""Gap [m] of a loop that counts as closed."""
 STEPS = 20
 """Steps of Newton's method towards the unsensed angles of the nominal machine."""
 GUESSES = 24
@@ -65,8 +69,13 @@ class Calibration:
 
     @cached_property
     def std(self) -> Array:
-        """(P,) standard deviations; NaN where neither data nor priors tell, at a bound, or where a value was fixed."""
+        """(P,) standard deviations; NaN where neither data nor priors tell, at a bound, or where a value was fixed.
+
+        All are NaN for the link-by-link method, which weighs nothing and whose errors add up from stage to stage.
+        """
         std = np.full(len(self.theta), np.nan)
+        if self.method != "joint":
+            return std
         std[self.problem.free] = self.seen.std * max(1.0, self.noise_scale)
         std[~np.isfinite(std) | self.at_bound] = np.nan
         return std
@@ -131,6 +140,10 @@ def calibrate(problem: CalibrationProblem, method: str = "joint", *, starts: int
         problem = problem.fixing(**{name: 0.0 for name in problem.parameters.names if ".drift." in name})
     rng = np.random.default_rng(seed)
     parameters = problem.parameters
+    if not np.any(problem.free):
+        raise ProblemError("no number of the geometry states a confidence, so that nothing is calibrated",
+                           where=f"machine '{problem.model.machine.name}'",
+                           remedy="give a 'sigma' to the lengths, angles and pins that are in doubt")
     _refuse_too_few(problem)
     _refuse_without_scale(problem)
     refuse_misread(problem, guess_unsensed)
@@ -149,24 +162,26 @@ def calibrate(problem: CalibrationProblem, method: str = "joint", *, starts: int
         answers.append((_cost(problem, theta, q), theta, q))
     answers.sort(key=lambda answer: answer[0])
     _, theta, q = answers[0]
-    at = linearise(problem, theta, q)
+    at = linearise(problem, theta, closed_angles(problem, theta, q))
     seen = observability(problem, at)
-    freedom = int(at.rank.sum()) + len(problem.distances.length) - (len(seen.names) - seen.unseen.shape[1])
-    scale = float(np.sqrt(at.pose_square.sum() / freedom)) if freedom > 0 else float("nan")
+    known = int(np.sum(np.isfinite(seen.std)))
+    freedom = int(at.rank.sum()) + len(at.shared_residual) - known
+    squares = float(at.pose_square.sum() + np.sum(at.shared_residual**2))
+    scale = float(np.sqrt(squares / freedom)) if freedom > 0 else float("nan")
     nominal = follow_unsensed(problem, problem.start, guess_unsensed(problem, problem.start))
     fit = {"nominal": fit_of(problem, problem.start, nominal), "train": fit_of(problem, theta, q)}
     if problem.validation is not None:
         fit["validation"] = fit_of(*predicted(problem, theta, problem.validation))
     suspects = diagnose(problem, q, at, seen)
     return Calibration(problem, method, theta, q, seen, at, scale, fit, suspects,
-                       _uniqueness(seen, answers, failed, problem.free))
+                       _uniqueness(seen, answers, failed, problem.free), "doubtful" if scale > HOPELESS else "ok")
 
 
 def _refuse_too_few(problem: CalibrationProblem) -> None:
     rows = int(problem.at.present.sum() - problem.at.moving.sum()) + len(problem.distances.length)
     unknown = int(np.sum(problem.free & (problem.known == 0)))
     if rows < unknown:
-        raise ProblemError(f"{len(problem.poses)} poses give {rows} equations for {unknown} unknown parameters",
+        raise ProblemError(f"{rows} equations of all poses are too few for {unknown} unknown parameters",
                            where=f"poses of {problem.poses.name}", remedy="measure more poses or fix parameters")
 
 
@@ -235,6 +250,21 @@ def guess_unsensed(problem: CalibrationProblem, theta: Array) -> Array:
         better = size < least
         best[better], least[better] = trial[better], size[better]
     return best
+
+
+def closed_angles(problem: CalibrationProblem, theta: Array, q: Array) -> Array:
+    """Joint vectors (N, n) with the loops closed by the smallest errors, in standard deviations, of sensed angles."""
+    at, model = problem.at, problem.model
+    strict = at.present[:, :3] & (problem.row_sigma[:, :3] == 0)
+    weight = np.where(at.sensed, problem.angle_sigma, np.where(at.moving, 1.0, 0.0))
+    for _ in range(STEPS if np.any(strict) else 0):
+        gap, by_q = model.over(model.closure_jacobian, theta[: len(model.parameters)], q, problem.fixtures(theta))
+        gap = gap[:, :, 0] * strict
+        if np.max(np.abs(gap)) < TIGHT:
+            break
+        weighted = by_q * strict[:, :, None] * weight[:, None, :]
+        q = q - weight * (np.linalg.pinv(weighted, rcond=1e-9) @ gap[:, :, None])[:, :, 0]
+    return q
 
 
 def follow_unsensed(problem: CalibrationProblem, theta: Array, q: Array) -> Array:
@@ -329,6 +359,7 @@ def _with_geometry(calibration: Calibration) -> Machine:
     data = machine.model_dump(exclude={"notes"})
     notes = dict(machine.notes)
     source = f"calibrated by {calibration.method} from {problem.poses.name}"
+    written: dict[str, float] = {}
     holders: dict[str, dict[str, object]] = {each["name"]: each for key in ("links", "cylinders", "fixtures")
                                              for each in data[key]}
     holders |= {each["name"]: each for each in (data["calibrator"] or {}).get("links", ())}
@@ -339,6 +370,11 @@ def _with_geometry(calibration: Calibration) -> Machine:
             if fixture not in holders:
                 continue
             path, axis = f"{fixture}.position", "xyz".index(axis_name)
+        held = name in problem.fixed or calibration.at_bound[problem.parameters.index(name)]
+        seen = calibration.category(name) == "full" or (calibration.category(name) == "combination"
+                                                        and np.isfinite(std))
+        if not (held or seen):  # an arbitrary number of an unseen combination is no result
+            continue
         node, *steps = path.split(".")
         holder: dict[str, object] = data[node] if node in ("calibrator", "tracker") else holders[node]
         for step in steps[:-1]:
@@ -352,8 +388,8 @@ def _with_geometry(calibration: Calibration) -> Machine:
         if name in problem.fixed:
             continue
         before = notes.get(path, Note())
-        earlier = before.sigma if before.source == source and before.sigma is not None else 0.0
         if np.isfinite(std) and std > 0:
-            before = before.model_copy(update={"sigma": max(earlier, float(std)), "relative": False})
+            written[path] = max(written.get(path, 0.0), float(std))
+            before = before.model_copy(update={"sigma": written[path], "relative": False})
         notes[path] = before.model_copy(update={"source": source})
     return Machine.model_validate(data | {"notes": notes})

@@ -85,7 +85,7 @@ class CalibrationProblem:
     @property
     def free(self) -> NDArray[np.bool_]:
         """(P,) which parameters are estimated."""
-        return np.array([name not in self.fixed for name in self.parameters.names])
+        return np.array([name not in self.fixed for name in self.parameters.names], dtype=bool)
 
     @property
     def known(self) -> Array:
@@ -105,10 +105,13 @@ class CalibrationProblem:
         """The problem with parameters held, ``fixing(**{"ball.y": 0.0})`` [SI].
 
         Raises:
-            ProblemError: there is no such parameter.
+            ProblemError: there is no such parameter, or its value is not finite.
         """
-        for name in values:
+        for name, value in values.items():
             self.parameters.index(name)
+            if not np.isfinite(value):
+                raise ProblemError(f"it cannot be held at {value}", where=f"parameter '{name}'",
+                                   remedy="give a finite number")
         return replace(self, fixed={**self.fixed, **values})
 
     def with_loss(self, loss: PoseLoss) -> CalibrationProblem:
@@ -189,9 +192,7 @@ def calibration_problem(machine: Machine, poses: Poses, validation: Poses | None
     problem = CalibrationProblem(
         model, poses, validation, builder.parameter_set(), builder.gathering(), builder.angle_sigma(),
         builder.row_sigma(), builder.distances(), builder.exact() | dict(fixed or {}), priors)
-    for name in problem.fixed:
-        problem.parameters.index(name)
-    return problem
+    return problem.fixing(**problem.fixed)
 
 
 @dataclass
@@ -223,7 +224,7 @@ class _Builder:
         self.fixture = np.full((count, 3), -1)
         pattern = model.observed_jacobians.sparsity_out(2)
         self.depends = np.zeros(pattern.shape, dtype=bool)
-        self.depends[tuple(np.array(pattern.get_triplet()))] = True
+        self.depends[tuple(np.array(pattern.get_triplet(), dtype=int))] = True
         self._channels()
         self._fixtures()
         self._joints()
@@ -235,6 +236,9 @@ class _Builder:
             if name not in known:
                 raise ProblemError(f"the machine has no channel '{name}'", where=self.where,
                                    remedy=f"rename it to one of {', '.join(known)}, or leave it out")
+            if self.poses.units[name] != known[name]:
+                raise ProblemError(f"'{name}' is given in a unit of the kind '{self.poses.units[name]}'",
+                                   where=self.where, remedy=f"give it in '{known[name]}' or a unit of that kind")
         count, rows = len(self.poses), self.model.channels
         self.target, self.present = np.zeros((count, len(rows))), np.zeros((count, len(rows)), dtype=bool)
         for i, name in enumerate(rows):
@@ -257,7 +261,7 @@ class _Builder:
             owner = f"{name}.{stage}" if fixture.moves and stage else name
             if f"{owner}.x" not in self.names:
                 note = self.machine.notes.get(f"{name}.position")
-                sigma = None if note is None or note.sigma is None else note.sigma
+                sigma = None if note is None else note.spread(*fixture.position)
                 for axis, value in zip("xyz", fixture.position, strict=True):
                     self._add(f"{owner}.{axis}", "m", value, None if fixture.moves else sigma,
                               1e-3 if fixture.moves else sigma)
@@ -289,13 +293,17 @@ class _Builder:
                     self.reading[blind, k] = 0.0
                     continue
                 if stage is None or joint not in stage.locked:
+                    if stage is None and stages:
+                        raise ProblemError(f"the machine has no stage '{name}', and '{joint}.q' is not read there",
+                                           where=self._row(blind[0]),
+                                           remedy=f"name the stage, one of {', '.join(stages)}, or record '{joint}.q'")
                     raise ProblemError(
                         f"the joint '{joint}' is neither sensed, nor locked or moving in stage '{name}'",
                         where=self._row(blind[0]), remedy=f"record '{joint}.q', or state in the machine file's stage "
                                                           f"'{name}' what the joint does")
                 if joint not in holding:
                     note = self.machine.notes.get(f"{name}.locked.{joint}")
-                    sigma = None if note is None else note.sigma
+                    sigma = None if note is None else note.spread(stage.locked[joint])
                     holding[joint] = self._add(f"{joint}.locked.{name}", "rad", stage.locked[joint], sigma,
                                                sigma or np.radians(10.0))
                     slips[joint] = []
@@ -380,5 +388,5 @@ class _Builder:
                 if all(f"{owner}.x" in self.names for owner in owners):
                     ends.append([[self.names[f"{owner}.{axis}"] for axis in "xyz"] for owner in owners])
                     lengths.append(distance.length)
-                    sigmas.append(note.sigma if note is not None and note.sigma is not None else EXACT)
+                    sigmas.append((note and note.spread(distance.length)) or EXACT)
         return Distances(np.array(ends, dtype=int).reshape(-1, 2, 3), np.array(lengths), np.array(sigmas))

@@ -23,6 +23,8 @@ LARGER = 2.0
 """How many times the others' typical error a stage must show: smaller differences are the model's, not the stage's."""
 BEYOND = 3.0
 """How many times its stated standard deviation a sensor must be off: less is what was stated."""
+EXACT = 1e-3
+"""Variance, in units of the stated one, that errors are at least taken to have: without noise nothing is suspect."""
 TURNED = 0.05
 """Range of angles [rad] over the poses from which on a joint counts as turning."""
 TILTED = 0.05
@@ -76,7 +78,7 @@ def _one_plane(problem: CalibrationProblem, q: Array) -> tuple[Suspect, ...]:
 def _typical(square: Array, rank: NDArray[np.int64]) -> float:
     """Variance of the errors in units of the stated one, from the median, which a few bad poses do not move."""
     ratio = np.median(square / stats.chi2.median(rank))
-    return float(max(ratio, 1e-12))
+    return float(max(ratio, EXACT))
 
 
 def _where(problem: CalibrationProblem, poses: NDArray[np.bool_]) -> str:
@@ -192,14 +194,15 @@ def _moved_fixtures(problem: CalibrationProblem, at: Linearised, basis: Array, r
         rows = np.flatnonzero(np.all(fixtures == columns, axis=1))
         best = (0.0, 0, 0.0)
         splits = np.unique(np.linspace(SHORTEST, len(rows) - SHORTEST, SPLITS).astype(int))
-        for split in splits[splits > 0]:
+        for split in splits if len(rows) >= 2 * SHORTEST else ():
             later = np.zeros(at.jacobian.shape[0], dtype=bool)
             later[rows[split:]] = True
             step = (at.jacobian[:, :, columns] * later[:, None, None]).reshape(-1, 3)
             step = np.vstack([step, np.zeros((len(residual) - len(step), 3))])
             across = step - basis @ (basis.T @ step)
             values, vectors = np.linalg.eigh(across.T @ across)
-            told = values > 1e-6 * values[-1]  # of a swing that is not sensed, not the way along its circle
+            # of a swing that is not sensed, not the way along its circle
+            told = values > max(1e-6 * values[-1], 1e-9 * float(np.sum(step**2)))
             along = -(vectors.T @ (across.T @ residual))[told] / values[told]
             best = max(best, (float(np.sum(along**2 * values[told]) / typical), int(split),
                               float(np.linalg.norm(along))))

@@ -29,7 +29,8 @@ SHARE = 1e-5
 class Linearised:
     """Whitened rows of all poses: residual (N, m), Jacobian (N, m, P) by all parameters, rank (N,) of each pose's rows.
 
-    `shared` and `shared_residual` are those of known distances, then of what is known before.
+    `shared` and `shared_residual` are those of known distances, then of what is known before; `errors` (N, m, n) are
+    the rows' changes by one standard deviation of each sensed angle.
     """
 
     residual: Array

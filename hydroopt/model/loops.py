@@ -232,8 +232,9 @@ def _parameters(machine: Machine, numbers: list[Number]) -> ParameterSet:
     free, sigmas = [], []
     for number in numbers:
         note = machine.notes.get(number.path)
-        sigma = 0.0 if note is None or note.sigma is None else note.sigma * (abs(number.value) if note.relative else 1)
-        if sigma > 0:
+        beside = [other.value for other in numbers if other.path == number.path]
+        sigma = None if note is None else note.spread(*beside)
+        if sigma:
             free.append(number)
             sigmas.append(sigma)
     scale = np.array(sigmas)

@@ -28,7 +28,7 @@ from hydroopt.report.numbers import NONE, Row, plain, quantity, unit_text
 
 METHODS = {
     "joint": "all poses, stages and parameters at once; sensed angles err, too (maximum likelihood, IPOPT)",
-    "hierarchical": "joint by joint from the tip inwards (closed form), then refined",
+    "hierarchical": "link by link from the tip inwards (Levenberg-Marquardt with truncated singular values)",
 }
 """Methods in words."""
 

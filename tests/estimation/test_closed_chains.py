@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from hydroopt import load_machine, postures
 from hydroopt.description import dump_machine, read_machine
 from hydroopt.errors import ProblemError
-from hydroopt.estimation import joint
+from hydroopt.estimation import hierarchical, joint
 from hydroopt.estimation.calibration import METHODS, calibrate, guess_unsensed
 from hydroopt.estimation.closure import CalibrationProblem, calibration_problem
 from hydroopt.estimation.observability import linearise, observability, tip_uncertainty
@@ -410,7 +412,7 @@ def test_bad_poses_are_refused(model: KinematicModel, machine: Machine,
 
     with pytest.raises(ProblemError, match="no fixture 'bull'"):
         calibration_problem(machine, table(fixture=np.full(len(poses), "bull")))
-    with pytest.raises(ProblemError, match="neither sensed, nor locked or moving in stage 'elsewhere'"):
+    with pytest.raises(ProblemError, match="the machine has no stage 'elsewhere'"):
         calibration_problem(machine, table(stage=np.full(len(poses), "elsewhere")))
     with pytest.raises(ProblemError, match=r"no channel 'arm\.q'"):
         calibration_problem(machine, table(channels={**poses.channels, "arm.q": poses.channels["yoke.q"]}))
@@ -418,7 +420,7 @@ def test_bad_poses_are_refused(model: KinematicModel, machine: Machine,
         calibration_problem(machine, table(channels={**poses.channels, "stick.distance": np.ones(len(poses))}))
     with pytest.raises(ProblemError, match="did you mean"):
         calibration_problem(machine, poses, fixed={"bom.a": 1.0})
-    with pytest.raises(ProblemError, match="equations for"):
+    with pytest.raises(ProblemError, match="equations of all poses are too few"):
         calibrate(held(calibration_problem(machine, poses.select(np.arange(3)), priors=False)))
     with pytest.raises(ProblemError, match="no method"):
         calibrate(held(calibration_problem(machine, poses)), "guessing")
@@ -504,3 +506,69 @@ def test_poses_in_one_plane_are_named(model: KinematicModel, machine: Machine) -
                             geometry=planar.parameters.nominal, seed=0)
     solved = calibrate(calibration_problem(flat, poses))
     assert [s.kind for s in solved.suspects][:1] == ["plane"]
+
+
+@pytest.fixture(scope="module")
+def arm() -> CalibrationProblem:
+    """Noise-free poses of the bundled arm in its two sockets at three places."""
+    machine = load_machine("panda_mukca")
+    model = KinematicModel(machine)
+    rng = np.random.default_rng(0)
+    middle = np.array([0.2, 0.4, -0.1, -2.2, 0.1, 2.5, 0.6])
+    q, stages, fixtures = [], [], []
+    for place in range(3):
+        first = np.asarray(model.tip(model.parameters.nominal, middle + rng.normal(0, 0.3, 7))).ravel()
+        for hole, at in (("hole_0", first), ("hole_1", first + np.array([0.03, 0.04, 0.0]))):
+            start = middle + rng.normal(0, 0.5, (60, 7))
+            closed, good = postures.close(model, model.parameters.nominal, start, range(7), at)
+            q.append(closed[good])
+            stages += [f"place_{place}"] * good.sum()
+            fixtures += [hole] * good.sum()
+    poses = postures.record(model, np.concatenate(q), stages, fixtures, geometry=model.parameters.nominal, seed=None)
+    return calibration_problem(machine, poses, priors=False)
+
+
+def recovered(arm: CalibrationProblem, method: str) -> np.ndarray:
+    """Errors of the arm's geometry, from a start 10 % (or 5 mm) and 5° off."""
+    rng = np.random.default_rng(1)
+    parameters = arm.parameters
+    away = np.where(np.array(parameters.units) == "rad", np.radians(5),
+                    np.maximum(0.1 * np.abs(parameters.nominal), 0.005))
+    away[np.char.endswith(parameters.names, ".compliance")] = 1e-5
+    away[np.char.startswith(parameters.names, "hole")] = 0.02
+    start = np.maximum(parameters.nominal + rng.choice([-1, 1], len(parameters)) * away * arm.free, parameters.lower)
+    if method == "hierarchical":  # which knows no bounds
+        arm = replace(arm, parameters=replace(parameters, lower=np.full(len(parameters), -np.inf)))
+    theta, _ = (joint if method == "joint" else hierarchical).solve(arm, start, arm.at.reading)
+    return np.abs(theta - parameters.nominal)[: len(arm.model.parameters)]
+
+
+@pytest.mark.parametrize("method", [pytest.param("joint", marks=pytest.mark.xfail(strict=True, reason=(
+    "the ball lies on axis 7 to 0.1 mm: five numbers of joint 6 and the tip leave hardly a trace (0.7 rad without "
+    "priors), and IPOPT stops 2e-6 away from them"))), "hierarchical"])
+def test_the_bundled_arm_comes_back(arm: CalibrationProblem, method: str) -> None:
+    assert np.max(recovered(arm, method)) < 1e-8
+
+
+def test_what_the_arms_data_show_comes_back_jointly(arm: CalibrationProblem) -> None:
+    faint = np.isin(arm.model.parameters.names, ["panda_joint6.theta", "panda_joint6.d", "panda_joint6.a",
+                                                 "panda_joint6.alpha", "tip.z"])
+    error = recovered(arm, "joint")
+    assert np.max(error[~faint]) < 1e-8
+    assert np.max(error[faint]) < 1e-5
+
+
+def test_play_in_a_joint_is_named(model: KinematicModel, machine: Machine) -> None:
+    """The forearm's resolver lags by 1.5° on the side from which it comes."""
+    stage, fixture = machine.stages[0], np.array(machine.fixtures[0].position)
+    path = np.radians(90 + 40 * np.sin(np.linspace(0, 6 * np.pi, 90)))[:, None]
+    q = postures.sweep(model, stage, path, geometry=model.parameters.nominal, fixture=fixture)
+    rest = [postures.random_postures(model, s, PER_STAGE, geometry=model.parameters.nominal, fixture=fixture, seed=k)
+            for k, s in enumerate(machine.stages[1:])]
+    labels = [stage.name] * len(q) + [s.name for s in machine.stages[1:] for _ in range(PER_STAGE)]
+    poses = read(model, (np.concatenate([q, *rest]), labels), 0)
+    forearm = poses.channels["forearm.q"]
+    going = np.sign(np.diff(forearm, prepend=forearm[0]))
+    odd = changed(poses, **{"forearm.q": forearm + np.where(poses.stage == stage.name, going, 0) * np.radians(0.75)})
+    solved = calibrate(held(calibration_problem(machine, odd, priors=False)))
+    assert ("backlash", "forearm") in [(s.kind, s.name) for s in solved.suspects], [s.text for s in solved.suspects]
