@@ -299,6 +299,13 @@ def predicted(problem: CalibrationProblem, theta: Array, poses: object) -> tuple
     fresh = calibration_problem(problem.model.machine, poses, priors=False)  # type: ignore[arg-type]
     held = {name: known[name] for name in fresh.parameters.names if name in known and not (
         any(fixture.moves and name.startswith(f"{fixture.name}.") for fixture in problem.model.machine.fixtures))}
+    trained = problem.angles(theta, problem.at.reading)
+    for name in fresh.parameters.names:
+        joint_name, locked, stage = name.partition(".locked.")
+        rows = problem.poses.stage == stage
+        if locked and name not in held and np.any(rows):
+            # held back here under the name of a later stage than in the poses that were fitted
+            held[name] = float(trained[rows, problem.model.joints.index(joint_name)].mean())
     fresh = fresh.fixing(**held)
     start = fresh.start
     own = guess_unsensed(fresh, start)

@@ -7,7 +7,7 @@ import numpy as np
 
 from hydroopt import calibrate, calibration_problem, read_poses, read_urdf
 from hydroopt.estimation.calibration import gaps
-from hydroopt.estimation.observability import linearise
+from hydroopt.estimation.observability import linearise, observability
 from hydroopt.linkage import Calibrator, Tracker
 from hydroopt.machine import Machine
 from hydroopt.parts import Note, Sensor
@@ -96,15 +96,13 @@ def run() -> dict | None:
     alone = [everyone == k for k in everyone]
     sheet = np.digitize(poses.channels["tip.x"], SHEETS)
     sheets = [sheet == k for k in range(len(SHEETS) + 1)]
-    nine = calibrate(calibration_problem(talos(offsets=True), poses, priors=False))
+    nine = calibration_problem(talos(offsets=True), poses, priors=False)
     # an offset of the first joint is a turn of the tracker, one of the last a turn of the marker about that axis
-    gauge = {f"{name}.theta": nine.problem.start[nine.problem.parameters.index(f"{name}.theta")]
-             for name in (FIRST, LAST)}
+    gauge = {f"{name}.theta": nine.start[nine.parameters.index(f"{name}.theta")] for name in (FIRST, LAST)}
     cases = {"base_and_tip": calibration_problem(talos(), poses, priors=False),
-             "offsets": nine.problem.fixing(**gauge),
+             "offsets": nine.fixing(**gauge),
              "lengths": calibration_problem(talos(offsets=True, lengths=True), poses)}
-    results: dict = {"postures": len(poses), "rms_with_nine_free_offsets": rms(judged(nine.problem, nine.theta)[0]),
-                     "unseen_combinations": [list(names) for names in nine.seen.combinations]}
+    results: dict = {"postures": len(poses)}
     for name, problem in cases.items():
         solved = calibrate(problem)
         one, covered = left_out(problem, alone)
@@ -115,5 +113,8 @@ def run() -> dict | None:
                     f"suspects_{name}": [f"{s.kind}: postures {poses.row[s.poses][0]} to {poses.row[s.poses][-1]}"
                                          for s in solved.suspects],
                     f"strongest_correlation_{name}": strongest(solved)}
+        if name == "offsets":
+            seen = observability(nine, judged(nine, solved.theta)[1])
+            results["unseen_combinations"] = [list(names) for names in seen.combinations]
         results |= told(problem, solved, name) if name != "base_and_tip" else {}
     return results

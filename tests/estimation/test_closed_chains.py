@@ -11,7 +11,7 @@ from hydroopt import load_machine, postures
 from hydroopt.description import dump_machine, read_machine
 from hydroopt.errors import ProblemError
 from hydroopt.estimation import hierarchical, joint
-from hydroopt.estimation.calibration import METHODS, calibrate, guess_unsensed
+from hydroopt.estimation.calibration import METHODS, calibrate, guess_unsensed, predicted
 from hydroopt.estimation.closure import CalibrationProblem, calibration_problem
 from hydroopt.estimation.observability import linearise, observability, tip_uncertainty
 from hydroopt.linkage import Tracker
@@ -572,3 +572,15 @@ def test_play_in_a_joint_is_named(model: KinematicModel, machine: Machine) -> No
     odd = changed(poses, **{"forearm.q": forearm + np.where(poses.stage == stage.name, going, 0) * np.radians(0.75)})
     solved = calibrate(held(calibration_problem(machine, odd, priors=False)))
     assert ("backlash", "forearm") in [(s.kind, s.name) for s in solved.suspects], [s.text for s in solved.suspects]
+
+
+def test_held_out_poses_of_one_stage_take_its_locked_angles(model: KinematicModel, machine: Machine,
+                                                            closed: tuple[np.ndarray, list[str]]) -> None:
+    """Alone, the boom's stage would give the swing's angle a name of its own and fit it to what it should predict."""
+    poses = read(model, closed, 0)
+    last = (poses.stage == "boom_moves") & (np.arange(len(poses)) % 4 == 0)
+    solved = calibrate(held(calibration_problem(machine, poses.select(~last), poses.select(last), priors=False)))
+    fresh, theta, _ = predicted(solved.problem, solved.theta, poses.select(last))
+    assert not np.any(fresh.free)
+    late = fresh.parameters.index("swing.locked.boom_moves")
+    assert theta[late] == pytest.approx(solved["swing.locked.stick_moves"], abs=1e-12)
