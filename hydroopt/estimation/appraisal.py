@@ -18,6 +18,7 @@ from hydroopt.estimation.calibration import Calibration, fit_of, follow_unsensed
 from hydroopt.estimation.closure import CalibrationProblem
 from hydroopt.estimation.diagnosis import Suspect
 from hydroopt.estimation.estimate import Fit
+from hydroopt.estimation.observability import spread
 from hydroopt.inertia import Array
 from hydroopt.machine import BASE, Machine
 from hydroopt.model.loops import KinematicModel
@@ -135,8 +136,8 @@ class Appraisal:
         name, function = _end(model)
         geometry_now = c.theta[: len(model.parameters)]
         at, by_g = model.over(function, geometry_now, q)
-        spread = _spread(c, by_g) * max(1.0, c.noise_scale)
-        return Workspace(name, at[:, :, 0], spread, model.over(function, geometry_now, c.q)[0][:, :, 0])
+        blur = spread(model, c.seen, by_g) * max(1.0, c.noise_scale)
+        return Workspace(name, at[:, :, 0], blur, model.over(function, geometry_now, c.q)[0][:, :, 0])
 
     def chain(self, rows: Sequence[int]) -> Chain:
         """The chain as calibrated in some of the training poses."""
@@ -316,19 +317,6 @@ def _end(model: KinematicModel) -> tuple[str, ca.Function]:
         name = f"end of {calibrator.parent}"
         point = model.far_ends(g, q)[:, [link.name for link in model.machine.chain].index(calibrator.parent)]
     return name, ca.Function("end", [g, q], [point, ca.jacobian(point, g)])
-
-
-def _spread(calibration: Calibration, by_g: Array) -> Array:
-    """Root of the trace of a point's covariance (K,), for Jacobians (K, 3, p); NaN where a number is not known."""
-    seen, model = calibration.seen, calibration.problem.model
-    own = [k for k, name in enumerate(seen.names) if name in model.parameters.positions]
-    by_own = by_g[:, :, model.parameters.select(seen.names[k] for k in own)]
-    covariance = seen.covariance[np.ix_(own, own)]
-    lost = ~np.isfinite(np.diag(covariance))
-    blurred = np.any(np.abs(by_own[:, :, lost]) > 0, axis=(1, 2))
-    covariance = np.where(lost[:, None] | lost, 0.0, covariance)
-    variance = np.einsum("nik,kl,nil->n", by_own, covariance, by_own, optimize=True)
-    return np.where(blurred, np.nan, np.sqrt(np.maximum(variance, 0.0)))
 
 
 def _pins(model: KinematicModel, q: Array) -> Array:

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.closure import CalibrationProblem
 from hydroopt.inertia import Array
+from hydroopt.model.loops import KinematicModel
 
 UNSEEN = 1e-10
 """Eigenvalue of the normalised information, relative to the largest, below which a combination is not identifiable."""
@@ -221,13 +222,23 @@ def observability(problem: CalibrationProblem, at: Linearised) -> Observability:
     return Observability(names, problem.parameters.scale[free], jacobian.T @ jacobian, prior.T @ prior)
 
 
+def spread(model: KinematicModel, seen: Observability, by_g: Array) -> Array:
+    """Root of the trace of a point's covariance (K,) [m], for its Jacobians by the geometry (K, 3, p).
+
+    NaN where a parameter that moves the point is not known.
+    """
+    own = [k for k, name in enumerate(seen.names) if name in model.parameters.positions]
+    by_own = by_g[:, :, model.parameters.select(seen.names[k] for k in own)]
+    covariance = seen.covariance[np.ix_(own, own)]
+    lost = ~np.isfinite(np.diag(covariance))
+    blurred = np.any(np.abs(by_own[:, :, lost]) > 0, axis=(1, 2))
+    covariance = np.where(lost[:, None] | lost, 0.0, covariance)
+    variance = np.einsum("nik,kl,nil->n", by_own, covariance, by_own, optimize=True)
+    return np.where(blurred, np.nan, np.sqrt(np.maximum(variance, 0.0)))
+
+
 def tip_uncertainty(problem: CalibrationProblem, theta: Array, seen: Observability, q: Array) -> Array:
-    """Standard deviation (N,) [m] of the tip's position at joint vectors (N, n): root of the covariance's trace."""
+    """Standard deviation (N,) [m] of the tip's position at joint vectors (N, n), as `spread`."""
     model = problem.model
     by_g = model.over(model.observed_jacobians, theta[: len(model.parameters)], q, np.zeros(3))[1][:, :3]
-    names = {name: k for k, name in enumerate(model.parameters.names)}
-    own = [(k, names[name]) for k, name in enumerate(seen.names) if name in names]
-    rows, columns = (np.array(part, dtype=int) for part in zip(*own, strict=True)) if own else (np.zeros(0, int),) * 2
-    covariance = seen.covariance[np.ix_(rows, rows)]
-    spread = np.einsum("nik,kl,nil->n", by_g[:, :, columns], covariance, by_g[:, :, columns])
-    return np.asarray(np.sqrt(spread))
+    return spread(model, seen, by_g)
