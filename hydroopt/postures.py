@@ -160,4 +160,5 @@ def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Seque
         sensor = model.machine.sensor(channel)
         read[channel] = true[channel] if seed is None or sensor is None else measure(
             true[channel], sensor.accuracy, sensor.resolution, rng, sensor.distribution)
-    return Poses(name=name, stage=np.array(stage), fixture=np.array(fixture), channels=read)
+    units = {channel: unit for channel, unit in model.machine.channel_units.items() if channel in read}
+    return Poses(name=name, stage=np.array(stage), fixture=np.array(fixture), channels=read, units=units)

@@ -99,7 +99,7 @@ def table(points, *, tilt=False) -> Poses:
     q = {"column": points["joint_states"][:, 0]} | {name: measured[name] * tilt for name in TILTS}
     q |= {name: points["joint_states"][:, k + 1] for k, name in enumerate(ARM)}
     prism = {f"tip.{axis}": points["prism_position"][:, k] for k, axis in enumerate("xyz")}
-    return Poses("flat", channels={f"{name}.q": values for name, values in q.items()} | prism)
+    return Poses("flat", channels={f"{name}.q": values for name, values in q.items()} | prism, units={"column.q": "m"})
 
 
 def prisms(model, geometry, poses) -> np.ndarray:
