@@ -42,7 +42,8 @@ from hydroopt.units import to_si
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help=(
     "Calibrate hydraulically actuated manipulators: a machine file and logs in, a model with error bars out."))
 
-MachineName = Annotated[str, typer.Argument(metavar="MACHINE", help="A bundled machine's name or a .toml file.")]
+MachineName = Annotated[str, typer.Argument(
+    metavar="MACHINE", help="A bundled machine's name or a .toml or .urdf file.")]
 ParameterSetName = Annotated[str | None, typer.Option("--set", help="Which of the file's sets of inertial parameters.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="No progress and no summary.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
