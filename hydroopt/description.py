@@ -17,7 +17,7 @@ from typing import Any
 import tomlkit
 from pydantic import BaseModel, ValidationError
 
-from hydroopt import geometry
+from hydroopt import strokes
 from hydroopt.errors import MachineError
 from hydroopt.machine import Machine
 from hydroopt.parts import Cylinder, JointFriction, Note, Noun, Sensor, TorqueFriction
@@ -99,7 +99,7 @@ def read_machine(text: str, *, where: str = "machine", parameter_set: str | None
                 if isinstance(link, dict):
                     before = link.setdefault("parent", before) and link.get("name")
         machine = Machine.model_validate(data | {"notes": notes}, context={"from_file": True})
-        geometry.check(machine)
+        strokes.check(machine)
     except ValidationError as error:
         what, place, remedy = _in_plain_words(error, data)
         raise MachineError(what, where=_at(where, place, moved), remedy=remedy) from None

@@ -1,174 +1,129 @@
-"""Whether the cylinders of a machine can do their work over the whole range of their joints."""
+"""Where a machine's parts sit on one another: its geometric numbers by name, as floats or as symbols."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Mapping
 from typing import NamedTuple
 
 import casadi as ca
-import numpy as np
 
-from hydroopt.inertia import Array
 from hydroopt.machine import BASE, Machine
-from hydroopt.parts import Cylinder, GasCylinder, Joint
-from hydroopt.quantity import ImpossibleError
-from hydroopt.spatial import Pose, Triangle, joint_pose, link_pose, triangle
+from hydroopt.parts import Cylinder, GasCylinder, Link
+from hydroopt.spatial import Pose, Triangle, identity, joint_pose, link_pose, triangle
+
+DENAVIT_HARTENBERG = {"theta": "rad", "d": "m", "a": "m", "alpha": "rad", "beta": "rad"}
+_POINT = ("x", "y", "z")
+_TURN = ("roll", "pitch", "yaw")
 
 
-def pose_between(machine: Machine, link: str, root: str, q: dict[str, ca.SX]) -> Pose:
-    """Pose of a link's frame P_i seen from the *far end* of one of its ancestors `root` (or from the base).
+class Number(NamedTuple):
+    """One number of the machine file: name, unit, value, the key of its note, and its place if that is a vector."""
 
-    `q` gives the variables of the moving joints on the way; a joint left out stands at zero.
+    name: str
+    unit: str
+    value: float
+    path: str
+    axis: int | None = None
+
+
+class Geometry:
+    """Links and pins of a machine and of its calibrator.
+
+    Attributes:
+        links: all links, the calibrator's last.
+        numbers: all numbers of the geometry as the machine file states them.
+        value: what is reckoned with, by name: the file's numbers where no symbol replaces them.
+
+    Joint variables are given as a mapping from the names of joints; a joint left out stands at zero.
     """
-    chain = machine.ancestry(link)
-    chain = chain[: chain.index(root)] if root != BASE else chain
-    pose: Pose | None = None
-    for name in reversed(chain):
-        joint = machine.link(name).joint
-        pose = _moved(joint, q.get(name, 0.0)) if pose is None else pose @ _moved(joint, q.get(name, 0.0))
-        if name != link:
-            pose = pose @ far_end(joint)
-    assert pose is not None
-    return pose
+
+    def __init__(self, machine: Machine, symbols: Mapping[str, ca.SX] | None = None) -> None:
+        self.machine = machine
+        self.links = (*machine.links, *(machine.calibrator.links if machine.calibrator else ()))
+        self.numbers = _numbers(machine, self.links)
+        self.value: dict[str, ca.SX | float] = {number.name: number.value for number in self.numbers}
+        self.value |= symbols or {}
+        self._link = {link.name: link for link in self.links}
+
+    def point(self, name: str) -> ca.SX:
+        """Coordinates (3,) [m] of a named point: ``boom_cylinder.rod``, ``tip``, ``tracker``."""
+        return ca.vertcat(*(self.value[f"{name}.{axis}"] for axis in _POINT))
+
+    def turn(self, name: str) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Roll, pitch and yaw [rad] of a named frame: ``tracker``."""
+        roll, pitch, yaw = (self.value[f"{name}.{axis}"] for axis in _TURN)
+        return roll, pitch, yaw
+
+    def far_end(self, link: str) -> Pose:
+        """Frame at a link's far end, seen from its P_i; that of the base is the base frame."""
+        if link == BASE:
+            return identity()
+        return link_pose(*(self.value[f"{link}.{key}"] for key in ("a", "alpha", "beta")))
+
+    def joint(self, link: str, variable: ca.SX | float) -> Pose:
+        """A link's P_i seen from the far end of its parent."""
+        theta, d = self.value[f"{link}.theta"], self.value[f"{link}.d"]
+        if self._link[link].joint.type == "prismatic":
+            return joint_pose(theta, d + variable)
+        return joint_pose(theta + variable, d)
+
+    def seen_from(self, viewer: str, link: str, q: Mapping[str, ca.SX]) -> Pose:
+        """Pose of a link's P_i seen from the *far end* of another, or from the base; only joints between them enter."""
+        chains = self._ancestry(viewer), self._ancestry(link)
+        shared = next(name for name in chains[0] if name in chains[1])
+        own = self._down(chains[1][: chains[1].index(shared)], q)
+        if link == shared:
+            own = self.far_end(link).inverse()
+        if viewer == shared:
+            return own
+        return (self._down(chains[0][: chains[0].index(shared)], q) @ self.far_end(viewer)).inverse() @ own
+
+    def triangle(self, cylinder: Cylinder | GasCylinder) -> tuple[str, Triangle] | None:
+        """Joint and triangle of a cylinder that spans one revolute joint; None for any other cylinder."""
+        between = self.machine.joints_between(cylinder.barrel.link, cylinder.rod.link)
+        if len(between) != 1 or self._link[between[0]].joint.type != "revolute":
+            return None
+        pins = {name: self.pin(cylinder, name, {}) for name in ("barrel", "rod")}
+        moving = "barrel" if between[0] in self._ancestry(cylinder.barrel.link) else "rod"
+        fixed = "rod" if moving == "barrel" else "barrel"
+        return between[0], triangle(pins[fixed], pins[moving])
+
+    def pin(self, cylinder: Cylinder | GasCylinder, end: str, q: Mapping[str, ca.SX]) -> ca.SX:
+        """A pin (3,) [m] in the axis frame of the joint that orients the cylinder: the far end of the link before."""
+        before = self._link[self.machine.axis_of(cylinder)].parent
+        return self.seen_from(before, getattr(cylinder, end).link, q).point(self.point(f"{cylinder.name}.{end}"))
+
+    def _down(self, chain: tuple[str, ...], q: Mapping[str, ca.SX]) -> Pose:
+        pose: Pose | None = None
+        for name in reversed(chain):
+            step = self.joint(name, q.get(name, 0.0))
+            pose = step if pose is None else pose @ self.far_end(self._link[name].parent) @ step
+        return pose or identity()
+
+    def _ancestry(self, name: str) -> tuple[str, ...]:
+        chain = [name]
+        while chain[-1] != BASE:
+            chain.append(self._link[chain[-1]].parent)
+        return tuple(chain)
 
 
-def _moved(joint: Joint, q: ca.SX) -> Pose:
-    if joint.type == "prismatic":
-        return joint_pose(joint.theta, joint.d + q)
-    return joint_pose(joint.theta + q, joint.d)
-
-
-def far_end(joint: Joint) -> Pose:
-    """Frame at a link's far end, seen from its P_i."""
-    return link_pose(joint.a, joint.alpha, joint.beta)
-
-
-def triangle_of(machine: Machine, cylinder: Cylinder | GasCylinder) -> tuple[str, Triangle] | None:
-    """Joint and triangle of a cylinder that spans one revolute joint; None for any other cylinder."""
-    between = machine.joints_between(cylinder.barrel.link, cylinder.rod.link)
-    if len(between) != 1 or machine.link(between[0]).joint.type != "revolute":
-        return None
-    link = machine.link(between[0])
-    ends = (cylinder.barrel, cylinder.rod)
-    moving = next(end for end in ends if end.link != BASE and between[0] in machine.ancestry(end.link))
-    fixed = ends[0] if moving is ends[1] else ends[1]
-    # both pins in the joint's axis frame, that of the parent's far end: the fixed one, and the moving one at θ = 0
-    zero = dict.fromkeys(machine.joints, -0.0)
-    parent = (Pose(ca.DM.eye(3), ca.DM.zeros(3)) if link.parent == BASE else
-              _from_base(machine, link.parent, zero) @ far_end(machine.link(link.parent).joint))
-    in_axis_frame = [parent.rotation.T @ (_from_base(machine, end.link, zero).point(ca.DM(end.pin)) - parent.origin)
-                     for end in (fixed, moving)]
-    return between[0], triangle(*in_axis_frame)
-
-
-def _from_base(machine: Machine, link: str, q: dict[str, ca.SX]) -> Pose:
-    if link == BASE:
-        return Pose(ca.DM.eye(3), ca.DM.zeros(3))
-    return pose_between(machine, link, BASE, q)
-
-
-def check(machine: Machine) -> None:
-    """Check every cylinder over the range of the joints it moves.
-
-    The triangle must close, the stroke must cover the range, and the lever arm must keep its sign. For a cylinder on
-    one revolute joint this is exact; any other is checked on a grid of its joints. The volume of a gas cylinder must
-    stay positive and its pins apart, also checked on a grid.
-
-    Raises:
-        ImpossibleError: names the cylinder, the place and the remedy.
-    """
-    for cylinder in machine.cylinders:
-        found = triangle_of(machine, cylinder)
-        if found is None:
-            _check_on_grid(machine, cylinder)
-            continue
-        joint, sides = found
-        _lever_arm_keeps_sign(cylinder, joint, float(sides.offset), *machine.link(joint).joint.range)
-        _stroke_suffices(cylinder, joint, sides, *machine.link(joint).joint.range)
-    for gas in machine.gas_cylinders:
-        _gas_has_room(machine, gas)
-
-
-class _Grid(NamedTuple):
-    """Lengths [m] and lever arms on the last joint (N,) of a cylinder over its joints; `place` words a sample's."""
-
-    lengths: Array
-    arms: Array
-    place: Callable[[int], str]
-
-
-def _on_grid(machine: Machine, cylinder: Cylinder | GasCylinder) -> _Grid:
-    joints = machine.joints_between(cylinder.barrel.link, cylinder.rod.link)
-    q = ca.SX.sym("q", len(joints))
-    at: dict[str, ca.SX] = dict.fromkeys(machine.joints, 0.0) | {joint: q[k] for k, joint in enumerate(joints)}
-    ends = [_from_base(machine, end.link, at).point(ca.DM(end.pin)) for end in (cylinder.barrel, cylinder.rod)]
-    length = ca.norm_2(ends[1] - ends[0])
-    function = ca.Function("length", [q], [length, ca.jacobian(length, q)[-1]])
-    points = 721 if len(joints) == 1 else 25
-    grid = np.meshgrid(*[np.linspace(*machine.link(joint).joint.range, points) for joint in joints], indexing="ij")
-    states = np.stack([values.ravel() for values in grid])
-    lengths, arms = (np.asarray(values).ravel() for values in function(states))
-
-    def place(sample: int) -> str:
-        slides = [machine.link(joint).joint.type == "prismatic" for joint in joints]
-        return ", ".join(f"{joint} = {value:.3f} m" if slide else f"{joint} = {np.degrees(value):.1f} deg"
-                         for joint, value, slide in zip(joints, states[:, sample], slides, strict=True))
-
-    return _Grid(lengths, arms, place)
-
-
-def _gas_has_room(machine: Machine, gas: GasCylinder) -> None:
-    lengths, _, place = _on_grid(machine, gas)
-    if (closed := np.flatnonzero(lengths < 1e-9)).size:
-        raise ImpossibleError(f"the pins of '{gas.name}' meet at {place(int(closed[0]))}, where its force has no "
-                              "direction", "correct its pins or narrow the joints' limits")
-    volumes = gas.gas_volume(lengths)
-    smallest = int(np.argmin(volumes))
-    if not volumes[smallest] > 0:
-        raise ImpossibleError(
-            f"the gas of '{gas.name}' would have a volume of {1e3 * volumes[smallest]:.3f} l at {place(smallest)}",
-            "correct its volume, area, reference length or pins, or narrow the joints' limits")
-
-
-def _check_on_grid(machine: Machine, cylinder: Cylinder) -> None:
-    lengths, arms, place = _on_grid(machine, cylinder)
-    beyond = np.flatnonzero((lengths < cylinder.dead_length - 1e-9)
-                            | (lengths > cylinder.dead_length + cylinder.stroke + 1e-9))
-    if beyond.size:
-        raise ImpossibleError(
-            f"'{cylinder.name}' would be {lengths[beyond[0]]:.3f} m long at {place(int(beyond[0]))} but can only be "
-            f"{cylinder.dead_length:.3f} to {cylinder.dead_length + cylinder.stroke:.3f} m",
-            "correct dead length, stroke, pins or the joints' limits")
-    turned = np.flatnonzero(arms * arms[0] <= 0)
-    if turned.size:
-        raise ImpossibleError(
-            f"'{cylinder.name}' has a dead point near {place(int(turned[0]))}, where its lever arm on "
-            f"{machine.axis_of(cylinder)} changes sign", "correct its pins or narrow the joints' limits")
-
-
-def _lever_arm_keeps_sign(cylinder: Cylinder, joint: str, offset: float, lower: float, upper: float) -> None:
-    # the lever arm fixed·moving·sin(θ + offset)/length is zero where the pins and the axis lie in one line; a passive
-    # gas cylinder may pass such a point (a counterbalance works on both sides of it), an actuator may not
-    first = np.ceil((lower + offset) / np.pi)
-    dead = first * np.pi - offset
-    if dead <= upper:
-        raise ImpossibleError(
-            f"'{cylinder.name}' has a dead point at {joint} = {np.degrees(dead):.2f} deg, inside the joint's range "
-            f"{np.degrees(lower):.1f} to {np.degrees(upper):.1f} deg", "correct its pins or narrow the joint's limits")
-
-
-def _stroke_suffices(cylinder: Cylinder, joint: str, sides: Triangle, lower: float, upper: float) -> None:
-    fixed, moving, offset, lateral = (float(v) for v in sides)
-    shortest, longest = (np.hypot(fixed + sign * moving, lateral) for sign in (-1, 1))
-    retracted, extended = cylinder.dead_length, cylinder.dead_length + cylinder.stroke
-    if retracted > longest or extended < shortest:
-        raise ImpossibleError(
-            f"the triangle of '{cylinder.name}' is open at every {joint}: its pins can be {shortest:.3f} to "
-            f"{longest:.3f} m apart, the cylinder {retracted:.3f} to {extended:.3f} m long",
-            "correct its pins, dead length or stroke")
-    for angle in (lower, upper):
-        length = np.sqrt(fixed**2 + moving**2 + lateral**2 - 2 * fixed * moving * np.cos(angle + offset))
-        if not retracted - 1e-9 <= length <= extended + 1e-9:
-            raise ImpossibleError(
-                f"'{cylinder.name}' would be {length:.3f} m long at {joint} = {np.degrees(angle):.1f} deg but can only "
-                f"be {retracted:.3f} to {extended:.3f} m", "correct dead length, stroke, pins or the joint's limits")
+def _numbers(machine: Machine, links: tuple[Link, ...]) -> tuple[Number, ...]:
+    numbers = [Number(f"{link.name}.{key}", unit, getattr(link.joint, key), f"{link.name}.joint.{key}")
+               for link in links for key, unit in DENAVIT_HARTENBERG.items()]
+    numbers += [Number(f"{link.name}.compliance", "rad/(N*m)" if link.joint.type == "revolute" else "m/N",
+                       link.joint.compliance, f"{link.name}.joint.compliance")
+                for link in links if link.joint.compliance is not None and link.joint.type != "locked"]
+    vectors: list[tuple[str, tuple[float, ...], str, tuple[str, ...], str]] = []
+    if machine.calibrator:
+        vectors.append(("tip", machine.calibrator.tip, "calibrator.tip", _POINT, "m"))
+    if machine.tracker:
+        vectors += [("tracker", machine.tracker.position, "tracker.position", _POINT, "m"),
+                    ("tracker", machine.tracker.orientation, "tracker.orientation", _TURN, "rad")]
+    for cylinder in machine.all_cylinders:
+        vectors += [(f"{cylinder.name}.{end}", getattr(cylinder, end).pin, f"{cylinder.name}.{end}.pin", _POINT, "m")
+                    for end in ("barrel", "rod")]
+        if isinstance(cylinder, Cylinder):
+            numbers.append(Number(f"{cylinder.name}.dead_length", "m", cylinder.dead_length,
+                                  f"{cylinder.name}.dead_length"))
+    return (*numbers, *(Number(f"{owner}.{axis}", unit, vector[k], path, k)
+                        for owner, vector, path, axes, unit in vectors for k, axis in enumerate(axes)))

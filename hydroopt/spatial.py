@@ -5,9 +5,13 @@ All functions take and return CasADi matrices, so that the same lines serve expr
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import casadi as ca
+
+RIGHT = 1e-15
+"""What a cosine of a right angle in floating point may differ from zero by, a few turns off the first."""
 
 
 class Pose(NamedTuple):
@@ -20,6 +24,10 @@ class Pose(NamedTuple):
         """Pose of a frame that is `other` as seen from this one."""
         return Pose(self.rotation @ other.rotation, self.origin + self.rotation @ other.origin)
 
+    def inverse(self) -> Pose:
+        """The outer frame seen from this one."""
+        return Pose(self.rotation.T, -(self.rotation.T @ self.origin))
+
     def point(self, local: ca.SX) -> ca.SX:
         """Coordinates (3,) in the outer frame of a point given in this frame."""
         return self.origin + self.rotation @ local
@@ -30,21 +38,29 @@ def identity() -> Pose:
     return Pose(ca.DM.eye(3), ca.DM.zeros(3))
 
 
+def _cos_sin(angle: ca.SX | float) -> tuple[ca.SX, ca.SX]:
+    """Cosine and sine; those of a number that is a right angle are exact, so that no 6e-17 ties what is apart."""
+    if isinstance(angle, float | int):
+        c, s = math.cos(angle), math.sin(angle)
+        return (c, s) if min(abs(c), abs(s)) > RIGHT else (float(round(c)), float(round(s)))
+    return ca.cos(angle), ca.sin(angle)
+
+
 def rotation_x(angle: ca.SX) -> ca.SX:
     """Rotation matrix (3, 3) about x by `angle` [rad]."""
-    c, s = ca.cos(angle), ca.sin(angle)
+    c, s = _cos_sin(angle)
     return ca.blockcat([[1, 0, 0], [0, c, -s], [0, s, c]])
 
 
 def rotation_y(angle: ca.SX) -> ca.SX:
     """Rotation matrix (3, 3) about y by `angle` [rad]."""
-    c, s = ca.cos(angle), ca.sin(angle)
+    c, s = _cos_sin(angle)
     return ca.blockcat([[c, 0, s], [0, 1, 0], [-s, 0, c]])
 
 
 def rotation_z(angle: ca.SX) -> ca.SX:
     """Rotation matrix (3, 3) about z by `angle` [rad]."""
-    c, s = ca.cos(angle), ca.sin(angle)
+    c, s = _cos_sin(angle)
     return ca.blockcat([[c, -s, 0], [s, c, 0], [0, 0, 1]])
 
 

@@ -11,7 +11,7 @@ import tomlkit
 
 from hydroopt.description import bundled, dump_machine, load_machine, read_machine
 from hydroopt.errors import MachineError
-from hydroopt.geometry import triangle_of
+from hydroopt.geometry import Geometry
 from hydroopt.machine import Machine
 from hydroopt.model.build import Model
 
@@ -281,7 +281,7 @@ def test_cylinder_triangles_of_tables_3_and_11(
     excavator: Machine, cylinder: str, joint: str, sides: tuple[float, float], offset: float
 ) -> None:
     (part,) = [c for c in excavator.cylinders if c.name == cylinder]
-    found = triangle_of(excavator, part)
+    found = Geometry(excavator).triangle(part)
     assert found is not None
     assert found[0] == joint
     fixed, moving, angle, lateral = (float(v) for v in found[1])

@@ -13,7 +13,7 @@ import pytest
 
 from hydroopt.description import dump_machine, load_machine, read_machine
 from hydroopt.errors import MachineError
-from hydroopt.geometry import far_end, pose_between
+from hydroopt.geometry import Geometry
 from hydroopt.machine import BASE, Machine
 from hydroopt.model.build import Model
 from hydroopt.urdf import read_urdf
@@ -112,14 +112,14 @@ def moves_alike(machine: Machine, path, tip, held=None, states=4):
         q = dict.fromkeys(machine.joints, 0.0) if k == 0 else positions(machine, rng)
         oracle.move(q)
         for name in machine.joints:
-            pose, child = matrix(pose_between(machine, name, BASE, q)), oracle.pose(oracle.children[name])
+            pose, child = matrix(Geometry(machine).seen_from(BASE, name, q)), oracle.pose(oracle.children[name])
             axis = child[:3, :3] @ oracle.axes[name] / np.linalg.norm(oracle.axes[name])
             np.testing.assert_allclose(pose[:3, 2], axis, atol=1e-12)
             np.testing.assert_allclose(np.cross(pose[:3, 3] - child[:3, 3], axis), 0, atol=1e-12)
             body = np.linalg.inv(child) @ pose
             np.testing.assert_allclose(body, fixed_to.setdefault(name, body), atol=1e-12)
         last = machine.links[-1]
-        end = matrix(pose_between(machine, last.name, BASE, q) @ far_end(last.joint))
+        end = matrix(Geometry(machine).seen_from(BASE, last.name, q) @ Geometry(machine).far_end(last.name))
         np.testing.assert_allclose(end[:3, 3], oracle.pose(tip)[:3, 3], rtol=0, atol=1e-12)
 
 

@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt import geometry, postures
+from hydroopt import postures
 from hydroopt.description import dump_machine, read_machine
 from hydroopt.errors import HydrooptError
 from hydroopt.estimation.calibration import Calibration, fit_of, follow_unsensed, gaps, guess_unsensed, predicted
@@ -19,8 +19,9 @@ from hydroopt.estimation.closure import CalibrationProblem
 from hydroopt.estimation.diagnosis import Suspect
 from hydroopt.estimation.estimate import Fit
 from hydroopt.estimation.observability import spread
+from hydroopt.geometry import Geometry
 from hydroopt.inertia import Array
-from hydroopt.machine import BASE, Machine
+from hydroopt.machine import BASE
 from hydroopt.model.loops import KinematicModel
 from hydroopt.signals.poses import Poses
 
@@ -321,12 +322,11 @@ def _end(model: KinematicModel) -> tuple[str, ca.Function]:
 
 def _pins(model: KinematicModel, q: Array) -> Array:
     """Pins (N, c, 2, 3) [m] of the cylinders in the base frame, at the nominal geometry."""
-    machine: Machine = model.machine
+    machine, geometry = model.machine, Geometry(model.machine)
     symbols = ca.SX.sym("q", len(model.joints))
-    at = {joint: symbols[k] for k, joint in enumerate(model.joints) if joint in machine.joints}
-    places = [ca.SX(ca.DM(end.pin)) if end.link == BASE else
-              geometry.pose_between(machine, end.link, BASE, at).point(ca.DM(end.pin))
-              for cylinder in machine.all_cylinders for end in (cylinder.barrel, cylinder.rod)]
+    at = {joint: symbols[k] for k, joint in enumerate(model.joints)}
+    places = [geometry.seen_from(BASE, getattr(cylinder, end).link, at).point(geometry.point(f"{cylinder.name}.{end}"))
+              for cylinder in machine.all_cylinders for end in ("barrel", "rod")]
     if not places:
         return np.zeros((len(q), 0, 2, 3))
     function = ca.Function("pins", [symbols], [ca.horzcat(*places)])

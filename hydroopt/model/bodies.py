@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from hydroopt.machine import Machine
-from hydroopt.model.kinematics import Coordinates, Motion
+from hydroopt.geometry import Geometry
+from hydroopt.model.kinematics import STILL, UP, Coordinates, Motion
 from hydroopt.parts import Cylinder, GasCylinder
-from hydroopt.spatial import Pose, unskew
+from hydroopt.spatial import Pose
 
 
 class CylinderMotion(NamedTuple):
@@ -28,29 +28,59 @@ class CylinderMotion(NamedTuple):
     rod_turn: ca.SX
 
 
-def cylinder_motion(machine: Machine, cylinder: Cylinder | GasCylinder, links: dict[str, Motion],
+def cylinder_motion(geometry: Geometry, cylinder: Cylinder | GasCylinder, links: dict[str, Motion],
                     at: Coordinates) -> CylinderMotion:
-    """Motion of a cylinder between its pins, from the motions of the links that carry them."""
-    carriers = links[cylinder.barrel.link], links[cylinder.rod.link]
-    ends = [carrier.of_point(ca.DM(end.pin))
-            for carrier, end in zip(carriers, (cylinder.barrel, cylinder.rod), strict=True)]
-    (from_p, from_v), (to_p, to_v) = (end[:2] for end in ends)
-    length = ca.norm_2(to_p - from_p)
-    x = (to_p - from_p) / length
-    speed = ca.dot(x, to_v - from_v)
+    """Motion of a cylinder between its pins, reckoned in the axis frame of the joint that orients it.
+
+    Seen from there only the joints between the pins move the cylinder; the frame's own motion is added last. With
+    d = l·x from pin to pin, y·ḋ = l·ω_z and z·ḋ = −l·ω_y; the axis stays in the plane of x and z, which gives ω_x.
+    """
+    machine = geometry.machine
+    driven = machine.axis_of(cylinder)
+    before = machine.link(driven).parent
+    q = {joint: at.q[k] for k, joint in enumerate(machine.joints)}
+    pins = [geometry.pin(cylinder, end, q) for end in ("barrel", "rod")]
+    speeds = [_rate(pin, at) for pin in pins]
+    accelerations = [_rate(speed, at) for speed in speeds]
+    d, dd, ddd = (rod - barrel for barrel, rod in (pins, speeds, accelerations))
+    length = ca.norm_2(d)
+    x = d / length
     # the axis of the driven joint, made perpendicular to the centre line: in a planar triangle it is so already; a
     # cylinder may lie along the axis of a sliding joint, whose x axis serves instead
-    driven = machine.axis_of(cylinder)
-    axis = links[driven].pose.rotation[:, 0 if machine.link(driven).joint.type == "prismatic" else 2]
-    y = ca.cross(axis, x)
-    y = y / ca.norm_2(y)
-    turn = ca.horzcat(x, y, ca.cross(x, y))
-    rotation = unskew(turn.T @ _rate(turn, at))
-    rotation_rate = _rate(rotation, at)
-    barrel, rod = (Motion(Pose(turn, p), turn.T @ v, turn.T @ a, rotation, rotation_rate)
-                   for p, v, a in ends)
-    pins = [rotation[2] - ca.dot(turn[:, 2], carrier.pose.rotation @ carrier.rotation) for carrier in carriers]
-    return CylinderMotion(length, speed, _rate(speed, at), barrel, rod, *pins)
+    axis = UP
+    if machine.link(driven).joint.type == "prismatic":
+        axis = ca.SX(geometry.joint(driven, 0.0).rotation[:, 0])
+    along = ca.dot(axis, x)
+    across = 1.0 if along.is_zero() else ca.sqrt(1 - along**2)
+    y = ca.cross(axis, x) / across
+    z = ca.cross(x, y)
+    speed = ca.dot(x, dd)
+    turn_y, turn_z = -ca.dot(z, dd) / length, ca.dot(y, dd) / length
+    lean = along / across
+    turn_x = lean * turn_z
+    rate_z = (ca.dot(y, ddd) - 2 * speed * turn_z) / length - turn_x * turn_y
+    rate_y = turn_x * turn_z - (2 * speed * turn_y + ca.dot(z, ddd)) / length
+    rate_x = lean * rate_z - turn_y * turn_z / across**2
+    acceleration = ca.dot(x, ddd) + length * (turn_y**2 + turn_z**2)
+    frame, turn = links[before].fixed(geometry.far_end(before)), ca.horzcat(x, y, z)
+    rotation, rotation_rate = ca.vertcat(turn_x, turn_y, turn_z), ca.vertcat(rate_x, rate_y, rate_z)
+    bodies = [frame.carry(Pose(turn, pins[k]), turn.T @ speeds[k], turn.T @ accelerations[k], rotation, rotation_rate)
+              for k in (0, 1)]
+    pin_turns = [turn_z - ca.dot(z, _rotation(geometry, before, end.link, q, at))
+                 for end in (cylinder.barrel, cylinder.rod)]
+    return CylinderMotion(length, speed, acceleration, *bodies, *pin_turns)
+
+
+def _rotation(geometry: Geometry, viewer: str, link: str, q: dict[str, ca.SX], at: Coordinates) -> ca.SX:
+    """Rotation rate (3,) [rad/s] of a link relative to the far end of another, written there."""
+    machine = geometry.machine
+    total = STILL
+    for joint in machine.joints_between(viewer, link):
+        if machine.link(joint).joint.type == "revolute":
+            axis = geometry.seen_from(viewer, joint, q).rotation[:, 2]
+            sign = 1 if joint in machine.ancestry(link) else -1
+            total = total + sign * axis * at.qd[machine.joints.index(joint)]
+    return total
 
 
 def _rate(expression: ca.SX, at: Coordinates) -> ca.SX:

@@ -8,7 +8,8 @@ from functools import cached_property
 import casadi as ca
 import numpy as np
 
-from hydroopt import dynamic_parameters, geometry
+from hydroopt import dynamic_parameters
+from hydroopt.geometry import Geometry
 from hydroopt.inertia import Array
 from hydroopt.machine import Machine
 from hydroopt.model import lagrange
@@ -31,7 +32,8 @@ class Model:
         self.machine = machine
         self.actuator_inertia = actuator_inertia
         self.at = coordinates(machine)
-        self.dynamics = Dynamics(machine, self.at)
+        self.geometry = Geometry(machine)
+        self.dynamics = Dynamics(self.geometry, self.at)
         self._maps: dict[tuple[int, int], tuple[ca.Function, ca.Function]] = {}
 
     @cached_property
@@ -44,7 +46,7 @@ class Model:
         """q (n,) → pose (4, 4) of every link's far end in the base frame, one output a link (Eq. 3.14)."""
         ends = {}
         for link in self.machine.links:
-            pose = self.dynamics.links[link.name].pose @ geometry.far_end(link.joint)
+            pose = self.dynamics.links[link.name].pose @ self.geometry.far_end(link.name)
             ends[link.name] = ca.vertcat(ca.horzcat(pose.rotation, pose.origin), ca.DM([[0, 0, 0, 1]]))
         return _dense("forward_kinematics", [self.at.q], list(ends.values()), ["q"], list(ends))
 
@@ -68,7 +70,7 @@ class Model:
         """
         pairs = {}
         for cylinder in self.machine.cylinders:
-            found = geometry.triangle_of(self.machine, cylinder)
+            found = self.geometry.triangle(cylinder)
             if found is None:
                 continue
             joint, sides = found

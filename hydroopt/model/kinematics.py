@@ -6,12 +6,12 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from hydroopt.geometry import far_end
+from hydroopt.geometry import Geometry
 from hydroopt.machine import BASE, Machine
-from hydroopt.parts import Joint
-from hydroopt.spatial import Pose, identity, joint_pose, roll_pitch_yaw
+from hydroopt.spatial import Pose, identity, roll_pitch_yaw
 
-UP = ca.DM([0, 0, 1])
+UP = ca.SX(ca.DM([0, 0, 1]))
+STILL = ca.SX(3, 1)
 
 
 class Coordinates(NamedTuple):
@@ -34,13 +34,22 @@ class Motion(NamedTuple):
     rotation: ca.SX
     rotation_rate: ca.SX
 
-    def of_point(self, local: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Position, velocity and acceleration minus gravity, in the base frame, of a point fixed to the body."""
-        velocity = self.velocity + ca.cross(self.rotation, local)
-        acceleration = (self.acceleration + ca.cross(self.rotation_rate, local)
-                        + ca.cross(self.rotation, ca.cross(self.rotation, local)))
-        turn = self.pose.rotation
-        return self.pose.point(local), turn @ velocity, turn @ acceleration
+    def carry(self, inner: Pose, velocity: ca.SX, acceleration: ca.SX, rotation: ca.SX, rotation_rate: ca.SX) -> Motion:
+        """Motion of a frame that moves relative to this one; its relative motion is written in the frame itself."""
+        back, r = inner.rotation.T, inner.origin
+        turning = back @ self.rotation
+        return Motion(
+            self.pose @ inner,
+            back @ (self.velocity + ca.cross(self.rotation, r)) + velocity,
+            back @ (self.acceleration + ca.cross(self.rotation_rate, r)
+                    + ca.cross(self.rotation, ca.cross(self.rotation, r)))
+            + 2 * ca.cross(turning, velocity) + acceleration,
+            turning + rotation,
+            back @ self.rotation_rate + ca.cross(turning, rotation) + rotation_rate)
+
+    def fixed(self, inner: Pose) -> Motion:
+        """Motion of another frame fixed to the same body."""
+        return self.carry(inner, STILL, STILL, STILL, STILL)
 
 
 def coordinates(machine: Machine) -> Coordinates:
@@ -56,35 +65,18 @@ def gravity_in_base(machine: Machine) -> ca.DM:
 
 def base_motion(machine: Machine) -> Motion:
     """Motion of the base: at rest, which counts as accelerated upwards by g."""
-    zero = ca.DM.zeros(3)
-    return Motion(identity(), zero, -gravity_in_base(machine), zero, zero)
+    return Motion(identity(), STILL, -gravity_in_base(machine), STILL, STILL)
 
 
-def link_motions(machine: Machine, at: Coordinates) -> dict[str, Motion]:
+def link_motions(geometry: Geometry, at: Coordinates) -> dict[str, Motion]:
     """Motion of the frame P_i of every link, and of the base, by the outward recursion of Newton and Euler."""
+    machine = geometry.machine
     motions = {BASE: base_motion(machine)}
     for link in machine.links:
-        parent = motions[link.parent]
-        start = identity() if link.parent == BASE else far_end(machine.link(link.parent).joint)
-        index = machine.joints.index(link.name) if link.name in machine.joints else None
-        motions[link.name] = _step(parent, start, link.joint, at, index)
+        q, qd, qdd = (0.0, 0.0, 0.0)
+        if link.name in machine.joints:
+            q, qd, qdd = (column[machine.joints.index(link.name)] for column in at)
+        step = geometry.far_end(link.parent) @ geometry.joint(link.name, q)
+        slide, turn = (UP, STILL) if link.joint.type == "prismatic" else (STILL, UP)
+        motions[link.name] = motions[link.parent].carry(step, slide * qd, slide * qdd, turn * qd, turn * qdd)
     return motions
-
-
-def _step(parent: Motion, start: Pose, joint: Joint, at: Coordinates, index: int | None) -> Motion:
-    q, qd, qdd = (0, 0, 0) if index is None else (at.q[index], at.qd[index], at.qdd[index])
-    sliding = joint.type == "prismatic"
-    relative = start @ joint_pose(joint.theta + (0 if sliding else q), joint.d + (q if sliding else 0))
-    back, r = relative.rotation.T, relative.origin
-    rotation = back @ parent.rotation
-    rotation_rate = back @ parent.rotation_rate
-    velocity = back @ (parent.velocity + ca.cross(parent.rotation, r))
-    acceleration = back @ (parent.acceleration + ca.cross(parent.rotation_rate, r)
-                           + ca.cross(parent.rotation, ca.cross(parent.rotation, r)))
-    if sliding:
-        velocity += UP * qd
-        acceleration += UP * qdd + 2 * ca.cross(rotation, UP * qd)
-    else:
-        rotation_rate += UP * qdd + ca.cross(rotation, UP * qd)
-        rotation += UP * qd
-    return Motion(parent.pose @ relative, velocity, acceleration, rotation, rotation_rate)

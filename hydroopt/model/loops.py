@@ -6,32 +6,19 @@ Every number of the machine file that states a confidence is a parameter; all ot
 from __future__ import annotations
 
 from functools import cached_property
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from hydroopt.geometry import Geometry, Number
 from hydroopt.inertia import Array
 from hydroopt.machine import BASE, Machine
 from hydroopt.parameters import ParameterSet
-from hydroopt.parts import Link
-from hydroopt.spatial import Pose, identity, joint_pose, link_pose, roll_pitch_yaw
+from hydroopt.parts import Cylinder, Link
+from hydroopt.spatial import Pose, identity, roll_pitch_yaw
 
-DENAVIT_HARTENBERG = {"theta": "rad", "d": "m", "a": "m", "alpha": "rad", "beta": "rad"}
 TINY = 1e-9
 """Length [m] that keeps a distance differentiable at zero."""
-_POINT = ("x", "y", "z")
-_TURN = ("roll", "pitch", "yaw")
-
-
-class Number(NamedTuple):
-    """One number of the machine file: name, unit, value, the key of its note, and its place if that is a vector."""
-
-    name: str
-    unit: str
-    value: float
-    path: str
-    axis: int | None = None
 
 
 class KinematicModel:
@@ -52,32 +39,31 @@ class KinematicModel:
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine
-        self.links = (*machine.links, *(machine.calibrator.links if machine.calibrator else ()))
+        stated = Geometry(machine)
+        self.links = stated.links
         self.joints = tuple(link.name for link in self.links if link.joint.type != "locked")
-        numbers = _numbers(machine, self.links)
-        self.parameters = _parameters(machine, numbers)
-        self.paths = {number.name: (number.path, number.axis) for number in numbers}
+        self.parameters = _parameters(machine, stated.numbers)
+        self.paths = {number.name: (number.path, number.axis) for number in stated.numbers}
         g, q, fixture = (ca.SX.sym("g", len(self.parameters)), ca.SX.sym("q", len(self.joints)),
                          ca.SX.sym("fixture", 3))
-        value = {number.name: ca.SX(number.value) for number in numbers}
-        value |= {name: g[k] for k, name in enumerate(self.parameters.names)}
-        loaded = self._loaded(value, q)
-        poses = self._poses(value, loaded)
+        self.geometry = Geometry(machine, {name: g[k] for k, name in enumerate(self.parameters.names)})
+        loaded = self._loaded(q)
+        poses = self._poses(loaded)
         chain = [link.name for link in machine.chain]
-        ends = [poses[name] @ _far_end(value, name) for name in chain]
-        tip = ends[-1].point(_vector(value, "tip", _POINT)) if machine.calibrator else ca.SX(3, 1)
+        ends = [poses[name] @ self.geometry.far_end(name) for name in chain]
+        tip = ends[-1].point(self.geometry.point("tip")) if machine.calibrator else ca.SX(3, 1)
         ends_of = ca.horzcat(*(end.origin for end in ends)) if ends else ca.SX(3, 0)
-        lengths = ca.vertcat(*(self._length(value, loaded, k) for k in range(len(machine.cylinders))))
+        lengths = ca.vertcat(*(self._length(cylinder, loaded) for cylinder in machine.cylinders))
         # the last far end may lie in the fixture, where a plain norm has no derivative
         taped = ca.vertcat(*(ca.sqrt(ca.sumsqr(end.origin - fixture) + TINY**2) for end in ends))
         self.tip = ca.Function("tip", [g, q], [tip], ["g", "q"], ["tip"])
         self.closure = ca.Function("closure", [g, q, fixture], [tip - fixture], ["g", "q", "fixture"], ["gap"])
         self.far_ends = ca.Function("far_ends", [g, q], [ends_of], ["g", "q"], ["ends"])
         self.lengths = ca.Function("lengths", [g, q], [lengths], ["g", "q"], ["lengths"])
-        tracked = self._tracked(value, tip)
+        tracked = self._tracked(tip)
         self.observed = ca.Function("observed", [g, q, fixture], [ca.vertcat(tip - fixture, lengths, tracked, taped)],
                                     ["g", "q", "fixture"], ["observed"])
-        frames = {name: self._before(value, poses, name) for name in self.joints}
+        frames = {name: self._before(poses, name) for name in self.joints}
         self.axes = ca.Function("axes", [g, q], [ca.horzcat(*(frame.rotation[:, 2] for frame in frames.values()))],
                                 ["g", "q"], ["axes"])
         self._axis_frame = frames
@@ -89,7 +75,7 @@ class KinematicModel:
         """Names of the rows (m,) of `observed`; the first three are the loop's residual."""
         machine = self.machine
         return ("gap.x", "gap.y", "gap.z", *(f"{c.name}.length" for c in machine.cylinders),
-                *(f"tip.{axis}" for axis in _POINT), *(f"{link.name}.distance" for link in machine.chain))
+                "tip.x", "tip.y", "tip.z", *(f"{link.name}.distance" for link in machine.chain))
 
     @cached_property
     def observed_jacobians(self) -> ca.Function:
@@ -139,59 +125,40 @@ class KinematicModel:
         return [np.asarray(result).reshape(rows, count, width).transpose(1, 0, 2)
                 for result, (rows, width) in zip(results, shapes, strict=True)]
 
-    def _loaded(self, value: dict[str, ca.SX], q: ca.SX) -> ca.SX:
+    def _loaded(self, q: ca.SX) -> ca.SX:
         """Joint vector after every joint has given way under gravity by its compliance."""
+        value = self.geometry.value
         if not any(f"{link.name}.compliance" in value for link in self.links):
             return q
-        torque = _gravity_torque(self.machine, self.links, self._poses(value, q), q)
-        return q + ca.vertcat(*(value.get(f"{name}.compliance", ca.SX(0)) for name in self.joints)) * torque
+        torque = _gravity_torque(self.machine, self.links, self._poses(q), q)
+        return q + ca.vertcat(*(value.get(f"{name}.compliance", 0.0) for name in self.joints)) * torque
 
-    def _poses(self, value: dict[str, ca.SX], q: ca.SX) -> dict[str, Pose]:
+    def _poses(self, q: ca.SX) -> dict[str, Pose]:
         """Frames P_i of all links in the base frame."""
-        poses = {BASE: identity()}
+        poses, variables = {BASE: identity()}, self._named(q)
         for link in self.links:
-            poses[link.name] = poses[link.parent] @ self._step(value, q, link)
+            own = self.geometry.joint(link.name, variables.get(link.name, 0.0))
+            poses[link.name] = poses[link.parent] @ self.geometry.far_end(link.parent) @ own
         return poses
 
-    def _step(self, value: dict[str, ca.SX], q: ca.SX, link: Link) -> Pose:
-        """A link's P_i seen from that of its parent."""
-        variable = q[self.joints.index(link.name)] if link.name in self.joints else 0
-        theta, d = value[f"{link.name}.theta"], value[f"{link.name}.d"]
-        own = joint_pose(theta, d + variable) if link.joint.type == "prismatic" else joint_pose(theta + variable, d)
-        return own if link.parent == BASE else _far_end(value, link.parent) @ own
+    def _named(self, q: ca.SX) -> dict[str, ca.SX]:
+        return {joint: q[k] for k, joint in enumerate(self.joints)}
 
-    def _before(self, value: dict[str, ca.SX], poses: dict[str, Pose], joint: str) -> Pose:
+    def _before(self, poses: dict[str, Pose], joint: str) -> Pose:
         parent = next(link.parent for link in self.links if link.name == joint)
-        return poses[parent] if parent == BASE else poses[parent] @ _far_end(value, parent)
+        return poses[parent] @ self.geometry.far_end(parent)
 
-    def _length(self, value: dict[str, ca.SX], q: ca.SX, k: int) -> ca.SX:
-        cylinder = self.machine.cylinders[k]
-        # seen from the last link that both ends hang on, so that joints before it do not enter
-        chains = [self.machine.ancestry(end.link)[::-1] for end in (cylinder.barrel, cylinder.rod)]
-        shared = sum(1 for one, other in zip(*chains, strict=False) if one == other)
-        pins = []
-        for name, chain in zip(("barrel", "rod"), chains, strict=True):
-            pose = identity()
-            for link in chain[shared:]:
-                pose = pose @ self._step(value, q, self.machine.link(link))
-            pins.append(pose.point(_vector(value, f"{cylinder.name}.{name}", _POINT)))
+    def _length(self, cylinder: Cylinder, q: ca.SX) -> ca.SX:
         # a transducer reads the stroke; what it is added to is the nominal dead length
-        return ca.norm_2(pins[1] - pins[0]) + cylinder.dead_length - value[f"{cylinder.name}.dead_length"]
+        pins = [self.geometry.pin(cylinder, end, self._named(q)) for end in ("barrel", "rod")]
+        return (ca.norm_2(pins[1] - pins[0]) + cylinder.dead_length
+                - self.geometry.value[f"{cylinder.name}.dead_length"])
 
-    def _tracked(self, value: dict[str, ca.SX], tip: ca.SX) -> ca.SX:
+    def _tracked(self, tip: ca.SX) -> ca.SX:
         if self.machine.tracker is None:
             return tip
-        roll, pitch, yaw = (value[f"tracker.{name}"] for name in _TURN)
-        turn = roll_pitch_yaw((roll, pitch, yaw))
-        return turn.T @ (tip - _vector(value, "tracker", _POINT))
-
-
-def _far_end(value: dict[str, ca.SX], link: str) -> Pose:
-    return link_pose(*(value[f"{link}.{key}"] for key in ("a", "alpha", "beta")))
-
-
-def _vector(value: dict[str, ca.SX], name: str, axes: tuple[str, ...]) -> ca.SX:
-    return ca.vertcat(*(value[f"{name}.{axis}"] for axis in axes))
+        turn = roll_pitch_yaw(self.geometry.turn("tracker"))
+        return turn.T @ (tip - self.geometry.point("tracker"))
 
 
 def _gravity_torque(machine: Machine, links: tuple[Link, ...], poses: dict[str, Pose], q: ca.SX) -> ca.SX:
@@ -205,32 +172,13 @@ def _gravity_torque(machine: Machine, links: tuple[Link, ...], poses: dict[str, 
     return -ca.gradient(potential, q)
 
 
-def _numbers(machine: Machine, links: tuple[Link, ...]) -> list[Number]:
-    """All numbers of the geometry, each with the key under which the machine's notes speak of it."""
-    numbers = [Number(f"{link.name}.{key}", unit, getattr(link.joint, key), f"{link.name}.joint.{key}")
-               for link in links for key, unit in DENAVIT_HARTENBERG.items()]
-    numbers += [Number(f"{link.name}.compliance", "rad/(N*m)" if link.joint.type == "revolute" else "m/N",
-                       link.joint.compliance, f"{link.name}.joint.compliance")
-                for link in links if link.joint.compliance is not None and link.joint.type != "locked"]
-    vectors: list[tuple[str, tuple[float, ...], str, tuple[str, ...], str]] = []
-    if machine.calibrator:
-        vectors.append(("tip", machine.calibrator.tip, "calibrator.tip", _POINT, "m"))
-    if machine.tracker:
-        vectors += [("tracker", machine.tracker.position, "tracker.position", _POINT, "m"),
-                    ("tracker", machine.tracker.orientation, "tracker.orientation", _TURN, "rad")]
-    for cylinder in machine.cylinders:
-        vectors += [(f"{cylinder.name}.{end}", getattr(cylinder, end).pin, f"{cylinder.name}.{end}.pin", _POINT, "m")
-                    for end in ("barrel", "rod")]
-        numbers.append(Number(f"{cylinder.name}.dead_length", "m", cylinder.dead_length,
-                              f"{cylinder.name}.dead_length"))
-    return numbers + [Number(f"{owner}.{axis}", unit, vector[k], path, k) for owner, vector, path, axes, unit in vectors
-                      for k, axis in enumerate(axes)]
-
-
-def _parameters(machine: Machine, numbers: list[Number]) -> ParameterSet:
+def _parameters(machine: Machine, numbers: tuple[Number, ...]) -> ParameterSet:
     """The numbers that state a confidence, with Gaussian priors about their nominal values."""
     free, sigmas = [], []
+    unseen = {gas.name for gas in machine.gas_cylinders}  # nothing measures their length
     for number in numbers:
+        if number.name.partition(".")[0] in unseen:
+            continue
         note = machine.notes.get(number.path)
         beside = [other.value for other in numbers if other.path == number.path]
         sigma = None if note is None else note.spread(*beside)

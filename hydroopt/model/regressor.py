@@ -10,6 +10,7 @@ import casadi as ca
 
 from hydroopt import inertia
 from hydroopt.dynamic_parameters import bodies, parameter_set
+from hydroopt.geometry import Geometry
 from hydroopt.machine import Machine
 from hydroopt.model.bodies import CylinderMotion, cylinder_motion
 from hydroopt.model.kinematics import Coordinates, Motion, link_motions
@@ -34,13 +35,14 @@ def _bullet(w: ca.SX) -> ca.SX:
 class Dynamics:
     """All expressions of a machine's dynamics in one set of symbols; `Model` turns them into functions."""
 
-    def __init__(self, machine: Machine, at: Coordinates) -> None:
-        self.machine, self.at = machine, at
-        self.links = link_motions(machine, at)
+    def __init__(self, geometry: Geometry, at: Coordinates) -> None:
+        self.geometry, self.at = geometry, at
+        self.machine: Machine = geometry.machine
+        self.links = link_motions(geometry, at)
         self.cylinders: dict[str, CylinderMotion] = {
-            c.name: cylinder_motion(machine, c, self.links, at)
-            for c in machine.all_cylinders}
-        self.rates = ca.vertcat(*[self._rate_of(a) for a in machine.actuators])
+            c.name: cylinder_motion(geometry, c, self.links, at)
+            for c in self.machine.all_cylinders}
+        self.rates = ca.vertcat(*[self._rate_of(a) for a in self.machine.actuators])
         self.transmission = self._transmission()
         """(actuators, joints): actuator speed = transmission · q̇; its entries are the lever arms."""
 

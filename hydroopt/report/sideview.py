@@ -12,14 +12,14 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from hydroopt import geometry, inertia
+from hydroopt import inertia
 from hydroopt.estimation.estimate import Estimate
 from hydroopt.inertia import Array
 from hydroopt.machine import BASE, Machine
 from hydroopt.model.build import Model
 from hydroopt.parts import Cylinder, GasCylinder, Link
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE, STYLE, WIDTH
-from hydroopt.spatial import roll_pitch_yaw
+from hydroopt.spatial import Pose, roll_pitch_yaw
 
 UP = np.array([0.0, 0.0, 1.0])
 ROOM = (9.4, 5.6)
@@ -119,11 +119,12 @@ def _ends(model: Model, poses: Array) -> dict[str, Array]:
 
 def _frames(model: Model, poses: Array) -> dict[str, Array]:
     """Pose in the world (k, 4, 4) of every link's frame P_i."""
-    return {name: end @ np.linalg.inv(_matrix(model.machine.link(name))) for name, end in _ends(model, poses).items()}
+    return {name: end @ np.linalg.inv(_matrix(model.geometry.far_end(name)))
+            for name, end in _ends(model, poses).items()}
 
 
-def _matrix(link: Link) -> Array:
-    pose, matrix = geometry.far_end(link.joint), np.eye(4)
+def _matrix(pose: Pose) -> Array:
+    matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = np.asarray(pose.rotation), np.asarray(pose.origin).ravel()
     return matrix
 
