@@ -106,12 +106,8 @@ def random_truth(model: Model, seed: int, *, tries: int = 20000) -> Array:
 
 
 def forces(model: Model, motion: Trajectory, psi: Array) -> Array:
-    """Noise-free actuator forces (N, n) of a motion with the parameters ψ, a chunk of samples at a time."""
-    out = np.empty_like(motion.q)
-    for start in range(0, len(out), 4096):
-        rows = np.s_[start : start + 4096]
-        out[rows] = model.over(model.regressor, motion.q[rows], motion.qd[rows], motion.qdd[rows])[0] @ psi
-    return out
+    """Noise-free actuator forces (N, n) of a motion with the parameters ψ."""
+    return model.over(model.inverse_dynamics, motion.q, motion.qd, motion.qdd, psi)[0][:, :, 0]
 
 
 def simulate(model: Model, motion: Trajectory, psi: Array | None = None, *, noise: bool = True, seed: int = 0,

@@ -25,7 +25,7 @@ QUARANTINE = {
     "cvxpy": ("estimation.feasible", "solvers"),
     "clarabel": ("solvers",),
     "matplotlib": ("report",),
-    "jinja2": ("report",),
+    "jinja2": ("model.compiled", "report"),
     "pyarrow": ("signals",),
     "typer": ("cli",),
     "rich": ("cli",),

@@ -68,12 +68,5 @@ def _fold(triangle: Array, block: Array) -> Array:
 
 
 def predict(model: Model, data: Experiment, psi: Array) -> Array:
-    """Actuator forces (N, n) that the parameters ψ predict for a measured motion, a chunk at a time."""
-    out = np.empty_like(data.force)
-    motion = data.motion
-    for start in range(0, len(out), CHUNK):
-        rows = np.s_[start : start + CHUNK]
-        psis = np.broadcast_to(psi, (len(motion.q[rows]), len(psi)))
-        forces = model.over(model.inverse_dynamics, motion.q[rows], motion.qd[rows], motion.qdd[rows], psis)[0]
-        out[rows] = forces[:, :, 0]
-    return out
+    """Actuator forces (N, n) that the parameters ψ predict for a measured motion."""
+    return model.over(model.inverse_dynamics, data.motion.q, data.motion.qd, data.motion.qdd, psi)[0][:, :, 0]

@@ -53,7 +53,7 @@ def cylinder_motion(geometry: Geometry, cylinder: Cylinder | GasCylinder, links:
     along = ca.dot(axis, x)
     across = 1.0 if along.is_zero() else ca.sqrt(1 - along**2)
     y = ca.cross(axis, x) / across
-    z = ca.cross(x, y)
+    z = (axis - along * x) / across
     speed = ca.dot(x, dd)
     turn_y, turn_z = -ca.dot(z, dd) / length, ca.dot(y, dd) / length
     lean = along / across

@@ -13,7 +13,9 @@ from hydroopt.geometry import Geometry
 from hydroopt.inertia import Array
 from hydroopt.machine import Machine
 from hydroopt.model import lagrange
+from hydroopt.model.compiled import Runner
 from hydroopt.model.kinematics import coordinates
+from hydroopt.model.program import program
 from hydroopt.model.regressor import Dynamics
 from hydroopt.parameters import ParameterSet
 from hydroopt.parts import Cylinder, Drive, Motor
@@ -34,7 +36,7 @@ class Model:
         self.at = coordinates(machine)
         self.geometry = Geometry(machine)
         self.dynamics = Dynamics(self.geometry, self.at)
-        self._maps: dict[tuple[int, int], tuple[ca.Function, ca.Function]] = {}
+        self._runner = Runner()
 
     @cached_property
     def parameters(self) -> ParameterSet:
@@ -143,33 +145,12 @@ class Model:
                 factors[actuator.name] = {f"{joint}.tau": 1.0}
         return factors
 
-    def over(self, function: ca.Function, *series: Array) -> list[Array]:
-        """Evaluate a function at N samples, each series (N, k); outputs (N, rows, columns)."""
-        samples = len(series[0])
-        mapped = self._mapped(function, samples)
-        buffer, evaluate = mapped.buffer()
-        held = [np.ascontiguousarray(s, dtype=float).reshape(samples, -1) for s in series]
-        results = [np.empty((samples, function.size2_out(i), function.size1_out(i))) for i in range(function.n_out())]
-        for i, values in enumerate(held):
-            if values.shape[1] != function.numel_in(i):
-                raise ValueError(f"{function.name()} takes {function.numel_in(i)} values for {function.name_in(i)}, "
-                                 f"not {values.shape[1]}")
-            buffer.set_arg(i, memoryview(values.data).cast("B").cast("d"))
-        for i, values in enumerate(results):
-            buffer.set_res(i, memoryview(values.data).cast("B").cast("d"))
-        evaluate()
-        return [values.swapaxes(1, 2) for values in results]  # CasADi writes column by column
-
-    def _mapped(self, function: ca.Function, samples: int) -> ca.Function:
-        key = (hash(function), samples)
-        if key not in self._maps:
-            if len(self._maps) > 32:
-                self._maps.clear()
-            self._maps[key] = function, function.map(samples)  # holding the function keeps its hash its own
-        return self._maps[key][1]
+    def over(self, function: ca.Function, *columns: Array) -> list[Array]:
+        """Evaluate a function at N samples, see `Runner.over`."""
+        return self._runner.over(function, *columns)
 
 
 def _dense(name: str, inputs: list[ca.SX], outputs: list[ca.SX], input_names: list[str],
            output_names: list[str]) -> ca.Function:
-    """A function whose outputs are full matrices, so that their layout is the same for every machine."""
-    return ca.Function(name, inputs, [ca.densify(out) for out in outputs], input_names, output_names)
+    """A function of few operations whose outputs are full matrices, so that their layout is that of every machine's."""
+    return program(ca.Function(name, inputs, outputs, input_names, output_names)).function()

@@ -13,6 +13,7 @@ import numpy as np
 from hydroopt.geometry import Geometry, Number
 from hydroopt.inertia import Array
 from hydroopt.machine import BASE, Machine
+from hydroopt.model.compiled import Runner
 from hydroopt.parameters import ParameterSet
 from hydroopt.parts import Cylinder, Link
 from hydroopt.spatial import Pose, identity, roll_pitch_yaw
@@ -68,7 +69,7 @@ class KinematicModel:
                                 ["g", "q"], ["axes"])
         self._axis_frame = frames
         self._symbols = g, q, tip
-        self._maps: dict[tuple[int, int], ca.Function] = {}
+        self._runner = Runner()
 
     @property
     def channels(self) -> tuple[str, ...]:
@@ -114,16 +115,8 @@ class KinematicModel:
         return ca.Function(f"tip_from_{joint}", [g, q], [frame.rotation.T @ (tip - frame.origin)], ["g", "q"], ["p"])
 
     def over(self, function: ca.Function, *columns: Array) -> list[Array]:
-        """Evaluate at N poses: each argument (N, k) or (k,), each result (N, rows, columns)."""
-        count = max(len(column) for column in columns if np.ndim(column) == 2)
-        stacked = [ca.DM(np.asarray(c).T) if np.ndim(c) == 2 else ca.repmat(ca.DM(c), 1, count) for c in columns]
-        key = hash(function), count
-        mapped = self._maps.get(key) or function.map(count)
-        self._maps[key] = mapped  # making it anew takes longer than a call; it keeps the function, and so its hash
-        results = mapped.call(stacked)
-        shapes = [function.size_out(k) for k in range(function.n_out())]
-        return [np.asarray(result).reshape(rows, count, width).transpose(1, 0, 2)
-                for result, (rows, width) in zip(results, shapes, strict=True)]
+        """Evaluate a function at N poses, see `Runner.over`."""
+        return self._runner.over(function, *columns)
 
     def _loaded(self, q: ca.SX) -> ca.SX:
         """Joint vector after every joint has given way under gravity by its compliance."""

@@ -1,0 +1,280 @@
+"""A casadi.Function as a straight-line program: each value computed once, in the fewest operations found.
+
+CasADi's own code keeps the order and the sharing in which expressions were written. Here every operation is looked up
+before it is made, whatever the order or the signs of its operands, and quotients become products with a shared
+reciprocal. Rounding changes, nothing else.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterable
+from typing import NamedTuple
+
+import casadi as ca
+
+_NAMES = {value: name[3:].lower() for name, value in vars(ca).items() if name.startswith("OP_")}
+ODD = frozenset({"sin", "tan", "asin", "atan", "sign"})
+EVEN = frozenset({"cos", "fabs"})
+UNARY = ODD | EVEN | {"sqrt", "acos", "exp", "log", "inv"}
+FACTORS = 12
+"""Up to how many factors two products are compared."""
+BINARY = frozenset({"atan2", "pow"})
+
+
+class Ref(NamedTuple):
+    """A value or its negative: place in `Program.nodes` and sign."""
+
+    node: int
+    negative: bool = False
+
+    def __neg__(self) -> Ref:
+        return Ref(self.node, not self.negative)
+
+
+class Node(NamedTuple):
+    """One operation: its name, operands, and for a constant its value, for an input its place.
+
+    ``sum`` and ``product`` take any number of operands; all operands but those of a sum are positive.
+    """
+
+    op: str
+    operands: tuple[Ref, ...] = ()
+    value: float = 0.0
+    place: tuple[int, int] = (0, 0)
+
+
+class Output(NamedTuple):
+    """A matrix that the program computes: its entries row by row."""
+
+    name: str
+    rows: int
+    columns: int
+    entries: tuple[Ref, ...]
+
+
+class Input(NamedTuple):
+    """A vector that the program takes."""
+
+    name: str
+    size: int
+
+
+class Program(NamedTuple):
+    """Operations in an order in which they can be carried out, with what goes in and comes out."""
+
+    name: str
+    inputs: tuple[Input, ...]
+    outputs: tuple[Output, ...]
+    nodes: tuple[Node, ...]
+
+    def function(self) -> ca.Function:
+        """The same as a casadi.Function with dense outputs."""
+        given = [ca.SX.sym(each.name, each.size) for each in self.inputs]
+        values: list[ca.SX] = []
+
+        def of(ref: Ref) -> ca.SX:
+            return -values[ref.node] if ref.negative else values[ref.node]
+
+        for node in self.nodes:
+            operands = [of(ref) for ref in node.operands]
+            match node.op:
+                case "input":
+                    values.append(given[node.place[0]][node.place[1]])
+                case "constant":
+                    values.append(ca.SX(node.value))
+                case "inv":
+                    values.append(1 / operands[0])
+                case "negative":
+                    values.append(-operands[0])
+                case "sum":
+                    values.append(sum(operands[1:], operands[0]))
+                case "product":
+                    values.append(math.prod(operands[1:], start=operands[0]))
+                case "pow":
+                    values.append(operands[0] ** operands[1])
+                case _:
+                    values.append(getattr(ca, node.op)(*operands))
+        results = [ca.reshape(ca.vertcat(*map(of, out.entries)), out.columns, out.rows).T for out in self.outputs]
+        return ca.Function(self.name, given, results, [each.name for each in self.inputs],
+                           [out.name for out in self.outputs])
+
+    def number(self, ref: Ref) -> float | None:
+        """The value of a constant; None if the value varies."""
+        node = self.nodes[ref.node]
+        return (-node.value if ref.negative else node.value) if node.op == "constant" else None
+
+    @property
+    def operations(self) -> Counter[str]:
+        """How many operations of each kind it takes: ``add``, ``multiply``, ``divide``, ``sqrt``, ``sin``, …"""
+        count: Counter[str] = Counter()
+        for node in self.nodes:
+            if node.op in ("sum", "product"):
+                count["add" if node.op == "sum" else "multiply"] += len(node.operands) - 1
+            elif node.op not in ("constant", "input"):
+                count["divide" if node.op == "inv" else node.op] += 1
+        return count
+
+
+def program(function: ca.Function) -> Program:
+    """The program of a casadi.Function of SX with dense inputs, its outputs row by row.
+
+    Raises:
+        NotImplementedError: an operation that no model of a machine needs.
+    """
+    made = _Maker()
+    slots: dict[int, Ref] = {}
+    found: list[dict[int, Ref]] = [{} for _ in range(function.n_out())]
+    for k in range(function.n_instructions()):
+        op, into, out_of = (function.instruction_id(k), function.instruction_output(k), function.instruction_input(k))
+        if op == ca.OP_INPUT:
+            slots[into[0]] = made.node("input", place=(out_of[0], out_of[1]))
+        elif op == ca.OP_OUTPUT:
+            found[into[0]][into[1]] = slots[out_of[0]]
+        elif op == ca.OP_CONST:
+            slots[into[0]] = made.constant(function.instruction_constant(k))
+        else:
+            slots[into[0]] = made.apply(_NAMES[op], [slots[i] for i in out_of])
+    inputs = tuple(Input(function.name_in(i), function.numel_in(i)) for i in range(function.n_in()))
+    outputs = []
+    for i, values in enumerate(found):
+        rows, columns = function.size_out(i)
+        at = {place: n for n, place in enumerate(zip(*function.sparsity_out(i).get_triplet(), strict=True))}
+        entries = tuple(values[at[r, c]] if (r, c) in at else made.constant(0.0)
+                        for r in range(rows) for c in range(columns))
+        outputs.append(Output(function.name_out(i), rows, columns, entries))
+    return _ordered(function.name(), inputs, outputs, made.nodes)
+
+
+class _Maker:
+    """Makes nodes, each only once."""
+
+    def __init__(self) -> None:
+        self.nodes: list[Node] = []
+        self.known: dict[Node, int] = {}
+        self.factors: dict[int, tuple[int, ...]] = {}
+        self.products: dict[tuple[int, ...], Ref] = {}
+
+    def node(self, op: str, operands: tuple[Ref, ...] = (), value: float = 0.0, place: tuple[int, int] = (0, 0)) -> Ref:
+        node = Node(op, operands, value, place)
+        if node not in self.known:
+            self.known[node] = len(self.nodes)
+            self.nodes.append(node)
+        return Ref(self.known[node])
+
+    def constant(self, value: float) -> Ref:
+        ref = self.node("constant", value=abs(value))
+        return -ref if value < 0 else ref
+
+    def number(self, ref: Ref) -> float | None:
+        node = self.nodes[ref.node]
+        return (-node.value if ref.negative else node.value) if node.op == "constant" else None
+
+    def apply(self, op: str, operands: list[Ref]) -> Ref:
+        a = operands[0]
+        b = operands[-1]
+        match op:
+            case "add":
+                return self.sum((a, b))
+            case "sub":
+                return self.sum((a, -b))
+            case "mul":
+                return self.product((a, b))
+            case "div":
+                return self.product((a, self.inverse(b)))
+            case "neg":
+                return -a
+            case "sq":
+                return self.product((a, a))
+            case "twice":
+                return self.product((a, self.constant(2.0)))
+            case "inv":
+                return self.inverse(a)
+            case "constpow" | "pow" if b.negative and self.number(b) is not None:
+                return self.inverse(self.apply("pow", [a, -b]))
+            case "constpow":
+                op = "pow"
+        if op not in UNARY | BINARY or (op == "pow" and self.number(b) is None):
+            raise NotImplementedError(f"the operation '{op}' has no C counterpart here")
+        if op in EVEN:
+            return self.node(op, (Ref(a.node),))
+        if op in ODD:
+            ref = self.node(op, (Ref(a.node),))
+            return -ref if a.negative else ref
+        return self.positive(op, operands)
+
+    def positive(self, op: str, operands: list[Ref]) -> Ref:
+        # a negative operand becomes a value of its own
+        return self.node(op, tuple(self.node("negative", (Ref(r.node),)) if r.negative else r for r in operands))
+
+    def inverse(self, ref: Ref) -> Ref:
+        value = self.number(ref)
+        if value is not None:
+            return self.constant(1 / value if value else math.inf)
+        node = self.node("inv", (Ref(ref.node),))
+        return -node if ref.negative else node
+
+    def product(self, factors: Iterable[Ref]) -> Ref:
+        factors = tuple(factors)
+        negative = sum(f.negative for f in factors) % 2 == 1
+        value = math.prod(v for f in factors if (v := self.number(Ref(f.node))) is not None)
+        others = sorted(Ref(f.node) for f in factors if self.number(f) is None)
+        if value == 0.0:
+            return self.constant(0.0)
+        if value != 1.0 or not others:
+            others.insert(0, self.constant(value))
+        # however it is bracketed, a product of the same factors is the same value
+        whole = tuple(sorted(single for ref in others for single in self.factors.get(ref.node, (ref.node,))))
+        if len(others) == 1:
+            ref = others[0]
+        elif whole in self.products:
+            ref = self.products[whole]
+        else:
+            ref = self.node("product", tuple(others))
+            if len(whole) <= FACTORS:
+                self.products[whole] = ref
+                self.factors[ref.node] = whole
+        return -ref if negative else ref
+
+    def sum(self, terms: Iterable[Ref]) -> Ref:
+        terms = tuple(terms)
+        value = math.fsum(v for t in terms if (v := self.number(t)) is not None)
+        count: Counter[int] = Counter()
+        for term in terms:
+            if self.number(term) is None:
+                count[term.node] += -1 if term.negative else 1
+        others: list[Ref] = []
+        for node, times in sorted(count.items()):
+            one = Ref(node) if abs(times) == 1 else self.product((Ref(node), self.constant(float(abs(times)))))
+            others += [-one if times < 0 else one] if times else []
+        if value != 0.0 or not others:
+            others.append(self.constant(value))
+        if len(others) == 1:
+            return others[0]
+        # a sum and its negative are one value
+        if others[0].negative:
+            return -self.node("sum", tuple(-r for r in others))
+        return self.node("sum", tuple(others))
+
+
+def _ordered(name: str, inputs: tuple[Input, ...], outputs: list[Output], made: list[Node]) -> Program:
+    """Only what the outputs need, each value right before its first use."""
+    place: dict[int, int] = {}
+    nodes: list[Node] = []
+    for root in (ref.node for output in outputs for ref in output.entries):
+        stack = [(root, False)]
+        while stack:
+            index, ready = stack.pop()
+            if index in place:
+                continue
+            node = made[index]
+            if ready:
+                place[index] = len(nodes)
+                nodes.append(node._replace(operands=tuple(Ref(place[r.node], r.negative) for r in node.operands)))
+            else:
+                stack.append((index, True))
+                stack += [(ref.node, False) for ref in reversed(node.operands)]
+    return Program(name, inputs, tuple(
+        out._replace(entries=tuple(Ref(place[r.node], r.negative) for r in out.entries)) for out in outputs),
+        tuple(nodes))
