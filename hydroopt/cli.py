@@ -1,4 +1,4 @@
-"""The command `hydroopt`: show, simulate, identify, calibrate, excite."""
+"""The command `hydroopt`: show, simulate, identify, calibrate, excite, codegen."""
 
 from __future__ import annotations
 
@@ -18,6 +18,9 @@ from rich.markup import escape
 from rich.table import Table
 
 from hydroopt import synthetic
+from hydroopt.codegen import origin as codegen_origin
+from hydroopt.codegen.folder import Code
+from hydroopt.codegen.routines import ROUTINES
 from hydroopt.description import load_machine
 from hydroopt.errors import HydrooptError, LogError, ProblemError, SolverError
 from hydroopt.estimation.appraisal import leavable
@@ -327,6 +330,31 @@ def excite(
         typer.echo(json.dumps(content, indent=1))
     elif not quiet:
         typer.echo(plan.sheet())
+
+
+@app.command()
+def codegen(
+    machine: Annotated[str, typer.Argument(metavar="MACHINE|ESTIMATE_DIR", help=(
+        "A machine, or the directory that identify or calibrate wrote."))],
+    output: Directory,
+    functions: Annotated[list[str] | None, typer.Option(
+        help=f"A function to write; repeatable; all if not given: {', '.join(ROUTINES)}.")] = None,
+    prefix: Annotated[str | None, typer.Option(help="What all names begin with; else the machine's name.")] = None,
+    float32: Annotated[bool, typer.Option("--float32", help="Single precision throughout.")] = False,
+    fold_geometry: Annotated[bool, typer.Option("--fold-geometry", help=(
+        "Build the geometry into the code: fewer operations, but a calibration needs new code."))] = False,
+    parameter_set: ParameterSetName = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write the model as C for a controller: DIR gets a folder that builds and tests itself."""
+    described, origin = codegen_origin.read(machine, parameter_set=parameter_set)
+    with _progress(f"writing C for {described.name}", quiet):
+        code = Code(described, origin, routines=functions or (), name=prefix, single=float32,
+                    fold_geometry=fold_geometry)
+        files = code.files()
+        folder.write_files(output, files)
+    if not quiet:
+        typer.echo(f"{output}: {', '.join(files)}")
 
 
 def _reliefs(machine: Machine) -> dict[str, tuple[float, float]]:

@@ -17,15 +17,15 @@ LEVELS = {"errors": 0, "units": 0,
           "strokes": 2, "urdf": 2,
           "model": 3, "signals": 3,
           "identifiability": 4, "postures": 4, "solvers": 4, "synthetic": 4,
-          "estimation": 5, "excitation": 5,
+          "codegen": 5, "estimation": 5, "excitation": 5,
           "__init__": 6, "__main__": 6, "cli": 6, "report": 6}
 
 QUARANTINE = {
-    "casadi": ("spatial", "geometry", "strokes", "model", "solvers", "estimation"),
+    "casadi": ("spatial", "geometry", "strokes", "model", "codegen", "solvers", "estimation"),
     "cvxpy": ("estimation.feasible", "solvers"),
     "clarabel": ("solvers",),
     "matplotlib": ("report",),
-    "jinja2": ("model.compiled", "report"),
+    "jinja2": ("model.compiled", "codegen.folder", "report"),
     "pyarrow": ("signals",),
     "typer": ("cli",),
     "rich": ("cli",),

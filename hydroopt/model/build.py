@@ -95,8 +95,8 @@ class Model:
     def inverse_dynamics(self) -> ca.Function:
         """(q, qd, qdd, psi) → measured actuator forces (n,) [N or N·m] (Eq. 4.56)."""
         psi = ca.SX.sym("psi", len(self.parameters))
-        K = self.dynamics.regressor(actuator_inertia=self.actuator_inertia)
-        return _dense("inverse_dynamics", [*self.at, psi], [K @ psi], ["q", "qd", "qdd", "psi"], ["force"])
+        force = self.dynamics.forces(psi, actuator_inertia=self.actuator_inertia)
+        return _dense("inverse_dynamics", [*self.at, psi], [force], ["q", "qd", "qdd", "psi"], ["force"])
 
     @cached_property
     def lagrange_forces(self) -> ca.Function:

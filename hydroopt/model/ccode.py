@@ -16,12 +16,13 @@ WIDTH = 100
 class Naming(NamedTuple):
     """What a program's values are called in C.
 
-    `source` tells the C expression of an element of an input, `target` the place that an entry of an output goes to,
-    None if it is not wanted. `call` names the function of an operation, `lift` makes of a number what it takes.
+    `source` tells the C expression of an element of an input; `target` the statement about the k-th entry of an output,
+    with {} for its value, or None if there is none. `call` names the function of an operation, `lift` makes of a number
+    what it takes.
     """
 
     source: Callable[[str, int], str]
-    target: Callable[[str, int, int], str | None]
+    target: Callable[[str, int], str | None]
     type: str = "double"
     single: bool = False
     call: Callable[[str], str] = str
@@ -53,9 +54,9 @@ class _Writer:
         targets: dict[int, list[tuple[str, Ref]]] = {}
         for output in program.outputs:
             for k, ref in enumerate(output.entries):
-                place = naming.target(output.name, *divmod(k, output.columns))
-                if place is not None:
-                    targets.setdefault(ref.node, []).append((place, ref))
+                statement = naming.target(output.name, k)
+                if statement is not None:
+                    targets.setdefault(ref.node, []).append((statement, ref))
         named = 0
         for index, node in enumerate(program.nodes):
             text, rank = self.expression(index)
@@ -64,7 +65,7 @@ class _Writer:
                 text, rank = f"v{named}", _ATOM
                 named += 1
             self.text[index] = text, rank
-            self.lines += [f"{place} = {self.signed(ref, _SUM)};" for place, ref in targets.get(index, ())]
+            self.lines += [statement.format(self.signed(ref, _SUM)) for statement, ref in targets.get(index, ())]
 
     def expression(self, index: int) -> tuple[str, int]:
         """Text of a value and how tightly its outermost operator binds."""

@@ -218,12 +218,10 @@ def source(made: Program) -> str:
                     runs[-1][-1][2] += 1
                 else:
                     runs[-1].append([k, place[out.name, k], 1])
-    columns = {out.name: out.columns for out in made.outputs}
     number = {given.name: k for k, given in enumerate(made.inputs)}
     lines = ccode.statements(made, ccode.Naming(
         source=lambda name, k: f"x{number[name]}[{k}]",
-        target=lambda name, row, column: (f"y[{place[name, row * columns[name] + column]}]"
-                                          if (name, row * columns[name] + column) in place else None),
+        target=lambda name, k: f"y[{place[name, k]}] = {{}};" if (name, k) in place else None,
         type="real", call=lambda op: f"each_{op}", lift=lambda text: f"((real){{0}} + {text})"))
     environment = Environment(loader=PackageLoader("hydroopt.model", "."), undefined=StrictUndefined,
                               trim_blocks=True, lstrip_blocks=True)

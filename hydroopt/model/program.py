@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import casadi as ca
@@ -68,6 +68,32 @@ class Program(NamedTuple):
     inputs: tuple[Input, ...]
     outputs: tuple[Output, ...]
     nodes: tuple[Node, ...]
+
+    def only(self, names: Iterable[str]) -> Program:
+        """The part that computes some of the outputs, in the order given."""
+        by_name = {out.name: out for out in self.outputs}
+        return _ordered(self.name, self.inputs, [by_name[name] for name in names], self.nodes)
+
+    def hoisted(self, fixed: Iterable[str], name: str) -> tuple[Program, Program]:
+        """What some inputs alone decide, as a program of its own, and the rest, which takes its result.
+
+        Returns:
+            A program with one output `name` (k, 1), and this one with one more input `name` (k,).
+        """
+        known = set(fixed)
+        alone: list[bool] = []
+        for node in self.nodes:
+            free = node.op == "input" and self.inputs[node.place[0]].name not in known
+            alone.append(not free and all(alone[ref.node] for ref in node.operands))
+        needed = [ref.node for out in self.outputs for ref in out.entries]
+        needed += [r.node for k, node in enumerate(self.nodes) if not alone[k] for r in node.operands]
+        edge = [k for k in dict.fromkeys(needed) if alone[k] and self.nodes[k].op != "constant"]
+        last = len(self.inputs)
+        place = {k: n for n, k in enumerate(edge)}
+        rest = [Node("input", place=(last, place[k])) if k in place else node for k, node in enumerate(self.nodes)]
+        before = Output(name, len(edge), 1, tuple(Ref(k) for k in edge))
+        return (_ordered(name, self.inputs, [before], self.nodes),
+                _ordered(self.name, (*self.inputs, Input(name, len(edge))), list(self.outputs), rest))
 
     def function(self) -> ca.Function:
         """The same as a casadi.Function with dense outputs."""
@@ -191,6 +217,8 @@ class _Maker:
                 return self.product((a, self.constant(2.0)))
             case "inv":
                 return self.inverse(a)
+            case "hypot":
+                return self.apply("sqrt", [self.sum((self.product((a, a)), self.product((b, b))))])
             case "constpow" | "pow" if b.negative and self.number(b) is not None:
                 return self.inverse(self.apply("pow", [a, -b]))
             case "constpow":
@@ -258,7 +286,7 @@ class _Maker:
         return self.node("sum", tuple(others))
 
 
-def _ordered(name: str, inputs: tuple[Input, ...], outputs: list[Output], made: list[Node]) -> Program:
+def _ordered(name: str, inputs: tuple[Input, ...], outputs: list[Output], made: Sequence[Node]) -> Program:
     """Only what the outputs need, each value right before its first use."""
     place: dict[int, int] = {}
     nodes: list[Node] = []

@@ -10,6 +10,7 @@ import os
 import platform
 import tempfile
 from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -234,7 +235,7 @@ def _origin(problem: Problem | CalibrationProblem, method: str) -> dict[str, Any
               if isinstance(problem, Problem) else _tables(problem))
     return {"schema": SCHEMA, "machine": {"name": machine.name, "parameter_set": machine.parameter_set,
                                           "sha256": machine.sha256},
-            "inputs": inputs, "method": method,
+            "created": datetime.now(UTC).isoformat(timespec="seconds"), "inputs": inputs, "method": method,
             "versions": {"python": platform.python_version()} | {p: metadata.version(p) for p in packages}}
 
 

@@ -1,0 +1,372 @@
+"""What the controller can call: each routine's inputs, outputs and expressions, from a machine's symbols."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from hydroopt.errors import ProblemError
+from hydroopt.geometry import Geometry
+from hydroopt.inertia import NAMES, UNITS, Array
+from hydroopt.machine import Machine
+from hydroopt.model.build import Model
+from hydroopt.model.kinematics import coordinates
+from hydroopt.model.loops import KinematicModel
+from hydroopt.model.regressor import Dynamics
+from hydroopt.spatial import triangle_angle
+
+SHORTEST_LEVER = 1e-4
+"""Lever arm [m] below which a cylinder counts as standing at its dead point."""
+
+
+class Kind(NamedTuple):
+    """What an index counts: the things' names in order, with units if they are numbers."""
+
+    names: tuple[str, ...]
+    units: tuple[str, ...] = ()
+
+
+class Field(NamedTuple):
+    """A member of a struct: its shape in kinds of things or in numbers, its unit and meaning."""
+
+    name: str
+    shape: tuple[str | int, ...]
+    unit: str
+    text: str
+
+
+class Struct(NamedTuple):
+    """A struct of the interface."""
+
+    name: str
+    text: str
+    fields: tuple[Field, ...]
+
+
+class Guard(NamedTuple):
+    """A value that a routine does not go on without: it, or its size, must be in a `relation` to a limit."""
+
+    value: ca.SX
+    relation: str
+    limit: float
+    status: str
+    absolute: bool = False
+
+
+class Routine(NamedTuple):
+    """A function of the interface: which members of a struct it reads, which struct it fills, and how.
+
+    `lengths` are the pin distances of the hydraulic cylinders where it has to do with them, to be held against their
+    strokes.
+    """
+
+    name: str
+    text: str
+    takes: str
+    reads: tuple[str, ...]
+    gives: str
+    outputs: Mapping[str, ca.SX]
+    guards: tuple[Guard, ...] = ()
+    lengths: ca.SX | None = None
+
+
+class Interface:
+    """All structs and routines of a machine.
+
+    Attributes:
+        machine: what is modelled.
+        kinds: what indices count.
+        values: what `prepare` takes, by the name of the array; empty ones are left out.
+        inputs: symbols of those arrays and of everything that routines read, by name.
+        structs: parameters, inputs and outputs.
+        routines: by name.
+    """
+
+    def __init__(self, machine: Machine, *, fold_geometry: bool = False) -> None:
+        self.machine = machine
+        self.chain = KinematicModel(machine)
+        self.complete, self.reduced = Model(machine), Model(machine, actuator_inertia=False)
+        self.folded = fold_geometry
+        psi, free, units = self.complete.parameters, self.chain.parameters, machine.channel_units
+        factors = [(channel, factor, f"{unit}/({units[channel]})") for each, unit in
+                   zip(self.complete.force_from_pressure.values(), self.complete.force_units, strict=True)
+                   for channel, factor in each.items()]
+        self.kinds = {
+            "joint": Kind(machine.joints), "link": Kind(tuple(link.name for link in machine.links)),
+            "actuator": Kind(tuple(a.name for a in machine.actuators)),
+            "cylinder": Kind(tuple(c.name for c in machine.cylinders)),
+            "reading": Kind(tuple(f[0] for f in factors), tuple(f[2] for f in factors)),
+            "geometry": Kind(() if fold_geometry else free.names, free.units), "psi": Kind(psi.names, psi.units),
+            "reduced": Kind(self.reduced.parameters.names, self.reduced.parameters.units),
+            "body": Kind(NAMES, tuple(UNITS)), "chain": Kind(self.chain.joints)}
+        values = {
+            "geometry": free.nominal if not fold_geometry else np.zeros(0), "psi": psi.nominal,
+            "effort": np.array([f[1] for f in factors]),
+            "shortest": np.array([c.dead_length for c in machine.cylinders]),
+            "longest": np.array([c.dead_length + c.stroke for c in machine.cylinders])}
+        self.values: dict[str, Array] = {name: array for name, array in values.items() if len(array)}
+        self.structs: dict[str, Struct] = {}
+        self.struct("params", "What calibration and identification estimate, and what the maker states.",
+                    Field("geometry", ("geometry",), "SI", "numbers of the geometry"),
+                    Field("psi", ("psi",), "SI", "dynamic parameters"),
+                    Field("effort", ("reading",), "SI", "actuator force per unit of each reading"),
+                    Field("shortest", ("cylinder",), "m", "pin distance of each cylinder when retracted"),
+                    Field("longest", ("cylinder",), "m", "pin distance of each cylinder when extended"))
+        self.at = coordinates(machine)
+        self.inputs = {name: ca.SX.sym(name, len(array)) for name, array in self.values.items()}
+        self.inputs |= dict(zip(("q", "qd", "qdd"), self.at, strict=True))
+        symbols = {name: self.inputs["geometry"][k] for k, name in enumerate(self.kinds["geometry"].names)}
+        self.dynamics = Dynamics(Geometry(machine, symbols), self.at)
+        self.routines = {name: make(self) for name, make in ROUTINES.items() if _possible(self, name)}
+
+    def size(self, field: Field) -> tuple[int, ...]:
+        """Shape of a field in numbers."""
+        return tuple(n if isinstance(n, int) else len(self.kinds[n].names) for n in field.shape)
+
+    def chosen(self, names: Sequence[str]) -> dict[str, Routine]:
+        """Some routines, in the order of `ROUTINES`; all where none is named.
+
+        Raises:
+            ProblemError: there is no such routine, or this machine has no use for it.
+        """
+        for name in names:
+            if name not in self.routines:
+                what = "this machine has nothing for it to reckon with" if name in ROUTINES else "there is none"
+                raise ProblemError(f"no routine '{name}': {what}", where="--functions",
+                                   remedy=f"use {', '.join(self.routines)}")
+        return {name: routine for name, routine in self.routines.items() if not names or name in names}
+
+    def struct(self, name: str, text: str, *fields: Field) -> str:
+        """Enter a struct, without members that would be empty."""
+        self.structs[name] = Struct(name, text, tuple(f for f in fields if all(self.size(f))))
+        return name
+
+    def symbol(self, name: str, size: int) -> ca.SX:
+        """The symbol of something that is read."""
+        return self.inputs.setdefault(name, ca.SX.sym(name, size))
+
+    @property
+    def lengths(self) -> ca.SX | None:
+        """Pin distances of the hydraulic cylinders, if there are any."""
+        if not self.machine.cylinders:
+            return None
+        return ca.vertcat(*(self.dynamics.cylinders[c.name].length for c in self.machine.cylinders))
+
+    def guards(self, *, levers: bool = False, gas: bool = False) -> tuple[Guard, ...]:
+        """Pins apart; lever arms longer than nothing; gas with a volume."""
+        found = [Guard(self.dynamics.cylinders[c.name].length, ">", 0.0, "OPEN_TRIANGLE")
+                 for c in self.machine.all_cylinders]
+        if levers:
+            ratio = self.dynamics.transmission
+            bars = ca.diag(ratio) if ratio.sparsity().is_diag() else ca.det(ratio)
+            found += [Guard(bar, ">", SHORTEST_LEVER, "DEAD_POINT", absolute=True)
+                      for bar in ca.vertsplit(bars) if not bar.is_constant()]
+        if gas:
+            found += [Guard(each.gas_volume(self.dynamics.cylinders[each.name].length), ">", 0.0, "OUT_OF_STROKE")
+                      for each in self.machine.gas_cylinders]
+        return tuple(found)
+
+    def motion(self) -> str:
+        """The struct of a motion."""
+        return self.struct("motion", "Motion of the joints.",
+                           Field("q", ("joint",), "rad or m", "position of each joint"),
+                           Field("qd", ("joint",), "rad/s or m/s", "its speed"),
+                           Field("qdd", ("joint",), "rad/s^2 or m/s^2", "its acceleration"))
+
+    def efforts(self) -> str:
+        """The struct of actuator forces."""
+        return self.struct("efforts", "Forces of the actuators, as their pressures show them.", Field(
+            "force", ("actuator",), "N or N*m", "force of each actuator, a cylinder's positive where it pushes"))
+
+
+def _possible(interface: Interface, name: str) -> bool:
+    machine = interface.machine
+    needs = {"cylinder_state": bool(machine.cylinders),
+             "joint_state": any(Geometry(machine).triangle(c) for c in machine.cylinders),
+             "regressor": len(interface.complete.parameters) > 0,
+             "reduced_regressor": len(interface.reduced.parameters) > 0,
+             "inverse_dynamics": len(interface.complete.parameters) > 0,
+             "gravity_forces": len(interface.complete.parameters) > 0,
+             "payload_update": len(interface.complete.parameters) > 0,
+             "closure": bool(machine.calibrator or machine.cylinders)}
+    return needs.get(name, True)
+
+
+def _forward_kinematics(own: Interface) -> Routine:
+    machine, geometry = own.machine, own.dynamics.geometry
+    poses = []
+    for link in machine.links:
+        pose = own.dynamics.links[link.name].pose @ geometry.far_end(link.name)
+        poses.append(ca.vertcat(ca.horzcat(pose.rotation, pose.origin), ca.horzcat(0, 0, 0, 1)))
+    last = machine.links[-1].name
+    end = own.dynamics.links[last].fixed(geometry.far_end(last))
+    turn = end.pose.rotation
+    jacobian = ca.jacobian(ca.vertcat(turn @ end.velocity, turn @ end.rotation), own.at.qd)
+    gives = own.struct(
+        "poses", "Where the links are.",
+        Field("pose", ("link", 4, 4), "1 and m", "homogeneous transform of each link's far end, seen from the base"),
+        Field("jacobian", (6, "joint"), "m/rad and 1", f"speed x, y, z and rate of rotation x, y, z of the far end of "
+              f"{last}, in the base frame, per speed of each joint"))
+    return Routine("forward_kinematics", "Poses of all links and the Jacobian of the last one's far end.",
+                   own.motion(), ("q",), gives, {"pose": ca.vertcat(*poses), "jacobian": jacobian})
+
+
+def _cylinder_state(own: Interface) -> Routine:
+    motions = [own.dynamics.cylinders[c.name] for c in own.machine.cylinders]
+    length, speed = (ca.vertcat(*(getattr(m, key) for m in motions)) for key in ("length", "speed"))
+    gives = own.struct(
+        "cylinders", "State of the cylinders.",
+        Field("length", ("cylinder",), "m", "distance between the pins"),
+        Field("speed", ("cylinder",), "m/s", "its rate"),
+        Field("lever_arm", ("cylinder", "joint"), "m/rad", "change of the length with each joint"))
+    return Routine("cylinder_state", "Lengths, speeds and lever arms of the cylinders from the joints.", own.motion(),
+                   ("q", "qd"), gives, {"length": length, "speed": speed, "lever_arm": ca.jacobian(speed, own.at.qd)},
+                   own.guards(), own.lengths)
+
+
+def _joint_state(own: Interface) -> Routine:
+    machine, count = own.machine, len(own.machine.cylinders)
+    length, speed = own.symbol("length", count), own.symbol("speed", count)
+    q, qd = ca.SX(len(machine.joints), 1), ca.SX(len(machine.joints), 1)
+    guards, covered = [], []
+    for k, cylinder in enumerate(machine.cylinders):
+        found, nominal = own.dynamics.geometry.triangle(cylinder), Geometry(machine).triangle(cylinder)
+        if found is None or nominal is None:
+            continue
+        joint, sides = found
+        middle = sum(machine.link(joint).joint.range) / 2
+        branch = int(np.sign(np.sin(middle + float(nominal[1].offset))))
+        angle = triangle_angle(sides, length[k], branch, middle)
+        both = sides.fixed * sides.moving
+        cosine = (sides.fixed**2 + sides.moving**2 + sides.lateral**2 - length[k]**2) / (2 * both)
+        lever = branch * both * ca.sqrt(1 - cosine**2) / length[k]
+        guards += [Guard(length[k], ">", 0.0, "OPEN_TRIANGLE"),
+                   Guard(cosine, "<=", 1.0, "OPEN_TRIANGLE", absolute=True),
+                   Guard(lever, ">", SHORTEST_LEVER, "DEAD_POINT", absolute=True)]
+        index = machine.joints.index(joint)
+        q[index], qd[index] = angle, speed[k] / lever
+        covered.append(joint)
+    takes = own.struct("lengths", "What the cylinders' transducers show.",
+                       Field("length", ("cylinder",), "m", "distance between the pins"),
+                       Field("speed", ("cylinder",), "m/s", "its rate"))
+    rest = [joint for joint in machine.joints if joint not in covered]
+    missing = f"; 0 for {', '.join(rest)}, which no cylinder tells" if rest else ""
+    gives = own.struct("joints", "State of the joints that one cylinder each moves.",
+                       Field("q", ("joint",), "rad", f"angle of each joint{missing}"),
+                       Field("qd", ("joint",), "rad/s", "its speed"))
+    return Routine("joint_state", "Joint angles and speeds from the cylinders' lengths.", takes, ("length", "speed"),
+                   gives, {"q": q, "qd": qd}, tuple(guards), length)
+
+
+def _actuator_forces(own: Interface) -> Routine:
+    channels = own.kinds["reading"].names
+    reading = own.symbol("reading", len(channels))
+    share = own.inputs["effort"] * reading
+    force = ca.vertcat(*(sum((share[channels.index(c)] for c in each), ca.SX(0))
+                         for each in own.complete.force_from_pressure.values()))
+    names = own.complete.parameters.names
+    offsets = [next((own.inputs["psi"][names.index(f"{a}.{kind}")] for kind in ("f_offset", "tau_offset")
+                     if f"{a}.{kind}" in names), ca.SX(0)) for a in own.kinds["actuator"].names]
+    torque = own.dynamics.transmission.T @ (force - ca.vertcat(*offsets))
+    takes = own.struct("readings", "What the transducers of the actuators show.",
+                       Field("q", ("joint",), "rad or m", "position of each joint"),
+                       Field("reading", ("reading",), "Pa or N*m", "of each transducer"))
+    gives = own.struct("loads", "What the actuators do.",
+                       Field("force", ("actuator",), "N or N*m", "force of each actuator as its readings show it"),
+                       Field("torque", ("joint",), "N*m or N", "what the forces less their offsets do at each joint"))
+    return Routine("actuator_forces", "Forces of the actuators from their pressures, and the torques they make.", takes,
+                   ("q", "reading"), gives, {"force": force, "torque": torque}, own.guards(), own.lengths)
+
+
+def _predicted(own: Interface) -> ca.SX:
+    return own.dynamics.forces(own.inputs["psi"])
+
+
+def _inverse_dynamics(own: Interface) -> Routine:
+    return Routine("inverse_dynamics", "Forces that the actuators show in a motion: bodies, friction and offsets.",
+                   own.motion(), ("q", "qd", "qdd"), own.efforts(), {"force": _predicted(own)},
+                   own.guards(levers=True, gas=True), own.lengths)
+
+
+def _gravity_forces(own: Interface) -> Routine:
+    names = own.complete.parameters.names
+    offsets = [k for k, name in enumerate(names) if name.endswith("_offset")]
+    still = ca.substitute(_predicted(own), ca.vertcat(own.at.qd, own.at.qdd), ca.DM.zeros(2 * len(own.machine.joints)))
+    psi = own.inputs["psi"]
+    kept = ca.SX(psi)
+    kept[offsets] = 0
+    return Routine("gravity_forces", "Forces that hold the machine still, gas cylinders included, offsets left out.",
+                   own.motion(), ("q",), own.efforts(), {"force": ca.substitute(still, psi, kept)},
+                   own.guards(levers=True, gas=True), own.lengths)
+
+
+def _regressor(own: Interface) -> Routine:
+    gives = own.struct("regressor", "Forces per unit of each dynamic parameter: force = K * psi.", Field(
+        "K", ("actuator", "psi"), "N or N*m per unit of psi", "row for each actuator, column for each parameter"))
+    return Routine("regressor", "Regressor of the complete model, with barrels and rods.", own.motion(),
+                   ("q", "qd", "qdd"), gives, {"K": own.dynamics.regressor()}, own.guards(levers=True, gas=True),
+                   own.lengths)
+
+
+def _reduced_regressor(own: Interface) -> Routine:
+    gives = own.struct("reduced_regressor", "Forces per unit of each parameter, barrels and rods left out.", Field(
+        "K", ("actuator", "reduced"), "N or N*m per unit of psi", "row for each actuator, column for each parameter"))
+    return Routine("reduced_regressor", "Regressor of the reduced model, without barrels and rods.", own.motion(),
+                   ("q", "qd", "qdd"), gives, {"K": own.dynamics.regressor(actuator_inertia=False)},
+                   own.guards(levers=True, gas=True), own.lengths)
+
+
+def _closure(own: Interface) -> Routine:
+    chain, count = own.chain, len(own.machine.cylinders)
+    q, fixture, length = own.symbol("chain_q", len(chain.joints)), own.symbol("fixture", 3), own.symbol("length", count)
+    g = own.inputs.get("geometry", ca.SX(ca.DM(chain.parameters.nominal)))
+    observed, by_g, by_q = chain.observed_jacobians(g, q, fixture)
+    rows = [*(range(3) if own.machine.calibrator else ()), *range(3, 3 + count)]
+    own.kinds["row"] = Kind(tuple(chain.channels[k] for k in rows))
+    measured = ca.vertcat(ca.SX(3, 1), length)
+    takes = own.struct(
+        "chain", "A pose of the machine with its calibrator.",
+        Field("chain_q", ("chain",), "rad or m", "position of each joint of the chain"),
+        *([Field("fixture", (3,), "m", "where the ball is held, in the base frame: x, y, z")]
+          if own.machine.calibrator else ()),
+        Field("length", ("cylinder",), "m", "distance between the pins of each cylinder as measured"))
+    reads = ("chain_q", *(("fixture",) if own.machine.calibrator else ()), *(("length",) if count else ()))
+    gives = own.struct(
+        "closure", "Residuals of the closed loops: tip less fixture, then length by the model less length measured.",
+        Field("residual", ("row",), "m", "of each row"),
+        Field("by_q", ("row", "chain"), "m/rad or 1", "its change with each joint of the chain"),
+        Field("by_geometry", ("row", "geometry"), "m per unit of geometry", "its change with each number"))
+    outputs = {"residual": (observed[:3 + count] - measured)[rows], "by_q": by_q[rows, :]}
+    if own.kinds["geometry"].names:
+        outputs["by_geometry"] = by_g[rows, :]
+    guards = [Guard(value, ">", 0.0, "OPEN_TRIANGLE") for value in ca.vertsplit(observed[3:3 + count])]
+    return Routine("closure", "Loop closure with its Jacobians by angles and by geometry.", takes, reads, gives,
+                   outputs, tuple(guards), observed[3:3 + count] if count else None)
+
+
+def _payload_update(own: Interface) -> Routine:
+    last = own.machine.links[-1].name
+    rows = own.dynamics.at_actuators(own.dynamics.joint_regressor(last))
+    motion = own.structs[own.motion()].fields
+    takes = own.struct("load_sample", "A motion with the forces measured in it.", *motion,
+                       Field("force", ("actuator",), "N or N*m", "measured force of each actuator"),
+                       Field("std", ("actuator",), "N or N*m", "its standard deviation, positive"))
+    own.struct("load", f"A load on {last}: what is known of it so far.",
+               Field("phi", ("body",), "kg, kg*m, kg*m^2", f"mass, moments and inertia in the frame of {last}"),
+               Field("covariance", ("body", "body"), "products of the units of phi", "of phi"),
+               Field("forgetting", (), "1", "weight of the past at each step: 1 keeps all of it, 0.999 forgets"))
+    gives = own.struct("load_rows", "Forces without load, and what a load adds to them.",
+                       Field("predicted", ("actuator",), "N or N*m", "force of each actuator without load"),
+                       Field("rows", ("actuator", "body"), "N or N*m per unit of phi", "force per unit of the load"))
+    return Routine("payload_update", "One step of recursive least squares for the load.", takes, ("q", "qd", "qdd"),
+                   gives, {"predicted": _predicted(own), "rows": rows}, own.guards(levers=True, gas=True), own.lengths)
+
+
+ROUTINES: Mapping[str, Callable[[Interface], Routine]] = {
+    "forward_kinematics": _forward_kinematics, "cylinder_state": _cylinder_state, "joint_state": _joint_state,
+    "actuator_forces": _actuator_forces, "inverse_dynamics": _inverse_dynamics, "gravity_forces": _gravity_forces,
+    "regressor": _regressor, "reduced_regressor": _reduced_regressor, "closure": _closure,
+    "payload_update": _payload_update}
