@@ -38,7 +38,7 @@ def main(names: list[str]) -> int:
         began = time.perf_counter()
         results = runpy.run_path(str(folder / "run.py"))["run"]()
         if results is None:
-            print(f"{folder.name}: skipped, its data set is not at hand")
+            print(f"{folder.name}: skipped, a data set or a tool that it needs is not at hand")
             continue
         table = verdicts(results, json.loads((folder / "expected.json").read_text()))
         failed += not all(holds for _, holds, _ in table)

@@ -1,6 +1,7 @@
 """What the README shows must run as it stands."""
 
 import re
+import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -36,7 +37,25 @@ def test_machine_file_in_the_readme_is_valid() -> None:
     assert [n for n in names if n.startswith("lift_cylinder")] == ["lift_cylinder.f_coulomb", "lift_cylinder.f_viscous"]
 
 
-COMMANDS = re.findall(r"^    (hydroopt (?:show|simulate|identify|calibrate|excite) .*?)(?:\s+#.*)?$", README,
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_c_in_the_readme_holds_with_the_generated_code(tmp_path: Path) -> None:
+    (command,) = re.findall(r"^    hydroopt (codegen .*?) -o out/c", README, re.MULTILINE)
+    subprocess.run([sys.executable, "-m", "hydroopt", *command.split(), "-o", "c", "--quiet"], cwd=tmp_path, check=True)
+    (tmp_path / "main.c").write_text(block("c") + """
+int main(void)
+{
+    const cat215b_motion_t in = {{0.0f, -0.5f, 1.4f}, {0.0f}, {0.0f}};
+    cat215b_efforts_t out;
+    return (at_start() != CAT215B_OK) || (each_cycle(&in, &out) != CAT215B_OK)
+        || !(out.force[CAT215B_ACTUATOR_BOOM_CYLINDER] > 1e4f); /* the boom rests on its cylinder */
+}
+""")
+    sources = [path for path in (tmp_path / "c").glob("*.c") if "selftest" not in path.name]
+    subprocess.run(["cc", "-std=c99", "-Ic", "-o", "main", "main.c", *sources, "-lm"], cwd=tmp_path, check=True)
+    assert subprocess.run(["./main"], cwd=tmp_path, check=False).returncode == 0
+
+
+COMMANDS = re.findall(r"^    (hydroopt (?:show|simulate|identify|calibrate|excite|codegen) .*?)(?:\s+#.*)?$", README,
                       re.MULTILINE)
 
 

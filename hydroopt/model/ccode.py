@@ -77,9 +77,9 @@ class _Writer:
             case "constant":
                 return literal(node.value, single=naming.single), _ATOM
             case "sum":
-                text = self.signed(node.operands[0], _SUM)
+                text = self.signed(node.operands[0], _ATOM)
                 for ref in node.operands[1:]:
-                    text += f" - {self.of(ref.node, _PRODUCT)}" if ref.negative else f" + {self.of(ref.node, _SUM)}"
+                    text += f" {'-' if ref.negative else '+'} {self.of(ref.node, _ATOM)}"
                 return text, _SUM
             case "product":
                 return self.product(node.operands), _PRODUCT
@@ -109,7 +109,7 @@ class _Writer:
         return text if own >= rank else f"({text})"
 
     def signed(self, ref: Ref, rank: int) -> str:
-        return f"-{self.of(ref.node, _PRODUCT)}" if ref.negative else self.of(ref.node, rank)
+        return f"-{self.of(ref.node, _ATOM)}" if ref.negative else self.of(ref.node, rank)
 
 
 _SUM, _PRODUCT, _ATOM = range(3)

@@ -23,7 +23,7 @@ static inline int {{ p }}_finite(const {{ type }} *x, size_t n)
 /* -1, 0 or 1. */
 static inline {{ type }} {{ p }}_sign({{ type }} x)
 {
-    return ({{ type }})((x > {{ 0 | number }}) - (x < {{ 0 | number }}));
+    return (x > {{ 0 | number }}) ? {{ 1 | number }} : ((x < {{ 0 | number }}) ? {{ -1 | number }} : {{ 0 | number }});
 }
 
 {% if code.interface.machine.cylinders %}

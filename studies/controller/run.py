@@ -1,0 +1,82 @@
+"""CAT 215B: the generated C bare-metal on a Cortex-M4F, its self-test in an emulator, and what it takes there."""
+
+import re
+import shutil
+import subprocess
+import tempfile
+from collections import Counter
+from pathlib import Path
+
+from hydroopt import load_machine
+from hydroopt.codegen.folder import Code
+from hydroopt.codegen.origin import Origin
+from hydroopt.codegen.sizes import CORTEX_M4F, sizes
+
+HERE = Path(__file__).parent
+TOOLS = ("arm-none-eabi-gcc", "arm-none-eabi-objdump", "arm-none-eabi-size", "qemu-system-arm", "cppcheck")
+DOUBLE = re.compile(r"\.f64|__aeabi_(d|f2d|i2d|ui2d|l2d)\w*|<(sin|cos|sqrt|acos|atan2|pow|fabs)>")
+"""What double precision looks like in the machine code: instructions, the compiler's helpers, calls of the library."""
+
+
+def files(**options) -> dict[str, str]:
+    """The generated folder."""
+    machine = load_machine("cat215b")
+    origin = Origin("nominal values of the machine cat215b", machine.sha256)
+    return Code(machine, origin, single=True, **options).files()
+
+
+def on_the_emulator(folder: Path) -> tuple[int, int]:
+    """Exit code of the self-test on an emulated Cortex-M4F, and bytes of flash of the whole program."""
+    sources = sorted(path.name for path in folder.glob("*.c"))
+    subprocess.run(["arm-none-eabi-gcc", "-std=c99", "-O2", *CORTEX_M4F, "-DCAT215B_NO_MAIN",
+                    "-Dselftest=cat215b_selftest", "-nostartfiles", "-T", HERE / "cortex_m4.ld", "-o", "program.elf",
+                    HERE / "start.c", *sources, "-lm"], cwd=folder, check=True)
+    size = subprocess.run(["arm-none-eabi-size", "program.elf"], cwd=folder, check=True, capture_output=True, text=True)
+    ended = subprocess.run(["qemu-system-arm", "-M", "mps2-an386", "-nographic", "-semihosting", "-kernel",
+                            "program.elf"], cwd=folder, check=False, timeout=60)
+    return ended.returncode, int(size.stdout.splitlines()[1].split()[0])
+
+
+def doubles(folder: Path) -> int:
+    """How many double instructions and calls the routines hold; those of the C library are not looked at."""
+    count = 0
+    for source in folder.glob("*.c"):
+        subprocess.run(["arm-none-eabi-gcc", "-std=c99", "-O2", *CORTEX_M4F, "-c", source.name, "-o", "object.o"],
+                       cwd=folder, check=True)
+        code = subprocess.run(["arm-none-eabi-objdump", "-dr", "object.o"], cwd=folder, check=True, capture_output=True,
+                              text=True).stdout
+        count += len(DOUBLE.findall(code))
+    return count
+
+
+def remarks(folder: Path) -> dict[str, int]:
+    """Remarks of cppcheck, and of its MISRA C:2012 addon by rule."""
+    sources = [path.name for path in folder.glob("*.c") if not path.name.endswith("_selftest.c")]
+    said = [subprocess.run(["cppcheck", "--std=c99", option, "--quiet", *sources], cwd=folder, check=True,
+                           capture_output=True, text=True).stderr
+            for option in ("--enable=warning,style,performance,portability", "--addon=misra")]
+    rules = Counter(re.findall(r"misra-c2012-(\d+\.\d+)", said[1]))
+    return {"cppcheck": len(re.findall(r": (?:error|warning|style|performance|portability):", said[0])),
+            "misra": rules.total()} | {f"misra_{rule}": count for rule, count in sorted(rules.items())}
+
+
+def run() -> dict | None:
+    """Sizes in bytes by routine, and what the checks found; None where a tool is missing."""
+    if not all(map(shutil.which, TOOLS)):
+        return None
+    results: dict = {}
+    for name, options in (("", {}), ("_folded", {"fold_geometry": True})):
+        written = files(**options)
+        with tempfile.TemporaryDirectory() as scratch:
+            folder = Path(scratch)
+            for file, text in written.items():
+                (folder / file).write_text(text, encoding="utf-8")
+            results[f"selftest{name}"], results[f"program_flash{name}"] = on_the_emulator(folder)
+            results[f"doubles{name}"] = doubles(folder)
+            if not options:
+                results |= remarks(folder)
+        for routine, size in sizes(written)[0].items():
+            results[f"{routine.removeprefix('cat215b_')}{name}"] = f"{size.flash} flash, {size.stack} stack"
+            if routine == "cat215b_inverse_dynamics":
+                results[f"inverse_dynamics_flash{name}"] = size.flash
+    return results
