@@ -32,6 +32,7 @@ from hydroopt.estimation.problem import Loss, identification_problem
 from hydroopt.estimation.solve import METHODS, Method, solve
 from hydroopt.estimation.verdict import doubts
 from hydroopt.excitation.poses import plan_poses
+from hydroopt.files import write_files
 from hydroopt.machine import Machine
 from hydroopt.model.build import Model
 from hydroopt.parts import Cylinder, Motor
@@ -140,10 +141,10 @@ def simulate(
                else model.parameters.nominal)
         log = synthetic.simulate(model, path, psi, noise=noise, seed=seed, name=described.name)
     named = dict(zip(model.parameters.names, psi.tolist(), strict=True))
-    folder.write_files(output, {})  # the directory
+    write_files(output, {})  # the directory
     file = output / ("log.parquet" if parquet else "log.csv")
     log.write(file)
-    folder.write_files(output, {"truth.json": json.dumps(
+    write_files(output, {"truth.json": json.dumps(
         {"machine": described.name, "sha256": described.sha256, "seed": seed, "noise": noise, "parameters": named},
         indent=1)})
     if not quiet:
@@ -323,9 +324,9 @@ def excite(
                             for name, unit, std in zip(plan.names, plan.units, plan.std, strict=True)],
                "condition_number": plan.condition_number, "log_det": plan.log_det,
                "noise_amplification_index": plan.noise_amplification_index}
-    folder.write_files(output, {"sheet.txt": plan.sheet()})
+    write_files(output, {"sheet.txt": plan.sheet()})
     plan.write(output / "poses.csv")
-    folder.write_files(output, {"plan.json": json.dumps(content, indent=1, allow_nan=False)})
+    write_files(output, {"plan.json": json.dumps(content, indent=1, allow_nan=False)})
     if as_json:
         typer.echo(json.dumps(content, indent=1))
     elif not quiet:
@@ -351,8 +352,7 @@ def codegen(
     with _progress(f"writing C for {described.name}", quiet):
         code = Code(described, origin, routines=functions or (), name=prefix, single=float32,
                     fold_geometry=fold_geometry)
-        files = code.files()
-        folder.write_files(output, files)
+        files = code.write(output)
     if not quiet:
         typer.echo(f"{output}: {', '.join(files)}")
 

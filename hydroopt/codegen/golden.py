@@ -1,4 +1,4 @@
-"""States within a machine's limits, and what the model says of them: what the self-test holds the C against."""
+"""States of a machine much like the one described, and what the model says of them: for the self-test."""
 
 from __future__ import annotations
 
@@ -34,8 +34,19 @@ def states(interface: Interface, count: int = STATES, seed: int = 0, *, single: 
         "speed": rng.uniform(-0.3, 0.3, (count, len(machine.cylinders))),
         "reading": rng.uniform(1e5, 2e7, (count, len(interface.kinds["reading"].names))),
         "chain_q": between({joint: ranges[joint] for joint in chain.joints}), "fixture": rng.uniform(-3, 3, (count, 3))}
-    given = {name: interface.values.get(name, given.get(name, np.zeros(0))) for name in interface.inputs}
+    given["stroke"] = given["length"] - np.array([c.dead_length for c in machine.cylinders])
+    given |= {name: _generic(name, array, rng) for name, array in interface.values.items()}
+    given = {name: given[name] for name in interface.inputs}
     return {name: array.astype(np.float32).astype(float) if single else array for name, array in given.items()}
+
+
+def _generic(name: str, array: Array, rng: np.random.Generator) -> Array:
+    """Parameters without the zeros and right angles of a machine file, which would hide what is wrong with others."""
+    if name in ("shortest", "longest"):
+        return np.full(len(array), 0.0 if name == "shortest" else 100.0)
+    if name == "psi":
+        return np.asarray(array + rng.uniform(-0.3, 0.3, len(array)) * np.maximum(np.abs(array), 100.0))
+    return np.asarray(array + rng.uniform(-0.05, 0.05, len(array)) * (1 if name == "geometry" else array))
 
 
 def results(function: ca.Function, given: dict[str, Array]) -> list[Array]:

@@ -7,14 +7,15 @@ import re
 from hydroopt.errors import MachineError
 
 LONGEST = 63
-"""Characters of an identifier that C99 compilers tell apart."""
+"""Characters of an identifier that C99 compilers tell apart within a file, and the linkers of today between files."""
 _C = ("auto break case char const continue default do double else enum extern float for goto if inline int long "
       "register restrict return short signed sizeof static struct switch typedef union unsigned void volatile while")
 _OTHERS = ("alignas alignof asm bool catch class constexpr decltype delete explicit export false friend main mutable "
            "namespace new noexcept nullptr operator private protected public template this throw true try typename "
-           "using virtual aux con nul prn")
+           "using virtual aux con nul prn assert complex ctype errno fenv float iso646 limits locale math setjmp "
+           "signal stdarg stddef stdint stdio stdlib string tgmath time wchar wctype inttypes")
 KEYWORDS = frozenset(f"{_C} {_OTHERS}".split())
-"""What no prefix may be: keywords of C and C++, and names that some file systems keep for themselves."""
+"""What no prefix may be: keywords of C and C++, names that some file systems keep for themselves, and C's headers."""
 
 
 def prefix(text: str, *, where: str) -> str:

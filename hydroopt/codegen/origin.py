@@ -7,7 +7,7 @@ import json
 from pathlib import Path
 from typing import NamedTuple
 
-from hydroopt.description import load_machine
+from hydroopt.description import bundled, load_machine
 from hydroopt.errors import ProblemError
 from hydroopt.machine import Machine
 
@@ -27,7 +27,7 @@ def read(given: str, *, parameter_set: str | None = None) -> tuple[Machine, Orig
         ProblemError: the folder holds no estimate, one that failed, or no calibrated machine.
     """
     folder = Path(given)
-    if not folder.is_dir():
+    if given in bundled() or not folder.is_dir():
         machine = load_machine(given, parameter_set=parameter_set)
         return machine, Origin(f"nominal values of the machine {machine.name}", machine.sha256)
     if parameter_set is not None:
@@ -36,12 +36,12 @@ def read(given: str, *, parameter_set: str | None = None) -> tuple[Machine, Orig
     try:
         data = file.read_bytes()
         content = json.loads(data)
-        name, created, status = content["machine"]["name"], content["created"], content["status"]
+        name, created, status = content["machine"]["name"], content.get("created", "a day unknown"), content["status"]
         words = [str(name), str(created), str(content["method"])]
     except OSError:
         raise ProblemError("this folder holds no estimate", where=given,
                            remedy="name a machine, or the folder that identify or calibrate wrote") from None
-    except (ValueError, KeyError, TypeError):
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise ProblemError("this is no estimate that hydroopt wrote", where=str(file),
                            remedy="identify or calibrate again") from None
     if status == "failed":

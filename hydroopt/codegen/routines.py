@@ -78,7 +78,7 @@ class Interface:
 
     Attributes:
         machine: what is modelled.
-        kinds: what indices count.
+        kinds: what indices count; `units` are those of arrays whose units are not those of what they count.
         values: what `prepare` takes, by the name of the array; empty ones are left out.
         inputs: symbols of those arrays and of everything that routines read, by name.
         structs: parameters, inputs and outputs.
@@ -91,17 +91,20 @@ class Interface:
         self.complete, self.reduced = Model(machine), Model(machine, actuator_inertia=False)
         self.folded = fold_geometry
         psi, free, units = self.complete.parameters, self.chain.parameters, machine.channel_units
-        factors = [(channel, factor, f"{unit}/({units[channel]})") for each, unit in
+        factors = [(channel, factor, units[channel], f"{unit}/({units[channel]})") for each, unit in
                    zip(self.complete.force_from_pressure.values(), self.complete.force_units, strict=True)
                    for channel, factor in each.items()]
         self.kinds = {
-            "joint": Kind(machine.joints), "link": Kind(tuple(link.name for link in machine.links)),
+            "joint": Kind(machine.joints, tuple(units[f"{joint}.q"] for joint in machine.joints)),
+            "link": Kind(tuple(link.name for link in machine.links)),
             "actuator": Kind(tuple(a.name for a in machine.actuators)),
             "cylinder": Kind(tuple(c.name for c in machine.cylinders)),
             "reading": Kind(tuple(f[0] for f in factors), tuple(f[2] for f in factors)),
             "geometry": Kind(() if fold_geometry else free.names, free.units), "psi": Kind(psi.names, psi.units),
             "reduced": Kind(self.reduced.parameters.names, self.reduced.parameters.units),
-            "body": Kind(NAMES, tuple(UNITS)), "chain": Kind(self.chain.joints)}
+            "body": Kind(NAMES, tuple(UNITS)),
+            "chain": Kind(self.chain.joints, tuple(units[f"{joint}.q"] for joint in self.chain.joints))}
+        self.units = {"effort": tuple(f[3] for f in factors)}
         values = {
             "geometry": free.nominal if not fold_geometry else np.zeros(0), "psi": psi.nominal,
             "effort": np.array([f[1] for f in factors]),
@@ -160,12 +163,11 @@ class Interface:
         found = [Guard(self.dynamics.cylinders[c.name].length, ">", 0.0, "OPEN_TRIANGLE")
                  for c in self.machine.all_cylinders]
         if levers:
-            ratio = self.dynamics.transmission
-            bars = ca.diag(ratio) if ratio.sparsity().is_diag() else ca.det(ratio)
+            # an actuator stands in the row of the last joint it moves, so that the lever arms are triangular
             found += [Guard(bar, ">", SHORTEST_LEVER, "DEAD_POINT", absolute=True)
-                      for bar in ca.vertsplit(bars) if not bar.is_constant()]
+                      for bar in ca.vertsplit(ca.diag(self.dynamics.transmission)) if not bar.is_constant()]
         if gas:
-            found += [Guard(each.gas_volume(self.dynamics.cylinders[each.name].length), ">", 0.0, "OUT_OF_STROKE")
+            found += [Guard(each.gas_volume(self.dynamics.cylinders[each.name].length), ">", 0.0, "NO_GAS_VOLUME")
                       for each in self.machine.gas_cylinders]
         return tuple(found)
 
@@ -321,30 +323,31 @@ def _reduced_regressor(own: Interface) -> Routine:
 
 def _closure(own: Interface) -> Routine:
     chain, count = own.chain, len(own.machine.cylinders)
-    q, fixture, length = own.symbol("chain_q", len(chain.joints)), own.symbol("fixture", 3), own.symbol("length", count)
+    q, fixture, stroke = own.symbol("chain_q", len(chain.joints)), own.symbol("fixture", 3), own.symbol("stroke", count)
     g = own.inputs.get("geometry", ca.SX(ca.DM(chain.parameters.nominal)))
-    observed, by_g, by_q = chain.observed_jacobians(g, q, fixture)
-    rows = [*(range(3) if own.machine.calibrator else ()), *range(3, 3 + count)]
-    own.kinds["row"] = Kind(tuple(chain.channels[k] for k in rows))
-    measured = ca.vertcat(ca.SX(3, 1), length)
+    by_model, distance = chain.strokes(g, q)
+    gap = chain.closure(g, q, fixture) if own.machine.calibrator else ca.SX(0, 1)
+    residual = ca.vertcat(gap, by_model - stroke)
+    own.kinds["row"] = Kind((*(chain.channels[:3] if own.machine.calibrator else ()),
+                             *(f"{cylinder.name}.stroke" for cylinder in own.machine.cylinders)))
     takes = own.struct(
-        "chain", "A pose of the machine with its calibrator.",
+        "chain", "A pose of the machine, with its calibrator if it has one.",
         Field("chain_q", ("chain",), "rad or m", "position of each joint of the chain"),
         *([Field("fixture", (3,), "m", "where the ball is held, in the base frame: x, y, z")]
           if own.machine.calibrator else ()),
-        Field("length", ("cylinder",), "m", "distance between the pins of each cylinder as measured"))
-    reads = ("chain_q", *(("fixture",) if own.machine.calibrator else ()), *(("length",) if count else ()))
+        Field("stroke", ("cylinder",), "m", "measured stroke of each cylinder, 0 when retracted"))
+    reads = ("chain_q", *(("fixture",) if own.machine.calibrator else ()), *(("stroke",) if count else ()))
     gives = own.struct(
-        "closure", "Residuals of the closed loops: tip less fixture, then length by the model less length measured.",
+        "closure", "Residuals of the closed loops: tip less fixture, then stroke by the model less stroke measured.",
         Field("residual", ("row",), "m", "of each row"),
         Field("by_q", ("row", "chain"), "m/rad or 1", "its change with each joint of the chain"),
         Field("by_geometry", ("row", "geometry"), "m per unit of geometry", "its change with each number"))
-    outputs = {"residual": (observed[:3 + count] - measured)[rows], "by_q": by_q[rows, :]}
+    outputs = {"residual": residual, "by_q": ca.jacobian(residual, q)}
     if own.kinds["geometry"].names:
-        outputs["by_geometry"] = by_g[rows, :]
-    guards = [Guard(value, ">", 0.0, "OPEN_TRIANGLE") for value in ca.vertsplit(observed[3:3 + count])]
+        outputs["by_geometry"] = ca.jacobian(residual, g)
+    guards = [Guard(value, ">", 0.0, "OPEN_TRIANGLE") for value in ca.vertsplit(distance)] if count else []
     return Routine("closure", "Loop closure with its Jacobians by angles and by geometry.", takes, reads, gives,
-                   outputs, tuple(guards), observed[3:3 + count] if count else None)
+                   outputs, tuple(guards), distance if count else None)
 
 
 def _payload_update(own: Interface) -> Routine:
@@ -356,8 +359,11 @@ def _payload_update(own: Interface) -> Routine:
                        Field("std", ("actuator",), "N or N*m", "its standard deviation, positive"))
     own.struct("load", f"A load on {last}: what is known of it so far.",
                Field("phi", ("body",), "kg, kg*m, kg*m^2", f"mass, moments and inertia in the frame of {last}"),
-               Field("covariance", ("body", "body"), "products of the units of phi", "of phi"),
-               Field("forgetting", (), "1", "weight of the past at each step: 1 keeps all of it, 0.999 forgets"))
+               Field("std", ("body",), "kg, kg*m, kg*m^2", "standard deviation of phi"),
+               Field("prior", ("body",), "kg, kg*m, kg*m^2", "standard deviation of phi at the start, about zero"),
+               Field("forgetting", (), "1", "weight of the past at each step: 1 keeps all of it, 0.999 forgets"),
+               Field("unit", ("body", "body"), "", "for the routine: the covariance of phi is U D U^T, U unit upper"),
+               Field("diagonal", ("body",), "", "for the routine: D"))
     gives = own.struct("load_rows", "Forces without load, and what a load adds to them.",
                        Field("predicted", ("actuator",), "N or N*m", "force of each actuator without load"),
                        Field("rows", ("actuator", "body"), "N or N*m per unit of phi", "force per unit of the load"))

@@ -36,14 +36,16 @@ class Compressed:
 
 
 def _chunks(model: Model, experiments: Sequence[Experiment]) -> Iterator[tuple[int, NDArray[np.intp], Array, Array]]:
-    """(experiment, sample indices, K (m, n, p), f (m, n)) for all samples that take part, a chunk at a time."""
+    """(experiment, sample indices, K (m, n, p), f (m, n)) of samples that take part; K is written over by the next."""
+    reused: list[Array] | None = None
     for which, data in enumerate(experiments):
         taken = np.flatnonzero(data.inside)
         for start in range(0, len(taken), CHUNK):
             rows = taken[start : start + CHUNK]
             motion = data.motion
-            K = model.over(model.regressor, motion.q[rows], motion.qd[rows], motion.qdd[rows])[0]
-            yield which, rows, K, data.force[rows]
+            reused = reused if reused is not None and len(reused[0]) == len(rows) else None
+            reused = model.over(model.regressor, motion.q[rows], motion.qd[rows], motion.qdd[rows], out=reused)
+            yield which, rows, reused[0], data.force[rows]
 
 
 def compress(model: Model, experiments: Sequence[Experiment], weights: Sequence[Array] | None = None) -> Compressed:

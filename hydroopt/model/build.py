@@ -145,9 +145,9 @@ class Model:
                 factors[actuator.name] = {f"{joint}.tau": 1.0}
         return factors
 
-    def over(self, function: ca.Function, *columns: Array) -> list[Array]:
+    def over(self, function: ca.Function, *columns: Array, out: list[Array] | None = None) -> list[Array]:
         """Evaluate a function at N samples, see `Runner.over`."""
-        return self._runner.over(function, *columns)
+        return self._runner.over(function, *columns, out=out)
 
 
 def _dense(name: str, inputs: list[ca.SX], outputs: list[ca.SX], input_names: list[str],

@@ -60,7 +60,9 @@ class _Writer:
         named = 0
         for index, node in enumerate(program.nodes):
             text, rank = self.expression(index)
-            if node.op not in ("input", "constant") and (self.uses[index] > 1 or len(text) > WIDTH):
+            # a reciprocal that serves once becomes a division where it does
+            long = len(text) > WIDTH and node.op != "inv"
+            if node.op not in ("input", "constant") and (self.uses[index] > 1 or long):
                 self.lines.append(f"const {naming.type} v{named} = {text};")
                 text, rank = f"v{named}", _ATOM
                 named += 1
@@ -89,15 +91,20 @@ class _Writer:
                 return f"-{self.of(node.operands[0].node, _ATOM)}", _SUM
         arguments = [self.signed(ref, _SUM) for ref in node.operands]
         if node.op != "pow":  # whose exponent is a plain number
-            arguments = [text if self.program.number(ref) is None else naming.lift(text)
+            arguments = [naming.lift(text) if self.fixed(ref) else text
                          for text, ref in zip(arguments, node.operands, strict=True)]
         return f"{naming.call(node.op)}({', '.join(arguments)})", _ATOM
+
+    def fixed(self, ref: Ref) -> bool:
+        """Whether a value is a number, or the negative of one."""
+        node = self.program.nodes[ref.node]
+        return node.op == "constant" or (node.op == "negative" and self.fixed(node.operands[0]))
 
     def product(self, operands: tuple[Ref, ...]) -> str:
         # a reciprocal that serves only here is a division
         below = [r for r in operands if self.program.nodes[r.node].op == "inv" and self.uses[r.node] == 1]
-        above = [r for r in operands if r not in below] or [operands[0]]
-        if len(above) == len(operands) or len(below) == len(operands):
+        above = [r for r in operands if r not in below]
+        if not above or not below:
             return " * ".join(self.of(ref.node, _PRODUCT if k == 0 else _ATOM) for k, ref in enumerate(operands))
         text = " * ".join(self.of(ref.node, _PRODUCT if k == 0 else _ATOM) for k, ref in enumerate(above))
         for ref in below:

@@ -10,7 +10,7 @@ import ctypes
 import hashlib
 import logging
 import os
-import shutil
+import shlex
 import subprocess
 import tempfile
 from collections.abc import Callable
@@ -31,7 +31,7 @@ from hydroopt.model.program import Program, program
 
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fPIC", "-shared", "-w")
 """No fast-math: only that sqrt need not set errno. Products and sums may be fused, as the compiler does by itself."""
-FEW = 200
+FEW = 100
 """Samples below which a kernel is not worth its compilation."""
 SHARE = 4096
 """Samples that are worth a thread of their own."""
@@ -45,7 +45,7 @@ class Runner:
     """Evaluates functions at many samples; remembers how, for as long as it lives."""
 
     def __init__(self) -> None:
-        self._ways: dict[tuple[int, int], tuple[ca.Function, Way]] = {}
+        self._ways: dict[tuple[int, bool], tuple[ca.Function, Way]] = {}
 
     def over(self, function: ca.Function, *columns: Array, out: list[Array] | None = None) -> list[Array]:
         """Evaluate at N samples: each argument (N, k), or (k,) if it is the same for all; results (N, rows, columns).
@@ -54,21 +54,25 @@ class Runner:
         most functions.
 
         Raises:
-            ValueError: an argument has not as many values as the function takes.
+            ValueError: arguments or `out` have not the shapes that the function calls for.
         """
-        count = max(len(column) for column in columns if np.ndim(column) == 2)
         held = [np.ascontiguousarray(column, dtype=float) for column in columns]
-        for i, values in enumerate(held):
-            if values.shape[-1] != function.numel_in(i) or (values.ndim == 2 and len(values) != count):
-                raise ValueError(f"{function.name()} takes {function.numel_in(i)} values for {function.name_in(i)} at "
-                                 f"{count} samples, not {values.shape}")
+        count = next((len(values) for values in held if values.ndim == 2), 0)
+        wanted = [(count, function.numel_in(i)) for i in range(function.n_in())]
+        if [values.shape if values.ndim == 2 else (count, *values.shape) for values in held] != wanted:
+            raise ValueError(f"{function.name()} takes arguments of the shapes {wanted}, not "
+                             f"{[values.shape for values in held]}")
+        shapes = [(count, *function.size_out(i)) for i in range(function.n_out())]
+        if out is not None and ([values.shape for values in out] != shapes or not all(
+                values.dtype == float and values.flags.c_contiguous and values.flags.writeable for values in out)):
+            raise ValueError(f"{function.name()} writes over arrays of float64 of the shapes {shapes}, row by row")
+        if not count:
+            return [np.zeros(shape) for shape in shapes]
         return self._way(function, count)(held, count, out)
 
     def _way(self, function: ca.Function, count: int) -> Way:
-        key = hash(function), count if count < FEW else FEW
+        key = hash(function), count >= FEW
         if key not in self._ways:
-            if len(self._ways) > 64:
-                self._ways.clear()
             way = kernel(function) if count >= FEW else None
             self._ways[key] = function, way or _mapped(function)  # holding the function keeps its hash its own
         return self._ways[key][1]
@@ -78,23 +82,25 @@ def _mapped(function: ca.Function) -> Way:
     """The same on CasADi's virtual machine."""
     symbols = function.sx_in()
     dense = ca.Function(function.name(), symbols, [ca.densify(out) for out in function.call(symbols)])
-    maps: dict[int, ca.Function] = {}
+    mapped: tuple[int, ca.Function] = (0, dense)
 
     def evaluate(columns: list[Array], count: int, out: list[Array] | None) -> list[Array]:
-        if count not in maps:
-            maps.clear()
-            maps[count] = dense.map(count)
-        buffer, run = maps[count].buffer()
+        nonlocal mapped
+        if mapped[0] != count:
+            mapped = count, dense.map(count)
+        buffer, run = mapped[1].buffer()
         held = [np.ascontiguousarray(np.broadcast_to(c, (count, c.shape[-1]))) for c in columns]
         results = [np.empty((count, function.size2_out(i), function.size1_out(i))) for i in range(function.n_out())]
-        if out is not None:
-            results = [values.swapaxes(1, 2) for values in out]
         for give, arrays in ((buffer.set_arg, held), (buffer.set_res, results)):
             for i, values in enumerate(arrays):
                 if values.size:
                     give(i, memoryview(values.data).cast("B").cast("d"))
         run()
-        return [values.swapaxes(1, 2) for values in results]  # CasADi writes column by column
+        # CasADi writes column by column
+        made = [np.ascontiguousarray(values.swapaxes(1, 2)) for values in results]
+        for old, new in zip(out or (), made, strict=False):
+            old[:] = new
+        return out or made
 
     return evaluate
 
@@ -113,7 +119,7 @@ class Kernel:
     def __call__(self, columns: list[Array], count: int, out: list[Array] | None = None) -> list[Array]:
         """Results (N, rows, columns) of arguments (N, k) or (k,)."""
         results = out or [np.zeros((count, made.rows, made.columns)) for made in self.program.outputs]
-        if out is None:
+        if out is None:  # what an earlier call gave has its constants, zeros among them
             for values, constants in zip(results, self.constants, strict=True):
                 for k, value in constants:
                     values.reshape(count, -1)[:, k] = value
@@ -135,13 +141,17 @@ class Kernel:
 
 
 def _threads() -> int:
-    return int(os.environ.get("OMP_NUM_THREADS") or len(os.sched_getaffinity(0)))
+    """As many as OMP_NUM_THREADS says, or as there are processors for this process."""
+    stated = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
+    if stated.isdigit() and int(stated):
+        return int(stated)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
 class Compiler(NamedTuple):
     """The system's compiler: its command, and what it says of itself and of the processor it compiles for."""
 
-    command: str
+    command: tuple[str, ...]
     macros: bytes
 
     @property
@@ -154,13 +164,14 @@ class Compiler(NamedTuple):
 @cache
 def compiler() -> Compiler | None:
     """``$CC``, ``cc``, ``gcc`` or ``clang``; None, with a notice, where none of them works."""
-    for name in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
-        command = shutil.which(name)
-        if command is not None:
-            probe = subprocess.run([command, *FLAGS[:2], "-dM", "-E", "-x", "c", "-"], input=b"#include <math.h>\n",
-                                   capture_output=True, check=False)
-            if probe.returncode == 0:
-                return Compiler(command, probe.stdout)
+    for stated in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
+        command = tuple(shlex.split(stated))
+        try:
+            probe = subprocess.run([*command, *FLAGS[:2], "-dM", "-E", "-x", "c", "-"], input=b"#include <math.h>\n",
+                                   capture_output=True, check=True)
+            return Compiler(command, probe.stdout)
+        except (OSError, subprocess.SubprocessError):
+            continue
     _notice("no C compiler found")
     return None
 
@@ -177,28 +188,29 @@ def kernel(function: ca.Function) -> Kernel | None:
         return None
     try:
         made = program(function)
-        library = _library(function, made, found)
+        return Kernel(_library(function, made, found), made)
     except (OSError, subprocess.SubprocessError, NotImplementedError) as error:
-        _notice(f"the kernel '{function.name()}' cannot be compiled or kept ({' '.join(str(error).split())})")
+        said = (getattr(error, "stderr", None) or str(error).encode()).decode(errors="replace").strip()[:200]
+        _notice(f"the kernel '{function.name()}' cannot be compiled or kept ({said})")
         return None
-    return Kernel(library, made)
 
 
 def _library(function: ca.Function, made: Program, by: Compiler) -> Path:
     """The shared library in the cache; what is there but not whole is made anew."""
     key = hashlib.sha256()
-    own = [Path(module.__file__ or "").read_bytes() for module in (straight, ccode)]
-    for part in (function.serialize().encode(), *own, by.command.encode(), by.macros, " ".join(FLAGS).encode()):
+    here = Path(__file__).parent
+    own = [(here / name).read_bytes() for name in ("program.py", "ccode.py", "compiled.py", "kernel.c")]
+    for part in (function.serialize().encode(), *own, " ".join((*by.command, *FLAGS)).encode(), by.macros):
         key.update(hashlib.sha256(part).digest())
-    folder = Path(os.environ.get("HYDROOPT_CACHE") or platformdirs.user_cache_dir("hydroopt"))
+    folder = Path(os.environ.get("HYDROOPT_CACHE") or platformdirs.user_cache_dir("hydroopt")).resolve()
     for entry in sorted(folder.glob(f"{key.hexdigest()[:32]}-*.so")):
         if hashlib.sha256(entry.read_bytes()).hexdigest()[:32] == entry.stem.partition("-")[2]:
             return entry
         entry.unlink(missing_ok=True)
-    folder.mkdir(parents=True, exist_ok=True)
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)  # what lies here is run
     with tempfile.TemporaryDirectory(dir=folder) as scratch:
         built = Path(scratch) / "kernel.so"
-        subprocess.run([by.command, *FLAGS, "-x", "c", "-", "-o", str(built), *by.libraries],
+        subprocess.run([*by.command, *FLAGS, "-x", "c", "-", "-o", str(built), *by.libraries],
                        input=source(made).encode(), capture_output=True, check=True)
         # the name tells the content: a library is whole or is not used, however many processes make it at once
         digest = hashlib.sha256(built.read_bytes()).hexdigest()[:32]

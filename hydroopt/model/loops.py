@@ -34,6 +34,7 @@ class KinematicModel:
         closure: (g, q, fixture (3,)) -> tip − fixture (3,) [m]: the loop's residual where all joints are known.
         far_ends: (g, q) -> far ends of the chain's links (3, number of links) [m] in the base frame.
         axes: (g, q) -> directions of the joints' axes (3, n) in the base frame.
+        strokes: (g, q) -> strokes of the cylinders and distances of their pins (c,) [m] (Eq. 3.26 in space).
         lengths: (g, q) -> readings of the cylinders' length transducers (c,) [m] (Eq. 3.26 in space).
         observed: (g, q, fixture (3,)) -> all of the above that a pose table can hold, (m,), see `channels`.
     """
@@ -54,7 +55,12 @@ class KinematicModel:
         ends = [poses[name] @ self.geometry.far_end(name) for name in chain]
         tip = ends[-1].point(self.geometry.point("tip")) if machine.calibrator else ca.SX(3, 1)
         ends_of = ca.horzcat(*(end.origin for end in ends)) if ends else ca.SX(3, 0)
-        lengths = ca.vertcat(*(self._length(cylinder, loaded) for cylinder in machine.cylinders))
+        distances = ca.vertcat(*(self._pin_distance(cylinder, loaded) for cylinder in machine.cylinders))
+        # a transducer reads the stroke; what it is added to is the nominal dead length
+        dead = [self.geometry.value[f"{cylinder.name}.dead_length"] for cylinder in machine.cylinders]
+        self.strokes = ca.Function("strokes", [g, q], [distances - ca.vertcat(*dead), distances], ["g", "q"],
+                                   ["stroke", "distance"])
+        lengths = distances + ca.vertcat(*(c.dead_length - d for c, d in zip(machine.cylinders, dead, strict=True)))
         # the last far end may lie in the fixture, where a plain norm has no derivative
         taped = ca.vertcat(*(ca.sqrt(ca.sumsqr(end.origin - fixture) + TINY**2) for end in ends))
         self.tip = ca.Function("tip", [g, q], [tip], ["g", "q"], ["tip"])
@@ -141,11 +147,9 @@ class KinematicModel:
         parent = next(link.parent for link in self.links if link.name == joint)
         return poses[parent] @ self.geometry.far_end(parent)
 
-    def _length(self, cylinder: Cylinder, q: ca.SX) -> ca.SX:
-        # a transducer reads the stroke; what it is added to is the nominal dead length
+    def _pin_distance(self, cylinder: Cylinder, q: ca.SX) -> ca.SX:
         pins = [self.geometry.pin(cylinder, end, self._named(q)) for end in ("barrel", "rod")]
-        return (ca.norm_2(pins[1] - pins[0]) + cylinder.dead_length
-                - self.geometry.value[f"{cylinder.name}.dead_length"])
+        return ca.norm_2(pins[1] - pins[0])
 
     def _tracked(self, tip: ca.SX) -> ca.SX:
         if self.machine.tracker is None:

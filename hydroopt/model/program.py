@@ -2,14 +2,14 @@
 
 CasADi's own code keeps the order and the sharing in which expressions were written. Here every operation is looked up
 before it is made, whatever the order or the signs of its operands, and quotients become products with a shared
-reciprocal. Rounding changes, nothing else.
+reciprocal. That changes rounding, and what overflows on the way to a finite result; nothing else.
 """
 
 from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import NamedTuple
 
 import casadi as ca
@@ -95,8 +95,8 @@ class Program(NamedTuple):
         return (_ordered(name, self.inputs, [before], self.nodes),
                 _ordered(self.name, (*self.inputs, Input(name, len(edge))), list(self.outputs), rest))
 
-    def function(self) -> ca.Function:
-        """The same as a casadi.Function with dense outputs."""
+    def function(self, sign: Callable[[ca.SX], ca.SX] = ca.sign) -> ca.Function:
+        """The same as a casadi.Function with dense outputs, if need be with another function for the sign."""
         given = [ca.SX.sym(each.name, each.size) for each in self.inputs]
         values: list[ca.SX] = []
 
@@ -120,6 +120,8 @@ class Program(NamedTuple):
                     values.append(math.prod(operands[1:], start=operands[0]))
                 case "pow":
                     values.append(operands[0] ** operands[1])
+                case "sign":
+                    values.append(sign(operands[0]))
                 case _:
                     values.append(getattr(ca, node.op)(*operands))
         results = [ca.reshape(ca.vertcat(*map(of, out.entries)), out.columns, out.rows).T for out in self.outputs]
@@ -147,8 +149,10 @@ def program(function: ca.Function) -> Program:
     """The program of a casadi.Function of SX with dense inputs, its outputs row by row.
 
     Raises:
-        NotImplementedError: an operation that no model of a machine needs.
+        NotImplementedError: an operation that no model of a machine needs, or an input with structural zeros.
     """
+    if not all(function.sparsity_in(i).is_dense() for i in range(function.n_in())):
+        raise NotImplementedError("an input has structural zeros")
     made = _Maker()
     slots: dict[int, Ref] = {}
     found: list[dict[int, Ref]] = [{} for _ in range(function.n_out())]
@@ -190,6 +194,8 @@ class _Maker:
         return Ref(self.known[node])
 
     def constant(self, value: float) -> Ref:
+        if math.isnan(value):
+            raise NotImplementedError("a constant is not a number")
         ref = self.node("constant", value=abs(value))
         return -ref if value < 0 else ref
 

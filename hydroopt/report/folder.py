@@ -6,9 +6,7 @@ import contextlib
 import csv
 import io
 import json
-import os
 import platform
-import tempfile
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from importlib import metadata
@@ -28,6 +26,7 @@ from hydroopt.estimation.estimate import Estimate, Fit
 from hydroopt.estimation.experiment import Experiment
 from hydroopt.estimation.problem import Problem
 from hydroopt.estimation.verdict import doubts
+from hydroopt.files import write_files
 from hydroopt.machine import Machine
 from hydroopt.report import calibration as calibration_page
 from hydroopt.report import html
@@ -112,25 +111,6 @@ def save_failure(problem: Problem | CalibrationProblem, method: str, error: Hydr
     _forget(directory, f"{problem.model.machine.name}.toml")
     write_files(directory, {"estimate.json": json.dumps(content, indent=1, allow_nan=False)})
     return content
-
-
-def write_files(directory: str | Path, files: dict[str, str]) -> None:
-    """Write text files into a directory, each first under a temporary name.
-
-    Raises:
-        ProblemError: the directory or a file cannot be written.
-    """
-    target = Path(directory)
-    try:
-        target.mkdir(parents=True, exist_ok=True)
-        with tempfile.TemporaryDirectory(dir=target, prefix=".unfinished-") as temporary:
-            for name, text in files.items():
-                (Path(temporary) / name).write_text(text, encoding="utf-8")
-            for name in files:
-                os.replace(Path(temporary) / name, target / name)
-    except OSError as error:
-        raise ProblemError(f"cannot be written ({error.strerror})", where=str(directory),
-                           remedy="choose another directory with -o") from None
 
 
 def as_dict(estimate: Estimate, wall_s: float = float("nan")) -> dict[str, Any]:

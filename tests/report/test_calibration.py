@@ -25,9 +25,9 @@ from hydroopt.signals.poses import Poses
 
 ROOT = Path(__file__).parents[2]
 MUKCA = ROOT / "data/mukca_panda_2"
-CONTRACT = {"schema", "machine", "created", "inputs", "method", "status", "parameters", "base_parameters", "combinations", "fit",
-            "conditioning", "noise_scale", "suspects", "left_out", "uniqueness", "tip_uncertainty",
-            "physical_consistency", "versions", "seed", "wall_s", "doubts"}
+CONTRACT = {"schema", "machine", "created", "inputs", "method", "status", "parameters", "base_parameters",
+            "combinations", "fit", "conditioning", "noise_scale", "suspects", "left_out", "uniqueness",
+            "tip_uncertainty", "physical_consistency", "versions", "seed", "wall_s", "doubts"}
 FILES = {"estimate.json", "report.html", "parameters.csv", "fit.csv", "residuals.csv", "cat215b.toml"}
 SECTIONS = ("What is in doubt", "Fit", "Closed chain", "Parameters", "Accuracy over the workspace", "Conditioning",
             "Data", "Method")

@@ -16,6 +16,7 @@ from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.estimate import Estimate
 from hydroopt.estimation.problem import identification_problem
 from hydroopt.estimation.solve import solve
+from hydroopt.files import write_files
 from hydroopt.model.build import Model
 from hydroopt.report import folder
 from hydroopt.signals.log import read_log
@@ -156,7 +157,7 @@ def test_a_disk_that_fails_in_between_leaves_nothing_half_written(
         return real(self, text, **options)
     monkeypatch.setattr(Path, "write_text", fail)
     with pytest.raises(ProblemError, match=r"No space left on device.*-o"):
-        folder.write_files(tmp_path, {"one": "new text", "two": "more text"})
+        write_files(tmp_path, {"one": "new text", "two": "more text"})
     assert {file.name: file.read_text() for file in tmp_path.iterdir()} == {"one": "old"}
 
 

@@ -4,7 +4,8 @@
  * SI units throughout. Arrays are dense and row-major. All functions are re-entrant; they neither allocate nor keep
  * anything. Call {{ p }}_prepare once for each set of parameters, then the others as often as needed.
  * Frames: modified Denavit-Hartenberg, Trans(z,d) Rot(z,theta) Trans(x,a) Rot(x,alpha) Rot(y,beta); the frame of a link
- * lies behind Rot(z,theta), its far end behind Rot(y,beta).
+ * lies behind Rot(z,theta), its far end behind Rot(y,beta). Gravity in the base frame is ({{ gravity | join(", ") }}) m/s^2.
+ * Joints are as stiff as iron, but in the closed chain, where they give way by the compliance that the machine states.
  */
 #ifndef {{ P }}_H
 #define {{ P }}_H
@@ -13,7 +14,7 @@
 extern "C" {
 #endif
 
-/* What a call came to. */
+/* What a call came to: up to {{ P }}_OUT_OF_STROKE there is a result. */
 typedef enum {
 {% for name, text in statuses.items() %}
     {{ P }}_{{ name }} = {{ loop.index0 }}{{ "," if not loop.last }} /* {{ text }} */
@@ -21,7 +22,7 @@ typedef enum {
 } {{ p }}_status_t;
 
 {% for kind, each in code.kinds_in_use().items() %}
-/* Index of each {{ kind }}. */
+/* Index of each {{ kinds[kind] }}. */
 enum {
 {% for name, text in each %}
     {{ name }} = {{ loop.index0 }}, /* {{ text }} */
@@ -63,11 +64,11 @@ typedef struct {
 
 {% endfor %}
 {% if "payload_update" in code.routines %}
-/* Begin to estimate a load: phi is zero and known to the standard deviations `std` (same units). */
-{{ p }}_status_t {{ p }}_payload_start(const {{ type }} std[{{ P }}_BODY_COUNT], {{ p }}_load_t *load);
+/* Begin to estimate a load: phi is zero and known to the standard deviations `prior` (positive, same units). */
+{{ p }}_status_t {{ p }}_payload_start(const {{ type }} prior[{{ P }}_BODY_COUNT], {{ p }}_load_t *load);
 
 {{ (code.routines.payload_update.text ~ " Call it while the machine moves: standing joints tell little, and their friction "
-    ~ "has no sign. `load` changes only if the result is " ~ P ~ "_OK or " ~ P ~ "_OUT_OF_STROKE.") | wrap }}
+    ~ "has no sign. What is forgotten falls back to the prior. `load` changes only if there is a result.") | wrap }}
 {{ p }}_status_t {{ p }}_payload_update(const {{ p }}_constants_t *constants, const {{ p }}_load_sample_t *in,
     {{ p }}_load_t *load);
 

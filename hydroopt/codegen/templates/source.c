@@ -35,6 +35,11 @@
 {% for line in code.prepares() %}
     {{ line }}
 {% endfor %}
+{% if code.programs[0].outputs[0].entries %}
+    if ({{ p }}_finite(constants->value, sizeof(constants->value) / sizeof(constants->value[0])) == 0) {
+        return {{ P }}_NOT_FINITE;
+    }
+{% endif %}
     return {{ P }}_OK;
 }
 
@@ -58,26 +63,67 @@
 {% endfor %}
 {% if "payload_update" in names %}
 {% set routine = code.routines.payload_update %}
-{{ p }}_status_t {{ p }}_payload_start(const {{ type }} std[{{ P }}_BODY_COUNT], {{ p }}_load_t *load)
+{{ p }}_status_t {{ p }}_payload_start(const {{ type }} prior[{{ P }}_BODY_COUNT], {{ p }}_load_t *load)
 {
-    if ((std == NULL) || (load == NULL)) {
+    if ((prior == NULL) || (load == NULL)) {
         return {{ P }}_NULL_POINTER;
     }
-    if ({{ p }}_finite(std, (size_t){{ P }}_BODY_COUNT) == 0) {
-        return {{ P }}_NOT_FINITE;
+    for (size_t j = 0U; j < (size_t){{ P }}_BODY_COUNT; j++) {
+        const {{ type }} variance = prior[j] * prior[j];
+        if ({{ p }}_finite(&variance, 1U) == 0) {
+            return {{ P }}_NOT_FINITE;
+        }
+        if (!(prior[j] > {{ 0 | number }}) || !(variance > {{ 0 | number }})) {
+            return {{ P }}_OUT_OF_RANGE;
+        }
     }
     load->forgetting = {{ 1 | number }};
     for (size_t j = 0U; j < (size_t){{ P }}_BODY_COUNT; j++) {
         load->phi[j] = {{ 0 | number }};
+        load->std[j] = prior[j];
+        load->prior[j] = prior[j];
+        load->diagonal[j] = prior[j] * prior[j];
         for (size_t k = 0U; k < (size_t){{ P }}_BODY_COUNT; k++) {
-            load->covariance[j][k] = (j == k) ? (std[j] * std[j]) : {{ 0 | number }};
+            load->unit[j][k] = (j == k) ? {{ 1 | number }} : {{ 0 | number }};
         }
     }
     return {{ P }}_OK;
 }
 
+/* Take one measured number, row * phi + noise = number, into account. The covariance is kept as U D U^T, which cannot lose
+ * its sign by rounding (Bierman 1977, Section V.3). */
+static void {{ p }}_load_learn({{ p }}_load_t *load, const {{ type }} row[{{ P }}_BODY_COUNT], {{ type }} number, {{ type }} variance)
+{
+    {{ type }} f[{{ P }}_BODY_COUNT];
+    {{ type }} gain[{{ P }}_BODY_COUNT];
+    {{ type }} total = variance;
+    {{ type }} unexplained = number;
+    for (size_t j = 0U; j < (size_t){{ P }}_BODY_COUNT; j++) {
+        unexplained -= row[j] * load->phi[j];
+        f[j] = row[j];
+        for (size_t i = 0U; i < j; i++) {
+            f[j] += load->unit[i][j] * row[i];
+        }
+    }
+    for (size_t j = 0U; j < (size_t){{ P }}_BODY_COUNT; j++) {
+        const {{ type }} before = total;
+        const {{ type }} spread = load->diagonal[j] * f[j];
+        total += f[j] * spread;
+        load->diagonal[j] *= before / total;
+        gain[j] = spread;
+        for (size_t i = 0U; i < j; i++) {
+            const {{ type }} old = load->unit[i][j];
+            load->unit[i][j] = old - ((f[j] / before) * gain[i]);
+            gain[i] += old * spread;
+        }
+    }
+    for (size_t j = 0U; j < (size_t){{ P }}_BODY_COUNT; j++) {
+        load->phi[j] += gain[j] * (unexplained / total);
+    }
+}
+
 /* What this motion's forces would be without load, and what each number of the load adds to them. */
-static {{ p }}_status_t rows_of_load(const {{ p }}_constants_t *constants, const {{ p }}_load_sample_t *in, {{ p }}_load_rows_t *out)
+static {{ p }}_status_t {{ p }}_load_rows(const {{ p }}_constants_t *constants, const {{ p }}_load_sample_t *in, {{ p }}_load_rows_t *out)
 {
 {{ body(routine) }}
 {% for line in code.bodies.payload_update %}
@@ -90,54 +136,52 @@ static {{ p }}_status_t rows_of_load(const {{ p }}_constants_t *constants, const
     {{ p }}_load_t *load)
 {
     {{ p }}_load_rows_t made;
+    {{ p }}_load_t next;
     {{ p }}_status_t status;
     if ((constants == NULL) || (in == NULL) || (load == NULL)) {
         return {{ P }}_NULL_POINTER;
     }
 {{ checks(routine.reads + ("force", "std")) }}
-    if (({{ p }}_finite(load->phi, (size_t){{ P }}_BODY_COUNT) == 0)
-        || ({{ p }}_finite(&load->covariance[0][0], sizeof(load->covariance) / sizeof(load->covariance[0][0])) == 0)
-        || ({{ p }}_finite(&load->forgetting, 1U) == 0)) {
-        return {{ P }}_NOT_FINITE;
-    }
-    if (!(load->forgetting > {{ 0 | number }})) {
-        return {{ P }}_NOT_POSITIVE;
+    if (!(load->forgetting > {{ 0 | number }}) || !(load->forgetting <= {{ 1 | number }})) {
+        return {{ P }}_OUT_OF_RANGE;
     }
     for (size_t i = 0U; i < (size_t){{ P }}_ACTUATOR_COUNT; i++) {
-        if (!(in->std[i] > {{ 0 | number }})) {
-            return {{ P }}_NOT_POSITIVE;
+        if (!(in->std[i] > {{ 0 | number }}) || !((in->std[i] * in->std[i]) > {{ 0 | number }})) {
+            return {{ P }}_OUT_OF_RANGE;
         }
     }
-    status = rows_of_load(constants, in, &made);
-    if ((status != {{ P }}_OK) && (status != {{ P }}_OUT_OF_STROKE)) {
+    status = {{ p }}_load_rows(constants, in, &made);
+    if (status > {{ P }}_OUT_OF_STROKE) {
         return status;
     }
-    /* one measured force after the other: no matrix has to be inverted */
+    next = *load;
     for (size_t i = 0U; i < (size_t){{ P }}_ACTUATOR_COUNT; i++) {
-        {{ type }} gain[{{ P }}_BODY_COUNT];
-        {{ type }} variance = in->std[i] * in->std[i];
-        {{ type }} unexplained = in->force[i] - made.predicted[i];
+        {{ p }}_load_learn(&next, made.rows[i], in->force[i] - made.predicted[i], in->std[i] * in->std[i]);
+    }
+    if (load->forgetting < {{ 1 | number }}) {
         for (size_t j = 0U; j < (size_t){{ P }}_BODY_COUNT; j++) {
-            gain[j] = {{ 0 | number }};
-            for (size_t k = 0U; k < (size_t){{ P }}_BODY_COUNT; k++) {
-                gain[j] += load->covariance[j][k] * made.rows[i][k];
-            }
-            variance += made.rows[i][j] * gain[j];
-            unexplained -= made.rows[i][j] * load->phi[j];
+            next.diagonal[j] /= load->forgetting;
         }
+        /* as much of the prior comes back as was forgotten: what no motion shows stays as unknown as it was */
         for (size_t j = 0U; j < (size_t){{ P }}_BODY_COUNT; j++) {
-            load->phi[j] += gain[j] * (unexplained / variance);
-            for (size_t k = 0U; k <= j; k++) {
-                load->covariance[j][k] -= gain[j] * (gain[k] / variance);
-                load->covariance[k][j] = load->covariance[j][k];
+            {{ type }} row[{{ P }}_BODY_COUNT];
+            for (size_t k = 0U; k < (size_t){{ P }}_BODY_COUNT; k++) {
+                row[k] = (k == j) ? {{ 1 | number }} : {{ 0 | number }};
             }
+            {{ p }}_load_learn(&next, row, {{ 0 | number }}, (load->prior[j] * load->prior[j]) / ({{ 1 | number }} - load->forgetting));
         }
     }
     for (size_t j = 0U; j < (size_t){{ P }}_BODY_COUNT; j++) {
-        for (size_t k = 0U; k < (size_t){{ P }}_BODY_COUNT; k++) {
-            load->covariance[j][k] /= load->forgetting;
+        {{ type }} variance = next.diagonal[j];
+        for (size_t k = j + 1U; k < (size_t){{ P }}_BODY_COUNT; k++) {
+            variance += next.unit[j][k] * (next.unit[j][k] * next.diagonal[k]);
         }
+        next.std[j] = sqrt{{ f }}(variance);
     }
+    if (({{ p }}_finite(next.phi, (size_t){{ P }}_BODY_COUNT) == 0) || ({{ p }}_finite(next.std, (size_t){{ P }}_BODY_COUNT) == 0)) {
+        return {{ P }}_NOT_FINITE;
+    }
+    *load = next;
     return status;
 }
 {% endif %}
