@@ -420,7 +420,7 @@ def main() -> None:
         code = app(arguments or ["--help"], standalone_mode=False) or (0 if arguments else 2)
     except HydrooptError as error:
         code = error.exit_code
-        typer.echo(f"hydroopt: {error}", err=True)
+        typer.echo(f"hydroopt: {_visible(str(error))}", err=True)
     except _USAGE_ERROR as error:
         code = 2
         _explain(error)
@@ -437,8 +437,13 @@ def _explain(error: Any) -> None:
     command = context.command_path if context else "hydroopt"
     what = " ".join(error.format_message().split()).rstrip(".?").replace(". Did you mean", ", did you mean")
     place = command.partition(" ")[2]
-    typer.echo(f"hydroopt: {place + ': ' if place else ''}{what[:1].lower()}{what[1:]}; see '{command} --help'.",
-               err=True)
+    said = f"{place + ': ' if place else ''}{what[:1].lower()}{what[1:]}; see '{command} --help'."
+    typer.echo(f"hydroopt: {_visible(said)}", err=True)
+
+
+def _visible(text: str) -> str:
+    """A sentence without what would act on a terminal: a quoted name may hold anything."""
+    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
 
 
 if __name__ == "__main__":

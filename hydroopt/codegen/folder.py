@@ -33,7 +33,7 @@ STATUSES = {
     "OK": "the result is there",
     "OUT_OF_STROKE": "the result is there, but a cylinder is shorter or longer than it can be",
     "NULL_POINTER": "an argument is NULL; nothing was written",
-    "NOT_FINITE": "an input is not a number or infinite; nothing was written",
+    "NOT_FINITE": "an input, or what it comes to, is not a number or infinite; do not use the result",
     "OUT_OF_RANGE": "an input is not in the range that its comment gives; nothing was written",
     "OPEN_TRIANGLE": "pins of a cylinder coincide or cannot be that far apart; do not use the result",
     "DEAD_POINT": "a cylinder has no lever arm here; do not use the result",
@@ -73,7 +73,7 @@ class Code:
             outputs += [ca.vertcat(*(guard.value for guard in routine.guards)),
                         ca.SX(0, 1) if routine.lengths is None else routine.lengths, *routine.outputs.values()]
         given = self.interface.inputs
-        return ca.Function(self.name, list(given.values()), [ca.densify(out) for out in outputs], list(given),
+        return ca.Function("routines", list(given.values()), [ca.densify(out) for out in outputs], list(given),
                            [f"out{k}" for k in range(len(outputs))])
 
     @cached_property
@@ -193,7 +193,7 @@ class Code:
         """Enumerator and comment of each thing of a kind, with its unit or another one."""
         names, own = self.interface.kinds[kind]
         units = units or own
-        self.names.enumerator(kind, "count")
+        self.names.count(kind)
         return [(self.names.enumerator(kind, name), f"{name} [{units[k]}]" if units else name)
                 for k, name in enumerate(names)]
 

@@ -13,9 +13,10 @@ _C = ("auto break case char const continue default do double else enum extern fl
 _OTHERS = ("alignas alignof asm bool catch class constexpr decltype delete explicit export false friend main mutable "
            "namespace new noexcept nullptr operator private protected public template this throw true try typename "
            "using virtual aux con nul prn assert complex ctype errno fenv float iso646 limits locale math setjmp "
-           "signal stdarg stddef stdint stdio stdlib string tgmath time wchar wctype inttypes")
+           "signal features stdarg stddef stdint stdio stdlib string tgmath time wchar wctype inttypes "
+           "all clean help install test")
 KEYWORDS = frozenset(f"{_C} {_OTHERS}".split())
-"""What no prefix may be: keywords of C and C++, names that some file systems keep for themselves, and C's headers."""
+"""What no prefix may be: keywords of C and C++, and what file systems, C's headers and CMake keep."""
 
 
 def prefix(text: str, *, where: str) -> str:
@@ -38,6 +39,12 @@ class Names:
     def __init__(self, start: str) -> None:
         self.start = start
         self._taken: dict[str, str] = {}
+
+    def count(self, kind: str) -> str:
+        """The enumerator that counts the things of a kind."""
+        made = f"{self.start}_{kind}_count".upper()
+        self._taken[made] = f"{kind} the count of them"
+        return made
 
     def enumerator(self, kind: str, name: str) -> str:
         """``boom_cylinder.rod.m`` of a kind ``psi`` becomes ``CAT215B_PSI_BOOM_CYLINDER_ROD_M``.

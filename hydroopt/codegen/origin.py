@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import re
 from pathlib import Path
 from typing import NamedTuple
 
@@ -37,6 +38,8 @@ def read(given: str, *, parameter_set: str | None = None) -> tuple[Machine, Orig
         data = file.read_bytes()
         content = json.loads(data)
         name, created, status = content["machine"]["name"], content.get("created", "a day unknown"), content["status"]
+        if not re.fullmatch(r"[A-Za-z]\w{0,199}", str(name), re.ASCII):
+            raise ValueError
         words = [str(name), str(created), str(content["method"])]
     except OSError:
         raise ProblemError("this folder holds no estimate", where=given,
@@ -48,7 +51,7 @@ def read(given: str, *, parameter_set: str | None = None) -> tuple[Machine, Orig
         raise ProblemError("the estimate failed, so that there is nothing to export", where=str(file),
                            remedy="see its 'reason', then identify or calibrate again")
     calibrated = folder / f"{name}.toml"
-    if Path(words[0]).name != words[0] or not calibrated.is_file():
+    if not calibrated.is_file():
         raise ProblemError("no calibrated machine stands beside it, because it could not exist", where=str(file),
                            remedy="see its 'doubts', then identify or calibrate with more data or another method")
     machine = load_machine(calibrated)

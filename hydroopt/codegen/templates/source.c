@@ -8,6 +8,13 @@
     }
 {% endfor %}
 {% endmacro %}
+{% macro finite(struct) %}
+{% for field in struct.fields %}
+    if ({{ p }}_finite(&out->{{ field.name }}{{ "[0]" * (field.shape | length) }}, sizeof(out->{{ field.name }}) / sizeof({{ type }})) == 0) {
+        return {{ P }}_NOT_FINITE;
+    }
+{% endfor %}
+{% endmacro %}
 {% macro body(routine) %}
 {% if routine.lengths is not none %}
     {{ type }} length[{{ P }}_CYLINDER_COUNT];
@@ -57,6 +64,7 @@
 {% for line in code.bodies[name] %}
     {{ line }}
 {% endfor %}
+{{ finite(code.used[routine.gives]) }}
     return {{ p ~ "_stroke(constants, length)" if routine.lengths is not none else P ~ "_OK" }};
 }
 
@@ -129,6 +137,7 @@ static {{ p }}_status_t {{ p }}_load_rows(const {{ p }}_constants_t *constants, 
 {% for line in code.bodies.payload_update %}
     {{ line }}
 {% endfor %}
+{{ finite(code.used[routine.gives]) }}
     return {{ p ~ "_stroke(constants, length)" if routine.lengths is not none else P ~ "_OK" }};
 }
 
