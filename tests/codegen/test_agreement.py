@@ -1,0 +1,287 @@
+"""The generated C says what the model in Python says, by its public functions and by formulas written out here.
+
+How far the C may be off: for each entry of each member of an output the largest deviation over a group of states is
+taken as a part of the entry's scale. That scale is the entry's largest absolute value over the states of the group,
+but not less than FLOOR of the largest value that any entry of the member has in the group: an entry that cancels to
+next to nothing carries the rounding of what cancelled. Where all entries are zero the C must say zero. The bound is
+1e-12 in double precision and 1e-5 in single. All inputs and parameters are numbers that single precision can hold, and
+the model reckons with these in double.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Iterator
+from functools import cache, cached_property
+
+import casadi as ca
+import library
+import numpy as np
+import pytest
+from library import OK, OPEN_TRIANGLE, OUT_OF_STROKE, SUBJECTS, Library, held, over
+
+from hydroopt.codegen.folder import STATUSES
+from hydroopt.codegen.routines import ROUTINES
+from hydroopt.model.build import Model
+from hydroopt.model.loops import KinematicModel
+from hydroopt.parts import Cylinder
+
+Array = np.ndarray
+Values = dict[str, Array]
+
+PARAMETRIC = ("cat215b", "panda_mukca", "spatial")
+BUILDS = (("double", "-O0"), ("double", "-O3"), ("float", "-O0"), ("float", "-O3"))
+LARGE, LARGE_BUILDS = ("panda_mukca", "spatial"), (("double", "-O3"), ("float", "-O0"))
+"""Machines whose code takes a compiler long, and how it is built."""
+TOLERANCE = {"double": 1e-12, "float": 1e-5}
+FLOOR = {"double": 1e-2, "float": 1e-1}
+STROKE = 1e-6
+"""How far a pin distance may leave the stroke [m] before it is said."""
+PLAIN = tuple(name for name in ROUTINES if name != "payload_update")
+
+
+class Case:
+    """What `prepare` takes, states for every routine in groups that are judged apart, and what the model says of them.
+
+    The dynamic parameters are random; the geometry is the nominal one, or another where it is `moved`.
+    """
+
+    def __init__(self, subject: str, moved: bool) -> None:
+        interface = library.subject(subject, "double").interface
+        self.stated, self.rng = interface.machine, np.random.default_rng([SUBJECTS.index(subject), moved])
+        psi, free = interface.complete.parameters, interface.chain.parameters
+        values = dict(interface.values)
+        values["psi"] = psi.nominal + 0.3 * psi.scale * self.rng.standard_normal(len(psi))
+        self.machine = self.stated
+        if "geometry" in values:
+            # so little that no cylinder comes near a dead point
+            step = moved * np.minimum(free.scale, 0.02) * self.rng.uniform(-1, 1, len(free))
+            values["geometry"] = held(free.nominal + step)
+            self.machine = library.changed(interface.chain, values["geometry"])
+        self.values = {name: held(array) for name, array in values.items()}
+        self.chain = KinematicModel(self.machine)
+        self.model, self.reduced = Model(self.machine), Model(self.machine, actuator_inertia=False)
+        self.groups = {name: {key: array if key == "length" and name == "ulp of double" else held(array)
+                              for key, array in group.items()} for name, group in self._groups()}
+
+    def _groups(self) -> Iterator[tuple[str, Values]]:
+        machine, rng = self.machine, self.rng
+        joints = [link.joint for link in self.chain.links if link.joint.type != "locked"]
+        own = [machine.link(name).joint for name in machine.joints]
+        lower, upper = np.array([joint.range for joint in joints]).T
+
+        def some(count: int, speed: float) -> Values:
+            q, qd, qdd = library.subjects.states(machine, rng, count)
+            lengths = self.lengths(q)
+            return {"q": q, "qd": speed * qd, "qdd": speed * qdd, "length": lengths,
+                    "stroke": rng.uniform(0, 1, lengths.shape),
+                    "speed": speed * rng.uniform(-0.5, 0.5, lengths.shape),
+                    "chain_q": rng.uniform(lower, upper, (count, len(joints))),
+                    "fixture": rng.uniform(-3, 3, (count, 3)),
+                    "reading": rng.uniform(-1e5, 3e7, (count, len(self.values["effort"])))}
+
+        def ends(of: list) -> Array:
+            limits = np.array([joint.range for joint in of])
+            chosen = np.array(list(itertools.product((0, 1), repeat=len(of))))
+            return limits[np.arange(len(of)), chosen[rng.permutation(len(chosen))[:64]]]
+
+        yield "random", some(200, 1.0)
+        yield "at rest", some(30, 0.0)
+        yield "fast", some(50, 20.0)
+        q = ends(own)
+        yield "limits", some(len(q), 1.0) | {"q": q, "length": self.lengths(q),
+                                             "chain_q": np.resize(ends(joints), (len(q), len(joints)))}
+        if machine.cylinders:
+            for name, kind in (("ulp of float", np.float32), ("ulp of double", np.float64)):
+                inside = [np.nextafter(self.values[end].astype(kind), kind(towards))
+                          for end, towards in (("shortest", np.inf), ("longest", 0))]
+                yield name, some(2, 1.0) | {"length": np.array(inside, float)}
+
+    def lengths(self, q: Array) -> Array:
+        """Pin distances (N, c) of the hydraulic cylinders."""
+        return over(self.model.cylinder_kinematics, q, 0 * q, 0 * q)[0][:, :len(self.machine.cylinders), 0]
+
+    @cache  # noqa: B019 (cases live as long as the tests)
+    def said(self, group: str, routine: str) -> Values:
+        """What the model says, by member."""
+        return getattr(self, routine)(self.groups[group])
+
+    @cached_property
+    def tip_jacobian(self) -> ca.Function:
+        q = ca.SX.sym("q", len(self.machine.joints))
+        ends = self.model.forward_kinematics(q)
+        last = ends[-1] if len(self.machine.links) > 1 else ends
+        columns = []
+        for k in range(len(self.machine.joints)):
+            spin = ca.reshape(ca.jacobian(ca.vec(last[:3, :3]), q[k]), 3, 3) @ last[:3, :3].T
+            columns.append(ca.vertcat(spin[2, 1] - spin[1, 2], spin[0, 2] - spin[2, 0], spin[1, 0] - spin[0, 1]) / 2)
+        return ca.Function("jacobian", [q], [ca.densify(ca.vertcat(ca.jacobian(last[:3, 3], q), ca.horzcat(*columns)))])
+
+    def forward_kinematics(self, given: Values) -> Values:
+        poses = np.stack(over(self.model.forward_kinematics, given["q"]), axis=1)
+        return {"pose": poses, "jacobian": over(self.tip_jacobian, given["q"])[0]}
+
+    def cylinder_state(self, given: Values) -> Values:
+        count = len(self.machine.cylinders)
+        length, speed, _, arms, _ = over(self.model.cylinder_kinematics, given["q"], given["qd"], 0 * given["q"])
+        return {"length": length[:, :count, 0], "speed": speed[:, :count, 0], "lever_arm": arms[:, :count]}
+
+    def joint_state(self, given: Values) -> Values:
+        made = {key: np.zeros((len(given["length"]), len(self.machine.joints))) for key in ("q", "qd")}
+        for k, cylinder in enumerate(self.machine.cylinders):
+            if cylinder.name in self.model.triangles:
+                (joint,) = self.machine.joints_between(cylinder.barrel.link, cylinder.rod.link)
+                angle, j = self.model.triangles[cylinder.name][1], self.machine.joints.index(joint)
+                rate = angle.factory("rate", ["length"], ["jac:angle:length"])
+                length = given["length"][:, k:k + 1]
+                made["q"][:, j] = over(angle, length)[0][:, 0, 0]
+                made["qd"][:, j] = over(rate, length)[0][:, 0, 0] * given["speed"][:, k]
+        return made
+
+    def actuator_forces(self, given: Values) -> Values:
+        machine, factors = self.machine, self.model.force_from_pressure
+        arms = over(self.model.cylinder_kinematics, given["q"], 0 * given["q"], 0 * given["q"])[3]
+        cylinders = [c.name for c in machine.all_cylinders]
+        psi = dict(zip(self.model.parameters.names, self.values["psi"], strict=True))
+        force, torque, first = [], np.zeros((len(given["q"]), len(machine.joints))), 0
+        for joint, actuator in zip(machine.joints, machine.actuators, strict=True):
+            stated = np.array(list(factors[actuator.name].values()))
+            there = slice(first, first := first + len(stated))
+            assert np.array_equal(self.values["effort"][there], held(stated))
+            force.append(given["reading"][:, there] @ self.values["effort"][there])
+            offset = sum(psi.get(f"{actuator.name}.{key}", 0.0) for key in ("f_offset", "tau_offset"))
+            rate = (arms[:, cylinders.index(actuator.name)] if isinstance(actuator, Cylinder)
+                    else np.tile(np.array(machine.joints) == joint, (len(torque), 1)))
+            torque += rate * (force[-1] - offset)[:, None]
+        return {"force": np.stack(force, axis=1), "torque": torque}
+
+    def inverse_dynamics(self, given: Values) -> Values:
+        state = (given["q"], given["qd"], given["qdd"], self.values["psi"])
+        return {"force": over(self.model.inverse_dynamics, *state)[0][:, :, 0]}
+
+    def gravity_forces(self, given: Values) -> Values:
+        psi = np.where([name.endswith("_offset") for name in self.model.parameters.names], 0, self.values["psi"])
+        still = (given["q"], 0 * given["q"], 0 * given["q"], psi)
+        return {"force": over(self.model.inverse_dynamics, *still)[0][:, :, 0]}
+
+    def regressor(self, given: Values) -> Values:
+        return {"K": over(self.model.regressor, given["q"], given["qd"], given["qdd"])[0]}
+
+    def reduced_regressor(self, given: Values) -> Values:
+        return {"K": over(self.reduced.regressor, given["q"], given["qd"], given["qdd"])[0]}
+
+    def closure(self, given: Values) -> Values:
+        count, tip = len(self.machine.cylinders), self.machine.calibrator is not None
+        g = self.chain.parameters.nominal
+        observed, by_g, by_q = over(self.chain.observed_jacobians, g, given["chain_q"], tip * given["fixture"])
+        measured = np.hstack([np.zeros((len(observed), 3)),
+                              given["stroke"] + np.array([c.dead_length for c in self.machine.cylinders])])
+        rows = slice(0 if tip else 3, 3 + count)
+        made = {"residual": observed[:, rows, 0] - measured[:, rows], "by_q": by_q[:, rows]}
+        return made | ({"by_geometry": by_g[:, rows]} if "geometry" in self.values else {})
+
+    def statuses(self, group: str, routine: str, real: str) -> Array:
+        """Which of the statuses are right (N, statuses): both where rounding decides whether a stroke is left."""
+        given = self.groups[group]
+        right = np.zeros((len(given["q"]), len(STATUSES)), dtype=bool)
+        beyond: Array | float = -np.inf
+        if self.machine.cylinders and routine != "forward_kinematics":
+            length = given["length"] if routine == "joint_state" else self.lengths(given["q"])
+            if routine == "closure":
+                length = over(self.chain.lengths, self.chain.parameters.nominal, given["chain_q"])[0][:, :, 0]
+            beyond = np.maximum(self.values["shortest"] - length, length - self.values["longest"]).max(axis=1) - STROKE
+        rounding = 4e-6 if real == "float" else 1e-12
+        right[:, OK], right[:, OUT_OF_STROKE] = beyond < rounding, beyond > -rounding
+        return right
+
+
+@cache
+def case(subject: str, *, moved: bool = False) -> Case:
+    return Case(subject, moved)
+
+
+def deviations(found: Array, said: Array, floor: float) -> Array:
+    """Deviations of an output's entries over N states (N, ...), each as a part of its scale."""
+    size = np.abs(said).max(axis=0)
+    scale = np.maximum(size, floor * size.max())
+    return np.where(found == said, 0.0, np.abs(found - said) / np.where(scale > 0, scale, np.finfo(float).tiny))
+
+
+def judge(at: Case, lib: Library, routine: str, real: str) -> None:
+    constants, wrong = lib.prepare(at.values), []
+    for group in at.groups:
+        given, said, right = at.groups[group], at.said(group, routine), at.statuses(group, routine, real)
+        status, results = lib.call(routine, constants, given, len(given["q"]))
+        assert set(said) == set(results.dtype.names)
+        closed = np.all([np.isfinite(array).all(axis=tuple(range(1, array.ndim))) for array in said.values()], axis=0)
+        if not closed.all():
+            assert routine == "joint_state"
+            assert group.startswith("ulp")
+            assert np.all(status[~closed] == OPEN_TRIANGLE)
+        assert np.all(right[np.arange(len(status)), status][closed]), (group, status)
+        for member in said if closed.any() else ():
+            off = deviations(results[member].astype(float)[closed], said[member][closed], FLOOR[real])
+            if not off.max() <= TOLERANCE[real]:
+                place = np.unravel_index(np.argmax(np.where(np.isnan(off), np.inf, off)), off.shape)
+                there = (np.flatnonzero(closed)[place[0]], *place[1:])
+                wrong.append(f"{group}: {member}{list(map(int, place[1:]))} in state {there[0]} is "
+                             f"{results[member][there]!r}, not {said[member][there]!r}: off by {off[place]:.2e}")
+    assert not wrong, "\n".join(wrong)
+
+
+def has(subject: str, routine: str) -> bool:
+    """Whether a machine has a routine, told by its parts alone."""
+    described = library.machine(subject.partition(" ")[0])
+    match routine:
+        case "cylinder_state" | "joint_state":
+            return bool(described.cylinders)
+        case "closure":
+            return bool(described.cylinders or described.calibrator)
+    return True
+
+
+PAIRS = [(subject, routine) for subject in SUBJECTS for routine in PLAIN if has(subject, routine)]
+
+
+@pytest.mark.parametrize("subject", SUBJECTS)
+def test_machines_have_the_routines_that_their_parts_call_for(subject: str) -> None:
+    assert tuple(library.subject(subject, "double").routines) == (
+        *(routine for routine in PLAIN if has(subject, routine)), "payload_update")
+
+
+@pytest.mark.parametrize(("subject", "routine", "real", "level"), [
+    (subject, routine, real, level) for subject, routine in PAIRS for real, level in BUILDS
+    if subject not in LARGE or (real, level) in LARGE_BUILDS])
+def test_routines_say_what_the_model_says(subject: str, routine: str, real: str, level: str, libraries) -> None:
+    judge(case(subject), libraries(subject, real, level), routine, real)
+
+
+@pytest.mark.parametrize(("real", "level"), LARGE_BUILDS)
+@pytest.mark.parametrize(("subject", "routine"), [pair for pair in PAIRS if pair[0] in PARAMETRIC])
+def test_prepared_anew_they_say_what_the_model_of_the_changed_machine_says(
+        subject: str, routine: str, real: str, level: str, libraries) -> None:
+    judge(case(subject, moved=True), libraries(subject, real, level), routine, real)
+
+
+@pytest.mark.parametrize("subject", PARAMETRIC)
+def test_after_a_calibration_only_the_values_change(subject: str) -> None:
+    """The code that would be generated from the calibrated machine is the code that is there already."""
+    at = case(subject, moved=True)
+    texts = [library.files(made) for made in (library.subject(subject, "double"), library.code(at.machine))]
+    name = library.subject(subject, "double").name
+    differing = {file for file in texts[0] if texts[0][file] != texts[1][file]}
+    # the self-test takes a machine like the one described; the README tells nothing that depends on the values
+    assert f"{name}_params.h" in differing
+    assert differing <= {f"{name}_params.h", f"{name}_selftest.c"}
+
+
+@pytest.mark.parametrize("subject", ["cat215b", "kr300"])
+def test_after_an_identification_only_the_values_change(subject: str) -> None:
+    made = library.subject(subject, "double")
+    links = tuple(link if link.body is None else link.model_copy(update={"body": link.body.model_copy(
+        update={"m": 1.1 * link.body.m})}) for link in made.interface.machine.links)
+    other = library.code(made.interface.machine.model_copy(update={"links": links}))
+    texts = [library.files(each) for each in (made, other)]
+    differing = {file for file in texts[0] if texts[0][file] != texts[1][file]}
+    assert f"{made.name}_params.h" in differing
+    assert differing <= {f"{made.name}_params.h", f"{made.name}_selftest.c"}

@@ -1,0 +1,379 @@
+"""What tools say of the generated C: compilers, sanitizers, a static analyser, and the folder's own self-test."""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import sys
+from collections import Counter
+from collections.abc import Callable, Sequence
+from functools import cache
+from pathlib import Path
+
+import library
+import numpy as np
+import pytest
+from fuzz import INPUTS, MODES, driver
+from library import OK, OUT_OF_STROKE, run, sources, write
+
+from hydroopt.codegen.folder import STATUSES, Code
+from hydroopt.codegen.origin import read
+from hydroopt.codegen.routines import ROUTINES
+from hydroopt.codegen.sizes import CORTEX_M4F
+from hydroopt.description import bundled
+
+STRICT = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wshadow", "-Wmissing-prototypes",
+          "-Wdouble-promotion", "-Werror")
+REALS = ("double", "float")
+OPTIMISED = {"cat215b": "-O2", "patu655_lift": "-O2", "kr300": "-O2", "panda_mukca": "-O1"}
+"""How machines are compiled where it takes the optimiser's time."""
+MACHINES = tuple(OPTIMISED)
+SINGLE = {f"{name}f" for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sqrt", "fabs", "pow", "exp",
+                                  "log", "sincos")} | {"memcpy", "memset"}
+"""What single precision may call: the last two are for a compiler to call where a struct is copied."""
+SANITIZE = ("-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
+FUZZED = (("cat215b", "double"), ("patu655_lift", "float"), ("kr300", "float"))
+
+
+def tool(name: str) -> str:
+    """A tool, or the test is skipped."""
+    if shutil.which(name) is None:
+        pytest.skip(f"there is no {name} here")
+    return name
+
+
+def must(command: Sequence[str | Path], directory: Path, **options: dict[str, str]) -> str:
+    """What a command prints that must succeed."""
+    done = run(command, directory, **options)
+    assert done.returncode == 0, f"{' '.join(map(str, command))}\n{done.stdout[-3000:]}{done.stderr[-6000:]}"
+    return done.stdout + done.stderr
+
+
+@pytest.fixture(scope="session")
+def folder(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], Path]:
+    """The generated folder of a machine; nothing is built in it."""
+    home = tmp_path_factory.mktemp("generated")
+    return cache(lambda subject, real: write(library.files(library.subject(subject, real)), home / f"{subject}_{real}"))
+
+
+@pytest.fixture(scope="session")
+def objects(folder, tmp_path_factory: pytest.TempPathFactory) -> Callable[..., list[Path]]:
+    """The objects that a compiler makes of a machine's sources, without a warning."""
+    home = tmp_path_factory.mktemp("objects")
+
+    @cache
+    def get(subject: str, real: str, compiler: str, *flags: str) -> list[Path]:
+        place = home / "_".join((subject, real, compiler, *flags[:1]))
+        place.mkdir()
+        source = folder(subject, real)
+        names = sources(source)
+        must([compiler, *STRICT, *flags, "-c", *(source / name for name in names)], place)
+        return [place / name.replace(".c", ".o") for name in names]
+
+    return get
+
+
+def copied(source: Path, target: Path) -> Path:
+    shutil.copytree(source, target)
+    return target
+
+
+# warnings
+
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+@pytest.mark.parametrize(("machine", "real"), [*((machine, real) for machine in bundled() for real in REALS),
+                                               ("cat215b folded", "float"), ("spatial", "double")])
+def test_compilers_do_not_warn(machine: str, real: str, compiler: str, folder) -> None:
+    place = folder(machine, real)
+    must([tool(compiler), *STRICT, "-fsyntax-only", *sorted(file.name for file in place.glob("*.c"))], place)
+
+
+@pytest.mark.parametrize("compiler", ["g++", "clang++"])
+def test_header_serves_cpp(compiler: str, folder) -> None:
+    place = folder("cat215b", "double")
+    must([tool(compiler), "-std=c++11", "-Wall", "-Wextra", "-pedantic", "-Werror", "-fsyntax-only", "-x", "c++",
+          "cat215b_params.h", "-Wno-unused-const-variable", "-Wno-unused-variable"], place)
+
+
+@pytest.mark.parametrize(("machine", "routine"), [
+    *(("patu655_lift", name) for name in ROUTINES), ("cat215b", "cylinder_state"), ("cat215b", "payload_update"),
+    ("cat215b folded", "forward_kinematics"), ("panda_mukca", "actuator_forces")])
+def test_each_routine_can_be_had_alone(machine: str, routine: str, tmp_path: Path) -> None:
+    place = write(library.files(library.subject(machine, "float", routine)), tmp_path / "alone")
+    for compiler in ("gcc", "clang"):
+        if shutil.which(compiler):
+            must([compiler, *STRICT, "-fsyntax-only", *sorted(file.name for file in place.glob("*.c"))], place)
+    assert "self-test passed" in must(["make", "check", "CFLAGS=-O0"], place)
+
+
+# single precision means single
+
+DOUBLE_X86 = re.compile(r"^v?(cvt\w*[sp]d\w*|(add|sub|mul|div|sqrt|min|max|u?comi|cmp\w*|round|hadd|f\w+)[sp]d|f\w+)$")
+DOUBLE_ARM = re.compile(r"\.f64\b|\bd\d+\b.*\bvcvt")
+
+
+def instructions(listed: str) -> list[str]:
+    """Mnemonics of a disassembly by ``objdump -d --no-show-raw-insn``."""
+    return re.findall(r"^\s*[0-9a-f]+:\s+(?:rep \w+ |bnd |notrack )?([a-z][\w.]*)", listed, re.MULTILINE)
+
+
+def undefined(listed: str, prefix: str) -> set[str]:
+    """Symbols that objects want from elsewhere than from themselves."""
+    return {name for name in re.findall(r"^\s+U (\S+)", listed, re.MULTILINE)
+            if not name.startswith((f"{prefix}_", "_GLOBAL_OFFSET_TABLE_"))}
+
+
+def test_doubles_are_noticed_where_there_are_some(objects) -> None:
+    listed = must([tool("objdump"), "-d", "--no-show-raw-insn",
+                   *objects("patu655_lift", "double", "gcc", "-O2")], Path("."))
+    found = set(filter(DOUBLE_X86.match, instructions(listed)))
+    assert {"mulsd", "addsd"} <= found
+
+
+@pytest.mark.skipif(os.uname().machine != "x86_64", reason="this is no x86-64")
+@pytest.mark.parametrize("machine", MACHINES)
+def test_single_precision_has_no_double_instruction(machine: str, objects) -> None:
+    made = objects(machine, "float", tool("gcc"), OPTIMISED[machine])
+    found = instructions(must([tool("objdump"), "-d", "--no-show-raw-insn", *made], Path(".")))
+    assert "mulss" in found
+    assert not Counter(filter(DOUBLE_X86.match, found))
+    assert undefined(must(["nm", *made], Path(".")), machine) <= SINGLE
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_single_precision_has_no_double_instruction_on_a_controller(machine: str, objects) -> None:
+    made = objects(machine, "float", tool("arm-none-eabi-gcc"), "-O1", *CORTEX_M4F)
+    listed = must([tool("arm-none-eabi-objdump"), "-d", "--no-show-raw-insn", *made], Path("."))
+    assert "vmul.f32" in listed
+    assert not DOUBLE_ARM.search(listed)
+    assert undefined(must(["arm-none-eabi-nm", *made], Path(".")), machine) <= SINGLE
+
+
+def code_without_comments(text: str) -> str:
+    return re.sub(r'/\*.*?\*/|"[^"\n]*"', " ", text, flags=re.DOTALL)
+
+
+def floating(text: str) -> list[str]:
+    """Floating-point literals of a C text."""
+    found = re.findall(r"(?<![\w.])(?:\d+\.\d*|\.\d+|\d+(?=[eE]))(?:[eE][+-]?\d+)?\w*", code_without_comments(text))
+    return [each for each in found if not each.startswith("0x")]
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_literals_of_single_precision_say_so(machine: str, folder) -> None:
+    place = folder(machine, "float")
+    count = 0
+    for file in (*place.glob("*.c"), *place.glob("*.h")):
+        text = file.read_text("utf-8")
+        assert not re.search(r"\bdouble\b", code_without_comments(text))
+        for literal in floating(text):
+            assert literal.endswith("f"), (file.name, literal)
+            digits = re.sub(r"[eE].*|[f.]", "", literal).strip("0")
+            assert len(digits) <= 9, (file.name, literal)
+            assert np.isfinite(np.float32(literal[:-1]))
+            count += 1
+    assert count > 100
+
+
+@pytest.mark.parametrize("machine", ["cat215b", "panda_mukca"])
+def test_literals_of_double_precision_are_exact(machine: str, folder) -> None:
+    values = library.subject(machine, "double").interface.values
+    found = set(map(float, floating((folder(machine, "double") / f"{machine}_params.h").read_text("utf-8"))))
+    assert {abs(value) for array in values.values() for value in array.tolist()} <= found | {0.0}
+
+
+# what a controller must not meet
+
+@pytest.mark.parametrize(("machine", "real"), [*((machine, "float") for machine in MACHINES),
+                                               ("patu655_lift", "double")])
+def test_no_state_is_kept_and_nothing_is_allocated_or_printed(machine: str, real: str, objects, folder) -> None:
+    listed = must(["nm", *objects(machine, real, "gcc", OPTIMISED[machine])], Path("."))
+    assert not re.findall(r"^[0-9a-f]+ [BbDdCcGgSs] \S+", listed, re.MULTILINE)
+    assert not undefined(listed, machine) & {"malloc", "calloc", "realloc", "free", "printf", "puts", "fprintf"}
+    place = folder(machine, real)
+    text = "".join(code_without_comments((place / name).read_text("utf-8")) for name in
+                   (*sources(place), f"{machine}_internal.h"))
+    assert set(re.findall(r"#include <(\S+)>", text)) == {"float.h", "math.h", "stddef.h"}
+    assert not re.search(r"\bgoto\b|\bwhile\b|\bsetjmp\b", text)
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_no_function_calls_itself_by_whatever_way(machine: str, folder) -> None:
+    place = folder(machine, "double")
+    text = "".join(code_without_comments((place / name).read_text("utf-8"))
+                   for name in (f"{machine}_internal.h", *sources(place)))
+    parts = re.split(r"^[\w ]*?\b(\w+)\([^;{]*\)\s*\n\{", text, flags=re.MULTILINE)
+    bodies = dict(zip(parts[1::2], parts[2::2], strict=True))
+    assert {f"{machine}_prepare", f"{machine}_regressor", f"{machine}_finite"} <= bodies.keys()
+    calls = {name: set(re.findall(r"\b(\w+)\(", body)) & bodies.keys() for name, body in bodies.items()}
+    while free := [name for name, others in calls.items() if not others & calls.keys()]:
+        for name in free:
+            del calls[name]
+    assert not calls
+
+
+# static analysis
+
+@pytest.mark.parametrize(("machine", "real"), [("patu655_lift", "double"), ("patu655_lift", "float"),
+                                               ("kr300", "float")])
+def test_cppcheck_finds_nothing(machine: str, real: str, folder) -> None:
+    place = folder(machine, real)
+    text = "".join(file.read_text("utf-8") for file in place.iterdir())
+    assert "cppcheck-suppress" not in text
+    must([tool("cppcheck"), "--std=c99", "--enable=warning,style,performance,portability", "--error-exitcode=1",
+          "--inline-suppr", "--quiet", "."], place)
+
+
+def test_misra_remarks_are_counted(folder) -> None:
+    """Only counted: which rules are broken on purpose stands in the folder's README."""
+    place = folder("patu655_lift", "float")
+    said = run([tool("cppcheck"), "--std=c99", "--addon=misra", "--quiet", "."], place)
+    if "Did not find addon" in said.stderr + said.stdout:
+        pytest.skip("cppcheck has no MISRA addon here")
+    rules = Counter(re.findall(r"misra-c2012-([\d.]+)", said.stderr))
+    print(f"MISRA C:2012 remarks on patu655_lift: {rules.total()}, by rule {dict(sorted(rules.items()))}")
+    assert rules
+
+
+# the folder by itself
+
+@pytest.mark.parametrize(("machine", "real", "flags"), [
+    ("patu655_lift", "double", ()), ("patu655_lift", "float", ()), ("kr300", "float", ()),
+    ("cat215b folded", "float", ("CFLAGS=-O0",)), ("spatial", "double", ("CFLAGS=-O0",)),
+    *((machine, real, ("CFLAGS=-O0",)) for machine in ("cat215b", "panda_mukca") for real in REALS)])
+def test_folder_tests_itself_by_make(machine: str, real: str, flags: tuple[str, ...], folder, tmp_path: Path) -> None:
+    place = copied(folder(machine, real), tmp_path / "elsewhere")
+    name = library.subject(machine, real).name
+    assert f"{name}: self-test passed" in must([tool("make"), "check", *flags], place)
+    must(["make", "clean"], place)
+    assert {file.name for file in place.iterdir()} == {file.name for file in folder(machine, real).iterdir()}
+
+
+@pytest.mark.parametrize(("machine", "real"), [("patu655_lift", "double"), ("cat215b", "float")])
+def test_folder_tests_itself_by_cmake(machine: str, real: str, folder, tmp_path: Path) -> None:
+    place = copied(folder(machine, real), tmp_path / "elsewhere")
+    tool("ctest")
+    must([tool("cmake"), "-S", ".", "-B", "build"], place)
+    must(["cmake", "--build", "build"], place)
+    assert "100% tests passed, 0 tests failed out of 1" in must(["ctest", "--test-dir", "build"], place)
+
+
+def test_self_test_can_be_called_from_another_program(folder, tmp_path: Path) -> None:
+    place = copied(folder("patu655_lift", "double"), tmp_path / "elsewhere")
+    (place / "other.c").write_text("int patu655_lift_selftest(void);\n"
+                                   "int main(void) { return patu655_lift_selftest(); }\n")
+    must(["gcc", "-std=c99", "-DPATU655_LIFT_NO_MAIN", "-o", "other", "other.c", "patu655_lift_selftest.c",
+          "patu655_lift.c", "-lm"], place)
+    must(["./other"], place)
+
+
+def test_self_test_fails_if_a_routine_is_wrong(folder, tmp_path: Path) -> None:
+    """In every routine the first product that is made, and in `prepare`, is doubled in turn."""
+    place = copied(folder("cat215b", "double"), tmp_path / "elsewhere")
+    flags = ["CFLAGS=-O0"]
+    must([tool("make"), "check", *flags], place)
+    unnoticed = []
+    for name in sources(place):
+        kept = (place / name).read_text("utf-8")
+        spoilt, times = re.subn(r"^(\s+(?:const \w+ v\d+|out->[\w\[\]]+|constants->value\[\d+\]) = )([^;]* \* [^;]*);",
+                                r"\g<1>2.0 * (\g<2>);", kept, count=1, flags=re.M)
+        assert times == 1, name
+        (place / name).write_text(spoilt, encoding="utf-8")
+        done = run(["make", "check", *flags], place)
+        if done.returncode == 0 or "self-test failed" not in done.stdout:
+            unnoticed.append((name, done.stdout[-300:]))
+        (place / name).write_text(kept, encoding="utf-8")
+        os.utime(place / name)
+    assert not unnoticed
+    must(["make", "check", *flags], place)
+
+
+@pytest.mark.parametrize("real", REALS)
+def test_self_test_fails_if_a_literal_is_wrong(real: str, folder, tmp_path: Path) -> None:
+    place = copied(folder("patu655_lift", real), tmp_path / "elsewhere")
+    source = place / "patu655_lift.c"
+    kept = source.read_text("utf-8")
+    regressor = kept.index("patu655_lift_regressor(")
+    literal = next(found for found in re.finditer(r"(?<![\w.\[])\d+\.\d{5,}(?:e-?\d+)?", kept)
+                   if found.start() > regressor)
+    digits = f"{float(literal.group()) * 1.1:.9g}"
+    source.write_text(kept[:literal.start()] + digits + kept[literal.end():], encoding="utf-8")
+    done = run([tool("make"), "check", "CFLAGS=-O0"], place)
+    assert done.returncode != 0
+    assert "self-test failed" in done.stdout
+
+
+# the same bytes
+
+def test_texts_are_the_same_however_often_they_are_made(folder) -> None:
+    for subject, real in (("cat215b", "double"), ("spatial", "float")):
+        again = library.files(library.subject.__wrapped__(subject, real))
+        place = folder(subject, real)
+        assert {file.name: file.read_text("utf-8") for file in place.iterdir()} == again
+
+
+def test_texts_do_not_depend_on_the_seed_of_hashes(tmp_path: Path) -> None:
+    """Through the command, and with the sizes that the compiler here tells."""
+    given = ["codegen", "patu655_lift", "-o", str(tmp_path / "one"), "--quiet"]
+    seed = "1" if os.environ.get("PYTHONHASHSEED") != "1" else "2"
+    must([sys.executable, "-m", "hydroopt", *given], tmp_path, environment={"PYTHONHASHSEED": seed})
+    described, origin = read("patu655_lift")
+    Code(described, origin).write(tmp_path / "other")
+    one, other = ({file.name: file.read_bytes() for file in (tmp_path / name).iterdir()} for name in ("one", "other"))
+    assert one == other
+    assert "README.md" in one
+
+
+# sanitizers
+
+@pytest.fixture(scope="session")
+def sanitized(folder, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str, str], dict[str, str]]:
+    """What self-test and fuzz driver print, built with sanitizers that end the program at the first finding."""
+    home = tmp_path_factory.mktemp("sanitized")
+
+    @cache
+    def get(subject: str, real: str) -> dict[str, str]:
+        place = copied(folder(subject, real), home / f"{subject}_{real}")
+        (place / "fuzz.c").write_text(driver(library.subject(subject, real)), encoding="utf-8")
+        flags = ["-std=c99", "-O0", *SANITIZE]
+        must(["gcc", *flags, "-c", *sources(place)], place)
+        made = [name.replace(".c", ".o") for name in sources(place) if name != "fuzz.c"]
+        name = library.subject(subject, real).name
+        must(["gcc", *flags, "-o", "selftest", f"{name}_selftest.c", *made, "-lm"], place)
+        must(["gcc", *flags, "-o", "fuzz", "fuzz.o", *made, "-lm"], place)
+        return {"selftest": must(["./selftest"], place), "fuzz": must(["./fuzz"], place)}
+
+    return get
+
+
+@pytest.mark.parametrize(("machine", "real"), FUZZED)
+def test_sanitizers_find_nothing_in_the_self_test(machine: str, real: str, sanitized) -> None:
+    assert "self-test passed" in sanitized(machine, real)["selftest"]
+
+
+def counted(printed: str) -> dict[tuple[str, str], dict[str, int]]:
+    """Counts of a fuzz driver by routine and mode."""
+    rows = re.findall(r"^(\w+) (\w+) status((?: \d+)+) unknown (\d+) touched (\d+) infinite (\d+)$", printed, re.M)
+    return {(routine, mode): {**dict(zip(STATUSES, map(int, by.split()), strict=True)), "unknown": int(unknown),
+                              "touched": int(touched), "infinite": int(infinite)}
+            for routine, mode, by, unknown, touched, infinite in rows}
+
+
+@pytest.mark.parametrize(("machine", "real"), FUZZED)
+def test_random_inputs_give_a_status_and_a_result_that_fits_it(machine: str, real: str, sanitized) -> None:
+    """A status of the list; nothing is written where it says so; finite results where they may be used."""
+    counts = counted(sanitized(machine, real)["fuzz"])
+    routines = library.subject(machine, real).routines
+    assert set(counts) == {(routine, mode) for routine in (*routines, "prepare", "payload_start") for mode in MODES}
+    for (routine, mode), count in counts.items():
+        assert sum(count[status] for status in STATUSES) == INPUTS // len(MODES)
+        assert count["unknown"] == 0, (routine, mode, count)
+        if mode not in ("huge", "tiny"):  # where a result may have overflowed after it was written
+            assert count["touched"] == 0, (routine, mode, count)
+        if mode == "bad":
+            assert count["NOT_FINITE"] > 0, (routine, count)
+        if mode == "usual" or (mode == "near" and routine != "payload_start"):
+            good = list(STATUSES)[OK], list(STATUSES)[OUT_OF_STROKE]
+            assert sum(count[status] for status in good) > 0, (routine, mode, count)
+    assert not {key: count["infinite"] for key, count in counts.items() if count["infinite"]}
