@@ -108,7 +108,7 @@ def parameter_set(machine: Machine, *, actuator_inertia: bool = True) -> Paramet
         names.append(name)
         units.append(scalar.unit)
         blocks.append(_scalar_block(scalar, machine.notes))
-    nominal, lower, upper = (np.concatenate([block[k] for block in blocks]) for k in range(3))
+    nominal, lower, upper = (np.concatenate([np.zeros(0), *(block[k] for block in blocks)]) for k in range(3))
     information = np.zeros((len(names), len(names)))
     start = 0
     for block in blocks:

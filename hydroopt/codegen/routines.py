@@ -18,6 +18,10 @@ from hydroopt.model.loops import KinematicModel
 from hydroopt.model.regressor import Dynamics
 from hydroopt.spatial import triangle_angle
 
+SHORTEST = 1e-3
+"""Pin distance [m] below which pins count as coinciding."""
+SMALLEST = 1e-9
+"""Volume [m³] below which a gas counts as gone."""
 SHORTEST_LEVER = 1e-4
 """Lever arm [m] below which a cylinder counts as standing at its dead point."""
 
@@ -160,14 +164,14 @@ class Interface:
 
     def guards(self, *, levers: bool = False, gas: bool = False) -> tuple[Guard, ...]:
         """Pins apart; lever arms longer than nothing; gas with a volume."""
-        found = [Guard(self.dynamics.cylinders[c.name].length, ">", 0.0, "OPEN_TRIANGLE")
+        found = [Guard(self.dynamics.cylinders[c.name].length, ">", SHORTEST, "OPEN_TRIANGLE")
                  for c in self.machine.all_cylinders]
         if levers:
             # an actuator stands in the row of the last joint it moves, so that the lever arms are triangular
             found += [Guard(bar, ">", SHORTEST_LEVER, "DEAD_POINT", absolute=True)
                       for bar in ca.vertsplit(ca.diag(self.dynamics.transmission)) if not bar.is_constant()]
         if gas:
-            found += [Guard(each.gas_volume(self.dynamics.cylinders[each.name].length), ">", 0.0, "NO_GAS_VOLUME")
+            found += [Guard(each.gas_volume(self.dynamics.cylinders[each.name].length), ">", SMALLEST, "NO_GAS_VOLUME")
                       for each in self.machine.gas_cylinders]
         return tuple(found)
 
@@ -245,7 +249,7 @@ def _joint_state(own: Interface) -> Routine:
         both = sides.fixed * sides.moving
         cosine = (sides.fixed**2 + sides.moving**2 + sides.lateral**2 - length[k]**2) / (2 * both)
         lever = branch * both * ca.sqrt(1 - cosine**2) / length[k]
-        guards += [Guard(length[k], ">", 0.0, "OPEN_TRIANGLE"),
+        guards += [Guard(length[k], ">", SHORTEST, "OPEN_TRIANGLE"),
                    Guard(cosine, "<=", 1.0, "OPEN_TRIANGLE", absolute=True),
                    Guard(lever, ">", SHORTEST_LEVER, "DEAD_POINT", absolute=True)]
         index = machine.joints.index(joint)
@@ -345,7 +349,7 @@ def _closure(own: Interface) -> Routine:
     outputs = {"residual": residual, "by_q": ca.jacobian(residual, q)}
     if own.kinds["geometry"].names:
         outputs["by_geometry"] = ca.jacobian(residual, g)
-    guards = [Guard(value, ">", 0.0, "OPEN_TRIANGLE") for value in ca.vertsplit(distance)] if count else []
+    guards = [Guard(value, ">", SHORTEST, "OPEN_TRIANGLE") for value in ca.vertsplit(distance)] if count else []
     return Routine("closure", "Loop closure with its Jacobians by angles and by geometry.", takes, reads, gives,
                    outputs, tuple(guards), distance if count else None)
 

@@ -67,7 +67,9 @@ class _Writer:
                 text, rank = f"v{named}", _ATOM
                 named += 1
             self.text[index] = text, rank
-            self.lines += [statement.format(self.signed(ref, _SUM)) for statement, ref in targets.get(index, ())]
+            for statement, ref in targets.get(index, ()):
+                value = self.signed(ref, _SUM)
+                self.lines.append(statement.format(naming.lift(value) if self.fixed(ref) else value))
 
     def expression(self, index: int) -> tuple[str, int]:
         """Text of a value and how tightly its outermost operator binds."""

@@ -106,12 +106,10 @@ def _mapped(function: ca.Function) -> Way:
 
 
 class Kernel:
-    """A compiled function; `constants` are the entries of its outputs that never change, which it leaves alone."""
+    """A compiled function. What is always zero in its outputs it leaves alone, as it is in fresh memory."""
 
     def __init__(self, library: Path, made: Program) -> None:
         self.program = made
-        self.constants = [[(k, value) for k, ref in enumerate(out.entries) if (value := made.number(ref))]
-                          for out in made.outputs]
         self._run = ctypes.CDLL(str(library)).over
         self._run.argtypes = [ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
         self._run.restype = None
@@ -119,10 +117,6 @@ class Kernel:
     def __call__(self, columns: list[Array], count: int, out: list[Array] | None = None) -> list[Array]:
         """Results (N, rows, columns) of arguments (N, k) or (k,)."""
         results = out or [np.zeros((count, made.rows, made.columns)) for made in self.program.outputs]
-        if out is None:  # what an earlier call gave has its constants, zeros among them
-            for values, constants in zip(results, self.constants, strict=True):
-                for k, value in constants:
-                    values.reshape(count, -1)[:, k] = value
         threads = min(_threads(), -(-count // SHARE))
         edges = [count * k // threads for k in range(threads + 1)]
         if threads == 1:
@@ -224,7 +218,7 @@ def source(made: Program) -> str:
     for out in made.outputs:
         runs.append([])
         for k, ref in enumerate(out.entries):
-            if made.number(ref) is None:
+            if made.number(ref) != 0.0:
                 place[out.name, k] = len(place)
                 if runs[-1] and runs[-1][-1][0] + runs[-1][-1][2] == k:
                     runs[-1][-1][2] += 1

@@ -16,7 +16,7 @@ __attribute__((simd("notinbranch"))) extern double cos(double);
 {% for name in unary %}
 EACH({{ name }}, {{ name }}(x[l]))
 {% endfor %}
-EACH(sign, x[l] != x[l] ? x[l] : (double)((x[l] > 0) - (x[l] < 0)))
+EACH(sign, (double)((x[l] > 0) - (x[l] < 0)) + (x[l] - x[l]))
 static inline real each_pow(real x, double p) { real y; for (int l = 0; l < LANES; l++) y[l] = pow(x[l], p); return y; }
 static inline real each_atan2(real x, real z) { real y; for (int l = 0; l < LANES; l++) y[l] = atan2(x[l], z[l]); return y; }
 

@@ -76,7 +76,7 @@ static int finite_all(const real *x, size_t n)
 static int count[STATUSES], unknown, touched, infinite;
 
 /* What came back: a known status, an untouched result where nothing was written, finite numbers where they count.
- * `strict` tells that nothing may be written without a result, whatever there is instead of one. */
+ * `strict` tells that nothing may be written without a result, whatever the status. */
 static void judge(int status, const void *before, const void *after, size_t size, const real *x, size_t n, int strict)
 {{
     if ((status < 0) || (status >= STATUSES)) {{
@@ -86,7 +86,7 @@ static void judge(int status, const void *before, const void *after, size_t size
     count[status]++;
     if ((status == {ok}) || (status == {stroke})) {{
         infinite += !finite_all(x, n);
-    }} else if (strict || (status == {null}) || (status == {out_of_range})) {{
+    }} else if (strict || (status == {null}) || (status == {not_finite}) || (status == {out_of_range})) {{
         touched += memcmp(before, after, size) != 0;
     }}
 }}
@@ -133,7 +133,7 @@ _PREPARE = """
                     fill(&((real *)(void *)&params)[k], 1U, mode, 10.0);
                 }}
             }}
-            judge((int){p}_prepare(&params, &after), &before, &after, sizeof(after), {values}, mode == 2);
+            judge((int){p}_prepare(&params, &after), &before, &after, sizeof(after), {values}, 1);
         }}
         report("prepare", mode);
 """
@@ -149,7 +149,7 @@ _ROUTINE = """
             after = before;
 {fills}            judge((int){p}_{name}(&constants, &in, &after), &before, &after, sizeof(after),
                   (const real *)(void *)&after, sizeof(after) / sizeof(real),
-                  0); /* an open triangle may be found when a part is written */
+                  0);
         }}
         report("{name}", mode);
 """

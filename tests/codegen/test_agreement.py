@@ -207,6 +207,19 @@ def deviations(found: Array, said: Array, floor: float) -> Array:
     return np.where(found == said, 0.0, np.abs(found - said) / np.where(scale > 0, scale, np.finfo(float).tiny))
 
 
+def test_a_deviation_in_one_entry_of_one_state_is_seen() -> None:
+    rng = np.random.default_rng(0)
+    said = rng.standard_normal((50, 3, 4)) * np.logspace(-1, 1, 4)
+    found = said.copy()
+    found[17, 2, 0] += 5e-12
+    off = deviations(found, said, FLOOR["double"])
+    assert np.count_nonzero(off) == 1
+    assert 1e-12 < off[17, 2, 0] < 1e-10
+    found[17, 2, 0] = np.nan
+    assert not deviations(found, said, FLOOR["double"]).max() <= 1.0
+    assert deviations(np.full((2, 1), 1e-300), np.zeros((2, 1)), 1.0).max() > 1.0
+
+
 def judge(at: Case, lib: Library, routine: str, real: str) -> None:
     constants, wrong = lib.prepare(at.values), []
     for group in at.groups:

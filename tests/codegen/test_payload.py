@@ -154,6 +154,24 @@ def test_load_is_found_within_its_covariance(subject: str, real: str, libraries)
     assert abs(np.mean(of_all) - 1) < 0.28
 
 
+@pytest.mark.parametrize("real", TOLERANCE)
+def test_standing_still_for_long_spoils_nothing(real: str, libraries) -> None:
+    """With forgetting, what no motion shows would grow without end if no prior came back."""
+    lib, subject = libraries("cat215b", real, *BUILD), "cat215b"
+    prior, given = held(MASS[subject] * PRIOR), samples(subject, 200)
+    load = lib.load(prior, forgetting=0.96875)
+    constants = lib.prepare(given.parameters)
+    still = {key: value[:1] * (key not in ("qd", "qdd")) for key, value in given.values.items()}
+    still["force"] = still["force"] * 0 + 1000  # whatever it is
+    waiting = {key: np.repeat(value, 20_000, axis=0) for key, value in still.items()}
+    assert set(lib.update(constants, waiting, load, 20_000)) == {OK}
+    assert np.all(load["std"][0] <= prior * 1.001)
+    assert np.all(np.isfinite(load["phi"]))
+    assert set(lib.update(constants, given.values, load, 200)) == {OK}
+    assert abs(load["phi"][0, 0] - MASS[subject]) < 3 * load["std"][0, 0]
+    assert load["std"][0, 0] < 0.1 * MASS[subject]
+
+
 def test_a_load_that_is_picked_up_is_noticed_with_forgetting_only(libraries) -> None:
     lib, subject, count = libraries("cat215b", "double", *BUILD), "cat215b", 300
     given = samples(subject, count)

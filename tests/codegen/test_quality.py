@@ -22,6 +22,7 @@ from hydroopt.codegen.origin import read
 from hydroopt.codegen.routines import ROUTINES
 from hydroopt.codegen.sizes import CORTEX_M4F
 from hydroopt.description import bundled
+from hydroopt.machine import Machine
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wshadow", "-Wmissing-prototypes",
           "-Wdouble-promotion", "-Werror")
@@ -105,6 +106,28 @@ def test_each_routine_can_be_had_alone(machine: str, routine: str, tmp_path: Pat
         if shutil.which(compiler):
             must([compiler, *STRICT, "-fsyntax-only", *sorted(file.name for file in place.glob("*.c"))], place)
     assert "self-test passed" in must(["make", "check", "CFLAGS=-O0"], place)
+
+
+DRIVE = {"name": "solo", "drives": [{"name": "drive", "joint": "arm"}],
+         "links": [{"name": "arm", "parent": "base", "joint": {"type": "revolute", "a": 1.0, "lower": -1, "upper": 1}}]}
+WITH_BODY = DRIVE | {"links": [DRIVE["links"][0] | {"body": library.subjects.BODY}]}
+UNUSUAL = {
+    "nothing to identify": DRIVE,
+    "friction only": DRIVE | {"drives": [{"name": "drive", "joint": "arm", "gear": 10, "rotor_inertia": 0.1,
+                                          "friction": {"offset": 0, "coulomb": 0, "viscous": 0}}]},
+    "a body only, without weight": WITH_BODY | {"gravity": 0.0},
+    "a slide": DRIVE | {"links": [{"name": "arm", "parent": "base", "body": library.subjects.BODY,
+                                   "joint": {"type": "prismatic", "lower": 0, "upper": 1}}]},
+    "a tracked tip": WITH_BODY | {"calibrator": {"parent": "arm", "tip": (0.1, 0, 0)}, "tracker": {},
+                                  "notes": {"calibrator.tip": {"sigma": 0.1}, "tracker.position": {"sigma": 0.1}}},
+    "made up": library.subjects.MADE_UP}
+
+
+@pytest.mark.parametrize("kind", UNUSUAL)
+def test_unusual_machines_build_and_test_themselves(kind: str, tmp_path: Path) -> None:
+    made = library.code(Machine.model_validate(UNUSUAL[kind]), single=True)
+    place = write(library.files(made), tmp_path / "unusual")
+    assert "self-test passed" in must(["make", "check", f"CFLAGS=-O0 {' '.join(STRICT)}"], place)
 
 
 # single precision means single
@@ -205,7 +228,7 @@ def test_no_function_calls_itself_by_whatever_way(machine: str, folder) -> None:
                    for name in (f"{machine}_internal.h", *sources(place)))
     parts = re.split(r"^[\w ]*?\b(\w+)\([^;{]*\)\s*\n\{", text, flags=re.MULTILINE)
     bodies = dict(zip(parts[1::2], parts[2::2], strict=True))
-    assert {f"{machine}_prepare", f"{machine}_regressor", f"{machine}_finite"} <= bodies.keys()
+    assert {f"{machine}_prepare", f"{machine}_regressor", f"{machine}_within"} <= bodies.keys()
     calls = {name: set(re.findall(r"\b(\w+)\(", body)) & bodies.keys() for name, body in bodies.items()}
     while free := [name for name, others in calls.items() if not others & calls.keys()]:
         for name in free:
@@ -215,8 +238,7 @@ def test_no_function_calls_itself_by_whatever_way(machine: str, folder) -> None:
 
 # static analysis
 
-@pytest.mark.parametrize(("machine", "real"), [("patu655_lift", "double"), ("patu655_lift", "float"),
-                                               ("kr300", "float")])
+@pytest.mark.parametrize(("machine", "real"), [("patu655_lift", "double"), ("patu655_lift", "float")])
 def test_cppcheck_finds_nothing(machine: str, real: str, folder) -> None:
     place = folder(machine, real)
     text = "".join(file.read_text("utf-8") for file in place.iterdir())
@@ -368,9 +390,7 @@ def test_random_inputs_give_a_status_and_a_result_that_fits_it(machine: str, rea
     assert set(counts) == {(routine, mode) for routine in (*routines, "prepare", "payload_start") for mode in MODES}
     for (routine, mode), count in counts.items():
         assert sum(count[status] for status in STATUSES) == INPUTS // len(MODES)
-        assert count["unknown"] == 0, (routine, mode, count)
-        if mode not in ("huge", "tiny"):  # where a result may have overflowed after it was written
-            assert count["touched"] == 0, (routine, mode, count)
+        assert count["unknown"] == count["touched"] == 0, (routine, mode, count)
         if mode == "bad":
             assert count["NOT_FINITE"] > 0, (routine, count)
         if mode == "usual" or (mode == "near" and routine != "payload_start"):

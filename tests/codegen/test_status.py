@@ -135,6 +135,25 @@ def test_not_finite_inputs(lib: Library) -> None:
         assert lib.routine(name, constants, given, out) == OK
 
 
+def test_inputs_of_absurd_size(lib: Library) -> None:
+    """What is at its limit is taken as it is, what is beyond is not."""
+    constants = lib.prepare()
+    for name in plain(lib):
+        routine = lib.interface.routines[name]
+        out, given = fresh(lib, routine.gives), good(lib, name)
+        for member, array, place in elements(given, routine.reads):
+            limit = lib.real.type(lib.code.largest(member))
+            before = array[place]
+            for size, refused in ((np.nextafter(limit, lib.real.type(np.inf)), True), (limit, False)):
+                for sign in (-1, 1):
+                    array[place] = sign * size
+                    status = lib.routine(name, constants, given, out)
+                    assert (status == NOT_FINITE) == refused, (name, member, place, size)
+                    assert not refused or untouched(out)
+                    out = fresh(lib, routine.gives)
+            array[place] = before
+
+
 def test_not_finite_parameters(lib: Library) -> None:
     blank, params = np.full(CONSTANTS, PATTERN, np.uint8), lib.filled("params", lib.interface.values, 1)
     for member, array, place in elements(params, params.dtype.names):

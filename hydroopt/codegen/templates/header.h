@@ -14,7 +14,8 @@
 extern "C" {
 #endif
 
-/* What a call came to: up to {{ P }}_OUT_OF_STROKE there is a result. */
+/* What a call came to: up to {{ P }}_OUT_OF_STROKE there is a result. Of absurd size are lengths, angles,
+ * speeds and accelerations above 1e5, and masses, forces and pressures above 1e9. */
 typedef enum {
 {% for name, text in statuses.items() %}
     {{ P }}_{{ name }} = {{ loop.index0 }}{{ "," if not loop.last }} /* {{ text }} */

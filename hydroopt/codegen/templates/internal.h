@@ -12,16 +12,16 @@
 #error "with -ffast-math the checks for numbers that are none would go"
 #endif
 
-/* 1 if all of n numbers are finite: comparisons with what is not a number are false. */
-static inline int {{ p }}_finite(const {{ type }} *x, size_t n)
+/* 1 if none of n numbers is larger in size: comparisons with what is not a number are false. */
+static inline int {{ p }}_within(const {{ type }} *x, size_t n, {{ type }} largest)
 {
-    int finite = 1;
+    int within = 1;
     for (size_t i = 0U; i < n; i++) {
-        if (!(fabs{{ f }}(x[i]) <= {{ "FLT_MAX" if f else "DBL_MAX" }})) {
-            finite = 0;
+        if (!(fabs{{ f }}(x[i]) <= largest)) {
+            within = 0;
         }
     }
-    return finite;
+    return within;
 }
 
 /* -1, 0 or 1. */

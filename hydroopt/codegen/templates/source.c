@@ -3,14 +3,7 @@
 
 {% macro checks(reads, struct) %}
 {% for name in reads %}
-    if ({{ p }}_finite(in->{{ name }}, sizeof(in->{{ name }}) / sizeof(in->{{ name }}[0])) == 0) {
-        return {{ P }}_NOT_FINITE;
-    }
-{% endfor %}
-{% endmacro %}
-{% macro finite(struct) %}
-{% for field in struct.fields %}
-    if ({{ p }}_finite(&out->{{ field.name }}{{ "[0]" * (field.shape | length) }}, sizeof(out->{{ field.name }}) / sizeof({{ type }})) == 0) {
+    if ({{ p }}_within(in->{{ name }}, sizeof(in->{{ name }}) / sizeof(in->{{ name }}[0]), {{ code.largest(name) | number }}) == 0) {
         return {{ P }}_NOT_FINITE;
     }
 {% endfor %}
@@ -27,7 +20,7 @@
         return {{ P }}_NULL_POINTER;
     }
 {% for name in code.interface.values %}
-    if ({{ p }}_finite(params->{{ name }}, sizeof(params->{{ name }}) / sizeof(params->{{ name }}[0])) == 0) {
+    if ({{ p }}_within(params->{{ name }}, sizeof(params->{{ name }}) / sizeof(params->{{ name }}[0]), {{ code.largest(name) | number }}) == 0) {
         return {{ P }}_NOT_FINITE;
     }
 {% endfor %}
@@ -43,8 +36,9 @@
     {{ line }}
 {% endfor %}
 {% if code.programs[0].outputs[0].entries %}
-    if ({{ p }}_finite(constants->value, sizeof(constants->value) / sizeof(constants->value[0])) == 0) {
-        return {{ P }}_NOT_FINITE;
+    /* a triangle without sides has an infinite one in its denominators */
+    if ({{ p }}_within(constants->value, sizeof(constants->value) / sizeof(constants->value[0]), {{ "FLT_MAX" if f else "DBL_MAX" }}) == 0) {
+        return {{ P }}_OPEN_TRIANGLE;
     }
 {% endif %}
     return {{ P }}_OK;
@@ -64,7 +58,6 @@
 {% for line in code.bodies[name] %}
     {{ line }}
 {% endfor %}
-{{ finite(code.used[routine.gives]) }}
     return {{ p ~ "_stroke(constants, length)" if routine.lengths is not none else P ~ "_OK" }};
 }
 
@@ -78,7 +71,7 @@
     }
     for (size_t j = 0U; j < (size_t){{ P }}_BODY_COUNT; j++) {
         const {{ type }} variance = prior[j] * prior[j];
-        if ({{ p }}_finite(&variance, 1U) == 0) {
+        if ({{ p }}_within(&prior[j], 1U, {{ code.largest("psi") | number }}) == 0) {
             return {{ P }}_NOT_FINITE;
         }
         if (!(prior[j] > {{ 0 | number }}) || !(variance > {{ 0 | number }})) {
@@ -137,7 +130,6 @@ static {{ p }}_status_t {{ p }}_load_rows(const {{ p }}_constants_t *constants, 
 {% for line in code.bodies.payload_update %}
     {{ line }}
 {% endfor %}
-{{ finite(code.used[routine.gives]) }}
     return {{ p ~ "_stroke(constants, length)" if routine.lengths is not none else P ~ "_OK" }};
 }
 
@@ -187,7 +179,8 @@ static {{ p }}_status_t {{ p }}_load_rows(const {{ p }}_constants_t *constants, 
         }
         next.std[j] = sqrt{{ f }}(variance);
     }
-    if (({{ p }}_finite(next.phi, (size_t){{ P }}_BODY_COUNT) == 0) || ({{ p }}_finite(next.std, (size_t){{ P }}_BODY_COUNT) == 0)) {
+    if (({{ p }}_within(next.phi, (size_t){{ P }}_BODY_COUNT, {{ "FLT_MAX" if f else "DBL_MAX" }}) == 0)
+        || ({{ p }}_within(next.std, (size_t){{ P }}_BODY_COUNT, {{ "FLT_MAX" if f else "DBL_MAX" }}) == 0)) {
         return {{ P }}_NOT_FINITE;
     }
     *load = next;
