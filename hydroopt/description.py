@@ -20,7 +20,7 @@ from pydantic import BaseModel, ValidationError
 from hydroopt import strokes
 from hydroopt.errors import MachineError
 from hydroopt.machine import Machine
-from hydroopt.parts import Cylinder, JointFriction, Note, Noun, Sensor, TorqueFriction
+from hydroopt.parts import Cylinder, Joint, JointFriction, Note, Noun, Sensor, TorqueFriction
 from hydroopt.quantity import ImpossibleError, Quantity
 from hydroopt.units import UnitError, spread_to_si, to_si
 
@@ -300,8 +300,8 @@ def _unit(node: BaseModel, key: str, machine: Machine, owner: str) -> str | None
         return machine.effort_units(driven.get(owner, owner))[key == "viscous"]
     if isinstance(node, Sensor) and key in ("accuracy", "resolution"):
         return machine.channel_units[node.channels[0]]
-    if key in ("lower", "upper", "max_speed", "max_acceleration"):
-        base = "m" if getattr(node, "type", "") == "prismatic" else "rad"
+    if isinstance(node, Joint) and key in ("lower", "upper", "max_speed", "max_acceleration"):
+        base = "m" if node.type == "prismatic" else "rad"
         return base + {"max_speed": "/s", "max_acceleration": "/s^2"}.get(key, "")
     field = type(node).model_fields[key]
     marks = [*field.metadata, *_nested_metadata(field.annotation)]

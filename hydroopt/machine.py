@@ -12,7 +12,8 @@ from pydantic import Field, ModelWrapValidatorHandler, model_validator
 
 from hydroopt.linkage import Calibrator, Distance, Fixture, Stage, Tracker
 from hydroopt.parts import Cylinder, Drive, GasCylinder, Link, Motor, Note, Noun, Sensor
-from hydroopt.quantity import Acceleration, Angle, ImpossibleError, Name, Rate
+from hydroopt.quantity import Acceleration, Angle, ImpossibleError, Length, Name, Rate
+from hydroopt.site import Footprint, Obstacle, Pump, Workspace
 from hydroopt.units import same_kind
 
 BASE = "base"
@@ -24,6 +25,7 @@ class Machine(Noun):
 
     `orientation` is roll, pitch, yaw of the base frame in a world whose z points up. Above the frequency `bandwidth`
     the links no longer move as rigid bodies driven by their actuators: measured motion is smoothed at least that much.
+    `ground` is the height of the ground in the base frame [m], whose z is vertical there.
     """
 
     name: Name
@@ -43,6 +45,11 @@ class Machine(Noun):
     distances: tuple[Distance, ...] = ()
     tracker: Tracker | None = None
     stages: tuple[Stage, ...] = ()
+    pump: Pump | None = None
+    ground: Length | None = None
+    workspace: Workspace | None = None
+    obstacles: tuple[Obstacle, ...] = ()
+    footprint: Footprint | None = None
     notes: dict[str, Note] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -52,6 +59,7 @@ class Machine(Noun):
         self._actuation()
         self._chain()
         self._channels()
+        self._site()
         return self
 
     @model_validator(mode="wrap")
@@ -83,7 +91,7 @@ class Machine(Noun):
     def _names(self) -> None:
         extra = self.calibrator.links if self.calibrator else ()
         kinds = (self.links, extra, self.cylinders, self.motors, self.drives, self.gas_cylinders, self.fixtures,
-                 self.distances, self.stages)
+                 self.distances, self.stages, self.obstacles)
         count = Counter([BASE, *(part.name for kind in kinds for part in kind)])
         for name, times in count.items():
             if times > 1:
@@ -172,6 +180,15 @@ class Machine(Noun):
         twice = [c for c, n in Counter(c for s in self.sensors for c in s.channels).items() if n > 1]
         if twice:
             raise ImpossibleError(f"the channel '{twice[0]}' has two sensors", "keep one of them")
+
+    def _site(self) -> None:
+        for obstacle in self.obstacles:
+            if obstacle.link not in {BASE, *(link.name for link in self.links)}:
+                raise ImpossibleError(f"the obstacle '{obstacle.name}' hangs on '{obstacle.link}', which does not "
+                                      "exist", "name a link or the base")
+        if self.footprint and self.ground is None:
+            raise ImpossibleError("the machine has a footprint, but at what height it stands is not said",
+                                  "state 'ground', the height of the ground in the base frame")
 
     @property
     def joints(self) -> tuple[str, ...]:

@@ -34,6 +34,7 @@ from hydroopt.quantity import (
     Quantity,
     Rate,
     Six,
+    Speed,
     Torque,
     TorquePerPressure,
     Volume,
@@ -207,6 +208,7 @@ class Cylinder(Noun):
     rod_diameter: Length | None = Field(None, gt=0)
     dead_length: Length = Field(gt=0)
     stroke: Length = Field(gt=0)
+    max_speed: Speed | None = Field(None, gt=0)
     relief_pressure: Pressure | None = Field(None, gt=0)
     friction: CylinderFriction = CylinderFriction()
 
@@ -254,11 +256,12 @@ class Motor(Noun):
 
 
 class Drive(Noun):
-    """A joint driven directly by a sensed torque, as in an electric arm; the torque is that on the joint's side."""
+    """A joint driven directly by a sensed torque, as in an electric arm; torques are those on the joint's side."""
 
     name: Name
     joint: str
     gear: Number = Field(1.0, gt=0)
+    max_torque: Torque | None = Field(None, gt=0)
     rotor_inertia: Inertia | None = Field(None, ge=0)
     friction: TorqueFriction = TorqueFriction()
 

@@ -1,0 +1,161 @@
+"""How much a motion tells: functions of the information matrix, with exact derivatives.
+
+D: logarithm of the determinant of the covariance (its geometric mean counts); A: sum of the variances; E: the greatest
+variance of any combination; condition: logarithm of the condition number of the weighted regressor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from hydroopt.errors import IdentifiabilityError, ProblemError
+from hydroopt.identifiability import Identifiability, structural
+from hydroopt.inertia import Array
+from hydroopt.model.build import Model
+from hydroopt.model.program import program
+
+CRITERIA = ("D", "A", "E", "condition")
+SLOW = 0.02
+"""Speed [rad/s, m/s] over which Coulomb friction turns round where derivatives are taken: a sign has none."""
+FAINT = 1e-3
+"""What is known of every scaled parameter before: practically nothing, but no motion is infinitely bad."""
+
+
+class Question(NamedTuple):
+    """What a motion is asked: parameters in a basis, their scales, and what is known of them before.
+
+    Attributes:
+        structure: which parameters ideal motion shows; its basis is that of β = grouping @ ψ.
+        columns: of the regressor (r,) that go with the basis.
+        scale: (r,) sizes in which the parameters are measured.
+        weight: (n,) inverse standard deviation of the actuators' forces.
+        known: (r, r) information before the motion, in scaled parameters: zero, or priors and earlier logs.
+        focus: places in the basis that count; all if empty.
+    """
+
+    structure: Identifiability
+    columns: Array
+    scale: Array
+    weight: Array
+    known: Array
+    focus: tuple[int, ...] = ()
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Base parameters in words."""
+        return tuple(self.structure.expression(k) for k in range(len(self.columns)))
+
+
+def question(model: Model, sigma: Array, *, focus: Sequence[str] = (), bayesian: bool = False,
+             measured: Array | None = None) -> Question:
+    """What a motion of a machine is asked: its base parameters in the fixed basis of ideal motion.
+
+    Args:
+        model: whose parameters.
+        sigma: (n,) standard deviation of the actuators' forces [N, N·m].
+        focus: a parameter, or the beginning of several names (``stick``), that alone count.
+        bayesian: whether the machine file's priors count as known before.
+        measured: (p, p) information of earlier logs on ψ, in base columns already projected or full.
+
+    Raises:
+        ProblemError: no parameter begins with a name of `focus`.
+        IdentifiabilityError: those that do are never seen.
+    """
+    seen = structural(model)
+    columns = np.array(seen.basis)
+    parameters = model.parameters
+    scale = parameters.scale[columns]
+    known: Array = np.zeros((len(columns), len(columns)))
+    if bayesian:
+        # prior of β = G·ψ; what no number is known of tells nothing
+        prior = np.where(np.diag(parameters.information) > 0, 1.0, 0.0)
+        stated = parameters.information + np.diag((1 - prior) / (1e3 * parameters.scale) ** 2)
+        known = np.asarray(np.linalg.inv(seen.grouping @ np.linalg.inv(stated) @ seen.grouping.T))
+    if measured is not None:
+        known = known + measured[np.ix_(columns, columns)]
+    return Question(seen, columns, scale, 1 / sigma, known * np.outer(scale, scale), _focused(model, seen, focus))
+
+
+def _focused(model: Model, seen: Identifiability, focus: Sequence[str]) -> tuple[int, ...]:
+    places: list[int] = []
+    for name in focus:
+        own = [k for k, p in enumerate(model.parameters.names) if p == name or p.startswith(f"{name}.")]
+        if not own:
+            raise ProblemError(f"no parameter is called '{name}' or begins with it", where="focus",
+                               remedy=f"use one of {', '.join(model.parameters.names[:3])}, … or the name of a part")
+        touched = np.flatnonzero(np.any(seen.grouping[:, own] != 0, axis=1))
+        if not touched.size:
+            raise IdentifiabilityError(f"no motion shows '{name}'", where="focus", remedy="focus on another parameter")
+        places += [int(k) for k in touched if int(k) not in places]
+    return tuple(places)
+
+
+class Information:
+    """The information that motions carry, and the derivative of a criterion with respect to the joints' states."""
+
+    def __init__(self, model: Model, asked: Question, criterion: str) -> None:
+        if criterion not in CRITERIA:
+            raise ProblemError(f"'{criterion}' is no criterion", where="criterion",
+                               remedy=f"use one of {', '.join(CRITERIA)}")
+        self.model, self.asked, self.criterion = model, asked, criterion
+        at, scale = model.at, asked.weight[:, None] * asked.scale
+        K = model.dynamics.regressor(actuator_inertia=model.actuator_inertia)[:, asked.columns.tolist()] * ca.DM(scale)
+        exact = program(ca.Function("base_regressor", [*at], [K]))
+        self.regressor, self.smooth = exact.function(), exact.function(lambda v: v / ca.sqrt(v**2 + SLOW**2))
+        K = self.smooth(*at)
+        G = ca.SX.sym("G", K.numel())
+        pull = ca.dot(ca.vec(K), G)
+        values, vectors = np.linalg.eigh(asked.known)
+        self.known = np.sqrt(np.maximum(values, FAINT**2))[:, None] * vectors.T
+        self.pull = ca.Function("pull", [*at, G], [ca.vertcat(*(ca.gradient(pull, x) for x in at))])
+
+    def factor(self, q: Array, qd: Array, qdd: Array, rate: float) -> Array:
+        """R (r, r) with RᵀR the information on the scaled parameters of states (N, n), each worth `rate` samples.
+
+        Squaring the regressor would lose half of the digits, and it is badly conditioned.
+        """
+        K = self.model.over(self.regressor, q, qd, qdd)[0]
+        return self._factor(K, rate)
+
+    def _factor(self, K: Array, rate: float) -> Array:
+        rows = np.vstack([self.known, np.sqrt(rate) * K.reshape(-1, K.shape[2])])
+        return np.asarray(np.linalg.qr(rows, mode="r"))
+
+    def value(self, q: Array, qd: Array, qdd: Array, rate: float) -> tuple[float, Array]:
+        """The criterion, and its derivative (N, 3n) by the states: q, then qd, then qdd."""
+        K = self.model.over(self.smooth, q, qd, qdd)[0]
+        value, by_matrix = self.of(self._factor(K, rate))
+        G = 2 * rate * (K @ by_matrix)
+        columns = G.transpose(0, 2, 1).reshape(len(q), -1)  # CasADi's order, column by column
+        return value, self.model.over(self.pull, q, qd, qdd, columns)[0][:, :, 0]
+
+    def of(self, factor: Array) -> tuple[float, Array]:
+        """The criterion of the information RᵀR, and its derivative (r, r) by that matrix."""
+        _, s, axes = np.linalg.svd(factor)
+        if self.criterion == "condition":
+            first, last = axes[0] / s[0], axes[-1] / s[-1]
+            return float(np.log(s[0] / s[-1])), (np.outer(first, first) - np.outer(last, last)) / 2
+        root = axes.T / s  # covariance = root·rootᵀ
+        chosen = list(self.asked.focus) or list(range(len(s)))
+        rows = root[chosen] @ root.T
+        _, inner, turn = np.linalg.svd(root[chosen].T, full_matrices=False)
+        if self.criterion == "A":
+            return float(np.sum(inner**2)), -rows.T @ rows
+        if self.criterion == "E":
+            worst = turn[0] @ rows / inner[0]
+            return float(2 * np.log(inner[0])), -np.outer(worst, worst)
+        whitened = (turn / inner[:, None]) @ rows
+        return float(2 * np.mean(np.log(inner))), -whitened.T @ whitened / len(chosen)
+
+    def std(self, factor: Array) -> Array:
+        """Standard deviations (r,) of the base parameters in their units."""
+        return np.asarray(self.asked.scale * np.linalg.norm(np.linalg.inv(factor), axis=1))
+
+    def condition_number(self, factor: Array) -> float:
+        """Of the weighted, scaled regressor, with what was known before."""
+        s = np.linalg.svd(factor, compute_uv=False)
+        return float(s[0] / s[-1]) if s[-1] > 0 else float("inf")

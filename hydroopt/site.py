@@ -1,0 +1,65 @@
+"""What feeds a machine, what it stands on and what stands around it: pump, footprint, workspace, obstacles."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from hydroopt.parts import Noun
+from hydroopt.quantity import Flow, ImpossibleError, Length, Lengths, Mass, Name
+
+
+class Pump(Noun):
+    """The supply that all actuators share: together they take no more than `max_flow` [m³/s]."""
+
+    max_flow: Flow = Field(gt=0)
+
+
+class Workspace(Noun):
+    """Where the far end of the last link may go: between `lower` and `upper` (3,) [m] in the base frame."""
+
+    lower: Lengths
+    upper: Lengths
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        for axis, low, high in zip("xyz", self.lower, self.upper, strict=True):
+            if not low < high:
+                raise ImpossibleError(f"along {axis} the workspace's lower end, {low:.6g} m, is not below the upper "
+                                      f"one, {high:.6g} m", "exchange or correct them")
+        return self
+
+
+class Obstacle(Noun):
+    """A ball about `centre` (3,) [m] in the frame of a link or of the base, which the far end of the last link avoids.
+
+    A cab that swings with its machine hangs on the link that swings.
+    """
+
+    name: Name
+    link: Name
+    centre: Lengths
+    radius: Length = Field(gt=0)
+
+
+class Footprint(Noun):
+    """What the machine stands on: corners (x, y) [m] of the tracks or outriggers in the base frame, at ground height.
+
+    `mass` and `com` (3,) [m] are those of the chassis below the first joint, in the base frame.
+    """
+
+    corners: tuple[tuple[Length, Length], ...] = Field(min_length=3)
+    mass: Mass = Field(ge=0)
+    com: Lengths
+
+    @model_validator(mode="after")
+    def _convex(self) -> Self:
+        points = np.array(self.corners)
+        edges = np.roll(points, -1, axis=0) - points
+        following = np.roll(edges, -1, axis=0)
+        if not np.all(edges[:, 0] * following[:, 1] - edges[:, 1] * following[:, 0] > 0):
+            raise ImpossibleError("the corners do not go round counter-clockwise, or not round a convex area",
+                                  "list them counter-clockwise as seen from above")
+        return self
