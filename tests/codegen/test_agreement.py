@@ -3,9 +3,11 @@
 How far the C may be off: for each entry of each member of an output the largest deviation over a group of states is
 taken as a part of the entry's scale. That scale is the entry's largest absolute value over the states of the group,
 but not less than FLOOR of the largest value that any entry of the member has in the group: an entry that cancels to
-next to nothing carries the rounding of what cancelled. Where all entries are zero the C must say zero. The bound is
-1e-12 in double precision and 1e-5 in single. All inputs and parameters are numbers that single precision can hold, and
-the model reckons with these in double.
+next to nothing carries the rounding of what cancelled. (Single precision has 6e-8 to lose: rates of rotation of the
+Panda's tip that are zero but for the rounding of right angles are off by 3e-7 of the largest, forces too.) An entry
+that is zero but for the model's own rounding, below ZERO of the largest, is held against a tenth of the largest. Where
+all entries are zero the C must say zero. The bound is 1e-12 in double precision and 1e-5 in single. All inputs and
+parameters are numbers that single precision can hold, and the model reckons with these in double.
 """
 
 from __future__ import annotations
@@ -31,10 +33,12 @@ Values = dict[str, Array]
 
 PARAMETRIC = ("cat215b", "panda_mukca", "spatial")
 BUILDS = (("double", "-O0"), ("double", "-O3"), ("float", "-O0"), ("float", "-O3"))
-LARGE, LARGE_BUILDS = ("panda_mukca", "spatial"), (("double", "-O3"), ("float", "-O0"))
-"""Machines whose code takes a compiler long, and how it is built."""
+FEWER_BUILDS = {"panda_mukca": (("double", "-O3"), ("float", "-O0")), "spatial": (("double", "-O0"), ("float", "-O0")),
+                "cat215b folded": (("double", "-O3"), ("float", "-O0"))}
+"""How machines are built whose code takes a compiler long, or is much like another's."""
 TOLERANCE = {"double": 1e-12, "float": 1e-5}
-FLOOR = {"double": 1e-2, "float": 1e-1}
+FLOOR = {"double": 1e-3, "float": 1e-1}
+ZERO = 1e-13
 STROKE = 1e-6
 """How far a pin distance may leave the stroke [m] before it is said."""
 PLAIN = tuple(name for name in ROUTINES if name != "payload_update")
@@ -203,7 +207,7 @@ def case(subject: str, *, moved: bool = False) -> Case:
 def deviations(found: Array, said: Array, floor: float) -> Array:
     """Deviations of an output's entries over N states (N, ...), each as a part of its scale."""
     size = np.abs(said).max(axis=0)
-    scale = np.maximum(size, floor * size.max())
+    scale = np.where(size < ZERO * size.max(), 0.1, np.maximum(size / max(size.max(), 1e-300), floor)) * size.max()
     return np.where(found == said, 0.0, np.abs(found - said) / np.where(scale > 0, scale, np.finfo(float).tiny))
 
 
@@ -263,20 +267,21 @@ def test_machines_have_the_routines_that_their_parts_call_for(subject: str) -> N
 
 
 @pytest.mark.parametrize(("subject", "routine", "real", "level"), [
-    (subject, routine, real, level) for subject, routine in PAIRS for real, level in BUILDS
-    if subject not in LARGE or (real, level) in LARGE_BUILDS])
+    (subject, routine, real, level) for subject, routine in PAIRS
+    for real, level in FEWER_BUILDS.get(subject, BUILDS)])
 def test_routines_say_what_the_model_says(subject: str, routine: str, real: str, level: str, libraries) -> None:
     judge(case(subject), libraries(subject, real, level), routine, real)
 
 
-@pytest.mark.parametrize(("real", "level"), LARGE_BUILDS)
-@pytest.mark.parametrize(("subject", "routine"), [pair for pair in PAIRS if pair[0] in PARAMETRIC])
+@pytest.mark.parametrize(("subject", "routine", "real", "level"), [
+    (subject, routine, real, level) for subject, routine in PAIRS if subject in PARAMETRIC
+    for real, level in FEWER_BUILDS.get(subject, FEWER_BUILDS["panda_mukca"])])
 def test_prepared_anew_they_say_what_the_model_of_the_changed_machine_says(
         subject: str, routine: str, real: str, level: str, libraries) -> None:
     judge(case(subject, moved=True), libraries(subject, real, level), routine, real)
 
 
-@pytest.mark.parametrize("subject", PARAMETRIC)
+@pytest.mark.parametrize("subject", ["cat215b", "panda_mukca"])
 def test_after_a_calibration_only_the_values_change(subject: str) -> None:
     """The code that would be generated from the calibrated machine is the code that is there already."""
     at = case(subject, moved=True)

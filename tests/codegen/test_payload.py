@@ -20,7 +20,7 @@ from hydroopt.model.build import Model
 Array = np.ndarray
 LOAD = np.array([1.0, 0.8, -0.3, 0.2, 0.12, 0.01, -0.006, 0.16, 0.008, 0.14])
 """What is carried, per kilogram."""
-BUILD = ("-O1", "inverse_dynamics", "payload_update")
+BUILD = ("-O0", "inverse_dynamics", "payload_update")
 PRIOR = np.array([1.0, 1, 1, 1, 1.5, 1.5, 1.5, 1.5, 1.5, 1.5])
 MASS = {"cat215b": 500.0, "patu655_lift": 200.0, "kr300": 150.0, "panda_mukca": 3.0, "spatial": 50.0}
 """Mass of a load that the machine might carry, for which the prior of all ten numbers is about as large."""
