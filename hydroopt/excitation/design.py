@@ -275,8 +275,8 @@ def _solve(program: Program, start: Array, seconds: float, interrupted: Callable
     solver = ca.nlpsol("excitation", "ipopt", {"x": x, "f": f(x), "g": g(x)}, {
         "grad_f": slope, "jac_g": slopes, "iteration_callback": watch, "no_nlp_grad": True, "print_time": False,
         "ipopt.print_level": 0, "ipopt.sb": "yes", "error_on_fail": False,
-        "ipopt.hessian_approximation": "limited-memory", "ipopt.limited_memory_max_history": 20,
-        "ipopt.mumps_pivot_order": 0,  # the default order fills the factors: twenty times slower with dense rows
+        "ipopt.hessian_approximation": "limited-memory", "ipopt.limited_memory_max_history": 6,
+        "ipopt.mumps_pivot_order": 6,  # the default order fills the factors: twenty times slower with dense rows
         "ipopt.tol": 1e-5, "ipopt.acceptable_tol": 1e-3, "ipopt.acceptable_iter": 8, "ipopt.max_iter": 300,
         "ipopt.max_wall_time": max(seconds, 0.1), "ipopt.mu_strategy": "adaptive", "ipopt.bound_push": 1e-3})
     solver(x0=start, lbx=-WIDEST, ubx=WIDEST, lbg=lower, ubg=upper)

@@ -7,6 +7,7 @@ chosen by unbiased risk (Mallows' C_L) when the noise is known, by generalised c
 is not.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -32,10 +33,17 @@ class SmoothSpline:
     weight: float
     bandwidth: float
     residual: float
+    basis: "_Basis"
 
     def __call__(self, t: Array, derivative: int = 0) -> Array:
         """Value or derivative (unit of y / s^derivative) at the times `t` (N,) [s]."""
         return np.asarray(self.curve(t - self.start, derivative))
+
+    def pull_back(self, rows: Sequence[Array]) -> Array:
+        """Derivatives (m, N) of Σ_d rows[d] @ f^(d)(t) by the samples y, for rows (m, N) at the samples' own times."""
+        basis = self.basis
+        pulled = sum((row @ basis.derivative(basis.x, order)) / basis.spacing**order for order, row in enumerate(rows))
+        return np.asarray(basis.design @ basis.solve(self.weight / basis.spacing**5, np.asarray(pulled).T)).T
 
 
 def fit(t: Array, y: Array, noise: float | None, bandwidth: float | None = None) -> SmoothSpline:
@@ -76,7 +84,7 @@ class _Basis:
 
         def risk(log_weight: float) -> float:
             try:
-                c = self._solve(log_weight, right)
+                c = self.solve(10.0**log_weight, right)
             except LinAlgError:
                 return np.inf
             rss = float(np.sum((y - self.design @ c[:, 0]) ** 2))
@@ -95,31 +103,36 @@ class _Basis:
         return float(np.log10(self.x.size / self.intervals) - 6 * np.log10(2 * np.pi * self.spacing * bandwidth))
 
     def spline(self, y: Array, log_weight: float) -> SmoothSpline:
-        coefficients = self._solve(log_weight, self.design.T @ y)
         weight = 10.0**log_weight
+        coefficients = self.solve(weight, self.design.T @ y)
         density = self.x.size / self.intervals
         return SmoothSpline(
             curve=BSpline(self.knots * self.spacing, coefficients, _DEGREE), start=self.start,
             weight=weight * self.spacing**5,
             bandwidth=float((density / weight) ** (1 / 6) / (2 * np.pi * self.spacing)),
-            residual=float(np.sqrt(np.mean((y - self.design @ coefficients) ** 2))))
+            residual=float(np.sqrt(np.mean((y - self.design @ coefficients) ** 2))), basis=self)
 
-    def _solve(self, log_weight: float, right: Array) -> Array:
-        factor = cholesky_banded(self.gram + 10.0**log_weight * self.penalty, lower=True)
+    def solve(self, weight: float, right: Array) -> Array:
+        """Coefficients of the penalised normal equations, λ in knot units."""
+        factor = cholesky_banded(self.gram + weight * self.penalty, lower=True)
         return np.asarray(cho_solve_banded((factor, True), right))
 
-    def _penalty(self) -> sp.csr_array:
-        """∫ B'''_i B'''_j dx, exact: three Gauss points integrate the product of two parabolas."""
+    def derivative(self, x: Array, order: int) -> Any:
+        """Values (N, m) of the splines' derivatives at x (N,), in knot units."""
         knots, degree, size = self.knots, _DEGREE, self.knots.size - _DEGREE - 1
         to_derivative = sp.eye_array(size, format="csr")
-        for _ in range(_PENALISED):
+        for _ in range(order):
             rise = degree / (knots[degree + 1:-1] - knots[1:-degree - 1])
             difference = sp.diags_array([-rise, rise], offsets=[0, 1], shape=(rise.size, rise.size + 1))
             to_derivative = difference.tocsr() @ to_derivative
             knots, degree = knots[1:-1], degree - 1
+        return BSpline.design_matrix(x, knots, degree) @ to_derivative
+
+    def _penalty(self) -> sp.csr_array:
+        """∫ B'''_i B'''_j dx, exact: three Gauss points integrate the product of two parabolas."""
         points, weights = np.polynomial.legendre.leggauss(3)
         x = (np.arange(self.intervals)[:, None] + 0.5 + 0.5 * points).ravel()
-        third = BSpline.design_matrix(x, knots, degree) @ to_derivative
+        third = self.derivative(x, _PENALISED)
         return sp.csr_array(third.T @ sp.diags_array(np.tile(weights / 2, self.intervals)) @ third)
 
 

@@ -1,0 +1,99 @@
+"""`hydroopt calibrate`: geometry from poses."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from hydroopt.cli.options import AsJson, Directory, MachineName, MapFile, Quiet, loss_of, progress
+from hydroopt.description import load_machine
+from hydroopt.errors import ProblemError, SolverError
+from hydroopt.estimation.appraisal import leavable
+from hydroopt.estimation.calibration import METHODS
+from hydroopt.estimation.calibration import calibrate as solve_calibration
+from hydroopt.estimation.closure import CalibrationProblem, calibration_problem
+from hydroopt.report import folder
+from hydroopt.signals.poses import Poses, joined, read_pose_files
+from hydroopt.units import to_si
+
+
+def calibrate(
+    machine: MachineName,
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Tables of poses (.csv, .parquet).")],
+    output: Directory,
+    validate: Annotated[list[Path] | None, typer.Option(help="Table to judge the geometry by; repeatable.")] = None,
+    holdout_stage: Annotated[list[str] | None, typer.Option(
+        help="Stage that is held out to judge by; repeatable.")] = None,
+    map_file: MapFile = None,
+    method: Annotated[str, typer.Option(help=f"One of {', '.join(METHODS)}.")] = "joint",
+    loss: Annotated[str, typer.Option(help="squares, huber or student_t.")] = "squares",
+    fix: Annotated[list[str] | None, typer.Option(
+        help="Hold a parameter, NAME=VALUE with unit, e.g. 'ball.y=0 m'; repeatable.")] = None,
+    starts: Annotated[int, typer.Option(help="From how many places to solve.", min=1)] = 1,
+    no_priors: Annotated[bool, typer.Option("--no-priors", help=(
+        "The file's confidences say what is unknown, but do not count as measurements."))] = False,
+    without_suspects: Annotated[bool, typer.Option("--without-suspects", help=(
+        "Solve again without the stages, stretches and poses that do not fit the others."))] = False,
+    seed: Annotated[int, typer.Option(help="Of the starts and of the report's workspace.", min=0)] = 0,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Calibrate a machine's geometry from poses: DIR gets estimate.json, report.html, the calibrated machine."""
+    began = time.perf_counter()
+    described, chosen_loss = load_machine(machine), loss_of(loss, "--loss")
+    with progress("reading poses", quiet) as say:
+        poses, held_out = _held_out(read_pose_files(logs, mapping=map_file), holdout_stage or (),
+                                    read_pose_files(validate, mapping=map_file) if validate else None)
+        problem = calibration_problem(described, poses, held_out, priors=not no_priors).with_loss(chosen_loss)
+        problem = _fixed(problem, fix or ())
+        what = f"calibrating {described.name}, {int(problem.free.sum())} parameters from "
+        before = None
+        try:
+            say(f"{what}{len(poses)} poses")
+            solved = solve_calibration(problem, method, starts=starts, seed=seed)
+            if without_suspects and np.any(suspicious := leavable(solved)):
+                before = solved
+                say(f"{what}the {np.sum(~suspicious)} poses that fit")
+                solved = solve_calibration(problem.without(suspicious), method, starts=starts, seed=seed)
+        except SolverError as error:
+            folder.save_failure(problem, method, error, output)
+            raise
+        say("writing the report")
+        content = folder.save_calibration(solved, output, wall_s=time.perf_counter() - began, seed=seed, before=before)
+    if as_json:
+        typer.echo(json.dumps(content, indent=1))
+    elif not quiet:
+        typer.echo(str(solved))
+        for doubt in content["doubts"]:
+            typer.echo(f"  ! {doubt}")
+        typer.echo(f"{output / 'report.html'}")
+
+
+def _held_out(poses: Poses, stages: Sequence[str], extra: Poses | None) -> tuple[Poses, Poses | None]:
+    """Poses to learn from, and those of some stages together with further ones to judge by."""
+    known = list(dict.fromkeys(map(str, poses.stage)))
+    for stage in stages:
+        if stage not in known:
+            raise ProblemError(f"no pose is of stage '{stage}'", where="--holdout-stage",
+                               remedy=f"use one of {', '.join(known)}")
+    aside = np.isin(poses.stage, list(stages))
+    if np.all(aside):
+        raise ProblemError("no pose is left to learn from", where="--holdout-stage", remedy="hold out fewer stages")
+    parts = [*([poses.select(aside)] if stages else ()), *([extra] if extra else ())]
+    return poses.select(~aside), joined(parts) if parts else None
+
+
+def _fixed(problem: CalibrationProblem, stated: Sequence[str]) -> CalibrationProblem:
+    values = {}
+    for text in stated:
+        name, found, value = (part.strip() for part in text.partition("="))
+        if not found:
+            raise ProblemError(f"'{text}' is not NAME=VALUE", where="--fix", remedy="write e.g. --fix 'ball.y=0 m'")
+        values[name] = to_si(value, problem.parameters.units[problem.parameters.index(name)], where=f"--fix {name}")
+    return problem.fixing(**values)

@@ -1,0 +1,35 @@
+"""`hydroopt codegen`: the model as C for a controller."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from hydroopt.cli.options import Directory, ParameterSetName, Quiet, progress
+from hydroopt.codegen import origin as codegen_origin
+from hydroopt.codegen.folder import Code
+from hydroopt.codegen.routines import ROUTINES
+
+
+def codegen(
+    machine: Annotated[str, typer.Argument(metavar="MACHINE|ESTIMATE_DIR", help=(
+        "A machine, or the directory that identify or calibrate wrote."))],
+    output: Directory,
+    functions: Annotated[list[str] | None, typer.Option(
+        help=f"A function to write; repeatable; all if not given: {', '.join(ROUTINES)}.")] = None,
+    prefix: Annotated[str | None, typer.Option(help="What all names begin with; else the machine's name.")] = None,
+    float32: Annotated[bool, typer.Option("--float32", help="Single precision throughout.")] = False,
+    fold_geometry: Annotated[bool, typer.Option("--fold-geometry", help=(
+        "Build the geometry into the code: fewer operations, but a calibration needs new code."))] = False,
+    parameter_set: ParameterSetName = None,
+    quiet: Quiet = False,
+) -> None:
+    """Write the model as C for a controller: DIR gets a folder that builds and tests itself."""
+    described, origin = codegen_origin.read(machine, parameter_set=parameter_set)
+    with progress(f"writing C for {described.name}", quiet):
+        code = Code(described, origin, routines=functions or (), name=prefix, single=float32,
+                    fold_geometry=fold_geometry)
+        files = code.write(output)
+    if not quiet:
+        typer.echo(f"{output}: {', '.join(files)}")

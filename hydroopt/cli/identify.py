@@ -1,0 +1,135 @@
+"""`hydroopt identify`: masses, inertias, friction and offsets from logs."""
+
+from __future__ import annotations
+
+import json
+import math
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hydroopt.cli.options import (
+    AsJson,
+    Directory,
+    MachineName,
+    MapFile,
+    ParameterSetName,
+    Quiet,
+    Treat,
+    loss_of,
+    progress,
+)
+from hydroopt.description import load_machine
+from hydroopt.errors import ProblemError, SolverError
+from hydroopt.estimation.problem import identification_problem
+from hydroopt.estimation.solve import METHODS, Method, solve
+from hydroopt.estimation.verdict import doubts
+from hydroopt.machine import Machine
+from hydroopt.parts import Cylinder, Motor
+from hydroopt.report import folder
+from hydroopt.signals.conditioning import Butterworth, Fourier, Smoothing, SmoothingSpline
+from hydroopt.signals.log import read_log
+
+
+def identify(
+    machine: MachineName,
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs to learn from (.csv, .parquet, .mat).")],
+    output: Directory,
+    validate: Annotated[list[Path] | None, typer.Option(help="Log to judge the estimate by; repeatable.")] = None,
+    holdout: Annotated[float, typer.Option(help="Part of the end of every log that is held out to judge by.",
+                                           min=0.0, max=0.9)] = 0.0,
+    map_file: MapFile = None,
+    treat: Treat = None,
+    method: Annotated[str, typer.Option(help=f"One of {', '.join(METHODS)}.")] = "sdp",
+    loss: Annotated[str, typer.Option(help="squares, huber or student_t.")] = "squares",
+    smoothing: Annotated[str, typer.Option(help=(
+        "spline (weight from the stated noise), spline:cv (cross-validated), fourier:PERIOD:HARMONICS or "
+        "butterworth:HZ."))] = "spline",
+    bandwidth: Annotated[float | None, typer.Option(help="Highest frequency of the motion [Hz], for spline.")] = None,
+    tolerance: Annotated[float, typer.Option(help="Singular value, relative to the largest, that counts as zero.",
+                                             min=0.0, max=1.0)] = 1e-7,
+    ridge: Annotated[float | None, typer.Option(help="Strength of ridge regression; else cross-validated.",
+                                                min=0.0)] = None,
+    reduced: Annotated[bool, typer.Option("--reduced", help="Leave out the inertia of barrels and rods.")] = False,
+    seed: Annotated[int, typer.Option(help="Of the sampling of intervals.", min=0)] = 0,
+    parameter_set: ParameterSetName = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Identify masses, inertias, friction and offsets: DIR gets estimate.json, report.html, the calibrated machine."""
+    began = time.perf_counter()
+    described = load_machine(machine, parameter_set=parameter_set)
+    chosen = _method(method)
+    if ridge is not None and chosen != "ridge":
+        raise ProblemError(f"the method '{method}' takes no strength", where="--ridge",
+                           remedy="leave it out or choose --method ridge")
+    way, treatment, limits = _smoothing(smoothing, bandwidth, described), _treatment(treat), _reliefs(described)
+    train = [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in logs]
+    held_out = [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in validate or ()]
+    if holdout:
+        pairs = [log.split(1 - holdout) for log in train]
+        train, held_out = [pair[0] for pair in pairs], held_out + [pair[1] for pair in pairs]
+    with progress(f"identifying {described.name}", quiet):
+        problem = identification_problem(described, train, held_out, actuator_inertia=not reduced,
+                                         smoothing=way)
+        problem = problem.with_loss(loss_of(loss, "--loss"))
+        try:
+            estimate = solve(problem, chosen, tolerance=tolerance, ridge=ridge, seed=seed)
+        except SolverError as error:
+            folder.save_failure(problem, method, error, output)
+            raise
+        content = folder.save(estimate, output, wall_s=time.perf_counter() - began)
+    if as_json:
+        typer.echo(json.dumps(content, indent=1))
+    elif not quiet:
+        typer.echo(str(estimate))
+        for doubt in doubts(estimate):
+            typer.echo(f"  ! {doubt}")
+        typer.echo(f"{output / 'report.html'}")
+
+
+def _reliefs(machine: Machine) -> dict[str, tuple[float, float]]:
+    """Relief pressures as the upper ends of what pressure channels can show."""
+    chambers: list[tuple[Cylinder | Motor, tuple[str, str]]] = [
+        *((cylinder, ("p_head", "p_rod")) for cylinder in machine.cylinders),
+        *((motor, ("p_a", "p_b")) for motor in machine.motors)]
+    return {f"{part.name}.{chamber}": (-math.inf, part.relief_pressure) for part, both in chambers
+            if part.relief_pressure is not None for chamber in both}
+
+
+def _treatment(stated: list[str] | None) -> dict[str, str]:
+    pairs = {}
+    for text in stated or ():
+        kind, found, action = text.partition("=")
+        if not found:
+            raise ProblemError(f"'{text}' is not KIND=ACTION", where="--treat", remedy="write e.g. --treat nan=drop")
+        pairs[kind] = action
+    return pairs
+
+
+def _method(text: str) -> Method:
+    if text not in METHODS:
+        raise ProblemError(f"'{text}' is no method", where="--method", remedy=f"use one of {', '.join(METHODS)}")
+    return text
+
+
+def _smoothing(text: str, bandwidth: float | None, machine: Machine) -> Smoothing:
+    if bandwidth is not None and not 0 < bandwidth < math.inf:
+        raise ProblemError(f"{bandwidth:g} Hz is no frequency", where="--bandwidth", remedy="give a positive one")
+    kind, *numbers = text.split(":")
+    if bandwidth is not None and kind in ("fourier", "butterworth"):
+        raise ProblemError(f"the smoothing '{text}' takes no bandwidth", where="--bandwidth",
+                           remedy="leave it out or choose --smoothing spline")
+    try:
+        if kind == "spline" and numbers in ([], ["cv"]):
+            return SmoothingSpline(numbers == ["cv"], machine.bandwidth if bandwidth is None else bandwidth)
+        if kind == "fourier" and len(numbers) == 2:
+            return Fourier(float(numbers[0]), int(numbers[1]))
+        if kind == "butterworth" and len(numbers) == 1:
+            return Butterworth(float(numbers[0]))
+    except ValueError:
+        pass
+    raise ProblemError(f"'{text}' is no way to smooth", where="--smoothing",
+                       remedy="use spline, spline:cv, fourier:PERIOD:HARMONICS or butterworth:HZ")

@@ -1,0 +1,84 @@
+"""`hydroopt simulate`: the log that a machine's sensors would record."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+
+from hydroopt import synthetic
+from hydroopt.cli.options import Directory, MachineName, MapFile, ParameterSetName, Quiet, progress
+from hydroopt.description import load_machine
+from hydroopt.errors import LogError, ProblemError
+from hydroopt.estimation.experiment import reading
+from hydroopt.files import write_files
+from hydroopt.machine import Machine
+from hydroopt.model.build import Model
+from hydroopt.signals.conditioning import SmoothingSpline, condition
+from hydroopt.signals.log import Log, read_log
+
+
+def simulate(
+    machine: MachineName,
+    output: Directory,
+    motion: Annotated[Path | None, typer.Option(
+        help="Log whose joint positions are to be followed; else random.")] = None,
+    map_file: MapFile = None,
+    duration: Annotated[float | None, typer.Option(help="Of a random motion [s]; 33.28 if not given.")] = None,
+    rate: Annotated[float | None, typer.Option(help=(
+        "Samples per second of a random motion [Hz]; if not given, the highest that the file states for a joint's "
+        "sensor, or 50."))] = None,
+    seed: Annotated[int, typer.Option(help="Of the random motion, the random truth and the noise.", min=0)] = 0,
+    truth: Annotated[str, typer.Option(help="'nominal', or 'random' within the file's confidences.")] = "nominal",
+    truth_seed: Annotated[int | None, typer.Option(help="Of the random truth alone, to share it by logs.",
+                                                   min=0)] = None,
+    noise: Annotated[bool, typer.Option(help="Whether sensors err as the file states.")] = True,
+    parquet: Annotated[bool, typer.Option("--parquet", help="Write Parquet instead of CSV.")] = False,
+    parameter_set: ParameterSetName = None,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate a log of a machine as its sensors would record it: DIR/log.csv and DIR/truth.json."""
+    described = load_machine(machine, parameter_set=parameter_set)
+    model = Model(described)
+    if motion is not None and (duration is not None or rate is not None):
+        raise ProblemError("a given motion has its own duration and rate", where="--motion",
+                           remedy="leave out --duration and --rate, or --motion")
+    if truth not in ("nominal", "random"):
+        raise ProblemError(f"'{truth}' is no truth", where="--truth", remedy="use nominal or random")
+    with progress("simulating", quiet):
+        path = (_random(model, duration, rate, seed) if motion is None
+                else _followed(described, read_log(motion, mapping=map_file)))
+        psi = (synthetic.random_truth(model, seed if truth_seed is None else truth_seed) if truth == "random"
+               else model.parameters.nominal)
+        log = synthetic.simulate(model, path, psi, noise=noise, seed=seed, name=described.name)
+    named = dict(zip(model.parameters.names, psi.tolist(), strict=True))
+    write_files(output, {})  # the directory
+    file = output / ("log.parquet" if parquet else "log.csv")
+    log.write(file)
+    write_files(output, {"truth.json": json.dumps(
+        {"machine": described.name, "sha256": described.sha256, "seed": seed, "noise": noise, "parameters": named},
+        indent=1)})
+    if not quiet:
+        typer.echo(f"{file}: {len(log.t)} samples, channels {', '.join(log.channels)}")
+
+
+def _random(model: Model, duration: float | None, rate: float | None, seed: int) -> synthetic.Trajectory:
+    sensors = [model.machine.sensor(f"{joint}.q") for joint in model.machine.joints]
+    stated = max((sensor.rate for sensor in sensors if sensor and sensor.rate), default=50.0)
+    return synthetic.random_trajectory(model, duration=33.28 if duration is None else duration,
+                                       rate=stated if rate is None else rate, seed=seed)
+
+
+def _followed(machine: Machine, log: Log) -> synthetic.Trajectory:
+    positions = np.column_stack([reading(machine, log, f"{joint}.q") for joint in machine.joints])
+    for k, joint in enumerate(machine.joints):
+        lower, upper = machine.link(joint).joint.range
+        beyond = np.flatnonzero((positions[:, k] < lower) | (positions[:, k] > upper))
+        if beyond.size:
+            raise LogError(f"{joint}.q leaves the joint's range at sample {log.sample[beyond[0]]}", where=log.path,
+                           remedy="correct the motion or the joint's limits")
+    smooth = condition(log.t, positions, log.segment, SmoothingSpline(bandwidth=machine.bandwidth), where=log.path)
+    return synthetic.Trajectory(smooth.t, smooth.q, smooth.qd, smooth.qdd)
