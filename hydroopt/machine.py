@@ -251,6 +251,7 @@ class Machine(Noun):
             prismatic = self.link(joint).joint.type == "prismatic"
             units[f"{joint}.q"] = "m" if prismatic else "rad"
             units[f"{joint}.qd"] = "m/s" if prismatic else "rad/s"
+            units[f"{joint}.qdd"] = "m/s^2" if prismatic else "rad/s^2"
             units[f"{joint}.tau"] = self.effort_units(joint)[0]
         for cylinder in self.cylinders:
             units |= {f"{cylinder.name}.length": "m", f"{cylinder.name}.p_head": "Pa",

@@ -8,9 +8,9 @@ from pydantic import BeforeValidator, Field, ValidationInfo
 
 from hydroopt.units import UnitError, to_si
 
-CHANNEL_UNITS = {"q": ("rad", "m"), "qd": ("rad/s", "m/s"), "tau": ("N*m", "N"), "length": ("m",), "force": ("N",),
-                 "p_head": ("Pa",), "p_rod": ("Pa",), "p_a": ("Pa",), "p_b": ("Pa",), "u": ("V", "1", "A"),
-                 "x": ("m",), "y": ("m",), "z": ("m",), "distance": ("m",)}
+CHANNEL_UNITS = {"q": ("rad", "m"), "qd": ("rad/s", "m/s"), "qdd": ("rad/s^2", "m/s^2"), "tau": ("N*m", "N"),
+                 "length": ("m",), "force": ("N",), "p_head": ("Pa",), "p_rod": ("Pa",), "p_a": ("Pa",), "p_b": ("Pa",),
+                 "u": ("V", "1", "A"), "x": ("m",), "y": ("m",), "z": ("m",), "distance": ("m",)}
 """SI units that a channel may have, by the part of its name after the dot; the first is the usual one."""
 
 

@@ -1,32 +1,126 @@
-"""`hydroopt excite`: what to measure."""
+"""`hydroopt excite`: what to measure, as a motion to drive or as poses."""
 
 from __future__ import annotations
 
 import json
 import math
-from typing import Annotated
+import os
+import time
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 
-from hydroopt.cli.options import AsJson, Directory, MachineName, Quiet, progress
+from hydroopt.cli.options import AsJson, Directory, MachineName, MapFile, ParameterSetName, Quiet, progress
+from hydroopt.codegen import origin as codegen_origin
 from hydroopt.description import load_machine
+from hydroopt.errors import ProblemError
+from hydroopt.excitation.basis import Basis, Fourier, Spline
+from hydroopt.excitation.criteria import CRITERIA, Information, presumed_noise, question
+from hydroopt.excitation.design import design
+from hydroopt.excitation.expectation import expected, measured
+from hydroopt.excitation.limits import Limits, margins
+from hydroopt.excitation.motion import Excitation
 from hydroopt.excitation.poses import plan_poses
+from hydroopt.excitation.program import Program
 from hydroopt.files import write_files
+from hydroopt.machine import Machine
+from hydroopt.model.build import Model
+from hydroopt.report import folder
+from hydroopt.signals.log import read_log
+from hydroopt.units import to_si
+
+BOTH = {"machine", "output", "poses", "criterion", "focus", "priors", "seed", "quiet", "as_json"}
+"""Options that have a meaning for poses, too."""
 
 
 def excite(
+    context: typer.Context,
     machine: MachineName,
     output: Directory,
-    poses: Annotated[int, typer.Option(help="Poses to measure in each stage.", min=1)],
-    focus: Annotated[list[str] | None, typer.Option(help="A parameter that matters most; repeatable.")] = None,
-    seed: Annotated[int, typer.Option(help="Of the postures to choose from.", min=0)] = 0,
+    poses: Annotated[int | None, typer.Option(
+        help="Plan poses of a kinematic calibration instead, so many in each stage.", min=1)] = None,
+    log: Annotated[list[Path] | None, typer.Option(
+        help="Log already measured, to which the motion is to add; repeatable.")] = None,
+    map_file: MapFile = None,
+    duration: Annotated[float, typer.Option(help="The motion takes at most so long [s].")] = 33.0,
+    period: Annotated[float | None, typer.Option(
+        help="Of the Fourier series [s]; else what entry and exit leave of the duration.")] = None,
+    harmonics: Annotated[int, typer.Option(help="Of the Fourier series.", min=1)] = 10,
+    blend: Annotated[float, typer.Option(help="Of the Fourier series' entry and of its exit [s].", min=0.1)] = 2.0,
+    pieces: Annotated[int | None, typer.Option(
+        help="A spline of the fifth degree of so many pieces instead of the Fourier series.", min=1)] = None,
+    rest: Annotated[list[str] | None, typer.Option(
+        help="Joint that rests, JOINT=POSITION with unit, e.g. 'swing=0 deg'; repeatable.")] = None,
+    rate: Annotated[float | None, typer.Option(help=(
+        "Samples per second of the controller [Hz]; if not given, the highest that the file states for a joint's "
+        "sensor, or 50."))] = None,
+    criterion: Annotated[str | None, typer.Option(help=f"One of {', '.join(CRITERIA)}; D if not given.")] = None,
+    focus: Annotated[list[str] | None, typer.Option(help=(
+        "What alone counts: a parameter, a part, payload or friction; repeatable."))] = None,
+    priors: Annotated[bool, typer.Option("--priors", help=(
+        "The file's confidences count as known (Bayesian design)."))] = False,
+    starts: Annotated[int, typer.Option(help="Random motions to begin with.", min=1)] = 2,
+    processes: Annotated[int | None, typer.Option(help="At the same time; as many as there are cores if not given.",
+                                                  min=1)] = None,
+    seconds: Annotated[float, typer.Option(help="After which the best motion so far is taken.", min=1.0)] = 50.0,
+    seed: Annotated[int, typer.Option(help="Of the starts, or of the postures to choose from.", min=0)] = 0,
+    parquet: Annotated[bool, typer.Option("--parquet", help="Write Parquet instead of CSV.")] = False,
+    parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Plan the poses of a kinematic calibration: DIR gets sheet.txt, poses.csv and plan.json."""
+    """Design the motion, or plan the poses, that tell most: DIR gets them, what to expect, and for a motion C code.
+
+    Ctrl-C ends the search and keeps the best motion so far.
+    """
+    if poses is not None:
+        _refuse_motion_options(context)
+        _plan(machine, output, poses, criterion, focus or (), priors=priors, seed=seed, quiet=quiet, as_json=as_json)
+        return
+    began = time.perf_counter()
+    described, origin = codegen_origin.read(machine, parameter_set=parameter_set)
+    basis, resting = _basis(duration, period, harmonics, blend, pieces), _resting(described, rest or ())
+    with progress(f"preparing {described.name}", quiet) as say:
+        model = Model(described)
+        logs = [read_log(path, mapping=map_file) for path in log or ()]
+        known = measured(described, logs) if logs else None
+        asked = question(model, presumed_noise(model), focus=focus or (), bayesian=priors, measured=known)
+        problem = Program(Information(model, asked, criterion or "D"), Limits(model, margins(model)), basis,
+                          _rate(described) if rate is None else rate, resting)
+        found = design(problem, starts=starts, seed=seed, seconds=seconds,
+                       processes=processes or os.cpu_count() or 1, say=say)
+        say("reckoning what to expect, writing the report and the code")
+        expectation = expected(model, found.trajectory, asked.structure, known, seed=seed)
+        content = folder.save_excitation(
+            found, expectation, output, origin=origin, parquet=parquet, wall_s=time.perf_counter() - began,
+            asked={"focus": list(focus or ()), "priors": priors, "seed": seed, "starts": starts,
+                   "logs": [{"path": each.path, "sha256": each.sha256} for each in logs]})
+    if as_json:
+        typer.echo(json.dumps(content, indent=1))
+    elif not quiet:
+        _tell(found, content, output)
+
+
+def _tell(found: Excitation, content: dict[str, Any], output: Path) -> None:
+    program = found.program
+    moving = [joint for joint in program.information.model.machine.joints if joint not in program.resting]
+    typer.echo(f"{content['machine']['name']}: {program.basis.duration:g} s of {', '.join(moving)} at "
+               f"{program.rate:g} Hz, {program.information.criterion} = {found.value:.4g}, condition number "
+               f"{found.condition_number:.3g}, found in {content['wall_s']:.0f} s")
+    tight = sorted((use for use in found.limits if math.isfinite(use.part)), key=lambda use: use.part)[:3]
+    typer.echo("  least room: " + ", ".join(f"{use.name} {100 * use.part:.1f} %" for use in tight))
+    for doubt in content["doubts"]:
+        typer.echo(f"  ! {doubt}")
+    typer.echo(f"{output / 'report.html'}")
+
+
+def _plan(machine: str, output: Path, poses: int, criterion: str | None, focus: Sequence[str], *, priors: bool,
+          seed: int, quiet: bool, as_json: bool) -> None:
     described = load_machine(machine)
     with progress(f"choosing poses for {described.name}", quiet):
-        plan = plan_poses(described, poses, focus=focus or (), seed=seed)
+        plan = plan_poses(described, poses, criterion=criterion, focus=focus, priors=priors, seed=seed)
     content = {"machine": {"name": described.name, "sha256": described.sha256}, "poses": len(plan.q), "seed": seed,
                "expected": [{"name": name, "unit": unit, "std": float(std) if math.isfinite(std) else None}
                             for name, unit, std in zip(plan.names, plan.units, plan.std, strict=True)],
@@ -39,3 +133,41 @@ def excite(
         typer.echo(json.dumps(content, indent=1))
     elif not quiet:
         typer.echo(plan.sheet())
+
+
+def _refuse_motion_options(context: typer.Context) -> None:
+    for name in context.params.keys() - BOTH:
+        source = context.get_parameter_source(name)
+        if source is not None and source.name == "COMMANDLINE":
+            raise ProblemError("poses are planned one by one, without a motion between them",
+                               where=f"--{name.replace('_', '-')}", remedy="leave it out, or --poses")
+
+
+def _basis(duration: float, period: float | None, harmonics: int, blend: float, pieces: int | None) -> Basis:
+    if not 0 < duration < 1e5:
+        raise ProblemError(f"a motion cannot take {duration:g} s", where="--duration", remedy="give some seconds")
+    if pieces is not None:
+        return Spline(duration, pieces)
+    left = duration - 2 * blend
+    period = left if period is None else period
+    if not 0 < period <= left * (1 + 1e-9):
+        raise ProblemError(f"a period of {period:g} s does not fit into {duration:g} s with an entry and an exit of "
+                           f"{blend:g} s", where="--period",
+                           remedy="give a longer duration, or a shorter period or blend")
+    return Fourier(period, harmonics, int(left / period * (1 + 1e-9)), blend)
+
+
+def _resting(machine: Machine, stated: Sequence[str]) -> dict[str, float]:
+    at = {}
+    for text in stated:
+        joint, found, value = (part.strip() for part in text.partition("="))
+        if not found:
+            raise ProblemError(f"'{text}' is not JOINT=POSITION", where="--rest",
+                               remedy="write e.g. --rest 'swing=0 deg'")
+        at[joint] = to_si(value, machine.channel_units.get(f"{joint}.q", "rad"), where=f"--rest {joint}")
+    return at
+
+
+def _rate(machine: Machine) -> float:
+    sensors = [machine.sensor(f"{joint}.q") for joint in machine.joints]
+    return max((sensor.rate for sensor in sensors if sensor and sensor.rate), default=50.0)

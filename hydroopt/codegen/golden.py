@@ -36,6 +36,8 @@ def states(interface: Interface, count: int = STATES, seed: int = 0, *, single: 
         "chain_q": between({joint: ranges[joint] for joint in chain.joints}), "fixture": rng.uniform(-3, 3, (count, 3))}
     given["stroke"] = given["length"] - np.array([c.dead_length for c in machine.cylinders])
     given |= {name: _generic(name, array, rng) for name, array in interface.values.items()}
+    if interface.course is not None:
+        given["t"] = rng.uniform(0, interface.course.duration, (count, 1))
     given = {name: given[name] for name in interface.inputs}
     return {name: array.astype(np.float32).astype(float) if single else array for name, array in given.items()}
 

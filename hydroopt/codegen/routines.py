@@ -77,6 +77,13 @@ class Routine(NamedTuple):
     lengths: ca.SX | None = None
 
 
+class Course(NamedTuple):
+    """A motion to drive: casadi.Function t (1, 1) → q, qd, qdd (n,), from t = 0 to `duration` [s]."""
+
+    function: ca.Function
+    duration: float
+
+
 class Interface:
     """All structs and routines of a machine.
 
@@ -86,11 +93,12 @@ class Interface:
         values: what `prepare` takes, by the name of the array; empty ones are left out.
         inputs: symbols of those arrays and of everything that routines read, by name.
         structs: parameters, inputs and outputs.
+        course: a motion to drive, if there is one.
         routines: by name.
     """
 
-    def __init__(self, machine: Machine, *, fold_geometry: bool = False) -> None:
-        self.machine = machine
+    def __init__(self, machine: Machine, *, fold_geometry: bool = False, course: Course | None = None) -> None:
+        self.machine, self.course = machine, course
         self.chain = KinematicModel(machine)
         self.complete, self.reduced = Model(machine), Model(machine, actuator_inertia=False)
         self.folded = fold_geometry
@@ -128,6 +136,8 @@ class Interface:
         symbols = {name: self.inputs["geometry"][k] for k, name in enumerate(self.kinds["geometry"].names)}
         self.dynamics = Dynamics(Geometry(machine, symbols), self.at)
         self.routines = {name: make(self) for name, make in ROUTINES.items() if _possible(self, name)}
+        if course is not None:
+            self.routines["excitation"] = _excitation(self, course)
 
     def size(self, field: Field) -> tuple[int, ...]:
         """Shape of a field in numbers."""
@@ -373,6 +383,14 @@ def _payload_update(own: Interface) -> Routine:
                        Field("rows", ("actuator", "body"), "N or N*m per unit of phi", "force per unit of the load"))
     return Routine("payload_update", "One step of recursive least squares for the load.", takes, ("q", "qd", "qdd"),
                    gives, {"predicted": _predicted(own), "rows": rows}, own.guards(levers=True, gas=True), own.lengths)
+
+
+def _excitation(own: Interface, course: Course) -> Routine:
+    t = own.symbol("t", 1)
+    takes = own.struct("instant", "A moment of the excitation.",
+                       Field("t", (1,), "s", "time since it began; it rests before that and after its end"))
+    return Routine("excitation", f"The motion to drive, which takes {course.duration:g} s.", takes, ("t",),
+                   own.motion(), dict(zip(("q", "qd", "qdd"), course.function(t), strict=True)))
 
 
 ROUTINES: Mapping[str, Callable[[Interface], Routine]] = {

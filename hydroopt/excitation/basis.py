@@ -6,10 +6,13 @@ part that repeats or the spline, and an exit, in which it comes to rest.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from abc import ABC, abstractmethod
+from dataclasses import dataclass, fields
 from functools import cached_property
+from math import factorial, perm
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 from scipy.interpolate import BSpline
 
@@ -29,11 +32,52 @@ class Rows(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Fourier:
+class Basis(ABC):
+    """Functions of time, of which every joint's motion is a sum."""
+
+    @property
+    @abstractmethod
+    def duration(self) -> float:
+        """Of the whole motion [s]."""
+
+    @property
+    @abstractmethod
+    def fastest(self) -> float:
+        """The highest frequency [Hz]."""
+
+    @property
+    @abstractmethod
+    def names(self) -> tuple[str, ...]:
+        """Of the coefficients of a joint."""
+
+    @abstractmethod
+    def expressions(self, t: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """The functions and their derivatives (m, 1) at a time t, as it is before the beginning and after the end.
+
+        They are made of sums in which each term comes to rest outside of its own stretch of time, so that they need no
+        branches, neither here nor in generated code.
+        """
+
+    def as_dict(self) -> dict[str, float]:
+        """What it is made by."""
+        return {each.name: getattr(self, each.name) for each in fields(self)}
+
+    @cached_property
+    def _function(self) -> ca.Function:
+        t = ca.SX.sym("t")
+        return ca.Function("basis", [t], [ca.densify(each) for each in self.expressions(t)])
+
+    def rows(self, t: Array) -> Rows:
+        """The functions at times t (N,) [s] from 0 to `duration`."""
+        return Rows(*(np.ascontiguousarray(np.asarray(each).T) for each in self._function(np.atleast_2d(t))))
+
+
+@dataclass(frozen=True)
+class Fourier(Basis):
     """A mean and `harmonics` sines and cosines of `period` [s], repeated `repeats` times (Swevers et al. 1997).
 
     Before and after it a polynomial of the fifth degree leads within `blend` [s] from rest at the mean into the series,
-    and back.
+    and back; without a blend it begins and ends in motion.
     """
 
     period: float
@@ -56,75 +100,90 @@ class Fourier:
         """Of the coefficients of a joint: mean, sines, cosines."""
         return ("mean", *(f"{kind}{k}" for kind in ("sin", "cos") for k in range(1, self.harmonics + 1)))
 
-    def rows(self, t: Array) -> Rows:
-        """The functions at times t (N,) [s] from 0 to `duration`."""
-        t = np.clip(np.asarray(t, dtype=float), 0, self.duration)
-        made = self._series(t - self.blend)
+    def expressions(self, t: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """As in `Basis`."""
+        turns = _clamp(t - self.blend, self.repeats * self.period) / self.period
+        series, start = self._series(2 * ca.pi * (turns - ca.floor(turns))), self._series(ca.DM(0))
         if self.blend <= 0:
-            return made
-        for inside, s, sign in ((t < self.blend, t / self.blend, 1.0),
-                                (t > self.duration - self.blend, (self.duration - t) / self.blend, -1.0)):
-            entry = self._entry(s[inside], sign)
-            for whole, part in zip(made, entry, strict=True):
-                whole[inside] = part
-        return made
+            return series
+        entry = self._entry(_clamp(t, self.blend) / self.blend, start, 1)
+        leave = self._entry(_clamp(self.duration - t, self.blend) / self.blend, start, -1)
+        first, second, third = (a + b + c - 2 * d for a, b, c, d in zip(entry, series, leave, start, strict=True))
+        return first, second, third
 
-    def _series(self, t: Array) -> Rows:
-        k = np.arange(1, self.harmonics + 1)
-        omega = 2 * np.pi / self.period * k
-        sin, cos = np.sin(np.outer(t, omega)), np.cos(np.outer(t, omega))
-        one, none = np.ones((len(t), 1)), np.zeros((len(t), 1))
-        return Rows(np.hstack([one, sin, cos]), np.hstack([none, cos * omega, -sin * omega]),
-                    np.hstack([none, -sin * omega**2, -cos * omega**2]))
+    def _series(self, angle: ca.SX | ca.DM) -> tuple[ca.SX, ca.SX, ca.SX]:
+        sines, cosines = [ca.sin(angle)], [ca.cos(angle)]
+        for _ in range(1, self.harmonics):  # by the addition theorems
+            s, c = sines[-1], cosines[-1]
+            sines.append(s * cosines[0] + c * sines[0])
+            cosines.append(c * cosines[0] - s * sines[0])
+        sin, cos = ca.vertcat(*sines), ca.vertcat(*cosines)
+        omega = ca.DM(2 * np.pi / self.period * np.arange(1, self.harmonics + 1))
+        return ca.vertcat(1, sin, cos), ca.vertcat(0, cos * omega, -sin * omega), ca.vertcat(
+            0, -sin * omega**2, -cos * omega**2)
 
-    def _entry(self, s: Array, sign: float) -> Rows:
+    def _entry(self, s: ca.SX, start: tuple[ca.SX, ...], sign: int) -> tuple[ca.SX, ca.SX, ca.SX]:
         """From rest at the mean (s = 0) into the state in which the series begins (s = 1); backwards for sign −1."""
-        start = self._series(np.zeros(1))
-        mean = np.zeros((1, 1 + 2 * self.harmonics))
-        mean[0, 0] = 1.0
         T = self.blend
+        mean = ca.vertcat(1, ca.DM.zeros(2 * self.harmonics))
         # p(s) = a·s³ + b·s⁴ + c·s⁵ has p = Δ, p' = v, p'' = w at s = 1
-        delta, v, w = start.position - mean, sign * T * start.speed, T**2 * start.acceleration
+        delta, v, w = start[0] - mean, sign * T * start[1], T**2 * start[2]
         a, b, c = 10 * delta - 4 * v + w / 2, -15 * delta + 7 * v - w, 6 * delta - 3 * v + w / 2
-        s = s[:, None]
-        return Rows(mean + a * s**3 + b * s**4 + c * s**5, sign * (3 * a * s**2 + 4 * b * s**3 + 5 * c * s**4) / T,
-                    (6 * a * s + 12 * b * s**2 + 20 * c * s**3) / T**2)
+        return (mean + ((c * s + b) * s + a) * s**3, sign / T * ((5 * c * s + 4 * b) * s + 3 * a) * s**2,
+                ((20 * c * s + 12 * b) * s + 6 * a) * s / T**2)
 
 
 @dataclass(frozen=True)
-class Spline:
-    """A spline of the fifth degree through `pieces` stretches of equal length, at rest at both ends."""
+class Spline(Basis):
+    """A spline of the fifth degree through `pieces` stretches of equal length that takes `time` [s], from rest to rest.
+    """
 
-    duration: float
+    time: float
     pieces: int
+
+    @property
+    def duration(self) -> float:
+        """Of the whole motion [s]."""
+        return self.time
 
     @property
     def fastest(self) -> float:
         """Frequency [Hz] that a spline of these knots carries: half a period takes a stretch or more."""
-        return self.pieces / (2 * self.duration)
+        return self.pieces / (2 * self.time)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Of the control points of a joint; the first and the last stand for the three that rest at each end."""
         return tuple(f"point{k}" for k in range(self.pieces + DEGREE - 4))
 
-    @cached_property
-    def _splines(self) -> tuple[BSpline, BSpline, BSpline]:
-        inner = np.linspace(0, self.duration, self.pieces + 1)
-        knots = np.concatenate([np.zeros(DEGREE), inner, np.full(DEGREE, self.duration)])
+    def expressions(self, t: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """As in `Basis`."""
+        inner = np.linspace(0, self.time, self.pieces + 1)
+        knots = np.concatenate([np.zeros(DEGREE), inner, np.full(DEGREE, self.time)])
         count = self.pieces + DEGREE
         tie = np.zeros((count, count - 4))  # three equal points at an end: no speed, no acceleration
         tie[np.arange(count), np.clip(np.arange(count) - 2, 0, count - 5)] = 1.0
-        spline = BSpline(knots, tie, DEGREE)
-        return spline, spline.derivative(1), spline.derivative(2)
+        curve = BSpline(knots, tie, DEGREE)
+        # Taylor coefficients (m,) of each stretch at its beginning, of every power
+        taylor = [curve.derivative(power)(inner[:-1]) / factorial(power) for power in range(DEGREE + 1)]
+        step = [_clamp(t - start, self.time / self.pieces) for start in inner[:-1]]
+        first, second, third = (self._sum([perm(power, order) * c for power, c in enumerate(taylor)][order:], step)
+                                for order in range(3))
+        return first, second, third
 
-    def rows(self, t: Array) -> Rows:
-        """The functions at times t (N,) [s] from 0 to `duration`."""
-        t = np.clip(np.asarray(t, dtype=float), 0, self.duration)
-        return Rows(*(np.asarray(spline(t)) for spline in self._splines))
+    def _sum(self, taylor: list[Array], step: list[ca.SX]) -> ca.SX:
+        """Where a curve begins, and what each stretch adds (m, 1)."""
+        total = ca.SX(ca.DM(taylor[0][0]))
+        for k, h in enumerate(step):
+            added = ca.SX(len(self.names), 1)
+            for power in reversed(taylor[1:]):
+                added = (added + ca.sparsify(ca.DM(power[k]))) * h
+            total += added
+        return total
 
 
-Basis = Fourier | Spline
+def _clamp(t: ca.SX, most: float) -> ca.SX:
+    return ca.fmin(ca.fmax(t, 0), most)
 
 
 def check(basis: Basis, bandwidth: float | None) -> None:
@@ -133,9 +192,9 @@ def check(basis: Basis, bandwidth: float | None) -> None:
     Raises:
         ProblemError: what is asked for, and what would do.
     """
-    count = basis.harmonics if isinstance(basis, Fourier) else basis.pieces
-    if not (0 < basis.duration < 1e6 and 1 <= count <= 1000) or (isinstance(basis, Fourier) and not (
-            basis.period > 0 and basis.repeats >= 1 and basis.blend >= 0)):
+    sound = basis.pieces >= 1 if isinstance(basis, Spline) else not isinstance(basis, Fourier) or (
+        basis.period > 0 and basis.harmonics >= 1 and basis.repeats >= 1 and basis.blend >= 0)
+    if not (sound and 0 < basis.duration < 1e6 and len(basis.names) <= 1000):
         raise ProblemError("the motion has no duration, or no functions to be made of", where="excitation",
                            remedy="give a positive duration, period and number of harmonics")
     if bandwidth is not None and basis.fastest > bandwidth * (1 + 1e-9):

@@ -13,15 +13,16 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.errors import IdentifiabilityError, ProblemError
-from hydroopt.identifiability import Identifiability, structural
-from hydroopt.inertia import Array
+from hydroopt.estimation.experiment import force_noise
+from hydroopt.identifiability import Identifiability, random_states, structural
+from hydroopt.inertia import NAMES, Array
 from hydroopt.model.build import Model
 from hydroopt.model.program import program
 
 CRITERIA = ("D", "A", "E", "condition")
 SLOW = 0.02
 """Speed [rad/s, m/s] over which Coulomb friction turns round where derivatives are taken: a sign has none."""
-FAINT = 1e-3
+FAINT = 1e-5
 """What is known of every scaled parameter before: practically nothing, but no motion is infinitely bad."""
 
 
@@ -50,6 +51,18 @@ class Question(NamedTuple):
         return tuple(self.structure.expression(k) for k in range(len(self.columns)))
 
 
+def presumed_noise(model: Model) -> Array:
+    """Standard deviation (n,) of the actuators' forces [N, N·m] before anything is measured.
+
+    By the accuracy of their sensors; where the file states none, a tenth of the typical force in random states.
+    """
+    states = random_states(model, 400, np.random.default_rng(0))
+    K = model.over(model.regressor, *states)[0] * np.hypot(model.parameters.scale, model.parameters.nominal)
+    typical = np.sqrt(np.mean(np.sum(K**2, axis=2), axis=0))
+    stated = force_noise(model)
+    return np.where(np.isfinite(stated), stated, 0.1 * typical)
+
+
 def question(model: Model, sigma: Array, *, focus: Sequence[str] = (), bayesian: bool = False,
              measured: Array | None = None) -> Question:
     """What a motion of a machine is asked: its base parameters in the fixed basis of ideal motion.
@@ -57,7 +70,8 @@ def question(model: Model, sigma: Array, *, focus: Sequence[str] = (), bayesian:
     Args:
         model: whose parameters.
         sigma: (n,) standard deviation of the actuators' forces [N, N·m].
-        focus: a parameter, or the beginning of several names (``stick``), that alone count.
+        focus: what alone counts: a parameter, a part (``stick``), ``payload`` (the body of the last link) or
+            ``friction``.
         bayesian: whether the machine file's priors count as known before.
         measured: (p, p) information of earlier logs on ψ, in base columns already projected or full.
 
@@ -83,10 +97,11 @@ def question(model: Model, sigma: Array, *, focus: Sequence[str] = (), bayesian:
 def _focused(model: Model, seen: Identifiability, focus: Sequence[str]) -> tuple[int, ...]:
     places: list[int] = []
     for name in focus:
-        own = [k for k, p in enumerate(model.parameters.names) if p == name or p.startswith(f"{name}.")]
+        own = [k for k, p in enumerate(model.parameters.names) if _meant(model, name, p)]
         if not own:
             raise ProblemError(f"no parameter is called '{name}' or begins with it", where="focus",
-                               remedy=f"use one of {', '.join(model.parameters.names[:3])}, … or the name of a part")
+                               remedy=f"use payload, friction, a part such as {model.machine.links[-1].name} or a "
+                                      f"parameter such as {model.parameters.names[0]}")
         touched = np.flatnonzero(np.any(seen.grouping[:, own] != 0, axis=1))
         if not touched.size:
             raise IdentifiabilityError(f"no motion shows '{name}'", where="focus", remedy="focus on another parameter")
@@ -94,13 +109,58 @@ def _focused(model: Model, seen: Identifiability, focus: Sequence[str]) -> tuple
     return tuple(places)
 
 
+def checked(criterion: str, focus: Sequence[object]) -> None:
+    """Refuse a criterion that there is not, or that knows no focus.
+
+    Raises:
+        ProblemError: which, and what to use.
+    """
+    if criterion not in CRITERIA:
+        raise ProblemError(f"'{criterion}' is no criterion", where="criterion",
+                           remedy=f"use one of {', '.join(CRITERIA)}")
+    if criterion == "condition" and focus:
+        raise ProblemError("the condition number is that of all parameters and knows no focus", where="criterion",
+                           remedy="leave out the focus, or use D, A or E")
+
+
+def judged(criterion: str, factor: Array, focus: Array) -> tuple[float, Array]:
+    """A criterion of the information RᵀR, and its derivative (r, r) by that matrix.
+
+    Args:
+        criterion: one of `CRITERIA`.
+        factor: R (r, r).
+        focus: (s, r) combinations whose variances count; the condition number takes all.
+    """
+    _, s, axes = np.linalg.svd(factor)
+    if criterion == "condition":
+        first, last = axes[0] / s[0], axes[-1] / s[-1]
+        return float(np.log(s[0] / s[-1])), (np.outer(first, first) - np.outer(last, last)) / 2
+    root = axes.T / s  # covariance = root·rootᵀ
+    rows = focus @ root @ root.T
+    _, inner, turn = np.linalg.svd((focus @ root).T, full_matrices=False)
+    if criterion == "A":
+        return float(np.sum(inner**2)), -rows.T @ rows
+    if criterion == "E":
+        worst = turn[0] @ rows / inner[0]
+        return float(2 * np.log(inner[0])), -np.outer(worst, worst)
+    whitened = (turn / inner[:, None]) @ rows
+    return float(2 * np.mean(np.log(inner))), -whitened.T @ whitened / len(focus)
+
+
+def _meant(model: Model, name: str, parameter: str) -> bool:
+    owner, _, element = parameter.rpartition(".")
+    if name == "payload":  # it becomes part of the last link
+        return owner == model.machine.links[-1].name and element in NAMES
+    if name == "friction":
+        return element not in NAMES and not element.endswith("_offset")
+    return parameter == name or parameter.startswith(f"{name}.")
+
+
 class Information:
     """The information that motions carry, and the derivative of a criterion with respect to the joints' states."""
 
     def __init__(self, model: Model, asked: Question, criterion: str) -> None:
-        if criterion not in CRITERIA:
-            raise ProblemError(f"'{criterion}' is no criterion", where="criterion",
-                               remedy=f"use one of {', '.join(CRITERIA)}")
+        checked(criterion, asked.focus)
         self.model, self.asked, self.criterion = model, asked, criterion
         at, scale = model.at, asked.weight[:, None] * asked.scale
         K = model.dynamics.regressor(actuator_inertia=model.actuator_inertia)[:, asked.columns.tolist()] * ca.DM(scale)
@@ -112,6 +172,9 @@ class Information:
         values, vectors = np.linalg.eigh(asked.known)
         self.known = np.sqrt(np.maximum(values, FAINT**2))[:, None] * vectors.T
         self.pull = ca.Function("pull", [*at, G], [ca.vertcat(*(ca.gradient(pull, x) for x in at))])
+
+    def __reduce__(self) -> tuple[type[Information], tuple[object, ...]]:
+        return Information, (self.model, self.asked, self.criterion)
 
     def factor(self, q: Array, qd: Array, qdd: Array, rate: float) -> Array:
         """R (r, r) with RᵀR the information on the scaled parameters of states (N, n), each worth `rate` samples.
@@ -135,27 +198,8 @@ class Information:
 
     def of(self, factor: Array) -> tuple[float, Array]:
         """The criterion of the information RᵀR, and its derivative (r, r) by that matrix."""
-        _, s, axes = np.linalg.svd(factor)
-        if self.criterion == "condition":
-            first, last = axes[0] / s[0], axes[-1] / s[-1]
-            return float(np.log(s[0] / s[-1])), (np.outer(first, first) - np.outer(last, last)) / 2
-        root = axes.T / s  # covariance = root·rootᵀ
-        chosen = list(self.asked.focus) or list(range(len(s)))
-        rows = root[chosen] @ root.T
-        _, inner, turn = np.linalg.svd(root[chosen].T, full_matrices=False)
-        if self.criterion == "A":
-            return float(np.sum(inner**2)), -rows.T @ rows
-        if self.criterion == "E":
-            worst = turn[0] @ rows / inner[0]
-            return float(2 * np.log(inner[0])), -np.outer(worst, worst)
-        whitened = (turn / inner[:, None]) @ rows
-        return float(2 * np.mean(np.log(inner))), -whitened.T @ whitened / len(chosen)
+        return judged(self.criterion, factor, np.eye(len(factor))[list(self.asked.focus) or slice(None)])
 
     def std(self, factor: Array) -> Array:
         """Standard deviations (r,) of the base parameters in their units."""
         return np.asarray(self.asked.scale * np.linalg.norm(np.linalg.inv(factor), axis=1))
-
-    def condition_number(self, factor: Array) -> float:
-        """Of the weighted, scaled regressor, with what was known before."""
-        s = np.linalg.svd(factor, compute_uv=False)
-        return float(s[0] / s[-1]) if s[-1] > 0 else float("inf")

@@ -21,16 +21,21 @@ from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.regressor import body_regressor
 from hydroopt.parts import Cylinder, Motor
 from hydroopt.spatial import roll_pitch_yaw
+from hydroopt.synthetic import BACK_PRESSURE
 
 
 class Row(NamedTuple):
-    """A quantity over a motion: its name, unit, bounds and typical size, by which its excess is judged."""
+    """A quantity over a motion: its name, unit, bounds and typical size, by which its excess is judged.
+
+    It cannot be below its `floor`, whatever the function says.
+    """
 
     name: str
     unit: str
     lower: float
     upper: float
     scale: float
+    floor: float = -np.inf
 
 
 class Limits:
@@ -38,9 +43,11 @@ class Limits:
 
     Attributes:
         rows: what is bounded (m,), in the order of the function's output.
-        function: casadi.Function (q, qd, qdd) → (m,) and its Jacobians (m, n) by q, qd and qdd.
-        lower, upper: bounds (m,), divided by the rows' scales like the function's output.
-        fixed: joints that rest.
+        function: casadi.Function (q, qd, qdd) → (m,) and its Jacobians (m, n) by q, qd and qdd. It knows nothing of
+            bounds, so that machines which differ in these alone share its kernel.
+        scale: (m,) of the rows.
+        lower, upper: bounds (m,), divided by the scales.
+        margin: (n,) force [N, N·m] that each actuator keeps in reserve.
     """
 
     def __init__(self, model: Model, margin: Array | None = None) -> None:
@@ -55,22 +62,35 @@ class Limits:
         self._places()
         self._tipping()
         self.rows = tuple(row for row, _ in self._found)
-        scale = np.array([row.scale for row in self.rows])
-        values = ca.vertcat(*(value for _, value in self._found)) / ca.DM(scale)
-        at = model.at
+        self.scale = np.array([row.scale for row in self.rows])
+        at, values = model.at, ca.vertcat(*(value for _, value in self._found))
         self.function = ca.Function("limits", [*at], [values, *(ca.densify(ca.jacobian(values, x)) for x in at)],
                                     ["q", "qd", "qdd"], ["value", "by_q", "by_qd", "by_qdd"])
-        self.lower = np.array([row.lower for row in self.rows]) / scale
-        self.upper = np.array([row.upper for row in self.rows]) / scale
+        self.lower = np.array([row.lower for row in self.rows]) / self.scale
+        self.upper = np.array([row.upper for row in self.rows]) / self.scale
+
+    def __reduce__(self) -> tuple[type[Limits], tuple[object, ...]]:
+        return Limits, (self.model, self.margin)
+
+    def values(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """What is limited (N, m) in states (N, n), divided by the scales."""
+        return np.asarray(self.model.over(self.function, q, qd, qdd)[0][:, :, 0] / self.scale)
+
+    def slopes(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array, Array]:
+        """Derivatives (N, m, n) of `values` by q, qd and qdd."""
+        _, *by = self.model.over(self.function, q, qd, qdd)
+        first, second, third = (part / self.scale[:, None] for part in by)
+        return first, second, third
 
     def excess(self, values: Array) -> Array:
-        """By how much (N, m) values (N, m) exceed their bounds, in units of the rows' scales; at most zero if kept."""
-        return np.asarray(np.maximum(values - self.upper, self.lower - values))
+        """By how much (N, m) values (N, m) exceed their bounds; at most zero if kept, infinite if there is none."""
+        found = np.maximum(values - self.upper, self.lower - values)
+        return np.where(np.isfinite(found), found, np.inf)
 
     def _add(self, name: str, unit: str, value: ca.SX, lower: float = -np.inf, upper: float = np.inf,
-             scale: float | None = None) -> None:
+             scale: float | None = None, floor: float = -np.inf) -> None:
         sizes = [abs(bound) for bound in (lower, upper) if np.isfinite(bound) and bound]
-        self._found.append((Row(name, unit, lower, upper, scale or (max(sizes) if sizes else 1.0)), value))
+        self._found.append((Row(name, unit, lower, upper, scale or (max(sizes) if sizes else 1.0), floor), value))
 
     def _joints(self) -> None:
         machine, at = self.model.machine, self.model.at
@@ -114,15 +134,24 @@ class Limits:
         force = model.dynamics.forces(ca.DM(model.parameters.nominal), actuator_inertia=model.actuator_inertia)
         for k, actuator in enumerate(model.machine.actuators):
             margin = float(self.margin[k])
-            if isinstance(actuator, Cylinder) and actuator.relief_pressure is not None:
-                head, rod = (area * actuator.relief_pressure for area in actuator.areas)
-                self._add(f"{actuator.name} pressure", "N", force[k], margin - rod, head - margin, head)
-            elif isinstance(actuator, Motor) and actuator.relief_pressure is not None:
-                most = abs(actuator.torque_per_pressure) * actuator.gear * actuator.relief_pressure
-                self._add(f"{actuator.name} pressure", "N*m", force[k], margin - most, most - margin, most)
-            elif not isinstance(actuator, Cylinder | Motor) and actuator.max_torque is not None:
+            if isinstance(actuator, Cylinder):
+                areas, chambers = actuator.areas, ("p_head", "p_rod")
+            elif isinstance(actuator, Motor):
+                size = abs(actuator.torque_per_pressure) * actuator.gear
+                areas, chambers = (size, size), ("p_a", "p_b")
+            elif actuator.max_torque is not None:
                 most = actuator.max_torque
                 self._add(f"{actuator.name} torque", model.force_units[k], force[k], margin - most, most - margin, most)
+                continue
+            else:
+                continue
+            if actuator.relief_pressure is None:
+                continue
+            # a chamber pushes against the back pressure in the other one
+            for chamber, area, other, sign in zip(chambers, areas, areas[::-1], (1, -1), strict=True):
+                self._add(f"{actuator.name} {chamber}", "Pa", (sign * force[k] + other * BACK_PRESSURE) / area,
+                          upper=actuator.relief_pressure - margin / area, scale=actuator.relief_pressure,
+                          floor=BACK_PRESSURE)
 
     def _places(self) -> None:
         machine, dynamics = self.model.machine, self.model.dynamics
@@ -141,7 +170,7 @@ class Limits:
         for obstacle in machine.obstacles:
             pose = dynamics.links[obstacle.link].pose if obstacle.link != BASE else None
             centre = ca.DM(obstacle.centre) if pose is None else pose.point(ca.DM(obstacle.centre))
-            self._add(f"distance to {obstacle.name}", "m^2", ca.sumsqr(tip - centre), obstacle.radius**2)
+            self._add(f"distance to {obstacle.name}", "m", ca.norm_2(tip - centre), obstacle.radius)
 
     def _tipping(self) -> None:
         machine, dynamics = self.model.machine, self.model.dynamics
@@ -169,12 +198,11 @@ class Limits:
 
 
 def margins(model: Model, samples: int = 400, seed: int = 0) -> Array:
-    """Twice the standard deviation (n,) of every actuator's force that the prior leaves, in the worst of random states.
+    """How much more force [N, N·m] (n,) than by the nominal parameters an actuator may need.
 
-    Of states within the limits of joints; actuators whose parameters have no prior get what the others leave.
+    Twice the standard deviation that the machine file's confidences leave, in the median of random states within the
+    joints' limits; what the file gives no confidence of counts as exact.
     """
-
-
     states = random_states(model, samples, np.random.default_rng(seed))
     K = model.over(model.regressor, *states)[0]
     information = model.parameters.information

@@ -1,9 +1,9 @@
 """Pose planning for kinematic calibration: the poses that tell most about the geometry (left open in Section 5.3).
 
-Of many random closed postures those are chosen that maximise the determinant of the Fisher information of the joint
-problem (D-optimality), or minimise the variances of some parameters (A-optimality). All stages share their parameters
-and are chosen together. Directions that no posture shows (ball.y with the locked swing of the CAT 215B) are projected
-out. Collisions are not modelled.
+Of many random closed postures those are chosen that are best by one of the criteria that serve motions, too: D, A or E
+of the covariance of all parameters or of those in focus, or the condition number. All stages share their parameters and
+are chosen together. Directions that no posture shows (ball.y with the locked swing of the CAT 215B) are projected out.
+Collisions are not modelled.
 """
 
 from __future__ import annotations
@@ -20,6 +20,7 @@ from hydroopt import postures
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.closure import CalibrationProblem, calibration_problem
 from hydroopt.estimation.observability import SHARE, Linearised, Observability, linearise, observability
+from hydroopt.excitation.criteria import checked
 from hydroopt.inertia import Array
 from hydroopt.machine import Machine
 from hydroopt.model.loops import KinematicModel
@@ -29,6 +30,8 @@ FAINT = 1e-6
 """What is known before the first pose, in units of what an average pose tells: makes every determinant positive."""
 HELPS = 1e-9
 """Relative gain of the criterion from which on an exchange of two poses helps."""
+PROMISING = 64
+"""Candidates whose eigenvalues are looked at."""
 TRIES = 30
 """Random postures of which one at least must close within all limits."""
 BATCH = 500
@@ -123,8 +126,8 @@ class PosePlan:
 
 
 def plan_poses(machine: Machine, count: int, *, stages: Sequence[str] | None = None, candidates: int = 2000,
-               focus: Sequence[str] = (), priors: bool = False, fixed: Mapping[str, float] | None = None,
-               seed: int = 0) -> PosePlan:
+               criterion: str | None = None, focus: Sequence[str] = (), priors: bool = False,
+               fixed: Mapping[str, float] | None = None, seed: int = 0) -> PosePlan:
     """Choose poses for a machine's calibration, around the geometry of its file.
 
     A greedy start is followed by exchanges of single poses (Fedorov 1972, in the order of Cook and Nachtsheim 1980)
@@ -135,14 +138,19 @@ def plan_poses(machine: Machine, count: int, *, stages: Sequence[str] | None = N
         count: poses of every stage at every fixture.
         stages: those to measure, by default all; without stages all sensed joints move.
         candidates: random postures of every stage and fixture to choose from.
-        focus: parameters whose variances alone count (the sum of them, in units of their scales).
+        criterion: ``D``, ``A``, ``E`` or ``condition``, of parameters in units of their scales; by default D,
+            or A of the focus.
+        focus: parameters that alone count.
         priors: whether the machine file's confidences count as measurements.
         fixed: parameters that are held; the plan is made at the nominal values.
         seed: of the random postures.
 
     Raises:
-        ProblemError: no calibrator, an unknown stage or parameter, no posture within the limits, or too few poses.
+        ProblemError: no calibrator, an unknown stage, criterion or parameter, no posture within the limits, or too few
+            poses.
     """
+    criterion = criterion or ("A" if focus else "D")
+    checked(criterion, focus)
     groups, model = _groups(machine, stages), KinematicModel(machine)
     channels = tuple(_channels(model))
     if not 1 <= count <= candidates:
@@ -151,7 +159,7 @@ def plan_poses(machine: Machine, count: int, *, stages: Sequence[str] | None = N
     rng = np.random.default_rng(seed)
     at = np.array([_feasible(model, group, candidates, rng) for group in groups])
     everything = _linearised(model, np.concatenate(at), *_labels(groups, candidates), priors, fixed)
-    design = _Design(*everything, focus, len(groups))
+    design = _Design(*everything, criterion, focus, len(groups))
     chosen = design.best(count)
     q, (stage, fixture) = at[chosen], _labels(groups, count)
     problem, linear = _linearised(model, q, stage, fixture, priors, fixed)
@@ -260,10 +268,12 @@ class _Design:
         rows: (G, C, m, r) whitened Jacobians of C candidates in each of G groups; `rank` (G,) independent rows of one.
         before: (r, r) information of known distances and priors, and a faint one of everything; `open` directions need
             poses.
-        focus: (s, r) the parameters in focus by w, in units of their scales; none for D-optimality.
+        focus: (s, r) what counts by w, in units of the parameters' scales; none if it is all and D-optimal.
     """
 
-    def __init__(self, problem: CalibrationProblem, linear: Linearised, focus: Sequence[str], groups: int) -> None:
+    def __init__(self, problem: CalibrationProblem, linear: Linearised, criterion: str, focus: Sequence[str],
+                 groups: int) -> None:
+        self.criterion = criterion
         free = np.flatnonzero(problem.free)
         if not np.any(linear.jacobian[:, :, free]):
             raise ProblemError("no parameter is left that a pose could tell", where="plan_poses",
@@ -285,6 +295,8 @@ class _Design:
         self.before = shared.T @ shared + FAINT * np.eye(len(factor))
         self.open = len(factor) - (int(np.linalg.matrix_rank(shared)) if len(shared) else 0)
         self.focus = (to_w / seen.scale[:, None])[_places(problem, total, focus)]
+        if not focus and criterion != "D":
+            self.focus = np.linalg.inv(factor).T
 
     def information(self, chosen: NDArray[np.bool_]) -> Array:
         """(r, r) of chosen candidates (G, C) and what is known before."""
@@ -295,16 +307,31 @@ class _Design:
         """Of the scaled information."""
         return float(np.linalg.slogdet(self.information(chosen))[1]) + self.offset
 
-    def score(self, information: Array, group: int) -> Array:
-        """Criterion (C,), up to a constant, after each candidate of a group is added to an information (r, r)."""
+    def score(self, information: Array, group: int, pose: int = 0) -> Array:
+        """Criterion (C,), up to a constant, after each candidate of a group is added to an information (r, r).
+
+        It is −∞ for those that do little about the worst direction, but for `pose`.
+        """
         rows, inverse = self.rows[group], np.linalg.inv(information)
         spread = rows @ inverse
         core = np.eye(rows.shape[1]) + spread @ rows.transpose(0, 2, 1)
         if not len(self.focus):
             return np.asarray(np.linalg.slogdet(core)[1])
         seen = spread @ self.focus.T
-        less = np.sum(seen * np.linalg.solve(core, seen), axis=(1, 2))
-        return np.asarray(-np.log(np.trace(self.focus @ inverse @ self.focus.T) - less))
+        before = self.focus @ inverse @ self.focus.T
+        after = before - seen.transpose(0, 2, 1) @ np.linalg.solve(core, seen)
+        match self.criterion:
+            case "A":
+                return np.asarray(-np.log(np.trace(after, axis1=1, axis2=2)))
+            case "D":
+                return np.asarray(-np.linalg.slogdet(after)[1])
+        # eigenvalues take long: only of those that do most about the direction that is worst now
+        worst = np.linalg.eigh(before)[1][:, -1]
+        promising = np.append(np.argsort((after @ worst) @ worst)[:PROMISING], pose)
+        values = np.maximum(np.linalg.eigvalsh(after[promising]), 1e-300)
+        score = np.full(len(rows), -np.inf)
+        score[promising] = -np.log(values[:, -1] / (values[:, 0] if self.criterion == "condition" else 1.0))
+        return score
 
     def best(self, count: int) -> NDArray[np.bool_]:
         """The chosen candidates (G, C), `count` of each group."""
@@ -323,7 +350,7 @@ class _Design:
             for group, taken in enumerate(chosen):
                 for pose in np.flatnonzero(taken):
                     taken[pose] = False
-                    score = np.where(taken, -np.inf, self.score(self.information(chosen), group))
+                    score = np.where(taken, -np.inf, self.score(self.information(chosen), group, int(pose)))
                     better = np.max(score) > score[pose] + HELPS
                     taken[np.argmax(score) if better else pose] = True
                     helped |= bool(better)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from functools import cached_property
+from functools import cached_property, partial
 
 import casadi as ca
 import numpy as np
@@ -37,6 +37,9 @@ class Model:
         self.geometry = Geometry(machine)
         self.dynamics = Dynamics(self.geometry, self.at)
         self._runner = Runner()
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return partial(Model, actuator_inertia=self.actuator_inertia), (self.machine,)
 
     @cached_property
     def parameters(self) -> ParameterSet:

@@ -17,10 +17,10 @@ import casadi as ca
 _NAMES = {value: name[3:].lower() for name, value in vars(ca).items() if name.startswith("OP_")}
 ODD = frozenset({"sin", "tan", "asin", "atan", "sign"})
 EVEN = frozenset({"cos", "fabs"})
-UNARY = ODD | EVEN | {"sqrt", "acos", "exp", "log", "inv"}
+UNARY = ODD | EVEN | {"sqrt", "acos", "exp", "log", "inv", "floor"}
 FACTORS = 12
 """Up to how many factors two products are compared."""
-BINARY = frozenset({"atan2", "pow"})
+BINARY = frozenset({"atan2", "pow", "fmin", "fmax"})
 
 
 class Ref(NamedTuple):

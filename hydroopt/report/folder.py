@@ -1,4 +1,4 @@
-"""The folder that an identification or a calibration leaves: estimate.json, calibrated machine, report and tables."""
+"""The folder that a command leaves: estimate.json, calibrated machine, report and tables, or a motion to drive."""
 
 from __future__ import annotations
 
@@ -15,6 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from hydroopt.codegen.folder import Code
+from hydroopt.codegen.origin import Origin
+from hydroopt.codegen.routines import Course
 from hydroopt.description import dump_machine
 from hydroopt.errors import HydrooptError, ProblemError
 from hydroopt.estimation.appraisal import Appraisal
@@ -26,11 +29,16 @@ from hydroopt.estimation.estimate import Estimate, Fit
 from hydroopt.estimation.experiment import Experiment
 from hydroopt.estimation.problem import Problem
 from hydroopt.estimation.verdict import doubts
+from hydroopt.excitation.expectation import Expectation
+from hydroopt.excitation.motion import Excitation
+from hydroopt.excitation.verdict import doubts as excitation_doubts
 from hydroopt.files import write_files
 from hydroopt.machine import Machine
 from hydroopt.report import calibration as calibration_page
+from hydroopt.report import excitation as excitation_page
 from hydroopt.report import html
 from hydroopt.signals.poses import Poses
+from hydroopt.signals.table import write_columns
 
 SCHEMA = 1
 """Version of estimate.json; it changes when a key changes its meaning or goes."""
@@ -98,6 +106,69 @@ def save_calibration(calibration: Calibration, directory: str | Path, *, wall_s:
     _forget(directory, machine_file)
     write_files(directory, files | {"estimate.json": json.dumps(content, indent=1, allow_nan=False)})
     return content
+
+
+def save_excitation(excitation: Excitation, expectation: Expectation, directory: str | Path, *, origin: Origin,
+                    asked: Mapping[str, Any], parquet: bool = False, wall_s: float = float("nan")) -> dict[str, Any]:
+    """Write a motion to drive: trajectory, coefficients, report, and C for the controller in ``c/``.
+
+    Each file appears complete or not at all, excitation.json last.
+
+    Args:
+        excitation: what to write.
+        expectation: what it will tell.
+        directory: created if need be.
+        origin: what the machine was read from.
+        asked: options to be kept in excitation.json.
+        parquet: write the trajectory as Parquet instead of CSV.
+        wall_s: how long it took.
+
+    Returns:
+        The content of excitation.json.
+
+    Raises:
+        ProblemError: the directory cannot be written, or holds C that hydroopt did not generate.
+    """
+    program, path, where = excitation.program, excitation.trajectory, Path(directory)
+    machine, said = program.information.model.machine, excitation_doubts(excitation, expectation)
+    code = Code(machine, origin, routines=["excitation"], course=Course(excitation.function, program.basis.duration))
+    content = {"schema": SCHEMA, "machine": _machine(machine), "created": _now(), "versions": _versions(),
+               **asked, **_excitation(excitation, expectation), "doubts": list(said), "wall_s": _number(wall_s)}
+    page = excitation_page.render(excitation, expectation, said)
+    write_files(where, {})
+    for name in ("excitation.json", "report.html", "trajectory.csv", "trajectory.parquet"):
+        (where / name).unlink(missing_ok=True)
+    columns = {"t [s]": path.t}
+    for k, joint in enumerate(machine.joints):
+        unit = machine.channel_units[f"{joint}.q"]
+        columns |= {f"{joint}.q [{unit}]": path.q[:, k], f"{joint}.qd [{unit}/s]": path.qd[:, k],
+                    f"{joint}.qdd [{unit}/s^2]": path.qdd[:, k]}
+    write_columns(where / ("trajectory.parquet" if parquet else "trajectory.csv"), columns, "trajectory")
+    code.write(where / "c")
+    write_files(where, {"report.html": page, "excitation.json": json.dumps(content, indent=1, allow_nan=False)})
+    return content
+
+
+def _excitation(excitation: Excitation, expectation: Expectation) -> dict[str, Any]:
+    """What excitation.json says of the motion and of what it will tell."""
+    program, parameters = excitation.program, excitation.program.information.model.parameters
+    basis = program.basis
+    return {
+        "criterion": program.information.criterion, "value": excitation.value,
+        "condition_number": _number(excitation.condition_number), "stopped": excitation.stopped,
+        "rate": program.rate, "duration": basis.duration, "samples": program.samples, "resting": program.resting,
+        "basis": {"kind": type(basis).__name__.lower(), **basis.as_dict()},
+        "functions": list(basis.names),
+        "coefficients": {joint: excitation.coefficients[:, k].tolist()
+                         for k, joint in enumerate(program.information.model.machine.joints)},
+        "limits": [{"name": use.name, "unit": use.unit, "lower": _number(use.lower), "lowest": use.lowest,
+                    "highest": use.highest, "upper": _number(use.upper), "room": use.room}
+                   for use in excitation.limits],
+        "base_parameters": [{"expression": name, "unit": unit, "std": _number(std)} for name, unit, std in
+                            zip(excitation.names, excitation.units, expectation.base, strict=True)],
+        "parameters": [{"name": name, "unit": parameters.units[k], "nominal": float(parameters.nominal[k]),
+                        "std_before": _number(expectation.before[k]), "std_after": _number(expectation.after[k])}
+                       for k, name in enumerate(parameters.names)]}
 
 
 def save_failure(problem: Problem | CalibrationProblem, method: str, error: HydrooptError,
@@ -209,14 +280,23 @@ def _residual_rows(appraisal: Appraisal) -> list[dict[str, Any]]:
 
 
 def _origin(problem: Problem | CalibrationProblem, method: str) -> dict[str, Any]:
-    machine: Machine = problem.model.machine
-    packages = ("hydroopt", "casadi", "clarabel", "cvxpy", "numpy", "scipy")
     inputs = ([_input(e, "train") for e in problem.experiments] + [_input(e, "validation") for e in problem.validation]
               if isinstance(problem, Problem) else _tables(problem))
-    return {"schema": SCHEMA, "machine": {"name": machine.name, "parameter_set": machine.parameter_set,
-                                          "sha256": machine.sha256},
-            "created": datetime.now(UTC).isoformat(timespec="seconds"), "inputs": inputs, "method": method,
-            "versions": {"python": platform.python_version()} | {p: metadata.version(p) for p in packages}}
+    return {"schema": SCHEMA, "machine": _machine(problem.model.machine), "created": _now(), "inputs": inputs,
+            "method": method, "versions": _versions()}
+
+
+def _machine(machine: Machine) -> dict[str, Any]:
+    return {"name": machine.name, "parameter_set": machine.parameter_set, "sha256": machine.sha256}
+
+
+def _now() -> str:
+    return datetime.now(UTC).isoformat(timespec="seconds")
+
+
+def _versions() -> dict[str, str]:
+    packages = ("hydroopt", "casadi", "clarabel", "cvxpy", "numpy", "scipy")
+    return {"python": platform.python_version()} | {p: metadata.version(p) for p in packages}
 
 
 def _input(data: Experiment, role: str) -> dict[str, Any]:

@@ -1,0 +1,154 @@
+"""The nonlinear program of a motion: coefficients in, criterion and limits out, with exact derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from hydroopt.errors import ProblemError
+from hydroopt.excitation.basis import Basis, Rows, check
+from hydroopt.excitation.criteria import Information
+from hydroopt.excitation.limits import Limits
+from hydroopt.inertia import Array
+
+BACK_OFF = 0.01
+"""Part of every limit's range that the program leaves, so that nothing is exceeded between its nodes."""
+PER_WAVE = 12
+"""Nodes in a period of the fastest wave."""
+
+
+MOST = 1e6
+"""Samples of a motion."""
+
+
+class State(NamedTuple):
+    """States (N, n) of the joints."""
+
+    q: Array
+    qd: Array
+    qdd: Array
+
+
+class Program:
+    """The nonlinear program of a design: `x` holds the coefficients (m, active) of the joints that move.
+
+    Args:
+        information: what the motion is asked, and of what machine.
+        limits: what it must keep.
+        basis: its functions of time.
+        rate: samples per second of the controller.
+        resting: joints that rest, and where [rad, m].
+
+    Raises:
+        ProblemError: the motion is faster than the valves, a resting joint is unknown or out of its range, all rest, or
+            there would be too many samples.
+    """
+
+    def __init__(self, information: Information, limits: Limits, basis: Basis, rate: float,
+                 resting: Mapping[str, float] | None = None) -> None:
+        check(basis, information.model.machine.bandwidth)
+        self.information, self.limits, self.basis, self.rate = information, limits, basis, rate
+        joints = information.model.machine.joints
+        self.resting = dict(resting or {})
+        self.samples = _samples(basis, rate)
+        for name, at in self.resting.items():
+            if name not in joints:
+                raise ProblemError(f"'{name}' is no moving joint that could rest", where="excitation",
+                                   remedy=f"use {', '.join(joints)}")
+            lower, upper = information.model.machine.link(name).joint.range
+            if not lower <= at <= upper:
+                raise ProblemError(f"joint '{name}' cannot rest at {at:.4g}: its range is {lower:.4g} to {upper:.4g}",
+                                   where="excitation", remedy="let it rest within its range")
+        self.active = [k for k, joint in enumerate(joints) if joint not in self.resting]
+        if not self.active:
+            raise ProblemError("all joints rest", where="excitation", remedy="let one joint move")
+        self.still = np.array([self.resting.get(joint, 0.0) for joint in joints])
+        nodes = int(np.ceil(PER_WAVE * basis.fastest * basis.duration)) + 1
+        self.nodes = basis.rows(np.linspace(0, basis.duration, max(nodes, 20)))
+        self.worth = self.samples / len(self.nodes.position)
+        ranges = np.array([information.model.machine.link(joint).joint.range for joint in joints])
+        self.size = np.diff(ranges, axis=1)[self.active, 0] / 2
+        self.mean = np.where([joint in self.resting for joint in joints], self.still, ranges.mean(axis=1))
+        # the coefficients of a function that is one throughout
+        self.one = np.linalg.lstsq(self.nodes.position, np.ones(len(self.nodes.position)), rcond=None)[0]
+
+    def __reduce__(self) -> tuple[type[Program], tuple[object, ...]]:
+        return Program, (self.information, self.limits, self.basis, self.rate, self.resting)
+
+    @cached_property
+    def t(self) -> Array:
+        """Times (N,) of the controller's samples [s]."""
+        return np.arange(self.samples) / self.rate
+
+    @cached_property
+    def fine(self) -> Rows:
+        """The functions at the controller's samples."""
+        return self.basis.rows(self.t)
+
+    def coefficients(self, x: Array) -> Array:
+        """(m, n) of all joints."""
+        made = np.outer(self.one, self.still)
+        made[:, self.active] = np.reshape(x, (-1, len(self.active))) * self.size
+        return made
+
+    def states(self, x: Array, rows: Rows) -> State:
+        """Joint states (N, n) at the times of some rows."""
+        c = self.coefficients(x)
+        found = State(*(part @ c for part in rows))
+        for joint, at in self.resting.items():  # exactly
+            k = self.information.model.machine.joints.index(joint)
+            found.q[:, k], found.qd[:, k], found.qdd[:, k] = at, 0.0, 0.0
+        return found
+
+    def posture(self, q: Array) -> Array:
+        """x of resting at a posture (n,)."""
+        return np.asarray(np.outer(self.one, q[self.active] / self.size).ravel())
+
+    def objective(self, x: Array) -> tuple[float, Array]:
+        """Criterion and gradient."""
+        value, by_state = self.information.value(*self.states(x, self.nodes), self.worth)
+        return value, self._chain(by_state)
+
+    def value(self, x: Array) -> float:
+        """The criterion alone."""
+        return self.objective(x)[0]
+
+    def _chain(self, by_state: Array) -> Array:
+        n = len(self.still)
+        parts = [by_state[:, k * n:(k + 1) * n][:, self.active] for k in range(3)]
+        total = sum(rows.T @ part for rows, part in zip(self.nodes, parts, strict=True))
+        return np.asarray((total * self.size).ravel())
+
+    def constraints(self, x: Array) -> Array:
+        """Limits at the nodes (N·m,), each divided by its scale."""
+        return self.limits.values(*self.states(x, self.nodes)).ravel()
+
+    def constraints_jacobian(self, x: Array) -> Array:
+        """Their derivatives (N·m, len(x))."""
+        blocks = sum(part[:, :, None, self.active] * rows[:, None, :, None] for part, rows in
+                     zip(self.limits.slopes(*self.states(x, self.nodes)), self.nodes, strict=True)) * self.size
+        return np.asarray(blocks.reshape(-1, len(x)))
+
+    def excess(self, x: Array, rows: Rows) -> float:
+        """By how much a limit is exceeded at most, in parts of its scale; at most zero if all are kept."""
+        return float(np.max(self.limits.excess(self.limits.values(*self.states(x, rows)))))
+
+    @property
+    def bounds(self) -> tuple[Array, Array]:
+        """Lower and upper bounds (N·m,) of `constraints`, with the back-off."""
+        lower, upper, count = self.limits.lower, self.limits.upper, len(self.nodes.position)
+        room = BACK_OFF * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
+        return np.tile(lower + room, count), np.tile(upper - room, count)
+
+
+def _samples(basis: Basis, rate: float) -> int:
+    if not (0 < rate < np.inf and basis.duration * rate >= 2):
+        raise ProblemError(f"at {rate:g} Hz a motion of {basis.duration:g} s has no samples", where="excitation",
+                           remedy="give a positive rate")
+    if basis.duration * rate > MOST:
+        raise ProblemError(f"{basis.duration * rate:.1e} samples are too many to check", where="excitation",
+                           remedy="shorten the motion or lower the rate")
+    return int(np.ceil(basis.duration * rate - 1e-9)) + 1  # after its end the motion rests

@@ -1,0 +1,70 @@
+"""What a reader should know before a designed motion is driven."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hydroopt.estimation.experiment import force_noise
+from hydroopt.excitation.expectation import Expectation
+from hydroopt.excitation.motion import Excitation
+from hydroopt.parts import Cylinder, Motor
+
+HARDLY = 0.9
+"""A parameter whose standard deviation stays above this part of what it was before is hardly told."""
+NAMED = 4
+"""How many of a list are named."""
+
+
+def doubts(excitation: Excitation, expectation: Expectation) -> tuple[str, ...]:
+    """Reasons to hesitate, in plain words; the gravest first."""
+    return (*_search(excitation), *_unlimited(excitation), *_unstated(excitation),
+            *_untold(excitation, expectation))
+
+
+def _search(excitation: Excitation) -> Iterator[str]:
+    if np.ptp(excitation.trajectory.q, axis=0).max() < 1e-6:
+        yield "No motion was found that keeps all limits: the machine would rest throughout."
+    if excitation.stopped:
+        yield "The search was interrupted; a longer one may find a better motion."
+
+
+def _unlimited(excitation: Excitation) -> Iterator[str]:
+    machine = excitation.program.information.model.machine
+    missing = {"pump": "the flow of the pump", "ground": "the height above ground", "workspace": "where the tip may go",
+               "footprint": "tipping over"}
+    hydraulic = any(isinstance(each, Cylinder | Motor) for each in machine.actuators)
+    free = [text for key, text in missing.items()
+            if getattr(machine, key) is None and (hydraulic or key in ("ground", "workspace"))]
+    free += [f"the effort of {each.name}" for each in machine.actuators
+             if (each.relief_pressure if isinstance(each, Cylinder | Motor) else each.max_torque) is None]
+    for joint in machine.joints:
+        own = machine.link(joint).joint
+        free += [f"the {what} of {joint}" for what, value in (("speed", own.max_speed),
+                                                             ("acceleration", own.max_acceleration)) if value is None]
+    if free:
+        yield f"Not limited, because the machine file states nothing of it: {_some(free)}."
+
+
+def _unstated(excitation: Excitation) -> Iterator[str]:
+    model = excitation.program.information.model
+    blind = [actuator.name for actuator, std in zip(model.machine.actuators, force_noise(model), strict=True)
+             if not np.isfinite(std)]
+    if blind:
+        yield (f"The machine file states no accuracy for the force of {_some(blind)}; a tenth of a typical force is "
+               "taken for its noise.")
+
+
+def _untold(excitation: Excitation, expectation: Expectation) -> Iterator[str]:
+    names = excitation.program.information.model.parameters.names
+    seen = [k for k, (before, after) in enumerate(zip(expectation.before, expectation.after, strict=True))
+            if not after <= HARDLY * before]
+    if seen:
+        yield (f"{len(seen)} of {len(names)} parameters will stay about as uncertain as they are: "
+               f"{_some([names[k] for k in seen])}.")
+
+
+def _some(names: list[str]) -> str:
+    rest = len(names) - NAMED
+    return ", ".join(names) if rest <= 1 else f"{', '.join(names[:NAMED])} and {rest} more"
