@@ -24,6 +24,7 @@ QUARANTINE = {
     "casadi": ("spatial", "geometry", "strokes", "model", "codegen", "solvers", "estimation", "excitation"),
     "cvxpy": ("estimation.feasible", "solvers"),
     "clarabel": ("solvers",),
+    "piqp": ("excitation.solver",),
     "matplotlib": ("report",),
     "jinja2": ("model.compiled", "codegen.folder", "report"),
     "pyarrow": ("signals",),

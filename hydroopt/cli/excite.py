@@ -61,7 +61,7 @@ def excite(
         "What alone counts: a parameter, a part, payload or friction; repeatable."))] = None,
     priors: Annotated[bool, typer.Option("--priors", help=(
         "The file's confidences count as known (Bayesian design)."))] = False,
-    starts: Annotated[int, typer.Option(help="Random motions to begin with.", min=1)] = 2,
+    starts: Annotated[int, typer.Option(help="Random motions to begin with.", min=1)] = 16,
     processes: Annotated[int | None, typer.Option(help="At the same time; as many as there are cores if not given.",
                                                   min=1)] = None,
     seconds: Annotated[float, typer.Option(help="After which the best motion so far is taken.", min=1.0)] = 50.0,

@@ -188,7 +188,11 @@ class Information:
         rows = np.vstack([self.known, np.sqrt(rate) * K.reshape(-1, K.shape[2])])
         return np.asarray(np.linalg.qr(rows, mode="r"))
 
-    def value(self, q: Array, qd: Array, qdd: Array, rate: float) -> tuple[float, Array]:
+    def value(self, q: Array, qd: Array, qdd: Array, rate: float) -> float:
+        """The criterion."""
+        return self.of(self._factor(self.model.over(self.smooth, q, qd, qdd)[0], rate))[0]
+
+    def value_and_slope(self, q: Array, qd: Array, qdd: Array, rate: float) -> tuple[float, Array]:
         """The criterion, and its derivative (N, 3n) by the states: q, then qd, then qdd."""
         K = self.model.over(self.smooth, q, qd, qdd)[0]
         value, by_matrix = self.of(self._factor(K, rate))

@@ -1,7 +1,7 @@
 """The motion that tells most about a machine's parameters within all of its limits (Gautier and Khalil 1992).
 
-Coefficients of the motion are the variables of a nonlinear program with exact first derivatives, which IPOPT solves
-from several starts, each in a process of its own. What it returns is checked at the controller's rate and, if a limit
+Coefficients of the motion are the variables of a nonlinear program with exact first derivatives, which is solved from
+many starts, in processes side by side. What it returns is checked at the controller's rate and, if a limit
 is touched in between, drawn towards a posture of rest until none is: a motion that breaks a limit never comes out.
 """
 
@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import signal
 import threading
+import time
 from collections.abc import Callable, Iterator
 from concurrent.futures import ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -24,19 +25,20 @@ from hydroopt.errors import ProblemError, SolverError
 from hydroopt.excitation.motion import Excitation
 from hydroopt.excitation.program import Program
 from hydroopt.excitation.solver import solve
-from hydroopt.identifiability import random_states
 from hydroopt.inertia import Array
 
 POSTURES = 2000
 """Random postures among which one to rest in is sought."""
-DRAWN = 12
+DRAWN = 4
 """Random motions of which the best is a start."""
+BACK_OFF, ROUNDS = 0.001, 4
+"""Part of every limit's range that is left as room, and how often it is widened if it was not enough."""
 TIGHT = 0.02
 """Part of a limit's scale within which it counts as touched."""
 Heard = Callable[[int, float], None]
 
 
-def design(program: Program, *, starts: int = 2, seed: int = 0, seconds: float = 60.0, processes: int = 1,
+def design(program: Program, *, starts: int = 16, seed: int = 0, seconds: float = 60.0, processes: int = 1,
            say: Callable[[str], None] = lambda _: None) -> Excitation:
     """The best motion found from several starts; Ctrl-C ends the search and keeps it.
 
@@ -44,7 +46,7 @@ def design(program: Program, *, starts: int = 2, seed: int = 0, seconds: float =
         program: what is asked, within which limits, with which functions.
         starts: random motions to begin with.
         seed: of these.
-        seconds: after which the best motion so far is taken.
+        seconds: after which the best motion so far is taken; at least one start is begun.
         processes: how many starts go on at the same time; with more than one, a script that calls this needs the usual
             ``if __name__ == "__main__"``.
         say: hears of progress.
@@ -65,29 +67,36 @@ def design(program: Program, *, starts: int = 2, seed: int = 0, seconds: float =
         best = min(best, value)
         say(f"start {start + 1} of {starts}: {criterion} = {value:.4g}, best {best:.4g}")
 
-    processes = min(processes, starts)
-    share = seconds * processes / starts
+    processes, end = min(processes, starts), time.time() + seconds
     with _interruptible() as interrupted:
         if processes == 1:
             for start in range(starts):
-                found.append(_attempt(program, still, (seed, start), share, interrupted, heard))
+                found.append(_attempt(program, still, (seed, start), end, interrupted, heard))
                 if interrupted():
                     break
         else:
-            found += _in_parallel(program, still, seed, starts, processes, share, interrupted, heard)
+            found += _in_parallel(program, still, seed, starts, processes, end, interrupted, heard)
         return Excitation(program, min(found, key=lambda each: each[1])[0], interrupted())
 
 
-def _attempt(program: Program, rest: Array, seed: tuple[int, int], seconds: float, interrupted: Callable[[], bool],
+def _attempt(program: Program, rest: Array, seed: tuple[int, int], end: float, interrupted: Callable[[], bool],
              heard: Heard) -> tuple[Array, float]:
-    """The best motion that a start leads to, and its value."""
+    """The best motion that a start leads to, and its value; rest if the time, by ``time.time()``, is over."""
+    end += time.monotonic() - time.time()
+    if time.monotonic() > end or interrupted():
+        return rest, np.inf
     # the matrices are too small to gain from threads, which only get in each other's way
     with threadpool_limits(limits=1, user_api="blas"):
         rng = np.random.default_rng(seed)
-        start = min((drawn(program, rest, rng) for _ in range(DRAWN)), key=program.value)
-        found = solve(program, start, seconds, interrupted, lambda value: heard(seed[1], value))
-        kept = shrunk(program, found, rest)
-        best = min(start, kept, key=program.value)
+        best = min((drawn(program, rest, rng) for _ in range(DRAWN)), key=program.value)
+        x, back_off = best, BACK_OFF
+        for _ in range(ROUNDS):
+            x = solve(program, x, back_off, end, interrupted, lambda value: heard(seed[1], value))
+            over = program.excess(x, program.fine)
+            if over <= 0:
+                break
+            back_off += BACK_OFF / 4 + 1.5 * over  # a limit is broken between the times at which it was kept
+        best = min(best, shrunk(program, x, rest), key=program.value)
         return best, program.value(best)
 
 
@@ -105,17 +114,17 @@ class _Worker:
         cls.program, cls.rest, cls.stop, cls.tell = program, rest, stop, tell
 
     @classmethod
-    def attempt(cls, seed: tuple[int, int], seconds: float) -> tuple[Array, float]:
-        return _attempt(cls.program, cls.rest, seed, seconds, cls.stop.is_set, lambda *said: cls.tell.put(said))
+    def attempt(cls, seed: tuple[int, int], end: float) -> tuple[Array, float]:
+        return _attempt(cls.program, cls.rest, seed, end, cls.stop.is_set, lambda *said: cls.tell.put(said))
 
 
-def _in_parallel(program: Program, rest: Array, seed: int, starts: int, processes: int, seconds: float,
+def _in_parallel(program: Program, rest: Array, seed: int, starts: int, processes: int, end: float,
                  interrupted: Callable[[], bool], heard: Heard) -> list[tuple[Array, float]]:
     context = get_context("spawn")
     stop, told = context.Event(), context.Queue()
     try:
         with ProcessPoolExecutor(processes, context, _Worker.begin, (program, rest, stop, told)) as pool:
-            attempts = [pool.submit(_Worker.attempt, (seed, start), seconds) for start in range(starts)]
+            attempts = [pool.submit(_Worker.attempt, (seed, start), end) for start in range(starts)]
             running = set(attempts)
             while running:
                 _, running = wait(running, timeout=0.2)
@@ -136,7 +145,7 @@ def shrunk(program: Program, x: Array, rest: Array) -> Array:
     def keeps(part: float) -> bool:
         at = rest + part * (x - rest)
         return bool(np.all(np.isfinite(at))) and max(program.excess(at, program.fine),
-                                                     program.excess(at, program.nodes)) <= 0
+                                                     program.excess(at, program.grid)) <= 0
 
     if keeps(1.0):
         return x
@@ -153,15 +162,10 @@ def rest(program: Program, rng: np.random.Generator) -> Array:
     Raises:
         ProblemError: a limit is broken in all of them; those in conflict are named.
     """
-    model, limits = program.information.model, program.limits
-    low, high = np.array([model.machine.link(joint).joint.range for joint in model.machine.joints]).T
-    best, least = program.mean, np.full(len(limits.rows), np.inf)
+    limits, best = program.limits, program.mean
+    least = np.full(len(limits.rows), np.inf)
     for size in (1.0, 0.3, 0.1, 0.03, 0.01):
-        near = np.clip(best + size * (high - low) * rng.uniform(-1, 1, (POSTURES, len(low))), low, high)
-        q = np.vstack([best, near if size < 1 else random_states(model, POSTURES, rng)[0]])
-        for joint, at in program.resting.items():
-            q[:, model.machine.joints.index(joint)] = at
-        excess = limits.excess(limits.values(q, 0 * q, 0 * q))
+        q, excess = _postures(program, best, size, rng)
         chosen = int(np.argmin(np.max(excess, axis=1)))
         best, worst, least = q[chosen], excess[chosen], np.minimum(least, np.min(excess, axis=0))
     if np.max(worst) > 0:
@@ -175,8 +179,25 @@ def rest(program: Program, rng: np.random.Generator) -> Array:
     return program.posture(best)
 
 
+def _postures(program: Program, near: Array, size: float, rng: np.random.Generator) -> tuple[Array, Array]:
+    """A posture (n,) and random ones within a part of the joints' ranges, (P, n), and their excesses (P, m) at rest."""
+    joints = program.information.model.machine.joints
+    low, high = np.array([program.information.model.machine.link(joint).joint.range for joint in joints]).T
+    drawn = rng.uniform(low, high, (POSTURES, len(low)))
+    q = np.vstack([near, drawn if size == 1 else np.clip(near + size * (drawn - (low + high) / 2), low, high)])
+    for joint, at in program.resting.items():
+        q[:, joints.index(joint)] = at
+    return q, program.limits.excess(program.limits.values(q, 0 * q, 0 * q))
+
+
 def drawn(program: Program, rest: Array, rng: np.random.Generator) -> Array:
-    """A random motion about rest: every joint as far as the limits let it go by itself, then all together."""
+    """A random motion: about a random posture every joint as far as the limits let it go by itself, then all together.
+
+    `rest` is where it rests if nothing else keeps the limits.
+    """
+    q, excess = _postures(program, program.mean, 1.0, rng)
+    kept = np.flatnonzero(np.max(excess, axis=1) <= 0)
+    rest = program.posture(q[rng.choice(kept)]) if kept.size else rest
     shape = (len(program.basis.names), len(program.active))
     wave = rng.standard_normal(shape)
     wave -= wave.mean(axis=0)

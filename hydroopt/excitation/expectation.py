@@ -29,8 +29,8 @@ from hydroopt.signals import spline
 from hydroopt.signals.log import Log
 from hydroopt.synthetic import Trajectory, simulate
 
-UNSEEN = 1e-10
-"""Part of the greatest singular value of the scaled information's root below which a direction counts as unseen."""
+UNSEEN = 1e-9
+"""Part of the greatest singular value of the scaled regressor below which a direction counts as unseen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -85,34 +85,35 @@ def expected(model: Model, motion: Trajectory, structure: Identifiability, known
     stated = np.isfinite(force_noise(model))  # else the simulated log has no noise
     sigma = np.where(stated, estimate.sigma, noise)
     weight = (data.inside[:, None] & data.moving) / (sigma**2 * np.where(stated, estimate.correlation_time, 1.0))
-    K = model.over(model.regressor, motion.q, motion.qd, motion.qdd)[0] * model.parameters.scale
+    scale, basis = model.parameters.scale, np.array(structure.basis)
+    K = model.over(model.regressor, motion.q, motion.qd, motion.qdd)[0] * scale
+    told: Array = np.asarray(np.linalg.qr((K * np.sqrt(weight)[:, :, None]).reshape(-1, K.shape[2]), mode="r"))
     pulled = K * weight[:, :, None]
-    told = np.einsum("tia,tib->ab", pulled, K)
-    # the noise of forces, then of each joint's angle
-    spread = np.einsum("tia,i,tib->ab", pulled, noise**2, pulled)
+    # what the noise of each force and of each angle adds to KᵀW·residual, a column each
+    errors = [(pulled * noise[:, None]).reshape(-1, K.shape[2]).T]
     force = model.dynamics.forces(ca.DM(psi), actuator_inertia=model.actuator_inertia)
     slopes = model.over(program(ca.Function("force_by_motion", [*model.at], [
         ca.densify(ca.jacobian(force, x)) for x in model.at])).function(), motion.q, motion.qd, motion.qdd)
     for j, (joint, std) in enumerate(zip(machine.joints, angle_noise(model, log), strict=True)):
         if std > 0:
             smooth = spline.fit(log.t, log.channel(f"{joint}.q"), float(std), machine.bandwidth)
-            by_reading = smooth.pull_back([np.einsum("tia,ti->at", pulled, slope[:, :, j]) for slope in slopes])
-            spread += std**2 * by_reading @ by_reading.T
-    scale, basis = model.parameters.scale, list(structure.basis)
-    prior = model.parameters.information + (0 if known is None else known)
-    prior = prior * np.outer(scale, scale)
-    own = np.ix_(basis, basis)
+            errors.append(std * smooth.pull_back([np.einsum("tia,ti->at", pulled, slope[:, :, j]) for slope in slopes]))
+    noisy = np.hstack(errors)
+    values, axes = np.linalg.eigh((model.parameters.information + (0 if known is None else known))
+                                  * np.outer(scale, scale))
+    prior = np.sqrt(np.maximum(values, 0))[:, None] * axes.T
     return Expectation(
-        scale[basis] * _std(told[own], spread[own]), scale * _std(prior, prior),
-        scale * _std(told + prior, spread + prior), sigma)
+        scale[basis] * _std(told[:, basis], noisy[basis]), scale * _std(prior, prior.T),
+        scale * _std(np.vstack([told, prior]), np.hstack([noisy, prior.T])), sigma)
 
 
-def _std(information: Array, spread: Array) -> Array:
-    """Roots of the diagonal of ``information⁻¹ · spread · information⁻¹``; infinite where directions are unseen."""
-    lengths = np.sqrt(np.diag(information))
+def _std(root: Array, errors: Array) -> Array:
+    """Standard deviations (p,) of ``(RᵀR)⁻¹·E·n`` with n white, R (·, p), E (p, ·); infinite where R sees nothing."""
+    lengths = np.linalg.norm(root, axis=0)
     unit = np.where(lengths > 0, lengths, 1.0)
-    values, axes = np.linalg.eigh(information / np.outer(unit, unit))
-    seen = values > UNSEEN**2 * max(values[-1], 0.0)
-    inverse = (axes[:, seen] / values[seen]) @ axes[:, seen].T / np.outer(unit, unit)
-    blind = (lengths == 0) | (np.max(np.abs(axes[:, ~seen]), axis=1, initial=0.0) > 1e-6)
-    return np.where(blind, np.inf, np.sqrt(np.maximum(np.diag(inverse @ spread @ inverse), 0.0)))
+    _, s, axes = np.linalg.svd(np.linalg.qr(root / unit, mode="r"), full_matrices=True)
+    seen = np.zeros(len(axes), dtype=bool)
+    seen[:len(s)] = s > UNSEEN * s[0]
+    spread = axes[seen].T @ (axes[seen] @ (errors / unit[:, None]) / s[seen[:len(s)], None] ** 2)
+    blind = (lengths == 0) | (np.max(np.abs(axes[~seen]), axis=0, initial=0.0) > 1e-6)
+    return np.where(blind, np.inf, np.linalg.norm(spread, axis=1) / unit)

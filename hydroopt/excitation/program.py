@@ -7,6 +7,7 @@ from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.excitation.basis import Basis, Rows, check
@@ -14,10 +15,8 @@ from hydroopt.excitation.criteria import Information
 from hydroopt.excitation.limits import Limits
 from hydroopt.inertia import Array
 
-BACK_OFF = 0.01
-"""Part of every limit's range that the program leaves, so that nothing is exceeded between its nodes."""
-PER_WAVE = 12
-"""Nodes in a period of the fastest wave."""
+NODES, GRID = 12, 48
+"""Times in a period of the fastest wave at which the criterion is reckoned, and at which limits are kept."""
 
 
 MOST = 1e6
@@ -66,8 +65,9 @@ class Program:
         if not self.active:
             raise ProblemError("all joints rest", where="excitation", remedy="let one joint move")
         self.still = np.array([self.resting.get(joint, 0.0) for joint in joints])
-        nodes = int(np.ceil(PER_WAVE * basis.fastest * basis.duration)) + 1
-        self.nodes = basis.rows(np.linspace(0, basis.duration, max(nodes, 20)))
+        waves = basis.fastest * basis.duration
+        self.nodes, self.grid = (basis.rows(np.linspace(0, basis.duration, max(int(np.ceil(times * waves)) + 1, 20)))
+                                 for times in (NODES, GRID))
         self.worth = self.samples / len(self.nodes.position)
         ranges = np.array([information.model.machine.link(joint).joint.range for joint in joints])
         self.size = np.diff(ranges, axis=1)[self.active, 0] / 2
@@ -109,12 +109,12 @@ class Program:
 
     def objective(self, x: Array) -> tuple[float, Array]:
         """Criterion and gradient."""
-        value, by_state = self.information.value(*self.states(x, self.nodes), self.worth)
+        value, by_state = self.information.value_and_slope(*self.states(x, self.nodes), self.worth)
         return value, self._chain(by_state)
 
     def value(self, x: Array) -> float:
         """The criterion alone."""
-        return self.objective(x)[0]
+        return self.information.value(*self.states(x, self.nodes), self.worth)
 
     def _chain(self, by_state: Array) -> Array:
         n = len(self.still)
@@ -123,25 +123,42 @@ class Program:
         return np.asarray((total * self.size).ravel())
 
     def constraints(self, x: Array) -> Array:
-        """Limits at the nodes (N·m,), each divided by its scale."""
-        return self.limits.values(*self.states(x, self.nodes)).ravel()
+        """What is limited (N, m) at the times of `grid`, divided by its scale."""
+        return self.limits.values(*self.states(x, self.grid))
 
-    def constraints_jacobian(self, x: Array) -> Array:
-        """Their derivatives (N·m, len(x))."""
-        blocks = sum(part[:, :, None, self.active] * rows[:, None, :, None] for part, rows in
-                     zip(self.limits.slopes(*self.states(x, self.nodes)), self.nodes, strict=True)) * self.size
-        return np.asarray(blocks.reshape(-1, len(x)))
+    def slopes(self, x: Array) -> tuple[Array, Array, Array]:
+        """Derivatives (N, m, active) of `constraints` by the positions, speeds and accelerations of moving joints."""
+        first, second, third = (part[:, :, self.active] * self.size
+                                for part in self.limits.slopes(*self.states(x, self.grid)))
+        return first, second, third
+
+    def jacobian(self, slopes: tuple[Array, Array, Array], taken: NDArray[np.bool_]) -> Array:
+        """Derivatives (k, len(x)) of those constraints (N, m) that are taken."""
+        node, row = np.nonzero(taken)
+        found = sum(part[node, row][:, None, :] * rows[node][:, :, None]
+                    for part, rows in zip(slopes, self.grid, strict=True))
+        return np.asarray(found).reshape(len(node), -1)
+
+    def pushed(self, slopes: tuple[Array, Array, Array], step: Array) -> Array:
+        """Change (N, m) of all constraints, to first order, by a step (len(x),)."""
+        moved = np.reshape(step, (-1, len(self.active)))
+        return np.asarray(sum(np.einsum("tma,ta->tm", part, rows @ moved)
+                              for part, rows in zip(slopes, self.grid, strict=True)))
+
+    def pulled(self, slopes: tuple[Array, Array, Array], multipliers: Array) -> Array:
+        """Sum (len(x),) of the constraints' derivatives times multipliers (N, m)."""
+        return np.asarray(sum(rows.T @ np.einsum("tma,tm->ta", part, multipliers)
+                              for part, rows in zip(slopes, self.grid, strict=True))).ravel()
 
     def excess(self, x: Array, rows: Rows) -> float:
         """By how much a limit is exceeded at most, in parts of its scale; at most zero if all are kept."""
         return float(np.max(self.limits.excess(self.limits.values(*self.states(x, rows)))))
 
-    @property
-    def bounds(self) -> tuple[Array, Array]:
-        """Lower and upper bounds (N·m,) of `constraints`, with the back-off."""
-        lower, upper, count = self.limits.lower, self.limits.upper, len(self.nodes.position)
-        room = BACK_OFF * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
-        return np.tile(lower + room, count), np.tile(upper - room, count)
+    def bounds(self, back_off: float) -> tuple[Array, Array]:
+        """Lower and upper bounds (m,) of `constraints`, with a part of each range left as room."""
+        lower, upper = self.limits.lower, self.limits.upper
+        room = back_off * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
+        return lower + room, upper - room
 
 
 def _samples(basis: Basis, rate: float) -> int:

@@ -1,93 +1,141 @@
-"""IPOPT on the program of a motion."""
+"""Sequential quadratic programming on the program of a motion, in a trust region.
+
+Every step solves a quadratic program exactly: damped BFGS approximates the Lagrangian's Hessian, limits are linear in
+the step. Of the thousands of limits over time only those take part that the step would break, found by looking at all
+of them after each quadratic program; so a step takes a few milliseconds, however finely time is divided.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import time
+from collections.abc import Callable
+from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
+import piqp
+from numpy.typing import NDArray
 
-from hydroopt.excitation.program import BACK_OFF, Program
+from hydroopt.excitation.program import Program
 from hydroopt.inertia import Array
 
 WIDEST = 3.0
 """Bound of a coefficient, in halves of its joint's range."""
+TOLERANCE = 1e-3
+"""By how much of its scale a limit may be broken on the way."""
+NEAR = 0.03
+"""Room below which a limit takes part from the beginning."""
+STEPS, ROUNDS = 400, 12
+"""Most steps, and most quadratic programs in one."""
+FIRST, SMALLEST, LARGEST = 0.3, 1e-6, 1.0
+"""Sizes of the trust region."""
+GAIN = 1e-6
+"""Gain of the criterion that is not worth another step."""
 
 
-def solve(program: Program, start: Array, seconds: float, interrupted: Callable[[], bool],
-           heard: Callable[[float], None]) -> Array:
-    """IPOPT's best point from a start, whatever ended it."""
-    (lower, upper), size = program.bounds, len(start)
-    vector, rows, one, nothing = (ca.Sparsity.dense(size), ca.Sparsity.dense(len(lower)), ca.Sparsity.dense(1),
-                                  ca.Sparsity(0, 1))
-    f = _Called("f", [vector], [one], lambda x: [program.objective(x)[0]])
-    g = _Called("g", [vector], [rows], lambda x: [program.constraints(x)])
-    slope = _Called("grad_f", [vector, nothing], [one, vector], lambda x, _: list(program.objective(x)))
-    slopes = _Called("jac_g", [vector, nothing], [rows, ca.Sparsity.dense(len(lower), size)],
-                     lambda x, _: [program.constraints(x), program.constraints_jacobian(x)])
-    watch = _Watch(start, lower, upper, interrupted, heard)
-    x = ca.MX.sym("x", size)
-    solver = ca.nlpsol("excitation", "ipopt", {"x": x, "f": f(x), "g": g(x)}, {
-        "grad_f": slope, "jac_g": slopes, "iteration_callback": watch, "no_nlp_grad": True, "print_time": False,
-        "ipopt.print_level": 0, "ipopt.sb": "yes", "error_on_fail": False,
-        "ipopt.hessian_approximation": "limited-memory", "ipopt.limited_memory_max_history": 6,
-        "ipopt.mumps_pivot_order": 6,  # the default order fills the factors: twenty times slower with dense rows
-        "ipopt.tol": 1e-5, "ipopt.acceptable_tol": 1e-3, "ipopt.acceptable_iter": 8, "ipopt.max_iter": 300,
-        "ipopt.max_wall_time": max(seconds, 0.1), "ipopt.mu_strategy": "adaptive", "ipopt.bound_push": 1e-3})
-    solver(x0=start, lbx=-WIDEST, ubx=WIDEST, lbg=lower, ubg=upper)
-    return watch.best
+class Point(NamedTuple):
+    """Where the search stands: variables, criterion, gradient, room (N, m) to the lower and to the upper bound."""
+
+    x: Array
+    value: float
+    gradient: Array
+    below: Array
+    above: Array
+
+    @property
+    def broken(self) -> float:
+        """By how much a limit is broken at most."""
+        return max(0.0, -float(np.min(self.below)), -float(np.min(self.above)))
 
 
-class _Called(ca.Callback):  # type: ignore[misc]
-    """A NumPy function as a casadi.Function."""
+def solve(program: Program, x: Array, back_off: float, end: float, interrupted: Callable[[], bool],
+          heard: Callable[[float], None]) -> Array:
+    """The best motion near a start.
 
-    def __init__(self, name: str, inputs: Sequence[ca.Sparsity], outputs: Sequence[ca.Sparsity],
-                 function: Callable[..., list[Array | float]]) -> None:
-        ca.Callback.__init__(self)
-        self._inputs, self._outputs, self._function = inputs, outputs, function
-        self.construct(name, {})
+    Args:
+        program: what is sought.
+        x: where to begin.
+        back_off: part of every limit's range that is left.
+        end: value of ``time.monotonic()`` at which to stop.
+        interrupted: whether to stop at once.
+        heard: hears of every better value.
+    """
+    at, size = _point(program, x, back_off), FIRST
+    slopes = program.slopes(x)
+    hessian = np.eye(len(x)) * 2 * np.linalg.norm(at.gradient)
+    taken = np.minimum(at.below, at.above) < NEAR
+    first = True
+    for _ in range(STEPS):
+        if time.monotonic() > end or interrupted() or size < SMALLEST:
+            break
+        step, multipliers, taken = _step(program, at, slopes, hessian, size, taken)
+        if step is None:
+            size *= 0.5
+            continue
+        to = _point(program, at.x + step, back_off)
+        promised = -float(at.gradient @ step + step @ hessian @ step / 2)
+        gain = at.value - to.value
+        better = gain > 1e-4 * promised if promised > 0 else to.broken < at.broken
+        if not (np.isfinite(to.value) and ((to.broken <= TOLERANCE and better)
+                                           or (at.broken > TOLERANCE and to.broken < 0.7 * at.broken))):
+            size = 0.5 * min(size, float(np.max(np.abs(step))))
+            continue
+        new = program.slopes(to.x)
+        bend = to.gradient - at.gradient + program.pulled(new, multipliers) - program.pulled(slopes, multipliers)
+        if first and step @ bend > 0:
+            hessian = np.eye(len(x)) * (bend @ bend) / (step @ bend)
+        hessian, first = _updated(hessian, step, bend), False
+        if gain > 0.7 * promised:
+            size = min(max(size, 3 * float(np.max(np.abs(step)))), LARGEST)
+        elif gain < 0.25 * promised:
+            size = 0.7 * float(np.max(np.abs(step)))
+        done = abs(gain) < GAIN and promised < 10 * GAIN and to.broken <= TOLERANCE
+        taken = (multipliers != 0) | (np.minimum(to.below, to.above) < NEAR)
+        at, slopes = to, new
+        if at.broken <= TOLERANCE:
+            heard(at.value)
+        if done:
+            break
+    return at.x
 
-    def get_n_in(self) -> int:
-        return len(self._inputs)
 
-    def get_n_out(self) -> int:
-        return len(self._outputs)
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return self._inputs[i]
-
-    def get_sparsity_out(self, i: int) -> ca.Sparsity:
-        return self._outputs[i]
-
-    def eval(self, arguments: list[ca.DM]) -> list[Array | float]:
-        return self._function(*(np.asarray(a).ravel() for a in arguments))
+def _point(program: Program, x: Array, back_off: float) -> Point:
+    value, gradient = program.objective(x)
+    values = program.constraints(x)
+    lower, upper = program.bounds(back_off)
+    below, above = values - lower, upper - values
+    sound = np.isfinite(value) and np.all(np.isfinite(values))
+    return Point(x, value if sound else np.inf, gradient, below, above)
 
 
-class _Watch(ca.Callback):  # type: ignore[misc]
-    """Keeps the best point that fulfils the constraints, tells of it, and stops when asked to."""
+def _step(program: Program, at: Point, slopes: tuple[Array, Array, Array], hessian: Array, size: float,
+          taken: NDArray[np.bool_]) -> tuple[Array | None, Array, NDArray[np.bool_]]:
+    """The best step (k,) of the quadratic model, multipliers (N, m) of the limits, and those that took part."""
+    box = np.maximum(-size, -WIDEST - at.x), np.minimum(size, WIDEST - at.x)
+    multipliers = np.zeros(taken.shape)
+    for relaxed in (False, True):  # a broken limit may be too far away to be kept after one step
+        low, high = (np.minimum(-at.below, 0), np.maximum(at.above, 0)) if relaxed else (-at.below, at.above)
+        for _ in range(ROUNDS):
+            solver = piqp.DenseSolver()
+            solver.settings.eps_abs = solver.settings.eps_rel = 1e-9
+            solver.setup(hessian, at.gradient, None, None, program.jacobian(slopes, taken),
+                         np.maximum(low[taken], -1e30), np.minimum(high[taken], 1e30), *box)
+            if solver.solve() != piqp.PIQP_SOLVED:
+                break
+            step = np.array(solver.result.x)
+            change = program.pushed(slopes, step)
+            broken = ((change > high + 1e-9) | (change < low - 1e-9)) & ~taken
+            if not np.any(broken):
+                multipliers[taken] = solver.result.z_u - solver.result.z_l
+                multipliers[np.abs(multipliers) < 1e-9] = 0.0
+                return step, multipliers, taken
+            taken = taken | broken
+    return None, multipliers, taken
 
-    def __init__(self, start: Array, lower: Array, upper: Array, interrupted: Callable[[], bool],
-                 heard: Callable[[float], None]) -> None:
-        ca.Callback.__init__(self)
-        size, rows = len(start), len(lower)
-        self._sizes = (size, 1, rows, size, rows, 0)
-        self._bounds, self._interrupted, self._heard = (lower, upper), interrupted, heard
-        self.best, self._value = start, np.inf
-        self.construct("watch", {})
 
-    def get_n_in(self) -> int:
-        return len(self._sizes)
-
-    def get_n_out(self) -> int:
-        return 1
-
-    def get_sparsity_in(self, i: int) -> ca.Sparsity:
-        return ca.Sparsity.dense(self._sizes[i])
-
-    def eval(self, arguments: list[ca.DM]) -> list[int]:
-        x, value, g = (np.asarray(a).ravel() for a in arguments[:3])
-        over = max(float(np.max(self._bounds[0] - g)), float(np.max(g - self._bounds[1])))
-        if over < BACK_OFF / 2 and value[0] < self._value:
-            self.best, self._value = x.copy(), float(value[0])
-            self._heard(self._value)
-        return [int(self._interrupted())]
+def _updated(hessian: Array, step: Array, bend: Array) -> Array:
+    """BFGS's update, damped so that the matrix stays positive definite (Powell 1978)."""
+    pressed = hessian @ step
+    own, seen = float(step @ pressed), float(step @ bend)
+    part = 1.0 if seen >= 0.2 * own else 0.8 * own / (own - seen)
+    bend = part * bend + (1 - part) * pressed
+    return np.asarray(hessian - np.outer(pressed, pressed) / own + np.outer(bend, bend) / (step @ bend))

@@ -3,10 +3,12 @@
 import sys
 
 from studies.bench import jobs, kernels
+from studies.bench.excitation import excitation
 
 # memory first: the most that this process has ever held counts as the peak of those that it starts
 PARTS = {"identify": jobs.identify, "calibration": jobs.calibration, "excavator": kernels.excavator,
-         "arm": kernels.arm, "batch": kernels.batch, "first": kernels.first}
+         "arm": kernels.arm, "batch": kernels.batch, "first": kernels.first,
+         "excitation": excitation}
 
 
 def main(names: list[str]) -> None:

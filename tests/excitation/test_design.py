@@ -52,9 +52,9 @@ def test_derivatives_of_criteria_are_those_of_finite_differences(model: Model, c
     direction = np.random.default_rng(0).standard_normal(states.shape)
 
     def value(part: float) -> float:
-        return information.value(*np.hsplit(states + part * direction, 3), 8.0)[0]
+        return information.value(*np.hsplit(states + part * direction, 3), 8.0)
 
-    slope = np.sum(information.value(*np.hsplit(states, 3), 8.0)[1] * direction)
+    slope = np.sum(information.value_and_slope(*np.hsplit(states, 3), 8.0)[1] * direction)
     steps = [(value(h) - value(-h)) / (2 * h) for h in (1e-4, 1e-5)]
     assert slope == pytest.approx(steps[1], rel=1e-3, abs=1e-6 + 3 * abs(steps[0] - steps[1]))
 

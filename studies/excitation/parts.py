@@ -1,0 +1,29 @@
+"""Work of the study that runs in processes of its own."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydroopt import Model, identification_problem, load_machine, simulate, solve
+from hydroopt.excitation.design import drawn, rest
+from hydroopt.excitation.program import Program
+from hydroopt.synthetic import Trajectory
+
+
+def random_motions(program: Program, seeds: range) -> list[tuple[float, np.ndarray]]:
+    """Criterion and variables of a random feasible motion of each seed."""
+    still = rest(program, np.random.default_rng(0))
+    motions = [drawn(program, still, np.random.default_rng((7, seed))) for seed in seeds]
+    return [(program.value(x), x) for x in motions]
+
+
+def identified(path: Trajectory, seeds: range) -> list[tuple[tuple[int, ...], np.ndarray, np.ndarray]]:
+    """Basis, base parameters and ψ by weighted least squares of a simulated log of each seed."""
+    machine = load_machine("cat215b")
+    model = Model(machine)
+    found = []
+    for seed in seeds:
+        log = simulate(model, path, seed=seed)
+        estimate = solve(identification_problem(machine, [log]), "wls")
+        found.append((estimate.seen.basis, estimate.base_value, estimate.psi))
+    return found
