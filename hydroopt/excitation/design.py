@@ -140,17 +140,21 @@ def _in_parallel(program: Program, rest: Array, seed: int, starts: int, processe
                           remedy="use fewer processes, so that memory suffices") from None
 
 
-def shrunk(program: Program, x: Array, rest: Array) -> Array:
-    """The motion nearest to x, on the way to rest, that keeps all limits at the controller's rate and at the nodes."""
+def shrunk(program: Program, x: Array, rest: Array, *, rough: bool = False) -> Array:
+    """The motion nearest to x, on the way to rest, that keeps all limits at the controller's rate and on the grid.
+
+    A rough one keeps them at the few nodes, and may be a little nearer to rest.
+    """
+    times = (program.nodes,) if rough else (program.fine, program.grid)
+
     def keeps(part: float) -> bool:
         at = rest + part * (x - rest)
-        return bool(np.all(np.isfinite(at))) and max(program.excess(at, program.fine),
-                                                     program.excess(at, program.grid)) <= 0
+        return bool(np.all(np.isfinite(at))) and all(program.excess(at, rows) <= 0 for rows in times)
 
     if keeps(1.0):
         return x
     low, high = 0.0, 1.0
-    for _ in range(30):
+    for _ in range(8 if rough else 30):
         middle = (low + high) / 2
         low, high = (middle, high) if keeps(middle) else (low, middle)
     return np.asarray(rest + low * (x - rest))
@@ -205,7 +209,8 @@ def drawn(program: Program, rest: Array, rng: np.random.Generator) -> Array:
     for k in range(shape[1]):
         alone = np.zeros(shape)
         alone[:, k] = wave[:, k]
-        total[:, k] = np.reshape(shrunk(program, rest + alone.ravel(), rest) - rest, shape)[:, k]
+        total[:, k] = np.reshape(
+            shrunk(program, rest + alone.ravel(), rest, rough=True) - rest, shape)[:, k]
     return shrunk(program, rest + total.ravel(), rest)
 
 

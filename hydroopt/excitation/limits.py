@@ -43,8 +43,9 @@ class Limits:
 
     Attributes:
         rows: what is bounded (m,), in the order of the function's output.
-        function: casadi.Function (q, qd, qdd) → (m,) and its Jacobians (m, n) by q, qd and qdd. It knows nothing of
-            bounds, so that machines which differ in these alone share its kernel.
+        function: casadi.Function (q, qd, qdd) → (m,). It knows nothing of bounds, so that machines which differ in
+            these alone share its kernel.
+        derivatives: of it, (m, n) each, by q, qd and qdd.
         scale: (m,) of the rows.
         lower, upper: bounds (m,), divided by the scales.
         margin: (n,) force [N, N·m] that each actuator keeps in reserve.
@@ -64,8 +65,9 @@ class Limits:
         self.rows = tuple(row for row, _ in self._found)
         self.scale = np.array([row.scale for row in self.rows])
         at, values = model.at, ca.vertcat(*(value for _, value in self._found))
-        self.function = ca.Function("limits", [*at], [values, *(ca.densify(ca.jacobian(values, x)) for x in at)],
-                                    ["q", "qd", "qdd"], ["value", "by_q", "by_qd", "by_qdd"])
+        self.function = ca.Function("limits", [*at], [values], ["q", "qd", "qdd"], ["value"])
+        self.derivatives = ca.Function("limits_derivatives", [*at], [ca.densify(ca.jacobian(values, x)) for x in at],
+                                       ["q", "qd", "qdd"], ["by_q", "by_qd", "by_qdd"])
         self.lower = np.array([row.lower for row in self.rows]) / self.scale
         self.upper = np.array([row.upper for row in self.rows]) / self.scale
 
@@ -78,8 +80,8 @@ class Limits:
 
     def slopes(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array, Array]:
         """Derivatives (N, m, n) of `values` by q, qd and qdd."""
-        _, *by = self.model.over(self.function, q, qd, qdd)
-        first, second, third = (part / self.scale[:, None] for part in by)
+        first, second, third = (part / self.scale[:, None]
+                                for part in self.model.over(self.derivatives, q, qd, qdd))
         return first, second, third
 
     def excess(self, values: Array) -> Array:

@@ -137,7 +137,7 @@ class Program:
         node, row = np.nonzero(taken)
         found = sum(part[node, row][:, None, :] * rows[node][:, :, None]
                     for part, rows in zip(slopes, self.grid, strict=True))
-        return np.asarray(found).reshape(len(node), -1)
+        return np.asarray(found).reshape(len(node), len(self.basis.names) * len(self.active))
 
     def pushed(self, slopes: tuple[Array, Array, Array], step: Array) -> Array:
         """Change (N, m) of all constraints, to first order, by a step (len(x),)."""

@@ -20,8 +20,8 @@ from hydroopt.inertia import Array
 
 WIDEST = 3.0
 """Bound of a coefficient, in halves of its joint's range."""
-TOLERANCE = 1e-3
-"""By how much of its scale a limit may be broken on the way."""
+LOOSE, TIGHT = 0.02, 1e-3
+"""By how much of its scale a limit may be broken on the way, and where a motion counts."""
 NEAR = 0.03
 """Room below which a limit takes part from the beginning."""
 STEPS, ROUNDS = 400, 12
@@ -60,10 +60,8 @@ def solve(program: Program, x: Array, back_off: float, end: float, interrupted: 
         heard: hears of every better value.
     """
     at, size = _point(program, x, back_off), FIRST
-    slopes = program.slopes(x)
-    hessian = np.eye(len(x)) * 2 * np.linalg.norm(at.gradient)
-    taken = np.minimum(at.below, at.above) < NEAR
-    first = True
+    slopes, hessian, best = program.slopes(x), np.eye(len(x)), at
+    taken = _tightest(np.minimum(at.below, at.above), NEAR)
     for _ in range(STEPS):
         if time.monotonic() > end or interrupted() or size < SMALLEST:
             break
@@ -75,27 +73,26 @@ def solve(program: Program, x: Array, back_off: float, end: float, interrupted: 
         promised = -float(at.gradient @ step + step @ hessian @ step / 2)
         gain = at.value - to.value
         better = gain > 1e-4 * promised if promised > 0 else to.broken < at.broken
-        if not (np.isfinite(to.value) and ((to.broken <= TOLERANCE and better)
-                                           or (at.broken > TOLERANCE and to.broken < 0.7 * at.broken))):
+        if not (np.isfinite(to.value) and ((to.broken <= LOOSE and better)
+                                           or (at.broken > LOOSE and to.broken < 0.7 * at.broken))):
             size = 0.5 * min(size, float(np.max(np.abs(step))))
             continue
         new = program.slopes(to.x)
         bend = to.gradient - at.gradient + program.pulled(new, multipliers) - program.pulled(slopes, multipliers)
-        if first and step @ bend > 0:
-            hessian = np.eye(len(x)) * (bend @ bend) / (step @ bend)
-        hessian, first = _updated(hessian, step, bend), False
+        hessian = _updated(hessian, step, bend)
         if gain > 0.7 * promised:
             size = min(max(size, 3 * float(np.max(np.abs(step)))), LARGEST)
         elif gain < 0.25 * promised:
             size = 0.7 * float(np.max(np.abs(step)))
-        done = abs(gain) < GAIN and promised < 10 * GAIN and to.broken <= TOLERANCE
-        taken = (multipliers != 0) | (np.minimum(to.below, to.above) < NEAR)
+        done = abs(gain) < GAIN and promised < 10 * GAIN and to.broken <= TIGHT
+        taken = (multipliers != 0) | _tightest(np.minimum(to.below, to.above), NEAR)
         at, slopes = to, new
-        if at.broken <= TOLERANCE:
+        if at.broken <= TIGHT and (at.value < best.value or best.broken > TIGHT):
+            best = at
             heard(at.value)
         if done:
             break
-    return at.x
+    return best.x
 
 
 def _point(program: Program, x: Array, back_off: float) -> Point:
@@ -117,19 +114,26 @@ def _step(program: Program, at: Point, slopes: tuple[Array, Array, Array], hessi
         for _ in range(ROUNDS):
             solver = piqp.DenseSolver()
             solver.settings.eps_abs = solver.settings.eps_rel = 1e-9
-            solver.setup(hessian, at.gradient, None, None, program.jacobian(slopes, taken),
-                         np.maximum(low[taken], -1e30), np.minimum(high[taken], 1e30), *box)
+            rows = (program.jacobian(slopes, taken), np.maximum(low[taken], -1e30), np.minimum(high[taken], 1e30))
+            solver.setup(hessian, at.gradient, None, None, *(rows if np.any(taken) else (None, None, None)), *box)
             if solver.solve() != piqp.PIQP_SOLVED:
                 break
             step = np.array(solver.result.x)
             change = program.pushed(slopes, step)
-            broken = ((change > high + 1e-9) | (change < low - 1e-9)) & ~taken
+            broken = _tightest(np.minimum(high - change, change - low), -1e-9) & ~taken
             if not np.any(broken):
-                multipliers[taken] = solver.result.z_u - solver.result.z_l
+                if np.any(taken):
+                    multipliers[taken] = solver.result.z_u - solver.result.z_l
                 multipliers[np.abs(multipliers) < 1e-9] = 0.0
                 return step, multipliers, taken
             taken = taken | broken
     return None, multipliers, taken
+
+
+def _tightest(room: Array, below: float) -> NDArray[np.bool_]:
+    """Where a limit's room (N, m) is below something and at its least in time: its neighbours follow."""
+    edge = np.full((1, room.shape[1]), np.inf)
+    return (room < below) & (room <= np.vstack([edge, room[:-1]])) & (room <= np.vstack([room[1:], edge]))
 
 
 def _updated(hessian: Array, step: Array, bend: Array) -> Array:
