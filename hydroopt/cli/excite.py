@@ -15,7 +15,7 @@ import typer
 from hydroopt.cli.options import AsJson, Directory, MachineName, MapFile, ParameterSetName, Quiet, progress
 from hydroopt.codegen import origin as codegen_origin
 from hydroopt.description import load_machine
-from hydroopt.errors import ProblemError
+from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.excitation.basis import Basis, Fourier, Spline
 from hydroopt.excitation.criteria import CRITERIA, Information, presumed_noise, question
 from hydroopt.excitation.design import design
@@ -31,6 +31,8 @@ from hydroopt.report import folder
 from hydroopt.signals.log import read_log
 from hydroopt.units import to_si
 
+TIGHT = 0.02
+"""Part of a limit's range that is no room."""
 BOTH = {"machine", "output", "poses", "criterion", "focus", "priors", "seed", "quiet", "as_json"}
 """Options that have a meaning for poses, too."""
 
@@ -92,7 +94,12 @@ def excite(
         found = design(problem, starts=starts, seed=seed, seconds=seconds,
                        processes=processes or os.cpu_count() or 1, say=say)
         say("reckoning what to expect, writing the report and the code")
-        expectation = expected(model, found.trajectory, asked.structure, known, seed=seed)
+        try:
+            expectation = expected(model, found.trajectory, asked.structure, known, seed=seed)
+        except IdentifiabilityError:
+            tight = ", ".join(use.name for use in found.limits if use.part < TIGHT) or "the limits together"
+            raise ProblemError(f"{tight} leave no motion that is fast enough to tell anything", where="excitation",
+                               remedy="correct these limits in the machine file, or give a longer motion") from None
         content = folder.save_excitation(
             found, expectation, output, origin=origin, parquet=parquet, wall_s=time.perf_counter() - began,
             asked={"focus": list(focus or ()), "priors": priors, "seed": seed, "starts": starts,
@@ -136,11 +143,11 @@ def _plan(machine: str, output: Path, poses: int, criterion: str | None, focus: 
 
 
 def _refuse_motion_options(context: typer.Context) -> None:
-    for name in context.params.keys() - BOTH:
-        source = context.get_parameter_source(name)
-        if source is not None and source.name == "COMMANDLINE":
-            raise ProblemError("poses are planned one by one, without a motion between them",
-                               where=f"--{name.replace('_', '-')}", remedy="leave it out, or --poses")
+    for option in context.command.params:
+        source = context.get_parameter_source(option.name or "")
+        if option.name not in BOTH and source is not None and source.name == "COMMANDLINE":
+            raise ProblemError("poses are planned one by one, without a motion between them", where=option.opts[0],
+                               remedy="leave it out, or --poses")
 
 
 def _basis(duration: float, period: float | None, harmonics: int, blend: float, pieces: int | None) -> Basis:

@@ -22,6 +22,8 @@ from hydroopt.model.program import program
 CRITERIA = ("D", "A", "E", "condition")
 SLOW = 0.02
 """Speed [rad/s, m/s] over which Coulomb friction turns round where derivatives are taken: a sign has none."""
+UNSEEN = 1e-12
+"""Part of the greatest singular value that the least one is taken for if it is even less."""
 FAINT = 1e-5
 """What is known of every scaled parameter before: practically nothing, but no motion is infinitely bad."""
 
@@ -133,8 +135,11 @@ def judged(criterion: str, factor: Array, focus: Array) -> tuple[float, Array]:
     """
     _, s, axes = np.linalg.svd(factor)
     if criterion == "condition":
-        first, last = axes[0] / s[0], axes[-1] / s[-1]
-        return float(np.log(s[0] / s[-1])), (np.outer(first, first) - np.outer(last, last)) / 2
+        if not s[0] > 0:
+            return np.inf, np.zeros_like(factor)
+        least = max(s[-1], UNSEEN * s[0])
+        first, last = axes[0] / s[0], axes[-1] / least
+        return float(np.log(s[0] / least)), (np.outer(first, first) - np.outer(last, last)) / 2
     root = axes.T / s  # covariance = root·rootᵀ
     rows = focus @ root @ root.T
     _, inner, turn = np.linalg.svd((focus @ root).T, full_matrices=False)
@@ -170,7 +175,9 @@ class Information:
         G = ca.SX.sym("G", K.numel())
         pull = ca.dot(ca.vec(K), G)
         values, vectors = np.linalg.eigh(asked.known)
-        self.known = np.sqrt(np.maximum(values, FAINT**2))[:, None] * vectors.T
+        # what is added to everything alike would make no motion the best conditioned one
+        faint = 0.0 if criterion == "condition" else FAINT
+        self.known = np.sqrt(np.maximum(values, faint**2))[:, None] * vectors.T
         self.pull = ca.Function("pull", [*at, G], [ca.vertcat(*(ca.gradient(pull, x) for x in at))])
 
     def __reduce__(self) -> tuple[type[Information], tuple[object, ...]]:

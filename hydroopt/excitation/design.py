@@ -35,6 +35,8 @@ BACK_OFF, ROUNDS = 0.001, 4
 """Part of every limit's range that is left as room, and how often it is widened if it was not enough."""
 TIGHT = 0.02
 """Part of a limit's scale within which it counts as touched."""
+STILL = 1e-6
+"""Speed [rad/s, m/s] that is none."""
 Heard = Callable[[int, float], None]
 
 
@@ -52,14 +54,15 @@ def design(program: Program, *, starts: int = 16, seed: int = 0, seconds: float 
         say: hears of progress.
 
     Raises:
-        ProblemError: not even rest keeps all limits; the limits in conflict are named.
+        ProblemError: not even rest keeps all limits, or nothing but rest; the limits in conflict are named.
         SolverError: a process ended without an answer.
+        KeyboardInterrupt: there was Ctrl-C before there was a motion.
     """
     if not (starts >= 1 and processes >= 1 and seconds > 0):
         raise ProblemError("nothing is to be tried", where="excitation",
                            remedy="give at least one start, one process and some seconds")
     still = rest(program, np.random.default_rng(seed))
-    found = [(still, program.value(still))]
+    found: list[tuple[Array, float]] = []
     criterion, best = program.information.criterion, np.inf
 
     def heard(start: int, value: float) -> None:
@@ -76,7 +79,15 @@ def design(program: Program, *, starts: int = 16, seed: int = 0, seconds: float 
                     break
         else:
             found += _in_parallel(program, still, seed, starts, processes, end, interrupted, heard)
-        return Excitation(program, min(found, key=lambda each: each[1])[0], interrupted())
+        stopped = interrupted()
+    moving = [each for each in found if np.max(np.abs(program.states(each[0], program.fine).qd)) > STILL]
+    if moving:
+        return Excitation(program, min(moving, key=lambda each: each[1])[0], stopped)
+    if stopped:
+        raise KeyboardInterrupt
+    raise ProblemError(f"{', '.join(_obstacles(program, still))} cannot be kept by any motion that was tried, however "
+                       "small", where="excitation",
+                       remedy="correct these limits in the machine file, or give more time")
 
 
 def _attempt(program: Program, rest: Array, seed: tuple[int, int], end: float, interrupted: Callable[[], bool],
@@ -110,7 +121,6 @@ class _Worker:
 
     @classmethod
     def begin(cls, program: Program, rest: Array, stop: Event, tell: Queue[tuple[int, float]]) -> None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when to stop
         cls.program, cls.rest, cls.stop, cls.tell = program, rest, stop, tell
 
     @classmethod
@@ -124,7 +134,8 @@ def _in_parallel(program: Program, rest: Array, seed: int, starts: int, processe
     stop, told = context.Event(), context.Queue()
     try:
         with ProcessPoolExecutor(processes, context, _Worker.begin, (program, rest, stop, told)) as pool:
-            attempts = [pool.submit(_Worker.attempt, (seed, start), end) for start in range(starts)]
+            with _deaf():
+                attempts = [pool.submit(_Worker.attempt, (seed, start), end) for start in range(starts)]
             running = set(attempts)
             while running:
                 _, running = wait(running, timeout=0.2)
@@ -183,6 +194,14 @@ def rest(program: Program, rng: np.random.Generator) -> Array:
     return program.posture(best)
 
 
+def _obstacles(program: Program, rest: Array) -> list[str]:
+    """Names of limits that a slight random motion about rest breaks."""
+    slight = rest + STILL * np.random.default_rng(0).standard_normal(len(rest))
+    values = program.limits.values(*program.states(slight, program.grid))
+    broken = np.flatnonzero(np.max(program.limits.excess(values), axis=0) > 0)
+    return list(dict.fromkeys(program.limits.rows[k].name for k in broken)) or ["all limits together"]
+
+
 def _postures(program: Program, near: Array, size: float, rng: np.random.Generator) -> tuple[Array, Array]:
     """A posture (n,) and random ones within a part of the joints' ranges, (P, n), and their excesses (P, m) at rest."""
     joints = program.information.model.machine.joints
@@ -212,6 +231,19 @@ def drawn(program: Program, rest: Array, rng: np.random.Generator) -> Array:
         total[:, k] = np.reshape(
             shrunk(program, rest + alone.ravel(), rest, rough=True) - rest, shape)[:, k]
     return shrunk(program, rest + total.ravel(), rest)
+
+
+@contextmanager
+def _deaf() -> Iterator[None]:
+    """Ctrl-C waits until this is over; processes that begin meanwhile never hear it: the parent says when to stop."""
+    if not hasattr(signal, "pthread_sigmask"):  # Windows
+        yield
+        return
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

@@ -24,8 +24,6 @@ def doubts(excitation: Excitation, expectation: Expectation) -> tuple[str, ...]:
 
 
 def _search(excitation: Excitation) -> Iterator[str]:
-    if np.ptp(excitation.trajectory.q, axis=0).max() < 1e-6:
-        yield "No motion was found that keeps all limits: the machine would rest throughout."
     if excitation.stopped:
         yield "The search was interrupted; a longer one may find a better motion."
 

@@ -135,7 +135,7 @@ def save_excitation(excitation: Excitation, expectation: Expectation, directory:
     content = {"schema": SCHEMA, "machine": _machine(machine), "created": _now(), "versions": _versions(),
                **asked, **_excitation(excitation, expectation), "doubts": list(said), "wall_s": _number(wall_s)}
     page = excitation_page.render(excitation, expectation, said)
-    write_files(where, {})
+    code.write(where / "c")
     for name in ("excitation.json", "report.html", "trajectory.csv", "trajectory.parquet"):
         (where / name).unlink(missing_ok=True)
     columns = {"t [s]": path.t}
@@ -144,7 +144,6 @@ def save_excitation(excitation: Excitation, expectation: Expectation, directory:
         columns |= {f"{joint}.q [{unit}]": path.q[:, k], f"{joint}.qd [{unit}/s]": path.qd[:, k],
                     f"{joint}.qdd [{unit}/s^2]": path.qdd[:, k]}
     write_columns(where / ("trajectory.parquet" if parquet else "trajectory.csv"), columns, "trajectory")
-    code.write(where / "c")
     write_files(where, {"report.html": page, "excitation.json": json.dumps(content, indent=1, allow_nan=False)})
     return content
 

@@ -55,7 +55,7 @@ def run() -> dict:
     asked = question(model, presumed_noise(model))
     program = Program(Information(model, asked, "D"), Limits(model, margins(model)), Fourier(29.0, 10), 50.0)
     began = time.perf_counter()
-    best = design(program, starts=2, processes=2, seconds=SECONDS)
+    best = design(program, processes=CORES, seconds=SECONDS)
     took = time.perf_counter() - began
     with ProcessPoolExecutor(CORES, get_context("spawn")) as pool:
         value, x = min(shared(pool, parts.random_motions, program, RANDOM), key=lambda each: each[0])

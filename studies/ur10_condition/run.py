@@ -81,7 +81,7 @@ def condition(model: Model, states, places) -> float:
 def designed(model: Model, asked: Question) -> tuple[Excitation, float]:
     program = Program(Information(model, asked, "condition"), Limits(model, margins(model)), Fourier(10.0, 5), 100.0)
     began = time.perf_counter()
-    found = design(program, starts=2, processes=2, seconds=SECONDS)
+    found = design(program, processes=2, seconds=SECONDS)
     return found, time.perf_counter() - began
 
 
