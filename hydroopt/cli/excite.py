@@ -6,7 +6,7 @@ import json
 import math
 import os
 import time
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -78,10 +78,16 @@ def excite(
     Ctrl-C ends the search and keeps the best motion so far.
     """
     if poses is not None:
-        _refuse_motion_options(context)
+        _refuse(context, {option.name or "" for option in context.command.params} - BOTH,
+                "poses are planned one by one, without a motion between them", "leave it out, or --poses")
         _plan(machine, output, poses, criterion, focus or (), priors=priors, seed=seed, quiet=quiet, as_json=as_json)
         return
     began = time.perf_counter()
+    if pieces is not None:
+        _refuse(context, ("period", "harmonics", "blend"), "a spline has none", "leave it out, or --pieces")
+    if not log:
+        _refuse(context, ("map_file",), "there is no log that it could explain", "leave it out, or give --log")
+    folder.refuse_directory(output)
     described, origin = codegen_origin.read(machine, parameter_set=parameter_set)
     basis, resting = _basis(duration, period, harmonics, blend, pieces), _resting(described, rest or ())
     with progress(f"preparing {described.name}", quiet) as say:
@@ -142,12 +148,16 @@ def _plan(machine: str, output: Path, poses: int, criterion: str | None, focus: 
         typer.echo(plan.sheet())
 
 
-def _refuse_motion_options(context: typer.Context) -> None:
+def _refuse(context: typer.Context, options: Collection[str], why: str, remedy: str) -> None:
+    """Refuse options that would mean nothing.
+
+    Raises:
+        ProblemError: one of them was given.
+    """
     for option in context.command.params:
         source = context.get_parameter_source(option.name or "")
-        if option.name not in BOTH and source is not None and source.name == "COMMANDLINE":
-            raise ProblemError("poses are planned one by one, without a motion between them", where=option.opts[0],
-                               remedy="leave it out, or --poses")
+        if option.name in options and source is not None and source.name == "COMMANDLINE":
+            raise ProblemError(why, where=option.opts[0], remedy=remedy)
 
 
 def _basis(duration: float, period: float | None, harmonics: int, blend: float, pieces: int | None) -> Basis:
@@ -159,7 +169,7 @@ def _basis(duration: float, period: float | None, harmonics: int, blend: float, 
     period = left if period is None else period
     if not 0 < period <= left * (1 + 1e-9):
         raise ProblemError(f"a period of {period:g} s does not fit into {duration:g} s with an entry and an exit of "
-                           f"{blend:g} s", where="--period",
+                           f"{blend:g} s", where="--duration" if left <= 0 else "--period",
                            remedy="give a longer duration, or a shorter period or blend")
     return Fourier(period, harmonics, int(left / period * (1 + 1e-9)), blend)
 

@@ -200,4 +200,4 @@ def check(basis: Basis, bandwidth: float | None) -> None:
     if bandwidth is not None and basis.fastest > bandwidth * (1 + 1e-9):
         raise ProblemError(f"the motion reaches {basis.fastest:.3g} Hz, but the machine follows up to its bandwidth of "
                            f"{bandwidth:.3g} Hz only", where="excitation",
-                           remedy="give fewer harmonics or a longer period")
+                           remedy=f"give fewer {'pieces' if isinstance(basis, Spline) else 'harmonics'} or more time")

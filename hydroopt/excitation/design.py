@@ -121,6 +121,7 @@ class _Worker:
 
     @classmethod
     def begin(cls, program: Program, rest: Array, stop: Event, tell: Queue[tuple[int, float]]) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when to stop
         cls.program, cls.rest, cls.stop, cls.tell = program, rest, stop, tell
 
     @classmethod

@@ -4,7 +4,8 @@ Angles are noisy too, and so are the speeds and accelerations that follow from t
 residual of the actuator forces is ``ε − A·S·n``: ε the noise of the forces, n that of the angles, S the smoother, which
 is linear once its weight is chosen, and A the derivative of the forces by the motion. Weighted least squares with
 weights W, regressor K and prior information Λ then errs by ``H⁻¹·(KᵀW·(ε − A·S·n) + prior's error)`` with
-``H = KᵀWK + Λ``, whose covariance stands here.
+``H = KᵀWK + Λ``, whose covariance stands here. What the smoother takes away from the motion itself is no noise: it puts
+parameters off by a bias, ``−H⁻¹·KᵀW·A·(S − 1)·q``.
 """
 
 from __future__ import annotations
@@ -39,12 +40,14 @@ class Expectation:
 
     Attributes:
         base: (r,) of the base parameters by weighted least squares on the motion alone.
+        bias: (r,) by how much smoothing puts these off.
         before: (p,) of all parameters by the machine file's confidences and the logs already measured.
         after: (p,) of all parameters by these and the motion.
         sigma: (n,) of the residuals of the actuators' forces [N, N·m].
     """
 
     base: Array
+    bias: Array
     before: Array
     after: Array
     sigma: Array
@@ -94,26 +97,38 @@ def expected(model: Model, motion: Trajectory, structure: Identifiability, known
     force = model.dynamics.forces(ca.DM(psi), actuator_inertia=model.actuator_inertia)
     slopes = model.over(program(ca.Function("force_by_motion", [*model.at], [
         ca.densify(ca.jacobian(force, x)) for x in model.at])).function(), motion.q, motion.qd, motion.qdd)
+    off = np.zeros((K.shape[2], 1))
     for j, (joint, std) in enumerate(zip(machine.joints, angle_noise(model, log), strict=True)):
         if std > 0:
             smooth = spline.fit(log.t, log.channel(f"{joint}.q"), float(std), machine.bandwidth)
-            errors.append(std * smooth.pull_back([np.einsum("tia,ti->at", pulled, slope[:, :, j]) for slope in slopes]))
+            rows = [np.einsum("tia,ti->at", pulled, slope[:, :, j]) for slope in slopes]
+            errors.append(std * smooth.pull_back(rows))
+            taken = smooth.again(motion.q[:, j])
+            for order, (row, true) in enumerate(zip(rows, (motion.q, motion.qd, motion.qdd), strict=True)):
+                off[:, 0] -= row @ (taken(motion.t, order) - true[:, j])
     noisy = np.hstack(errors)
     values, axes = np.linalg.eigh((model.parameters.information + (0 if known is None else known))
                                   * np.outer(scale, scale))
     prior = np.sqrt(np.maximum(values, 0))[:, None] * axes.T
-    return Expectation(
-        scale[basis] * _std(told[:, basis], noisy[basis]), scale * _std(prior, prior.T),
-        scale * _std(np.vstack([told, prior]), np.hstack([noisy, prior.T])), sigma)
+    alone, both = _Told(told[:, basis]), _Told(np.vstack([told, prior]))
+    return Expectation(scale[basis] * alone.std(noisy[basis]), scale[basis] * alone.std(off[basis]),
+                       scale * _Told(prior).std(prior.T), scale * both.std(np.hstack([noisy, prior.T])), sigma)
 
 
-def _std(root: Array, errors: Array) -> Array:
-    """Standard deviations (p,) of ``(RᵀR)⁻¹·E·n`` with n white, R (·, p), E (p, ·); infinite where R sees nothing."""
-    lengths = np.linalg.norm(root, axis=0)
-    unit = np.where(lengths > 0, lengths, 1.0)
-    _, s, axes = np.linalg.svd(np.linalg.qr(root / unit, mode="r"), full_matrices=True)
-    seen = np.zeros(len(axes), dtype=bool)
-    seen[:len(s)] = s > UNSEEN * s[0]
-    spread = axes[seen].T @ (axes[seen] @ (errors / unit[:, None]) / s[seen[:len(s)], None] ** 2)
-    blind = (lengths == 0) | (np.max(np.abs(axes[~seen]), axis=0, initial=0.0) > 1e-6)
-    return np.where(blind, np.inf, np.linalg.norm(spread, axis=1) / unit)
+class _Told:
+    """What rows R (·, p) of a regressor tell of p parameters."""
+
+    def __init__(self, root: Array) -> None:
+        lengths = np.linalg.norm(root, axis=0)
+        self.unit = np.where(lengths > 0, lengths, 1.0)
+        _, s, self.axes = np.linalg.svd(np.linalg.qr(root / self.unit, mode="r"), full_matrices=True)
+        self.seen = np.zeros(len(self.axes), dtype=bool)
+        self.seen[:len(s)] = s > UNSEEN * s[0]
+        self.size = s[self.seen[:len(s)]]
+        self.blind = (lengths == 0) | (np.max(np.abs(self.axes[~self.seen]), axis=0, initial=0.0) > 1e-6)
+
+    def std(self, errors: Array) -> Array:
+        """Sizes (p,) of ``(RᵀR)⁻¹·E·n`` with n white, for errors E (p, ·); infinite where R sees nothing."""
+        axes = self.axes[self.seen]
+        spread = axes.T @ (axes @ (errors / self.unit[:, None]) / self.size[:, None] ** 2)
+        return np.where(self.blind, np.inf, np.linalg.norm(spread, axis=1) / self.unit)

@@ -19,7 +19,7 @@ NODES, GRID = 12, 48
 """Times in a period of the fastest wave at which the criterion is reckoned, and at which limits are kept."""
 
 
-MOST = 1e6
+FEWEST, MOST = 20, 1e6
 """Samples of a motion."""
 
 
@@ -59,8 +59,9 @@ class Program:
                                    remedy=f"use {', '.join(joints)}")
             lower, upper = information.model.machine.link(name).joint.range
             if not lower <= at <= upper:
-                raise ProblemError(f"joint '{name}' cannot rest at {at:.4g}: its range is {lower:.4g} to {upper:.4g}",
-                                   where="excitation", remedy="let it rest within its range")
+                unit = information.model.machine.channel_units[f"{name}.q"]
+                raise ProblemError(f"joint '{name}' cannot rest at {at:.4g} {unit}: its range is {lower:.4g} to "
+                                   f"{upper:.4g} {unit}", where="excitation", remedy="let it rest within its range")
         self.active = [k for k, joint in enumerate(joints) if joint not in self.resting]
         if not self.active:
             raise ProblemError("all joints rest", where="excitation", remedy="let one joint move")
@@ -162,9 +163,9 @@ class Program:
 
 
 def _samples(basis: Basis, rate: float) -> int:
-    if not (0 < rate < np.inf and basis.duration * rate >= 2):
-        raise ProblemError(f"at {rate:g} Hz a motion of {basis.duration:g} s has no samples", where="excitation",
-                           remedy="give a positive rate")
+    if not (0 < rate < np.inf and basis.duration * rate >= FEWEST):
+        raise ProblemError(f"at {rate:g} Hz a motion of {basis.duration:g} s has hardly a sample", where="excitation",
+                           remedy=f"give a rate above {FEWEST / basis.duration:.2g} Hz")
     if basis.duration * rate > MOST:
         raise ProblemError(f"{basis.duration * rate:.1e} samples are too many to check", where="excitation",
                            remedy="shorten the motion or lower the rate")

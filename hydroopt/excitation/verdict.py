@@ -20,7 +20,7 @@ NAMED = 4
 def doubts(excitation: Excitation, expectation: Expectation) -> tuple[str, ...]:
     """Reasons to hesitate, in plain words; the gravest first."""
     return (*_search(excitation), *_unlimited(excitation), *_unstated(excitation),
-            *_untold(excitation, expectation))
+            *_biased(expectation), *_untold(excitation, expectation))
 
 
 def _search(excitation: Excitation) -> Iterator[str]:
@@ -52,6 +52,13 @@ def _unstated(excitation: Excitation) -> Iterator[str]:
     if blind:
         yield (f"The machine file states no accuracy for the force of {_some(blind)}; a tenth of a typical force is "
                "taken for its noise.")
+
+
+def _biased(expectation: Expectation) -> Iterator[str]:
+    off = np.isfinite(expectation.base) & (expectation.bias > expectation.base)
+    if np.any(off):
+        yield (f"Smoothing noisy angles will put {int(np.sum(off))} of {len(off)} base parameters off by more than "
+               "their σ: drive slower, or read the angles more accurately.")
 
 
 def _untold(excitation: Excitation, expectation: Expectation) -> Iterator[str]:

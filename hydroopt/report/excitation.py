@@ -77,14 +77,16 @@ def _limit(use: Use) -> dict[str, str]:
             "room": room, "part": percent(use.part)}
 
 
-def _base(excitation: Excitation, expectation: Expectation) -> list[tuple[str, str, str, str]]:
-    """Expression, unit, nominal value and standard deviation to expect."""
+def _base(excitation: Excitation, expectation: Expectation) -> list[tuple[str, str, str, str, str]]:
+    """Expression, unit, nominal value, standard deviation to expect, and bias."""
     model, structure = excitation.program.information.model, excitation.program.information.asked.structure
     nominal = structure.grouping @ model.parameters.nominal
     rows = []
-    for name, unit, value, std in zip(excitation.names, excitation.units, nominal, expectation.base, strict=True):
+    for name, unit, value, std, bias in zip(excitation.names, excitation.units, nominal, expectation.base,
+                                            expectation.bias, strict=True):
         shown = quantity(float(value), float(std))
-        rows.append((name.replace("+ ", "+\u00a0").replace("− ", "−\u00a0"), unit_text(unit), shown.value, shown.std))
+        rows.append((name.replace("+ ", "+\u00a0").replace("− ", "−\u00a0"), unit_text(unit), shown.value, shown.std,
+                     plain(float(bias), 2)))
     return rows
 
 
@@ -132,7 +134,7 @@ def _efforts(excitation: Excitation) -> list[Panel]:
         chamber = what in ("p_head", "p_rod", "p_a", "p_b")
         together, label = (f"{owner} pressures", what.removeprefix("p_")) if chamber else (use.name, "")
         if use.name.startswith("tipping"):
-            together, label = "moment that keeps it from tipping", f"edge {what}"
+            together, label = "against tipping", f"edge {what}"
         panel = panels.setdefault(together, Panel(together, use.unit, []))
         panel.lines.append((label, excitation.histories[use.name], use))
     return list(panels.values())
@@ -157,7 +159,7 @@ def _panels(excitation: Excitation, panels: Sequence[Panel]) -> Figure | None:
                 for bound in (use.lower, use.upper) if use else ():
                     if np.isfinite(bound):
                         ax.axhline(factor * bound, color=INK, lw=0.8, ls=(0, (4, 3)))
-            ax.set_title(f"{panel.title} [{unit}]")
+            ax.set_title(f"{panel.title} [{unit}]", fontsize=8)
             ax.margins(x=0.005, y=0.12)
             if any(label for label, _, _ in panel.lines):
                 ax.legend(loc="lower right", bbox_to_anchor=(1.0, 0.97), ncols=4, borderaxespad=0, handlelength=1.0,

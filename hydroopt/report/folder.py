@@ -44,6 +44,10 @@ SCHEMA = 1
 """Version of estimate.json; it changes when a key changes its meaning or goes."""
 
 
+EXCITATION = ("excitation.json", "report.html", "trajectory.csv", "trajectory.parquet")
+"""Files of a motion to drive, which the next one replaces."""
+
+
 def save(estimate: Estimate, directory: str | Path, *, wall_s: float = float("nan")) -> dict[str, Any]:
     """Write everything about an estimate; each file appears complete or not at all, estimate.json last.
 
@@ -135,8 +139,9 @@ def save_excitation(excitation: Excitation, expectation: Expectation, directory:
     content = {"schema": SCHEMA, "machine": _machine(machine), "created": _now(), "versions": _versions(),
                **asked, **_excitation(excitation, expectation), "doubts": list(said), "wall_s": _number(wall_s)}
     page = excitation_page.render(excitation, expectation, said)
+    refuse_directory(where)
     code.write(where / "c")
-    for name in ("excitation.json", "report.html", "trajectory.csv", "trajectory.parquet"):
+    for name in EXCITATION:
         (where / name).unlink(missing_ok=True)
     columns = {"t [s]": path.t}
     for k, joint in enumerate(machine.joints):
@@ -146,6 +151,20 @@ def save_excitation(excitation: Excitation, expectation: Expectation, directory:
     write_columns(where / ("trajectory.parquet" if parquet else "trajectory.csv"), columns, "trajectory")
     write_files(where, {"report.html": page, "excitation.json": json.dumps(content, indent=1, allow_nan=False)})
     return content
+
+
+def refuse_directory(directory: Path) -> None:
+    """Refuse a directory that cannot take a motion to drive, before a long search for it.
+
+    Raises:
+        ProblemError: it is a file, or holds a directory where a file has to be.
+    """
+    if directory.exists() and not directory.is_dir():
+        raise ProblemError("this is a file", where=str(directory), remedy="choose another directory with -o")
+    for name in EXCITATION:
+        if (directory / name).is_dir():
+            raise ProblemError("this is a directory", where=str(directory / name),
+                               remedy="choose another directory with -o")
 
 
 def _excitation(excitation: Excitation, expectation: Expectation) -> dict[str, Any]:
@@ -163,8 +182,9 @@ def _excitation(excitation: Excitation, expectation: Expectation) -> dict[str, A
         "limits": [{"name": use.name, "unit": use.unit, "lower": _number(use.lower), "lowest": use.lowest,
                     "highest": use.highest, "upper": _number(use.upper), "room": use.room}
                    for use in excitation.limits],
-        "base_parameters": [{"expression": name, "unit": unit, "std": _number(std)} for name, unit, std in
-                            zip(excitation.names, excitation.units, expectation.base, strict=True)],
+        "base_parameters": [{"expression": name, "unit": unit, "std": _number(std), "bias": _number(bias)}
+                            for name, unit, std, bias in zip(excitation.names, excitation.units, expectation.base,
+                                                             expectation.bias, strict=True)],
         "parameters": [{"name": name, "unit": parameters.units[k], "nominal": float(parameters.nominal[k]),
                         "std_before": _number(expectation.before[k]), "std_after": _number(expectation.after[k])}
                        for k, name in enumerate(parameters.names)]}

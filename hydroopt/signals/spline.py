@@ -39,6 +39,10 @@ class SmoothSpline:
         """Value or derivative (unit of y / s^derivative) at the times `t` (N,) [s]."""
         return np.asarray(self.curve(t - self.start, derivative))
 
+    def again(self, y: Array) -> "SmoothSpline":
+        """The same smoothing of other samples (N,) at the same times."""
+        return self.basis.spline(y, float(np.log10(self.weight / self.basis.spacing**5)))
+
     def pull_back(self, rows: Sequence[Array]) -> Array:
         """Derivatives (m, N) of Σ_d rows[d] @ f^(d)(t) by the samples y, for rows (m, N) at the samples' own times."""
         basis = self.basis
