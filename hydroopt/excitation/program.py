@@ -164,8 +164,8 @@ class Program:
 
 def _samples(basis: Basis, rate: float) -> int:
     if not (0 < rate < np.inf and basis.duration * rate >= FEWEST):
-        raise ProblemError(f"at {rate:g} Hz a motion of {basis.duration:g} s has hardly a sample", where="excitation",
-                           remedy=f"give a rate above {FEWEST / basis.duration:.2g} Hz")
+        raise ProblemError(f"at {rate:g} Hz a motion of {basis.duration:g} s has fewer than {FEWEST} samples",
+                           where="excitation", remedy=f"give a rate higher than {FEWEST / basis.duration:.2g} Hz")
     if basis.duration * rate > MOST:
         raise ProblemError(f"{basis.duration * rate:.1e} samples are too many to check", where="excitation",
                            remedy="shorten the motion or lower the rate")
