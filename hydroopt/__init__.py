@@ -9,6 +9,7 @@ from hydroopt.estimation.estimate import Estimate
 from hydroopt.estimation.problem import Problem, identification_problem
 from hydroopt.estimation.solve import solve
 from hydroopt.estimation.verdict import doubts
+from hydroopt.excitation.design import design, excitation_problem
 from hydroopt.machine import Machine
 from hydroopt.model.build import Model
 from hydroopt.model.loops import KinematicModel
@@ -20,9 +21,10 @@ from hydroopt.synthetic import random_trajectory, random_truth, simulate
 from hydroopt.urdf import read_urdf
 
 __all__ = [
-    "Butterworth", "Calibration", "CalibrationProblem", "Estimate", "Fourier", "HydrooptError", "IdentifiabilityError",
-    "KinematicModel", "Log", "LogError", "Machine", "MachineError", "Model", "Poses", "Problem", "ProblemError",
-    "SmoothingSpline", "SolverError", "bundled", "calibrate", "calibrated_machine", "calibration_problem", "doubts",
-    "dump_machine", "identification_problem", "load_machine", "random_trajectory", "random_truth", "read_log",
-    "read_machine", "read_pose_files", "read_poses", "read_urdf", "save", "simulate", "solve",
+    "Butterworth", "Calibration", "CalibrationProblem", "Estimate", "Fourier", "HydrooptError",
+    "IdentifiabilityError", "KinematicModel", "Log", "LogError", "Machine", "MachineError", "Model", "Poses",
+    "Problem", "ProblemError", "SmoothingSpline", "SolverError", "bundled", "calibrate", "calibrated_machine",
+    "calibration_problem", "design", "doubts", "dump_machine", "excitation_problem", "identification_problem",
+    "load_machine", "random_trajectory", "random_truth", "read_log", "read_machine", "read_pose_files",
+    "read_poses", "read_urdf", "save", "simulate", "solve",
 ]

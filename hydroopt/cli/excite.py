@@ -17,16 +17,13 @@ from hydroopt.codegen import origin as codegen_origin
 from hydroopt.description import load_machine
 from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.excitation.basis import Basis, Fourier, Spline
-from hydroopt.excitation.criteria import CRITERIA, Information, presumed_noise, question
-from hydroopt.excitation.design import design
+from hydroopt.excitation.criteria import CRITERIA
+from hydroopt.excitation.design import design, excitation_problem
 from hydroopt.excitation.expectation import expected, measured
-from hydroopt.excitation.limits import Limits, margins
 from hydroopt.excitation.motion import Excitation
 from hydroopt.excitation.poses import plan_poses
-from hydroopt.excitation.program import Program
 from hydroopt.files import write_files
 from hydroopt.machine import Machine
-from hydroopt.model.build import Model
 from hydroopt.report import folder
 from hydroopt.signals.log import read_log
 from hydroopt.units import to_si
@@ -91,17 +88,16 @@ def excite(
     described, origin = codegen_origin.read(machine, parameter_set=parameter_set)
     basis, resting = _basis(duration, period, harmonics, blend, pieces), _resting(described, rest or ())
     with progress(f"preparing {described.name}", quiet) as say:
-        model = Model(described)
         logs = [read_log(path, mapping=map_file) for path in log or ()]
         known = measured(described, logs) if logs else None
-        asked = question(model, presumed_noise(model), focus=focus or (), bayesian=priors, measured=known)
-        problem = Program(Information(model, asked, criterion or "D"), Limits(model, margins(model)), basis,
-                          _rate(described) if rate is None else rate, resting)
+        problem = excitation_problem(described, basis, criterion=criterion or "D", focus=focus or (), priors=priors,
+                                     known=known, rate=rate, resting=resting)
         found = design(problem, starts=starts, seed=seed, seconds=seconds,
                        processes=processes or os.cpu_count() or 1, say=say)
         say("reckoning what to expect, writing the report and the code")
         try:
-            expectation = expected(model, found.trajectory, asked.structure, known, seed=seed)
+            expectation = expected(problem.information.model, found.trajectory,
+                                   problem.information.asked.structure, known, seed=seed)
         except IdentifiabilityError:
             tight = ", ".join(use.name for use in found.limits if use.part < TIGHT) or "the limits together"
             raise ProblemError(f"{tight} leave no motion that is fast enough to tell anything", where="excitation",
@@ -183,8 +179,3 @@ def _resting(machine: Machine, stated: Sequence[str]) -> dict[str, float]:
                                remedy="write e.g. --rest 'swing=0 deg'")
         at[joint] = to_si(value, machine.channel_units.get(f"{joint}.q", "rad"), where=f"--rest {joint}")
     return at
-
-
-def _rate(machine: Machine) -> float:
-    sensors = [machine.sensor(f"{joint}.q") for joint in machine.joints]
-    return max((sensor.rate for sensor in sensors if sensor and sensor.rate), default=50.0)

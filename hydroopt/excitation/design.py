@@ -10,7 +10,7 @@ from __future__ import annotations
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
@@ -22,10 +22,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError, SolverError
+from hydroopt.excitation.basis import Basis
+from hydroopt.excitation.criteria import Information, presumed_noise, question
+from hydroopt.excitation.limits import Limits, margins
 from hydroopt.excitation.motion import Excitation
 from hydroopt.excitation.program import Program
 from hydroopt.excitation.solver import solve
 from hydroopt.inertia import Array
+from hydroopt.machine import Machine
+from hydroopt.model.build import Model
 
 POSTURES = 2000
 """Random postures among which one to rest in is sought."""
@@ -38,6 +43,34 @@ TIGHT = 0.02
 STILL = 1e-6
 """Speed [rad/s, m/s] that is none."""
 Heard = Callable[[int, float], None]
+
+
+def excitation_problem(machine: Machine, basis: Basis, *, criterion: str = "D", focus: Sequence[str] = (),
+                       priors: bool = False, known: Array | None = None, rate: float | None = None,
+                       resting: Mapping[str, float] | None = None) -> Program:
+    """What a motion of a machine is to tell, and within which limits.
+
+    Args:
+        machine: with all of its limits.
+        basis: functions of time of which the motion is made.
+        criterion: ``D``, ``A``, ``E`` or ``condition``.
+        focus: parameters, parts, ``payload`` or ``friction``, which alone count.
+        priors: whether the machine file's confidences count as known.
+        known: (p, p) information of logs already measured, see `expectation.measured`.
+        rate: samples per second of the controller; by default the highest that the file states for a joint's sensor,
+            or 50.
+        resting: joints that rest, and where [rad, m].
+
+    Raises:
+        ProblemError: what cannot be, and what would do.
+        IdentifiabilityError: nothing tells what is in focus.
+    """
+    model = Model(machine)
+    asked = question(model, presumed_noise(model), focus=focus, bayesian=priors, measured=known)
+    sensors = [machine.sensor(f"{joint}.q") for joint in machine.joints]
+    stated = max((sensor.rate for sensor in sensors if sensor and sensor.rate), default=50.0)
+    return Program(Information(model, asked, criterion), Limits(model, margins(model)), basis,
+                   stated if rate is None else rate, resting)
 
 
 def design(program: Program, *, starts: int = 16, seed: int = 0, seconds: float = 60.0, processes: int = 1,

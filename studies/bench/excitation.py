@@ -8,11 +8,9 @@ import numpy as np
 from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
-from hydroopt import Model, load_machine
+from hydroopt import excitation_problem, load_machine
 from hydroopt.excitation.basis import Fourier
-from hydroopt.excitation.criteria import Information, presumed_noise, question
 from hydroopt.excitation.design import BACK_OFF, design, drawn, rest
-from hydroopt.excitation.limits import Limits, margins
 from hydroopt.excitation.program import Program
 from hydroopt.excitation.solver import TIGHT, WIDEST, solve
 
@@ -73,9 +71,7 @@ def _ours(program: Program, start: np.ndarray, target: float) -> tuple[float, in
 
 def excitation() -> None:
     """CAT 215B, 33 s, 10 harmonics, D-optimal, all limits of the machine file."""
-    model = Model(load_machine("cat215b"))
-    program = Program(Information(model, question(model, presumed_noise(model)), "D"), Limits(model, margins(model)),
-                      Fourier(29.0, 10), 50.0)
+    program = excitation_problem(load_machine("cat215b"), Fourier(29.0, 10))
     still = rest(program, np.random.default_rng(0))
     print(f"{'start':>5} {'D there':>8} {'SLSQP s':>8} {'its D':>8} {'ours s to it':>13} {'ratio':>6} "
           f"{'starts':>7} {'D of the first':>14}")

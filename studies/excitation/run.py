@@ -7,14 +7,12 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from hydroopt import Model, load_machine, random_trajectory, synthetic
+from hydroopt import excitation_problem, load_machine, random_trajectory, synthetic
 from hydroopt.excitation.basis import Fourier
-from hydroopt.excitation.criteria import Information, presumed_noise, question
+from hydroopt.excitation.criteria import presumed_noise
 from hydroopt.excitation.design import design, drawn, rest
 from hydroopt.excitation.expectation import expected
-from hydroopt.excitation.limits import Limits, margins
 from hydroopt.excitation.motion import Excitation
-from hydroopt.excitation.program import Program
 from studies.excitation import parts
 
 RANDOM, IDENTIFIED, UNSEEN, CORES = 1000, 400, 10, 2
@@ -51,9 +49,8 @@ def unseen_errors(model, program, found) -> dict[str, float]:
 
 def run() -> dict:
     """Ratios of scatter to expectation, of the designed motion to the best random one, and the time it took [s]."""
-    model = Model(load_machine("cat215b"))
-    asked = question(model, presumed_noise(model))
-    program = Program(Information(model, asked, "D"), Limits(model, margins(model)), Fourier(29.0, 10), 50.0)
+    program = excitation_problem(load_machine("cat215b"), Fourier(29.0, 10))
+    model, asked = program.information.model, program.information.asked
     began = time.perf_counter()
     best = design(program, processes=CORES, seconds=SECONDS)
     took = time.perf_counter() - began

@@ -9,11 +9,10 @@ import numpy as np
 from hydroopt import Machine, Model, load_machine, simulate, synthetic
 from hydroopt.errors import ProblemError
 from hydroopt.excitation.basis import Fourier, Spline
-from hydroopt.excitation.criteria import CRITERIA, Information, presumed_noise, question
-from hydroopt.excitation.design import design
+from hydroopt.excitation.criteria import CRITERIA
+from hydroopt.excitation.design import design, excitation_problem
 from hydroopt.excitation.limits import Limits, margins
 from hydroopt.excitation.motion import Excitation
-from hydroopt.excitation.program import Program
 from hydroopt.identifiability import random_states
 from hydroopt.model import compiled
 from hydroopt.site import Obstacle, Pump, Workspace
@@ -91,10 +90,9 @@ def outcome(seed: int) -> Outcome:
     if len(machine.joints) > 1 and rng.random() < 0.3:
         joint = str(rng.choice(machine.joints))
         resting[joint] = float(rng.uniform(*machine.link(joint).joint.range))
-    limits = Limits(model, margins(model, samples=50))
+    limits = Limits(model, margins(model))
     try:
-        program = Program(Information(model, question(model, presumed_noise(model)), str(rng.choice(CRITERIA))), limits,
-                          basis, RATE, resting)
+        program = excitation_problem(machine, basis, criterion=str(rng.choice(CRITERIA)), rate=RATE, resting=resting)
         found = design(program, starts=1, seed=seed, seconds=0.5)
     except ProblemError as error:
         q = random_states(model, 20_000, rng)[0]
