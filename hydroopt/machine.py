@@ -25,7 +25,7 @@ class Machine(Noun):
 
     `orientation` is roll, pitch, yaw of the base frame in a world whose z points up. Above the frequency `bandwidth`
     the links no longer move as rigid bodies driven by their actuators: measured motion is smoothed at least that much.
-    `ground` is the height of the ground in the base frame [m], whose z is vertical there.
+    `ground` is the height of the ground in the base frame [m], along z: the ground is as tilted as the base on it.
     """
 
     name: Name

@@ -249,7 +249,7 @@ class Motor(Noun):
 
     name: Name
     joint: str
-    torque_per_pressure: TorquePerPressure
+    torque_per_pressure: TorquePerPressure = Field(gt=0)
     gear: Number = Field(1.0, gt=0)
     relief_pressure: Pressure | None = Field(None, gt=0)
     friction: TorqueFriction = TorqueFriction()

@@ -92,8 +92,8 @@ class Fourier(Basis):
 
     @property
     def fastest(self) -> float:
-        """The highest frequency [Hz]."""
-        return self.harmonics / self.period
+        """The highest frequency [Hz]: of the series, or of a blend, which is half a period at least."""
+        return max(self.harmonics / self.period, 1 / (2 * self.blend) if self.blend > 0 else 0.0)
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -200,4 +200,5 @@ def check(basis: Basis, bandwidth: float | None) -> None:
     if bandwidth is not None and basis.fastest > bandwidth * (1 + 1e-9):
         raise ProblemError(f"the motion reaches {basis.fastest:.3g} Hz, but the machine follows up to its bandwidth of "
                            f"{bandwidth:.3g} Hz only", where="excitation",
-                           remedy=f"give fewer {'pieces' if isinstance(basis, Spline) else 'harmonics'} or more time")
+                           remedy="give fewer pieces or more time" if isinstance(basis, Spline) else
+                           "give fewer harmonics or more time, or a longer blend")

@@ -75,7 +75,7 @@ def question(model: Model, sigma: Array, *, focus: Sequence[str] = (), bayesian:
         focus: what alone counts: a parameter, a part (``stick``), ``payload`` (the body of the last link) or
             ``friction``.
         bayesian: whether the machine file's priors count as known before.
-        measured: (p, p) information of earlier logs on ψ, in base columns already projected or full.
+        measured: (p, p) information of earlier logs on ψ; that on a base parameter is the one on its column.
 
     Raises:
         ProblemError: no parameter begins with a name of `focus`.
@@ -177,6 +177,7 @@ class Information:
         values, vectors = np.linalg.eigh(asked.known)
         # what is added to everything alike would make no motion the best conditioned one
         faint = 0.0 if criterion == "condition" else FAINT
+        self.told = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
         self.known = np.sqrt(np.maximum(values, faint**2))[:, None] * vectors.T
         self.pull = ca.Function("pull", [*at, G], [ca.vertcat(*(ca.gradient(pull, x) for x in at))])
 
@@ -189,20 +190,21 @@ class Information:
         Squaring the regressor would lose half of the digits, and it is badly conditioned.
         """
         K = self.model.over(self.regressor, q, qd, qdd)[0]
-        return self._factor(K, rate)
+        return self._factor(self.told, K, rate)
 
-    def _factor(self, K: Array, rate: float) -> Array:
-        rows = np.vstack([self.known, np.sqrt(rate) * K.reshape(-1, K.shape[2])])
+    @staticmethod
+    def _factor(known: Array, K: Array, rate: float) -> Array:
+        rows = np.vstack([known, np.sqrt(rate) * K.reshape(-1, K.shape[2])])
         return np.asarray(np.linalg.qr(rows, mode="r"))
 
     def value(self, q: Array, qd: Array, qdd: Array, rate: float) -> float:
         """The criterion."""
-        return self.of(self._factor(self.model.over(self.smooth, q, qd, qdd)[0], rate))[0]
+        return self.of(self._factor(self.known, self.model.over(self.smooth, q, qd, qdd)[0], rate))[0]
 
     def value_and_slope(self, q: Array, qd: Array, qdd: Array, rate: float) -> tuple[float, Array]:
         """The criterion, and its derivative (N, 3n) by the states: q, then qd, then qdd."""
         K = self.model.over(self.smooth, q, qd, qdd)[0]
-        value, by_matrix = self.of(self._factor(K, rate))
+        value, by_matrix = self.of(self._factor(self.known, K, rate))
         G = 2 * rate * (K @ by_matrix)
         columns = G.transpose(0, 2, 1).reshape(len(q), -1)  # CasADi's order, column by column
         return value, self.model.over(self.pull, q, qd, qdd, columns)[0][:, :, 0]
@@ -210,7 +212,3 @@ class Information:
     def of(self, factor: Array) -> tuple[float, Array]:
         """The criterion of the information RᵀR, and its derivative (r, r) by that matrix."""
         return judged(self.criterion, factor, np.eye(len(factor))[list(self.asked.focus) or slice(None)])
-
-    def std(self, factor: Array) -> Array:
-        """Standard deviations (r,) of the base parameters in their units."""
-        return np.asarray(self.asked.scale * np.linalg.norm(np.linalg.inv(factor), axis=1))

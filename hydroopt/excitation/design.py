@@ -127,7 +127,7 @@ def _attempt(program: Program, rest: Array, seed: tuple[int, int], end: float, i
              heard: Heard) -> tuple[Array, float]:
     """The best motion that a start leads to, and its value; rest if the time, by ``time.time()``, is over."""
     end += time.monotonic() - time.time()
-    if time.monotonic() > end or interrupted():
+    if interrupted() or (time.monotonic() > end and seed[1] > 0):  # the first goes as far as to a random motion
         return rest, np.inf
     # the matrices are too small to gain from threads, which only get in each other's way
     with threadpool_limits(limits=1, user_api="blas"):
@@ -257,7 +257,7 @@ def drawn(program: Program, rest: Array, rng: np.random.Generator) -> Array:
     rest = program.posture(q[rng.choice(kept)]) if kept.size else rest
     shape = (len(program.basis.names), len(program.active))
     wave = rng.standard_normal(shape)
-    wave -= wave.mean(axis=0)
+    wave -= np.outer(program.one, wave.mean(axis=0))  # the posture is its middle
     total = np.zeros(shape)
     for k in range(shape[1]):
         alone = np.zeros(shape)

@@ -20,7 +20,6 @@ from hydroopt.model.build import Model
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.regressor import body_regressor
 from hydroopt.parts import Cylinder, Motor
-from hydroopt.spatial import roll_pitch_yaw
 from hydroopt.synthetic import BACK_PRESSURE
 
 
@@ -151,9 +150,10 @@ class Limits:
                 continue
             # a chamber pushes against the back pressure in the other one
             for chamber, area, other, sign in zip(chambers, areas, areas[::-1], (1, -1), strict=True):
+                most = actuator.relief_pressure - margin / area
                 self._add(f"{actuator.name} {chamber}", "Pa", (sign * force[k] + other * BACK_PRESSURE) / area,
-                          upper=actuator.relief_pressure - margin / area, scale=actuator.relief_pressure,
-                          floor=BACK_PRESSURE)
+                          upper=most if most >= BACK_PRESSURE else -np.inf,  # nothing is as low as that
+                          scale=actuator.relief_pressure, floor=BACK_PRESSURE)
 
     def _places(self) -> None:
         machine, dynamics = self.model.machine, self.model.dynamics
@@ -164,11 +164,9 @@ class Limits:
             for k, (low, high) in enumerate(zip(machine.workspace.lower, machine.workspace.upper, strict=True)):
                 self._add(f"workspace along {'xyz'[k]}", "m", tip[k], low, high, high - low)
         if machine.ground is not None:
-            up = ca.DM(roll_pitch_yaw(machine.orientation))[2, :]
             for name, end in ends.items():
-                height = up @ end
-                if not height.is_constant():
-                    self._add(f"{name} above ground", "m", height, machine.ground, scale=1.0)
+                if not end[2].is_constant():
+                    self._add(f"{name} above ground", "m", end[2], machine.ground, scale=1.0)
         for obstacle in machine.obstacles:
             pose = dynamics.links[obstacle.link].pose if obstacle.link != BASE else None
             centre = ca.DM(obstacle.centre) if pose is None else pose.point(ca.DM(obstacle.centre))
@@ -179,8 +177,9 @@ class Limits:
         if machine.footprint is None or machine.ground is None:
             return
         psi, place = self.model.parameters.nominal, self.model.parameters.positions
+        owners = tuple(bodies(machine, actuator_inertia=self.model.actuator_inertia))
         force, moment = ca.SX(3, 1), ca.SX(3, 1)
-        for owner in bodies(machine, actuator_inertia=self.model.actuator_inertia):
+        for owner in owners:
             motion = dynamics.body_motion(owner)
             first = place[f"{owner}.m"]
             wrench = body_regressor(motion) @ ca.DM(psi[first:first + len(NAMES)])
@@ -191,7 +190,7 @@ class Limits:
         force += weight
         moment += ca.cross(ca.DM(machine.footprint.com), weight)
         corners = [np.array([*corner, machine.ground]) for corner in machine.footprint.corners]
-        total = float(np.linalg.norm(np.asarray(weight))) or 1.0
+        total = machine.gravity * (machine.footprint.mass + sum(psi[place[f"{owner}.m"]] for owner in owners)) or 1.0
         for k, corner in enumerate(corners):
             edge = corners[(k + 1) % len(corners)] - corner
             # about each edge the ground's push must turn inwards, or the machine leaves the ground

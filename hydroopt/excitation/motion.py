@@ -70,7 +70,7 @@ class Excitation:
         """Time (1, 1) [s] → q, qd and qdd (n,): what the controller reckons."""
         t = ca.SX.sym("t")
         c = ca.DM(self.coefficients.T)
-        still = [k for k in range(len(self.program.still)) if k not in self.program.active]
+        still = self.program.idle
         made = [ca.densify(c @ each) for each in self.program.basis.expressions(t)]
         for order, each in enumerate(made):
             each[still] = self.program.still[still] if order == 0 else 0
@@ -113,11 +113,6 @@ class Excitation:
         """Their units."""
         units = self.program.information.model.parameters.units
         return tuple(units[k] for k in self.program.information.asked.columns)
-
-    @property
-    def std(self) -> Array:
-        """Standard deviations (r,) of the base parameters if angles were exact and every sample counted."""
-        return self.program.information.std(self.factor)
 
     @property
     def condition_number(self) -> float:

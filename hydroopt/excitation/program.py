@@ -62,7 +62,8 @@ class Program:
                 unit = information.model.machine.channel_units[f"{name}.q"]
                 raise ProblemError(f"joint '{name}' cannot rest at {at:.4g} {unit}: its range is {lower:.4g} to "
                                    f"{upper:.4g} {unit}", where="excitation", remedy="let it rest within its range")
-        self.active = [k for k, joint in enumerate(joints) if joint not in self.resting]
+        self.active, self.idle = ([k for k, joint in enumerate(joints) if (joint in self.resting) == rests]
+                                  for rests in (False, True))
         if not self.active:
             raise ProblemError("all joints rest", where="excitation", remedy="let one joint move")
         self.still = np.array([self.resting.get(joint, 0.0) for joint in joints])
@@ -99,9 +100,7 @@ class Program:
         """Joint states (N, n) at the times of some rows."""
         c = self.coefficients(x)
         found = State(*(part @ c for part in rows))
-        for joint, at in self.resting.items():  # exactly
-            k = self.information.model.machine.joints.index(joint)
-            found.q[:, k], found.qd[:, k], found.qdd[:, k] = at, 0.0, 0.0
+        found.q[:, self.idle], found.qd[:, self.idle], found.qdd[:, self.idle] = self.still[self.idle], 0.0, 0.0
         return found
 
     def posture(self, q: Array) -> Array:
@@ -155,10 +154,17 @@ class Program:
         """By how much a limit is exceeded at most, in parts of its scale; at most zero if all are kept."""
         return float(np.max(self.limits.excess(self.limits.values(*self.states(x, rows)))))
 
+    @cached_property
+    def _moved(self) -> NDArray[np.bool_]:
+        """Which limits (m,) the moving joints change."""
+        size = len(self.basis.names) * len(self.active)
+        x = self.posture(self.mean) + np.random.default_rng(0).uniform(-0.1, 0.1, size)
+        return np.asarray(np.any([np.any(part != 0, axis=(0, 2)) for part in self.slopes(x)], axis=0))
+
     def bounds(self, back_off: float) -> tuple[Array, Array]:
-        """Lower and upper bounds (m,) of `constraints`, with a part of each range left as room."""
+        """Lower and upper bounds (m,) of `constraints`, with a part of each range left as room where joints move it."""
         lower, upper = self.limits.lower, self.limits.upper
-        room = back_off * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
+        room = back_off * self._moved * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
         return lower + room, upper - room
 
 

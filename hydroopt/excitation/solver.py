@@ -2,7 +2,7 @@
 
 Every step solves a quadratic program exactly: damped BFGS approximates the Lagrangian's Hessian, limits are linear in
 the step. Of the thousands of limits over time only those take part that the step would break, found by looking at all
-of them after each quadratic program; so a step takes a few milliseconds, however finely time is divided.
+of them after each quadratic program; so a step takes some ten milliseconds, however finely time is divided.
 """
 
 from __future__ import annotations
@@ -20,11 +20,11 @@ from hydroopt.inertia import Array
 
 WIDEST = 3.0
 """Bound of a coefficient, in halves of its joint's range."""
-LOOSE, TIGHT = 0.02, 1e-3
+LOOSE, KEPT = 0.02, 1e-3
 """By how much of its scale a limit may be broken on the way, and where a motion counts."""
 NEAR = 0.03
 """Room below which a limit takes part from the beginning."""
-STEPS, ROUNDS = 400, 12
+STEPS, QUADRATIC = 400, 12
 """Most steps, and most quadratic programs in one."""
 FIRST, SMALLEST, LARGEST = 0.3, 1e-6, 1.0
 """Sizes of the trust region."""
@@ -84,10 +84,10 @@ def solve(program: Program, x: Array, back_off: float, end: float, interrupted: 
             size = min(max(size, 3 * float(np.max(np.abs(step)))), LARGEST)
         elif gain < 0.25 * promised:
             size = 0.7 * float(np.max(np.abs(step)))
-        done = abs(gain) < GAIN and promised < 10 * GAIN and to.broken <= TIGHT
+        done = abs(gain) < GAIN and promised < 10 * GAIN and to.broken <= KEPT
         taken = (multipliers != 0) | _tightest(np.minimum(to.below, to.above), NEAR)
         at, slopes = to, new
-        if at.broken <= TIGHT and (at.value < best.value or best.broken > TIGHT):
+        if at.broken <= KEPT and (at.value < best.value or best.broken > KEPT):
             best = at
             heard(at.value)
         if done:
@@ -111,7 +111,7 @@ def _step(program: Program, at: Point, slopes: tuple[Array, Array, Array], hessi
     multipliers = np.zeros(taken.shape)
     for relaxed in (False, True):  # a broken limit may be too far away to be kept after one step
         low, high = (np.minimum(-at.below, 0), np.maximum(at.above, 0)) if relaxed else (-at.below, at.above)
-        for _ in range(ROUNDS):
+        for _ in range(QUADRATIC):
             solver = piqp.DenseSolver()
             solver.settings.eps_abs = solver.settings.eps_rel = 1e-9
             rows = (program.jacobian(slopes, taken), np.maximum(low[taken], -1e30), np.minimum(high[taken], 1e30))

@@ -52,6 +52,10 @@ def _unstated(excitation: Excitation) -> Iterator[str]:
     if blind:
         yield (f"The machine file states no accuracy for the force of {_some(blind)}; a tenth of a typical force is "
                "taken for its noise.")
+    unread = [joint for joint in model.machine.joints if model.machine.sensor(f"{joint}.q") is None]
+    if unread:
+        yield (f"The machine file states no accuracy for the angle of {_some(unread)}; it counts as exact, so that σ "
+               "will be larger.")
 
 
 def _biased(expectation: Expectation) -> Iterator[str]:

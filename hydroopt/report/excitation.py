@@ -20,12 +20,13 @@ from hydroopt.machine import BASE
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, LIGHT, ORANGE, STYLE, WIDTH, svg, thin
 from hydroopt.report.html import page
 from hydroopt.report.numbers import NONE, percent, plain, quantity, unit_text
+from hydroopt.synthetic import BACK_PRESSURE
 
 PRINTED: dict[str, tuple[str, float]] = {
     "rad": ("deg", 180 / np.pi), "rad/s": ("deg/s", 180 / np.pi), "rad/s^2": ("deg/s²", 180 / np.pi),
     "m": ("m", 1.0), "Pa": ("bar", 1e-5), "m^3/s": ("L/min", 6e4), "N*m": ("kN·m", 1e-3), "N": ("kN", 1e-3)}
 """Units that a reader prefers, and what SI is multiplied by."""
-CRITERIA = {"D": "volume of the confidence ellipsoid (D)", "A": "sum of variances (A)",
+IN_WORDS = {"D": "volume of the confidence ellipsoid (D)", "A": "sum of variances (A)",
             "E": "greatest variance of any combination (E)", "condition": "condition number of the regressor"}
 PLACES = ("workspace", "above ground", "distance to")
 """Limits that the picture of the tip's path shows."""
@@ -54,10 +55,10 @@ def render(excitation: Excitation, expectation: Expectation, doubts: Sequence[st
                       for joint, at in program.resting.items())
     return page("excitation.html").render(
         machine=machine, excitation=excitation, doubts=list(doubts), series=series, still=still,
-        criterion=CRITERIA[program.information.criterion], focus=bool(program.information.asked.focus),
+        criterion=IN_WORDS[program.information.criterion], focus=bool(program.information.asked.focus),
         value=plain(excitation.value), condition=plain(excitation.condition_number, 3),
         duration=plain(basis.duration), fastest=plain(basis.fastest, 3), rate=plain(program.rate),
-        known=bool(np.any(program.information.asked.known)),
+        back=plain(1e-5 * BACK_PRESSURE), known=bool(np.any(program.information.asked.known)),
         limits=[_limit(use) for use in excitation.limits], base=_base(excitation, expectation),
         groups=_groups(excitation, expectation), sigma=_sigma(excitation, expectation),
         figures={name: Markup(svg(figure, name)) for name, figure in figures.items() if figure is not None})
@@ -190,7 +191,7 @@ def _path(excitation: Excitation) -> Figure:
             ax.plot(first[0], second[0], ls="none", marker="o", ms=5, color=GREEN, zorder=3)
         handles = [Line2D([], [], color=BLUE, label="path of the tip"),
                    Line2D([], [], ls="none", marker="o", color=GREEN, label="begins here")]
-        if machine.ground is not None and np.allclose(machine.orientation, 0):
+        if machine.ground is not None:
             side.axhline(machine.ground, color=ORANGE, lw=1.2)
             handles.append(Line2D([], [], color=ORANGE, label="ground"))
         if machine.workspace is not None:

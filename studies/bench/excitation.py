@@ -12,12 +12,12 @@ from hydroopt import excitation_problem, load_machine
 from hydroopt.excitation.basis import Fourier
 from hydroopt.excitation.design import BACK_OFF, design, drawn, rest
 from hydroopt.excitation.program import Program
-from hydroopt.excitation.solver import TIGHT, WIDEST, solve
+from hydroopt.excitation.solver import KEPT, WIDEST, solve
 
 PATIENCE = 300.0
 """Seconds after which the baseline is stopped."""
 ROOM = 0.01
-"""What the baseline leaves of every limit, since it keeps limits at a quarter of our times only: to its advantage."""
+"""What the baseline leaves of every limit: to its advantage it keeps them at a quarter of our times only."""
 
 
 class _OutOfTimeError(Exception):
@@ -38,7 +38,7 @@ def _baseline(program: Program, start: np.ndarray) -> tuple[float, float]:
 
     def watch(x: np.ndarray) -> None:
         nonlocal best
-        if np.min(room(x)) >= -TIGHT:  # it may end where limits are broken
+        if np.min(room(x)) >= -KEPT:  # it may end where limits are broken
             best = min(best, program.value(x))
         if time.perf_counter() - began > PATIENCE:
             raise _OutOfTimeError
@@ -87,8 +87,9 @@ def excitation() -> None:
             times.append((taken, reached))
             print(f"{seed:5d} {program.value(start):8.3f} {taken:8.1f} {value:8.3f} {reached:13.2f} "
                   f"{taken / reached:6.1f} {starts:7d} {first:14.3f}")
-    theirs, ours = np.array(times).T
-    print(f"median ratio {np.median(theirs / ours):.1f}, target 20; of the sums {theirs.sum() / ours.sum():.1f}")
+    if times:
+        theirs, ours = np.array(times).T
+        print(f"median ratio {np.median(theirs / ours):.1f}, target 20; of the sums {theirs.sum() / ours.sum():.1f}")
     began = time.perf_counter()
     found = design(program, processes=2, seconds=50.0)
     print(f"whole design on two cores: {time.perf_counter() - began:.1f} s, D {found.value:.3f}; target 60 s")

@@ -115,6 +115,10 @@ def broken(model: Model, found: Excitation) -> list[str]:
         if (low is not None and np.min(values) < low - size) or (high is not None and np.max(values) > high + size):
             names.append(name)
 
+    def reserved(actuator: Any, most: float | None, area: float) -> float | None:
+        margin = found.program.limits.margin[machine.actuators.index(actuator)]
+        return None if most is None else most - margin / area
+
     for k, joint in enumerate(machine.joints):
         own = machine.link(joint).joint
         check(f"{joint} position", path.q[:, k], *own.range)
@@ -130,22 +134,24 @@ def broken(model: Model, found: Excitation) -> list[str]:
         check(f"{c.name} speed", np.abs(speed[:, k]), None, c.max_speed)
         flow += np.where(speed[:, k] > 0, c.areas[0], -c.areas[1]) * speed[:, k]
         for chamber in ("p_head", "p_rod"):
-            check(f"{c.name} {chamber}", log.channel(f"{c.name}.{chamber}"), None, c.relief_pressure)
+            check(f"{c.name} {chamber}", log.channel(f"{c.name}.{chamber}"), None,
+                  reserved(c, c.relief_pressure, c.areas[chamber == "p_rod"]))
     force = synthetic.forces(model, path, model.parameters.nominal)
     for k, actuator in enumerate(machine.actuators):
         if actuator in machine.motors:
             flow += np.abs(actuator.torque_per_pressure * actuator.gear * path.qd[:, k])
             for chamber in ("p_a", "p_b"):
                 check(f"{actuator.name} {chamber}", log.channel(f"{actuator.name}.{chamber}"), None,
-                      actuator.relief_pressure)
+                      reserved(actuator, actuator.relief_pressure, actuator.torque_per_pressure * actuator.gear))
         elif actuator in machine.drives:
-            check(f"{actuator.name} torque", np.abs(force[:, k]), None, actuator.max_torque)
+            check(f"{actuator.name} torque", np.abs(force[:, k]), None,
+                  reserved(actuator, actuator.max_torque, 1.0))
     check("pump flow", flow, None, machine.pump.max_flow if machine.pump else None)
     ends = [pose[:, :3, 3] for pose in model.over(model.forward_kinematics, path.q)]
     if machine.workspace:
         for k in range(3):
             check("workspace", ends[-1][:, k], machine.workspace.lower[k], machine.workspace.upper[k])
-    if machine.ground is not None and not np.any(machine.orientation):
+    if machine.ground is not None:
         for link, end in zip(machine.links, ends, strict=True):
             if np.ptp(end[:, 2]) > 1e-9:
                 check(f"{link.name} above ground", end[:, 2], machine.ground, None)

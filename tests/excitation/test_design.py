@@ -70,7 +70,6 @@ def test_criteria_are_those_of_the_covariance(model: Model) -> None:
     np.testing.assert_allclose(of["A"].of(factor)[0], np.trace(covariance), rtol=1e-6)
     np.testing.assert_allclose(of["E"].of(factor)[0], np.log(eigenvalues[-1]), rtol=1e-6)
     np.testing.assert_allclose(of["condition"].of(factor)[0], np.log(eigenvalues[-1] / eigenvalues[0]) / 2, rtol=1e-6)
-    np.testing.assert_allclose(of["D"].std(factor), asked.scale * np.sqrt(np.diag(covariance)), rtol=1e-6)
 
 
 def test_limits_are_what_their_names_say(model: Model) -> None:

@@ -25,7 +25,7 @@ from hydroopt.identifiability import structural
 from hydroopt.inertia import NAMES
 
 Array = np.ndarray
-QUICK = ("--duration", "8", "--starts", "1", "--processes", "1", "--seconds", "2")
+QUICK = ("--duration", "8", "--starts", "4", "--processes", "1", "--seconds", "2")
 SERIES = ("patu655_lift", *QUICK, "--blend", "1", "--harmonics", "3")
 SPLINE = ("patu655_lift", *QUICK, "--pieces", "7")
 RESTING = ("cat215b", *QUICK, "--blend", "1", "--harmonics", "2", "--rest", "swing = 10 deg")
@@ -78,7 +78,7 @@ def test_files_are_there_and_say_what_was_asked(kind: str, written: Callable[...
     assert {file.name for file in directory.iterdir()} == FILES
     assert said["machine"]["name"] == machine
     assert said["machine"]["sha256"] == load_machine(machine).sha256
-    assert (said["duration"], said["starts"], said["seed"], said["stopped"]) == (8, 1, 0, False)
+    assert (said["duration"], said["starts"], said["seed"], said["stopped"]) == (8, 4, 0, False)
     assert said["basis"] == ({"kind": "spline", "time": 8, "pieces": 7} if kind == "spline" else {
         "kind": "fourier", "period": 6, "harmonics": 3 if kind == "series" else 2, "repeats": 1, "blend": 1})
     t, *_ = states(directory)
