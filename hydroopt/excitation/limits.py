@@ -117,7 +117,8 @@ class Limits:
         machine = self.model.machine
         if machine.pump is None:
             return
-        # an actuator draws what its growing chamber takes, whichever grows: the greatest of all combinations counts
+        # an actuator draws what its growing chamber takes, whichever grows: the greatest of all combinations counts,
+        # two to the power of the actuators, since a maximum has no derivative
         draws = []
         for k, actuator in enumerate(machine.actuators):
             speed = self.model.dynamics.rates[k]

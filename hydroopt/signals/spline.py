@@ -26,7 +26,7 @@ _LOWEST, _HIGHEST = -4.0, 8.0  # log10 λ in knot units; beyond the highest the 
 
 @dataclass(frozen=True)
 class SmoothSpline:
-    """A fitted curve: `curve` (time in s from `start`), its λ [s⁵], bandwidth [Hz] and residual std."""
+    """A fitted curve: `curve` (time in s from `start`), its λ [s⁵], bandwidth [Hz], residual std and the splines."""
 
     curve: BSpline
     start: float
