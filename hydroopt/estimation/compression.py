@@ -9,8 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.estimation.experiment import Experiment
+from hydroopt.identifiability import analyse
 from hydroopt.inertia import Array
 from hydroopt.model.build import Model
+from hydroopt.signals.conditioning import Motion
 
 CHUNK = 2048
 """Samples evaluated at a time: bounds the memory that a log of any length needs."""
@@ -62,6 +64,70 @@ def compress(model: Model, experiments: Sequence[Experiment], weights: Sequence[
             triangles[i] = _fold(triangles[i], block[taken, i])
             samples[i] += np.sum(taken)
     return Compressed(triangles, samples)
+
+
+def compress_jointly(model: Model, experiments: Sequence[Experiment], covariance: Array,
+                     weights: Sequence[Array] | None = None) -> tuple[Array, Array, float]:
+    """R (p, p), r (p,) and the rest, as of `Compressed.weighted`, when the actuators' residuals err together.
+
+    Args:
+        model, experiments, weights: as of `compress`.
+        covariance: (n, n) of the actuators' residuals in one sample; where some of them take no part, what the
+            covariance says of the others counts.
+    """
+    p = len(model.parameters)
+    triangle = np.zeros((p + 1, p + 1))
+    for which, rows, K, force in _chunks(model, experiments):
+        block = np.concatenate([K, force[:, :, None]], axis=2)
+        if weights is not None:
+            block = block * np.sqrt(weights[which][rows])[:, :, None]
+        triangle = _fold(triangle, whitened(block, experiments[which].moving[rows], covariance))
+    return triangle[:p, :p], triangle[:p, p], float(triangle[p, p] ** 2)
+
+
+def whitened(block: Array, taken: NDArray[np.bool_], covariance: Array) -> Array:
+    """Rows (·, c) of independent errors of size one, from rows (m, n, c) of which those `taken` (m, n) count."""
+    made = []
+    for pattern in np.unique(taken, axis=0):
+        here = np.flatnonzero(pattern)
+        if here.size:
+            root = np.linalg.cholesky(covariance[np.ix_(here, here)])
+            chosen = block[np.all(taken == pattern, axis=1)][:, here]
+            made.append(np.linalg.solve(root, chosen).reshape(-1, block.shape[2]))
+    return np.concatenate(made) if made else np.zeros((0, block.shape[2]))
+
+
+def compress_instrumented(model: Model, experiments: Sequence[Experiment], instruments: Sequence[Motion],
+                          sigma: Array, weights: Sequence[Array] | None = None) -> tuple[Array, Array, float]:
+    """R (p, p) and r (p,) of ``Zᵀ·(f − K·ψ) ≈ 0``: least squares on what the instruments Z see of the rows.
+
+    Z is the regressor of a motion whose errors are not those of the measured one (a reference, a second sensor, a
+    repetition): its columns do not correlate with the noise in K, so that noisy angles no longer pull parameters to
+    zero (two-stage least squares; Janot, Vandanjon, Gautier 2014, "A generic instrumental variable approach for
+    industrial robot identification").
+
+    Args:
+        model, experiments, weights: as of `compress`.
+        instruments: a motion at the samples of each experiment.
+        sigma: (n,) standard deviation of each actuator's residual.
+    """
+    p = len(model.parameters)
+    triangle = np.zeros((2 * p + 1, 2 * p + 1))
+    for which, rows, K, force in _chunks(model, experiments):
+        other = instruments[which]
+        Z = model.over(model.regressor, other.q[rows], other.qd[rows], other.qdd[rows])[0]
+        block = np.concatenate([Z, K, force[:, :, None]], axis=2) / sigma[:, None]
+        if weights is not None:
+            block = block * np.sqrt(weights[which][rows])[:, :, None]
+        triangle = _fold(triangle, block[experiments[which].moving[rows]])
+    # directions that the instruments do not see would let the noise of K in
+    seen = list(analyse(triangle[:p, :p], model.parameters.names).basis)
+    order = [*seen, *range(p, 2 * p + 1)]
+    folded: Array = np.asarray(np.linalg.qr(triangle[:, order], mode="r"))
+    on_instruments = folded[: len(seen), len(seen) :]
+    padded = np.vstack([on_instruments, np.zeros((p + 1 - len(seen), p + 1))])
+    R: Array = np.asarray(np.linalg.qr(padded, mode="r"))
+    return R[:p, :p], R[:p, p], float(R[p, p] ** 2)
 
 
 def _fold(triangle: Array, block: Array) -> Array:

@@ -11,6 +11,7 @@ import numpy as np
 from hydroopt import inertia
 from hydroopt.dynamic_parameters import bodies
 from hydroopt.estimation.compression import predict
+from hydroopt.estimation.evidence import Evidence
 from hydroopt.estimation.experiment import Experiment
 from hydroopt.estimation.problem import Problem
 from hydroopt.identifiability import Confounded, Identifiability
@@ -44,8 +45,7 @@ class Estimate:
         active: names of all constraints that hold the most probable parameters.
         structure: identifiability under ideal motion; `seen` under the motion of the training data.
         base_value, base_std: (r,) of the base parameters of `seen`.
-        sigma: (n,) weights used: standard deviation of each actuator's residual.
-        correlation_time: (n,) how many samples in a row the residuals repeat themselves; 1 is white noise.
+        evidence: what the data said, as the estimator was told: weights and the information on ψ.
         confounded: parameters the motion cannot tell apart, though the model could.
         notes: what was done, in plain words.
     """
@@ -62,12 +62,21 @@ class Estimate:
     seen: Identifiability
     base_value: Array
     base_std: Array
-    sigma: Array
-    correlation_time: Array
+    evidence: Evidence
     confounded: tuple[Confounded, ...]
     notes: tuple[str, ...]
     seed: int = 0
     status: str = "ok"
+
+    @property
+    def sigma(self) -> Array:
+        """Weights used (n,): standard deviation of each actuator's residual."""
+        return self.evidence.sigma
+
+    @property
+    def correlation_time(self) -> Array:
+        """How many samples in a row the residuals of each actuator repeat themselves (n,); 1 is white noise."""
+        return self.evidence.correlation_time
 
     def __getitem__(self, name: str) -> float:
         """Value of a parameter; NaN if it is not identifiable."""

@@ -134,19 +134,32 @@ def _angle_channel(model: Model, log: Log, joint: str) -> str:
     return by_length if stands_in else f"{joint}.q"
 
 
+def measured_angles(model: Model, log: Log) -> Array:
+    """Positions (N, n) of all joints as read: from ``<joint>.q`` or from the length of the cylinder that moves it."""
+    return np.column_stack([_angle(model, log, joint)[1] for joint in model.machine.joints])
+
+
 def _angle(model: Model, log: Log, joint: str) -> tuple[str, Array]:
     """The channel that the angle of a joint is read from, and the angle (N,)."""
     channel = _angle_channel(model, log, joint)
+    return channel, reading(model.machine, log, channel) if channel == f"{joint}.q" else angle_from_length(
+        model, log, channel)
+
+
+def angle_from_length(model: Model, log: Log, channel: str) -> Array:
+    """The joint's angle (N,) by the length of the cylinder that moves it.
+
+    Raises:
+        LogError: a length at which the triangle is open.
+    """
     values = reading(model.machine, log, channel)
-    if channel == f"{joint}.q":
-        return channel, values
     angle = np.asarray(model.triangles[channel.removesuffix(".length")][1](values)).ravel()
     if (open_at := np.flatnonzero(~np.isfinite(angle))).size:
         first = open_at[0]
         raise LogError(f"'{channel}' is {values[first]:.4g} m at sample {log.sample[first]}, "
                        "at which the triangle of the cylinder is open", where=log.path or log.name,
                        remedy="correct the cylinder's geometry or the transducer's zero")
-    return channel, angle
+    return angle
 
 
 def _force_channels(model: Model, log: Log | None, k: int) -> Mapping[str, float]:

@@ -12,11 +12,12 @@ import numpy as np
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.experiment import Experiment, experiment, force_noise
+from hydroopt.estimation.instruments import instrument
 from hydroopt.inertia import Array
 from hydroopt.machine import Machine
 from hydroopt.model.build import Model
 from hydroopt.parameters import ParameterSet
-from hydroopt.signals.conditioning import Smoothing
+from hydroopt.signals.conditioning import Motion, Smoothing
 from hydroopt.signals.log import Log
 
 Loss = Literal["squares", "huber", "student_t"]
@@ -105,6 +106,9 @@ class Problem:
         fixed: parameters held at a value.
         consistent: whether every body must be physically possible (positive definite pseudo-inertia).
         loss: of the residuals; the robust ones are solved by iterative reweighting.
+        correlated: whether the actuators' residuals in one sample may correlate; their correlation is estimated.
+        fitted_motion: whether motion and parameters are fitted together, instead of smoothing the motion beforehand.
+        instruments: for each experiment another motion at its samples, whose errors are not those of the measured one.
     """
 
     model: Model
@@ -117,6 +121,9 @@ class Problem:
     fixed: Mapping[str, float] = field(default_factory=dict)
     consistent: bool = True
     loss: Loss = "squares"
+    correlated: bool = False
+    fitted_motion: bool = False
+    instruments: tuple[Motion, ...] = ()
 
     @property
     def parameters(self) -> ParameterSet:
@@ -180,6 +187,45 @@ class Problem:
             raise ProblemError(f"'{loss}' is no loss", where="loss", remedy="use squares, huber or student_t")
         return replace(self, loss=loss)
 
+    def with_correlated_channels(self) -> Problem:
+        """With the covariance of the actuators' residuals estimated and used, instead of a weight for each."""
+        return replace(self, correlated=True)
+
+    def with_fitted_motion(self) -> Problem:
+        """With motion and parameters fitted together by maximum a posteriori.
+
+        Angles have the accuracy that the machine file states; the training data's motion, not that of the validation
+        data, is then what angles and forces together make most probable.
+
+        Raises:
+            ProblemError: instruments were given.
+        """
+        if self.instruments:
+            raise ProblemError("a motion cannot be fitted and have instruments", where="motion",
+                               remedy="choose one of the two")
+        return replace(self, fitted_motion=True)
+
+    def with_instruments(self, logs: Sequence[Log] = ()) -> Problem:
+        """With instrumental variables from a second reading of the same motion.
+
+        Args:
+            logs: one for each log that is learnt from, with channels ``<joint>.q`` (and ``.qd``, ``.qdd``, if known)
+                that cover its time: the reference that was driven, or a repetition of the motion. Without logs the
+                lengths of cylinders serve, which must stand beside the angles of all joints.
+
+        Raises:
+            ProblemError: another number of logs, a fitted or correlated problem, or a joint without a second reading.
+            LogError: a reference does not cover its log, or lacks a joint.
+        """
+        if self.fitted_motion or self.correlated:
+            raise ProblemError("instruments go with neither a fitted motion nor correlated channels", where="motion",
+                               remedy="choose one of them")
+        if logs and len(logs) != len(self.experiments):
+            raise ProblemError(f"{len(logs)} instruments are given for {len(self.experiments)} logs",
+                               where="instruments", remedy="give one for each log that is learnt from")
+        return replace(self, instruments=tuple(instrument(self.model, data, logs[k] if logs else None)
+                                               for k, data in enumerate(self.experiments)))
+
     @cached_property
     def prior_rows(self) -> tuple[Array, Array]:
         """Rows and right-hand side of ``‖A·ψ − b‖²``, the negative logarithm of all priors times two."""
@@ -208,6 +254,9 @@ class Problem:
         lines += [f"  constraint {c.name}" for c in self.constraints]
         lines += [f"  fixed {name} = {value:.6g}" for name, value in self.fixed.items()]
         lines += ["  physical consistency of every body"] * self.consistent
+        lines += ["  residuals of the actuators correlate"] * self.correlated
+        lines += ["  motion fitted together with the parameters"] * self.fitted_motion
+        lines += ["  instrumental variables from a second reading of the motion"] * bool(self.instruments)
         return "\n".join(lines)
 
 

@@ -8,11 +8,10 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt import identifiability, inertia
-from hydroopt.errors import IdentifiabilityError, ProblemError, SolverError
+from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation import feasible, linear, nonlinear, uncertainty
-from hydroopt.estimation.compression import Compressed, compress, predict
-from hydroopt.estimation.correlation import correlation_time
 from hydroopt.estimation.estimate import Estimate
+from hydroopt.estimation.evidence import Evidence, gather
 from hydroopt.estimation.gaussian import gaussian
 from hydroopt.estimation.linear import RANK_TOLERANCE
 from hydroopt.estimation.problem import Problem
@@ -58,27 +57,25 @@ def solve(problem: Problem, method: Method = "sdp", *, tolerance: float = RANK_T
 
 def _solve(problem: Problem, method: Method, tolerance: float, ridge: float | None, intervals: bool,
            seed: int) -> Estimate:
-    data = compress(problem.model, problem.experiments)
-    if not np.any(data.samples):
-        names = ", ".join(e.log.path or e.log.name for e in problem.experiments)
-        raise IdentifiabilityError("no joint moves in what is to be learnt from", where=names,
-                                   remedy="record a log in which the joints move")
-    sigma = _weights(problem, data, tolerance)
-    if problem.loss != "squares":
-        data, sigma = _robust(problem, data, sigma)
-    R, r, _ = data.weighted(sigma)
-    psi, _, seen = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
-    _trust(R, r, psi, seen, f"identification of {problem.model.machine.name}")
-    # residuals that repeat themselves carry less information than as many independent ones
-    times = _correlation_times(problem, psi)
-    R, r, rest = data.weighted(sigma * np.sqrt(times))
-    if method in _LINEAR:
-        return _linear_estimate(problem, method, R, r, rest, float(np.sum(data.samples)), sigma, times,
-                                tolerance, ridge)
-    belief = gaussian(problem, R, r)
-    solution = (nonlinear.solve(problem, belief) if method == "nlp"
+    where = f"identification of {problem.model.machine.name}"
+
+    def least_squares(R: Array, r: Array) -> Array:
+        psi, _, seen = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
+        return linear.nearest(problem.parameters, seen, psi)
+
+    def constrained(R: Array, r: Array) -> feasible.Solution:
+        belief = gaussian(problem, R, r)
+        return (nonlinear.solve(problem, belief) if method == "nlp"
                 else feasible.solve(problem, belief, consistent=method == "sdp" and problem.consistent))
-    return _constrained_estimate(problem, method, R, r, solution, sigma, times, seen, tolerance, intervals, seed)
+
+    evidence = gather(problem, tolerance,
+                      least_squares if method in _LINEAR else lambda R, r: constrained(R, r).psi)
+    psi, _, seen = linear.base_least_squares(evidence.R, evidence.r, problem.parameters.names, tolerance)
+    _trust(evidence.R, evidence.r, psi, seen, where)
+    if method in _LINEAR:
+        return _linear_estimate(evidence, method, tolerance, ridge)
+    solution = constrained(evidence.R, evidence.r)
+    return _constrained_estimate(evidence, method, solution, seen, tolerance, intervals, seed)
 
 
 def _trust(R: Array, r: Array, psi: Array, seen: Identifiability, where: str) -> None:
@@ -95,63 +92,8 @@ def _trust(R: Array, r: Array, psi: Array, seen: Identifiability, where: str) ->
                           remedy="raise the tolerance above rounding errors, e.g. to 1e-9")
 
 
-def _weights(problem: Problem, data: Compressed, tolerance: float) -> Array:
-    """Standard deviation (n,) of each actuator's residual: stated by its sensors, then estimated from the fit."""
-    size = np.linalg.norm(data.triangles[:, :, -1], axis=1) / np.sqrt(np.maximum(data.samples, 1.0))  # RMS force
-    sigma = np.where(np.isfinite(problem.force_std), problem.force_std, 0.1 * size)
-    sigma = np.where(sigma > 0, sigma, 1.0)
-    if not problem.reweight:
-        return np.asarray(sigma)
-    floor = 1e-11 * np.maximum(size, 1e-12)
-    for _ in range(3):
-        R, r, _ = data.weighted(sigma)
-        psi, _, seen = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
-        freedom = np.maximum(data.samples - seen.rank / len(sigma), 1.0)
-        sigma = np.maximum(np.sqrt(data.squares(psi) / freedom), floor)
-    return np.asarray(sigma)
-
-
-def _robust(problem: Problem, data: Compressed, sigma: Array) -> tuple[Compressed, Array]:
-    """Iteratively reweighted least squares: Huber (95 % efficient at 1.345 σ) or Student-t (4 degrees of freedom).
-
-    The residuals are those of the most probable parameters before constraints, which good data hardly move.
-    """
-    floor = 1e-6 * sigma
-    psi = np.full(len(problem.parameters), np.inf)
-    for _ in range(20):
-        R, r, _ = data.weighted(sigma)
-        before, psi = psi, gaussian(problem, R, r).offset
-        residuals = _residuals(problem, psi)
-        taken = [np.where(e.inside[:, None] & e.moving, res, np.nan)
-                 for res, e in zip(residuals, problem.experiments, strict=True)]
-        if problem.reweight:
-            sigma = np.maximum(1.4826 * np.nanmedian(np.abs(np.concatenate(taken)), axis=0), floor)
-        ratios = [np.abs(res) / sigma for res in residuals]
-        weights = [np.minimum(1.0, 1.345 / np.maximum(u, 1e-12)) if problem.loss == "huber" else 5.0 / (4.0 + u**2)
-                   for u in ratios]
-        data = compress(problem.model, problem.experiments, weights)
-        if np.all(np.abs(psi - before) < 1e-3 * problem.parameters.scale):
-            break
-    return data, sigma
-
-
-def _residuals(problem: Problem, psi: Array) -> list[Array]:
-    return [e.force - predict(problem.model, e, psi) for e in problem.experiments]
-
-
-def _correlation_times(problem: Problem, psi: Array) -> Array:
-    """Correlation time of each actuator's residuals (n,), in samples; the logs weigh by their lengths."""
-    residuals = _residuals(problem, psi)
-    times, weights = [], []
-    for residual, data in zip(residuals, problem.experiments, strict=True):
-        taken = data.inside[:, None] & data.moving
-        times.append([correlation_time(r, t, data.motion.segment) for r, t in zip(residual.T, taken.T, strict=True)])
-        weights.append(np.maximum(np.sum(taken, axis=0), 1e-9))
-    return np.asarray(np.average(times, axis=0, weights=weights))
-
-
-def _linear_estimate(problem: Problem, method: str, R: Array, r: Array, rest: float, rows: float, sigma: Array,
-                     times: Array, tolerance: float, ridge: float | None) -> Estimate:
+def _linear_estimate(evidence: Evidence, method: str, tolerance: float, ridge: float | None) -> Estimate:
+    problem, R, r = evidence.problem, evidence.R, evidence.r
     names = problem.parameters.names
     psi, covariance, seen = linear.base_least_squares(R, r, names, tolerance)
     value, std = linear.individual_values(psi, covariance, seen)
@@ -159,7 +101,7 @@ def _linear_estimate(problem: Problem, method: str, R: Array, r: Array, rest: fl
     base_std = np.sqrt(np.diag(covariance))
     note = "standard deviations of weighted least squares on base parameters"
     if method == "ridge":
-        psi, strength = linear.ridge(R, r, ridge, rows=rows, rest=rest)
+        psi, strength = linear.ridge(R, r, ridge, rows=evidence.rows, rest=evidence.rest)
         note = f"ridge strength {strength:.3g}; a shrunk estimate is biased, so that it has no honest interval"
     elif method == "tsvd":
         psi, kept = linear.truncated_svd(R, r, tolerance)
@@ -168,12 +110,12 @@ def _linear_estimate(problem: Problem, method: str, R: Array, r: Array, rest: fl
         value = np.where(np.array(seen.category) == identifiability.FULL, psi, np.nan)
         std, base_std = np.full_like(std, np.nan), np.full_like(base_std, np.nan)
     ci = value[:, None] + 1.959964 * std[:, None] * np.array([-1, 1])
-    return _assemble(problem, method, R, psi, value, std, ci, (), seen, base_std, sigma, times, (note,), 0)
+    return _assemble(evidence, method, psi, value, std, ci, (), seen, base_std, (note,), 0)
 
 
-def _constrained_estimate(problem: Problem, method: str, R: Array, r: Array, solution: feasible.Solution,
-                          sigma: Array, times: Array, seen: Identifiability, tolerance: float, intervals: bool,
-                          seed: int) -> Estimate:
+def _constrained_estimate(evidence: Evidence, method: str, solution: feasible.Solution, seen: Identifiability,
+                          tolerance: float, intervals: bool, seed: int) -> Estimate:
+    problem, R, r = evidence.problem, evidence.R, evidence.r
     p = len(problem.parameters)
     psi, std, ci = solution.psi, np.full(p, np.nan), np.full((p, 2), np.nan)
     base_std = np.full(seen.rank, np.nan)
@@ -199,8 +141,7 @@ def _constrained_estimate(problem: Problem, method: str, R: Array, r: Array, sol
     untold = np.array(told.category) != identifiability.FULL
     value = psi.copy()
     value[untold | unseen], std[untold | unseen], ci[untold | unseen] = np.nan, np.nan, np.nan
-    return _assemble(problem, method, R, psi, value, std, ci, solution.active, seen, base_std, sigma, times,
-                     (note,), seed)
+    return _assemble(evidence, method, psi, value, std, ci, solution.active, seen, base_std, (note,), seed)
 
 
 def _nominal_where_unseen(problem: Problem, seen: Identifiability, psi: Array) -> Array:
@@ -214,9 +155,10 @@ def _nominal_where_unseen(problem: Problem, seen: Identifiability, psi: Array) -
     return psi
 
 
-def _assemble(problem: Problem, method: str, R: Array, psi: Array, value: Array, std: Array, ci: Array,
-              active: tuple[str, ...], seen: Identifiability, base_std: Array, sigma: Array, times: Array,
-              notes: tuple[str, ...], seed: int) -> Estimate:
+def _assemble(evidence: Evidence, method: str, psi: Array, value: Array, std: Array, ci: Array,
+              active: tuple[str, ...], seen: Identifiability, base_std: Array, notes: tuple[str, ...],
+              seed: int) -> Estimate:
+    problem = evidence.problem
     bound = []
     for name in problem.parameters.names:
         owner = name.rpartition(".")[0]
@@ -225,7 +167,4 @@ def _assemble(problem: Problem, method: str, R: Array, psi: Array, value: Array,
         bound.append(hit[0] if hit else "")
     return Estimate(
         problem, method, psi, value, std, ci, tuple(bound), active, identifiability.structural(problem.model), seen,
-        seen.grouping @ psi, base_std, sigma, times, identifiability.confounded(R, seen), notes, seed)
-
-
-
+        seen.grouping @ psi, base_std, evidence, identifiability.confounded(evidence.R, seen), notes, seed)

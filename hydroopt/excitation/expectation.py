@@ -13,7 +13,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-import casadi as ca
 import numpy as np
 
 from hydroopt.estimation.compression import compress
@@ -25,7 +24,6 @@ from hydroopt.identifiability import Identifiability
 from hydroopt.inertia import Array
 from hydroopt.machine import Machine
 from hydroopt.model.build import Model
-from hydroopt.model.program import program
 from hydroopt.signals import spline
 from hydroopt.signals.log import Log
 from hydroopt.synthetic import Trajectory, simulate
@@ -94,9 +92,7 @@ def expected(model: Model, motion: Trajectory, structure: Identifiability, known
     pulled = K * weight[:, :, None]
     # what the noise of each force and of each angle adds to KᵀW·residual, a column each
     errors = [(pulled * noise[:, None]).reshape(-1, K.shape[2]).T]
-    force = model.dynamics.forces(ca.DM(psi), actuator_inertia=model.actuator_inertia)
-    slopes = model.over(program(ca.Function("force_by_motion", [*model.at], [
-        ca.densify(ca.jacobian(force, x)) for x in model.at])).function(), motion.q, motion.qd, motion.qdd)
+    slopes = model.over(model.force_by_motion, motion.q, motion.qd, motion.qdd, psi)
     off = np.zeros((K.shape[2], 1))
     for j, (joint, std) in enumerate(zip(machine.joints, angle_noise(model, log), strict=True)):
         if std > 0:

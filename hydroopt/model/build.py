@@ -102,6 +102,14 @@ class Model:
         return _dense("inverse_dynamics", [*self.at, psi], [force], ["q", "qd", "qdd", "psi"], ["force"])
 
     @cached_property
+    def force_by_motion(self) -> ca.Function:
+        """(q, qd, qdd, psi) → derivatives (n, n) of the actuator forces by q, qd, qdd, without dry friction's steps."""
+        psi = ca.SX.sym("psi", len(self.parameters))
+        force = self.dynamics.forces(psi, actuator_inertia=self.actuator_inertia)
+        return _dense("force_by_motion", [*self.at, psi], [ca.jacobian(force, x) for x in self.at],
+                      ["q", "qd", "qdd", "psi"], ["by_q", "by_qd", "by_qdd"])
+
+    @cached_property
     def lagrange_forces(self) -> ca.Function:
         """(q, qd, qdd, psi) → the part of the actuator forces due to bodies, from their energies."""
         psi = ca.SX.sym("psi", len(self.parameters))

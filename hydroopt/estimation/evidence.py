@@ -1,0 +1,181 @@
+"""What logs say of the parameters, ``‖R·ψ − r‖²``: weights of residuals, and how noisy angles are dealt with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hydroopt.errors import IdentifiabilityError
+from hydroopt.estimation import fitted_motion, linear
+from hydroopt.estimation.compression import (
+    Compressed,
+    compress,
+    compress_instrumented,
+    compress_jointly,
+    predict,
+)
+from hydroopt.estimation.correlation import correlation_time
+from hydroopt.estimation.gaussian import gaussian
+from hydroopt.estimation.problem import Problem
+from hydroopt.inertia import Array
+
+MostProbable = Callable[[Array, Array], Array]
+"""From (R, r) to the parameters ψ (p,) that an estimator takes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """``‖R·ψ − r‖² + rest``, the weighted sum of squared residuals, and how these were weighted.
+
+    Attributes:
+        problem: whose residuals; with the fitted motion where one was asked for.
+        R, r, rest: (p, p) upper triangular, (p,), and what no ψ explains.
+        rows: number of residuals of forces.
+        sigma: (n,) standard deviation of each actuator's residual.
+        correlation: (n, n) of the actuators' residuals with one another; the unit matrix unless asked for.
+        correlation_time: (n,) how many samples in a row residuals repeat themselves.
+    """
+
+    problem: Problem
+    R: Array
+    r: Array
+    rest: float
+    rows: float
+    sigma: Array
+    correlation: Array
+    correlation_time: Array
+
+
+def gather(problem: Problem, tolerance: float, most_probable: MostProbable) -> Evidence:
+    """Weigh residuals and condense them.
+
+    Args:
+        problem: whose.
+        tolerance: part of the largest singular value below which a direction counts as unseen.
+        most_probable: the estimator, which a fitted motion is fitted with.
+
+    Raises:
+        IdentifiabilityError: no joint moves.
+        SolverError: a fitted motion does not come to rest.
+    """
+    model, experiments = problem.model, problem.experiments
+    data = compress(model, experiments)
+    if not np.any(data.samples):
+        names = ", ".join(e.log.path or e.log.name for e in experiments)
+        raise IdentifiabilityError("no joint moves in what is to be learnt from", where=names,
+                                   remedy="record a log in which the joints move")
+    sigma, weights = _sigma(problem, data, tolerance), None
+    if problem.loss != "squares":
+        data, sigma, weights = _robust(problem, data, sigma)
+    psi = _least_squares(problem, *data.weighted(sigma)[:2], tolerance)
+    correlation = _correlation(problem, psi) if problem.correlated else np.eye(len(sigma))
+    if problem.fitted_motion:
+        where = f"identification of {model.machine.name}"
+        fit = fitted_motion.fit(model, fitted_motion.begin(model, experiments), _covariance(correlation, sigma),
+                                weights, psi, most_probable, where)
+        problem, psi = replace(problem, experiments=fit.experiments), fit.psi
+    # residuals that repeat themselves carry less information than as many independent ones
+    times = _correlation_times(problem, psi)
+    wide = sigma * np.sqrt(times)
+    if problem.fitted_motion:
+        fit = fitted_motion.fit(model, fit.fitted, _covariance(correlation, wide), weights, psi, most_probable, where)
+        problem, R, r, rest = replace(problem, experiments=fit.experiments), fit.R, fit.r, fit.rest
+    elif problem.instruments:
+        R, r, rest = compress_instrumented(model, experiments, problem.instruments, wide, weights)
+    elif problem.correlated:
+        R, r, rest = compress_jointly(model, experiments, _covariance(correlation, wide), weights)
+    else:
+        R, r, rest = data.weighted(wide)
+    return Evidence(problem, R, r, rest, float(np.sum(data.samples)), sigma, correlation, times)
+
+
+def _covariance(correlation: Array, sigma: Array) -> Array:
+    return correlation * np.outer(sigma, sigma)
+
+
+def _least_squares(problem: Problem, R: Array, r: Array, tolerance: float) -> Array:
+    return linear.base_least_squares(R, r, problem.parameters.names, tolerance)[0]
+
+
+def _sigma(problem: Problem, data: Compressed, tolerance: float) -> Array:
+    """Standard deviation (n,) of each actuator's residual: stated by its sensors, then estimated from the fit."""
+    size = np.linalg.norm(data.triangles[:, :, -1], axis=1) / np.sqrt(np.maximum(data.samples, 1.0))  # RMS force
+    sigma = np.where(np.isfinite(problem.force_std), problem.force_std, 0.1 * size)
+    sigma = np.where(sigma > 0, sigma, 1.0)
+    if not problem.reweight:
+        return np.asarray(sigma)
+    floor = 1e-11 * np.maximum(size, 1e-12)
+    for _ in range(3):
+        R, r, _ = data.weighted(sigma)
+        psi, _, seen = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
+        freedom = np.maximum(data.samples - seen.rank / len(sigma), 1.0)
+        sigma = np.maximum(np.sqrt(data.squares(psi) / freedom), floor)
+    return np.asarray(sigma)
+
+
+def _robust(problem: Problem, data: Compressed, sigma: Array) -> tuple[Compressed, Array, list[Array]]:
+    """Iteratively reweighted least squares: Huber (95 % efficient at 1.345 σ) or Student-t (4 degrees of freedom).
+
+    The residuals are those of the most probable parameters before constraints, which good data hardly move.
+    """
+    floor = 1e-6 * sigma
+    psi = np.full(len(problem.parameters), np.inf)
+    for _ in range(20):
+        R, r, _ = data.weighted(sigma)
+        before, psi = psi, gaussian(problem, R, r).offset
+        residuals = _residuals(problem, psi)
+        if problem.reweight:
+            taken = np.concatenate(_taken(problem, residuals))
+            sigma = np.maximum(1.4826 * np.nanmedian(np.abs(taken), axis=0), floor)
+        ratios = [np.abs(res) / sigma for res in residuals]
+        weights = [np.minimum(1.0, 1.345 / np.maximum(u, 1e-12)) if problem.loss == "huber" else 5.0 / (4.0 + u**2)
+                   for u in ratios]
+        data = compress(problem.model, problem.experiments, weights)
+        if np.all(np.abs(psi - before) < 1e-3 * problem.parameters.scale):
+            break
+    return data, sigma, weights
+
+
+def _residuals(problem: Problem, psi: Array) -> list[Array]:
+    return [e.force - predict(problem.model, e, psi) for e in problem.experiments]
+
+
+def _taken(problem: Problem, residuals: Sequence[Array]) -> list[Array]:
+    """Residuals with NaN where they take no part."""
+    return [np.where(e.inside[:, None] & e.moving, res, np.nan)
+            for res, e in zip(residuals, problem.experiments, strict=True)]
+
+
+def _correlation(problem: Problem, psi: Array) -> Array:
+    """Correlation (n, n) of the actuators' residuals with one another in one sample.
+
+    Zero where fewer than 100 samples have both.
+    """
+    residuals = np.concatenate(_taken(problem, _residuals(problem, psi)))
+    n = residuals.shape[1]
+    correlation = np.eye(n)
+    for i in range(n):
+        for j in range(i):
+            both = residuals[np.all(np.isfinite(residuals[:, [i, j]]), axis=1)][:, [i, j]]
+            if len(both) >= 100:
+                centred = both - both.mean(axis=0)
+                size = np.linalg.norm(centred, axis=0)
+                correlation[i, j] = correlation[j, i] = centred[:, 0] @ centred[:, 1] / np.prod(size)
+    # pairs from different samples need not fit together: the nearest of those that do
+    values, vectors = np.linalg.eigh(correlation)
+    possible = vectors @ np.diag(np.maximum(values, 1e-3)) @ vectors.T
+    size = np.sqrt(np.diag(possible))
+    return np.asarray(possible / np.outer(size, size))
+
+
+def _correlation_times(problem: Problem, psi: Array) -> Array:
+    """Correlation time of each actuator's residuals (n,), in samples; the logs weigh by their lengths."""
+    residuals = _residuals(problem, psi)
+    times, weights = [], []
+    for residual, data in zip(residuals, problem.experiments, strict=True):
+        taken = data.inside[:, None] & data.moving
+        times.append([correlation_time(r, t, data.motion.segment) for r, t in zip(residual.T, taken.T, strict=True)])
+        weights.append(np.maximum(np.sum(taken, axis=0), 1e-9))
+    return np.asarray(np.average(times, axis=0, weights=weights))
