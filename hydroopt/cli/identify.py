@@ -23,7 +23,7 @@ from hydroopt.cli.options import (
 )
 from hydroopt.description import load_machine
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.estimation.problem import identification_problem
+from hydroopt.estimation.problem import Problem, identification_problem
 from hydroopt.estimation.solve import METHODS, Method, solve
 from hydroopt.estimation.verdict import doubts
 from hydroopt.machine import Machine
@@ -48,6 +48,13 @@ def identify(
         "spline (weight from the stated noise), spline:cv (cross-validated), fourier:PERIOD:HARMONICS or "
         "butterworth:HZ."))] = "spline",
     bandwidth: Annotated[float | None, typer.Option(help="Highest frequency of the motion [Hz], for spline.")] = None,
+    motion: Annotated[str, typer.Option(help=(
+        "smoothed beforehand, or fitted together with the parameters from angles and forces."))] = "smoothed",
+    instruments: Annotated[list[str] | None, typer.Option(metavar="LOG", help=(
+        "Second reading of each log's motion (the reference that was driven, a repetition), or 'lengths' of cylinders: "
+        "instrumental variables; repeatable."))] = None,
+    correlated: Annotated[bool, typer.Option("--correlated", help=(
+        "Weigh the actuators' residuals by their covariance instead of one by one."))] = False,
     tolerance: Annotated[float, typer.Option(help="Singular value, relative to the largest, that counts as zero.",
                                              min=0.0, max=1.0)] = 1e-7,
     ridge: Annotated[float | None, typer.Option(help="Strength of ridge regression; else cross-validated.",
@@ -74,7 +81,9 @@ def identify(
     with progress(f"identifying {described.name}", quiet):
         problem = identification_problem(described, train, held_out, actuator_inertia=not reduced,
                                          smoothing=way)
-        problem = problem.with_loss(loss_of(loss, "--loss"))
+        problem = _with_noisy_angles(problem.with_loss(loss_of(loss, "--loss")), motion, instruments, map_file)
+        if correlated:
+            problem = problem.with_correlated_channels()
         try:
             estimate = solve(problem, chosen, tolerance=tolerance, ridge=ridge, seed=seed)
         except SolverError as error:
@@ -88,6 +97,18 @@ def identify(
         for doubt in doubts(estimate):
             typer.echo(f"  ! {doubt}")
         typer.echo(f"{output / 'report.html'}")
+
+
+def _with_noisy_angles(problem: Problem, motion: str, instruments: list[str] | None,
+                       map_file: Path | None) -> Problem:
+    if motion not in ("smoothed", "fitted"):
+        raise ProblemError(f"'{motion}' is no way to a motion", where="--motion", remedy="use smoothed or fitted")
+    if motion == "fitted":
+        problem = problem.with_fitted_motion()
+    if instruments:
+        problem = problem.with_instruments([] if instruments == ["lengths"]
+                                           else [read_log(path, mapping=map_file) for path in instruments])
+    return problem
 
 
 def _reliefs(machine: Machine) -> dict[str, tuple[float, float]]:

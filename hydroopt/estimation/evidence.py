@@ -47,6 +47,22 @@ class Evidence:
     correlation: Array
     correlation_time: Array
 
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """How angles and channels were dealt with, in plain words."""
+        said = []
+        if self.problem.fitted_motion:
+            said.append("motion and parameters are fitted together; the fit of the training data is that of the fitted "
+                        "motion, unseen data are judged by their smoothed motion")
+        if self.problem.instruments:
+            said.append("two-stage least squares with instruments from a second reading of the motion")
+        if self.problem.correlated:
+            names = [a.name for a in self.problem.model.machine.actuators]
+            pairs = [f"{names[j]} and {names[i]} {self.correlation[i, j]:.2f}" for i in range(len(names))
+                     for j in range(i)]
+            said.append(f"residuals weighted by their covariance; correlations: {', '.join(pairs)}")
+        return tuple(said)
+
 
 def gather(problem: Problem, tolerance: float, most_probable: MostProbable) -> Evidence:
     """Weigh residuals and condense them.

@@ -188,7 +188,14 @@ class Problem:
         return replace(self, loss=loss)
 
     def with_correlated_channels(self) -> Problem:
-        """With the covariance of the actuators' residuals estimated and used, instead of a weight for each."""
+        """With the covariance of the actuators' residuals estimated and used, instead of a weight for each.
+
+        Raises:
+            ProblemError: instruments were given.
+        """
+        if self.instruments:
+            raise ProblemError("correlated channels do not go with instruments", where="channels",
+                               remedy="choose one of the two")
         return replace(self, correlated=True)
 
     def with_fitted_motion(self) -> Problem:

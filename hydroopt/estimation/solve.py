@@ -167,4 +167,5 @@ def _assemble(evidence: Evidence, method: str, psi: Array, value: Array, std: Ar
         bound.append(hit[0] if hit else "")
     return Estimate(
         problem, method, psi, value, std, ci, tuple(bound), active, identifiability.structural(problem.model), seen,
-        seen.grouping @ psi, base_std, evidence, identifiability.confounded(evidence.R, seen), notes, seed)
+        seen.grouping @ psi, base_std, evidence, identifiability.confounded(evidence.R, seen),
+        (*notes, *evidence.notes), seed)
