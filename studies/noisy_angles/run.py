@@ -16,17 +16,18 @@ from hydroopt import (
     solve,
 )
 
-PAIRS = 12
-LEVELS = (0.03, 0.1, 0.3)
-"""Accuracy of the resolvers [deg]; the thesis's is 0.1."""
+DRAWS = {0.03: 4, 0.1: 16, 0.3: 4}
+"""Draws of the errors by the accuracy of the resolvers [deg], of which the thesis's is 0.1."""
+SIGNS = ((1, 1), (1, -1), (-1, 1), (-1, -1))
+"""Of the errors of angles and of pressures: in the mean over these all cancels that either has to an odd power."""
 
 
 def run() -> dict:
     """Bias of predicted forces of the driven motion, RMS over samples and actuators, in the force sensors' σ."""
     results: dict = {}
-    for level in LEVELS:
+    for level, draws in DRAWS.items():
         machine = with_resolvers(load_machine("cat215b"), np.deg2rad(level))
-        found = biases(machine, level)
+        found = biases(machine, draws)
         for name, (bias, uncertainty) in found.items():
             results[f"{name}_bias_at_{level}_deg"] = round(bias, 5)
             results[f"{name}_uncertainty_at_{level}_deg"] = round(uncertainty, 5)
@@ -41,20 +42,21 @@ def with_resolvers(machine: Machine, accuracy: float) -> Machine:
     return machine.model_copy(update={"sensors": tuple(sensors)})
 
 
-def biases(machine: Machine, level: float) -> dict[str, tuple[float, float]]:
-    """Bias of each way and its uncertainty; errors come in pairs of opposite sign, in which what is linear cancels."""
+def biases(machine: Machine, draws: int) -> dict[str, tuple[float, float]]:
+    """Bias of each way and its uncertainty."""
     model = Model(machine)
     truth = random_truth(model, 1)
     motion = random_trajectory(model, duration=33.28, rate=50, seed=2)
     clean = simulate(model, motion, truth, noise=False)
     K = model.over(model.regressor, motion.q, motion.qd, motion.qdd)[0]
     errors: dict[str, list] = {}
-    for pair in range(PAIRS):
-        rng = np.random.default_rng(pair)
+    for seed in range(draws):
+        rng = np.random.default_rng(seed)
         off = {name: rng.uniform(-1, 1, len(clean.t)) * sensor.accuracy for name in clean.channels
                if (sensor := machine.sensor(name))}
-        for sign in (1, -1):
-            channels = {name: values + sign * off[name] for name, values in clean.channels.items()}
+        for of_angles, of_pressures in SIGNS:
+            channels = {name: values + (of_angles if name.endswith(".q") else of_pressures) * off[name]
+                        for name, values in clean.channels.items()}
             log = Log("noisy", clean.t, channels, units=clean.units)
             for name, problem in ways(machine, log, clean).items():
                 psi = solve(problem, "wls").psi
@@ -70,7 +72,6 @@ def ways(machine: Machine, log: Log, reference: Log) -> dict:
 
 
 def _bias(errors: np.ndarray) -> tuple[float, float]:
-    pairs = errors.reshape(-1, 2, *errors.shape[1:]).mean(axis=1)
-    mean = pairs.mean(axis=0)
-    return (float(np.sqrt(np.mean(mean**2))),
-            float(np.sqrt(np.mean((pairs - mean) ** 2) / (len(pairs) - 1))))
+    means = errors.reshape(-1, len(SIGNS), *errors.shape[1:]).mean(axis=1)
+    bias = means.mean(axis=0)
+    return float(np.sqrt(np.mean(bias**2))), float(np.sqrt(np.mean((means - bias) ** 2) / (len(means) - 1)))
