@@ -361,10 +361,8 @@ def huge_mat() -> bytes:
 def _ur10e(folder: Path) -> list[str]:
     if not UR10E.exists():
         pytest.skip(f"measured data absent: {UR10E}")
-    columns = "".join(f'"j{i}.q" = {{ column = {i}, unit = "rad" }}\n' for i in range(1, 7))
-    layout = f'header = false\n[columns]\nt = {{ column = 0, unit = "s" }}\n{columns}'
-    return ["identify", "patu655_lift", str(UR10E), "-o", str(folder / "out"),
-            "--map", str(written(folder, layout, "map.toml"))]
+    layout = Path(__file__).parents[1] / "studies/ur10e_mamedov/map.toml"
+    return ["identify", "ur10e", str(UR10E), "-o", str(folder / "out"), "--map", str(layout)]
 
 
 MAT_MAP = '[columns]\nt = { variable = "t", unit = "s" }\n"lift.q" = { variable = "q", unit = "rad" }\n'

@@ -28,6 +28,10 @@ def run() -> dict | None:
     whole = identification_problem(machine, [log])
     results["angle_noise_rad"] = noise(whole.model, log)
     results["angle_noise_by_the_logger's_stamps_rad"] = noise(whole.model, stamped)
+    for clock, recorded in (("robot", log), ("logger", stamped)):
+        problem = identification_problem(machine, [recorded], smoothing=SmoothingSpline(bandwidth=20.0))
+        fit = solve(problem, "wls", intervals=False).fit["train"]["all"]
+        results[f"angles_to_20_Hz_by_the_{clock}'s_clock_unfiltered"] = round(100 * fit.relative, 2)
     results |= conditions(whole)
     for method in ("wls", "sdp"):
         estimate = solve(whole, method, intervals=False)
