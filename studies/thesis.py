@@ -1,6 +1,12 @@
 """Tables 13 to 17 of the thesis by parameter name, rows of inertia in the order of Eq. 4.12 (see THESIS_NOTES)."""
 
-from hydroopt import inertia
+from collections.abc import Iterable
+
+import numpy as np
+
+from hydroopt import Problem, inertia
+from hydroopt.estimation.compression import compress
+from hydroopt.estimation.linear import RANK_TOLERANCE, truncated_svd
 
 FULL, COMBINATION, NONE = "‡", "†", "*"
 """Marks: identified alone, stands for a linear combination, not identified (no trace, or left out of a combination)."""
@@ -143,3 +149,15 @@ RMS = {"complete": (3720.0, 5860.0, 8700.0), "reduced": (4720.0, 5500.0, 11900.0
 
 SENSOR_ERROR = (1400.0, 5700.0, 4200.0)
 """Largest error of the measured force at ±25 psi (Section 4.4.3), as in `RMS`."""
+
+
+def identified(problem: Problem, names: Iterable[str]) -> np.ndarray:
+    """ψ (p,) as the thesis finds it: truncated singular values of some columns of K (Eq. 4.60), the others at zero.
+
+    Rows are not weighted, as in Eq. 4.58, so that newtons count as much as newton metres.
+    """
+    R, r, _ = compress(problem.model, problem.experiments).weighted(np.ones(len(problem.force_std)))
+    columns = problem.parameters.select(list(names))
+    psi = np.zeros(len(problem.parameters))
+    psi[columns] = truncated_svd(R[:, columns], r, RANK_TOLERANCE)[0]
+    return psi

@@ -55,6 +55,10 @@ def run() -> dict:
     ranks = {structural(each).rank for each in others}
     results |= {"other_twists_lowest_rank": min(ranks), "other_twists_highest_rank": max(ranks),
                 "twisted_rank_of_the_51": max(rank_of(each, [*thesis.TABLE_14]) for each in others)}
+    results["twisted_rank_boom_below"] = max(analyse(stacked(each, boom=(None, 0.0)), each.parameters.names).rank
+                                             for each in others)
+    results["one_skew_cylinder_rank"] = structural(Model(skew(bundled, "stick_cylinder"))).rank
+    results["two_skew_cylinders_rank"] = structural(Model(skew(bundled, "stick_cylinder", "boom_cylinder"))).rank
     report(spectra["bundled"], below)
     draw_spectra(spectra)
     draw_marks(spectra["bundled"], below)
@@ -155,6 +159,16 @@ def twisted(machine: Machine, seed: int) -> Machine:
     for cylinder in data["cylinders"]:
         for end in ("barrel", "rod"):
             cylinder[end]["pin"] = tuple((cylinder[end]["pin"] + rng.normal(0, 0.01, 3)).tolist())
+    return type(machine).model_validate(data)
+
+
+def skew(machine: Machine, *cylinders: str) -> Machine:
+    """The machine with the rod pins of some cylinders 20 mm beside the plane that their barrel pins stand in."""
+    data = machine.model_dump()
+    for cylinder in data["cylinders"]:
+        if cylinder["name"] in cylinders:
+            x, y, z = cylinder["rod"]["pin"]
+            cylinder["rod"]["pin"] = (x, y, z + 0.02)
     return type(machine).model_validate(data)
 
 
