@@ -241,6 +241,8 @@ def _in_plain_words(error: ValidationError, data: dict[str, Any]) -> tuple[str, 
         return "this key is missing", place, "add it"
     if kind == "extra_forbidden":
         known = sorted({key for noun in Noun.__subclasses__() for key in noun.model_fields})
+        if first["loc"][-1] in known:
+            return "this key has no meaning here", place, "remove it"
         like = get_close_matches(str(first["loc"][-1]), known, 1, 0.75)
         better = f"write '{like[0]}'" if like else "correct its spelling"
         return "this key is unknown", place, f"{better} or remove it"
@@ -297,7 +299,7 @@ def _unit(node: BaseModel, key: str, machine: Machine, owner: str) -> str | None
     """
     if isinstance(node, JointFriction | TorqueFriction):
         driven = {part.name: part.joint for part in machine.actuators if not isinstance(part, Cylinder)}
-        return machine.effort_units(driven.get(owner, owner))[key == "viscous"]
+        return machine.friction_units(driven.get(owner, owner))[key]
     if isinstance(node, Sensor) and key in ("accuracy", "resolution"):
         return machine.channel_units[node.channels[0]]
     if isinstance(node, Joint) and key in ("lower", "upper", "max_speed", "max_acceleration"):

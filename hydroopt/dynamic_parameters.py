@@ -12,6 +12,12 @@ from hydroopt.machine import Machine
 from hydroopt.parameters import ParameterSet
 from hydroopt.parts import Body, Cylinder, Drive, Motor, Note
 
+SPEED = "v_stribeck"
+"""What parameters in which forces are not linear are called, after the dot."""
+SPEED_RANGE = 20.0
+"""Factor by which a Stribeck speed may be off where the file states no bounds: beyond, it is another effect."""
+_CYLINDER_UNITS = (dict.fromkeys(("offset", "coulomb", "coulomb_reverse", "stribeck"), "N")
+                   | dict.fromkeys(("viscous", "viscous_reverse"), "N*s/m") | {"stribeck_speed": "m/s"})
 DEFAULT_CONFIDENCE = 1.0
 """Prior σ of a body's numbers when the file states none, as a part of their size."""
 
@@ -24,12 +30,14 @@ class Owned(NamedTuple):
 
 
 class Scalar(NamedTuple):
-    """A parameter that is not inertial: nominal value, unit, file path, and whether it may be negative."""
+    """A parameter that is not inertial: nominal value, unit, file path, bounds by nature, and a typical size."""
 
     value: float
     unit: str
     path: str
-    signed: bool
+    lower: float = 0.0
+    upper: float = np.inf
+    size: float = 1.0
 
 
 def bodies(machine: Machine, *, actuator_inertia: bool = True) -> dict[str, Owned]:
@@ -51,32 +59,35 @@ def bodies(machine: Machine, *, actuator_inertia: bool = True) -> dict[str, Owne
 
 def scalars(machine: Machine, joint: str) -> dict[str, Scalar]:
     """Friction, offset and rotor parameters of one moving joint and its actuator, in the order of Eq. 4.53, 4.54."""
-    torque, viscosity = machine.effort_units(joint)
-    own, at = machine.link(joint).joint.friction, f"{joint}.joint.friction"
-    stated = {f"{joint}.tau_coulomb": (own.coulomb, torque, f"{at}.coulomb", False),
-              f"{joint}.tau_viscous": (own.viscous, viscosity, f"{at}.viscous", False)}
+    units = machine.friction_units(joint)
+    own = machine.link(joint).joint.friction
+    found = {f"{joint}.tau_{key}": Scalar(value, units[key], f"{joint}.joint.friction.{key}")
+             for key in ("coulomb", "viscous") if (value := getattr(own, key)) is not None}
     driver = _driver(machine, joint)
     assert driver is not None
-    friction, at, name = driver.friction, f"{driver.name}.friction", driver.name
+    prefix, at = f"{driver.name}.{'f' if isinstance(driver, Cylinder) else 'tau'}", f"{driver.name}.friction"
     if isinstance(driver, Cylinder):
-        stated |= {f"{name}.f_offset": (friction.offset, "N", f"{at}.offset", True),
-                   f"{name}.f_coulomb": (friction.coulomb, "N", f"{at}.coulomb", False),
-                   f"{name}.f_viscous": (friction.viscous, "N*s/m", f"{at}.viscous", False),
-                   f"{name}.n_barrel": (driver.friction.barrel_pin, "N*m", f"{at}.barrel_pin", False),
-                   f"{name}.n_rod": (driver.friction.rod_pin, "N*m", f"{at}.rod_pin", False)}
-    else:
-        stated |= {f"{name}.tau_offset": (friction.offset, torque, f"{at}.offset", True),
-                   f"{name}.tau_coulomb": (friction.coulomb, torque, f"{at}.coulomb", False),
-                   f"{name}.tau_viscous": (friction.viscous, viscosity, f"{at}.viscous", False)}
-        if not isinstance(driver, Motor):
-            stated[f"{name}.rotor_inertia"] = (driver.rotor_inertia, "kg*m^2", f"{name}.rotor_inertia", False)
-    return {key: Scalar(value, unit, path, signed) for key, (value, unit, path, signed) in stated.items()
-            if value is not None}
+        units = _CYLINDER_UNITS
+    for key in ("offset", "coulomb", "coulomb_reverse", "viscous", "viscous_reverse", "stribeck"):
+        if (value := getattr(driver.friction, key)) is not None:
+            found[f"{prefix}_{key}"] = Scalar(value, units[key], f"{at}.{key}", -np.inf if key == "offset" else 0.0)
+    if (speed := driver.friction.stribeck_speed) is not None:
+        found[f"{driver.name}.{SPEED}"] = Scalar(speed, units["stribeck_speed"], f"{at}.stribeck_speed",
+                                                 speed / SPEED_RANGE, speed * SPEED_RANGE, speed)
+    if isinstance(driver, Cylinder):
+        if (seal := driver.friction.seal) is not None:
+            found[f"{prefix}_seal"] = Scalar(seal, "m^2", f"{at}.seal", 0.0, driver.areas[1], 0.01 * driver.areas[0])
+        for end in ("barrel", "rod"):
+            if (value := getattr(driver.friction, f"{end}_pin")) is not None:
+                found[f"{driver.name}.n_{end}"] = Scalar(value, "N*m", f"{at}.{end}_pin")
+    elif isinstance(driver, Drive) and driver.rotor_inertia is not None:
+        found[f"{driver.name}.rotor_inertia"] = Scalar(driver.rotor_inertia, "kg*m^2", f"{driver.name}.rotor_inertia")
+    return found
 
 
 def passive_scalars(machine: Machine) -> dict[str, Scalar]:
     """The pressures of gas-charged cylinders."""
-    return {f"{gas.name}.precharge": Scalar(gas.precharge, "Pa", f"{gas.name}.precharge", False)
+    return {f"{gas.name}.precharge": Scalar(gas.precharge, "Pa", f"{gas.name}.precharge")
             for gas in machine.gas_cylinders}
 
 
@@ -90,7 +101,7 @@ def parameter_set(machine: Machine, *, actuator_inertia: bool = True) -> Paramet
     found = bodies(machine, actuator_inertia=actuator_inertia)
     names: list[str] = []
     units: list[str] = []
-    blocks: list[tuple[Array, Array, Array, Array]] = []  # nominal, lower, upper, information
+    blocks: list[tuple[Array, Array, Array, Array, Array]] = []  # nominal, lower, upper, size, information
     for link in machine.links:
         driver = _driver(machine, link.name)
         owners = [link.name, *([f"{driver.name}.rod", f"{driver.name}.barrel"] if driver else [])]
@@ -108,16 +119,16 @@ def parameter_set(machine: Machine, *, actuator_inertia: bool = True) -> Paramet
         names.append(name)
         units.append(scalar.unit)
         blocks.append(_scalar_block(scalar, machine.notes))
-    nominal, lower, upper = (np.concatenate([np.zeros(0), *(block[k] for block in blocks)]) for k in range(3))
+    nominal, lower, upper, size = (np.concatenate([np.zeros(0), *(block[k] for block in blocks)]) for k in range(4))
     information = np.zeros((len(names), len(names)))
     start = 0
     for block in blocks:
         stop = start + len(block[0])
-        information[start:stop, start:stop] = block[3]
+        information[start:stop, start:stop] = block[4]
         start = stop
     known = np.diag(information) > 0
     sigma = np.sqrt(np.diag(np.linalg.inv(information + np.diag(~known * 1.0))))
-    scale = np.where(known, sigma, np.maximum(np.abs(nominal), 1.0))
+    scale = np.where(known, sigma, np.maximum(np.abs(nominal), size))
     return ParameterSet(tuple(names), tuple(units), nominal, lower, upper, scale, information)
 
 
@@ -125,7 +136,7 @@ def _driver(machine: Machine, joint: str) -> Cylinder | Motor | Drive | None:
     return machine.actuators[machine.joints.index(joint)] if joint in machine.joints else None
 
 
-def _body_block(owned: Owned, notes: dict[str, Note]) -> tuple[Array, Array, Array, Array]:
+def _body_block(owned: Owned, notes: dict[str, Note]) -> tuple[Array, Array, Array, Array, Array]:
     phi = owned.body.phi
     lower: Array = np.full(10, -np.inf)
     upper: Array = np.full(10, np.inf)
@@ -135,7 +146,7 @@ def _body_block(owned: Owned, notes: dict[str, Note]) -> tuple[Array, Array, Arr
         upper[0] = note.upper
     covariance = _body_covariance(owned, notes)
     information = np.zeros((10, 10)) if covariance is None else np.asarray(np.linalg.inv(covariance), dtype=float)
-    return phi, lower, upper, information
+    return phi, lower, upper, np.ones(10), information
 
 
 def _body_covariance(owned: Owned, notes: dict[str, Note]) -> Array | None:
@@ -174,11 +185,11 @@ def _sigma(note: Note | None, value: Array, size: float) -> float:
     return note.sigma * largest if note.relative else note.sigma
 
 
-def _scalar_block(scalar: Scalar, notes: dict[str, Note]) -> tuple[Array, Array, Array, Array]:
+def _scalar_block(scalar: Scalar, notes: dict[str, Note]) -> tuple[Array, Array, Array, Array, Array]:
     note = notes.get(scalar.path, Note())
-    low = note.lower if note.lower is not None else -np.inf if scalar.signed else 0.0
-    high = note.upper if note.upper is not None else np.inf
+    low = scalar.lower if note.lower is None else note.lower
+    high = scalar.upper if note.upper is None else note.upper
     information = 0.0
     if note.sigma is not None:
-        information = 1 / (note.sigma * (abs(scalar.value) or 1.0) if note.relative else note.sigma) ** 2
-    return np.array([scalar.value]), np.array([low]), np.array([high]), np.array([[information]])
+        information = 1 / (note.sigma * (abs(scalar.value) or scalar.size) if note.relative else note.sigma) ** 2
+    return (*np.array([[scalar.value], [low], [high], [scalar.size]]), np.array([[information]]))

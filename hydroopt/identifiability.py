@@ -13,6 +13,9 @@ from hydroopt.model.build import Model
 FULL, COMBINATION, NONE = "full", "combination", "none"
 """A parameter is identifiable alone, only together with others, or not at all."""
 
+PRESSURES = (1e6, 4e7)
+"""Range of the sum of a cylinder's two pressures [Pa] under ideal motion."""
+
 
 @dataclass(frozen=True, eq=False)
 class Identifiability:
@@ -106,8 +109,11 @@ def _null_space(scaled: Array, rank: int) -> Array:
 
 def structural(model: Model, *, samples: int = 400, seed: int = 0, tolerance: float = 1e-8) -> Identifiability:
     """Identifiability of a model under ideal motion: random joint states within limits, no noise (Section 4.4.2)."""
-    q, qd, qdd = random_states(model, samples, np.random.default_rng(seed))
-    K = model.over(model.regressor, q, qd, qdd)[0]
+    rng = np.random.default_rng(seed)
+    states: tuple[Array, ...] = random_states(model, samples, rng)
+    if model.needs_pressure:
+        states = (*states, rng.uniform(*PRESSURES, states[0].shape))
+    K = model.over(model.regressor, *states)[0]
     return analyse(K.reshape(-1, K.shape[2]), model.parameters.names, tolerance=tolerance)
 
 

@@ -81,8 +81,7 @@ class Machine(Noun):
                       for kind in ("motors", "drives")
                       for part, raw in zip(getattr(self, kind), data.get(kind, ()), strict=True)]
         for place, joint, raw in frictions:
-            effort, viscosity = self.effort_units(joint)
-            for key, si in (("offset", effort), ("coulomb", effort), ("viscous", viscosity)):
+            for key, si in self.friction_units(joint).items():
                 yield f"{place}.{key}", _under(raw, key), si
         for k, (sensor, raw) in enumerate(zip(self.sensors, data.get("sensors", ()), strict=True)):
             for key in ("accuracy", "resolution"):
@@ -210,6 +209,11 @@ class Machine(Noun):
         return tuple(sorted(found, key=lambda actuator: self.joints.index(self._main_joint(actuator))))
 
     @property
+    def sealed(self) -> tuple[str, ...]:
+        """Names of the cylinders whose friction depends on their pressures."""
+        return tuple(cylinder.name for cylinder in self.cylinders if cylinder.friction.seal is not None)
+
+    @property
     def all_cylinders(self) -> tuple[Cylinder | GasCylinder, ...]:
         """Hydraulic and gas-charged cylinders."""
         return (*self.cylinders, *self.gas_cylinders)
@@ -242,6 +246,14 @@ class Machine(Noun):
     def effort_units(self, joint: str) -> tuple[str, str]:
         """SI units of a joint's effort (torque, or force where it slides) and of its viscous coefficient."""
         return ("N", "N*s/m") if self.link(joint).joint.type == "prismatic" else ("N*m", "N*m*s/rad")
+
+    def friction_units(self, joint: str) -> dict[str, str]:
+        """SI units of what a joint, motor or drive may state as friction, by key."""
+        effort, viscosity = self.effort_units(joint)
+        speed = "m/s" if self.link(joint).joint.type == "prismatic" else "rad/s"
+        return (dict.fromkeys(("offset", "coulomb", "coulomb_reverse", "stribeck"), effort)
+                | dict.fromkeys(("viscous", "viscous_reverse"), viscosity)
+                | dict.fromkeys(("stribeck_speed", "dead_zone"), speed))
 
     @property
     def channel_units(self) -> dict[str, str]:

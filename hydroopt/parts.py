@@ -18,6 +18,7 @@ from hydroopt.quantity import (
     CHANNEL_UNITS,
     Angle,
     AngularCompliance,
+    AngularSpeed,
     AngularViscosity,
     Area,
     Force,
@@ -182,13 +183,42 @@ class Attachment(Noun):
 
 
 class CylinderFriction(Noun):
-    """Friction of a cylinder and the offset of its force reading (Eq. 4.54); unstated terms are not modelled."""
+    """Friction of a cylinder and the offset of its force reading (Eq. 4.54); unstated terms are not modelled.
+
+    Where `coulomb_reverse` or `viscous_reverse` is stated, it holds while the cylinder retracts, and `coulomb` or
+    `viscous` only while it extends. `stribeck` is what breaking away takes beyond Coulomb friction, gone well above
+    the `stribeck_speed` (Armstrong-Hélouvry et al. 1994). `seal` is the friction per pressure in both chambers together
+    (Bonchis et al. 1999). Slower than `dead_zone` there is no dry friction: neither Coulomb's nor Stribeck's nor the
+    seals'.
+    """
 
     offset: Force | None = None
     coulomb: Force | None = Field(None, ge=0)
+    coulomb_reverse: Force | None = Field(None, ge=0)
     viscous: LinearViscosity | None = Field(None, ge=0)
+    viscous_reverse: LinearViscosity | None = Field(None, ge=0)
+    stribeck: Force | None = Field(None, ge=0)
+    stribeck_speed: Speed | None = Field(None, gt=0)
+    seal: Area | None = Field(None, ge=0)
+    dead_zone: Speed | None = Field(None, gt=0)
     barrel_pin: Torque | None = Field(None, ge=0)
     rod_pin: Torque | None = Field(None, ge=0)
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        _refuse_half_friction(self)
+        return self
+
+
+def _refuse_half_friction(friction: CylinderFriction | TorqueFriction) -> None:
+    if (friction.stribeck is None) != (friction.stribeck_speed is None):
+        missing = "stribeck" if friction.stribeck is None else "stribeck_speed"
+        raise ImpossibleError("the Stribeck effect is half stated", f"state '{missing}', too, or neither of both",
+                              missing)
+    dry = [friction.coulomb, friction.coulomb_reverse, friction.stribeck, getattr(friction, "seal", None)]
+    if friction.dead_zone is not None and all(term is None for term in dry):
+        raise ImpossibleError("there is no dry friction that a dead zone could take away",
+                              "state a dry friction such as 'coulomb', or remove it", "dead_zone")
 
 
 class Cylinder(Noun):
@@ -223,6 +253,9 @@ class Cylinder(Noun):
         if self.areas[1] >= self.areas[0] or self.areas[1] <= 0:
             raise ImpossibleError("the rod side's area must lie between zero and the head side's",
                                   "exchange or correct the two")
+        if self.friction.seal is not None and self.friction.seal >= self.areas[1]:
+            raise ImpossibleError("such seals hold the piston against any pressure: their friction grows as fast as "
+                                  "the rod side's force", f"state less than {self.areas[1]:.4g} m^2", "friction.seal")
         return self
 
     @property
@@ -237,11 +270,21 @@ class Cylinder(Noun):
 
 
 class TorqueFriction(Noun):
-    """Friction of a rotary actuator and the offset of its torque reading (Eq. 4.53)."""
+    """Friction of a rotary actuator and the offset of its torque reading (Eq. 4.53); see `CylinderFriction`."""
 
     offset: Torque | None = None
     coulomb: Torque | None = Field(None, ge=0)
+    coulomb_reverse: Torque | None = Field(None, ge=0)
     viscous: AngularViscosity | None = Field(None, ge=0)
+    viscous_reverse: AngularViscosity | None = Field(None, ge=0)
+    stribeck: Torque | None = Field(None, ge=0)
+    stribeck_speed: AngularSpeed | None = Field(None, gt=0)
+    dead_zone: AngularSpeed | None = Field(None, gt=0)
+
+    @model_validator(mode="after")
+    def _whole(self) -> Self:
+        _refuse_half_friction(self)
+        return self
 
 
 class Motor(Noun):

@@ -106,8 +106,35 @@ def random_truth(model: Model, seed: int, *, tries: int = 20000) -> Array:
 
 
 def forces(model: Model, motion: Trajectory, psi: Array) -> Array:
-    """Noise-free actuator forces (N, n) of a motion with the parameters ψ."""
-    return model.over(model.inverse_dynamics, motion.q, motion.qd, motion.qdd, psi)[0][:, :, 0]
+    """Noise-free actuator forces (N, n) of a motion with the parameters ψ.
+
+    The friction of seals depends on pressures and these on the force, which is so found for both at once.
+    """
+    state = (motion.q, motion.qd, motion.qdd)
+    if not model.needs_pressure:
+        return model.over(model.inverse_dynamics, *state, psi)[0][:, :, 0]
+    still = np.zeros_like(motion.q)
+    force = model.over(model.inverse_dynamics, *state, still, psi)[0][:, :, 0]
+    seals = np.where([name.endswith(".f_seal") for name in model.parameters.names], psi, 0.0)
+    share = model.over(model.inverse_dynamics, *state, still + 1.0, seals)[0][:, :, 0]
+    for k, actuator in enumerate(model.machine.actuators):
+        if actuator.name in model.machine.sealed and isinstance(actuator, Cylinder):
+            if not seals[model.parameters.index(f"{actuator.name}.f_seal")] < actuator.areas[1]:
+                raise ProblemError(f"the seals of {actuator.name} would hold it against any pressure", where="simulate",
+                                   remedy=f"keep its seal below the rod side's area of {actuator.areas[1]:.4g} m^2")
+            force[:, k] = _sealed(force[:, k], share[:, k], *actuator.areas)
+    return force
+
+
+def _sealed(without: Array, share: Array, head: float, rod: float) -> Array:
+    """Force f (N,) of a cylinder whose seals add `share` times the sum p_head + p_rod that goes with f itself.
+
+    That sum, as `_chambers` makes it, has slope 1/head above the force of two chambers at back pressure and slope −1/rod
+    below, so that on either side of it f solves a linear equation; which one, its sign there tells.
+    """
+    level = (head - rod) * BACK_PRESSURE
+    beyond = without + share * 2 * BACK_PRESSURE - level
+    return np.asarray(level + beyond / (1 - share * np.where(beyond > 0, 1 / head, -1 / rod)))
 
 
 def simulate(model: Model, motion: Trajectory, psi: Array | None = None, *, noise: bool = True, seed: int = 0,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,25 +37,39 @@ class Compressed:
         return R[:p, :p], R[:p, p], float(np.sum(R[p:, p] ** 2))
 
 
-def _chunks(model: Model, experiments: Sequence[Experiment]) -> Iterator[tuple[int, NDArray[np.intp], Array, Array]]:
+def _chunks(model: Model, experiments: Sequence[Experiment],
+            psi: Array | None) -> Iterator[tuple[int, NDArray[np.intp], Array, Array]]:
     """(experiment, sample indices, K (m, n, p), f (m, n)) of samples that take part; K is written over by the next."""
     reused: list[Array] | None = None
     for which, data in enumerate(experiments):
         taken = np.flatnonzero(data.inside)
         for start in range(0, len(taken), CHUNK):
             rows = taken[start : start + CHUNK]
-            motion = data.motion
             reused = reused if reused is not None and len(reused[0]) == len(rows) else None
-            reused = model.over(model.regressor, motion.q[rows], motion.qd[rows], motion.qdd[rows], out=reused)
-            yield which, rows, reused[0], data.force[rows]
+            reused, force = equations(model, data, psi, rows, reused)
+            yield which, rows, reused[0], force
 
 
-def compress(model: Model, experiments: Sequence[Experiment], weights: Sequence[Array] | None = None) -> Compressed:
-    """Fold experiments into triangles; `weights` (N, n) per experiment multiply the squared residuals."""
+def equations(model: Model, data: Experiment, psi: Array | None, rows: slice | NDArray[np.intp] = slice(None),
+              out: list[Array] | None = None) -> tuple[list[Array], Array]:
+    """K (m, n, p), first of a list that `out` may reuse, and f (m, n) of ``K·ψ = f``.
+
+    Forces that are not linear in the parameters are linearised at `psi` (p,), by default at the nominal ones.
+    """
+    if model.linear:
+        return model.over(model.regressor, *data.inputs(rows), out=out), data.force[rows]
+    psi = model.parameters.nominal if psi is None else psi
+    made = model.over(model.linearised, *data.inputs(rows), psi, out=out)
+    return made, data.force[rows] - made[1][:, :, 0] + made[0] @ psi
+
+
+def compress(model: Model, experiments: Sequence[Experiment], weights: Sequence[Array] | None = None, *,
+             psi: Array | None = None) -> Compressed:
+    """Fold experiments, linearised at `psi`, into triangles; `weights` (N, n) for each multiply squared residuals."""
     n, p = len(model.machine.joints), len(model.parameters)
     triangles = np.zeros((n, p + 1, p + 1))
     samples = np.zeros(n)
-    for which, rows, K, force in _chunks(model, experiments):
+    for which, rows, K, force in _chunks(model, experiments, psi):
         block = np.concatenate([K, force[:, :, None]], axis=2)
         if weights is not None:
             block = block * np.sqrt(weights[which][rows])[:, :, None]
@@ -67,17 +81,18 @@ def compress(model: Model, experiments: Sequence[Experiment], weights: Sequence[
 
 
 def compress_jointly(model: Model, experiments: Sequence[Experiment], covariance: Array,
-                     weights: Sequence[Array] | None = None) -> tuple[Array, Array, float]:
+                     weights: Sequence[Array] | None = None, *,
+                     psi: Array | None = None) -> tuple[Array, Array, float]:
     """R (p, p), r (p,) and the rest, as of `Compressed.weighted`, when the actuators' residuals err together.
 
     Args:
-        model, experiments, weights: as of `compress`.
+        model, experiments, weights, psi: as of `compress`.
         covariance: (n, n) of the actuators' residuals in one sample; where some of them take no part, what the
             covariance says of the others counts.
     """
     p = len(model.parameters)
     triangle = np.zeros((p + 1, p + 1))
-    for which, rows, K, force in _chunks(model, experiments):
+    for which, rows, K, force in _chunks(model, experiments, psi):
         block = np.concatenate([K, force[:, :, None]], axis=2)
         if weights is not None:
             block = block * np.sqrt(weights[which][rows])[:, :, None]
@@ -98,7 +113,8 @@ def whitened(block: Array, taken: NDArray[np.bool_], covariance: Array) -> Array
 
 
 def compress_instrumented(model: Model, experiments: Sequence[Experiment], instruments: Sequence[Motion],
-                          sigma: Array, weights: Sequence[Array] | None = None) -> tuple[Array, Array, float]:
+                          sigma: Array, weights: Sequence[Array] | None = None, *,
+                          psi: Array | None = None) -> tuple[Array, Array, float]:
     """R (p, p) and r (p,) of ``Zᵀ·(f − K·ψ) ≈ 0``: least squares on what the instruments Z see of the rows.
 
     Z is the regressor of a motion whose errors are not those of the measured one (a reference, a second sensor, a
@@ -107,15 +123,14 @@ def compress_instrumented(model: Model, experiments: Sequence[Experiment], instr
     industrial robot identification").
 
     Args:
-        model, experiments, weights: as of `compress`.
+        model, experiments, weights, psi: as of `compress`.
         instruments: a motion at the samples of each experiment.
         sigma: (n,) standard deviation of each actuator's residual.
     """
     p = len(model.parameters)
     triangle = np.zeros((2 * p + 1, 2 * p + 1))
-    for which, rows, K, force in _chunks(model, experiments):
-        other = instruments[which]
-        Z = model.over(model.regressor, other.q[rows], other.qd[rows], other.qdd[rows])[0]
+    for which, rows, K, force in _chunks(model, experiments, psi):
+        Z = model.over(model.regressor, *replace(experiments[which], motion=instruments[which]).inputs(rows))[0]
         block = np.concatenate([Z, K, force[:, :, None]], axis=2) / sigma[:, None]
         if weights is not None:
             block = block * np.sqrt(weights[which][rows])[:, :, None]
@@ -137,4 +152,4 @@ def _fold(triangle: Array, block: Array) -> Array:
 
 def predict(model: Model, data: Experiment, psi: Array) -> Array:
     """Actuator forces (N, n) that the parameters ψ predict for a measured motion."""
-    return model.over(model.inverse_dynamics, data.motion.q, data.motion.qd, data.motion.qdd, psi)[0][:, :, 0]
+    return model.over(model.inverse_dynamics, *data.inputs(), psi)[0][:, :, 0]

@@ -15,12 +15,15 @@ from hydroopt.estimation.compression import (
     compress_instrumented,
     compress_jointly,
     predict,
+    whitened,
 )
 from hydroopt.estimation.correlation import correlation_time
 from hydroopt.estimation.gaussian import gaussian
 from hydroopt.estimation.problem import Problem
 from hydroopt.inertia import Array
 
+HUBER = 1.345
+"""Residual, in its standard deviations, beyond which Huber's loss no longer grows with the square."""
 MostProbable = Callable[[Array, Array], Array]
 """From (R, r) to the parameters ψ (p,) that an estimator takes."""
 
@@ -64,28 +67,30 @@ class Evidence:
         return tuple(said)
 
 
-def gather(problem: Problem, tolerance: float, most_probable: MostProbable) -> Evidence:
+def gather(problem: Problem, tolerance: float, most_probable: MostProbable, point: Array) -> Evidence:
     """Weigh residuals and condense them.
 
     Args:
         problem: whose.
         tolerance: part of the largest singular value below which a direction counts as unseen.
         most_probable: the estimator, which a fitted motion is fitted with.
+        point: (p,) parameters at which forces are linearised that are not linear in them.
 
     Raises:
         IdentifiabilityError: no joint moves.
         SolverError: a fitted motion does not come to rest.
     """
     model, experiments = problem.model, problem.experiments
-    data = compress(model, experiments)
+    data = compress(model, experiments, psi=point)
     if not np.any(data.samples):
         names = ", ".join(e.log.path or e.log.name for e in experiments)
         raise IdentifiabilityError("no joint moves in what is to be learnt from", where=names,
                                    remedy="record a log in which the joints move")
     sigma, weights = _sigma(problem, data, tolerance), None
     if problem.loss != "squares":
-        data, sigma, weights = _robust(problem, data, sigma)
-    psi = _least_squares(problem, *data.weighted(sigma)[:2], tolerance)
+        data, sigma, weights = _robust(problem, data, sigma, point)
+    # where forces are not linear, least squares without bounds may lead to where their linearisation means nothing
+    psi = _least_squares(problem, *data.weighted(sigma)[:2], tolerance) if model.linear else point
     correlation = _correlation(problem, psi) if problem.correlated else np.eye(len(sigma))
     if problem.fitted_motion:
         where = f"identification of {model.machine.name}"
@@ -99,12 +104,28 @@ def gather(problem: Problem, tolerance: float, most_probable: MostProbable) -> E
         fit = fitted_motion.fit(model, fit.fitted, _covariance(correlation, wide), weights, psi, most_probable, where)
         problem, R, r, rest = replace(problem, experiments=fit.experiments), fit.R, fit.r, fit.rest
     elif problem.instruments:
-        R, r, rest = compress_instrumented(model, experiments, problem.instruments, wide, weights)
+        R, r, rest = compress_instrumented(model, experiments, problem.instruments, wide, weights, psi=point)
     elif problem.correlated:
-        R, r, rest = compress_jointly(model, experiments, _covariance(correlation, wide), weights)
+        R, r, rest = compress_jointly(model, experiments, _covariance(correlation, wide), weights, psi=point)
     else:
         R, r, rest = data.weighted(wide)
     return Evidence(problem, R, r, rest, float(np.sum(data.samples)), sigma, correlation, times)
+
+
+def misfit(evidence: Evidence, psi: Array) -> float:
+    """The loss of all residuals of forces at ψ (p,), weighted as the evidence is but without linearisation."""
+    problem, total = evidence.problem, 0.0
+    wide = evidence.sigma * np.sqrt(evidence.correlation_time)
+    for residual, data in zip(_residuals(problem, psi), problem.experiments, strict=True):
+        taken = data.inside[:, None] & data.moving
+        if problem.loss == "squares":
+            total += float(np.sum(whitened(residual[:, :, None], taken, _covariance(evidence.correlation, wide)) ** 2))
+            continue
+        u = np.abs(np.where(taken, residual, 0.0)) / evidence.sigma
+        loss = np.where(u < HUBER, u**2, 2 * HUBER * u - HUBER**2) if problem.loss == "huber" else (
+            5 * np.log1p(u**2 / 4))
+        total += float(np.sum(loss / evidence.correlation_time))
+    return total
 
 
 def _covariance(correlation: Array, sigma: Array) -> Array:
@@ -131,7 +152,7 @@ def _sigma(problem: Problem, data: Compressed, tolerance: float) -> Array:
     return np.asarray(sigma)
 
 
-def _robust(problem: Problem, data: Compressed, sigma: Array) -> tuple[Compressed, Array, list[Array]]:
+def _robust(problem: Problem, data: Compressed, sigma: Array, point: Array) -> tuple[Compressed, Array, list[Array]]:
     """Iteratively reweighted least squares: Huber (95 % efficient at 1.345 σ) or Student-t (4 degrees of freedom).
 
     The residuals are those of the most probable parameters before constraints, which good data hardly move.
@@ -146,9 +167,9 @@ def _robust(problem: Problem, data: Compressed, sigma: Array) -> tuple[Compresse
             taken = np.concatenate(_taken(problem, residuals))
             sigma = np.maximum(1.4826 * np.nanmedian(np.abs(taken), axis=0), floor)
         ratios = [np.abs(res) / sigma for res in residuals]
-        weights = [np.minimum(1.0, 1.345 / np.maximum(u, 1e-12)) if problem.loss == "huber" else 5.0 / (4.0 + u**2)
+        weights = [np.minimum(1.0, HUBER / np.maximum(u, 1e-12)) if problem.loss == "huber" else 5.0 / (4.0 + u**2)
                    for u in ratios]
-        data = compress(problem.model, problem.experiments, weights)
+        data = compress(problem.model, problem.experiments, weights, psi=point)
         if np.all(np.abs(psi - before) < 1e-3 * problem.parameters.scale):
             break
     return data, sigma, weights

@@ -31,8 +31,10 @@ class Experiment:
 
     `inside` (N,) is False near the ends of a stretch, where derivatives of noisy angles are worse: those samples take
     no part in estimation and validation. `moving` (N, n) is False where a joint is too slow for the sign of its
-    velocity, and so of its dry friction, to be known (Eq. 4.51): those take no part in estimation. `remarks` say which
-    channels were not used and how measured lengths compare with the geometry.
+    velocity, and so of its dry friction, to be known (Eq. 4.51), unless it is so slow that there is none by the dead zone
+    of its actuator: those take no part in estimation. `remarks` say which channels were not used and how measured
+    lengths compare with the geometry. `pressure` (N, n) [Pa] is p_head + p_rod of each cylinder whose seals' friction
+    depends on it and 0 for all other actuators; None where no friction does.
     """
 
     log: Log
@@ -40,6 +42,12 @@ class Experiment:
     force: Array
     moving: NDArray[np.bool_]
     remarks: tuple[str, ...] = ()
+    pressure: Array | None = None
+
+    def inputs(self, rows: slice | NDArray[np.intp] = slice(None)) -> tuple[Array, ...]:
+        """What the model's regressor and inverse dynamics take: q, qd, qdd and, if they do, pressure (·, n)."""
+        motion = (self.motion.q[rows], self.motion.qd[rows], self.motion.qdd[rows])
+        return motion if self.pressure is None else (*motion, self.pressure[rows])
 
     @property
     def inside(self) -> NDArray[np.bool_]:
@@ -75,12 +83,38 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
     factors = [_force_channels(model, log, k) for k in range(len(machine.actuators))]
     force = np.column_stack([sum((factor * reading(machine, log, channel) for channel, factor in parts.items()),
                                  np.zeros(log.t.size)) for parts in factors])
-    rms_speed = np.sqrt(np.mean(motion.qd**2, axis=0))
-    slow = np.maximum(NOISE_FACTOR * _velocity_noise(angles, motion), OVERSHOOT * rms_speed)
-    moving = np.abs(motion.qd) > np.maximum(slow, STANDSTILL)
-    used = {channel for channel, _ in read} | {channel for parts in factors for channel in parts}
-    return Experiment(log, motion, force, moving & (np.mean(moving, axis=0) > SELDOM),
-                      (*_unused(log, used), *_length_check(model, log, used, angles)))
+    rms_speed, noise = np.sqrt(np.mean(motion.qd**2, axis=0)), NOISE_FACTOR * _velocity_noise(angles, motion)
+    moving = np.abs(motion.qd) > np.maximum(np.maximum(noise, OVERSHOOT * rms_speed), STANDSTILL)
+    moving &= np.mean(moving, axis=0) > SELDOM
+    pressed = {name: (f"{name}.p_head", f"{name}.p_rod") for name in machine.sealed}
+    pressure = np.column_stack([sum((reading(machine, log, channel) for channel in pressed.get(actuator.name, ())),
+                                    np.zeros(log.t.size)) for actuator in machine.actuators]) if pressed else None
+    used = {channel for channel, _ in read} | {channel for parts in (*factors, *pressed.values()) for channel in parts}
+    return Experiment(log, motion, force, _dry_friction_known(model, motion, moving, noise),
+                      (*_unused(log, used), *_length_check(model, log, used, angles)), pressure)
+
+
+def _dry_friction_known(model: Model, motion: Motion, moving: NDArray[np.bool_], noise: Array) -> NDArray[np.bool_]:
+    """`moving` (N, n), but where there are dead zones: well inside them there is no dry friction, near their ends it is
+    not known. `noise` (n,) is what the joints' speeds may be off."""
+    machine = model.machine
+    known = moving.copy()
+    for k, (joint, actuator) in enumerate(zip(machine.joints, machine.actuators, strict=True)):
+        width = actuator.friction.dead_zone
+        if width is None:
+            continue
+        speed, doubt = motion.qd[:, k], np.full(len(motion.t), noise[k])
+        other_dry = machine.link(joint).joint.friction.coulomb is not None
+        if isinstance(actuator, Cylinder):
+            c = machine.all_cylinders.index(actuator)
+            _, speeds, _, arms, _ = model.over(model.cylinder_kinematics, motion.q, motion.qd, motion.qdd)
+            speed, doubt = speeds[:, c, 0], np.linalg.norm(arms[:, c] * noise, axis=1)
+            other_dry |= actuator.friction.barrel_pin is not None or actuator.friction.rod_pin is not None
+        size = np.abs(speed)
+        known[:, k] &= size > width + doubt
+        if not other_dry:
+            known[:, k] |= size < width - doubt
+    return known
 
 
 def reading(machine: Machine, log: Log, channel: str) -> Array:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from scipy.interpolate import BSpline, PPoly
 
 from hydroopt.errors import SolverError
-from hydroopt.estimation.compression import whitened
+from hydroopt.estimation.compression import equations, whitened
 from hydroopt.estimation.experiment import Experiment, angle_noise, measured_angles
 from hydroopt.inertia import Array
 from hydroopt.model.build import Model
@@ -226,11 +226,10 @@ class ForceRows:
     @classmethod
     def at(cls, model: Model, data: Experiment, psi: Array, covariance: Array, weights: Array | None) -> ForceRows:
         """At the experiment's motion and at ψ: ``by_motion·δ + by_psi·ψ_new = right``."""
-        state = data.motion.q, data.motion.qd, data.motion.qdd
-        by_motion = np.stack(model.over(model.force_by_motion, *state, psi), axis=2)
-        by_psi = model.over(model.regressor, *state)[0]
-        root = np.ones_like(data.force) if weights is None else np.sqrt(weights)
-        return cls(by_motion * root[:, :, None, None], by_psi * root[:, :, None], data.force * root, data.moving,
+        by_motion = np.stack(model.over(model.force_by_motion, *data.inputs(), psi), axis=2)
+        (by_psi, *_), right = equations(model, data, psi)
+        root = np.ones_like(right) if weights is None else np.sqrt(weights)
+        return cls(by_motion * root[:, :, None, None], by_psi * root[:, :, None], right * root, data.moving,
                    covariance)
 
     def of(self, span: slice, basis: list[Array]) -> Array:

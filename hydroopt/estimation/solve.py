@@ -8,10 +8,11 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt import identifiability, inertia
+from hydroopt.dynamic_parameters import SPEED
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation import feasible, linear, nonlinear, uncertainty
 from hydroopt.estimation.estimate import Estimate
-from hydroopt.estimation.evidence import Evidence, gather
+from hydroopt.estimation.evidence import Evidence, gather, misfit
 from hydroopt.estimation.gaussian import gaussian
 from hydroopt.estimation.linear import RANK_TOLERANCE
 from hydroopt.estimation.problem import Problem
@@ -22,6 +23,10 @@ from hydroopt.solvers import Certificate
 Method = Literal["sdp", "qp", "nlp", "wls", "ridge", "tsvd"]
 METHODS: tuple[Method, ...] = get_args(Method)
 _LINEAR = ("wls", "ridge", "tsvd")
+STEPS, SMALLEST, SETTLED, NIL, FAINT = 60, 1e-6, 1e-7, 1e-6, 1e-4
+"""Gauss-Newton steps at most, the least part of one that is tried, the relative change of parameters that is none, the
+change of what is minimised, in squared standard deviations, that is none, and the Stribeck force, as a part of the
+standard deviation of residuals, that is none."""
 
 
 def solve(problem: Problem, method: Method = "sdp", *, tolerance: float = RANK_TOLERANCE,
@@ -57,6 +62,59 @@ def solve(problem: Problem, method: Method = "sdp", *, tolerance: float = RANK_T
 
 def _solve(problem: Problem, method: Method, tolerance: float, ridge: float | None, intervals: bool,
            seed: int) -> Estimate:
+    """Solve at once, or by Gauss-Newton steps where forces are not linear in the parameters.
+
+    Raises:
+        SolverError: the steps do not come to rest.
+    """
+    parameters = problem.parameters
+    if problem.model.linear:
+        return _solve_at(problem, parameters.nominal, method, tolerance, ridge, intervals, seed)
+    speeds = np.array([name.endswith(f".{SPEED}") for name in parameters.names])
+    bent = speeds | np.array([name.endswith("_stribeck") for name in parameters.names])
+    owners = [actuator.name for actuator in problem.model.machine.actuators]
+    heights = {parameters.index(name): owners.index(name.rpartition(".")[0])
+               for name in np.array(parameters.names)[bent & ~speeds]}
+    point, faint = parameters.nominal.copy(), np.full(len(owners), np.inf)
+    for _ in range(STEPS):
+        for k, actuator in heights.items():  # so that nothing depends on the speed where there is next to no force
+            point[k] *= abs(point[k]) > faint[actuator]
+        found = _solve_at(problem, point, method, tolerance, ridge, False, seed)
+        faint = FAINT * found.sigma
+        unseen = speeds & (np.array(found.seen.category) == identifiability.NONE)
+        target = np.where(unseen, point, np.where(speeds, np.clip(found.psi, parameters.lower, parameters.upper),
+                                                  found.psi))
+        step = target - point
+        rests = np.all(np.abs(step)[bent] <= SETTLED * np.abs(point)[bent])
+        before = _misfit(found, point)
+        gain, part = before - _misfit(found, target), 1.0
+        if (rests or abs(gain) <= NIL) and np.all((target == found.psi)[speeds & ~unseen]):
+            return _solve_at(problem, target, method, tolerance, ridge, intervals, seed) if intervals else found
+        # instruments do not minimise residuals, which then say nothing about how far to go
+        while gain <= 0 and part > SMALLEST and not problem.instruments:
+            part /= 2
+            gain = before - _misfit(found, point + part * step)
+        if part <= SMALLEST:
+            break
+        point = point + part * step
+    names = ", ".join(np.array(parameters.names)[speeds])
+    raise SolverError(f"Gauss-Newton steps do not come to rest: these data do not determine {names}",
+                      where=f"identification of {problem.model.machine.name}",
+                      remedy="use a method that heeds bounds and priors (sdp, qp, nlp), or leave out 'stribeck'")
+
+
+def _misfit(estimate: Estimate, psi: Array) -> float:
+    """What an estimate's method minimises, weighted as it was, at ψ (p,) and without linearisation."""
+    evidence, total = estimate.evidence, 0.0
+    if estimate.method not in _LINEAR:
+        rows, right = evidence.problem.prior_rows
+        total += float(np.sum((rows @ psi - right) ** 2))
+    return total + misfit(evidence, psi)
+
+
+def _solve_at(problem: Problem, point: Array, method: Method, tolerance: float, ridge: float | None, intervals: bool,
+              seed: int) -> Estimate:
+    """Solve with forces linearised at the parameters `point` (p,)."""
     where = f"identification of {problem.model.machine.name}"
 
     def least_squares(R: Array, r: Array) -> Array:
@@ -68,8 +126,8 @@ def _solve(problem: Problem, method: Method, tolerance: float, ridge: float | No
         return (nonlinear.solve(problem, belief) if method == "nlp"
                 else feasible.solve(problem, belief, consistent=method == "sdp" and problem.consistent))
 
-    evidence = gather(problem, tolerance,
-                      least_squares if method in _LINEAR else lambda R, r: constrained(R, r).psi)
+    evidence = gather(problem, tolerance, least_squares if method in _LINEAR else lambda R, r: constrained(R, r).psi,
+                      point)
     psi, _, seen = linear.base_least_squares(evidence.R, evidence.r, problem.parameters.names, tolerance)
     _trust(evidence.R, evidence.r, psi, seen, where)
     if method in _LINEAR:

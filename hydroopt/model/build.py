@@ -9,6 +9,7 @@ import casadi as ca
 import numpy as np
 
 from hydroopt import dynamic_parameters
+from hydroopt.errors import ProblemError
 from hydroopt.geometry import Geometry
 from hydroopt.inertia import Array
 from hydroopt.machine import Machine
@@ -88,26 +89,64 @@ class Model:
                             ["length"], ["angle"]))
         return pairs
 
+    @property
+    def linear(self) -> bool:
+        """Whether forces are linear in all parameters: no actuator has a Stribeck speed."""
+        return not any(name.endswith(f".{dynamic_parameters.SPEED}") for name in self.parameters.names)
+
+    @property
+    def needs_pressure(self) -> bool:
+        """Whether forces depend on pressures: a cylinder's file states the friction of its seals."""
+        return bool(self.machine.sealed)
+
+    def refuse_seals(self, where: str) -> None:
+        """Refuse a machine whose forces depend on pressures, where there are none.
+
+        Raises:
+            ProblemError: names the cylinders.
+        """
+        if self.needs_pressure:
+            raise ProblemError(f"the friction of the seals of {', '.join(self.machine.sealed)} depends on pressures, "
+                               "which are not an input here", where=where,
+                               remedy="remove 'seal' from the machine file")
+
+    @cached_property
+    def _state(self) -> dict[str, ca.SX]:
+        """What forces depend on: q, qd, qdd, and the pressures if they do on these."""
+        return self.at._asdict() | ({"pressure": self.dynamics.pressure} if self.needs_pressure else {})
+
     @cached_property
     def regressor(self) -> ca.Function:
-        """(q, qd, qdd) → K (n, p), actuator forces per parameter (Eq. 4.55)."""
+        """(q, qd, qdd[, pressure]) → K (n, p), actuator forces per parameter (Eq. 4.55).
+
+        `pressure` (n,) [Pa] is an input where the model `needs_pressure`: p_head + p_rod of each cylinder, 0 for other
+        actuators. Of a model that is not `linear` K is the derivative of the forces at the nominal parameters.
+        """
         K = self.dynamics.regressor(actuator_inertia=self.actuator_inertia)
-        return _dense("regressor", [*self.at], [K], ["q", "qd", "qdd"], ["K"])
+        return _dense("regressor", [*self._state.values()], [K], [*self._state], ["K"])
 
     @cached_property
     def inverse_dynamics(self) -> ca.Function:
-        """(q, qd, qdd, psi) → measured actuator forces (n,) [N or N·m] (Eq. 4.56)."""
-        psi = ca.SX.sym("psi", len(self.parameters))
-        force = self.dynamics.forces(psi, actuator_inertia=self.actuator_inertia)
-        return _dense("inverse_dynamics", [*self.at, psi], [force], ["q", "qd", "qdd", "psi"], ["force"])
+        """(q, qd, qdd[, pressure], psi) → measured actuator forces (n,) [N or N·m] (Eq. 4.56)."""
+        given = self._state | {"psi": ca.SX.sym("psi", len(self.parameters))}
+        force = self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
+        return _dense("inverse_dynamics", [*given.values()], [force], [*given], ["force"])
+
+    @cached_property
+    def linearised(self) -> ca.Function:
+        """(q, qd, qdd[, pressure], psi) → K (n, p), the derivative of the forces by ψ there, and the forces (n,)."""
+        given = self._state | {"psi": ca.SX.sym("psi", len(self.parameters))}
+        K = self.dynamics.regressor(given["psi"], actuator_inertia=self.actuator_inertia)
+        force = self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
+        return _dense("linearised", [*given.values()], [K, force], [*given], ["K", "force"])
 
     @cached_property
     def force_by_motion(self) -> ca.Function:
-        """(q, qd, qdd, psi) → derivatives (n, n) of the actuator forces by q, qd, qdd, without dry friction's steps."""
-        psi = ca.SX.sym("psi", len(self.parameters))
-        force = self.dynamics.forces(psi, actuator_inertia=self.actuator_inertia)
-        return _dense("force_by_motion", [*self.at, psi], [ca.jacobian(force, x) for x in self.at],
-                      ["q", "qd", "qdd", "psi"], ["by_q", "by_qd", "by_qdd"])
+        """(q, qd, qdd[, pressure], psi) → derivatives (n, n) of the forces by q, qd, qdd, without dry friction's steps."""
+        given = self._state | {"psi": ca.SX.sym("psi", len(self.parameters))}
+        force = self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
+        return _dense("force_by_motion", [*given.values()], [ca.jacobian(force, x) for x in self.at],
+                      [*given], ["by_q", "by_qd", "by_qdd"])
 
     @cached_property
     def lagrange_forces(self) -> ca.Function:
@@ -122,11 +161,11 @@ class Model:
 
     @cached_property
     def residual(self) -> ca.Function:
-        """(q, qd, qdd, force, psi) → measured minus predicted actuator forces (n,)."""
+        """(q, qd, qdd[, pressure], force, psi) → measured minus predicted actuator forces (n,)."""
         psi, force = ca.SX.sym("psi", len(self.parameters)), ca.SX.sym("force", len(self.machine.actuators))
-        predicted = self.inverse_dynamics(*self.at, psi)
-        return _dense("residual", [*self.at, force, psi], [force - predicted],
-                           ["q", "qd", "qdd", "force", "psi"], ["residual"])
+        predicted = self.inverse_dynamics(*self._state.values(), psi)
+        return _dense("residual", [*self._state.values(), force, psi], [force - predicted],
+                           [*self._state, "force", "psi"], ["residual"])
 
     @cached_property
     def residual_jacobian(self) -> ca.Function:

@@ -1,4 +1,4 @@
-"""Actuator forces, linear in the dynamic parameters: f = K(q, q̇, q̈)·ψ (Eq. 4.14 to 4.56).
+"""Actuator forces, linear in the dynamic parameters but for Stribeck's: f = K(q, q̇, q̈)·ψ (Eq. 4.14 to 4.56).
 
 The thesis eliminates the pin forces of every cylinder by hand (Eq. 4.23 to 4.44). Projecting each body's wrench on the
 motion that the joints allow removes them all at once, for any tree and any place of the pins: pin forces do no work.
@@ -7,13 +7,16 @@ motion that the joints allow removes them all at once, for any tree and any plac
 from __future__ import annotations
 
 import casadi as ca
+import numpy as np
 
 from hydroopt import inertia
-from hydroopt.dynamic_parameters import bodies, parameter_set
+from hydroopt.dynamic_parameters import SPEED, bodies, parameter_set
 from hydroopt.geometry import Geometry
 from hydroopt.machine import Machine
 from hydroopt.model.bodies import CylinderMotion, cylinder_motion
+from hydroopt.model.friction import friction_terms
 from hydroopt.model.kinematics import Coordinates, Motion, link_motions
+from hydroopt.parameters import ParameterSet
 from hydroopt.parts import Cylinder, Drive, GasCylinder, Motor
 from hydroopt.spatial import skew
 
@@ -38,6 +41,8 @@ class Dynamics:
     def __init__(self, geometry: Geometry, at: Coordinates) -> None:
         self.geometry, self.at = geometry, at
         self.machine: Machine = geometry.machine
+        self.pressure = ca.SX.sym("pressure", len(self.machine.actuators))
+        """Sum of the pressures [Pa] in both chambers of each cylinder, which only the friction of seals depends on."""
         self.links = link_motions(geometry, at)
         self.cylinders: dict[str, CylinderMotion] = {
             c.name: cylinder_motion(geometry, c, self.links, at)
@@ -85,42 +90,46 @@ class Dynamics:
             return ca.diag(1 / ca.diag(self.transmission)) @ generalised
         return ca.solve(self.transmission.T, generalised)
 
-    def regressor(self, *, actuator_inertia: bool = True) -> ca.SX:
-        """K (n, p): measured actuator forces = K·ψ, columns in the order of `parameter_set` (Eq. 4.55)."""
+    def regressor(self, psi: ca.SX | None = None, *, actuator_inertia: bool = True) -> ca.SX:
+        """K (n, p): measured actuator forces = K·ψ, columns in the order of `parameter_set` (Eq. 4.55).
+
+        Of forces that are not linear in the parameters K is the derivative at `psi` (p,), or at the nominal values, where
+        a Stribeck force of zero counts as its typical size: it would hide its speed.
+        """
+        parameters = parameter_set(self.machine, actuator_inertia=actuator_inertia)
+        if psi is None:
+            psi = ca.DM(np.where(parameters.nominal == 0, parameters.scale, parameters.nominal))
         columns: dict[str, ca.SX] = {}
         for owner in bodies(self.machine, actuator_inertia=actuator_inertia):
             block = self.at_actuators(self.joint_regressor(owner))
             columns |= {f"{owner}.{element}": block[:, k] for k, element in enumerate(inertia.NAMES)}
-        columns |= self._friction_columns() | self._gas_columns()
-        names = parameter_set(self.machine, actuator_inertia=actuator_inertia).names
-        return ca.horzcat(*[columns[name] for name in names])
+        columns |= self._friction_columns(parameters, psi) | self._gas_columns()
+        return ca.horzcat(*[columns[name] for name in parameters.names])
 
     def forces(self, psi: ca.SX, *, actuator_inertia: bool = True) -> ca.SX:
         """K·ψ (n,) in fewer operations: each body's wrench is found before it is projected on the joints."""
-        place = parameter_set(self.machine, actuator_inertia=actuator_inertia).positions
+        parameters = parameter_set(self.machine, actuator_inertia=actuator_inertia)
+        place = parameters.positions
         total = ca.SX.zeros(len(self.machine.joints))
         for owner in bodies(self.machine, actuator_inertia=actuator_inertia):
             phi = psi[place[f"{owner}.m"]:place[f"{owner}.m"] + len(inertia.NAMES)]
             total += self._allowed(owner).T @ (body_regressor(self.body_motion(owner)) @ phi)
         total = self.at_actuators(total)
-        for name, column in (self._friction_columns() | self._gas_columns()).items():
-            if name in place:
+        for name, column in (self._friction_columns(parameters, psi) | self._gas_columns()).items():
+            if name in place and not name.endswith(f".{SPEED}"):  # which is in the Stribeck force's column already
                 total += column * psi[place[name]]
         return total
 
-    def _friction_columns(self) -> dict[str, ca.SX]:
+    def _friction_columns(self, parameters: ParameterSet, psi: ca.SX) -> dict[str, ca.SX]:
         machine, qd = self.machine, self.at.qd
         n = len(machine.joints)
         columns: dict[str, ca.SX] = {}
         for k, (joint, actuator) in enumerate(zip(machine.joints, machine.actuators, strict=True)):
             unit = ca.SX.eye(n)[:, k]
-            rate = self.rates[k]
             columns |= {f"{joint}.tau_coulomb": self.at_actuators(unit * ca.sign(qd[k])),
                         f"{joint}.tau_viscous": self.at_actuators(unit * qd[k])}
-            kind = "f" if isinstance(actuator, Cylinder) else "tau"
-            columns |= {f"{actuator.name}.{kind}_offset": unit,
-                        f"{actuator.name}.{kind}_coulomb": unit * ca.sign(rate),
-                        f"{actuator.name}.{kind}_viscous": unit * rate}
+            terms = friction_terms(actuator, self.rates[k], self.pressure[k], lambda name: psi[parameters.index(name)])
+            columns |= {name: unit * term for name, term in terms.items()}
             if isinstance(actuator, Cylinder):
                 motion = self.cylinders[actuator.name]
                 for pin, turn in (("n_barrel", motion.barrel_turn), ("n_rod", motion.rod_turn)):
