@@ -101,6 +101,7 @@ class Interface:
         self.machine, self.course = machine, course
         self.chain = KinematicModel(machine)
         self.complete, self.reduced = Model(machine), Model(machine, actuator_inertia=False)
+        self.complete.refuse_seals("codegen")
         self.folded = fold_geometry
         psi, free, units = self.complete.parameters, self.chain.parameters, machine.channel_units
         factors = [(channel, factor, units[channel], f"{unit}/({units[channel]})") for each, unit in
@@ -320,19 +321,24 @@ def _gravity_forces(own: Interface) -> Routine:
 
 
 def _regressor(own: Interface) -> Routine:
-    gives = own.struct("regressor", "Forces per unit of each dynamic parameter: force = K * psi.", Field(
+    gives = own.struct("regressor", f"Forces per unit of each dynamic parameter: {_meaning(own)}.", Field(
         "K", ("actuator", "psi"), "N or N*m per unit of psi", "row for each actuator, column for each parameter"))
     return Routine("regressor", "Regressor of the complete model, with barrels and rods.", own.motion(),
-                   ("q", "qd", "qdd"), gives, {"K": own.dynamics.regressor()}, own.guards(levers=True, gas=True),
-                   own.lengths)
+                   ("q", "qd", "qdd"), gives, {"K": own.dynamics.regressor(own.inputs["psi"])},
+                   own.guards(levers=True, gas=True), own.lengths)
 
 
 def _reduced_regressor(own: Interface) -> Routine:
     gives = own.struct("reduced_regressor", "Forces per unit of each parameter, barrels and rods left out.", Field(
         "K", ("actuator", "reduced"), "N or N*m per unit of psi", "row for each actuator, column for each parameter"))
+    psi = own.inputs["psi"][list(own.complete.parameters.select(own.reduced.parameters.names))]
     return Routine("reduced_regressor", "Regressor of the reduced model, without barrels and rods.", own.motion(),
-                   ("q", "qd", "qdd"), gives, {"K": own.dynamics.regressor(actuator_inertia=False)},
+                   ("q", "qd", "qdd"), gives, {"K": own.dynamics.regressor(psi, actuator_inertia=False)},
                    own.guards(levers=True, gas=True), own.lengths)
+
+
+def _meaning(own: Interface) -> str:
+    return "force = K * psi" if own.complete.linear else "K = d force / d psi, as Stribeck speeds are not linear"
 
 
 def _closure(own: Interface) -> Routine:

@@ -66,6 +66,7 @@ def excitation_problem(machine: Machine, basis: Basis, *, criterion: str = "D", 
         IdentifiabilityError: nothing tells what is in focus.
     """
     model = Model(machine)
+    model.refuse_seals("excitation")
     asked = question(model, presumed_noise(model), focus=focus, bayesian=priors, measured=known)
     sensors = [machine.sensor(f"{joint}.q") for joint in machine.joints]
     stated = max((sensor.rate for sensor in sensors if sensor and sensor.rate), default=50.0)

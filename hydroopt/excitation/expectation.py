@@ -60,7 +60,7 @@ def measured(machine: Machine, logs: Sequence[Log]) -> Array:
     """
     problem = identification_problem(machine, list(logs))
     estimate = solve(problem, "wls")
-    R, _, _ = compress(problem.model, problem.experiments).weighted(
+    R, _, _ = compress(problem.model, problem.experiments, psi=estimate.psi).weighted(
         estimate.sigma * np.sqrt(estimate.correlation_time))
     return np.asarray(R.T @ R)
 

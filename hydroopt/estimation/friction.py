@@ -1,0 +1,336 @@
+"""Which friction a machine's actuators have: sets of terms fitted to some logs and judged by others.
+
+A fit to the data that it was learnt from improves with every term. Here each set has to predict logs that it has not seen,
+and a larger set must do so better than a smaller one by more than the standard error of the difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hydroopt.dynamic_parameters import SPEED
+from hydroopt.errors import ProblemError, SolverError
+from hydroopt.estimation.compression import compress
+from hydroopt.estimation.estimate import Estimate
+from hydroopt.estimation.experiment import Experiment
+from hydroopt.estimation.linear import RANK_TOLERANCE, base_least_squares
+from hydroopt.estimation.problem import Loss, Problem, identification_problem
+from hydroopt.estimation.solve import Method, solve
+from hydroopt.identifiability import random_states
+from hydroopt.inertia import Array
+from hydroopt.machine import Machine
+from hydroopt.model.build import Model
+from hydroopt.parts import Cylinder, Drive, Motor, Note
+from hydroopt.signals.conditioning import Smoothing
+from hydroopt.signals.log import Log
+
+TERMS = ("coulomb", "viscous", "stribeck", "reverse", "seal", "dead_zone")
+"""Terms by name; ``reverse`` gives Coulomb and viscous friction a value of their own for the negative direction."""
+CANDIDATES = ("none", "viscous", "coulomb", "coulomb+viscous", "coulomb+viscous+stribeck", "coulomb+viscous+reverse",
+              "coulomb+viscous+seal", "coulomb+viscous+dead_zone", "coulomb+viscous+stribeck+reverse")
+"""What is tried where nothing else is asked for."""
+STRIBECK_SPEED, DEAD_ZONE = 0.3, 0.05
+"""Where the file states none: Stribeck speed at first and dead zone, as parts of an actuator's RMS speed."""
+TRIED = (0.15, 0.4, 1.0, 2.5)
+"""Stribeck speeds to begin with, as parts of that: Gauss-Newton steps find the best one near by."""
+BLOCKS, LONG = (6, 40), 10.0
+"""Least and greatest number of blocks of held-out samples, and how many correlation times long they should be."""
+BEYOND = 1.0
+"""Standard errors of the difference by which a larger set of terms must predict better than a smaller one."""
+
+
+def terms_of(text: str) -> tuple[str, ...]:
+    """The terms that a text such as ``coulomb+viscous+stribeck`` or ``none`` names, in the order of `TERMS`.
+
+    Raises:
+        ProblemError: a term is unknown, or cannot be without another one.
+    """
+    named = [] if text.strip() == "none" else [term.strip() for term in text.split("+")]
+    for term in named:
+        if term not in TERMS:
+            raise ProblemError(f"'{term}' is no friction term", where=f"friction '{text}'",
+                               remedy=f"use none, or {', '.join(TERMS)} joined by +")
+    for term, others in (("reverse", ("coulomb", "viscous")), ("dead_zone", ("coulomb", "stribeck", "seal"))):
+        if term in named and not set(named) & set(others):
+            raise ProblemError(f"there is nothing that '{term}' could change", where=f"friction '{text}'",
+                               remedy=f"add {', '.join(others[:-1])} or {others[-1]}")
+    return tuple(term for term in TERMS if term in named)
+
+
+def with_friction(machine: Machine, terms: str, *, speeds: Mapping[str, float] | None = None) -> Machine:
+    """The machine with these friction terms, and no others, at every cylinder, motor and drive.
+
+    Values and confidences that the file states are kept; what it states for both directions holds for each of them. All
+    else begins at zero, without a prior; a Stribeck speed and a dead zone at parts of the actuator's speed. Offsets and the
+    friction of pins and joints stay as they are.
+
+    Args:
+        machine: nominal description.
+        terms: such as ``coulomb+viscous``, see `TERMS`, or ``none``.
+        speeds: typical speed [m/s, rad/s] of each actuator by name; by default in random states within limits.
+
+    Raises:
+        ProblemError: a term is unknown or has no meaning for this machine.
+    """
+    wanted = terms_of(terms)
+    if "seal" in wanted and not machine.cylinders:
+        raise ProblemError("the machine has no cylinders, whose seals alone feel pressure", where=f"friction '{terms}'",
+                           remedy="leave out 'seal'")
+    if speeds is None:
+        model = Model(machine)
+        speeds = _typical(model, [random_states(model, 400, np.random.default_rng(0))])
+    notes = dict(machine.notes)
+    parts: dict[str, tuple[Any, ...]] = {}
+    for kind in ("cylinders", "motors", "drives"):
+        parts[kind] = tuple(_refitted(part, wanted, speeds[part.name], notes) for part in getattr(machine, kind))
+    return Machine.model_validate(machine.model_dump(exclude={"notes", *parts}) | parts | {"notes": notes})
+
+
+def _refitted(part: Cylinder | Motor | Drive, wanted: Sequence[str], speed: float, notes: dict[str, Any]) -> Any:
+    """An actuator with other friction terms; what is said about them goes into `notes`."""
+    stated, at = part.friction.model_dump(), f"{part.name}.friction"
+    made = {key: value for key, value in stated.items() if key in ("offset", "barrel_pin", "rod_pin")}
+    begin = {"stribeck_speed": STRIBECK_SPEED * speed, "dead_zone": DEAD_ZONE * speed}
+    for term in wanted:
+        if term == "reverse":
+            for key in {"coulomb", "viscous"} & set(wanted):
+                own = f"{key}_reverse" if stated[f"{key}_reverse"] is not None else key
+                made[f"{key}_reverse"] = stated[own] or 0.0
+                if f"{at}.{own}" in notes:
+                    notes[f"{at}.{key}_reverse"] = notes[f"{at}.{own}"]
+        elif term != "seal" or isinstance(part, Cylinder):
+            for key in ("stribeck", "stribeck_speed") if term == "stribeck" else (term,):
+                made[key] = begin.get(key, 0.0) if stated[key] is None else stated[key]
+            if term == "stribeck" and stated["stribeck_speed"] is None:
+                notes[f"{at}.stribeck_speed"] = Note(sigma=1.0, relative=True, source="assumed: from the speeds driven")
+    for key in stated:
+        if made.get(key) is None:
+            notes.pop(f"{at}.{key}", None)
+    return part.model_copy(update={"friction": type(part.friction).model_validate(made)})
+
+
+def _typical(model: Model, motions: Sequence[tuple[Array, ...]]) -> dict[str, float]:
+    """RMS speed [m/s, rad/s] of each actuator, by name, over motions q, qd, qdd."""
+    squares, count = np.zeros(len(model.machine.actuators)), 0
+    cylinders = [cylinder.name for cylinder in model.machine.all_cylinders]
+    for motion in motions:
+        strokes = model.over(model.cylinder_kinematics, *motion[:3])[1][:, :, 0]
+        for k, actuator in enumerate(model.machine.actuators):
+            rates = strokes[:, cylinders.index(actuator.name)] if isinstance(actuator, Cylinder) else motion[1][:, k]
+            squares[k] += np.sum(rates**2)
+        count += len(motion[0])
+    # what never moves has no speed that could be typical of it
+    return {actuator.name: float(np.sqrt(square / count)) or 1.0
+            for actuator, square in zip(model.machine.actuators, squares, strict=True)}
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A set of terms: errors are RMS over all actuators' forces, each in units of its own residual's σ.
+
+    Attributes:
+        terms: such as ``coulomb+viscous``.
+        parameters: how many numbers it adds to the machine's.
+        training: RMS error of the training data; NaN, as the others, where it could not be fitted.
+        held_out: RMS error of held-out data; `std` its standard error.
+        chosen: whether this is the one.
+        why: it is, or is not, in words.
+    """
+
+    terms: str
+    parameters: int
+    training: float
+    held_out: float
+    std: float
+    chosen: bool
+    why: str
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionChoice:
+    """Friction terms chosen by held-out prediction: all candidates, and the estimate with those chosen."""
+
+    candidates: tuple[Candidate, ...]
+    estimate: Estimate
+    blocks: int
+
+    @property
+    def terms(self) -> str:
+        """The terms chosen, such as ``coulomb+viscous``."""
+        return next(candidate.terms for candidate in self.candidates if candidate.chosen)
+
+    @property
+    def machine(self) -> Machine:
+        """The machine with the terms chosen, its values nominal."""
+        return self.estimate.problem.model.machine
+
+    @property
+    def rule(self) -> str:
+        """How it was chosen, in words."""
+        return (f"The fewest terms whose held-out error is not above the smallest one by more than {BEYOND:g} standard "
+                f"error of the difference, over {self.blocks} blocks of held-out samples. Errors are RMS over all "
+                "actuators in units of the smallest training residual. Intervals take the terms chosen for granted.")
+
+    def __str__(self) -> str:
+        width = max(len(candidate.terms) for candidate in self.candidates)
+        lines = [f"  {'friction':<{width}}  parameters  training [σ]  held-out [σ]"]
+        for c in self.candidates:
+            mark = "*" if c.chosen else " "
+            lines.append(f"{mark} {c.terms:<{width}}  {c.parameters:>10}  {c.training:>12.4f}  {c.held_out:>7.4f} ± "
+                         f"{c.std:.4f}  {c.why}")
+        return "\n".join(lines)
+
+
+def friction_problem(machine: Machine, logs: Sequence[Log], validation: Sequence[Log], terms: str, *,
+                     smoothing: Smoothing | None = None, actuator_inertia: bool = True) -> Problem:
+    """The identification problem of a machine with these friction terms; see `identification_problem`.
+
+    Stribeck speeds that the file does not state begin where the logs are fitted best.
+
+    Raises:
+        ProblemError, LogError: see `with_friction` and `identification_problem`.
+    """
+    plain = identification_problem(with_friction(machine, "none"), logs, (), smoothing=smoothing,
+                                   actuator_inertia=actuator_inertia)
+    speeds = _typical(plain.model, [data.inputs() for data in plain.experiments])
+
+    def made(speeds: Mapping[str, float]) -> Problem:
+        return identification_problem(with_friction(machine, terms, speeds=speeds), logs, validation,
+                                      smoothing=smoothing, actuator_inertia=actuator_inertia)
+
+    problem = made(speeds)
+    return problem if problem.model.linear else made(_best_start(problem, speeds))
+
+
+def _best_start(problem: Problem, speeds: Mapping[str, float]) -> dict[str, float]:
+    """Typical speeds scaled so that the Stribeck speeds that follow from them fit the training data best."""
+    parameters, actuators = problem.parameters, problem.model.machine.actuators
+    kinds = [("f" if isinstance(actuator, Cylinder) else "tau") for actuator in actuators]
+    heights = parameters.select(f"{a.name}.{kind}_stribeck" for a, kind in zip(actuators, kinds, strict=True))
+    at = parameters.select(f"{actuator.name}.{SPEED}" for actuator in actuators)
+    squares = []
+    for part in TRIED:
+        point = parameters.nominal.copy()
+        point[heights], point[at] = 0.0, part * parameters.nominal[at]  # nothing depends on the speeds to first order
+        data = compress(problem.model, problem.experiments, psi=point)
+        sigma = np.linalg.norm(data.triangles[:, :, -1], axis=1) / np.sqrt(np.maximum(data.samples, 1.0))
+        R, r, _ = data.weighted(np.where(sigma > 0, sigma, 1.0))
+        squares.append(data.squares(base_least_squares(R, r, parameters.names, RANK_TOLERANCE)[0]))
+    best = np.argmin(squares, axis=0)
+    return {actuator.name: speeds[actuator.name] * TRIED[k] for actuator, k in zip(actuators, best, strict=True)}
+
+
+def choose_friction(machine: Machine, logs: Sequence[Log], validation: Sequence[Log],
+                    candidates: Sequence[str] | None = None, *, smoothing: Smoothing | None = None,
+                    actuator_inertia: bool = True, loss: Loss = "squares", method: Method = "sdp",
+                    tolerance: float = RANK_TOLERANCE, ridge: float | None = None, intervals: bool = True,
+                    seed: int = 0) -> FrictionChoice:
+    """Fit sets of friction terms to logs and choose the one that predicts held-out logs with the fewest of them.
+
+    Held-out samples are cut into blocks longer than residuals repeat themselves; errors of two sets are compared block by
+    block. The smallest set whose mean error is not larger than the least one by more than the standard error of
+    that difference is chosen.
+
+    Args:
+        machine: nominal description; what it states of friction is a prior where a set has the term.
+        logs: training data.
+        validation: held-out data to judge by.
+        candidates: sets of terms such as ``coulomb+viscous+stribeck``; `CANDIDATES` if None, those with seals only
+            where all pressures were measured.
+        smoothing, actuator_inertia: see `identification_problem`.
+        loss: see `Problem.with_loss`.
+        method, tolerance, ridge, intervals, seed: see `solve`; intervals are those of the chosen set.
+
+    Raises:
+        ProblemError: nothing is held out, or a set of terms has no meaning.
+        LogError: a channel is missing.
+        SolverError: none of them could be fitted.
+    """
+    if not validation:
+        raise ProblemError("friction terms are chosen by how they predict what they have not seen, and no log is held "
+                           "out", where="friction", remedy="give --validate or --holdout, or name one set of terms")
+    if candidates is None:
+        pressed = machine.cylinders and all(
+            f"{cylinder.name}.{end}" in log.channels for log in (*logs, *validation) for cylinder in machine.cylinders
+            for end in ("p_head", "p_rod"))
+        candidates = [text for text in CANDIDATES if pressed or "seal" not in terms_of(text)]
+    names = list(dict.fromkeys("+".join(terms_of(text)) or "none" for text in candidates))
+    fitted: dict[str, Estimate] = {}
+    failed: dict[str, str] = {}
+    for name in names:
+        problem = friction_problem(machine, logs, validation, name, smoothing=smoothing,
+                                   actuator_inertia=actuator_inertia).with_loss(loss)
+        try:
+            fitted[name] = solve(problem, method, tolerance=tolerance, ridge=ridge, intervals=False, seed=seed)
+        except SolverError as error:
+            if len(failed) == len(names) - 1:
+                raise
+            failed[name] = error.what
+    rows, blocks = _judged(fitted, failed, names)
+    chosen = next(row.terms for row in rows if row.chosen)
+    estimate = solve(fitted[chosen].problem, method, tolerance=tolerance, ridge=ridge, seed=seed) if (
+        intervals) else fitted[chosen]
+    return FrictionChoice(tuple(rows), estimate, blocks)
+
+
+def _judged(fitted: Mapping[str, Estimate], failed: Mapping[str, str],
+            names: Sequence[str]) -> tuple[list[Candidate], int]:
+    """All candidates with their errors and the one chosen, and the number of blocks."""
+    train, unseen = ({name: _errors(estimate, getattr(estimate.problem, which), estimate.predictions[key])
+                      for name, estimate in fitted.items()}
+                     for which, key in (("experiments", "train"), ("validation", "validation")))
+    sigma = np.sqrt(np.min([np.mean(error**2, axis=0) for error in train.values()], axis=0))
+    sigma = np.where(sigma > 0, sigma, 1.0)
+    closest = min(fitted, key=lambda name: float(np.mean((train[name] / sigma) ** 2)))
+    samples = len(unseen[closest])
+    wanted = samples / (LONG * np.max(fitted[closest].correlation_time))
+    count = int(np.clip(wanted, BLOCKS[0], min(BLOCKS[1], samples)))
+    blocks = {name: np.array([np.mean(part) for part in np.array_split(np.mean((error / sigma) ** 2, axis=1), count)])
+              for name, error in unseen.items()}
+    size = {name: (len(estimate.problem.parameters), name.count("+") + (name != "none"))
+            for name, estimate in fitted.items()}
+    best = min(fitted, key=lambda name: float(np.mean(blocks[name])))
+    # as much as parameters that are not there may gain or lose by the noise that they were fitted to
+    independent = sum(float(np.sum(np.sum(e.inside[:, None] & e.moving, axis=0) / fitted[closest].correlation_time))
+                      for e in fitted[closest].problem.experiments)
+    apart = {}
+    for name in fitted:
+        mean, error = _mean_and_error(blocks[name] - blocks[best])
+        apart[name] = mean, float(np.hypot(error, abs(size[name][0] - size[best][0]) / independent))
+    near = [name for name in fitted if size[name] <= size[best] and apart[name][0] <= BEYOND * apart[name][1]]
+    chosen = min(near, key=lambda name: (size[name], float(np.mean(blocks[name]))))
+    least = min(size.values())[0]
+    rows = []
+    for name in names:
+        if name in failed:
+            rows.append(Candidate(name, 0, np.nan, np.nan, np.nan, False, f"not fitted: {failed[name]}"))
+            continue
+        mean, error = _mean_and_error(blocks[name])
+        rms = float(np.sqrt(mean))
+        rows.append(Candidate(name, size[name][0] - least, float(np.sqrt(np.mean((train[name] / sigma) ** 2))), rms,
+                              error / (2 * rms) if rms else 0.0, name == chosen,
+                              _why(name, chosen, best, apart[name], size)))
+    return rows, count
+
+
+def _why(name: str, chosen: str, best: str, apart: tuple[float, float], size: Mapping[str, tuple[int, int]]) -> str:
+    difference = f"squared error larger by {apart[0]:.2g} ± {apart[1]:.2g}"
+    if name == best:
+        return "smallest held-out error" if name == chosen else f"better than {chosen}, but not by its standard error"
+    if name == chosen:
+        return f"fewer terms than {best}, and {difference} only"
+    return f"{difference} than of {best}" if size[name] <= size[best] else f"more terms, and {difference} than of {best}"
+
+
+def _errors(estimate: Estimate, data: Sequence[Experiment], predicted: Sequence[Array]) -> Array:
+    """Measured minus predicted forces (N, n) of all samples that take part."""
+    return np.concatenate([(e.force - force)[e.inside] for e, force in zip(data, predicted, strict=True)])
+
+
+def _mean_and_error(blocks: Array) -> tuple[float, float]:
+    """Mean of blocks and its standard error."""
+    return float(np.mean(blocks)), float(np.std(blocks, ddof=1) / np.sqrt(len(blocks)))
