@@ -129,8 +129,8 @@ def forces(model: Model, motion: Trajectory, psi: Array) -> Array:
 def _sealed(without: Array, share: Array, head: float, rod: float) -> Array:
     """Force f (N,) of a cylinder whose seals add `share` times the sum p_head + p_rod that goes with f itself.
 
-    That sum, as `_chambers` makes it, has slope 1/head above the force of two chambers at back pressure and slope −1/rod
-    below, so that on either side of it f solves a linear equation; which one, its sign there tells.
+    That sum, as `_chambers` makes it, has slope 1/head above the force of two chambers at back pressure and slope
+    −1/rod below, so that on either side of it f solves a linear equation; which one, its sign there tells.
     """
     level = (head - rod) * BACK_PRESSURE
     beyond = without + share * 2 * BACK_PRESSURE - level

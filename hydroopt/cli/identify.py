@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import time
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -23,6 +24,7 @@ from hydroopt.cli.options import (
 )
 from hydroopt.description import load_machine
 from hydroopt.errors import ProblemError, SolverError
+from hydroopt.estimation.friction import TERMS, choose_friction, friction_problem, terms_of
 from hydroopt.estimation.problem import Problem, identification_problem
 from hydroopt.estimation.solve import METHODS, Method, solve
 from hydroopt.estimation.verdict import doubts
@@ -59,6 +61,9 @@ def identify(
                                              min=0.0, max=1.0)] = 1e-7,
     ridge: Annotated[float | None, typer.Option(help="Strength of ridge regression; else cross-validated.",
                                                 min=0.0)] = None,
+    friction: Annotated[str | None, typer.Option(help=(
+        f"Friction terms of all actuators instead of the file's: {', '.join(TERMS)} joined by +, or none. 'auto', or "
+        "several sets separated by commas: the one that predicts held-out data best with the fewest terms."))] = None,
     reduced: Annotated[bool, typer.Option("--reduced", help="Leave out the inertia of barrels and rods.")] = False,
     seed: Annotated[int, typer.Option(help="Of the sampling of intervals.", min=0)] = 0,
     parameter_set: ParameterSetName = None,
@@ -72,27 +77,40 @@ def identify(
     if ridge is not None and chosen != "ridge":
         raise ProblemError(f"the method '{method}' takes no strength", where="--ridge",
                            remedy="leave it out or choose --method ridge")
+    sets = _friction(friction)
     way, treatment, limits = _smoothing(smoothing, bandwidth, described), _treatment(treat), _reliefs(described)
     train = [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in logs]
     held_out = [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in validate or ()]
     if holdout:
         pairs = [log.split(1 - holdout) for log in train]
         train, held_out = [pair[0] for pair in pairs], held_out + [pair[1] for pair in pairs]
+    kind, full = loss_of(loss, "--loss"), not reduced
+
+    def prepared(problem: Problem) -> Problem:
+        problem = _with_noisy_angles(problem.with_loss(kind), motion, instruments, map_file)
+        return problem.with_correlated_channels() if correlated else problem
+
     with progress(f"identifying {described.name}", quiet):
-        problem = identification_problem(described, train, held_out, actuator_inertia=not reduced,
-                                         smoothing=way)
-        problem = _with_noisy_angles(problem.with_loss(loss_of(loss, "--loss")), motion, instruments, map_file)
-        if correlated:
-            problem = problem.with_correlated_channels()
+        stated = partial(identification_problem, described, train, held_out, actuator_inertia=full, smoothing=way)
+        choice = None
         try:
-            estimate = solve(problem, chosen, tolerance=tolerance, ridge=ridge, seed=seed)
+            if friction is None or len(sets) == 1:
+                problem = prepared(stated() if friction is None else friction_problem(
+                    described, train, held_out, sets[0], actuator_inertia=full, smoothing=way))
+                estimate = solve(problem, chosen, tolerance=tolerance, ridge=ridge, seed=seed)
+            else:
+                choice = choose_friction(described, train, held_out, sets or None, smoothing=way, actuator_inertia=full,
+                                         prepare=prepared, method=chosen, tolerance=tolerance, ridge=ridge, seed=seed)
+                estimate = choice.estimate
         except SolverError as error:
-            folder.save_failure(problem, method, error, output)
+            folder.save_failure(stated(), method, error, output)
             raise
-        content = folder.save(estimate, output, wall_s=time.perf_counter() - began)
+        content = folder.save(estimate, output, wall_s=time.perf_counter() - began, friction=choice)
     if as_json:
         typer.echo(json.dumps(content, indent=1))
     elif not quiet:
+        if choice is not None:
+            typer.echo(f"{choice}\n{choice.rule}")
         typer.echo(str(estimate))
         for doubt in doubts(estimate):
             typer.echo(f"  ! {doubt}")
@@ -128,6 +146,16 @@ def _treatment(stated: list[str] | None) -> dict[str, str]:
             raise ProblemError(f"'{text}' is not KIND=ACTION", where="--treat", remedy="write e.g. --treat nan=drop")
         pairs[kind] = action
     return pairs
+
+
+def _friction(text: str | None) -> list[str]:
+    """The sets of friction terms asked for; none where the file's or the usual ones are meant."""
+    if text is None or text.strip() == "auto":
+        return []
+    sets = text.split(",")
+    for each in sets:
+        terms_of(each)
+    return sets
 
 
 def _method(text: str) -> Method:

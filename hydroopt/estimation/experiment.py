@@ -31,8 +31,8 @@ class Experiment:
 
     `inside` (N,) is False near the ends of a stretch, where derivatives of noisy angles are worse: those samples take
     no part in estimation and validation. `moving` (N, n) is False where a joint is too slow for the sign of its
-    velocity, and so of its dry friction, to be known (Eq. 4.51), unless it is so slow that there is none by the dead zone
-    of its actuator: those take no part in estimation. `remarks` say which channels were not used and how measured
+    velocity, and so of its dry friction, to be known (Eq. 4.51), unless it is so slow that there is none by the dead
+    zone of its actuator: those take no part in estimation. `remarks` say which channels were not used and how measured
     lengths compare with the geometry. `pressure` (N, n) [Pa] is p_head + p_rod of each cylinder whose seals' friction
     depends on it and 0 for all other actuators; None where no friction does.
     """

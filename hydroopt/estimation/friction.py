@@ -1,12 +1,12 @@
 """Which friction a machine's actuators have: sets of terms fitted to some logs and judged by others.
 
-A fit to the data that it was learnt from improves with every term. Here each set has to predict logs that it has not seen,
-and a larger set must do so better than a smaller one by more than the standard error of the difference.
+A fit to the data that it was learnt from improves with every term. Here each set has to predict logs that it has not
+seen, and a larger set must do so better than a smaller one by more than the standard error of the difference.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -18,7 +18,7 @@ from hydroopt.estimation.compression import compress
 from hydroopt.estimation.estimate import Estimate
 from hydroopt.estimation.experiment import Experiment
 from hydroopt.estimation.linear import RANK_TOLERANCE, base_least_squares
-from hydroopt.estimation.problem import Loss, Problem, identification_problem
+from hydroopt.estimation.problem import Problem, identification_problem
 from hydroopt.estimation.solve import Method, solve
 from hydroopt.identifiability import random_states
 from hydroopt.inertia import Array
@@ -65,8 +65,8 @@ def with_friction(machine: Machine, terms: str, *, speeds: Mapping[str, float] |
     """The machine with these friction terms, and no others, at every cylinder, motor and drive.
 
     Values and confidences that the file states are kept; what it states for both directions holds for each of them. All
-    else begins at zero, without a prior; a Stribeck speed and a dead zone at parts of the actuator's speed. Offsets and the
-    friction of pins and joints stay as they are.
+    else begins at zero, without a prior; but a Stribeck speed, ± 100 %, and a dead zone at parts of the actuator's
+    speed. Offsets and the friction of pins and joints stay as they are.
 
     Args:
         machine: nominal description.
@@ -226,14 +226,16 @@ def _best_start(problem: Problem, speeds: Mapping[str, float]) -> dict[str, floa
 
 def choose_friction(machine: Machine, logs: Sequence[Log], validation: Sequence[Log],
                     candidates: Sequence[str] | None = None, *, smoothing: Smoothing | None = None,
-                    actuator_inertia: bool = True, loss: Loss = "squares", method: Method = "sdp",
-                    tolerance: float = RANK_TOLERANCE, ridge: float | None = None, intervals: bool = True,
-                    seed: int = 0) -> FrictionChoice:
+                    actuator_inertia: bool = True, prepare: Callable[[Problem], Problem] | None = None,
+                    method: Method = "sdp", tolerance: float = RANK_TOLERANCE, ridge: float | None = None,
+                    intervals: bool = True, seed: int = 0) -> FrictionChoice:
     """Fit sets of friction terms to logs and choose the one that predicts held-out logs with the fewest of them.
 
-    Held-out samples are cut into blocks longer than residuals repeat themselves; errors of two sets are compared block by
-    block. The smallest set whose mean error is not larger than the least one by more than the standard error of
-    that difference is chosen.
+    Held-out samples are cut into blocks longer than residuals repeat themselves; errors of two sets are compared block
+    by block. The smallest set whose mean squared error is not larger than the least one by more than the standard error
+    of that difference is chosen. That error has two parts: the scatter of the blocks, and what as many parameters as
+    the sets differ by gain by chance from the noise they were fitted to, one part in the number of independent samples
+    each.
 
     Args:
         machine: nominal description; what it states of friction is a prior where a set has the term.
@@ -242,7 +244,7 @@ def choose_friction(machine: Machine, logs: Sequence[Log], validation: Sequence[
         candidates: sets of terms such as ``coulomb+viscous+stribeck``; `CANDIDATES` if None, those with seals only
             where all pressures were measured.
         smoothing, actuator_inertia: see `identification_problem`.
-        loss: see `Problem.with_loss`.
+        prepare: what is done with each problem before it is solved, such as ``lambda p: p.with_loss("huber")``.
         method, tolerance, ridge, intervals, seed: see `solve`; intervals are those of the chosen set.
 
     Raises:
@@ -259,21 +261,23 @@ def choose_friction(machine: Machine, logs: Sequence[Log], validation: Sequence[
             for end in ("p_head", "p_rod"))
         candidates = [text for text in CANDIDATES if pressed or "seal" not in terms_of(text)]
     names = list(dict.fromkeys("+".join(terms_of(text)) or "none" for text in candidates))
+    problems: dict[str, Problem] = {}
     fitted: dict[str, Estimate] = {}
     failed: dict[str, str] = {}
     for name in names:
         problem = friction_problem(machine, logs, validation, name, smoothing=smoothing,
-                                   actuator_inertia=actuator_inertia).with_loss(loss)
+                                   actuator_inertia=actuator_inertia)
+        problems[name] = prepare(problem) if prepare else problem
         try:
-            fitted[name] = solve(problem, method, tolerance=tolerance, ridge=ridge, intervals=False, seed=seed)
+            fitted[name] = solve(problems[name], method, tolerance=tolerance, ridge=ridge, intervals=False, seed=seed)
         except SolverError as error:
             if len(failed) == len(names) - 1:
                 raise
             failed[name] = error.what
     rows, blocks = _judged(fitted, failed, names)
     chosen = next(row.terms for row in rows if row.chosen)
-    estimate = solve(fitted[chosen].problem, method, tolerance=tolerance, ridge=ridge, seed=seed) if (
-        intervals) else fitted[chosen]
+    estimate = fitted[chosen] if not intervals else solve(problems[chosen], method, tolerance=tolerance, ridge=ridge,
+                                                          seed=seed)
     return FrictionChoice(tuple(rows), estimate, blocks)
 
 
@@ -323,7 +327,7 @@ def _why(name: str, chosen: str, best: str, apart: tuple[float, float], size: Ma
         return "smallest held-out error" if name == chosen else f"better than {chosen}, but not by its standard error"
     if name == chosen:
         return f"fewer terms than {best}, and {difference} only"
-    return f"{difference} than of {best}" if size[name] <= size[best] else f"more terms, and {difference} than of {best}"
+    return f"{'' if size[name] <= size[best] else 'more terms, and '}{difference} than of {best}"
 
 
 def _errors(estimate: Estimate, data: Sequence[Experiment], predicted: Sequence[Array]) -> Array:

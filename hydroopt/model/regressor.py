@@ -93,8 +93,8 @@ class Dynamics:
     def regressor(self, psi: ca.SX | None = None, *, actuator_inertia: bool = True) -> ca.SX:
         """K (n, p): measured actuator forces = K·ψ, columns in the order of `parameter_set` (Eq. 4.55).
 
-        Of forces that are not linear in the parameters K is the derivative at `psi` (p,), or at the nominal values, where
-        a Stribeck force of zero counts as its typical size: it would hide its speed.
+        Of forces that are not linear in the parameters K is the derivative at `psi` (p,), or at the nominal values,
+        where a Stribeck force of zero counts as its typical size: it would hide its speed.
         """
         parameters = parameter_set(self.machine, actuator_inertia=actuator_inertia)
         if psi is None:

@@ -27,6 +27,7 @@ from hydroopt.estimation.closure import CalibrationProblem
 from hydroopt.estimation.diagnosis import Suspect
 from hydroopt.estimation.estimate import Estimate, Fit
 from hydroopt.estimation.experiment import Experiment
+from hydroopt.estimation.friction import FrictionChoice
 from hydroopt.estimation.problem import Problem
 from hydroopt.estimation.verdict import doubts
 from hydroopt.excitation.expectation import Expectation
@@ -48,13 +49,15 @@ EXCITATION = ("excitation.json", "report.html", "trajectory.csv", "trajectory.pa
 """Files of a motion to drive, which the next one replaces."""
 
 
-def save(estimate: Estimate, directory: str | Path, *, wall_s: float = float("nan")) -> dict[str, Any]:
+def save(estimate: Estimate, directory: str | Path, *, wall_s: float = float("nan"),
+         friction: FrictionChoice | None = None) -> dict[str, Any]:
     """Write everything about an estimate; each file appears complete or not at all, estimate.json last.
 
     Args:
         estimate: what to write.
         directory: created if need be.
         wall_s: how long it took.
+        friction: how its friction terms were chosen, if they were.
 
     Returns:
         The content of estimate.json.
@@ -63,8 +66,13 @@ def save(estimate: Estimate, directory: str | Path, *, wall_s: float = float("na
         ProblemError: the directory cannot be written.
     """
     content = as_dict(estimate, wall_s)
+    if friction is not None:
+        content["friction_choice"] = {"rule": friction.rule, "blocks": friction.blocks, "candidates": [
+            {"friction": c.terms, "parameters": c.parameters, "training_error": _number(c.training),
+             "held_out_error": _number(c.held_out), "held_out_std": _number(c.std), "chosen": c.chosen, "why": c.why}
+            for c in friction.candidates]}
     machine_file = f"{estimate.problem.model.machine.name}.toml"
-    files = {"report.html": html.render(estimate, doubts(estimate)),
+    files = {"report.html": html.render(estimate, doubts(estimate), friction),
              "parameters.csv": _csv([_flat(row) for row in content["parameters"]]),
              "base_parameters.csv": _csv(content["base_parameters"]), "fit.csv": _fit_csv(content["fit"])}
     with contextlib.suppress(ProblemError):  # the doubts and the report say which body cannot exist

@@ -12,6 +12,7 @@ from markupsafe import Markup
 
 from hydroopt.estimation.estimate import Estimate, Fit
 from hydroopt.estimation.experiment import Experiment
+from hydroopt.estimation.friction import FrictionChoice
 from hydroopt.report import figures, sideview
 from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
 
@@ -51,17 +52,21 @@ class Group(NamedTuple):
     parameters: list[Parameter]
 
 
-def render(estimate: Estimate, doubts: Sequence[str]) -> str:
+def render(estimate: Estimate, doubts: Sequence[str], friction: FrictionChoice | None = None) -> str:
     """The report as one HTML page that needs nothing else.
 
     Args:
         estimate: what to report.
         doubts: what a reader should know before trusting it, in plain words.
+        friction: how its friction terms were chosen, if they were.
     """
     problem = estimate.problem
     return page("report.html").render(
         machine=problem.model.machine, estimate=estimate, doubts=list(doubts), method=METHODS.get(estimate.method, ""),
-        failed=estimate.status != "ok", fit=_fit(estimate), weights=_weights(estimate), groups=_groups(estimate),
+        failed=estimate.status != "ok", fit=_fit(estimate), friction=friction,
+        friction_rows=[(c, plain(c.training), f"{plain(c.held_out)} ± {plain(c.std, 2)}")
+                       for c in (friction.candidates if friction else ())],
+        weights=_weights(estimate), groups=_groups(estimate),
         base=_base(estimate), figures=_figures(estimate), condition=plain(estimate.seen.condition_number, 3),
         counts={c: sum(p.identifiability == c for g in _groups(estimate) for p in g.parameters)
                 for c in ("full", "combination", "not excited", "none")},
