@@ -18,7 +18,8 @@ import pytest
 from scipy.io import savemat
 
 from hydroopt import synthetic
-from hydroopt.description import load_machine
+from hydroopt.description import dump_machine, load_machine
+from hydroopt.machine import Machine
 from hydroopt.model.build import Model
 
 UR10E = (Path(__file__).parents[2] / "shared/data/ur10e_mamedov/dataset_ur10e/identification_data"
@@ -258,6 +259,39 @@ MACHINES = {
     "force as friction of a joint that turns": machine(
         'gear = 307', 'gear = 307\nfriction = { coulomb = "5 kN" }',
         r"motors\[swing_motor\]\.friction\.coulomb: 'kN'.*'N\*m'"),
+    # friction
+    "Stribeck force without its speed": machine(
+        'friction = { coulomb =', 'friction = { stribeck = "50 N", coulomb =',
+        r"cylinders\[stick_cylinder\]\.friction\.stribeck_speed: .*; .*'stribeck_speed'"),
+    "Stribeck speed without its force": machine(
+        'gear = 307', 'gear = 307\nfriction = { stribeck_speed = "1 deg/s" }',
+        r"motors\[swing_motor\]\.friction\.stribeck: .*; .*'stribeck'"),
+    "Stribeck speed of zero": machine(
+        'friction = { coulomb =', 'friction = { stribeck = "50 N", stribeck_speed = "0 m/s", coulomb =',
+        r"cylinders\[stick_cylinder\]\.friction\.stribeck_speed: .*greater than 0"),
+    "Stribeck speed of a length": machine(
+        'friction = { coulomb =', 'friction = { stribeck = "50 N", stribeck_speed = "1 mm", coulomb =',
+        r"cylinders\[stick_cylinder\]\.friction\.stribeck_speed: 'mm'"),
+    "linear Stribeck speed of a joint that turns": machine(
+        'gear = 307', 'gear = 307\nfriction = { stribeck = "5 N*m", stribeck_speed = "1 m/s" }',
+        r"motors\[swing_motor\]\.friction\.stribeck_speed: 'm/s'.*'rad/s'"),
+    "seals on a motor": machine('gear = 307', 'gear = 307\nfriction = { seal = "1 cm^2" }',
+                                r"motors\[swing_motor\]\.friction\.seal: .*no meaning here"),
+    "seals that hold the piston": machine(
+        'friction = { coulomb =', 'friction = { seal = "100 cm^2", coulomb =',
+        r"cylinders\[stick_cylinder\]\.friction\.seal: .*; .*m\^2"),
+    "negative friction of seals": machine(
+        'friction = { coulomb =', 'friction = { seal = "-1 cm^2", coulomb =',
+        r"cylinders\[stick_cylinder\]\.friction\.seal: .*at least 0"),
+    "negative Coulomb friction backwards": machine(
+        'friction = { coulomb =', 'friction = { coulomb_reverse = "-5 N", coulomb =',
+        r"cylinders\[stick_cylinder\]\.friction\.coulomb_reverse: .*at least 0"),
+    "dead zone of zero": machine(
+        'friction = { coulomb =', 'friction = { dead_zone = "0 m/s", coulomb =',
+        r"cylinders\[stick_cylinder\]\.friction\.dead_zone: .*greater than 0"),
+    "dead zone of nothing": machine(
+        'gear = 307', 'gear = 307\nfriction = { viscous = "5 N*m*s/rad", dead_zone = "1 deg/s" }',
+        r"motors\[swing_motor\]\.friction\.dead_zone: .*; .*'coulomb'"),
     "body on a gas cylinder": machine(
         'pin = ["1.5 m", "-1 m", "0 m"] }', 'pin = ["1.5 m", "-1 m", "0 m"], body = { m = "5 kg", mc = ["0 kg*m", '
         '"0 kg*m", "0 kg*m"], inertia = ["1 kg*m^2", "0 kg*m^2", "0 kg*m^2", "1 kg*m^2", "0 kg*m^2", "1 kg*m^2"] } }',
@@ -448,7 +482,37 @@ def simulate(*more: str, place: str) -> Case:
     return Case(lambda d: ["simulate", "patu655_lift", "-o", str(d / "out"), *more], place)
 
 
+def sealed(folder: Path, *arguments: str) -> list[str]:
+    """Arguments with the bundled crane, but with seals, for MACHINE."""
+    data = load_machine("patu655_lift").model_dump()
+    data["cylinders"][0]["friction"]["seal"] = 1e-4
+    file = written(folder, dump_machine(Machine.model_validate(data)), "sealed.toml")
+    return [str(file) if word == "MACHINE" else word for word in arguments]
+
+
+def _no_pressures(folder: Path) -> list[str]:
+    lines = [f"{line.rpartition(',')[0]}" for line in header("lift_cylinder.p_head [Pa]", "lift_cylinder.force [N]")(
+        GOOD_LOG)]
+    return sealed(folder, "identify", "MACHINE", str(written(folder, "\n".join(lines), "log.csv")),
+                  "-o", str(folder / "out"))
+
+
 OPTIONS = {
+    "seals without pressures": Case(_no_pressures, r"log\.csv: .*'lift_cylinder\.p_head'"),
+    "seals on a controller": Case(lambda d: sealed(d, "codegen", "MACHINE", "-o", str(d / "out")),
+                                  r"codegen: .*lift_cylinder.*; remove 'seal'"),
+    "seals in an excitation": Case(lambda d: sealed(d, "excite", "MACHINE", "-o", str(d / "out")),
+                                   r"excitation: .*lift_cylinder.*; remove 'seal'"),
+    "unknown friction term": option("--friction", "coulomb+sticky", place="friction 'coulomb\\+sticky': 'sticky' .*; "
+                                    ".*stribeck"),
+    "no friction term": option("--friction", "", place="friction '': "),
+    "friction backwards of nothing": option("--friction", "auto,reverse", place="friction '.*'"),
+    "dead zone of no friction": option("--friction", "viscous+dead_zone", place="friction 'viscous\\+dead_zone': "),
+    "friction chosen by nothing": option("--friction", "auto", place="friction: .*; .*--validate"),
+    "one of several frictions by nothing": option("--friction", "coulomb,viscous", place="friction: .*; .*--holdout"),
+    "seals of a machine without cylinders": Case(
+        lambda d: ["identify", "ur10", *identify(d, GOOD_LOG, "--friction", "coulomb+seal")[2:]],
+        "friction 'coulomb\\+seal': .*no cylinders"),
     "unknown command": Case(lambda d: ["calibrat", "patu655_lift"], "'calibrat'"),
     "unknown option": option("--metod", "wls", place="identify: .*--metod"),
     "missing argument": Case(lambda d: ["identify", "-o", str(d / "out")], "identify: .*'MACHINE'"),

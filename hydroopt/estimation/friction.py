@@ -43,11 +43,11 @@ BEYOND = 1.0
 """Standard errors of the difference by which a larger set of terms must predict better than a smaller one."""
 
 
-def terms_of(text: str) -> tuple[str, ...]:
+def terms_of(text: str, machine: Machine | None = None) -> tuple[str, ...]:
     """The terms that a text such as ``coulomb+viscous+stribeck`` or ``none`` names, in the order of `TERMS`.
 
     Raises:
-        ProblemError: a term is unknown, or cannot be without another one.
+        ProblemError: a term is unknown, cannot be without another one, or has no meaning for the machine.
     """
     named = [] if text.strip() == "none" else [term.strip() for term in text.split("+")]
     for term in named:
@@ -58,6 +58,9 @@ def terms_of(text: str) -> tuple[str, ...]:
         if term in named and not set(named) & set(others):
             raise ProblemError(f"there is nothing that '{term}' could change", where=f"friction '{text}'",
                                remedy=f"add {', '.join(others[:-1])} or {others[-1]}")
+    if "seal" in named and machine is not None and not machine.cylinders:
+        raise ProblemError("the machine has no cylinders, whose seals alone feel pressure", where=f"friction '{text}'",
+                           remedy="leave out 'seal'")
     return tuple(term for term in TERMS if term in named)
 
 
@@ -76,10 +79,7 @@ def with_friction(machine: Machine, terms: str, *, speeds: Mapping[str, float] |
     Raises:
         ProblemError: a term is unknown or has no meaning for this machine.
     """
-    wanted = terms_of(terms)
-    if "seal" in wanted and not machine.cylinders:
-        raise ProblemError("the machine has no cylinders, whose seals alone feel pressure", where=f"friction '{terms}'",
-                           remedy="leave out 'seal'")
+    wanted = terms_of(terms, machine)
     if speeds is None:
         model = Model(machine)
         speeds = _typical(model, [random_states(model, 400, np.random.default_rng(0))])
@@ -194,6 +194,7 @@ def friction_problem(machine: Machine, logs: Sequence[Log], validation: Sequence
     Raises:
         ProblemError, LogError: see `with_friction` and `identification_problem`.
     """
+    terms_of(terms, machine)  # before anything that takes long
     plain = identification_problem(with_friction(machine, "none"), logs, (), smoothing=smoothing,
                                    actuator_inertia=actuator_inertia)
     speeds = _typical(plain.model, [data.inputs() for data in plain.experiments])
@@ -260,7 +261,7 @@ def choose_friction(machine: Machine, logs: Sequence[Log], validation: Sequence[
             f"{cylinder.name}.{end}" in log.channels for log in (*logs, *validation) for cylinder in machine.cylinders
             for end in ("p_head", "p_rod"))
         candidates = [text for text in CANDIDATES if pressed or "seal" not in terms_of(text)]
-    names = list(dict.fromkeys("+".join(terms_of(text)) or "none" for text in candidates))
+    names = list(dict.fromkeys("+".join(terms_of(text, machine)) or "none" for text in candidates))
     problems: dict[str, Problem] = {}
     fitted: dict[str, Estimate] = {}
     failed: dict[str, str] = {}
