@@ -16,6 +16,8 @@ SPEED = "v_stribeck"
 """What parameters in which forces are not linear are called, after the dot."""
 SPEED_RANGE = 20.0
 """Factor by which a Stribeck speed may be off where the file states no bounds: beyond, it is another effect."""
+LEAST = 1e-6
+"""What is positive by nature is at least this part of its typical size, whatever lower bound the file states."""
 _CYLINDER_UNITS = (dict.fromkeys(("offset", "coulomb", "coulomb_reverse", "stribeck"), "N")
                    | dict.fromkeys(("viscous", "viscous_reverse"), "N*s/m") | {"stribeck_speed": "m/s"})
 DEFAULT_CONFIDENCE = 1.0
@@ -188,6 +190,8 @@ def _sigma(note: Note | None, value: Array, size: float) -> float:
 def _scalar_block(scalar: Scalar, notes: dict[str, Note]) -> tuple[Array, Array, Array, Array, Array]:
     note = notes.get(scalar.path, Note())
     low = scalar.lower if note.lower is None else note.lower
+    if scalar.lower > 0:  # forces divide by it
+        low = max(low, LEAST * scalar.size)
     high = scalar.upper if note.upper is None else note.upper
     information = 0.0
     if note.sigma is not None:

@@ -1,4 +1,4 @@
-"""Logs of machines whose seals' friction depends on the pressures that it is part of, and what commands make of them."""
+"""Logs of machines whose seals' friction depends on pressures that depend on it, and what commands make of them."""
 
 from __future__ import annotations
 
@@ -130,8 +130,8 @@ def test_friction_is_chosen_and_said(place: Path) -> None:
     assert [row["friction"] for row in choice["candidates"]] == ["none", "coulomb+viscous",
                                                                  "coulomb+viscous+stribeck+seal"]
     assert [row["friction"] for row in choice["candidates"] if row["chosen"]] == chosen
-    assert all(set(row) == {"friction", "parameters", "training_error", "held_out_error", "held_out_std", "chosen", "why"}
-               for row in choice["candidates"])
+    keys = {"friction", "parameters", "training_error", "held_out_error", "held_out_std", "chosen", "why"}
+    assert all(set(row) == keys for row in choice["candidates"])
     assert choice["rule"] in " ".join(said.split("\n"))
     page = (place / "chosen/report.html").read_text("utf-8")
     assert page.index("<h2>Fit</h2>") < page.index("<h2>Friction terms</h2>") < page.index("<h2>Machine</h2>")

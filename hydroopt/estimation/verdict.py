@@ -11,9 +11,11 @@ from hydroopt.estimation.estimate import Estimate
 from hydroopt.estimation.experiment import force_noise
 from hydroopt.identifiability import NONE, Confounded
 
-_KINDS = {"f_coulomb": "Coulomb friction", "tau_coulomb": "Coulomb friction", "f_viscous": "viscous friction",
-          "tau_viscous": "viscous friction", "f_offset": "force offset", "tau_offset": "torque offset",
-          "n_barrel": "friction of the barrel's pin", "n_rod": "friction of the rod's pin",
+_KINDS = {f"{kind}_{key}": text for kind in ("f", "tau") for key, text in {
+    "coulomb": "Coulomb friction", "coulomb_reverse": "Coulomb friction", "viscous": "viscous friction",
+    "viscous_reverse": "viscous friction", "stribeck": "Stribeck friction"}.items()}
+_KINDS |= {"f_offset": "force offset", "tau_offset": "torque offset", "v_stribeck": "Stribeck friction",
+          "f_seal": "friction of seals", "n_barrel": "friction of the barrel's pin", "n_rod": "friction of the rod's pin",
           "precharge": "gas pressure", "rotor_inertia": "rotor inertia", "m": "gravity", "mc_x": "gravity",
           "mc_y": "gravity", "mc_z": "gravity"}
 
