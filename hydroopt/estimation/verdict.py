@@ -15,7 +15,8 @@ _KINDS = {f"{kind}_{key}": text for kind in ("f", "tau") for key, text in {
     "coulomb": "Coulomb friction", "coulomb_reverse": "Coulomb friction", "viscous": "viscous friction",
     "viscous_reverse": "viscous friction", "stribeck": "Stribeck friction"}.items()}
 _KINDS |= {"f_offset": "force offset", "tau_offset": "torque offset", "v_stribeck": "Stribeck friction",
-          "f_seal": "friction of seals", "n_barrel": "friction of the barrel's pin", "n_rod": "friction of the rod's pin",
+          "f_seal": "friction of seals", "n_barrel": "friction of the barrel's pin",
+          "n_rod": "friction of the rod's pin",
           "precharge": "gas pressure", "rotor_inertia": "rotor inertia", "m": "gravity", "mc_x": "gravity",
           "mc_y": "gravity", "mc_z": "gravity"}
 

@@ -142,7 +142,7 @@ class Model:
 
     @cached_property
     def force_by_motion(self) -> ca.Function:
-        """(q, qd, qdd[, pressure], psi) → derivatives (n, n) of the forces by q, qd, qdd, dry friction's steps aside."""
+        """(q, qd, qdd[, pressure], psi) → derivatives (n, n) of forces by q, qd, qdd, dry friction's steps aside."""
         given = self._state | {"psi": ca.SX.sym("psi", len(self.parameters))}
         force = self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
         return _dense("force_by_motion", [*given.values()], [ca.jacobian(force, x) for x in self.at],
