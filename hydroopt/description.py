@@ -20,8 +20,8 @@ from pydantic import BaseModel, ValidationError
 from hydroopt import strokes
 from hydroopt.errors import MachineError
 from hydroopt.machine import Machine
-from hydroopt.parts import Cylinder, Joint, JointFriction, Note, Noun, Sensor, TorqueFriction
-from hydroopt.quantity import ImpossibleError, Quantity
+from hydroopt.parts import Cylinder, Joint, JointFriction, Note, Sensor, TorqueFriction
+from hydroopt.quantity import ImpossibleError, Noun, Quantity
 from hydroopt.units import UnitError, spread_to_si, to_si
 
 _NOTE_KEYS = {"value", "sigma", "lower", "upper", "source"}
@@ -167,7 +167,10 @@ def _strip_notes(node: Any, path: str, place: str, notes: dict[str, Note]) -> An
 
     `place` is where the node stands in the file, for error messages.
     """
-    if isinstance(node, dict) and "value" in node:
+    if isinstance(node, dict) and {"name", "value"} <= node.keys() and not isinstance(node["value"], dict):
+        said = {key: node[key] for key in sorted(_NOTE_KEYS & node.keys())}  # a part whose one number it is
+        node = {key: value for key, value in node.items() if key not in said} | {"value": said}
+    elif isinstance(node, dict) and "value" in node and "name" not in node:
         notes[path] = _note(node, place)
         return node["value"]
     if isinstance(node, dict):

@@ -54,6 +54,9 @@ def from_pseudo_inertia(matrix: Array) -> Array:
     return np.concatenate([[matrix[3, 3]], matrix[:3, 3], inertia[np.triu_indices(3)]])
 
 
+ODD_MOMENTS = {"xy": (3, 6, 8), "xz": (2, 5, 8), "yz": (1, 5, 6)}
+"""Positions in φ of what vanishes where mass is symmetric about a plane of the frame: for xy mc_z, I_xz and I_yz."""
+
 PSEUDO_BASIS: Array = np.stack([pseudo_inertia(e) for e in np.eye(10)])
 """(10, 4, 4): ``pseudo_inertia(φ) == Σ φ_k·PSEUDO_BASIS[k]``."""
 

@@ -6,8 +6,8 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from hydroopt.parts import Link, Noun
-from hydroopt.quantity import Angle, ImpossibleError, Length, Lengths, Name
+from hydroopt.parts import Link
+from hydroopt.quantity import Angle, ImpossibleError, Length, Lengths, Name, Noun
 
 
 class Calibrator(Noun):

@@ -5,15 +5,16 @@ from __future__ import annotations
 import hashlib
 import json
 from collections import Counter
-from collections.abc import Iterator, Mapping
+from collections.abc import Collection, Iterator, Mapping
 from typing import Any, Self
 
 from pydantic import Field, ModelWrapValidatorHandler, model_validator
 
 from hydroopt.linkage import Calibrator, Distance, Fixture, Stage, Tracker
-from hydroopt.parts import Cylinder, Drive, GasCylinder, Link, Motor, Note, Noun, Sensor
-from hydroopt.quantity import Acceleration, Angle, ImpossibleError, Length, Name, Rate
+from hydroopt.parts import Cylinder, Drive, GasCylinder, Link, Motor, Note, Sensor
+from hydroopt.quantity import Acceleration, Angle, ImpossibleError, Length, Name, Noun, Rate
 from hydroopt.site import Footprint, Obstacle, Pump, Workspace
+from hydroopt.statements import Identical, TotalMass
 from hydroopt.units import same_kind
 
 BASE = "base"
@@ -50,6 +51,8 @@ class Machine(Noun):
     workspace: Workspace | None = None
     obstacles: tuple[Obstacle, ...] = ()
     footprint: Footprint | None = None
+    total_masses: tuple[TotalMass, ...] = ()
+    identical: tuple[Identical, ...] = ()
     notes: dict[str, Note] = Field(default_factory=dict)
 
     @model_validator(mode="after")
@@ -60,6 +63,7 @@ class Machine(Noun):
         self._chain()
         self._channels()
         self._site()
+        self._masses()
         return self
 
     @model_validator(mode="wrap")
@@ -90,7 +94,7 @@ class Machine(Noun):
     def _names(self) -> None:
         extra = self.calibrator.links if self.calibrator else ()
         kinds = (self.links, extra, self.cylinders, self.motors, self.drives, self.gas_cylinders, self.fixtures,
-                 self.distances, self.stages, self.obstacles)
+                 self.distances, self.stages, self.obstacles, self.total_masses, self.identical)
         count = Counter([BASE, *(part.name for kind in kinds for part in kind)])
         for name, times in count.items():
             if times > 1:
@@ -188,6 +192,34 @@ class Machine(Noun):
         if self.footprint and self.ground is None:
             raise ImpossibleError("the machine has a footprint, but at what height it stands is not said",
                                   "state 'ground', the height of the ground in the base frame")
+
+    def _masses(self) -> None:
+        bodies = {link.name for link in self.links if link.body} | {
+            f"{c.name}.{end}" for c in self.cylinders for end in ("barrel", "rod") if getattr(c, end).body}
+        rubs = {a.name: (type(a), {key for key, value in a.friction if value is not None and key != "offset"})
+                for a in self.actuators}
+        stated: list[tuple[str, str, tuple[str, ...], Collection[str], str]] = [
+            *(("total_masses", s.name, s.bodies, bodies, "bodies") for s in self.total_masses),
+            *(("identical", s.name, s.bodies, bodies, "bodies") for s in self.identical),
+            *(("identical", s.name, s.friction, rubs, "friction") for s in self.identical)]
+        for kind, name, owners, known, key in stated:
+            place = f"{kind}[{name}].{key}"
+            for owner in owners:
+                if owner not in known:
+                    what = "a body that the machine states" if key == "bodies" else "an actuator"
+                    raise ImpossibleError(f"'{owner}' is not {what}", f"use some of {', '.join(sorted(known))}", place)
+                if owners.count(owner) > 1:
+                    raise ImpossibleError(f"'{owner}' is named twice", "name it once", place)
+        for one in self.identical:
+            if any(rubs[name] != rubs[one.friction[0]] for name in one.friction):
+                raise ImpossibleError(f"{', '.join(one.friction)} do not state the same terms of friction",
+                                      "name actuators of one kind, and state the same terms of each",
+                                      f"identical[{one.name}].friction")
+        for total in self.total_masses:
+            note = self.notes.get(f"{total.name}.value", Note())
+            if note.lower is not None or note.upper is not None:
+                raise ImpossibleError("a total mass takes no bounds", "state a value with its sigma",
+                                      f"total_masses[{total.name}]")
 
     @property
     def joints(self) -> tuple[str, ...]:

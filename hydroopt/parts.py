@@ -10,7 +10,7 @@ from collections.abc import Mapping
 from typing import Any, Literal, Self
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, ValidationInfo, model_validator
+from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from hydroopt import inertia
 from hydroopt.inertia import Array
@@ -30,6 +30,7 @@ from hydroopt.quantity import (
     Mass,
     MassMoment,
     Name,
+    Noun,
     Number,
     Pressure,
     Quantity,
@@ -41,12 +42,10 @@ from hydroopt.quantity import (
     Volume,
     keyed,
 )
+from hydroopt.statements import Shape
 
-
-class Noun(BaseModel):
-    """Base of all parts of a machine: frozen, no unknown keys."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid")
+Plane = Literal["xy", "xz", "yz"]
+"""A plane of a body's frame."""
 
 
 class Note(Noun):
@@ -68,7 +67,8 @@ class Note(Noun):
 class Body(Noun):
     """A rigid body: mass, centre of mass or first moment, inertia about either, in the owner's frame.
 
-    Moments of inertia stand in the order xx, xy, xz, yy, yz, zz (Eq. 4.12).
+    Moments of inertia stand in the order xx, xy, xz, yy, yz, zz (Eq. 4.12). `shape` bounds where its mass is, and
+    `symmetric` names the planes of the frame about which it is spread evenly; both bind what is identified.
     """
 
     m: Mass = Field(ge=0)
@@ -76,6 +76,13 @@ class Body(Noun):
     mc: tuple[MassMoment, MassMoment, MassMoment] | None = None
     inertia_com: Six | None = None
     inertia: Six | None = None
+    shape: Shape | None = None
+    symmetric: tuple[Plane, ...] = ()
+
+    @field_validator("symmetric", mode="before")
+    @classmethod
+    def _planes(cls, stated: Any) -> Any:
+        return (stated,) if isinstance(stated, str) else stated
 
     @model_validator(mode="after")
     def _one_way(self) -> Self:
@@ -85,6 +92,21 @@ class Body(Noun):
         if (self.com is None) == (self.mc is None):
             raise ImpossibleError("a body needs one of 'com' with 'inertia_com' and 'mc' with 'inertia'",
                                   "give exactly one of these pairs")
+        return self
+
+    @model_validator(mode="after")
+    def _as_stated(self) -> Self:
+        phi = self.phi
+        if self.shape and self.m > 0 and self.shape.depth(phi[1:4] / self.m) < -1e-6:
+            raise ImpossibleError("the centre of mass lies outside the shape", "correct one of the two", "shape")
+        length = math.sqrt(max(abs(phi[[4, 7, 9]].sum()) / max(self.m, 1e-9), 1e-12))  # as of a radius of gyration
+        size = self.m * np.array([length] * 3 + [length**2] * 6)
+        for plane in self.symmetric:
+            odd = list(inertia.ODD_MOMENTS[plane])
+            if np.any(np.abs(phi[odd]) > 1e-6 * size[np.array(odd) - 1]):
+                names = ", ".join(inertia.NAMES[k] for k in odd)
+                raise ImpossibleError(f"the body's numbers are not symmetric about {plane}: of {names} one is not zero",
+                                      "correct them or leave the symmetry out", "symmetric")
         return self
 
     @property

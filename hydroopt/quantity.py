@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Annotated, Any
 
-from pydantic import BeforeValidator, Field, ValidationInfo
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
 
 from hydroopt.units import UnitError, to_si
 
@@ -12,6 +12,12 @@ CHANNEL_UNITS = {"q": ("rad", "m"), "qd": ("rad/s", "m/s"), "qdd": ("rad/s^2", "
                  "length": ("m",), "force": ("N",), "p_head": ("Pa",), "p_rod": ("Pa",), "p_a": ("Pa",), "p_b": ("Pa",),
                  "u": ("V", "1", "A"), "x": ("m",), "y": ("m",), "z": ("m",), "distance": ("m",)}
 """SI units that a channel may have, by the part of its name after the dot; the first is the usual one."""
+
+
+class Noun(BaseModel):
+    """Base of all parts of a machine: frozen, no unknown keys."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
 
 
 class ImpossibleError(ValueError):

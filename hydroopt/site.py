@@ -7,8 +7,7 @@ from typing import Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from hydroopt.parts import Noun
-from hydroopt.quantity import Flow, ImpossibleError, Length, Lengths, Mass, Name
+from hydroopt.quantity import Flow, ImpossibleError, Length, Lengths, Mass, Name, Noun
 
 
 class Pump(Noun):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -93,9 +93,9 @@ def certify_convex(variable: cp.Variable, gradient: Array, constraints: list[Any
 
 
 def solve_nlp(nlp: dict[str, Any], start: Array, lower: Array, upper: Array, constraint_lower: Array,
-              constraint_upper: Array, where: str, names: Mapping[str, int],
+              constraint_upper: Array, where: str, names: Sequence[tuple[str, int]],
               derivatives: Mapping[str, ca.Function] | None = None) -> Array:
-    """Minimise a CasADi NLP with IPOPT and check the answer ourselves; `names` gives the rows of named constraints.
+    """Minimise a CasADi NLP with IPOPT and check the answer ourselves; `names` tells rows of constraints.
 
     `derivatives` are the options grad_f, jac_g and hess_lag of nlpsol, for a caller who knows them.
 
@@ -111,7 +111,7 @@ def solve_nlp(nlp: dict[str, Any], start: Array, lower: Array, upper: Array, con
     if status not in ("Solve_Succeeded", "Solved_To_Acceptable_Level"):
         g = np.asarray(answer["g"]).ravel()
         gap = np.maximum(constraint_lower - g, g - constraint_upper)
-        broken = [name for name, row in names.items() if not gap[row] < 1e-6]
+        broken = dict.fromkeys(name for name, row in names if not gap[row] < 1e-6)
         named = f" ({', '.join(broken)} not fulfilled)" if broken else ""
         raise SolverError(f"IPOPT failed: {_IPOPT_WORDS.get(status, status)}{named}", where=where,
                           remedy="check the constraints you added, or start from a better nominal model")

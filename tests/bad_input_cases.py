@@ -143,6 +143,22 @@ def _directory(folder: Path) -> list[str]:
     return ["show", str(folder / "digger.toml")]
 
 
+def known(statement: str, place: str) -> Case:
+    """The good machine file with a statement about the boom's body."""
+    return machine('com = ["2.3 m", "0.2 m", "0 m"]\n', f'com = ["2.3 m", "0.2 m", "0 m"]\n{statement}\n', place)
+
+
+def weighed(statement: str, place: str, value: str = "2 t") -> Case:
+    """The good machine file with a total mass."""
+    return machine('[[motors]]\n', f'[[total_masses]]\nname = "ticket"\nvalue = "{value}"\n{statement}\n[[motors]]\n',
+                   place)
+
+
+def alike(statement: str, place: str) -> Case:
+    """The good machine file with parts that are said to be alike."""
+    return machine('[[motors]]\n', f'[[identical]]\nname = "pair"\n{statement}\n[[motors]]\n', place)
+
+
 BODY = 'm = "688 kg"\n'
 FILES = {
     "machine: not TOML": Case(lambda d: show(d, DIGGER + "pin = [1,\n"), r"digger\.toml: .*end of document"),
@@ -308,6 +324,48 @@ MACHINES = {
     "source not text": machine('source = "guess"', "source = 5", r".*boom.*body\.m"),
     "unit of value unknown": machine('"100 N", sigma', '"100 quux", sigma',
                                      r".*stick_cylinder.*friction\.coulomb.*'quux'"),
+    # what is known of bodies beyond numbers
+    "box inside out": known('shape = { box = { lower = ["9 m", "-1 m", "-1 m"], upper = ["3 m", "1 m", "1 m"] } }',
+                            r"links\[boom\]\.body\.shape\.box: along x .*9 m.*3 m"),
+    "ellipsoid without extent": known(
+        'shape = { ellipsoid = { centre = ["2 m", "0 m", "0 m"], semi_axes = ["2 m", "0 m", "1 m"] } }',
+        r"links\[boom\]\.body\.shape\.ellipsoid\.semi_axes: "),
+    "cylinder of no radius": known('shape = { cylinder = { radius = "0 m", start = "0 m", end = "3 m" } }',
+                                   r"links\[boom\]\.body\.shape\.cylinder\.radius: "),
+    "cylinder that ends before it starts": known(
+        'shape = { cylinder = { radius = "1 m", start = "4 m", end = "3 m" } }',
+        r"links\[boom\]\.body\.shape\.cylinder: .*4 m.*3 m"),
+    "cylinder in degrees": known('shape = { cylinder = { radius = "1 deg", start = "0 m", end = "3 m" } }',
+                                 r"links\[boom\]\.body\.shape\.cylinder\.radius: 'deg'"),
+    "shape of two kinds": known(
+        'shape = { cylinder = { radius = "1 m", start = "0 m", end = "5 m" }, ellipsoid = { '
+        'centre = ["2 m", "0 m", "0 m"], semi_axes = ["9 m", "9 m", "9 m"] } }',
+        r"links\[boom\]\.body\.shape: .*exactly one"),
+    "shape of no kind": known("shape = { }", r"links\[boom\]\.body\.shape: .*exactly one"),
+    "shape of an unknown kind": known('shape = { cone = { radius = "1 m" } }', r"links\[boom\]\.body\.shape\.cone: "),
+    "centre of mass outside its shape": known('shape = { cylinder = { radius = "1 m", start = "0 m", end = "2 m" } }',
+                                              r"links\[boom\]\.body\.shape: the centre of mass lies outside"),
+    "unknown plane": known('symmetric = "zx"', r"links\[boom\]\.body\.symmetric\[0\]: .*'xy', 'xz' or 'yz'"),
+    "symmetric body that is not": known('symmetric = ["xy", "xz"]',
+                                         r"links\[boom\]\.body\.symmetric: .*about xz.*mc_y"),
+    "total mass of no bodies": weighed("bodies = []", r"total_masses\[ticket\]\.bodies: .*empty"),
+    "total mass of an unknown body": weighed('bodies = ["boom", "dipper"]',
+                                             r"total_masses\[ticket\]\.bodies: 'dipper'.*boom, stick"),
+    "total mass of a body twice": weighed('bodies = ["boom", "boom"]',
+                                         r"total_masses\[ticket\]\.bodies: 'boom'.*twice"),
+    "total mass of nothing": weighed('bodies = ["boom"]', r"total_masses\[ticket\]\.value: ", "0 kg"),
+    "total mass in metres": weighed('bodies = ["boom"]', r"total_masses\[ticket\]\.value: 'm'", "3 m"),
+    "total mass with a sigma in metres": weighed('bodies = ["boom"]\nsigma = "2 m"',
+                                                r"total_masses\[ticket\].*sigma: 'm'"),
+    "total mass with bounds": weighed('bodies = ["boom"]\nlower = "2 kg"', r"total_masses\[ticket\]: .*no bounds"),
+    "two statements of one name": weighed(
+        'bodies = ["boom"]\n[[identical]]\nname = "ticket"\nbodies = ["boom", "stick"]', r".*'ticket' is used 2 times"),
+    "identical alone": alike('bodies = ["boom"]', r"identical\[pair\]\.bodies: 'boom' alone"),
+    "identical without bodies": alike("", r"identical\[pair\]\.bodies: nothing"),
+    "identical to an unknown body": alike('bodies = ["boom", "boom_cylinder.barrel"]',
+                                          r"identical\[pair\]\.bodies: 'boom_cylinder\.barrel'"),
+    "identical friction of other terms": alike('friction = ["boom_cylinder", "stick_cylinder"]',
+                                               r"identical\[pair\]\.friction: .*same terms"),
     "no such parameter set": machine('set = "guess"', 'set = "measured"', ".*'measured'; .*guess"),
     "set of an unknown part": machine("sets.guess.stick]", "sets.guess.dipper]", ".*'guess'.*'dipper'"),
     "set is a number": machine('[parameter_sets.guess.stick]\n' + BODY, '[parameter_sets.guess]\nstick = 5\n[other]\n',
@@ -542,6 +600,8 @@ OPTIONS = {
                                      place="--bandwidth: .*'butterworth:2'"),
     "bandwidth for a series": option("--bandwidth", "2", "--smoothing", "fourier:10:3",
                                      place="--bandwidth: .*'fourier:10:3'"),
+    "unknown distance": option("--distance", "euclid", place="--distance: 'euclid'"),
+    "log-det distance of another method": option("--distance", "log-det", "--method", "wls", place="solve: .*'wls'"),
     "ridge of another method": option("--ridge", "1", place="--ridge: .*'sdp'"),
     "motion with a duration": simulate("--motion", "log.csv", "--duration", "5", place="--motion: .*; .*--duration"),
     "motion with a rate": simulate("--motion", "log.csv", "--rate", "5", place="--motion: .*; .*--rate"),

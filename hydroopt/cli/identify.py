@@ -19,6 +19,7 @@ from hydroopt.cli.options import (
     ParameterSetName,
     Quiet,
     Treat,
+    distance_of,
     loss_of,
     progress,
 )
@@ -46,6 +47,8 @@ def identify(
     treat: Treat = None,
     method: Annotated[str, typer.Option(help=f"One of {', '.join(METHODS)}.")] = "sdp",
     loss: Annotated[str, typer.Option(help="squares, huber or student_t.")] = "squares",
+    distance: Annotated[str, typer.Option(
+        help="How far a body is from its nominal one: gaussian, or log-det of pseudo-inertias.")] = "gaussian",
     smoothing: Annotated[str, typer.Option(help=(
         "spline (weight from the stated noise), spline:cv (cross-validated), fourier:PERIOD:HARMONICS or "
         "butterworth:HZ."))] = "spline",
@@ -84,10 +87,10 @@ def identify(
     if holdout:
         pairs = [log.split(1 - holdout) for log in train]
         train, held_out = [pair[0] for pair in pairs], held_out + [pair[1] for pair in pairs]
-    kind, full = loss_of(loss, "--loss"), not reduced
+    kind, far, full = loss_of(loss, "--loss"), distance_of(distance, "--distance"), not reduced
 
     def prepared(problem: Problem) -> Problem:
-        problem = _with_noisy_angles(problem.with_loss(kind), motion, instruments, map_file)
+        problem = _with_noisy_angles(problem.with_loss(kind).with_distance(far), motion, instruments, map_file)
         return problem.with_correlated_channels() if correlated else problem
 
     with progress(f"identifying {described.name}", quiet):

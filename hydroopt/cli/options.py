@@ -11,7 +11,7 @@ import typer
 from rich.console import Console
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.problem import Loss
+from hydroopt.estimation.problem import Distance, Loss
 
 MachineName = Annotated[str, typer.Argument(
     metavar="MACHINE", help="A bundled machine's name or a .toml or .urdf file.")]
@@ -30,6 +30,13 @@ def progress(what: str, quiet: bool) -> Iterator[Callable[[str], None]]:
     """A spinner on a terminal's error stream while something takes its time; what is given says what goes on now."""
     with Console(stderr=True, quiet=quiet).status(what) as status:
         yield status.update
+
+
+def distance_of(text: str, where: str) -> Distance:
+    """The distance between bodies that an option names."""
+    if text not in ("gaussian", "log-det"):
+        raise ProblemError(f"'{text}' is no distance", where=where, remedy="use gaussian or log-det")
+    return text  # type: ignore[return-value]
 
 
 def loss_of(text: str, where: str) -> Loss:

@@ -22,7 +22,8 @@ def calibrated_machine(estimate: Estimate) -> Machine:
     the same ones would count them twice. Of the reduced model barrels and rods are left out, whose part the links took.
 
     Raises:
-        ProblemError: a body is impossible or a friction negative, so that no machine could have these numbers.
+        ProblemError: a body is impossible, a friction negative, or something that the file states does not hold, so
+            that no machine could have these numbers.
     """
     problem = estimate.problem
     machine, names = problem.model.machine, problem.parameters.names
@@ -30,6 +31,10 @@ def calibrated_machine(estimate: Estimate) -> Machine:
     below = [name for k, name in enumerate(names) if estimate.psi[k] < problem.parameters.lower[k] - 1e-9]
     if impossible or below:
         raise ProblemError(f"{', '.join([*impossible, *below])} cannot exist",
+                           where=f"{machine.name} by {estimate.method}", remedy="identify with method 'sdp'")
+    broken = [condition.name for condition in problem.conditions if condition.margin(estimate.psi) < -1e-6]
+    if broken:
+        raise ProblemError(f"{'; '.join(dict.fromkeys(broken))}: this does not hold",
                            where=f"{machine.name} by {estimate.method}", remedy="identify with method 'sdp'")
     source = f"identified by {estimate.method} from {', '.join(e.log.path or e.log.name for e in problem.experiments)}"
     data: dict[str, Any] = machine.model_dump(exclude={"notes"})
@@ -47,9 +52,13 @@ def calibrated_machine(estimate: Estimate) -> Machine:
             continue
         k = problem.parameters.index(f"{owner}.m")
         phi = estimate.psi[k : k + 10].tolist()
-        holder["body"] = {"m": phi[0], "mc": phi[1:4], "inertia": phi[4:]}
+        stated = {key: holder["body"][key] for key in ("shape", "symmetric")}
+        holder["body"] = {"m": phi[0], "mc": phi[1:4], "inertia": phi[4:], **stated}
         for key, span in (("m", slice(k, k + 1)), ("mc", slice(k + 1, k + 4)), ("inertia", slice(k + 4, k + 10))):
             notes[f"{owned.path}.{key}"] = _note(estimate, span, confidence, source)
+    for one in data["identical"]:
+        one["bodies"] = [owner for owner in one["bodies"] if f"{owner}.m" in problem.parameters.positions]
+    data["identical"] = [one for one in data["identical"] if one["bodies"] or one["friction"]]
     scalars = dynamic_parameters.passive_scalars(machine)
     for joint in machine.joints:
         scalars |= dynamic_parameters.scalars(machine, joint)

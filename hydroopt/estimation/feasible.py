@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,11 +12,11 @@ import numpy as np
 from hydroopt import inertia, solvers
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.gaussian import Gaussian
+from hydroopt.estimation.physics import MARGIN, Condition, square
 from hydroopt.estimation.problem import Named, Problem, no_relation
 from hydroopt.inertia import Array
 
-MARGIN = 1e-7
-"""Smallest eigenvalue allowed to a scaled pseudo-inertia: keeps bodies strictly possible despite rounding."""
+NamedConstraints = list[tuple[str, list[Any]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -27,106 +27,157 @@ class Solution:
     active: tuple[str, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class ScaledBody:
-    """A body's place in ψ and the scaling that makes its pseudo-inertia about the identity's size."""
-
-    owner: str
-    columns: slice
-    scaling: Array
-
-    def pseudo_inertia(self, phi: Array) -> Array:
-        """D·J(φ)·D (4, 4)."""
-        return self.scaling @ inertia.pseudo_inertia(phi) @ self.scaling
-
-
-def scaled_bodies(problem: Problem) -> tuple[ScaledBody, ...]:
-    """All bodies of the problem, scaled by the mass and the radius of gyration of their nominal values."""
-    found = []
-    for k, name in enumerate(problem.parameters.names):
-        if name.endswith(".m"):
-            phi = problem.parameters.nominal[k : k + 10]
-            mass = max(phi[0], 1e-3)
-            second = max(np.trace(inertia.pseudo_inertia(phi)[:3, :3]) / 3, 1e-6 * mass)
-            scaling = np.diag([*[1 / np.sqrt(second)] * 3, 1 / np.sqrt(mass)])
-            found.append(ScaledBody(name.removesuffix(".m"), slice(k, k + 10), scaling))
-    return tuple(found)
-
-
 def solve(problem: Problem, belief: Gaussian, *, consistent: bool) -> Solution:
-    """The most probable ψ under bounds, the user's constraints and, if asked, physical consistency.
+    """The most probable ψ under bounds, constraints and, if asked, physical consistency.
 
     Raises:
         ProblemError: constraints contradict each other; the smallest contradicting set is named.
         SolverError: the solver's answer is not to be trusted.
     """
-    where = f"identification of {problem.model.machine.name}"
-    z = cp.Variable(belief.slope.shape[1])
+    where = _where(problem)
+    whole, left = belief, belief.on(problem.requirements(consistent=consistent))
+    if left is None:
+        raise _contradiction(problem, whole, consistent=consistent)
+    belief, z = left, cp.Variable(left.slope.shape[1])
     named = constraints_of(problem, belief, z, consistent=consistent)
     everything = [c for _, group in named for c in group]
+    names = names_of(problem, consistent=consistent)
+    held = {c.name for c in problem.requirements(consistent=consistent) if c.kind == "zero"}
     z.value = np.zeros(z.shape)
-    if all(np.all(c.violation() <= 0) for c in everything):
-        return Solution(belief.offset, ())  # the least possible ‖z‖, without a solver's rounding
-    program = cp.Problem(cp.Minimize(cp.sum_squares(z)), everything)
+    if not _distant(problem) and all(np.all(c.violation() <= 0) for c in everything):
+        # the least possible ‖z‖, without a solver's rounding
+        return Solution(belief.offset, tuple(name for name in names if name in held))
+    cost = cp.sum_squares(z) if not _distant(problem) else (
+        cp.sum_squares(belief.root @ z - belief.right) + sum(_distances(problem, belief, z)))
+    program = cp.Problem(cp.Minimize(cost), everything)
     if not solvers.solve_convex(program, where):
-        culprits = _contradiction(named, z, where)
-        raise ProblemError(f"these cannot hold together: {'; '.join(culprits)}", where=where,
-                           remedy="drop or loosen one of them")
+        raise _contradiction(problem, whole, consistent=consistent)
     value = np.asarray(z.value, dtype=float)
-    solvers.certify_convex(z, 2 * value, everything).trust(where)
     psi = belief.offset + belief.slope @ value
-    for body in scaled_bodies(problem) if consistent else ():
+    solvers.certify_convex(z, _gradient(problem, belief, value), everything).trust(where)
+    for body in problem.bodies if consistent else ():
         smallest = np.linalg.eigvalsh(body.pseudo_inertia(psi[body.columns]))[0]
         if smallest <= 0:
             raise SolverError(f"the body '{body.owner}' came out impossible (eigenvalue {smallest:.1e})", where=where,
                               remedy="widen its prior or the constraints on it")
-    return Solution(psi, tuple(name for name, group in named if _is_active(group)))
+    held |= {name for name, group in named if _is_active(group)}
+    return Solution(psi, tuple(name for name in names if name in held))
 
 
-def constraints_of(problem: Problem, belief: Gaussian, z: cp.Variable, *,
-                   consistent: bool) -> list[tuple[str, list[Any]]]:
-    """All constraints by name, in terms of the Gaussian's coordinates z."""
-    parameters = problem.parameters
-    step = belief.slope / parameters.scale[:, None]  # so that bounds of all units are of the same size
-    named: list[tuple[str, list[Any]]] = []
-    for k, name in enumerate(parameters.names):
-        at, size = belief.offset[k], parameters.scale[k]
-        if name in problem.fixed:
-            named.append((f"{name} fixed", [step[k] @ z == (problem.fixed[name] - at) / size]))
-            continue
-        # a body's mass is positive anyway where bodies must be possible
-        if np.isfinite(parameters.lower[k]) and not (consistent and name.endswith(".m") and parameters.lower[k] == 0):
-            named.append((f"lower bound of {name}", [step[k] @ z >= (parameters.lower[k] - at) / size]))
-        if np.isfinite(parameters.upper[k]):
-            named.append((f"upper bound of {name}", [step[k] @ z <= (parameters.upper[k] - at) / size]))
-    if consistent:
-        named += [(f"physical consistency of {body.owner}", [_consistency(body, belief, z)])
-                  for body in scaled_bodies(problem)]
-    view = Named(parameters, lambda k: belief.offset[k] + belief.slope[k] @ z)
+def names_of(problem: Problem, *, consistent: bool) -> tuple[str, ...]:
+    """Names of all constraints, each once."""
+    conditions = problem.requirements(consistent=consistent)
+    return tuple(dict.fromkeys([c.name for c in conditions] + [c.name for c in problem.constraints]))
+
+
+def constraints_of(problem: Problem, belief: Gaussian, z: cp.Variable, *, consistent: bool,
+                   without: Collection[str] = ()) -> NamedConstraints:
+    """Constraints by name but some, in terms of the Gaussian's coordinates z, which hold equalities by themselves."""
+    named: dict[str, list[Any]] = {}
+    for condition in problem.requirements(consistent=consistent):
+        if condition.kind != "zero" and condition.name not in without:
+            named.setdefault(condition.name, []).append(_constraint(condition, belief, z))
+    view = Named(problem.parameters, lambda k: belief.offset[k] + belief.slope[k] @ z)
     for constraint in problem.constraints:
+        if constraint.name in without:
+            continue
         relation = constraint.evaluated(view)
         if not isinstance(relation, cp.Constraint):
             raise no_relation(constraint)
-        named.append((constraint.name, [relation]))
-    return named
+        named[constraint.name] = [relation]
+    return list(named.items())
 
 
-def _consistency(body: ScaledBody, belief: Gaussian, z: cp.Variable) -> Any:
-    at_mean = body.pseudo_inertia(belief.offset[body.columns])
-    basis = (body.scaling @ inertia.PSEUDO_BASIS @ body.scaling).reshape(10, 16)
-    matrix = cp.reshape((basis.T @ belief.slope[body.columns]) @ z, (4, 4), order="C") + at_mean
-    return (matrix + matrix.T) / 2 - MARGIN * np.eye(4) >> 0
+def refuse_contradiction(problem: Problem, belief: Gaussian, *, consistent: bool) -> None:
+    """Name what cannot hold together, for a solver that could not; nothing if a constraint is not convex.
+
+    Raises:
+        ProblemError: constraints contradict each other; the smallest contradicting set is named.
+    """
+    try:
+        named = constraints_of(problem, belief, cp.Variable(belief.slope.shape[1]), consistent=consistent)
+    except ProblemError:  # one that only CasADi understands
+        return
+    convex = all(c.is_dcp() for _, group in named for c in group)
+    if convex and not _compatible(problem, belief, consistent=consistent):
+        raise _contradiction(problem, belief, consistent=consistent)
+
+
+def inner_point(problem: Problem, belief: Gaussian, z: Array, *, consistent: bool, margin: float) -> Array | None:
+    """The point (k,) nearest to z that fulfils every inequality and matrix with a margin; None if none is found.
+
+    The user's own constraints are not asked.
+    """
+    moved = cp.Variable(len(z))
+    inequalities = [_constraint(condition, belief, moved, margin)
+                    for condition in problem.requirements(consistent=consistent) if condition.kind != "zero"]
+    program = cp.Problem(cp.Minimize(cp.sum_squares(moved - z)), inequalities)
+    try:
+        found = solvers.solve_convex(program, _where(problem))
+    except SolverError:  # the estimate stands; without a start there are only no intervals, which is said
+        return None
+    return np.asarray(moved.value, dtype=float) if found else None
+
+
+def _constraint(condition: Condition, belief: Gaussian, z: cp.Variable, margin: float = 0.0) -> Any:
+    at_mean, slope = condition.at(belief.offset), condition.rows @ belief.slope
+    if condition.kind == "semidefinite":
+        return _matrix(at_mean, slope, z) - (MARGIN + margin) * np.eye(4) >> 0
+    return slope @ z >= margin - at_mean
+
+
+def _matrix(constant: Array, slope: Array, z: cp.Variable) -> Any:
+    """Symmetric matrix (4, 4) whose upper triangle is linear in z."""
+    full = np.array([square(entry).ravel() for entry in np.eye(10)]).T
+    matrix = cp.reshape(full @ slope @ z, (4, 4), order="C") + square(constant)
+    return (matrix + matrix.T) / 2
+
+
+def _distant(problem: Problem) -> bool:
+    return problem.distance == "log-det"
+
+
+def _distances(problem: Problem, belief: Gaussian, z: cp.Variable) -> list[Any]:
+    found = []
+    for body in problem.bodies:
+        W = _matrix(body.basis @ belief.offset[body.columns], body.basis @ belief.slope[body.columns], z)
+        found.append(body.weight * (cp.trace(W) - cp.log_det(W) - 4))
+    return found
+
+
+def _gradient(problem: Problem, belief: Gaussian, z: Array) -> Array:
+    """Gradient (k,) of the cost, for a check that does not ask cvxpy."""
+    gradient: Array = 2 * belief.root.T @ (belief.root @ z - belief.right)
+    for body in problem.bodies if _distant(problem) else ():
+        J = inertia.pseudo_inertia((belief.offset + belief.slope @ z)[body.columns])
+        along = body.scaling.T @ body.scaling - np.linalg.inv(J)
+        gradient += body.weight * belief.slope[body.columns].T @ np.einsum("kij,ji", inertia.PSEUDO_BASIS, along)
+    return gradient
 
 
 def _is_active(group: Sequence[Any]) -> bool:
     return any(np.max(np.abs(np.asarray(c.dual_value, dtype=float))) > 1e-6 for c in group)
 
 
-def _contradiction(named: list[tuple[str, list[Any]]], z: cp.Variable, where: str) -> list[str]:
+def _compatible(problem: Problem, belief: Gaussian, *, consistent: bool, without: Collection[str] = ()) -> bool:
+    left = belief.on([c for c in problem.requirements(consistent=consistent) if c.name not in without])
+    if left is None:
+        return False
+    z = cp.Variable(left.slope.shape[1])
+    named = constraints_of(problem, left, z, consistent=consistent, without=without)
+    program = cp.Problem(cp.Minimize(cp.sum_squares(z)), [c for _, group in named for c in group])
+    return solvers.solve_convex(program, _where(problem))
+
+
+def _contradiction(problem: Problem, belief: Gaussian, *, consistent: bool) -> ProblemError:
     """A smallest set of constraints that cannot hold together: leave out one after the other what is not needed."""
-    kept = list(named)
-    for candidate in named:
-        rest = [c for item in kept if item is not candidate for c in item[1]]
-        if not solvers.solve_convex(cp.Problem(cp.Minimize(cp.sum_squares(z)), rest), where):
-            kept.remove(candidate)
-    return [name for name, _ in kept]
+    names, without = names_of(problem, consistent=consistent), set[str]()
+    for name in names:
+        if not _compatible(problem, belief, consistent=consistent, without=without | {name}):
+            without.add(name)
+    return ProblemError(f"these cannot hold together: {'; '.join(n for n in names if n not in without)}",
+                        where=_where(problem), remedy="drop or loosen one of them")
+
+
+def _where(problem: Problem) -> str:
+    return f"identification of {problem.model.machine.name}"

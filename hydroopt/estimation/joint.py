@@ -73,7 +73,7 @@ def solve(problem: CalibrationProblem, start: Array, own: Array) -> tuple[Array,
     upper[: len(estimated)] = ((parameters.upper - begin) / scale)[estimated]
     zero = np.zeros(len(strict))
     answer = solvers.solve_nlp({"x": x, "f": cost, "g": rows}, np.zeros(unknowns.size), lower, upper, zero, zero,
-                               f"calibration of {problem.model.machine.name}", {}, derivatives)
+                               f"calibration of {problem.model.machine.name}", (), derivatives)
     found = np.asarray(ca.Function("theta", [x], [theta])(answer)).ravel()
     angles = np.asarray(ca.Function("v", [x], [v])(answer)).T
     return found, angles[:, len(problem.model.parameters) : len(problem.model.parameters) + n]

@@ -5,74 +5,92 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from hydroopt import inertia, solvers
-from hydroopt.estimation.feasible import MARGIN, Solution, scaled_bodies
+from hydroopt import solvers
+from hydroopt.errors import SolverError
+from hydroopt.estimation import feasible
+from hydroopt.estimation.feasible import Solution
 from hydroopt.estimation.gaussian import Gaussian
+from hydroopt.estimation.physics import MARGIN, UPPER, square
 from hydroopt.estimation.problem import Named, Problem, as_casadi
 from hydroopt.inertia import Array
 
 
 def solve(problem: Problem, belief: Gaussian) -> Solution:
-    """The most probable ψ; bodies stay possible because their pseudo-inertia is a Cholesky product.
+    """The most probable ψ; matrices stay positive definite because they are Cholesky products.
 
     Raises:
-        ProblemError: a constraint does not return a relation.
+        ProblemError: a constraint does not return a relation; or constraints, all of them convex, contradict each
+            other, and the smallest contradicting set is named.
         SolverError: IPOPT failed or its answer failed our check.
     """
-    parameters = problem.parameters
+    parameters, whole = problem.parameters, belief
     where = f"identification of {problem.model.machine.name}"
+    conditions = problem.requirements(consistent=problem.consistent)
+    left = whole.on(conditions)
+    if left is None:
+        feasible.refuse_contradiction(problem, whole, consistent=problem.consistent)
+        raise SolverError("the equalities contradict each other", where=where, remedy="drop or loosen one of them")
+    belief = left
     z = ca.SX.sym("z", belief.slope.shape[1])
     psi = ca.DM(belief.offset) + ca.DM(belief.slope) @ z
-    lower, upper = parameters.lower.copy(), parameters.upper.copy()
-    for name, value in problem.fixed.items():
-        lower[parameters.index(name)] = upper[parameters.index(name)] = value
-    bounded = np.flatnonzero(np.isfinite(lower) | np.isfinite(upper))
     begin = np.linalg.lstsq(belief.slope / parameters.scale[:, None],
                             (parameters.nominal - belief.offset) / parameters.scale, rcond=None)[0]
     free = np.full(z.numel(), np.inf)
     unknowns, lows, highs, start = [z], [-free], [free], [begin]
-    relations = [psi[int(k)] / parameters.scale[k] for k in bounded]
-    bounds = [(lower[k] / parameters.scale[k], upper[k] / parameters.scale[k]) for k in bounded]
+    relations: list[ca.SX] = []
+    bounds: list[tuple[float, float]] = []
     names: list[tuple[str, int]] = []
-    if problem.consistent:
-        below = np.tril_indices(4)
-        for body in scaled_bodies(problem):
-            factor = ca.SX.sym(f"L_{body.owner}", len(below[0]))
-            L = ca.SX(4, 4)
-            for k, (i, j) in enumerate(zip(*below, strict=True)):
-                L[int(i), int(j)] = factor[k]
-            product = L @ L.T + MARGIN * ca.DM.eye(4)
-            wanted = sum((psi[body.columns][k] * ca.DM(body.scaling @ inertia.PSEUDO_BASIS[k] @ body.scaling)
-                          for k in range(10)), ca.SX(4, 4))
-            relations += [product[int(i), int(j)] - wanted[int(i), int(j)] for i, j in zip(*below, strict=True)]
-            bounds += [(0.0, 0.0)] * len(below[0])
+    factors: dict[str, ca.SX] = {}
+    for condition in conditions:
+        if condition.kind == "zero":
+            continue
+        value = ca.DM(condition.at(belief.offset)) + ca.DM(condition.rows @ belief.slope) @ z
+        if condition.kind == "semidefinite":
+            L, factor = _factor(len(factors))
+            value -= (L @ L.T + MARGIN * ca.DM.eye(4))[(UPPER[1] * 4 + UPPER[0]).tolist()]
+            factors[condition.name] = L
             unknowns.append(factor)
-            diagonal = below[0] == below[1]
-            lows.append(np.where(diagonal, 0.0, -np.inf))
-            highs.append(np.full(len(below[0]), np.inf))
-            start.append(_cholesky(body.pseudo_inertia(parameters.nominal[body.columns]))[below])
+            lows.append(np.where(UPPER[0] == UPPER[1], 0.0, -np.inf))
+            highs.append(np.full(10, np.inf))
+            start.append(_cholesky(square(condition.at(parameters.nominal))).T[UPPER])
+        else:
+            names += [(condition.name, len(bounds) + k) for k in range(value.numel())]
+        relations.append(value)
+        bounds += [(0.0, 0.0 if condition.kind == "semidefinite" else np.inf)] * value.numel()
     named = Named(parameters, lambda k: psi[k])
     for constraint in problem.constraints:
         difference, equal = as_casadi(constraint, named)
-        names.append((constraint.name, len(relations)))
+        names.append((constraint.name, len(bounds)))
         relations.append(difference)
         bounds.append((0.0, 0.0) if equal else (-np.inf, 0.0))
+    cost = ca.sumsqr(ca.DM(belief.root) @ z - ca.DM(belief.right))
+    for body in problem.bodies if problem.distance == "log-det" else ():
+        L = factors[body.consistency]
+        cost += body.weight * (ca.sumsqr(L) - 2 * ca.sum1(ca.log(ca.diag(L))) - 4)
     g = ca.vertcat(*relations) if relations else ca.SX(0, 1)
     g_lower, g_upper = (np.array([pair[k] for pair in bounds]) for k in (0, 1))
-    nlp = {"x": ca.vertcat(*unknowns), "f": ca.sumsqr(z), "g": g}
-    answer = solvers.solve_nlp(nlp, np.concatenate(start), np.concatenate(lows), np.concatenate(highs),
-                               g_lower, g_upper, where, dict(names))
+    nlp = {"x": ca.vertcat(*unknowns), "f": cost, "g": g}
+    try:
+        answer = solvers.solve_nlp(nlp, np.concatenate(start), np.concatenate(lows), np.concatenate(highs),
+                                   g_lower, g_upper, where, names)
+    except SolverError:
+        feasible.refuse_contradiction(problem, whole, consistent=problem.consistent)
+        raise
     solution = belief.offset + belief.slope @ answer[: z.numel()]
     at = np.asarray(ca.Function("g", [nlp["x"]], [g])(answer)).ravel()
-    active = [f"{side} bound of {parameters.names[k]}" for side, bound in (("lower", lower), ("upper", upper))
-              for k in bounded if abs(solution[k] - bound[k]) < 1e-6 * parameters.scale[k]
-              and parameters.names[k] not in problem.fixed]
-    active += [f"{name} fixed" for name in problem.fixed]
-    if problem.consistent:
-        active += [f"physical consistency of {body.owner}" for body in scaled_bodies(problem)
-                   if np.linalg.eigvalsh(body.pseudo_inertia(solution[body.columns]))[0] < 1e-4]
-    active += [name for name, k in names if abs(at[k]) < 1e-6]
-    return Solution(solution, tuple(active))
+    held = {c.name for c in conditions if c.kind == "zero"} | {name for name, k in names if abs(at[k]) < 1e-6}
+    held |= {c.name for c in conditions if c.kind == "semidefinite" and c.margin(solution) < 1e-4}
+    every = feasible.names_of(problem, consistent=problem.consistent)
+    return Solution(solution, tuple(name for name in every if name in held))
+
+
+def _factor(k: int) -> tuple[ca.SX, ca.SX]:
+    """A lower triangular matrix (4, 4) and its ten unknowns, in the order of the upper triangle of its transpose."""
+    unknown = ca.SX.sym(f"L_{k}", 10)
+    L = ca.SX(4, 4)
+    for n, (i, j) in enumerate(zip(*UPPER, strict=True)):
+        L[int(j), int(i)] = unknown[n]
+    return L, unknown
 
 
 def _cholesky(matrix: Array) -> Array:

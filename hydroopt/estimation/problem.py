@@ -11,16 +11,20 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.errors import ProblemError
+from hydroopt.estimation import physics
 from hydroopt.estimation.experiment import Experiment, experiment, force_noise
 from hydroopt.estimation.instruments import instrument
+from hydroopt.estimation.physics import Condition, ScaledBody
 from hydroopt.inertia import Array
 from hydroopt.machine import Machine
 from hydroopt.model.build import Model
 from hydroopt.parameters import ParameterSet
+from hydroopt.parts import Note
 from hydroopt.signals.conditioning import Motion, Smoothing
 from hydroopt.signals.log import Log
 
 Loss = Literal["squares", "huber", "student_t"]
+Distance = Literal["gaussian", "log-det"]
 
 
 class Named(Mapping[str, Any]):
@@ -102,13 +106,16 @@ class Problem:
         validation: data that the estimate has not seen and is judged by.
         force_std: (n,) standard deviation of each actuator's force reading; NaN where unknown. It is re-estimated
             from the residuals when `reweight` is set.
-        constraints, priors: what was added by name.
+        constraints, priors, physics: what was added by name.
         fixed: parameters held at a value.
         consistent: whether every body must be physically possible (positive definite pseudo-inertia).
         loss: of the residuals; the robust ones are solved by iterative reweighting.
         correlated: whether the actuators' residuals in one sample may correlate; their correlation is estimated.
         fitted_motion: whether motion and parameters are fitted together, instead of smoothing the motion beforehand.
         instruments: for each experiment another motion at its samples, whose errors are not those of the measured one.
+        distance: of a body from its nominal one: ``gaussian`` takes the file's confidences of its ten numbers, and
+            ``log-det`` the entropic divergence of pseudo-inertias, which knows no frame, weighted by the confidence of
+            the mass (`hydroopt.estimation.physics.scaled_bodies`).
     """
 
     model: Model
@@ -118,12 +125,14 @@ class Problem:
     reweight: bool = True
     constraints: tuple[Constraint, ...] = ()
     priors: tuple[Prior, ...] = ()
+    physics: tuple[Condition, ...] = ()
     fixed: Mapping[str, float] = field(default_factory=dict)
     consistent: bool = True
     loss: Loss = "squares"
     correlated: bool = False
     fitted_motion: bool = False
     instruments: tuple[Motion, ...] = ()
+    distance: Distance = "gaussian"
 
     @property
     def parameters(self) -> ParameterSet:
@@ -164,8 +173,54 @@ class Problem:
         prior = Prior(name, np.asarray(ca.DM(at_zero[0])).ravel(), value - float(at_zero[1]), sigma)
         return replace(self, priors=(*self.priors, prior))
 
+    def with_total_mass(self, name: str, bodies: Sequence[str], value: float, sigma: float | None = None) -> Problem:
+        """With the mass [kg] of several bodies together: exactly, or as a prior ``value ± sigma``.
+
+        Raises:
+            ProblemError: an unknown body, none or one twice, a value or sigma that is not positive, or the name is
+                taken.
+        """
+        if not 0 < value < np.inf:
+            raise ProblemError(f"{value:g} kg is no mass", where=f"'{name}'", remedy="give a positive number")
+        row = physics.total_mass(self.parameters, name, bodies)
+        if sigma is not None:
+            return self.with_prior(name, lambda p: sum(p[f"{body}.m"] for body in bodies), value=value, sigma=sigma)
+        return self._with(physics.equal(name, self.parameters, row, value))
+
+    def identical(self, name: str, owners: Sequence[str]) -> Problem:
+        """With parts built alike: bodies of equal inertial parameters, or actuators of equal friction.
+
+        Raises:
+            ProblemError: an unknown owner, fewer than two, bodies mixed with actuators, or the name is taken.
+        """
+        return self._with(physics.likeness(self.parameters, name, owners))
+
+    def symmetric(self, owner: str, plane: str) -> Problem:
+        """With a body whose mass is symmetric about a plane of its frame: ``xy``, ``xz`` or ``yz``.
+
+        Raises:
+            ProblemError: an unknown body or plane, or the file or an earlier call says so already.
+        """
+        return self._with(physics.symmetry(self.parameters, owner, plane))
+
+    def _with(self, condition: Condition) -> Problem:
+        self._refuse_taken(condition.name)
+        return replace(self, physics=(*self.physics, condition))
+
+    def with_distance(self, distance: Distance) -> Problem:
+        """With another distance of bodies from their nominal ones: ``gaussian`` or ``log-det``.
+
+        Raises:
+            ProblemError: there is no such distance, or a nominal body could not exist and has no log-det distance.
+        """
+        if distance not in ("gaussian", "log-det"):
+            raise ProblemError(f"'{distance}' is no distance", where="distance", remedy="use gaussian or log-det")
+        changed = replace(self, distance=distance)
+        assert changed.bodies is not None  # raises where there is none
+        return changed
+
     def _refuse_taken(self, name: str) -> None:
-        if name in {*(c.name for c in self.constraints), *(p.name for p in self.priors)}:
+        if name in {*self.constraint_names, *(p.name for p in (*self.stated_priors, *self.priors))}:
             raise ProblemError("two constraints or priors have the same name", where=f"'{name}'",
                                remedy="give each a name of its own")
 
@@ -233,18 +288,75 @@ class Problem:
         return replace(self, instruments=tuple(instrument(self.model, data, logs[k] if logs else None)
                                                for k, data in enumerate(self.experiments)))
 
+    @property
+    def constraint_names(self) -> tuple[str, ...]:
+        """Names of what the machine file states and of what was added."""
+        return tuple(dict.fromkeys([c.name for c in self.conditions] + [c.name for c in self.constraints]))
+
+    @cached_property
+    def bodies(self) -> tuple[ScaledBody, ...]:
+        """All bodies, scaled to about one, with the weight of their log-det distance if that is the one."""
+        return physics.scaled_bodies(self.parameters, distances=self.distance == "log-det")
+
+    @cached_property
+    def conditions(self) -> tuple[Condition, ...]:
+        """What the machine file states of its bodies, and what was added of this kind."""
+        model = self.model
+        stated = physics.stated(model.machine, self.parameters, actuator_inertia=model.actuator_inertia)
+        return (*stated, *self.physics)
+
+    def requirements(self, *, consistent: bool) -> tuple[Condition, ...]:
+        """All conditions on ψ but the user's own functions: bounds, possible bodies if asked, and `conditions`."""
+        p = len(self.parameters)
+        return (*physics.bounds(self.parameters, self.fixed, consistent=consistent),
+                *(physics.consistency(body, p) for body in self.bodies if consistent or self.distance == "log-det"),
+                *self.conditions)
+
+    @cached_property
+    def stated_priors(self) -> tuple[Prior, ...]:
+        """Total masses that the machine file states with a confidence."""
+        notes = self.model.machine.notes
+        spreads = [(total, notes.get(f"{total.name}.value", Note()).spread(total.value))
+                   for total in self.model.machine.total_masses]
+        return tuple(Prior(total.name, physics.total_mass(self.parameters, total.name, total.bodies), total.value,
+                           sigma) for total, sigma in spreads if sigma is not None)
+
     @cached_property
     def prior_rows(self) -> tuple[Array, Array]:
-        """Rows and right-hand side of ``‖A·ψ − b‖²``, the negative logarithm of all priors times two."""
+        """Rows and right-hand side of ``‖A·ψ − b‖²``, the negative logarithm of all priors times two.
+
+        A log-det distance is none of a square; the Gaussian of its mean and covariance stands in for it.
+        """
         parameters = self.parameters
-        diagonal = np.diag(parameters.information)
+        information, mean = parameters.information.copy(), parameters.nominal.copy()
+        for body in self.bodies if self.distance == "log-det" else ():
+            mean[body.columns] *= body.spread
+            information[body.columns, body.columns] = body.information
+        return self._rows(information, mean)
+
+    @cached_property
+    def square_rows(self) -> tuple[Array, Array]:
+        """The same of the priors that are squares indeed: without what a log-det distance says of bodies."""
+        information = self.parameters.information.copy()
+        for body in self.bodies if self.distance == "log-det" else ():
+            information[body.columns, body.columns] = 0.0
+        return self._rows(information, self.parameters.nominal)
+
+    def prior_misfit(self, psi: Array) -> float:
+        """The negative logarithm of all priors times two, at ψ (p,)."""
+        rows, right = self.square_rows
+        distances = sum(body.distance(psi[body.columns]) for body in self.bodies if body.weight)
+        return float(np.sum((rows @ psi - right) ** 2)) + distances
+
+    def _rows(self, information: Array, mean: Array) -> tuple[Array, Array]:
+        diagonal = np.diag(information)
         size = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))  # so that units do not decide what counts as known
-        values, vectors = np.linalg.eigh(parameters.information / np.outer(size, size))
+        values, vectors = np.linalg.eigh(information / np.outer(size, size))
         known = values > 1e-12
         root = np.sqrt(values[known])[:, None] * vectors[:, known].T * size
-        rows = np.vstack([root, *[prior.row / prior.sigma for prior in self.priors]])
-        right = np.concatenate([root @ parameters.nominal, [prior.value / prior.sigma for prior in self.priors]])
-        return rows, right
+        priors = (*self.stated_priors, *self.priors)
+        return (np.vstack([root, *[prior.row / prior.sigma for prior in priors]]),
+                np.concatenate([root @ mean, [prior.value / prior.sigma for prior in priors]]))
 
     def __str__(self) -> str:
         parameters, machine = self.parameters, self.model.machine
@@ -257,13 +369,14 @@ class Problem:
             again = ", re-estimated from the residuals" if self.reweight else ""
             lines.append(f"  residual {actuator.name}: {weight}{again}")
         lines.append(f"  priors of the machine file on {stated} parameters, bounds on {bounded}")
-        lines += [f"  prior {p.name}: {p.value:.6g} ± {p.sigma:.3g}" for p in self.priors]
-        lines += [f"  constraint {c.name}" for c in self.constraints]
+        lines += [f"  prior {p.name}: {p.value:.6g} ± {p.sigma:.3g}" for p in (*self.stated_priors, *self.priors)]
+        lines += [f"  constraint {name}" for name in self.constraint_names]
         lines += [f"  fixed {name} = {value:.6g}" for name, value in self.fixed.items()]
         lines += ["  physical consistency of every body"] * self.consistent
         lines += ["  residuals of the actuators correlate"] * self.correlated
         lines += ["  motion fitted together with the parameters"] * self.fitted_motion
         lines += ["  instrumental variables from a second reading of the motion"] * bool(self.instruments)
+        lines += ["  log-det distance of every body from its nominal one"] * (self.distance == "log-det")
         return "\n".join(lines)
 
 

@@ -7,7 +7,7 @@ from typing import Literal, get_args
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hydroopt import identifiability, inertia
+from hydroopt import identifiability
 from hydroopt.dynamic_parameters import SPEED
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation import feasible, linear, nonlinear, uncertainty
@@ -37,7 +37,10 @@ def solve(problem: Problem, method: Method = "sdp", *, tolerance: float = RANK_T
         problem: what to solve.
         method: ``sdp`` priors, bounds and physically possible bodies (default); ``qp`` the same without the bodies;
             ``nlp`` as ``sdp`` but by IPOPT, for constraints that are not convex; ``wls`` weighted least squares on base
-            parameters (Eq. 4.58); ``ridge`` (Eq. 4.59); ``tsvd`` truncated singular values (Eq. 4.60).
+            parameters (Eq. 4.58); ``ridge`` (Eq. 4.59); ``tsvd`` truncated singular values (Eq. 4.60). What the machine
+            file states (confidences, bounds, shapes, symmetries, total masses, identical parts) binds the first three;
+            the last three ignore it, and refuse what was added to the problem. A log-det distance needs ``sdp`` or
+            ``nlp``.
         tolerance: part of the largest singular value below which a direction counts as unseen.
         ridge: strength λ for ``ridge``, relative to the largest eigenvalue; chosen by cross-validation if None.
         intervals: whether to sample the posterior. The estimate is then its mean, else its most probable point; the
@@ -51,9 +54,12 @@ def solve(problem: Problem, method: Method = "sdp", *, tolerance: float = RANK_T
     """
     if method not in METHODS:
         raise ProblemError(f"'{method}' is no method", where="solve", remedy=f"use one of {', '.join(METHODS)}")
-    if method in _LINEAR and (problem.constraints or problem.priors or problem.fixed):
-        extra = [*(c.name for c in problem.constraints), *(p.name for p in problem.priors), *problem.fixed]
-        raise ProblemError(f"method '{method}' cannot honour {', '.join(extra)}", where="solve",
+    added = [*(c.name for c in problem.constraints), *(p.name for p in problem.priors),
+             *(c.name for c in problem.physics), *problem.fixed]
+    if problem.distance == "log-det" and method not in ("sdp", "nlp"):
+        raise ProblemError(f"method '{method}' has no log-det distance", where="solve", remedy="use sdp or nlp")
+    if method in _LINEAR and added:
+        raise ProblemError(f"method '{method}' cannot honour {', '.join(added)}", where="solve",
                            remedy="use qp, sdp or nlp")
     # the matrices are too small to gain from threads, which only get in each other's way
     with threadpool_limits(limits=1, user_api="blas"):
@@ -107,8 +113,7 @@ def _misfit(estimate: Estimate, psi: Array) -> float:
     """What an estimate's method minimises, weighted as it was, at ψ (p,) and without linearisation."""
     evidence, total = estimate.evidence, 0.0
     if estimate.method not in _LINEAR:
-        rows, right = evidence.problem.prior_rows
-        total += float(np.sum((rows @ psi - right) ** 2))
+        total += evidence.problem.prior_misfit(psi)
     return total + misfit(evidence, psi)
 
 
@@ -203,12 +208,18 @@ def _constrained_estimate(evidence: Evidence, method: str, solution: feasible.So
 
 
 def _nominal_where_unseen(problem: Problem, seen: Identifiability, psi: Array) -> Array:
-    """ψ with bodies that leave no trace at all back at their nominal values, unless the user spoke of them."""
-    if problem.constraints or problem.priors or problem.fixed:
+    """ψ with bodies that leave no trace at all back at their nominal values, unless somebody spoke of them.
+
+    What is stated of one body alone, its nominal values fulfil.
+    """
+    if problem.constraints or problem.priors or problem.stated_priors or problem.physics or problem.fixed:
         return psi
+    spoken = np.abs(np.vstack([np.zeros((0, len(psi))), *(c.rows for c in problem.conditions)])) > 0
     psi = psi.copy()
     for k, name in enumerate(problem.parameters.names):
-        if name.endswith(".m") and set(seen.category[k : k + 10]) == {identifiability.NONE}:
+        body = np.isin(np.arange(len(psi)), range(k, k + 10))
+        with_others = spoken[:, body].any(axis=1) & spoken[:, ~body].any(axis=1)
+        if name.endswith(".m") and set(seen.category[k : k + 10]) == {identifiability.NONE} and not with_others.any():
             psi[k : k + 10] = problem.parameters.nominal[k : k + 10]
     return psi
 
@@ -217,12 +228,10 @@ def _assemble(evidence: Evidence, method: str, psi: Array, value: Array, std: Ar
               active: tuple[str, ...], seen: Identifiability, base_std: Array, notes: tuple[str, ...],
               seed: int) -> Estimate:
     problem = evidence.problem
-    bound = []
-    for name in problem.parameters.names:
-        owner = name.rpartition(".")[0]
-        hit = [a for a in active if a.endswith(f" of {name}") or a == f"{name} fixed"
-               or (a == f"physical consistency of {owner}" and name.rpartition(".")[2] in inertia.NAMES)]
-        bound.append(hit[0] if hit else "")
+    bound = [""] * len(problem.parameters)
+    for condition in reversed(problem.requirements(consistent=True)):  # of several that hold, the first is named
+        for k in np.flatnonzero(np.any(condition.rows, axis=0)) if condition.name in active else ():
+            bound[k] = condition.name
     return Estimate(
         problem, method, psi, value, std, ci, tuple(bound), active, identifiability.structural(problem.model), seen,
         seen.grouping @ psi, base_std, evidence, identifiability.confounded(evidence.R, seen),

@@ -1,13 +1,14 @@
 """Intervals that stay honest when constraints are active: samples of the posterior, cut off where bodies end to exist.
 
-Residuals and priors make a Gaussian posterior; bounds, physical consistency and the user's constraints cut it. Its
-samples are drawn by elliptical slice sampling (Murray, Adams, MacKay 2010), many chains side by side. Covariances of
-the unconstrained problem would be wrong at an active constraint, and those of the active set alone too small.
+Residuals and priors make a Gaussian posterior; bounds, physical consistency, what is stated of bodies and the user's
+constraints cut it, and a log-det distance bends it. Its samples are drawn by elliptical slice sampling (Murray, Adams,
+MacKay 2010), many chains side by side. Covariances of the unconstrained problem would be wrong at an active constraint,
+and those of the active set alone too small.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -15,10 +16,10 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt import inertia
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.feasible import MARGIN, scaled_bodies
+from hydroopt.estimation import feasible, physics
 from hydroopt.estimation.gaussian import Gaussian, gaussian
+from hydroopt.estimation.physics import MARGIN, UPPER, Condition
 from hydroopt.estimation.problem import Named, Problem, as_casadi
 from hydroopt.inertia import Array
 
@@ -60,29 +61,35 @@ def sample(problem: Problem, R: Array, r: Array, psi: Array, *, consistent: bool
         consistent: whether bodies must be possible.
         seed: of the random numbers.
     """
+    conditions = problem.requirements(consistent=consistent)
     wishes = _wishes(problem)
     if wishes is None:
         return None
-    belief = gaussian(problem, R, r, wishes.equalities)
-    limits = _Limits(problem, belief, wishes, consistent=consistent)
+    belief = gaussian(problem, R, r).on([*conditions, *wishes.equalities])
+    if belief is None:
+        return None
+    limits = _Limits(problem, belief, wishes, conditions)
     scale = problem.parameters.scale
-    for distance in (0.1, 0.01, 0.001):
-        inner = wishes.inwards(_inner_point(problem, psi, consistent=consistent), belief, distance)
-        # the start in the Gaussian's coordinates; what leaves the equalities is dropped
-        start = np.linalg.lstsq(belief.slope / scale[:, None], (inner - belief.offset) / scale, rcond=None)[0]
-        state = np.tile(start[:, None], CHAINS)
+    # the start in the Gaussian's coordinates; what leaves the equalities is dropped
+    begin = np.linalg.lstsq(belief.slope / scale[:, None], (psi - belief.offset) / scale, rcond=None)[0].astype(float)
+    for distance in (1e-1, 1e-2, 1e-3):
+        inner = feasible.inner_point(problem, belief, begin, consistent=consistent, margin=1e-3 * distance)
+        if inner is None:
+            continue
+        state = np.tile(wishes.inwards(inner, belief, distance)[:, None], CHAINS)
         reach = limits.of(state)
-        if np.all(limits.hold(reach, lambda: state)):  # noqa: B023 - called at once
+        height = limits.height(reach, lambda: state)  # noqa: B023 - called at once
+        if np.all(height > -np.inf):
             break
     else:
         return None
     rng = np.random.default_rng(seed)
 
     def sweep() -> None:
-        nonlocal state, reach
+        nonlocal state, reach, height
         order = rng.permutation(len(state))
         for first in range(0, len(order), BLOCK):
-            state, reach = _elliptical_step(state, reach, order[first : first + BLOCK], limits, rng)
+            state, reach, height = _elliptical_step(state, reach, height, order[first : first + BLOCK], limits, rng)
 
     settled = False
     for _ in range(ROUNDS):
@@ -103,8 +110,9 @@ def sample(problem: Problem, R: Array, r: Array, psi: Array, *, consistent: bool
     samples = np.concatenate(kept)
     mean = (samples.mean(axis=0) - belief.offset) / scale
     centre = np.linalg.lstsq(belief.slope / scale[:, None], mean[:, None], rcond=None)[0]
-    possible = bool(limits.hold(limits.of(centre), lambda: centre)[0])
-    note = (f"intervals from the Gaussian posterior cut off by bounds and constraints: {len(samples)} samples by "
+    possible = bool(limits.height(limits.of(centre), lambda: centre)[0] > -np.inf)
+    bent = "Gaussian posterior" if problem.distance == "gaussian" else "posterior with log-det distances"
+    note = (f"intervals from the {bent} cut off by bounds and constraints: {len(samples)} samples by "
             "elliptical slice sampling" + ("" if settled else ", WHICH HAD NOT SETTLED: do not rely on them"))
     return Posterior(samples, samples.mean(axis=0) if possible else None, note)
 
@@ -112,28 +120,26 @@ def sample(problem: Problem, R: Array, r: Array, psi: Array, *, consistent: bool
 class _Limits:
     """All inequalities as functions of the Gaussian's coordinates z; a column each chain.
 
-    The linear ones, bounds and the entries of pseudo-inertias, are kept as numbers (m, c) that a step updates cheaply.
+    The linear ones and the entries of matrices are kept as numbers (m, c) that a step updates cheaply.
     """
 
-    def __init__(self, problem: Problem, belief: Gaussian, wishes: _Wishes, *, consistent: bool) -> None:
-        parameters = problem.parameters
-        p, scale = len(parameters), parameters.scale
-        free = np.array([name not in problem.fixed for name in parameters.names])
-        bodies = scaled_bodies(problem) if consistent else ()
-        # first entries of all scaled pseudo-inertias, second entries, ..., then distances to lower and upper bounds
-        upper = np.triu_indices(4)
-        entries = np.zeros((10, len(bodies), p))
-        for k, body in enumerate(bodies):
-            entries[:, k, body.columns] = (body.scaling @ inertia.PSEUDO_BASIS @ body.scaling)[:, upper[0], upper[1]].T
-        rows = [entries.reshape(10 * len(bodies), p)]
-        constants = [np.repeat(-MARGIN / 2 * (upper[0] == upper[1]), len(bodies))]
-        for bound, sign in ((parameters.lower, 1.0), (parameters.upper, -1.0)):
-            bounded = np.flatnonzero(free & np.isfinite(bound))
-            rows.append(sign * np.diag(1 / scale)[bounded])
-            constants.append(-sign * (bound / scale)[bounded])
-        gradient = np.vstack(rows)
-        self.slope, self.start = gradient @ belief.slope, np.concatenate(constants) + gradient @ belief.offset
-        self._bodies = len(bodies)
+    def __init__(self, problem: Problem, belief: Gaussian, wishes: _Wishes, conditions: Sequence[Condition]) -> None:
+        matrices = [c for c in conditions if c.kind == "semidefinite"]
+        linear = [c for c in conditions if c.kind == "nonnegative"]
+        weights = {body.consistency: body.weight for body in problem.bodies}
+        all_weights = np.array([weights.get(c.name, 0.0) for c in matrices])
+        self._distant = np.flatnonzero(all_weights)
+        self._weights = all_weights[self._distant]
+        self._spread = np.array([body.spread for body in problem.bodies if body.weight])
+        self._matrices = len(matrices)
+        # first entries of all matrices, second entries, ..., then the linear ones
+        order = np.arange(10 * len(matrices)).reshape(-1, 10).T.ravel()
+        p = len(problem.parameters)
+        rows = np.vstack([np.zeros((0, p)), *(c.rows for c in matrices)])[order]
+        right = np.concatenate([np.zeros(0), *(c.right + MARGIN / 2 * (UPPER[0] == UPPER[1]) for c in matrices)])[order]
+        gradient = np.vstack([rows, *(c.rows for c in linear)])
+        self.slope = gradient @ belief.slope
+        self.start = gradient @ belief.offset - np.concatenate([right, *(c.right for c in linear)])
         self._wishes = wishes
         self._belief = belief
 
@@ -141,20 +147,35 @@ class _Limits:
         """The linear functions (m, c) at the states z (k, c)."""
         return np.asarray(self.start[:, None] + self.slope @ state)
 
-    def hold(self, reach: Array, state: Callable[[], Array]) -> Mask:
-        """Whether all limits hold (c,), from the linear functions and, only if the user has others, the states."""
-        good: Mask = np.all(reach[10 * self._bodies :] >= 0, axis=0)
-        if self._bodies:
-            entries = reach[: 10 * self._bodies].reshape(10, self._bodies, -1)
-            good &= np.all(_positive_definite(entries), axis=0)
+    def height(self, reach: Array, state: Callable[[], Array]) -> Array:
+        """Logarithm (c,) of the posterior's density relative to the Gaussian's, −∞ where a limit does not hold.
+
+        It is zero inside but for log-det distances, and needs the states only if the user has limits of his own.
+        """
+        good: Mask = np.all(reach[10 * self._matrices :] >= 0, axis=0)
+        bend = np.zeros(len(good))
+        if self._matrices:
+            entries = reach[: 10 * self._matrices].reshape(10, self._matrices, -1)
+            pivots = _pivots(entries)
+            good &= np.all(pivots > 0, axis=(0, 1))
+            if self._distant.size:
+                bend[good] = self._bend(entries[:, self._distant][..., good], pivots[:, self._distant][..., good])
         if self._wishes.inequality is not None:
             good[good] = self._wishes.hold(self._belief.offset + (self._belief.slope @ state()[:, good]).T)
-        return good
+        return np.where(good, bend, -np.inf)
+
+    def _bend(self, entries: Array, pivots: Array) -> Array:
+        """What log-det distances of the matrices W (10, b, c) weigh beyond the Gaussian that stands in for them."""
+        diagonal = UPPER[0] == UPPER[1]
+        mean = self._spread[:, None]
+        square = np.sum((entries[diagonal] - mean) ** 2, axis=0) + 2 * np.sum(entries[~diagonal] ** 2, axis=0)
+        distance = np.sum(entries[diagonal], axis=0) - np.sum(np.log(pivots), axis=0)
+        return np.asarray(self._weights @ (square / mean / 4 - distance / 2))
 
 
-def _elliptical_step(state: Array, reach: Array, block: NDArray[np.intp], limits: _Limits,
-                     rng: np.random.Generator) -> tuple[Array, Array]:
-    """Move a block of coordinates of all chains along random ellipses, shrunk until the limits hold.
+def _elliptical_step(state: Array, reach: Array, height: Array, block: NDArray[np.intp], limits: _Limits,
+                     rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Move a block of coordinates of all chains along random ellipses, shrunk until they are high enough.
 
     A chain that found no place after `TRIES` stays: every number of rejected places is as likely on the way back, so
     that stopping early keeps the distribution, and the slowest chain does not hold up the others.
@@ -169,21 +190,23 @@ def _elliptical_step(state: Array, reach: Array, block: NDArray[np.intp], limits
     for k in range(1, TRIES):
         angles[k] = rng.uniform(low, high)
         low, high = np.where(angles[k] < 0, angles[k], low), np.where(angles[k] < 0, high, angles[k])
-    state, reach = state.copy(), reach.copy()
+    state, reach, height = state.copy(), reach.copy(), height.copy()
+    floor = height - rng.exponential(size=chains)
     waiting = np.arange(chains)
     for tries in (angles[:1], angles[1:]):  # most chains are done after one
         at, here = tries[:, waiting], state[np.ix_(block, waiting)]
         step = here[:, None] * (np.cos(at) - 1) + other[:, waiting][:, None] * np.sin(at)
         flat = step.reshape(len(block), -1)
         linear = np.tile(reach[:, waiting], len(tries)) + limits.slope[:, block] @ flat
-        good = limits.hold(linear, partial(_stepped, state, np.tile(waiting, len(tries)), block, flat))
-        good = good.reshape(at.shape)
+        new = limits.height(linear, partial(_stepped, state, np.tile(waiting, len(tries)), block, flat))
+        good = new.reshape(at.shape) > floor[waiting]
         found = np.flatnonzero(good.any(axis=0))
         pick = np.argmax(good[:, found], axis=0) * len(waiting) + found  # the first good one
         state[np.ix_(block, waiting[found])] += flat[:, pick]
         reach[:, waiting[found]] = linear[:, pick]
+        height[waiting[found]] = new[pick]
         waiting = np.delete(waiting, found)
-    return state, reach
+    return state, reach, height
 
 
 def _stepped(state: Array, chains: NDArray[np.intp], block: NDArray[np.intp], step: Array) -> Array:
@@ -192,35 +215,23 @@ def _stepped(state: Array, chains: NDArray[np.intp], block: NDArray[np.intp], st
     return moved
 
 
-def _positive_definite(upper: Array) -> Mask:
-    """Whether each of many symmetric matrices, given by their upper triangles (10, ...), is positive definite."""
+def _pivots(upper: Array) -> Array:
+    """Pivots (4, ...) of many symmetric matrices, given by their upper triangles (10, ...).
+
+    All are positive where the matrix is positive definite, and their product then is its determinant.
+    """
     a, b, c, d, e, f, g, h, i, j = upper
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # past a pivot that fails the rest is void
         e, f, g, h, i, j = e - b * b / a, f - b * c / a, g - b * d / a, h - c * c / a, i - c * d / a, j - d * d / a
         h, i, j = h - f * f / e, i - f * g / e, j - g * g / e
-        return np.asarray((a > 0) & (e > 0) & (h > 0) & (j - i * i / h > 0))
-
-
-def _inner_point(problem: Problem, psi: Array, *, consistent: bool) -> Array:
-    """The estimate moved a little off its bounds and bodies' edges."""
-    parameters = problem.parameters
-    start = psi.copy()
-    for bound, sign in ((parameters.lower, 1.0), (parameters.upper, -1.0)):
-        near = np.isfinite(bound) & (sign * (start - bound) < 1e-4 * parameters.scale)
-        start[near] = bound[near] + sign * 1e-4 * parameters.scale[near]
-    for body in scaled_bodies(problem) if consistent else ():
-        inverse = np.linalg.inv(body.scaling)
-        start[body.columns] += inertia.from_pseudo_inertia(1e-4 * inverse @ inverse)
-    for name, value in problem.fixed.items():
-        start[parameters.index(name)] = value
-    return start
+        return np.stack([a, e, h, j - i * i / h])
 
 
 @dataclass(frozen=True)
 class _Wishes:
-    """The user's constraints: equalities ``E·ψ = e``, and inequalities ``g(ψ) ≤ 0`` with their slopes, if any."""
+    """The user's equalities, and his inequalities ``g(ψ) ≤ 0`` with their slopes, if any."""
 
-    equalities: tuple[Array, Array]
+    equalities: tuple[Condition, ...]
     inequality: ca.Function | None
     slopes: ca.Function | None
 
@@ -230,16 +241,17 @@ class _Wishes:
             return np.ones(len(psi), dtype=bool)
         return np.asarray(np.all(np.asarray(self.inequality(psi.T)) <= 0, axis=0))
 
-    def inwards(self, psi: Array, belief: Gaussian, distance: float) -> Array:
-        """ψ moved until every inequality is `distance` standard deviations from its edge, to first order."""
+    def inwards(self, z: Array, belief: Gaussian, distance: float) -> Array:
+        """z (k,) moved until every inequality is `distance` standard deviations from its edge, to first order."""
         if self.inequality is None or self.slopes is None:
-            return psi
+            return z
         for i in range(self.inequality.size1_out(0)):
+            psi = belief.offset + belief.slope @ z
             slope = belief.slope.T @ np.asarray(self.slopes(psi))[i]
             size = float(np.linalg.norm(slope)) or 1.0
             excess = float(np.asarray(self.inequality(psi)).ravel()[i]) / size + distance
-            psi = psi - belief.slope @ (max(excess, 0.0) * slope / size)
-        return psi
+            z = z - max(excess, 0.0) * slope / size
+        return z
 
 
 def _wishes(problem: Problem) -> _Wishes | None:
@@ -250,8 +262,7 @@ def _wishes(problem: Problem) -> _Wishes | None:
     parameters = problem.parameters
     psi = ca.SX.sym("psi", len(parameters))
     named = Named(parameters, lambda k: psi[k])
-    rows = [np.eye(len(parameters))[parameters.index(name)] for name in problem.fixed]
-    values = list(problem.fixed.values())
+    equalities: list[Condition] = []
     insides: list[ca.SX] = []
     for constraint in problem.constraints:
         try:
@@ -265,11 +276,10 @@ def _wishes(problem: Problem) -> _Wishes | None:
         if ca.depends_on(row, psi):
             return None
         at_zero = ca.Function("equality", [psi], [row, body])(ca.DM.zeros(psi.shape))
-        rows.append(np.asarray(ca.DM(at_zero[0])).ravel())
-        values.append(-float(at_zero[1]))
-    equalities = (np.array(rows).reshape(-1, len(parameters)), np.array(values))
+        equalities.append(physics.equal(constraint.name, parameters, np.asarray(ca.DM(at_zero[0])).ravel(),
+                                        -float(at_zero[1])))
     if not insides:
-        return _Wishes(equalities, None, None)
+        return _Wishes(tuple(equalities), None, None)
     g = ca.vertcat(*insides)
-    return _Wishes(equalities, ca.Function("inequality", [psi], [g]),
+    return _Wishes(tuple(equalities), ca.Function("inequality", [psi], [g]),
                    ca.Function("slopes", [psi], [ca.densify(ca.jacobian(g, psi))]))

@@ -24,7 +24,8 @@ _KINDS |= {"f_offset": "force offset", "tau_offset": "torque offset", "v_stribec
 def doubts(estimate: Estimate) -> tuple[str, ...]:
     """Sentences, the gravest first; none if nothing is in doubt."""
     said = (*_prediction(estimate), *_impossible(estimate), *_noise(estimate), *_confounded(estimate.confounded),
-            *_unseen(estimate), *_held(estimate), *_sampling(estimate), *_confidences(estimate), *_findings(estimate))
+            *_unseen(estimate), *_held(estimate), *_sampling(estimate), *_confidences(estimate), *_heavy(estimate),
+            *_findings(estimate))
     return tuple(dict.fromkeys(said))
 
 
@@ -127,6 +128,16 @@ def _confidences(estimate: Estimate) -> list[str]:
     if not silent or estimate.method not in ("sdp", "qp", "nlp"):
         return []
     return [f"No confidence is stated for {_some(silent)}: 100 % of their size is assumed."]
+
+
+def _heavy(estimate: Estimate) -> list[str]:
+    """Bodies whose log-det distance is so weak that it lets them grow more than it lets them shrink."""
+    problem = estimate.problem
+    grown = {body.owner: body.spread for body in problem.bodies if body.weight and body.spread > 2}
+    if not grown:
+        return []
+    return [f"The log-det distance of {_some(list(grown))} is weak: before any data the mean of its bodies is up to "
+            f"{max(grown.values()):.0f} times the nominal one. State the confidence of their masses, at most 30 %."]
 
 
 def _findings(estimate: Estimate) -> list[str]:

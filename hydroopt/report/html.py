@@ -72,8 +72,8 @@ def render(estimate: Estimate, doubts: Sequence[str], friction: FrictionChoice |
                 for c in ("full", "combination", "not excited", "none")},
         confounded=[(c.name, plain(c.inflation, 3), ", ".join(c.partners)) for c in estimate.confounded],
         logs=[_log("training", e) for e in problem.experiments] + [_log("validation", e) for e in problem.validation],
-        constraints=[c.name for c in problem.constraints],
-        priors=[f"{p.name}: {plain(p.value, 5)} ± {plain(p.sigma, 2)}" for p in problem.priors],
+        constraints=problem.constraint_names, priors=[f"{p.name}: {plain(p.value, 5)} ± {plain(p.sigma, 2)}"
+                                                      for p in (*problem.stated_priors, *problem.priors)],
         fixed=[f"{name} = {plain(value, 5)}" for name, value in problem.fixed.items()])
 
 

@@ -202,8 +202,11 @@ def test_weight_below_nothing_contradicts_its_bound_where_bodies_are_free(noisy:
 
 def test_ipopt_says_that_wishes_contradict(noisy: Problem) -> None:
     wish = noisy.subject_to("light", lambda p: p["boom.m"] == 1000).subject_to("heavy", lambda p: p["boom.m"] == 2000)
-    with pytest.raises(SolverError, match="contradict each other"):
+    with pytest.raises(ProblemError) as refusal:
         solve(wish, "nlp")
+    assert refusal.value.what == "these cannot hold together: light; heavy"
+    with pytest.raises(SolverError, match="contradict each other"):  # what is not convex, nobody else can judge
+        solve(wish.subject_to("product", lambda p: p["boom.m"] * p["stick.m"] == 1.2e6), "nlp")
 
 
 @pytest.mark.parametrize("method", ["sdp", "nlp"])

@@ -10,7 +10,7 @@ from scipy.stats import truncnorm, wishart
 
 from hydroopt.estimation.problem import Problem, identification_problem
 from hydroopt.estimation.solve import solve
-from hydroopt.estimation.uncertainty import _positive_definite, sample
+from hydroopt.estimation.uncertainty import _pivots, sample
 from hydroopt.model.build import Model
 from hydroopt.signals.conditioning import Fourier
 from hydroopt.signals.log import Log
@@ -102,7 +102,7 @@ def test_positive_definite_is_what_eigenvalues_say() -> None:
     upper = np.triu_indices(4)
     expected = np.linalg.eigvalsh(matrices)[:, 0] > 0
     assert 0.2 < expected.mean() < 0.8
-    np.testing.assert_array_equal(_positive_definite(matrices[:, upper[0], upper[1]].T), expected)
+    np.testing.assert_array_equal(np.all(_pivots(matrices[:, upper[0], upper[1]].T) > 0, axis=0), expected)
 
 
 def test_samples_stay_on_a_linear_equality_and_inside_inequalities(free_wheel: Problem) -> None:
