@@ -210,6 +210,10 @@ class Problem:
     def with_distance(self, distance: Distance) -> Problem:
         """With another distance of bodies from their nominal ones: ``gaussian`` or ``log-det``.
 
+        With the relative confidence σ of a body's mass, the log-det one is least at the nominal body; as a density over
+        the ten numbers, from which intervals come, it is that of a Wishart distribution, with the mean
+        (1 + 10·σ²)·nominal and a spread of the mass of about 2·σ: state σ well below 30 %.
+
         Raises:
             ProblemError: there is no such distance, or a nominal body could not exist and has no log-det distance.
         """
