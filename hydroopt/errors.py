@@ -34,3 +34,9 @@ class SolverError(HydrooptError):
     """A solver gave no trustworthy answer (infeasible, not converged, or its answer failed our check)."""
 
     exit_code = 3
+
+
+class StoppedError(HydrooptError):
+    """Ctrl-C ended what can go on later from where it was."""
+
+    exit_code = 130

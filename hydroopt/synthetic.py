@@ -9,6 +9,7 @@ import numpy as np
 from hydroopt import inertia
 from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.inertia import Array
+from hydroopt.machine import Machine
 from hydroopt.model.build import Model
 from hydroopt.parts import Cylinder, Motor
 from hydroopt.signals import sensors
@@ -76,6 +77,12 @@ def _sines(t: Array, omega: Array, phase: Array, size: Array) -> tuple[Array, Ar
     return np.sin(angle) @ size, np.cos(angle) @ (size * omega), -np.sin(angle) @ (size * omega**2)
 
 
+def sampling_rate(machine: Machine) -> float:
+    """The highest rate [Hz] that the file states for a joint's sensor, or 50."""
+    sensors = [machine.sensor(f"{joint}.q") for joint in machine.joints]
+    return max((sensor.rate for sensor in sensors if sensor and sensor.rate), default=50.0)
+
+
 def random_truth(model: Model, seed: int, *, tries: int = 20000) -> Array:
     """Parameters ψ (p,) drawn from the machine file's confidences, with bodies that can exist.
 
@@ -95,13 +102,12 @@ def random_truth(model: Model, seed: int, *, tries: int = 20000) -> Array:
             continue
         root = np.linalg.cholesky(np.linalg.inv(information))
         draws = parameters.nominal[block] + rng.standard_normal((tries if body else 200, len(root))) @ root.T
-        good = np.all((draws >= parameters.lower[block]) & (draws <= parameters.upper[block]), axis=1)
-        if body:
-            good &= np.linalg.eigvalsh(np.tensordot(draws, inertia.PSEUDO_BASIS, axes=1))[:, 0] > 0
-        if not good.any():
+        good = draws[np.all((draws >= parameters.lower[block]) & (draws <= parameters.upper[block]), axis=1)]
+        first = next((draw for draw in good if not body or inertia.smallest_eigenvalue(draw) > 0), None)
+        if first is None:
             raise IdentifiabilityError(f"no possible body within the confidences of '{parameters.names[block.start]}'",
                                        where=model.machine.name, remedy="correct its inertia or widen its sigma")
-        psi[block] = draws[np.argmax(good)]
+        psi[block] = first
     return psi
 
 

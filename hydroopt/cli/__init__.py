@@ -1,4 +1,4 @@
-"""The command `hydroopt`: show, simulate, identify, calibrate, excite, codegen."""
+"""The command `hydroopt`: show, simulate, identify, calibrate, excite, study, codegen."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from hydroopt.cli.excite import excite
 from hydroopt.cli.identify import identify
 from hydroopt.cli.show import show
 from hydroopt.cli.simulate import simulate
+from hydroopt.cli.study import study
 from hydroopt.errors import HydrooptError
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help=(
     "Calibrate hydraulically actuated manipulators: a machine file and logs in, a model with error bars out."))
-for command in (show, simulate, identify, calibrate, excite, codegen):
+for command in (show, simulate, identify, calibrate, excite, study, codegen):
     app.command()(command)
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]
@@ -31,8 +32,8 @@ def main() -> None:
     try:
         code = app(arguments or ["--help"], standalone_mode=False) or (0 if arguments else 2)
     except HydrooptError as error:
-        code = error.exit_code
         typer.echo(f"hydroopt: {_visible(str(error))}", err=True)
+        sys.exit(error.exit_code)
     except _USAGE_ERROR as error:
         code = 2
         _explain(error)

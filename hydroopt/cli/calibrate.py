@@ -51,7 +51,7 @@ def calibrate(
         poses, held_out = _held_out(read_pose_files(logs, mapping=map_file), holdout_stage or (),
                                     read_pose_files(validate, mapping=map_file) if validate else None)
         problem = calibration_problem(described, poses, held_out, priors=not no_priors).with_loss(chosen_loss)
-        problem = _fixed(problem, fix or ())
+        problem = fixed(problem, fix or ())
         what = f"calibrating {described.name}, {int(problem.free.sum())} parameters from "
         before = None
         try:
@@ -89,7 +89,12 @@ def _held_out(poses: Poses, stages: Sequence[str], extra: Poses | None) -> tuple
     return poses.select(~aside), joined(parts) if parts else None
 
 
-def _fixed(problem: CalibrationProblem, stated: Sequence[str]) -> CalibrationProblem:
+def fixed(problem: CalibrationProblem, stated: Sequence[str]) -> CalibrationProblem:
+    """The problem with parameters held at what options NAME=VALUE say.
+
+    Raises:
+        ProblemError: one is not stated so, or there is no such parameter.
+    """
     values = {}
     for text in stated:
         name, found, value = (part.strip() for part in text.partition("="))

@@ -6,13 +6,13 @@ import json
 import math
 import os
 import time
-from collections.abc import Collection, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from hydroopt.cli.options import AsJson, Directory, MachineName, MapFile, ParameterSetName, Quiet, progress
+from hydroopt.cli.options import AsJson, Directory, MachineName, MapFile, ParameterSetName, Quiet, progress, refuse_idle
 from hydroopt.codegen import origin as codegen_origin
 from hydroopt.description import load_machine
 from hydroopt.errors import IdentifiabilityError, ProblemError
@@ -75,15 +75,15 @@ def excite(
     Ctrl-C ends the search and keeps the best motion so far.
     """
     if poses is not None:
-        _refuse(context, {option.name or "" for option in context.command.params} - BOTH,
+        refuse_idle(context, {option.name or "" for option in context.command.params} - BOTH,
                 "poses are planned one by one, without a motion between them", "leave it out, or --poses")
         _plan(machine, output, poses, criterion, focus or (), priors=priors, seed=seed, quiet=quiet, as_json=as_json)
         return
     began = time.perf_counter()
     if pieces is not None:
-        _refuse(context, ("period", "harmonics", "blend"), "a spline has none", "leave it out, or --pieces")
+        refuse_idle(context, ("period", "harmonics", "blend"), "a spline has none", "leave it out, or --pieces")
     if not log:
-        _refuse(context, ("map_file",), "there is no log that it could explain", "leave it out, or give --log")
+        refuse_idle(context, ("map_file",), "there is no log that it could explain", "leave it out, or give --log")
     folder.refuse_directory(output)
     described, origin = codegen_origin.read(machine, parameter_set=parameter_set)
     basis, resting = _basis(duration, period, harmonics, blend, pieces), _resting(described, rest or ())
@@ -142,18 +142,6 @@ def _plan(machine: str, output: Path, poses: int, criterion: str | None, focus: 
         typer.echo(json.dumps(content, indent=1))
     elif not quiet:
         typer.echo(plan.sheet())
-
-
-def _refuse(context: typer.Context, options: Collection[str], why: str, remedy: str) -> None:
-    """Refuse options that would mean nothing.
-
-    Raises:
-        ProblemError: one of them was given.
-    """
-    for option in context.command.params:
-        source = context.get_parameter_source(option.name or "")
-        if option.name in options and source is not None and source.name == "COMMANDLINE":
-            raise ProblemError(why, where=option.opts[0], remedy=remedy)
 
 
 def _basis(duration: float, period: float | None, harmonics: int, blend: float, pieces: int | None) -> Basis:

@@ -76,12 +76,12 @@ def identify(
     """Identify masses, inertias, friction and offsets: DIR gets estimate.json, report.html, the calibrated machine."""
     began = time.perf_counter()
     described = load_machine(machine, parameter_set=parameter_set)
-    chosen = _method(method)
+    chosen = method_of(method)
     if ridge is not None and chosen != "ridge":
         raise ProblemError(f"the method '{method}' takes no strength", where="--ridge",
                            remedy="leave it out or choose --method ridge")
     sets = _friction(friction)
-    way, treatment, limits = _smoothing(smoothing, bandwidth, described), _treatment(treat), _reliefs(described)
+    way, treatment, limits = _smoothing(smoothing, bandwidth, described), treatment_of(treat), reliefs(described)
     train = [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in logs]
     held_out = [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in validate or ()]
     if holdout:
@@ -132,7 +132,7 @@ def _with_noisy_angles(problem: Problem, motion: str, instruments: list[str] | N
     return problem
 
 
-def _reliefs(machine: Machine) -> dict[str, tuple[float, float]]:
+def reliefs(machine: Machine) -> dict[str, tuple[float, float]]:
     """Relief pressures as the upper ends of what pressure channels can show."""
     chambers: list[tuple[Cylinder | Motor, tuple[str, str]]] = [
         *((cylinder, ("p_head", "p_rod")) for cylinder in machine.cylinders),
@@ -141,7 +141,12 @@ def _reliefs(machine: Machine) -> dict[str, tuple[float, float]]:
             if part.relief_pressure is not None for chamber in both}
 
 
-def _treatment(stated: list[str] | None) -> dict[str, str]:
+def treatment_of(stated: list[str] | None) -> dict[str, str]:
+    """What is to be done about findings, by kind.
+
+    Raises:
+        ProblemError: it is not stated as KIND=ACTION.
+    """
     pairs = {}
     for text in stated or ():
         kind, found, action = text.partition("=")
@@ -161,7 +166,12 @@ def _friction(text: str | None) -> list[str]:
     return sets
 
 
-def _method(text: str) -> Method:
+def method_of(text: str) -> Method:
+    """The method of identification that an option names.
+
+    Raises:
+        ProblemError: there is no such method.
+    """
     if text not in METHODS:
         raise ProblemError(f"'{text}' is no method", where="--method", remedy=f"use one of {', '.join(METHODS)}")
     return text

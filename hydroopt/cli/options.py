@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -44,3 +44,15 @@ def loss_of(text: str, where: str) -> Loss:
     if text not in ("squares", "huber", "student_t"):
         raise ProblemError(f"'{text}' is no loss", where=where, remedy="use squares, huber or student_t")
     return text  # type: ignore[return-value]
+
+
+def refuse_idle(context: typer.Context, options: Collection[str], why: str, remedy: str) -> None:
+    """Refuse options that would mean nothing.
+
+    Raises:
+        ProblemError: one of them was given.
+    """
+    for option in context.command.params:
+        source = context.get_parameter_source(option.name or "")
+        if option.name in options and source is not None and source.name == "COMMANDLINE":
+            raise ProblemError(why, where=option.opts[0], remedy=remedy)

@@ -50,7 +50,7 @@ def simulate(
         raise ProblemError(f"'{truth}' is no truth", where="--truth", remedy="use nominal or random")
     with progress("simulating", quiet):
         path = (_random(model, duration, rate, seed) if motion is None
-                else _followed(described, read_log(motion, mapping=map_file)))
+                else followed(described, read_log(motion, mapping=map_file)))
         psi = (synthetic.random_truth(model, seed if truth_seed is None else truth_seed) if truth == "random"
                else model.parameters.nominal)
         log = synthetic.simulate(model, path, psi, noise=noise, seed=seed, name=described.name)
@@ -66,13 +66,16 @@ def simulate(
 
 
 def _random(model: Model, duration: float | None, rate: float | None, seed: int) -> synthetic.Trajectory:
-    sensors = [model.machine.sensor(f"{joint}.q") for joint in model.machine.joints]
-    stated = max((sensor.rate for sensor in sensors if sensor and sensor.rate), default=50.0)
     return synthetic.random_trajectory(model, duration=33.28 if duration is None else duration,
-                                       rate=stated if rate is None else rate, seed=seed)
+                                       rate=synthetic.sampling_rate(model.machine) if rate is None else rate, seed=seed)
 
 
-def _followed(machine: Machine, log: Log) -> synthetic.Trajectory:
+def followed(machine: Machine, log: Log) -> synthetic.Trajectory:
+    """The motion of a log's joint positions.
+
+    Raises:
+        LogError: a joint's positions are missing, or leave its range.
+    """
     positions = np.column_stack([reading(machine, log, f"{joint}.q") for joint in machine.joints])
     for k, joint in enumerate(machine.joints):
         lower, upper = machine.link(joint).joint.range

@@ -129,37 +129,19 @@ def calibrate(problem: CalibrationProblem, method: str = "joint", *, starts: int
         ProblemError: unknown method, or the poses cannot determine the parameters.
         SolverError: no trustworthy answer.
     """
-    if method not in METHODS:
-        raise ProblemError(f"'{method}' is no method of kinematic calibration", where="--method",
-                           remedy=f"use {' or '.join(METHODS)}")
     if starts < 1:
         raise ProblemError(f"{starts} starts are none", where="--starts", remedy="ask for one or more")
-    solve = joint.solve
-    if method == "hierarchical":  # which knows no drift, as in the thesis
-        solve = hierarchical.solve
-        problem = problem.fixing(**{name: 0.0 for name in problem.parameters.names if ".drift." in name})
+    problem = solvable(problem, method)
     rng = np.random.default_rng(seed)
-    parameters = problem.parameters
-    if not np.any(problem.free):
-        raise ProblemError("no number of the geometry states a confidence, so that nothing is calibrated",
-                           where=f"machine '{problem.model.machine.name}'",
-                           remedy="give a 'sigma' to the lengths, angles and pins that are in doubt")
-    _refuse_too_few(problem)
-    _refuse_without_scale(problem)
-    refuse_misread(problem, guess_unsensed)
     answers: list[tuple[float, Array, Array]] = []
     failed = 0
     for k in range(starts):
-        away = rng.standard_normal(len(parameters)) * parameters.scale * problem.free if k else 0.0
-        start = np.clip(problem.start + away, parameters.lower, parameters.upper)
         try:
-            theta, q = solve(problem, start, guess_unsensed(problem, start))
+            answers.append(optimum(problem, method, random_start(problem, rng) if k else problem.start))
         except SolverError:
             if starts == 1 or (k == starts - 1 and not answers):
                 raise
             failed += 1
-            continue
-        answers.append((_cost(problem, theta, q), theta, q))
     answers.sort(key=lambda answer: answer[0])
     _, theta, q = answers[0]
     at = linearise(problem, theta, closed_angles(problem, theta, q))
@@ -175,6 +157,46 @@ def calibrate(problem: CalibrationProblem, method: str = "joint", *, starts: int
     suspects = diagnose(problem, q, at, seen)
     return Calibration(problem, method, theta, q, seen, at, scale, fit, suspects,
                        _uniqueness(seen, answers, failed, problem.free), "doubtful" if scale > HOPELESS else "ok")
+
+
+def solvable(problem: CalibrationProblem, method: str) -> CalibrationProblem:
+    """The problem as a method solves it.
+
+    Raises:
+        ProblemError: unknown method, or the poses cannot determine the parameters.
+    """
+    if method not in METHODS:
+        raise ProblemError(f"'{method}' is no method of kinematic calibration", where="--method",
+                           remedy=f"use {' or '.join(METHODS)}")
+    if method == "hierarchical":  # which knows no drift, as in the thesis
+        problem = problem.fixing(**{name: 0.0 for name in problem.parameters.names if ".drift." in name})
+    if not np.any(problem.free):
+        raise ProblemError("no number of the geometry states a confidence, so that nothing is calibrated",
+                           where=f"machine '{problem.model.machine.name}'",
+                           remedy="give a 'sigma' to the lengths, angles and pins that are in doubt")
+    _refuse_too_few(problem)
+    _refuse_without_scale(problem)
+    refuse_misread(problem, guess_unsensed)
+    return problem
+
+
+def random_start(problem: CalibrationProblem, rng: np.random.Generator) -> Array:
+    """Parameters (P,) about the nominal ones, as far as their confidences say."""
+    parameters = problem.parameters
+    away = rng.standard_normal(len(parameters)) * parameters.scale * problem.free
+    return np.asarray(problem.start + away)
+
+
+def optimum(problem: CalibrationProblem, method: str, start: Array) -> tuple[float, Array, Array]:
+    """Squared errors, parameters (P,) and joint vectors (N, n) to which a start (P,), put within the bounds, leads.
+
+    Raises:
+        SolverError: to none.
+    """
+    solve = joint.solve if method == "joint" else hierarchical.solve
+    start = np.clip(start, problem.parameters.lower, problem.parameters.upper)
+    theta, q = solve(problem, start, guess_unsensed(problem, start))
+    return _cost(problem, theta, q), theta, q
 
 
 def _refuse_too_few(problem: CalibrationProblem) -> None:

@@ -394,16 +394,16 @@ def _refuse_repetition(logs: Sequence[Log]) -> None:
                                    remedy="give each log once, and hold out another one or --holdout to judge by")
 
 
-def identification_problem(machine: Machine, logs: Sequence[Log], validation: Sequence[Log] = (), *,
+def identification_problem(machine: Machine | Model, logs: Sequence[Log], validation: Sequence[Log] = (), *,
                            smoothing: Smoothing | None = None, actuator_inertia: bool = True) -> Problem:
     """The dynamic identification problem of a machine and its logs.
 
     Args:
-        machine: nominal description, with its confidences.
+        machine: nominal description, with its confidences; or a model of it, which spares building one.
         logs: training data.
         validation: logs to judge the estimate by.
         smoothing: how angles are differentiated; a smoothing spline by default.
-        actuator_inertia: whether barrels and rods belong to the model.
+        actuator_inertia: whether barrels and rods belong to the model that is built.
 
     Raises:
         LogError: a channel is missing or a log is too short.
@@ -412,6 +412,6 @@ def identification_problem(machine: Machine, logs: Sequence[Log], validation: Se
     _refuse_repetition([*logs, *validation])
     if not logs:
         raise ProblemError("there is no log to learn from", where="identification", remedy="give at least one")
-    model = Model(machine, actuator_inertia=actuator_inertia)
+    model = machine if isinstance(machine, Model) else Model(machine, actuator_inertia=actuator_inertia)
     train, held_out = ([experiment(model, log, smoothing) for log in some] for some in (logs, validation))
     return Problem(model, tuple(train), tuple(held_out), force_noise(model, logs[0]))

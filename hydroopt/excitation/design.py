@@ -29,8 +29,10 @@ from hydroopt.excitation.motion import Excitation
 from hydroopt.excitation.program import Program
 from hydroopt.excitation.solver import solve
 from hydroopt.inertia import Array
+from hydroopt.interrupt import deaf
 from hydroopt.machine import Machine
 from hydroopt.model.build import Model
+from hydroopt.synthetic import sampling_rate
 
 POSTURES = 2000
 """Random postures among which one to rest in is sought."""
@@ -68,10 +70,8 @@ def excitation_problem(machine: Machine, basis: Basis, *, criterion: str = "D", 
     model = Model(machine)
     model.refuse_seals("excitation")
     asked = question(model, presumed_noise(model), focus=focus, bayesian=priors, measured=known)
-    sensors = [machine.sensor(f"{joint}.q") for joint in machine.joints]
-    stated = max((sensor.rate for sensor in sensors if sensor and sensor.rate), default=50.0)
     return Program(Information(model, asked, criterion), Limits(model, margins(model)), basis,
-                   stated if rate is None else rate, resting)
+                   sampling_rate(machine) if rate is None else rate, resting)
 
 
 def design(program: Program, *, starts: int = 16, seed: int = 0, seconds: float = 60.0, processes: int = 1,
@@ -169,7 +169,7 @@ def _in_parallel(program: Program, rest: Array, seed: int, starts: int, processe
     stop, told = context.Event(), context.Queue()
     try:
         with ProcessPoolExecutor(processes, context, _Worker.begin, (program, rest, stop, told)) as pool:
-            with _deaf():
+            with deaf():
                 attempts = [pool.submit(_Worker.attempt, (seed, start), end) for start in range(starts)]
             running = set(attempts)
             while running:
@@ -266,19 +266,6 @@ def drawn(program: Program, rest: Array, rng: np.random.Generator) -> Array:
         total[:, k] = np.reshape(
             shrunk(program, rest + alone.ravel(), rest, rough=True) - rest, shape)[:, k]
     return shrunk(program, rest + total.ravel(), rest)
-
-
-@contextmanager
-def _deaf() -> Iterator[None]:
-    """Ctrl-C waits until this is over; processes that begin meanwhile never hear it: the parent says when to stop."""
-    if not hasattr(signal, "pthread_sigmask"):  # Windows
-        yield
-        return
-    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    try:
-        yield
-    finally:
-        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 @contextmanager

@@ -1,0 +1,157 @@
+"""Block bootstrap: how much would an estimate scatter if the logs' residuals had come in another order?
+
+Residuals of the estimate are drawn anew in blocks long enough to keep how they repeat themselves, added to the forces
+that the estimate predicts, and identified again (Künsch 1989; circular blocks: Politis and Romano 1992). It assumes
+nothing about the residuals' distribution. What the machine file states is not drawn anew: a parameter that its
+confidences hold, rather than the data, scatters less than its σ.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.compression import predict
+from hydroopt.estimation.problem import Problem, identification_problem
+from hydroopt.estimation.solve import Method, solve
+from hydroopt.inertia import Array
+from hydroopt.machine import Machine
+from hydroopt.signals.log import Log
+from hydroopt.study.study import Study, Values, seeds
+from hydroopt.study.summary import failed
+from hydroopt.study.table import Table
+
+
+@dataclass(frozen=True, eq=False)
+class Resampling:
+    """One cell: residuals drawn anew, identified again.
+
+    Attributes:
+        machine, logs, method: as of the estimate.
+        names: of the parameters that it gives a value, at `positions`; `base` of its base parameters.
+        psi: (p,) what it predicts with; `grouping` (r, p) its base parameters.
+        value, std: of parameters and then of base parameters.
+        blocks: (n,) length of the blocks of each actuator's residuals, in samples.
+        widening: (n,) by which residuals are multiplied, as the fit has made them smaller than the errors.
+    """
+
+    machine: Machine
+    logs: tuple[Log, ...]
+    method: Method
+    names: tuple[str, ...]
+    positions: NDArray[np.intp]
+    base: tuple[str, ...]
+    psi: Array
+    grouping: Array
+    value: Array
+    std: Array
+    blocks: NDArray[np.intp]
+    widening: Array
+
+    def __call__(self, *, seed: int) -> Values:
+        """Values of the parameters and of the base parameters.
+
+        Raises:
+            HydrooptError: there is no estimate.
+        """
+        problem, predicted = _prepared(self)
+        of_blocks, of_sampling = seeds(seed, 2)
+        rng = np.random.default_rng(of_blocks)
+        forces = [np.array(force) for force in predicted]
+        for k, (block, widening) in enumerate(zip(self.blocks, self.widening, strict=True)):
+            taken = [e.inside & e.moving[:, k] for e in problem.experiments]
+            left = [(e.force - force)[rows, k] for e, force, rows in zip(problem.experiments, predicted, taken,
+                                                                         strict=True)]
+            drawn = widening * redrawn(np.concatenate(left), int(block), rng)
+            for force, rows, new in zip(forces, taken, np.split(drawn, np.cumsum([len(x) for x in left])[:-1]),
+                                        strict=True):
+                force[rows, k] += new
+        again = replace(problem, experiments=tuple(replace(e, force=force) for e, force in
+                                                   zip(problem.experiments, forces, strict=True)))
+        psi = solve(again, self.method, seed=of_sampling).psi
+        values = np.concatenate([psi[self.positions], self.grouping @ psi])
+        return dict(zip((*self.names, *(f"base {name}" for name in self.base)), values.tolist(), strict=True))
+
+
+def redrawn(residual: Array, block: int, rng: np.random.Generator) -> Array:
+    """Blocks of residuals (m,), each from a random place, end joined to beginning; m of them, about their mean."""
+    count = len(residual)
+    starts = rng.integers(0, max(count, 1), -(-count // block))
+    at = (starts[:, None] + np.arange(block)).ravel()[:count] % max(count, 1)
+    return np.asarray((residual - residual.mean())[at] if count else residual)
+
+
+def block_length(time: float, samples: int) -> int:
+    """Samples in a block for which the error of the bootstrap's variance is smallest.
+
+    That of circular blocks for a first-order process (Politis and White 2004), ``(√6·ρ/(1 − ρ²))^⅔·N^⅓``, with ρ from
+    its integrated autocorrelation time ``τ = (1 + ρ)/(1 − ρ)``.
+
+    Args:
+        time: τ in samples, see `correlation_time`.
+        samples: N.
+    """
+    rho = (time - 1) / (time + 1)
+    best = (np.sqrt(6) * rho / (1 - rho**2)) ** (2 / 3) * samples ** (1 / 3)
+    return int(np.clip(np.ceil(best), 1, max(samples // 4, 1)))
+
+
+@cache
+def _prepared(resampling: Resampling) -> tuple[Problem, list[Array]]:
+    problem = identification_problem(resampling.machine, resampling.logs)
+    return problem, [predict(problem.model, e, resampling.psi) for e in problem.experiments]
+
+
+def bootstrap(machine: Machine, logs: Sequence[Log], *, cells: int, seed: int = 0, method: Method = "sdp") -> Study:
+    """A bootstrap of an identification.
+
+    Args:
+        machine: nominal description.
+        logs: what is learnt from.
+        cells: how often residuals are drawn anew.
+        seed: of all.
+        method: of identification.
+
+    Raises:
+        HydrooptError: there is no estimate whose residuals could be drawn.
+    """
+    if cells < 1:
+        raise ProblemError(f"{cells} cells are none", where="--cells", remedy="ask for one or more")
+    problem = identification_problem(machine, logs)
+    found = solve(problem, method, seed=seed)
+    samples = np.sum([np.sum(e.inside[:, None] & e.moving, axis=0) for e in problem.experiments], axis=0)
+    told = np.flatnonzero(np.isfinite(found.value))
+    n = len(machine.actuators)
+    work = Resampling(
+        machine, tuple(logs), method, tuple(problem.parameters.names[k] for k in told), told,
+        tuple(problem.parameters.names[k] for k in found.seen.basis), found.psi, found.seen.grouping,
+        np.concatenate([found.psi[told], found.base_value]), np.concatenate([found.std[told], found.base_std]),
+        np.array([block_length(t, int(m)) for t, m in zip(found.correlation_time, samples, strict=True)]),
+        np.sqrt(samples / np.maximum(samples - found.seen.rank / n, 1.0)))
+    settings = {"machine": machine.name, "machine_sha256": machine.sha256, "method": method, "seed": seed,
+                "logs": [{"path": log.path or log.name, "sha256": log.sha256} for log in logs]}
+    return Study("bootstrap", work, tuple({"seed": own} for own in seeds(seed, cells)), settings)
+
+
+def summary(study: Study, table: Table) -> dict[str, Any]:
+    """Scatter of the refits against the σ stated, for parameters and base parameters, as JSON."""
+    work: Any = study.function
+    problem, _ = _prepared(work)
+    units = [problem.parameters.units[problem.parameters.index(name)] for name in (*work.names, *work.base)]
+    rows = []
+    for k, name in enumerate((*work.names, *(f"base {name}" for name in work.base))):
+        again, value, std = table.column(name), float(work.value[k]), float(work.std[k])
+        scatter = float(np.std(again, ddof=1)) if len(again) > 1 else None
+        stated = std if np.isfinite(std) else None
+        rows.append({"name": name.removeprefix("base "), "unit": units[k], "value": value, "cells": len(again),
+                     "bias": float(np.mean(again)) - value, "scatter": scatter, "stated_std": stated,
+                     "scatter_over_stated": scatter / stated if scatter is not None and stated else None})
+    return {"cells": len(table), **failed(table),
+            "block_samples": dict(zip((a.name for a in work.machine.actuators), work.blocks.tolist(), strict=True)),
+            "parameters": rows[: len(work.names)], "base_parameters": rows[len(work.names):]}

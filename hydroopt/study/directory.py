@@ -1,0 +1,111 @@
+"""Where a study keeps its cells, so that it can go on after whatever ended it."""
+
+from __future__ import annotations
+
+import json
+import math
+import shutil
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from hydroopt.errors import ProblemError
+from hydroopt.files import write_files
+from hydroopt.study.study import Outcome, Study, Value
+
+IDENTITY = "study.json"
+
+
+class Directory:
+    """``study.json``, which says what the study is, and ``cells/INDEX.json``, each of which appears whole or not."""
+
+    def __init__(self, path: str | Path, study: Study) -> None:
+        """Open or begin a study's directory.
+
+        Raises:
+            ProblemError: another study keeps its cells there, or it cannot be written.
+        """
+        self.path, self.study = Path(path), study
+        self.cells = self.path / "cells"
+        refuse(self.path, study)
+        write_files(self.path, {IDENTITY: json.dumps(study.identity, indent=1)})
+        write_files(self.cells, {})
+        for left in self.cells.glob(".unfinished-*"):  # what a process that was killed had begun
+            shutil.rmtree(left, ignore_errors=True)
+
+    def read(self) -> dict[int, Outcome]:
+        """Outcomes of the cells that are finished; one that cannot be read is not."""
+        found: dict[int, Outcome] = {}
+        for index, cell in enumerate(self.study.cells):
+            try:
+                content = json.loads((self.cells / f"{index}.json").read_text("utf-8"))
+                kept = {key: content[key] for key in ("result", "error") if key in content}
+                if content["cell"] == cell and len(kept) == 1 and isinstance(kept.get("result", {}), dict):
+                    found[index] = kept
+            except (OSError, ValueError, TypeError, KeyError):
+                continue
+        return found
+
+    def write(self, index: int, outcome: Outcome) -> Outcome:
+        """Keep a cell's outcome.
+
+        Returns:
+            It, as `read` will give it.
+        """
+        if "result" in outcome:
+            outcome = {"result": {key: _value(value) for key, value in outcome["result"].items()}}
+        write_files(self.cells, {f"{index}.json": json.dumps({"cell": self.study.cells[index], **outcome},
+                                                             allow_nan=False)})
+        return outcome
+
+
+def refuse(directory: Path, study: Study) -> None:
+    """Refuse a directory that holds another study.
+
+    Raises:
+        ProblemError: it does; the first setting that differs is named.
+    """
+    where, remedy = str(directory), "choose another directory with -o"
+    if directory.exists() and not directory.is_dir():
+        raise ProblemError("this is a file", where=where, remedy=remedy)
+    if not (directory / IDENTITY).exists():
+        if (directory / "cells").exists():
+            raise ProblemError(f"there are cells, but no {IDENTITY} says of what study", where=where, remedy=remedy)
+        return
+    try:
+        there = json.loads((directory / IDENTITY).read_text("utf-8"))
+    except (OSError, ValueError):
+        there = None
+    if not isinstance(there, dict):
+        raise ProblemError("this cannot be read, so that nothing tells whose cells these are",
+                           where=str(directory / IDENTITY), remedy=remedy)
+    different = _difference(there, study.identity)
+    if different:
+        raise ProblemError(f"this directory holds another study: {different}", where=where,
+                           remedy=f"give the settings that stand in its {IDENTITY}, or {remedy}")
+
+
+def _difference(there: Mapping[str, Any], here: Mapping[str, Any], within: str = "") -> str:
+    """The first setting that differs, in words; "" if none does."""
+    for key in dict.fromkeys([*here, *there]):
+        old, new = there.get(key), here.get(key)
+        if isinstance(old, dict) and isinstance(new, dict):
+            if inner := _difference(old, new, f"{within}{key} "):
+                return inner
+        elif old != new:
+            return f"{within}{key} is {_short(old)} there and {_short(new)} here"
+    return ""
+
+
+def _short(value: object) -> str:
+    text = "absent" if value is None else json.dumps(value)
+    return text if len(text) <= 60 else f"{text[:28]}...{text[-28:]}"
+
+
+def _value(value: Any) -> Value:
+    """A number or a word as JSON keeps it, without loss; None for what is no number."""
+    if value is None or isinstance(value, str):
+        return value
+    if isinstance(value, int):
+        return int(value)
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,163 @@
+"""Monte Carlo: random truths, motions and sensor errors, identified as a user would, once or over a grid of conditions.
+
+A truth is drawn from the machine file's confidences, so that intervals that use the same confidences must hold it as
+often as they say, on the average over many cells.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import cache
+from itertools import product
+from typing import Any
+
+import numpy as np
+
+from hydroopt import synthetic
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.experiment import force_noise
+from hydroopt.estimation.problem import identification_problem
+from hydroopt.estimation.solve import Method, solve
+from hydroopt.inertia import Array
+from hydroopt.machine import Machine
+from hydroopt.model.build import Model
+from hydroopt.study.study import Study, Value, Values, seeds
+from hydroopt.study.summary import failed, quantiles, spread
+from hydroopt.study.table import Table
+
+DURATION = 33.28
+"""Of a random motion [s]: the 1664 samples of the thesis."""
+UNSEEN = (30.0, 50.0)
+"""Duration [s] and rate [Hz] of the random motion whose forces are predicted."""
+VARIED = {"accuracy": "factor on the accuracy of all sensors", "duration": "of the motion [s]",
+          "rate": "samples per second [Hz]"}
+"""What a sweep can vary."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trial:
+    """One cell: a truth, a motion, a log, an estimate, and how far the two are apart.
+
+    `motion` is the same in all cells if it is given; else each has a random one.
+    """
+
+    machine: Machine
+    method: Method
+    motion: synthetic.Trajectory | None
+    unseen: synthetic.Trajectory = field(repr=False)
+
+    def __call__(self, *, seed: int, accuracy: float = 1.0, duration: float = DURATION,
+                 rate: float | None = None) -> Values:
+        """Truth, value, σ and whether the interval holds, per parameter; RMS of unseen forces in σ, per actuator.
+
+        Raises:
+            HydrooptError: there is no estimate.
+        """
+        model, (of_truth, of_motion, of_noise, of_sampling) = _model(self, accuracy), seeds(seed, 4)
+        truth = synthetic.random_truth(model, of_truth)
+        motion = self.motion or synthetic.random_trajectory(
+            model, duration=duration, rate=synthetic.sampling_rate(self.machine) if rate is None else rate,
+            seed=of_motion)
+        log = synthetic.simulate(model, motion, truth, seed=of_noise)
+        estimate = solve(identification_problem(model, [log]), self.method, seed=of_sampling)
+        result: dict[str, Value] = {}
+        for k, name in enumerate(model.parameters.names):
+            low, high = estimate.ci95[k]
+            result |= {f"{name}.truth": float(truth[k]), f"{name}.value": float(estimate.value[k]),
+                       f"{name}.std": float(estimate.std[k]),
+                       f"{name}.inside": int(low <= truth[k] <= high) if np.isfinite(low) else None}
+        K, noise = _unseen(self)
+        rms = np.sqrt(np.mean((K @ (estimate.psi - truth)) ** 2, axis=0)) / noise
+        return result | {f"{a.name}.rms": float(x) for a, x in zip(self.machine.actuators, rms, strict=True)}
+
+
+# once in each process, as neither depends on a cell's seed
+@cache
+def _model(trial: Trial, accuracy: float) -> Model:
+    sensors = [sensor.model_copy(update={"accuracy": sensor.accuracy * accuracy}) for sensor in trial.machine.sensors]
+    return Model(trial.machine.model_copy(update={"sensors": tuple(sensors)}))
+
+
+@cache
+def _unseen(trial: Trial) -> tuple[Array, Array]:
+    """K (N, n, p) of the unseen motion, and σ (n,) of the actuators' forces as the file states its sensors."""
+    model = _model(trial, 1.0)
+    K = model.over(model.regressor, trial.unseen.q, trial.unseen.qd, trial.unseen.qdd)[0]
+    return K, force_noise(model)
+
+
+def montecarlo(machine: Machine, *, cells: int, seed: int = 0, method: Method = "sdp",
+               motion: synthetic.Trajectory | None = None, motion_sha256: str = "",
+               vary: Mapping[str, Sequence[float]] | None = None, duration: float = DURATION,
+               rate: float | None = None) -> Study:
+    """A Monte Carlo study of identification, or a sweep if something is varied.
+
+    Args:
+        machine: whose confidences the truths are drawn from.
+        cells: how many, at each point of the grid.
+        seed: of all.
+        method: of identification.
+        motion: the same for all cells; else random ones of `duration` [s] at `rate` [Hz], by default as stated.
+        motion_sha256: what tells that motion from others.
+        vary: values of ``accuracy`` (a factor), ``duration`` [s] or ``rate`` [Hz]; several make a product.
+
+    Raises:
+        ProblemError: what cannot be varied, or values that are none.
+    """
+    grid = dict(vary or {})
+    for name, values in grid.items():
+        if name not in VARIED:
+            raise ProblemError(f"'{name}' cannot be varied", where="--vary", remedy=f"use {', '.join(VARIED)}")
+        if motion is not None and name != "accuracy":
+            raise ProblemError(f"a given motion has its own {name}", where="--vary",
+                               remedy="leave it out, or --motion")
+        if not values or len(set(values)) < len(values) or not all(0 < value < np.inf for value in values):
+            raise ProblemError(f"{', '.join(f'{value:g}' for value in values) or 'nothing'} is no list of values of "
+                               f"{name}", where="--vary", remedy="give different positive numbers")
+    if cells < 1:
+        raise ProblemError(f"{cells} cells are none", where="--cells", remedy="ask for one or more")
+    given = {} if motion is not None else {"duration": duration, "rate": rate or synthetic.sampling_rate(machine)}
+    points = [given | dict(zip(grid, point, strict=True)) for point in product(*grid.values())]
+    for point in points:
+        if motion is None:  # what cannot be sampled is refused now
+            synthetic.random_trajectory(Model(machine), duration=point["duration"], rate=point["rate"], seed=0)
+    own = seeds(seed, cells * len(points))
+    table = tuple({**point, "seed": own[k * cells + i]} for k, point in enumerate(points) for i in range(cells))
+    unseen = synthetic.random_trajectory(Model(machine), duration=UNSEEN[0], rate=UNSEEN[1], seed=seed)
+    settings = {"machine": machine.name, "machine_sha256": machine.sha256, "method": method, "seed": seed,
+                "motion_sha256": motion_sha256, "vary": {name: list(values) for name, values in grid.items()}}
+    return Study("sweep" if grid else "montecarlo", Trial(machine, method, motion, unseen), table, settings | given)
+
+
+def summary(study: Study, table: Table) -> dict[str, Any]:
+    """Bias, scatter, coverage and prediction at each point of the grid, as JSON."""
+    points = list({tuple((key, cell[key]) for key in cell if key != "seed"): None for cell in study.cells})
+    return {"points": [{"values": dict(point), **_point(study.function, table.where(dict(point)))}
+                       for point in points]}
+
+
+def _point(trial: Any, table: Table) -> dict[str, Any]:
+    parameters = _model(trial, 1.0).parameters
+    rows, covered = [], []
+    for name, unit in zip(parameters.names, parameters.units, strict=True):
+        truth, value, std, inside = (table.column(f"{name}.{key}") for key in ("truth", "value", "std", "inside"))
+        told = np.isfinite(value)
+        if not np.any(told):
+            continue
+        covered.append(inside)
+        rows.append({"name": name, "unit": unit, "cells": int(told.sum()), **spread(value[told] - truth[told],
+                     std[told]), "coverage": _mean(inside)})
+    each = np.array([_mean(cell) for cell in np.array(covered).T], dtype=float)  # of each cell
+    each = each[np.isfinite(each)]
+    return {"cells": len(table), **failed(table),
+            "coverage": _mean(np.array(covered)),
+            "coverage_std_error": float(np.std(each, ddof=1) / np.sqrt(len(each))) if len(each) > 1 else None,
+            "prediction": {actuator.name: quantiles(table.column(f"{actuator.name}.rms"))
+                           for actuator in trial.machine.actuators},
+            "parameters": rows}
+
+
+def _mean(values: Array) -> float | None:
+    values = values[np.isfinite(values)]
+    return float(np.mean(values)) if values.size else None

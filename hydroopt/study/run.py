@@ -1,0 +1,67 @@
+"""Run a study: cells side by side, each kept when it is finished, and go on after whatever ended an earlier run."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from contextlib import closing
+from pathlib import Path
+
+from hydroopt.errors import ProblemError, SolverError
+from hydroopt.files import write_files
+from hydroopt.study.directory import Directory
+from hydroopt.study.study import Study
+from hydroopt.study.table import Table
+
+
+def run(study: Study, directory: str | Path, *, scheduler: str | None = None, workers: int = 2,
+        say: Callable[[str], None] = lambda _: None) -> Table:
+    """Compute the cells of a study that its directory does not hold yet.
+
+    A cell that fails is kept with the sentence that says why, and so is one whose process dies again and again. Whoever
+    ends the run, the cells finished so far stay, and the next run goes on from there; what it ends with is the same bit
+    for bit, on machines of one kind.
+
+    Args:
+        study: what to compute.
+        directory: gets ``study.json``, ``cells/INDEX.json`` and, at the end, ``results.csv``.
+        scheduler: address of a Dask scheduler whose workers shall compute, such as ``tcp://host:8786``; they need this
+            hydroopt, but no access to the directory. By default processes of this computer, and a script that calls
+            this needs the usual ``if __name__ == "__main__"``.
+        workers: how many processes, if there is no scheduler.
+        say: hears of progress.
+
+    Raises:
+        ProblemError: the directory holds another study or cannot be written; the scheduler or its workers cannot do it.
+        SolverError: no cell succeeded, or the scheduler was lost.
+    """
+    if not study.cells or workers < 1:
+        raise ProblemError("there is nothing to compute, or nobody", where=f"study '{study.name}'",
+                           remedy="ask for one cell and one worker, or more")
+    place = Directory(directory, study)
+    outcomes = place.read()
+    missing = [k for k in range(len(study.cells)) if k not in outcomes]
+    if missing:
+        from hydroopt.study.workers import computed  # noqa: PLC0415 (its libraries take a second to import)
+
+        began, before = time.monotonic(), len(outcomes)
+        say(f"{len(missing)} of {len(study.cells)} cells to compute, beginning")
+        with closing(computed(study, missing, scheduler, workers, say)) as results:
+            for index, outcome in results:
+                outcomes[index] = place.write(index, outcome)
+                each = (time.monotonic() - began) / (len(outcomes) - before)
+                say(f"{len(outcomes)} of {len(study.cells)} cells, "
+                    f"{span(each * (len(study.cells) - len(outcomes)))} left")
+    table = Table(study.cells, tuple(outcomes[k] for k in range(len(study.cells))))
+    write_files(directory, {"results.csv": table.csv()})
+    if not table.results:
+        raise SolverError(f"no cell succeeded: {next(iter(table.failures)).rstrip('.').replace('; ', ', ')}",
+                          where=str(directory), remedy="correct that and choose another directory with -o")
+    return table
+
+
+def span(seconds: float) -> str:
+    """A time in words."""
+    if seconds < 90:
+        return f"{seconds:.0f} s"
+    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

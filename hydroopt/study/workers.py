@@ -1,0 +1,164 @@
+"""Cells on Dask: processes of this computer, or the workers of a scheduler elsewhere.
+
+The only place that imports Dask, and itself imported only when there is something to compute.
+"""
+
+from __future__ import annotations
+
+import logging
+import os
+import threading
+from collections.abc import Callable, Generator, Iterator, Sequence
+from contextlib import contextmanager
+from queue import Empty, SimpleQueue
+from typing import Any
+
+import dask
+import numpy as np
+from distributed import Client, Future, KilledWorker, LocalCluster, Worker, WorkerPlugin, get_worker
+from threadpoolctl import threadpool_limits
+
+from hydroopt.errors import HydrooptError, ProblemError, SolverError
+from hydroopt.interrupt import deaf
+from hydroopt.study.study import Outcome, Study, Values, versions
+
+PATIENCE, JOINING = 5.0, 60.0
+"""Seconds until a scheduler must answer, and until one of its workers must be there."""
+CONFIG = {"distributed.comm.timeouts.connect": f"{PATIENCE:g}s", "distributed.scheduler.worker-saturation": 1.0,
+          "distributed.admin.low-level-log-length": 0}
+"""No worker holds cells that wait: if it dies, only the one it computes is suspected of having killed it."""
+
+
+class _Work(WorkerPlugin):  # type: ignore[misc]
+    """The study's function in every process that computes, also in those that join later or replace one that died."""
+
+    def __init__(self, study: Study) -> None:
+        self.name, self.function, self.versions = f"hydroopt-{study.digest}", study.function, versions()
+        self.turn: threading.Lock | None = None
+
+    def setup(self, worker: Worker) -> None:
+        if versions() != self.versions:
+            raise RuntimeError(f"it has {versions()} instead of {self.versions}")
+        self.turn = threading.Lock()
+        os.environ["OMP_NUM_THREADS"] = "1"  # which our own kernels heed, too
+
+    def cell(self, values: Values) -> Outcome:
+        assert self.turn is not None
+        # one at a time: neither CasADi's symbols nor the limit of threads belong to a thread
+        with self.turn, threadpool_limits(limits=1):
+            try:
+                return {"result": dict(self.function(**values))}
+            except (HydrooptError, ArithmeticError, np.linalg.LinAlgError) as error:
+                return {"error": str(error)}
+
+
+def _cell(name: str, values: Values) -> Outcome:
+    work: Any = get_worker().plugins[name]
+    outcome: Outcome = work.cell(values)
+    return outcome
+
+
+def computed(study: Study, indices: Sequence[int], scheduler: str | None, workers: int,
+             say: Callable[[str], None]) -> Generator[tuple[int, Outcome]]:
+    """Outcomes of some cells, as they are finished.
+
+    Raises:
+        ProblemError: there is no scheduler at the address, or its workers cannot do it.
+        SolverError: the scheduler was lost.
+    """
+    with _client(scheduler, min(workers, len(indices))) as client:
+        work = _Work(study)
+        _hand_out(client, work, scheduler, say)
+        try:
+            suspects = []
+            for index, outcome in _finished(client, study, work.name, indices, say):
+                if outcome is None:
+                    suspects.append(index)
+                else:
+                    yield index, outcome
+            for index in suspects:  # alone, so that none pays for what another does to a process
+                for _, outcome in _finished(client, study, work.name, [index], say):
+                    yield index, outcome or {"error": f"cell {index}: the process that computed it died again and "
+                                             "again; see whether its memory suffices."}
+        finally:
+            if scheduler is not None and client.status == "running":
+                client.unregister_worker_plugin(work.name)
+
+
+@contextmanager
+def _client(scheduler: str | None, workers: int) -> Iterator[Client]:
+    # what becomes of processes and connections is told by the study itself
+    for name in ("distributed", "tornado", "asyncio"):
+        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    with dask.config.set(CONFIG):
+        if scheduler is None:
+            with deaf():  # Ctrl-C is for this process alone
+                cluster = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, memory_limit=0,
+                                       dashboard_address=None, silence_logs=logging.CRITICAL + 1)
+            with cluster, Client(cluster, set_as_default=False) as client:
+                yield client
+            return
+        try:
+            client = Client(scheduler, timeout=PATIENCE, set_as_default=False)
+        except (OSError, ValueError) as error:
+            raise ProblemError(f"no Dask scheduler answers at this address ({_short(error)})", where=f"--scheduler "
+                               f"{scheduler}", remedy="start one with 'dask scheduler' and give the address that it "
+                               "shows, such as tcp://host:8786") from None
+        with client:
+            yield client
+
+
+def _hand_out(client: Client, work: _Work, scheduler: str | None, say: Callable[[str], None]) -> None:
+    try:
+        if not client.scheduler_info()["workers"]:
+            say("waiting for workers")
+        client.wait_for_workers(1, timeout=JOINING)
+    except TimeoutError:
+        raise ProblemError(f"no worker has joined within {JOINING:.0f} s", where=f"--scheduler {scheduler}",
+                           remedy="start some with 'dask worker'") from None
+    try:
+        client.register_plugin(work, name=work.name)
+    except Exception as error:
+        raise ProblemError(f"a worker cannot do it ({_short(error)})", where=f"--scheduler {scheduler}",
+                           remedy="give the workers the same hydroopt with the same packages") from error
+
+
+def _finished(client: Client, study: Study, name: str, indices: Sequence[int],
+              say: Callable[[str], None]) -> Iterator[tuple[int, Outcome | None]]:
+    """Cells with their outcomes, None where the process that computed one died too often."""
+    queue: SimpleQueue[Future] = SimpleQueue()
+    keys = {f"{name}-{index}": index for index in indices}
+    futures = client.map(_cell, [name] * len(indices), [study.cells[index] for index in indices], key=list(keys),
+                         pure=False)
+    waiting = dict(zip(keys, futures, strict=True))
+    for future in futures:
+        future.add_done_callback(queue.put)
+    del futures
+    while waiting:
+        try:
+            future = queue.get(timeout=1.0)
+        except Empty:
+            if client.status != "running":
+                raise _lost() from None
+            if not client.scheduler_info()["workers"]:
+                say("waiting for workers")
+            continue
+        del waiting[future.key]
+        if future.status == "finished":
+            yield keys[future.key], future.result()
+            continue
+        error = future.exception() if future.status == "error" else None
+        if error is None:
+            raise _lost()
+        if not isinstance(error, KilledWorker):
+            raise error
+        yield keys[future.key], None
+
+
+def _lost() -> SolverError:
+    return SolverError("the connection to the scheduler was lost; finished cells are kept", where="study",
+                       remedy="see that it runs and give the same command again")
+
+
+def _short(error: BaseException) -> str:
+    return " ".join(str(error).split()).replace(";", ",")[:200] or type(error).__name__
