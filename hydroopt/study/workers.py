@@ -25,8 +25,8 @@ from hydroopt.study.study import Outcome, Study, Values, versions
 PATIENCE, JOINING = 5.0, 60.0
 """Seconds until a scheduler must answer, and until one of its workers must be there."""
 CONFIG = {"distributed.comm.timeouts.connect": f"{PATIENCE:g}s", "distributed.scheduler.worker-saturation": 1.0,
-          "distributed.admin.low-level-log-length": 0}
-"""No worker holds cells that wait: if it dies, only the one it computes is suspected of having killed it."""
+          "distributed.scheduler.allowed-failures": 1}
+"""No worker holds cells that wait: if it dies, only the one it computes is suspected. Suspects get a second chance."""
 
 
 class _Work(WorkerPlugin):  # type: ignore[misc]

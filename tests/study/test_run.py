@@ -1,0 +1,193 @@
+"""Studies end with the same bits whoever computes them, and whatever kills whom in between."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+import psutil
+import pytest
+from threadpoolctl import threadpool_limits
+
+from hydroopt.errors import ProblemError, SolverError
+from hydroopt.study.directory import Directory
+from hydroopt.study.run import run, span
+from hydroopt.study.study import Study, seeds
+from hydroopt.study.table import Table
+
+sys.path.insert(0, str(Path(__file__).parent))
+import quick
+
+PATIENCE = 60.0
+"""Time [s] that nothing here takes."""
+HERE = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[2]), str(Path(__file__).parent)])}
+
+
+def alone(study: Study) -> str:
+    """The table of a study whose cells need nobody else, computed one by one in this process."""
+    with threadpool_limits(limits=1):
+        outcomes = [{"result": {k: None if v != v else v for k, v in study.function(**cell).items()}}
+                    for cell in study.cells]
+    return Table(study.cells, tuple(outcomes)).csv()
+
+
+def until(happened: Callable[[], object]) -> None:
+    began = time.monotonic()
+    while not happened():
+        assert time.monotonic() - began < PATIENCE, "nothing happens"
+        time.sleep(0.02)
+
+
+def kept(directory: Path) -> dict[str, int]:
+    return {file.name: file.stat().st_mtime_ns for file in (directory / "cells").glob("*.json")}
+
+
+def workers(of: int | None = None) -> list[psutil.Process]:
+    found = []
+    for child in psutil.Process(of).children(recursive=True):
+        with suppress(psutil.Error):
+            if "spawn_main" in " ".join(child.cmdline()):
+                found.append(child)
+    return found
+
+
+@contextmanager
+def process(*arguments: str, **options: object) -> Iterator[subprocess.Popen[bytes]]:
+    running = subprocess.Popen([sys.executable, *arguments], env=HERE, stdout=subprocess.DEVNULL,
+                               stderr=subprocess.DEVNULL, **options)  # type: ignore[call-overload]
+    try:
+        yield running
+    finally:
+        running.kill()
+        running.wait()
+
+
+def test_a_study_killed_at_half_goes_on_and_ends_with_the_same_bits(tmp_path: Path) -> None:
+    out, count, pause = tmp_path / "out", 40, 0.05
+    with process(quick.__file__, str(out), str(count), str(pause)) as running:
+        until(lambda: len(kept(out)) >= count // 2)
+        begun = workers(running.pid)
+        running.send_signal(signal.SIGKILL)
+        running.wait()
+        assert len(begun) == 2
+    before = kept(out)
+    assert count // 2 <= len(before) < count
+    assert not (out / "results.csv").exists()
+    until(lambda: not any(worker.is_running() and worker.status() != psutil.STATUS_ZOMBIE for worker in begun))
+    run(quick.study(count, pause=pause), out, workers=1)
+    after = kept(out)
+    assert {name: after[name] for name in before} == before  # none was computed again
+    assert (out / "results.csv").read_text("utf-8") == alone(quick.study(count, pause=pause))
+
+
+def test_a_worker_that_is_killed_costs_nothing(tmp_path: Path) -> None:
+    study, told, killed = quick.study(30, pause=0.05), [], []
+
+    def say(text: str) -> None:
+        told.append(text)
+        if text.startswith("8 of 30 cells") and not killed:
+            victim = workers()[0]
+            killed.append(victim)
+            victim.kill()
+
+    table = run(study, tmp_path, workers=2, say=say)
+    assert killed
+    assert not table.failures
+    assert (tmp_path / "results.csv").read_text("utf-8") == alone(study)
+    assert told[-1] == "30 of 30 cells, 0 s left"
+
+
+def test_workers_of_a_scheduler_elsewhere_give_the_same_bits(tmp_path: Path) -> None:
+    """They share no directory with the study, and one of them is killed."""
+    study, away = quick.study(30, pause=0.05), tmp_path / "away"
+    away.mkdir()
+    address = tmp_path / "scheduler.json"
+    arguments = ("--scheduler-file", str(address))
+    options = ("--nthreads", "1", "--no-nanny", "--no-dashboard")
+    with process("-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard", *arguments, cwd=away):
+        until(address.exists)
+        with (process("-m", "distributed.cli.dask_worker", *arguments, *options, cwd=away),
+              process("-m", "distributed.cli.dask_worker", *arguments, *options, cwd=away) as second):
+            at = json.loads(address.read_text("utf-8"))["address"]
+
+            def say(text: str) -> None:
+                if text.startswith("10 of 30 cells"):
+                    second.kill()
+
+            table = run(study, tmp_path / "out", scheduler=at, say=say)
+    assert not table.failures
+    assert (tmp_path / "out/results.csv").read_text("utf-8") == alone(study)
+    with pytest.raises(ProblemError, match=rf"--scheduler {at}: no Dask scheduler answers"):
+        run(quick.study(3), tmp_path / "none", scheduler=at)
+
+
+def test_cells_that_fail_or_kill_are_recorded_and_do_no_harm(tmp_path: Path) -> None:
+    table = run(quick.study(8, bad=2, deadly=5), tmp_path, workers=2)
+    assert [k for k, outcome in enumerate(table.outcomes) if "error" in outcome] == [2, 5]
+    assert table.outcomes[2]["error"] == "cell 2: the data show nothing; measure more."
+    assert "cell 5: the process that computed it died again and again" in table.outcomes[5]["error"]
+    good = quick.study(8)
+    for k in (0, 1, 3, 4, 6, 7):
+        expected = good.function(**good.cells[k])
+        assert {**table.outcomes[k]["result"], "nothing": None} == {**expected, "nothing": None}
+    lines = (tmp_path / "results.csv").read_text("utf-8").splitlines()
+    assert len(lines) == 9
+    assert '"a,b"' in lines[1]
+    # and what is recorded is not tried again: nobody would be there to do it
+    assert run(quick.study(8, bad=2, deadly=5), tmp_path, scheduler="tcp://127.0.0.1:1").csv() == table.csv()
+
+
+def test_cells_that_cannot_be_read_are_not_finished(tmp_path: Path) -> None:
+    study = quick.study(6)
+    place = Directory(tmp_path, study)
+    for k in range(6):
+        place.write(k, {"result": {"x": 0.1 + k, "nothing": float("nan")}})
+    for k, text in {0: "", 1: '{"cell"', 2: "[]", 3: json.dumps({"cell": {"seed": 1}, "result": {}}),
+                    4: json.dumps({"cell": study.cells[4], "result": 3})}.items():
+        (tmp_path / f"cells/{k}.json").write_text(text)
+    (tmp_path / "cells/.unfinished-x").mkdir()
+    assert Directory(tmp_path, study).read() == {5: {"result": {"x": 5.1, "nothing": None}}}
+    assert not (tmp_path / "cells/.unfinished-x").exists()
+
+
+@pytest.mark.parametrize(("other", "what"), [
+    (quick.study(6, seed=4), "seed is 3 there and 4 here"), (quick.study(7), "cells is 6 there and 7 here"),
+    (quick.study(6, bad=1), "cells_sha256 is"), (Study("slow", quick.cell, quick.study(6).cells, {"seed": 3}), "study")])
+def test_the_directory_of_another_study_is_refused(other: Study, what: str, tmp_path: Path) -> None:
+    Directory(tmp_path, quick.study(6))
+    Directory(tmp_path, quick.study(6))
+    with pytest.raises(ProblemError, match=f"another study: .*{what}"):
+        run(other, tmp_path)
+
+
+def test_another_version_is_another_study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    Directory(tmp_path, quick.study(6))
+    monkeypatch.setattr("hydroopt.study.study.metadata.version", lambda name: "0.0")
+    with pytest.raises(ProblemError, match=r'versions hydroopt is ".*" there and "0.0" here'):
+        run(quick.study(6), tmp_path)
+
+
+def test_a_study_without_any_result_is_no_success(tmp_path: Path) -> None:
+    place = Directory(tmp_path, quick.study(2))
+    for k in range(2):
+        place.write(k, {"error": f"cell {k}: the data show nothing; measure more."})
+    with pytest.raises(SolverError, match="no cell succeeded: cell 0"):
+        run(quick.study(2), tmp_path)
+
+
+def test_seeds_are_many_and_stay_when_cells_are_added() -> None:
+    assert seeds(5, 10) == seeds(5, 20)[:10]
+    assert len({*seeds(0, 2000), *seeds(1, 2000)}) == 4000
+    assert max(seeds(0, 2000)) < 2**53
+
+
+@pytest.mark.parametrize(("seconds", "words"), [(0.4, "0 s"), (89, "89 s"), (120, "2 min"), (7200, "2.0 h")])
+def test_time_left_in_words(seconds: float, words: str) -> None:
+    assert span(seconds) == words
