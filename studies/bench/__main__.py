@@ -1,24 +1,27 @@
-"""Run all parts, or those that are named."""
+"""Run all parts, or those that are named; ``montecarlo=60`` takes 60 cells instead of 1000."""
 
 import sys
 
 from studies.bench import jobs, kernels
 from studies.bench.excitation import excitation
+from studies.bench.montecarlo import montecarlo
 
 # memory first: the most that this process has ever held counts as the peak of those that it starts
 PARTS = {"identify": jobs.identify, "calibration": jobs.calibration, "excavator": kernels.excavator,
          "arm": kernels.arm, "batch": kernels.batch, "first": kernels.first,
-         "excitation": excitation}
+         "excitation": excitation, "montecarlo": montecarlo}
 
 
 def main(names: list[str]) -> None:
+    sizes = {name: int(size) for name, _, size in (text.partition("=") for text in names) if size}
+    names = [text.partition("=")[0] for text in names]
     unknown = set(names) - PARTS.keys()
     if unknown:
         raise SystemExit(f"there is no part {', '.join(sorted(unknown))}; use {', '.join(PARTS)}")
     for name, part in PARTS.items():
         if not names or name in names:
             print(f"{name}: {part.__doc__}")
-            part()
+            part(*([sizes[name]] if name in sizes else []))
             print()
 
 

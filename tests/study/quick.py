@@ -1,4 +1,4 @@
-"""Cells of a few milliseconds for the tests of how studies run, which worker processes can import; and a study to kill."""
+"""Cells of a few milliseconds that worker processes can import, and a study to kill."""
 
 from __future__ import annotations
 

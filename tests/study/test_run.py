@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import signal
 import subprocess
@@ -33,7 +34,7 @@ HERE = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[
 def alone(study: Study) -> str:
     """The table of a study whose cells need nobody else, computed one by one in this process."""
     with threadpool_limits(limits=1):
-        outcomes = [{"result": {k: None if v != v else v for k, v in study.function(**cell).items()}}
+        outcomes = [{"result": {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in study.function(**cell).items()}}
                     for cell in study.cells]
     return Table(study.cells, tuple(outcomes)).csv()
 
@@ -159,7 +160,8 @@ def test_cells_that_cannot_be_read_are_not_finished(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("other", "what"), [
     (quick.study(6, seed=4), "seed is 3 there and 4 here"), (quick.study(7), "cells is 6 there and 7 here"),
-    (quick.study(6, bad=1), "cells_sha256 is"), (Study("slow", quick.cell, quick.study(6).cells, {"seed": 3}), "study")])
+    (quick.study(6, bad=1), "cells_sha256 is"),
+    (Study("slow", quick.cell, quick.study(6).cells, {"seed": 3}), "study")])
 def test_the_directory_of_another_study_is_refused(other: Study, what: str, tmp_path: Path) -> None:
     Directory(tmp_path, quick.study(6))
     Directory(tmp_path, quick.study(6))
