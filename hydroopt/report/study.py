@@ -84,7 +84,7 @@ def _trials(content: Mapping[str, Any], table: Table) -> Figure:
         left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": (1.6, 1.0)})
         if rows:
             half = 1.96 * math.sqrt(0.95 * 0.05 / max(min(row["cells"] for row in rows), 1))
-            left.axhspan(100 * (0.95 - half), 100 * (0.95 + half), color=GREEN, alpha=0.13, lw=0)
+            left.axhspan(100 * (0.95 - half), min(100 * (0.95 + half), 100), color=GREEN, alpha=0.13, lw=0)
             left.axhline(95, color=GREY, lw=0.8)
             left.plot([100 * row["coverage"] for row in rows], ls="none", marker="o", ms=3.2, color=BLUE)
         left.set(title="95 % intervals that hold the truth; shaded: what chance leaves of 95 %", ylabel="%",
@@ -121,7 +121,7 @@ def _sweep(content: Mapping[str, Any], table: Table) -> Figure:
                                      for key in ("q05", "median", "q95"))
                 ax.fill_between(x, low, high, color=colour, alpha=0.15, lw=0)
                 ax.plot(x, middle, color=colour, marker="o", ms=3.5, label=label)
-                ax.set(title=name, xlabel=first, ylabel="RMS of unseen forces [σ]")
+                ax.set(title=name, xlabel=first, ylabel="RMS of unseen forces [σ]", yscale="log")
             axes[-1].plot(x, 100 * _floats(point["coverage"] for point in some), color=colour, marker="o", ms=3.5)
         axes[-1].axhline(95, color=GREY, lw=0.8)
         axes[-1].set(title="95 % intervals that hold the truth", xlabel=first, ylabel="%")

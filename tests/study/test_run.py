@@ -34,8 +34,9 @@ HERE = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[
 def alone(study: Study) -> str:
     """The table of a study whose cells need nobody else, computed one by one in this process."""
     with threadpool_limits(limits=1):
-        outcomes = [{"result": {k: None if isinstance(v, float) and math.isnan(v) else v for k, v in study.function(**cell).items()}}
-                    for cell in study.cells]
+        results = [study.function(**cell) for cell in study.cells]
+    outcomes = [{"result": {key: None if isinstance(value, float) and math.isnan(value) else value
+                            for key, value in result.items()}} for result in results]
     return Table(study.cells, tuple(outcomes)).csv()
 
 
