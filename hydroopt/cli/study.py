@@ -31,7 +31,6 @@ from hydroopt.report import study as report
 from hydroopt.signals.log import read_log
 from hydroopt.signals.poses import read_pose_files
 from hydroopt.study import bootstrap, montecarlo, multistart
-from hydroopt.study.directory import refuse
 from hydroopt.study.run import run
 from hydroopt.study.study import Study
 from hydroopt.study.table import Table
@@ -113,7 +112,6 @@ def study(
                 described, cells=cells, seed=seed, method=method_of(method or "sdp"),
                 motion=followed(described, log) if log else None, motion_sha256=log.sha256 if log else "",
                 vary=_varied(vary or ()), duration=montecarlo.DURATION if duration is None else duration, rate=rate)
-        refuse(output, prepared)
         try:
             table = run(prepared, output, scheduler=scheduler, workers=workers or os.cpu_count() or 1, say=say)
         except KeyboardInterrupt:

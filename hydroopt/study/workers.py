@@ -5,6 +5,7 @@ The only place that imports Dask, and itself imported only when there is somethi
 
 from __future__ import annotations
 
+import asyncio
 import logging
 import os
 import threading
@@ -15,7 +16,7 @@ from typing import Any
 
 import dask
 import numpy as np
-from distributed import Client, Future, KilledWorker, LocalCluster, Worker, WorkerPlugin, get_worker
+from distributed import Client, Future, KilledWorker, LocalCluster, Worker, WorkerPlugin, get_worker, rpc
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import HydrooptError, ProblemError, SolverError
@@ -88,8 +89,9 @@ def computed(study: Study, indices: Sequence[int], scheduler: str | None, worker
 @contextmanager
 def _client(scheduler: str | None, workers: int) -> Iterator[Client]:
     # what becomes of processes and connections is told by the study itself
-    for name in ("distributed", "tornado", "asyncio"):
-        logging.getLogger(name).setLevel(logging.CRITICAL + 1)
+    for name in [*logging.root.manager.loggerDict, "asyncio"]:
+        if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
+            logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     with dask.config.set(CONFIG):
         if scheduler is None:
             with deaf():  # Ctrl-C is for this process alone
@@ -99,6 +101,7 @@ def _client(scheduler: str | None, workers: int) -> Iterator[Client]:
                 yield client
             return
         try:
+            asyncio.run(asyncio.wait_for(_answer(scheduler), PATIENCE))
             client = Client(scheduler, timeout=PATIENCE, set_as_default=False)
         except (OSError, ValueError) as error:
             raise ProblemError(f"no Dask scheduler answers at this address ({_short(error)})", where=f"--scheduler "
@@ -106,6 +109,14 @@ def _client(scheduler: str | None, workers: int) -> Iterator[Client]:
                                "shows, such as tcp://host:8786") from None
         with client:
             yield client
+
+
+async def _answer(address: str) -> None:
+    """Ask for a scheduler: a client would wait for ever where something else takes the call."""
+    async with rpc(address) as remote:
+        kind = (await remote.identity())["type"]
+    if kind != "Scheduler":
+        raise ValueError(f"this is a {kind.lower()}")
 
 
 def _hand_out(client: Client, work: _Work, scheduler: str | None, say: Callable[[str], None]) -> None:

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import signal
+import socket
 import subprocess
 import sys
 import time
@@ -113,7 +114,8 @@ def test_workers_of_a_scheduler_elsewhere_give_the_same_bits(tmp_path: Path) -> 
     address = tmp_path / "scheduler.json"
     arguments = ("--scheduler-file", str(address))
     options = ("--nthreads", "1", "--no-nanny", "--no-dashboard")
-    with process("-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard", *arguments, cwd=away):
+    with process("-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard", *arguments,
+                 cwd=away) as scheduler:
         until(address.exists)
         with (process("-m", "distributed.cli.dask_worker", *arguments, *options, cwd=away),
               process("-m", "distributed.cli.dask_worker", *arguments, *options, cwd=away) as second):
@@ -124,10 +126,33 @@ def test_workers_of_a_scheduler_elsewhere_give_the_same_bits(tmp_path: Path) -> 
                     second.kill()
 
             table = run(study, tmp_path / "out", scheduler=at, say=say)
-    assert not table.failures
-    assert (tmp_path / "out/results.csv").read_text("utf-8") == alone(study)
-    with pytest.raises(ProblemError, match=rf"--scheduler {at}: no Dask scheduler answers"):
-        run(quick.study(3), tmp_path / "none", scheduler=at)
+            assert not table.failures
+            assert (tmp_path / "out/results.csv").read_text("utf-8") == alone(study)
+
+            def end(text: str) -> None:
+                if text.startswith("5 of 30 cells"):
+                    scheduler.kill()
+
+            with pytest.raises(SolverError, match="the connection to the scheduler was lost"):
+                run(study, tmp_path / "lost", scheduler=at, say=end)
+    assert 5 <= len(kept(tmp_path / "lost")) < 30
+
+
+def test_what_is_no_scheduler_is_refused_soon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A server that takes the call and never says a word."""
+    monkeypatch.setattr("hydroopt.study.workers.PATIENCE", 0.5)
+    with socket.socket() as server:
+        server.bind(("127.0.0.1", 0))
+        server.listen()
+        at, began = f"tcp://127.0.0.1:{server.getsockname()[1]}", time.monotonic()
+        with pytest.raises(ProblemError, match=rf"--scheduler {at}: no Dask scheduler answers"):
+            run(quick.study(3), tmp_path, scheduler=at)
+    assert time.monotonic() - began < 20  # a busy machine takes its time, but not for ever
+
+
+def test_the_command_starts_without_distributed() -> None:
+    code = "import hydroopt.cli, sys; sys.exit(bool({'distributed', 'tornado'} & sys.modules.keys()))"
+    assert subprocess.run([sys.executable, "-c", code], env=HERE, check=False).returncode == 0
 
 
 def test_cells_that_fail_or_kill_are_recorded_and_do_no_harm(tmp_path: Path) -> None:
