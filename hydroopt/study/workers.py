@@ -9,6 +9,7 @@ import asyncio
 import logging
 import os
 import threading
+from asyncio import CancelledError
 from collections.abc import Callable, Generator, Iterator, Sequence
 from contextlib import contextmanager
 from queue import Empty, SimpleQueue
@@ -154,16 +155,20 @@ def _finished(client: Client, study: Study, name: str, indices: Sequence[int],
             if not client.scheduler_info()["workers"]:
                 say("waiting for workers")
             continue
-        del waiting[future.key]
-        if future.status == "finished":
-            yield keys[future.key], future.result()
+        status = future.status
+        if status in ("pending", "lost"):  # its process died after it and before the outcome was fetched: once more
+            future.add_done_callback(queue.put)
             continue
-        error = future.exception() if future.status == "error" else None
-        if error is None:
+        if status == "cancelled":
             raise _lost()
-        if not isinstance(error, KilledWorker):
-            raise error
-        yield keys[future.key], None
+        try:
+            outcome = future.result()
+        except KilledWorker:
+            outcome = None
+        except CancelledError:
+            raise _lost() from None
+        del waiting[future.key]
+        yield keys[future.key], outcome
 
 
 def _lost() -> SolverError:

@@ -72,39 +72,32 @@ def process(*arguments: str, **options: object) -> Iterator[subprocess.Popen[byt
         running.wait()
 
 
-def test_a_study_killed_at_half_goes_on_and_ends_with_the_same_bits(tmp_path: Path) -> None:
-    out, count, pause = tmp_path / "out", 40, 0.05
-    with process(quick.__file__, str(out), str(count), str(pause)) as running:
-        until(lambda: len(kept(out)) >= count // 2)
+def test_a_study_killed_at_half_goes_on_and_a_worker_killed_costs_nothing(tmp_path: Path) -> None:
+    out, study, told, killed = tmp_path / "out", quick.study(40, pause=0.05), [], []
+    with process(quick.__file__, str(out), "40", "0.05") as running:
+        until(lambda: len(kept(out)) >= 20)
         begun = workers(running.pid)
         running.send_signal(signal.SIGKILL)
         running.wait()
         assert len(begun) == 2
     before = kept(out)
-    assert count // 2 <= len(before) < count
+    assert 20 <= len(before) < 40
     assert not (out / "results.csv").exists()
     until(lambda: not any(worker.is_running() and worker.status() != psutil.STATUS_ZOMBIE for worker in begun))
-    run(quick.study(count, pause=pause), out, workers=1)
-    after = kept(out)
-    assert {name: after[name] for name in before} == before  # none was computed again
-    assert (out / "results.csv").read_text("utf-8") == alone(quick.study(count, pause=pause))
-
-
-def test_a_worker_that_is_killed_costs_nothing(tmp_path: Path) -> None:
-    study, told, killed = quick.study(30, pause=0.05), [], []
 
     def say(text: str) -> None:
         told.append(text)
-        if text.startswith("8 of 30 cells") and not killed:
-            victim = workers()[0]
-            killed.append(victim)
-            victim.kill()
+        if len(told) == 4:
+            killed.extend(workers()[:1])
+            killed[0].kill()
 
-    table = run(study, tmp_path, workers=2, say=say)
-    assert killed
+    table = run(study, out, workers=2, say=say)
+    after = kept(out)
+    assert {name: after[name] for name in before} == before  # none was computed again
+    assert len(killed) == 1
     assert not table.failures
-    assert (tmp_path / "results.csv").read_text("utf-8") == alone(study)
-    assert told[-1] == "30 of 30 cells, 0 s left"
+    assert (out / "results.csv").read_text("utf-8") == alone(study)
+    assert told[-1] == "40 of 40 cells, 0 s left"
 
 
 def test_workers_of_a_scheduler_elsewhere_give_the_same_bits(tmp_path: Path) -> None:
@@ -156,7 +149,7 @@ def test_the_command_starts_without_distributed() -> None:
 
 
 def test_cells_that_fail_or_kill_are_recorded_and_do_no_harm(tmp_path: Path) -> None:
-    table = run(quick.study(8, bad=2, deadly=5), tmp_path, workers=2)
+    table = run(quick.study(8, bad=2, deadly=5), tmp_path, workers=1)
     assert [k for k, outcome in enumerate(table.outcomes) if "error" in outcome] == [2, 5]
     assert table.outcomes[2]["error"] == "cell 2: the data show nothing; measure more."
     assert "cell 5: the process that computed it died again and again" in table.outcomes[5]["error"]

@@ -66,7 +66,7 @@ def terminal(tmp_path: Path) -> Iterator[tuple[object, Path]]:
     sys.path.insert(0, str(Path(__file__).parents[1]))
     from terminal import Terminal
 
-    running = Terminal("study", "montecarlo", *QUICK, "--cells", "2000", "--workers", "2", "-o", str(tmp_path / "out"))
+    running = Terminal("study", "montecarlo", *QUICK, "--cells", "2000", "--workers", "1", "-o", str(tmp_path / "out"))
     yield running, tmp_path / "out"
     running.close()
 
