@@ -9,8 +9,8 @@ import asyncio
 import logging
 import os
 import threading
-from asyncio import CancelledError
 from collections.abc import Callable, Generator, Iterator, Sequence
+from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from queue import Empty, SimpleQueue
 from typing import Any
