@@ -35,7 +35,9 @@ class Evidence:
     Attributes:
         problem: whose residuals; with the fitted motion where one was asked for.
         R, r, rest: (p, p) upper triangular, (p,), and what no ψ explains.
-        rows: number of residuals of forces.
+        samples: (n,) residuals of each actuator.
+        triangles: (·, p+1, p+1) of [K, f] with the same sum of squares: one for each actuator, or one of all where
+            their rows are mixed.
         sigma: (n,) standard deviation of each actuator's residual.
         correlation: (n, n) of the actuators' residuals with one another; the unit matrix unless asked for.
         correlation_time: (n,) how many samples in a row residuals repeat themselves.
@@ -45,10 +47,16 @@ class Evidence:
     R: Array
     r: Array
     rest: float
-    rows: float
+    samples: Array
+    triangles: Array
     sigma: Array
     correlation: Array
     correlation_time: Array
+
+    @property
+    def rows(self) -> float:
+        """Number of residuals of forces."""
+        return float(np.sum(self.samples))
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -109,7 +117,10 @@ def gather(problem: Problem, tolerance: float, most_probable: MostProbable, poin
         R, r, rest = compress_jointly(model, experiments, _covariance(correlation, wide), weights, psi=point)
     else:
         R, r, rest = data.weighted(wide)
-    return Evidence(problem, R, r, rest, float(np.sum(data.samples)), sigma, correlation, times)
+    apart = not (problem.fitted_motion or problem.instruments or problem.correlated)
+    triangles = (data.triangles / wide[:, None, None] if apart
+                 else np.block([[R, r[:, None]], [np.zeros((1, len(r))), np.full((1, 1), np.sqrt(rest))]])[None])
+    return Evidence(problem, R, r, rest, data.samples, triangles, sigma, correlation, times)
 
 
 def misfit(evidence: Evidence, psi: Array) -> float:

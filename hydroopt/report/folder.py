@@ -20,6 +20,7 @@ from hydroopt.codegen.origin import Origin
 from hydroopt.codegen.routines import Course
 from hydroopt.description import dump_machine
 from hydroopt.errors import HydrooptError, ProblemError
+from hydroopt.estimation import session
 from hydroopt.estimation.appraisal import Appraisal
 from hydroopt.estimation.calibrated import calibrated_machine
 from hydroopt.estimation.calibration import Calibration
@@ -74,7 +75,9 @@ def save(estimate: Estimate, directory: str | Path, *, wall_s: float = float("na
     machine_file = f"{estimate.problem.model.machine.name}.toml"
     files = {"report.html": html.render(estimate, doubts(estimate), friction),
              "parameters.csv": _csv([_flat(row) for row in content["parameters"]]),
-             "base_parameters.csv": _csv(content["base_parameters"]), "fit.csv": _fit_csv(content["fit"])}
+             "base_parameters.csv": _csv(content["base_parameters"]), "fit.csv": _fit_csv(content["fit"]),
+             session.INFORMATION: session.as_csv(estimate.problem.model.machine, estimate.problem.parameters.names,
+                                                 estimate.evidence.triangles)}
     with contextlib.suppress(ProblemError):  # the doubts and the report say which body cannot exist
         files[machine_file] = dump_machine(calibrated_machine(estimate))
     _forget(directory, machine_file)
@@ -85,7 +88,7 @@ def save(estimate: Estimate, directory: str | Path, *, wall_s: float = float("na
 def _forget(directory: str | Path, machine_file: str) -> None:
     """Remove an earlier result from the directory, so that none of it is taken for part of the next."""
     for name in ("estimate.json", "report.html", "parameters.csv", "base_parameters.csv", "fit.csv", "residuals.csv",
-                 machine_file):
+                 session.INFORMATION, machine_file):
         with contextlib.suppress(OSError):  # not there, or the directory is no directory, which writing will say
             (Path(directory) / name).unlink()
 
@@ -232,9 +235,11 @@ def as_dict(estimate: Estimate, wall_s: float = float("nan")) -> dict[str, Any]:
                          "structurally_invisible": structure.count("none")},
         "physical_consistency": {owner: {"consistent": smallest >= 0, "min_eigenvalue": smallest}
                                  for owner, smallest in estimate.consistency.items()},
-        "weights": {actuator.name: {"sigma": float(sigma), "unit": unit, "correlation_time": float(time)}
-                    for actuator, sigma, unit, time in zip(model.machine.actuators, estimate.sigma, model.force_units,
-                                                           estimate.correlation_time, strict=True)},
+        "weights": {actuator.name: {"sigma": float(sigma), "unit": unit, "correlation_time": float(time),
+                                    "samples": int(samples)}
+                    for actuator, sigma, unit, time, samples in zip(
+                        model.machine.actuators, estimate.sigma, model.force_units, estimate.correlation_time,
+                        estimate.evidence.samples, strict=True)},
         "active_constraints": list(estimate.active), "doubts": list(doubts(estimate)), "notes": list(estimate.notes),
         "seed": estimate.seed, "wall_s": _number(wall_s)}
 
