@@ -4,8 +4,10 @@ from hydroopt.description import bundled, dump_machine, load_machine, read_machi
 from hydroopt.errors import HydrooptError, IdentifiabilityError, LogError, MachineError, ProblemError, SolverError
 from hydroopt.estimation.calibrated import calibrated_machine
 from hydroopt.estimation.calibration import Calibration, calibrate
+from hydroopt.estimation.change import Change, detect_change
 from hydroopt.estimation.closure import CalibrationProblem, calibration_problem
 from hydroopt.estimation.estimate import Estimate
+from hydroopt.estimation.payload import Payload, payload
 from hydroopt.estimation.problem import Problem, identification_problem
 from hydroopt.estimation.solve import solve
 from hydroopt.estimation.verdict import doubts
@@ -21,10 +23,11 @@ from hydroopt.synthetic import random_trajectory, random_truth, simulate
 from hydroopt.urdf import read_urdf
 
 __all__ = [
-    "Butterworth", "Calibration", "CalibrationProblem", "Estimate", "Fourier", "HydrooptError",
-    "IdentifiabilityError", "KinematicModel", "Log", "LogError", "Machine", "MachineError", "Model", "Poses",
-    "Problem", "ProblemError", "SmoothingSpline", "SolverError", "bundled", "calibrate", "calibrated_machine",
-    "calibration_problem", "design", "doubts", "dump_machine", "excitation_problem", "identification_problem",
-    "load_machine", "random_trajectory", "random_truth", "read_log", "read_machine", "read_pose_files",
-    "read_poses", "read_urdf", "save", "simulate", "solve",
+    "Butterworth", "Calibration", "CalibrationProblem", "Change", "Estimate", "Fourier", "HydrooptError",
+    "IdentifiabilityError", "KinematicModel", "Log", "LogError", "Machine", "MachineError", "Model", "Payload",
+    "Poses", "Problem", "ProblemError", "SmoothingSpline", "SolverError", "bundled", "calibrate",
+    "calibrated_machine", "calibration_problem", "design", "detect_change", "doubts", "dump_machine",
+    "excitation_problem", "identification_problem", "load_machine", "payload", "random_trajectory",
+    "random_truth", "read_log", "read_machine", "read_pose_files", "read_poses", "read_urdf", "save",
+    "simulate", "solve",
 ]

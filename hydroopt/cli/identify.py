@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import time
 from functools import partial
 from pathlib import Path
@@ -13,15 +12,20 @@ import typer
 
 from hydroopt.cli.options import (
     AsJson,
+    Bandwidth,
     Directory,
     MachineName,
     MapFile,
     ParameterSetName,
     Quiet,
+    SmoothingText,
     Treat,
     distance_of,
     loss_of,
     progress,
+    reliefs,
+    smoothing_of,
+    treatment_of,
 )
 from hydroopt.description import load_machine
 from hydroopt.errors import ProblemError, SolverError
@@ -29,10 +33,7 @@ from hydroopt.estimation.friction import TERMS, choose_friction, friction_proble
 from hydroopt.estimation.problem import Problem, identification_problem
 from hydroopt.estimation.solve import METHODS, Method, solve
 from hydroopt.estimation.verdict import doubts
-from hydroopt.machine import Machine
-from hydroopt.parts import Cylinder, Motor
 from hydroopt.report import folder
-from hydroopt.signals.conditioning import Butterworth, Fourier, Smoothing, SmoothingSpline
 from hydroopt.signals.log import read_log
 
 
@@ -49,10 +50,8 @@ def identify(
     loss: Annotated[str, typer.Option(help="squares, huber or student_t.")] = "squares",
     distance: Annotated[str, typer.Option(
         help="How far a body is from its nominal one: gaussian, or log-det of pseudo-inertias.")] = "gaussian",
-    smoothing: Annotated[str, typer.Option(help=(
-        "spline (weight from the stated noise), spline:cv (cross-validated), fourier:PERIOD:HARMONICS or "
-        "butterworth:HZ."))] = "spline",
-    bandwidth: Annotated[float | None, typer.Option(help="Highest frequency of the motion [Hz], for spline.")] = None,
+    smoothing: SmoothingText = "spline",
+    bandwidth: Bandwidth = None,
     motion: Annotated[str, typer.Option(help=(
         "smoothed beforehand, or fitted together with the parameters from angles and forces."))] = "smoothed",
     instruments: Annotated[list[str] | None, typer.Option(metavar="LOG", help=(
@@ -81,7 +80,7 @@ def identify(
         raise ProblemError(f"the method '{method}' takes no strength", where="--ridge",
                            remedy="leave it out or choose --method ridge")
     sets = _friction(friction)
-    way, treatment, limits = _smoothing(smoothing, bandwidth, described), treatment_of(treat), reliefs(described)
+    way, treatment, limits = smoothing_of(smoothing, bandwidth, described), treatment_of(treat), reliefs(described)
     train = [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in logs]
     held_out = [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in validate or ()]
     if holdout:
@@ -132,30 +131,6 @@ def _with_noisy_angles(problem: Problem, motion: str, instruments: list[str] | N
     return problem
 
 
-def reliefs(machine: Machine) -> dict[str, tuple[float, float]]:
-    """Relief pressures as the upper ends of what pressure channels can show."""
-    chambers: list[tuple[Cylinder | Motor, tuple[str, str]]] = [
-        *((cylinder, ("p_head", "p_rod")) for cylinder in machine.cylinders),
-        *((motor, ("p_a", "p_b")) for motor in machine.motors)]
-    return {f"{part.name}.{chamber}": (-math.inf, part.relief_pressure) for part, both in chambers
-            if part.relief_pressure is not None for chamber in both}
-
-
-def treatment_of(stated: list[str] | None) -> dict[str, str]:
-    """What is to be done about findings, by kind.
-
-    Raises:
-        ProblemError: it is not stated as KIND=ACTION.
-    """
-    pairs = {}
-    for text in stated or ():
-        kind, found, action = text.partition("=")
-        if not found:
-            raise ProblemError(f"'{text}' is not KIND=ACTION", where="--treat", remedy="write e.g. --treat nan=drop")
-        pairs[kind] = action
-    return pairs
-
-
 def _friction(text: str | None) -> list[str]:
     """The sets of friction terms asked for; none where the file's or the usual ones are meant."""
     if text is None or text.strip() == "auto":
@@ -175,23 +150,3 @@ def method_of(text: str) -> Method:
     if text not in METHODS:
         raise ProblemError(f"'{text}' is no method", where="--method", remedy=f"use one of {', '.join(METHODS)}")
     return text
-
-
-def _smoothing(text: str, bandwidth: float | None, machine: Machine) -> Smoothing:
-    if bandwidth is not None and not 0 < bandwidth < math.inf:
-        raise ProblemError(f"{bandwidth:g} Hz is no frequency", where="--bandwidth", remedy="give a positive one")
-    kind, *numbers = text.split(":")
-    if bandwidth is not None and kind in ("fourier", "butterworth"):
-        raise ProblemError(f"the smoothing '{text}' takes no bandwidth", where="--bandwidth",
-                           remedy="leave it out or choose --smoothing spline")
-    try:
-        if kind == "spline" and numbers in ([], ["cv"]):
-            return SmoothingSpline(numbers == ["cv"], machine.bandwidth if bandwidth is None else bandwidth)
-        if kind == "fourier" and len(numbers) == 2:
-            return Fourier(float(numbers[0]), int(numbers[1]))
-        if kind == "butterworth" and len(numbers) == 1:
-            return Butterworth(float(numbers[0]))
-    except ValueError:
-        pass
-    raise ProblemError(f"'{text}' is no way to smooth", where="--smoothing",
-                       remedy="use spline, spline:cv, fourier:PERIOD:HARMONICS or butterworth:HZ")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -12,6 +13,9 @@ from rich.console import Console
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.problem import Distance, Loss
+from hydroopt.machine import Machine
+from hydroopt.parts import Cylinder, Motor
+from hydroopt.signals.conditioning import Butterworth, Fourier, Smoothing, SmoothingSpline
 
 MachineName = Annotated[str, typer.Argument(
     metavar="MACHINE", help="A bundled machine's name or a .toml or .urdf file.")]
@@ -23,6 +27,11 @@ MapFile = Annotated[Path | None, typer.Option(
     "--map", help="TOML file that says which column is what in foreign logs.")]
 Treat = Annotated[list[str] | None, typer.Option(
     help="What to do about a finding, KIND=ACTION, e.g. nan=drop, spike=interpolate, gap=keep; repeatable.")]
+
+SmoothingText = Annotated[str, typer.Option(help=(
+    "spline (weight from the stated noise), spline:cv (cross-validated), fourier:PERIOD:HARMONICS or "
+    "butterworth:HZ."))]
+Bandwidth = Annotated[float | None, typer.Option(help="Highest frequency of the motion [Hz], for spline.")]
 
 
 @contextmanager
@@ -56,3 +65,44 @@ def refuse_idle(context: typer.Context, options: Collection[str], why: str, reme
         source = context.get_parameter_source(option.name or "")
         if option.name in options and source is not None and source.name == "COMMANDLINE":
             raise ProblemError(why, where=option.opts[0], remedy=remedy)
+
+
+def reliefs(machine: Machine) -> dict[str, tuple[float, float]]:
+    """Relief pressures as the upper ends of what pressure channels can show."""
+    chambers: list[tuple[Cylinder | Motor, tuple[str, str]]] = [
+        *((cylinder, ("p_head", "p_rod")) for cylinder in machine.cylinders),
+        *((motor, ("p_a", "p_b")) for motor in machine.motors)]
+    return {f"{part.name}.{chamber}": (-math.inf, part.relief_pressure) for part, both in chambers
+            if part.relief_pressure is not None for chamber in both}
+
+
+def treatment_of(stated: list[str] | None) -> dict[str, str]:
+    """What to do about findings, of KIND=ACTION texts."""
+    pairs = {}
+    for text in stated or ():
+        kind, found, action = text.partition("=")
+        if not found:
+            raise ProblemError(f"'{text}' is not KIND=ACTION", where="--treat", remedy="write e.g. --treat nan=drop")
+        pairs[kind] = action
+    return pairs
+
+
+def smoothing_of(text: str, bandwidth: float | None, machine: Machine) -> Smoothing:
+    """The way to smooth that an option names."""
+    if bandwidth is not None and not 0 < bandwidth < math.inf:
+        raise ProblemError(f"{bandwidth:g} Hz is no frequency", where="--bandwidth", remedy="give a positive one")
+    kind, *numbers = text.split(":")
+    if bandwidth is not None and kind in ("fourier", "butterworth"):
+        raise ProblemError(f"the smoothing '{text}' takes no bandwidth", where="--bandwidth",
+                           remedy="leave it out or choose --smoothing spline")
+    try:
+        if kind == "spline" and numbers in ([], ["cv"]):
+            return SmoothingSpline(numbers == ["cv"], machine.bandwidth if bandwidth is None else bandwidth)
+        if kind == "fourier" and len(numbers) == 2:
+            return Fourier(float(numbers[0]), int(numbers[1]))
+        if kind == "butterworth" and len(numbers) == 1:
+            return Butterworth(float(numbers[0]))
+    except ValueError:
+        pass
+    raise ProblemError(f"'{text}' is no way to smooth", where="--smoothing",
+                       remedy="use spline, spline:cv, fourier:PERIOD:HARMONICS or butterworth:HZ")

@@ -128,7 +128,7 @@ def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: S
     if not 0 < level < 1:
         raise ProblemError(f"{level:g} is no level of significance", where="level", remedy="use one such as 0.05")
     model = Model(machine)
-    names = named_parts(model.parameters, KINDS if parts is None else parts)
+    names = named_parts(model.parameters, _usual(model.parameters) if parts is None else parts)
     with threadpool_limits(limits=1, user_api="blas"):
         first, second = session(model, before, smoothing), session(model, after, smoothing)
         refuse_repetition(first, second)
@@ -145,6 +145,15 @@ def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: S
                   test.freedom, test.p_value, level, _explanation(problem, test, level), first, second, found.notes)
 
 
+def _usual(parameters: ParameterSet) -> list[str]:
+    """The kinds that a machine has parameters of."""
+    found = [kind for kind in KINDS if any(_meant(kind, name) for name in parameters.names)]
+    if not found:
+        raise ProblemError("the machine file states neither friction nor offsets, which could have changed",
+                           where="parts", remedy="state them in the machine file, or name other parameters")
+    return found
+
+
 def named_parts(parameters: ParameterSet, parts: Iterable[str]) -> tuple[str, ...]:
     """Names of the parameters meant by kinds, parts and names, in the order of ψ.
 
@@ -155,13 +164,11 @@ def named_parts(parameters: ParameterSet, parts: Iterable[str]) -> tuple[str, ..
     for part in parts:
         own = {name for name in parameters.names if _meant(part, name)}
         if not own:
-            close = get_close_matches(part, [*KINDS, *parameters.names, *{n.rpartition(".")[0] for n in
-                                                                         parameters.names}], n=3) or KINDS
+            owners = dict.fromkeys(name.rpartition(".")[0] for name in parameters.names)
+            close = get_close_matches(part, [*owners, *parameters.names], n=3) or parameters.names[:2]
             raise ProblemError(f"no parameter is called '{part}' or belongs to it", where="parts",
                                remedy=f"did you mean {' or '.join(close)}")
         chosen |= own
-    if not chosen:
-        raise ProblemError("nothing is named that may have changed", where="parts", remedy="name friction or offset")
     return tuple(name for name in parameters.names if name in chosen)
 
 

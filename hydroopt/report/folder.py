@@ -3,13 +3,8 @@
 from __future__ import annotations
 
 import contextlib
-import csv
-import io
 import json
-import platform
-from collections.abc import Mapping, Sequence
-from datetime import UTC, datetime
-from importlib import metadata
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -35,16 +30,18 @@ from hydroopt.excitation.expectation import Expectation
 from hydroopt.excitation.motion import Excitation
 from hydroopt.excitation.verdict import doubts as excitation_doubts
 from hydroopt.files import write_files
-from hydroopt.machine import Machine
 from hydroopt.report import calibration as calibration_page
 from hydroopt.report import excitation as excitation_page
 from hydroopt.report import html
+from hydroopt.report.record import SCHEMA
+from hydroopt.report.record import flat as _flat
+from hydroopt.report.record import machine_entry as _machine
+from hydroopt.report.record import now as _now
+from hydroopt.report.record import number as _number
+from hydroopt.report.record import table as _csv
+from hydroopt.report.record import versions as _versions
 from hydroopt.signals.poses import Poses
 from hydroopt.signals.table import write_columns
-
-SCHEMA = 1
-"""Version of estimate.json; it changes when a key changes its meaning or goes."""
-
 
 EXCITATION = ("excitation.json", "report.html", "trajectory.csv", "trajectory.parquet")
 """Files of a motion to drive, which the next one replaces."""
@@ -318,19 +315,6 @@ def _origin(problem: Problem | CalibrationProblem, method: str) -> dict[str, Any
             "method": method, "versions": _versions()}
 
 
-def _machine(machine: Machine) -> dict[str, Any]:
-    return {"name": machine.name, "parameter_set": machine.parameter_set, "sha256": machine.sha256}
-
-
-def _now() -> str:
-    return datetime.now(UTC).isoformat(timespec="seconds")
-
-
-def _versions() -> dict[str, str]:
-    packages = ("hydroopt", "casadi", "clarabel", "cvxpy", "numpy", "scipy")
-    return {"python": platform.python_version()} | {p: metadata.version(p) for p in packages}
-
-
 def _input(data: Experiment, role: str) -> dict[str, Any]:
     log = data.log
     return {"path": log.path or log.name, "sha256": log.sha256 or None, "samples": len(log.t), "role": role,
@@ -353,25 +337,3 @@ def _fits(fit: Mapping[str, Mapping[str, Fit]]) -> dict[str, dict[str, dict[str,
 def _fit_csv(fit: Mapping[str, Mapping[str, Mapping[str, Any]]]) -> str:
     return _csv([{"data": data, "channel": channel, **one} for data, table in fit.items()
                  for channel, one in table.items()])
-
-
-def _flat(row: Mapping[str, Any]) -> dict[str, Any]:
-    """A parameter without nested values."""
-    flat = dict(row)
-    flat |= dict(zip(("low", "high"), flat.pop("ci95") or (None, None), strict=True))
-    if "correlated_with" in flat:
-        partner = flat.pop("correlated_with") or {"name": None, "correlation": None}
-        flat |= {"correlated_with": partner["name"], "correlation": partner["correlation"]}
-    return flat
-
-
-def _csv(rows: Sequence[Mapping[str, Any]]) -> str:
-    text = io.StringIO()
-    writer = csv.DictWriter(text, list(rows[0]) if rows else [], lineterminator="\n")
-    writer.writeheader()
-    writer.writerows(rows)
-    return text.getvalue()
-
-
-def _number(value: Any) -> float | None:
-    return float(value) if np.isfinite(value) else None
