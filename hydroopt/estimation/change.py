@@ -193,16 +193,22 @@ def holm(p_values: Array) -> Array:
     return corrected
 
 
+def detectable(test: Wald, level: float) -> Array:
+    """The change (c,) of each parameter that is seen with a probability of 95 %, at worst; NaN where it is not told."""
+    tests = max(1, int(np.sum(np.isfinite(test.std))))
+    return np.asarray((stats.t.ppf(1 - level / 2 / tests, test.freedom) + stats.t.ppf(POWER, test.freedom)) * test.std)
+
+
 def _differences(problem: Comparison, test: Wald, value: Array, std: Array, ci: Array,
                  level: float) -> Iterator[Difference]:
     told, single = np.isfinite(test.std), test.single()
     corrected, none = holm(single), float("nan")
-    size = stats.t.ppf(1 - level / 2 / max(1, int(np.sum(told))), test.freedom) + stats.t.ppf(POWER, test.freedom)
+    least = detectable(test, level)
     for k, name in enumerate(problem.labels):
         unit = problem.unknowns.units[problem.unknowns.index(name)]
         if told[k]:
             one = Difference(name, unit, float(value[k]), float(std[k]), (float(ci[k, 0]), float(ci[k, 1])),
-                             float(single[k]), float(corrected[k]), float(size * test.std[k]),
+                             float(single[k]), float(corrected[k]), float(least[k]),
                              changed=bool(corrected[k] < level))
             yield replace(one, verdict=_judged(one))
         else:

@@ -185,10 +185,11 @@ def wald(problem: Comparison, A: Array, b: Array, readings: float) -> Wald:
     Raises:
         IdentifiabilityError: no direction is told, or there are not enough readings.
     """
-    scale, nominal = problem.unknowns.scale, problem.unknowns.nominal
+    scale, p = problem.unknowns.scale, len(problem.second)
     prior, right = problem.prior_rows
     rows = np.vstack([A, prior])
-    rest = np.concatenate([b, right]) - rows @ nominal
+    # the nominal machine, unchanged; gains, which come after ψ in the basis, are nominally zero
+    rest = np.concatenate([b, right]) - rows @ (problem.null[:, :p] @ problem.unknowns.nominal[:p])
     U = _orthonormal(rows @ (problem.null * np.linalg.norm(problem.null.T * scale, axis=1)))
     moved = A @ problem.change
     size = np.linalg.norm(moved, axis=0)
@@ -257,8 +258,9 @@ class Solution:
 
     @property
     def centre(self) -> Array:
-        """The posterior's mean, which is possible too, else the most probable x (P,)."""
-        return self.x if self.posterior is None or self.posterior.mean is None else self.posterior.mean
+        """The most probable x (P,), or the posterior's mean where limits hold that in a corner."""
+        mean = self.posterior.mean if self.posterior is not None else None
+        return self.x if mean is None or not self.active else mean
 
 
 def settle(problem: Comparison, A: Array, b: Array, *, intervals: bool, seed: int) -> Solution:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import casadi as ca
@@ -47,7 +47,7 @@ class Payload:
         mass: [kg].
         com: the three coordinates of its centre of mass [m].
         moment: the three first moments m·com [kg·m], which may be told where mass and centre are not.
-        phi: (10,) a possible load with these numbers; what is not told is a guess there.
+        phi: (10,) the most probable load that can exist; what is not told is a guess there.
         friction: changes of friction between the sessions, if they were asked for.
         gains: relative errors of the actuators' force readings, if they were in doubt.
         statistic, rank, freedom, p_value: F test of the hypothesis that there is no load (and no other change).
@@ -91,10 +91,10 @@ def payload(machine: Machine, unloaded: Sequence[Log] | str | Path, loaded: Sequ
             smoothing: Smoothing | None = None, seed: int = 0) -> Payload:
     """Mass and centre of mass of a load that one session carries and another does not.
 
-    Both sessions share the machine's parameters; the load is a body of its own on a link, and a possible one: its
-    pseudo-inertia is positive definite. A scale that all forces are misread by, such as a motor's torque constant,
-    changes the mass by as much; with `gain` it is an unknown of each actuator, which what the machine file knows about
-    masses then holds, and the intervals tell how well.
+    Both sessions share the machine's parameters; the load is a body of its own on a link. Its mass is not negative, and
+    `Payload.phi` is the most probable body whose pseudo-inertia is positive definite. A scale that all forces are
+    misread by, such as a motor's torque constant, changes the mass by as much; with `gain` it is an unknown of each
+    actuator, which what the machine file knows about masses then holds, and the intervals tell how well.
 
     Args:
         machine: nominal description without the load, the same for both sessions.
@@ -128,8 +128,9 @@ def payload(machine: Machine, unloaded: Sequence[Log] | str | Path, loaded: Sequ
             problem = _problem(model, columns, names, gain, mass=max(abs(float(test.value[0])), float(test.std[0])))
         A, b = problem.rows(first, second)
         test = wald(problem, A, b, readings)
-        found = settle(problem, A, b, intervals=True, seed=seed)
-    return _payload(problem, carrier, test, found, first, second)
+        possible = settle(problem, A, b, intervals=False, seed=seed).x
+        found = settle(_any_inertia(problem), A, b, intervals=True, seed=seed)
+    return _payload(problem, carrier, test, found, possible, first, second)
 
 
 def _carried(model: Model, link: str) -> Array:
@@ -186,6 +187,16 @@ def _load(machine: Machine, mass: float) -> ParameterSet:
                         np.full(10, np.inf), scale, np.diag(1 / wide**2))
 
 
+def _any_inertia(problem: Comparison) -> Comparison:
+    """The problem without the condition that the load's moments of inertia suit its mass and centre.
+
+    Every mass and centre of mass has a body that suits. Most loads are small, at the edge of what is possible: samples
+    that may only lie on one side of the edge would put them too far from it, and intervals would not hold.
+    """
+    names = tuple(f"{name}ass" if name == f"{LOAD}.m" else name for name in problem.unknowns.names)
+    return replace(problem, unknowns=replace(problem.unknowns, names=names))
+
+
 def _gains(model: Model, gain: float) -> ParameterSet:
     names = tuple(f"{actuator.name}.gain" for actuator in model.machine.actuators) if gain else ()
     n = len(names)
@@ -193,8 +204,8 @@ def _gains(model: Model, gain: float) -> ParameterSet:
                         np.eye(n) / (gain or 1.0) ** 2)
 
 
-def _payload(problem: Comparison, link: str, test: Wald, found: Solution, first: Session,
-             second: Session) -> Payload:
+def _payload(problem: Comparison, link: str, test: Wald, found: Solution, possible: Array,
+             first: Session, second: Session) -> Payload:
     p = len(problem.second)
     told = np.isfinite(test.std[:10])
     samples = found.posterior.samples if found.posterior is not None else np.full((2, len(found.x)), np.nan)
@@ -216,7 +227,7 @@ def _payload(problem: Comparison, link: str, test: Wald, found: Solution, first:
                         told=told[0] and told[1 + k]) for k, axis in enumerate(axes)),
         tuple(_quantity(f"mc_{axis}", "kg*m", centre[1 + k], load[:, 1 + k], told=told[1 + k])
               for k, axis in enumerate(axes)),
-        centre,
+        possible[p : p + 10],
         tuple(_quantity(name, problem.unknowns.units[problem.unknowns.index(name)], row @ found.centre, samples @ row,
                         told=np.isfinite(std))
               for name, row, std in zip(problem.labels[10:], difference, test.std[10:], strict=True)),

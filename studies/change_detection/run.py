@@ -28,7 +28,7 @@ def run() -> dict:
         A, b = problem.rows(before, after)
         return wald(problem, A, b, before.freedom + after.freedom)
 
-    together, single, told, power, named, errors = [], [], [], [], [], []
+    together, single, power, named, errors = [], [], [], [], []
     with threadpool_limits(limits=1, user_api="blas"):
         for seed in range(PAIRS):
             truth = random_truth(model, seed)
@@ -57,9 +57,11 @@ def run() -> dict:
                 inside.append(one.ci95[0] <= true <= one.ci95[1])
         misses.append(abs(found.mass.value - LOAD))
     p = np.array(together)
-    return {"false_alarms": round(float(np.mean(p < 0.05)), 4), "false_alarms_at_1_percent": round(float(np.mean(p < 0.01)), 4),
+    return {"false_alarms": round(float(np.mean(p < 0.05)), 4),
+            "false_alarms_at_1_percent": round(float(np.mean(p < 0.01)), 4),
             "false_alarms_of_any_parameter": round(float(np.mean(np.array(single) < 0.05)), 4),
-            "uniformity_p": round(float(stats.kstest(p, "uniform").pvalue), 4), "p_value_median": round(float(np.median(p)), 3),
+            "uniformity_p": round(float(stats.kstest(p, "uniform").pvalue), 4),
+            "p_value_median": round(float(np.median(p)), 3),
             "power": round(float(np.mean(power)), 3), "true_cause_kept": round(float(np.mean(named)), 3),
             "single_cause_error_std": round(float(np.std(errors)), 3),
             "load_coverage": round(float(np.mean(inside)), 3), "load_numbers_told": len(inside),
