@@ -25,7 +25,8 @@ from hydroopt.synthetic import random_trajectory, simulate
 CONTRACT = {"machine", "created", "inputs", "method", "status", "parameters", "base_parameters", "fit", "conditioning",
             "physical_consistency", "versions", "seed", "wall_s"}
 EXTRA = {"schema", "weights", "active_constraints", "doubts", "notes"}
-FILES = {"estimate.json", "report.html", "parameters.csv", "base_parameters.csv", "fit.csv", "cat215b.toml"}
+FILES = {"estimate.json", "report.html", "parameters.csv", "base_parameters.csv", "fit.csv", "information.csv",
+         "cat215b.toml"}
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,123 @@
+"""The folder of a comparison, and a session that is kept instead of its logs."""
+
+from __future__ import annotations
+
+import csv
+import json
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from hydroopt import cli, load_machine, read_log
+from hydroopt.cli import app
+from hydroopt.errors import SolverError
+from hydroopt.estimation.change import detect_change
+from hydroopt.estimation.payload import payload
+from hydroopt.report.comparison import save
+
+CRANE = load_machine("patu655_lift")
+
+
+def run(*arguments: str) -> str:
+    done = CliRunner().invoke(app, list(arguments), catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Two logs of a crane, and the folder that identify makes of the first."""
+    root = tmp_path_factory.mktemp("crane")
+    for name, seed in (("a", "1"), ("b", "2")):
+        run("simulate", "patu655_lift", "-o", str(root / name), "--duration", "20", "--rate", "20", "--seed", seed,
+            "--quiet")
+    run("identify", "patu655_lift", str(root / "a/log.csv"), "-o", str(root / "kept"), "--quiet")
+    return root
+
+
+def test_a_folder_tells_what_its_logs_told(made: Path) -> None:
+    before, after = (read_log(made / name / "log.csv") for name in "ab")
+    from_logs, from_folder = (detect_change(CRANE, first, [after]) for first in ([before], made / "kept"))
+    assert from_folder.p_value == pytest.approx(from_logs.p_value, rel=1e-9)
+    for one, other in zip(from_logs.differences, from_folder.differences, strict=True):
+        for key in ("value", "std", "ci95", "p_value", "detectable"):
+            assert getattr(other, key) == pytest.approx(getattr(one, key), rel=1e-9)
+    loads = [payload(CRANE, first, [after], link="lift") for first in ([before], made / "kept")]
+    assert [q.value for q in loads[1].moment] == pytest.approx([q.value for q in loads[0].moment], rel=1e-9,
+                                                               nan_ok=True)
+    assert loads[1].before.inputs == loads[0].before.inputs
+
+
+def test_compare_leaves_json_table_and_page(made: Path, tmp_path: Path) -> None:
+    printed = run("compare", "patu655_lift", "--before", str(made / "kept"), "--after", str(made / "b/log.csv"),
+                  "-o", str(tmp_path))
+    content = json.loads((tmp_path / "comparison.json").read_text())
+    assert (content["kind"], content["status"], content["schema"]) == ("change", "ok", 1)
+    assert content["machine"]["sha256"] == CRANE.sha256
+    assert [one["name"] for one in content["differences"]] == ["lift_cylinder.f_coulomb", "lift_cylinder.f_viscous"]
+    with (tmp_path / "comparison.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    for row, one in zip(rows, content["differences"], strict=True):
+        assert float(row["value"]) == one["value"]
+        assert [float(row["low"]), float(row["high"])] == one["ci95"]
+        assert one["verdict"] in printed
+        assert one["verdict"] in (tmp_path / "report.html").read_text()
+    page = (tmp_path / "report.html").read_text()
+    assert "http" not in page.replace("http://www.w3.org", "")
+    assert "<svg" in page
+    assert {path.name for path in tmp_path.iterdir()} == {"comparison.json", "comparison.csv", "report.html"}
+
+
+def test_json_is_the_file_and_what_is_not_told_is_null(made: Path, tmp_path: Path) -> None:
+    printed = json.loads(run("compare", "patu655_lift", "--before", str(made / "kept"), "--after",
+                             str(made / "b/log.csv"), "--payload", "--link", "lift", "--friction-changes", "--gain",
+                             "0.02", "--json", "-o", str(tmp_path)))
+    assert printed == json.loads((tmp_path / "comparison.json").read_text())
+    numbers = {one["name"]: one for one in printed["quantities"]}
+    assert numbers["m"]["value"] is None
+    assert numbers["m"]["std"] is None
+    assert numbers["m"]["ci95"] is None
+    assert numbers["mc_x"]["ci95"][0] < numbers["mc_x"]["value"] < numbers["mc_x"]["ci95"][1]
+    assert [one["name"] for one in printed["gains"]] == ["lift_cylinder.gain"]
+    assert [one["name"] for one in printed["friction"]] == ["lift_cylinder.f_coulomb", "lift_cylinder.f_viscous"]
+    assert any("The mass is not told" in note for note in printed["notes"])
+
+
+def test_quiet_is_quiet(made: Path, tmp_path: Path) -> None:
+    assert run("compare", "patu655_lift", "--before", str(made / "a/log.csv"), "--after", str(made / "b/log.csv"),
+               "--parts", "lift_cylinder.f_viscous", "--quiet", "-o", str(tmp_path)) == ""
+
+
+def test_a_failed_solver_leaves_its_reason_only(made: Path, tmp_path: Path, monkeypatch, capsys) -> None:
+    def fails(*_, **__):
+        raise SolverError("no answer", where="here", remedy="try again")
+    logs = [read_log(made / name / "log.csv") for name in "ab"]
+    save(detect_change(CRANE, logs[:1], logs[1:], intervals=False), tmp_path)
+    monkeypatch.setattr(sys.modules["hydroopt.cli.compare"], "detect_change", fails)
+    monkeypatch.setattr(sys, "argv", ["hydroopt", "compare", "patu655_lift", "--before", str(made / "kept"), "--after",
+                                      str(made / "b/log.csv"), "-o", str(tmp_path)])
+    with pytest.raises(SystemExit) as ended:
+        cli.main()
+    assert ended.value.code == 3
+    assert "here: no answer; try again." in capsys.readouterr().err
+    content = json.loads((tmp_path / "comparison.json").read_text())
+    assert content["status"] == "failed"
+    assert [path.name for path in tmp_path.iterdir()] == ["comparison.json"]
+
+
+def test_what_is_kept_reproduces_the_fit(made: Path) -> None:
+    """Independent of the code that reads it: the triangles' normal equations give back the weighted residual."""
+    content = json.loads((made / "kept/estimate.json").read_text())
+    with (made / "kept/information.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    names = [one["name"] for one in content["parameters"]]
+    T = np.array([[float(row[key]) for key in [*names, "force"]] for row in rows])
+    calibrated = load_machine(made / "kept/patu655_lift.toml")
+    from hydroopt.model.build import Model
+    psi = Model(calibrated).parameters.nominal
+    weight = content["weights"]["lift_cylinder"]
+    squares = float(np.sum((T @ [*psi, -1.0]) ** 2)) * weight["correlation_time"]
+    assert squares / weight["samples"] == pytest.approx(1.0, abs=0.05)
