@@ -120,6 +120,9 @@ def payload(machine: Machine, unloaded: Sequence[Log] | str | Path, loaded: Sequ
     with threadpool_limits(limits=1, user_api="blas"):
         first, second = session(model, unloaded, smoothing), session(model, loaded, smoothing)
         refuse_repetition(first, second)
+        if gain and {len(first.triangles), len(second.triangles)} != {len(machine.actuators)}:
+            raise ProblemError("the gains of actuators whose residuals were weighed together cannot be told",
+                               where="gain", remedy="identify without --motion fitted, --instruments and --correlated")
         readings = first.freedom + second.freedom
         total = sum(owned.body.m for owned in bodies(machine).values())
         problem = _problem(model, columns, names, gain, mass=0.1 * total)
