@@ -64,12 +64,17 @@ def session(model: Model, given: Sequence[Log] | str | Path, smoothing: Smoothin
 
     Raises:
         LogError, IdentifiabilityError: the logs cannot be used.
-        ProblemError: there is no log, or the folder is of no use here.
+        ProblemError: there is no log, the folder is of no use here, or forces are not linear in the parameters.
     """
+    if not model.linear:
+        raise ProblemError("friction with a Stribeck speed is not linear in its parameters, which comparing sessions "
+                           "calls for", where=model.machine.name, remedy="leave 'stribeck_speed' out of the machine "
+                           "file that sessions are compared with")
     if isinstance(given, str | Path):
         return _read(model, Path(given))
     problem = identification_problem(model.machine, given, smoothing=smoothing)
-    evidence = gather(problem, RANK_TOLERANCE, lambda R, r: gaussian(problem, R, r).offset)
+    evidence = gather(problem, RANK_TOLERANCE, lambda R, r: gaussian(problem, R, r).offset,
+                      model.parameters.nominal)
     inputs = [{"path": log.path or log.name, "sha256": log.sha256 or None, "samples": len(log.t),
                "first_sample": int(log.sample[0]), "last_sample": int(log.sample[-1])} for log in given]
     return Session(evidence.triangles, evidence.sigma, evidence.correlation_time, evidence.samples, tuple(inputs))
