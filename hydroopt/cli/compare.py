@@ -21,7 +21,7 @@ from hydroopt.cli.options import (
     SmoothingText,
     Treat,
     progress,
-    refuse,
+    refuse_idle,
     reliefs,
     smoothing_of,
     treatment_of,

@@ -11,7 +11,7 @@ from typing import Annotated, Any
 import typer
 
 from hydroopt.cli.calibrate import fixed
-from hydroopt.cli.identify import method_of, reliefs, treatment_of
+from hydroopt.cli.identify import method_of
 from hydroopt.cli.options import (
     AsJson,
     Directory,
@@ -22,6 +22,8 @@ from hydroopt.cli.options import (
     Treat,
     progress,
     refuse_idle,
+    reliefs,
+    treatment_of,
 )
 from hydroopt.cli.simulate import followed
 from hydroopt.description import load_machine
