@@ -34,7 +34,7 @@ from hydroopt.estimation.problem import Problem, identification_problem
 from hydroopt.estimation.solve import METHODS, Method, solve
 from hydroopt.estimation.verdict import doubts
 from hydroopt.report import folder
-from hydroopt.signals.log import read_log
+from hydroopt.signals.stream import open_log
 
 
 def identify(
@@ -81,8 +81,8 @@ def identify(
                            remedy="leave it out or choose --method ridge")
     sets = _friction(friction)
     way, treatment, limits = smoothing_of(smoothing, bandwidth, described), treatment_of(treat), reliefs(described)
-    train = [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in logs]
-    held_out = [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in validate or ()]
+    train = [open_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in logs]
+    held_out = [open_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in validate or ()]
     if holdout:
         pairs = [log.split(1 - holdout) for log in train]
         train, held_out = [pair[0] for pair in pairs], held_out + [pair[1] for pair in pairs]

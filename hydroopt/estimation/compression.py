@@ -9,14 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.estimation.experiment import Experiment
+from hydroopt.estimation.folding import ROWS, Triangles
+from hydroopt.estimation.recording import Recording
 from hydroopt.identifiability import analyse
 from hydroopt.inertia import Array
 from hydroopt.model.build import Model
 from hydroopt.signals.conditioning import Motion
-
-CHUNK = 2048
-"""Samples evaluated at a time: bounds the memory that a log of any length needs."""
-
 
 @dataclass(frozen=True, eq=False)
 class Compressed:
@@ -43,8 +41,8 @@ def _chunks(model: Model, experiments: Sequence[Experiment],
     reused: list[Array] | None = None
     for which, data in enumerate(experiments):
         taken = np.flatnonzero(data.inside)
-        for start in range(0, len(taken), CHUNK):
-            rows = taken[start : start + CHUNK]
+        for start in range(0, len(taken), ROWS):
+            rows = taken[start : start + ROWS]
             reused = reused if reused is not None and len(reused[0]) == len(rows) else None
             reused, force = equations(model, data, psi, rows, reused)
             yield which, rows, reused[0], force
@@ -63,21 +61,21 @@ def equations(model: Model, data: Experiment, psi: Array | None, rows: slice | N
     return made, data.force[rows] - made[1][:, :, 0] + made[0] @ psi
 
 
-def compress(model: Model, experiments: Sequence[Experiment], weights: Sequence[Array] | None = None, *,
+def compress(model: Model, experiments: Sequence[Experiment | Recording], weights: Sequence[Array] | None = None, *,
              psi: Array | None = None) -> Compressed:
     """Fold experiments, linearised at `psi`, into triangles; `weights` (N, n) for each multiply squared residuals."""
-    n, p = len(model.machine.joints), len(model.parameters)
-    triangles = np.zeros((n, p + 1, p + 1))
-    samples = np.zeros(n)
-    for which, rows, K, force in _chunks(model, experiments, psi):
-        block = np.concatenate([K, force[:, :, None]], axis=2)
-        if weights is not None:
-            block = block * np.sqrt(weights[which][rows])[:, :, None]
-        for i in range(n):
-            taken = experiments[which].moving[rows, i]
-            triangles[i] = _fold(triangles[i], block[taken, i])
-            samples[i] += np.sum(taken)
-    return Compressed(triangles, samples)
+    held = [data for data in experiments if isinstance(data, Experiment)]
+    folded = Triangles(model)
+    for which, rows, K, force in _chunks(model, held, psi):
+        if weights is None:
+            folded.fold(K, force, held[which].moving[rows])
+        else:
+            root = np.sqrt(weights[which][rows])
+            folded.fold(K * root[:, :, None], force * root, held[which].moving[rows])
+    for data in experiments:
+        if isinstance(data, Recording):
+            folded.add(data.folded)
+    return Compressed(folded.full, folded.samples)
 
 
 def compress_jointly(model: Model, experiments: Sequence[Experiment], covariance: Array,

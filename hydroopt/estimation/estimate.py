@@ -14,6 +14,7 @@ from hydroopt.estimation.compression import predict
 from hydroopt.estimation.evidence import Evidence
 from hydroopt.estimation.experiment import Experiment
 from hydroopt.estimation.problem import Problem
+from hydroopt.estimation.recording import Recording
 from hydroopt.identifiability import Confounded, Identifiability
 from hydroopt.inertia import Array
 
@@ -88,9 +89,9 @@ class Estimate:
 
     @cached_property
     def predictions(self) -> Mapping[str, list[Array]]:
-        """Predicted forces of every training and validation experiment."""
-        return {"train": [self.predict(e) for e in self.problem.experiments],
-                "validation": [self.predict(e) for e in self.problem.validation]}
+        """Predicted forces of what is shown of every training and validation experiment."""
+        return {"train": [self.predict(e.shown) for e in self.problem.experiments],
+                "validation": [self.predict(e.shown) for e in self.problem.validation]}
 
     @cached_property
     def fit(self) -> dict[str, dict[str, Fit]]:
@@ -98,16 +99,17 @@ class Estimate:
         sets = {"train": self.problem.experiments, "validation": self.problem.validation}
         return {name: self._fit(data, self.predictions[name]) for name, data in sets.items() if data}
 
-    def _fit(self, data: tuple[Experiment, ...], predicted: list[Array]) -> dict[str, Fit]:
-        measured = np.concatenate([e.force[e.inside] for e in data])
-        error = measured - np.concatenate([p[e.inside] for e, p in zip(data, predicted, strict=True)])
+    def _fit(self, data: tuple[Experiment | Recording, ...], predicted: list[Array]) -> dict[str, Fit]:
+        moments = sum((e.moments(self.psi) if isinstance(e, Recording) else _moments(e, p)
+                       for e, p in zip(data, predicted, strict=True)), np.zeros((5, len(self.sigma))))
         units = self.problem.model.force_units
-        table = {actuator.name: _fit_of(measured[:, k], error[:, k], units[k])
+        table = {actuator.name: _fit_of(moments[:, k], units[k])
                  for k, actuator in enumerate(self.problem.model.machine.actuators)}
         if len(set(units)) == 1:
-            return table | {"all": _fit_of(measured.ravel(), error.ravel(), units[0])}
+            return table | {"all": _fit_of(moments.sum(axis=1), units[0])}
         # channels of different units are compared in units of their own noise
-        return table | {"all": _fit_of((measured / self.sigma).ravel(), (error / self.sigma).ravel(), "sigma")}
+        scaled = moments / np.array([0 * self.sigma + 1, self.sigma, self.sigma**2, self.sigma, self.sigma**2])
+        return table | {"all": _fit_of(scaled.sum(axis=1), "sigma")}
 
     @cached_property
     def consistency(self) -> dict[str, float]:
@@ -131,8 +133,16 @@ class Estimate:
         return "\n".join(lines)
 
 
-def _fit_of(measured: Array, error: Array, unit: str) -> Fit:
-    rms = float(np.sqrt(np.mean(error**2)))
-    size, spread = float(np.sqrt(np.mean(measured**2))), float(np.var(measured))
-    vaf = 1 - float(np.var(error)) / spread if spread else float("nan")
+def _moments(data: Experiment, predicted: Array) -> Array:
+    """Sums (5, n) over the samples that take part: 1, force, force², error and error²."""
+    force = data.force[data.inside]
+    error = force - predicted[data.inside]
+    return np.array([x.sum(axis=0) for x in (np.ones_like(force), force, force**2, error, error**2)])
+
+
+def _fit_of(moments: Array, unit: str) -> Fit:
+    count, force, squared, error, error_squared = moments
+    rms, size = float(np.sqrt(error_squared / count)), float(np.sqrt(squared / count))
+    spread = squared - force**2 / count
+    vaf = 1 - float((error_squared - error**2 / count) / spread) if spread > 1e-15 * squared else float("nan")
     return Fit(rms, vaf, rms / size if size else float("inf"), unit)

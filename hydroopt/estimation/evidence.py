@@ -18,8 +18,10 @@ from hydroopt.estimation.compression import (
     whitened,
 )
 from hydroopt.estimation.correlation import correlation_time
+from hydroopt.estimation.experiment import Experiment
 from hydroopt.estimation.gaussian import gaussian
 from hydroopt.estimation.problem import Problem
+from hydroopt.estimation.recording import Recording, in_memory
 from hydroopt.inertia import Array
 
 HUBER = 1.345
@@ -89,6 +91,7 @@ def gather(problem: Problem, tolerance: float, most_probable: MostProbable, poin
         SolverError: a fitted motion does not come to rest.
     """
     model, experiments = problem.model, problem.experiments
+    held = _held(problem)
     data = compress(model, experiments, psi=point)
     if not np.any(data.samples):
         names = ", ".join(e.log.path or e.log.name for e in experiments)
@@ -102,7 +105,7 @@ def gather(problem: Problem, tolerance: float, most_probable: MostProbable, poin
     correlation = _correlation(problem, psi) if problem.correlated else np.eye(len(sigma))
     if problem.fitted_motion:
         where = f"identification of {model.machine.name}"
-        fit = fitted_motion.fit(model, fitted_motion.begin(model, experiments), _covariance(correlation, sigma),
+        fit = fitted_motion.fit(model, fitted_motion.begin(model, held), _covariance(correlation, sigma),
                                 weights, psi, most_probable, where)
         problem, psi = replace(problem, experiments=fit.experiments), fit.psi
     # residuals that repeat themselves carry less information than as many independent ones
@@ -112,9 +115,9 @@ def gather(problem: Problem, tolerance: float, most_probable: MostProbable, poin
         fit = fitted_motion.fit(model, fit.fitted, _covariance(correlation, wide), weights, psi, most_probable, where)
         problem, R, r, rest = replace(problem, experiments=fit.experiments), fit.R, fit.r, fit.rest
     elif problem.instruments:
-        R, r, rest = compress_instrumented(model, experiments, problem.instruments, wide, weights, psi=point)
+        R, r, rest = compress_instrumented(model, held, problem.instruments, wide, weights, psi=point)
     elif problem.correlated:
-        R, r, rest = compress_jointly(model, experiments, _covariance(correlation, wide), weights, psi=point)
+        R, r, rest = compress_jointly(model, held, _covariance(correlation, wide), weights, psi=point)
     else:
         R, r, rest = data.weighted(wide)
     apart = not (problem.fitted_motion or problem.instruments or problem.correlated)
@@ -127,7 +130,7 @@ def misfit(evidence: Evidence, psi: Array) -> float:
     """The loss of all residuals of forces at ψ (p,), weighted as the evidence is but without linearisation."""
     problem, total = evidence.problem, 0.0
     wide = evidence.sigma * np.sqrt(evidence.correlation_time)
-    for residual, data in zip(_residuals(problem, psi), problem.experiments, strict=True):
+    for residual, data in zip(_residuals(problem, psi), _held(problem), strict=True):
         taken = data.inside[:, None] & data.moving
         if problem.loss == "squares":
             total += float(np.sum(whitened(residual[:, :, None], taken, _covariance(evidence.correlation, wide)) ** 2))
@@ -186,14 +189,26 @@ def _robust(problem: Problem, data: Compressed, sigma: Array, point: Array) -> t
     return data, sigma, weights
 
 
+def _held(problem: Problem) -> tuple[Experiment, ...]:
+    """The experiments of a problem that needs all samples at once; else none.
+
+    Raises:
+        ProblemError: a log is read in pieces.
+    """
+    needs = {f"the loss '{problem.loss}'": problem.loss != "squares", "the correlation of channels": problem.correlated,
+             "a fitted motion": problem.fitted_motion, "a second reading": bool(problem.instruments),
+             "friction that is not linear": not problem.model.linear}
+    return next((in_memory(problem.experiments, what) for what, so in needs.items() if so), ())
+
+
 def _residuals(problem: Problem, psi: Array) -> list[Array]:
-    return [e.force - predict(problem.model, e, psi) for e in problem.experiments]
+    return [e.force - predict(problem.model, e, psi) for e in _held(problem)]
 
 
 def _taken(problem: Problem, residuals: Sequence[Array]) -> list[Array]:
     """Residuals with NaN where they take no part."""
     return [np.where(e.inside[:, None] & e.moving, res, np.nan)
-            for res, e in zip(residuals, problem.experiments, strict=True)]
+            for res, e in zip(residuals, _held(problem), strict=True)]
 
 
 def _correlation(problem: Problem, psi: Array) -> Array:
@@ -220,10 +235,13 @@ def _correlation(problem: Problem, psi: Array) -> Array:
 
 def _correlation_times(problem: Problem, psi: Array) -> Array:
     """Correlation time of each actuator's residuals (n,), in samples; the logs weigh by their lengths."""
-    residuals = _residuals(problem, psi)
     times, weights = [], []
-    for residual, data in zip(residuals, problem.experiments, strict=True):
-        taken = data.inside[:, None] & data.moving
+    for data in problem.experiments:
+        if isinstance(data, Recording):
+            times.append(data.correlation_times(psi).tolist())
+            weights.append(np.maximum(data.folded.samples, 1e-9))
+            continue
+        residual, taken = data.force - predict(problem.model, data, psi), data.inside[:, None] & data.moving
         times.append([correlation_time(r, t, data.motion.segment) for r, t in zip(residual.T, taken.T, strict=True)])
         weights.append(np.maximum(np.sum(taken, axis=0), 1e-9))
     return np.asarray(np.average(times, axis=0, weights=weights))

@@ -15,6 +15,7 @@ from hydroopt.model.build import Model
 from hydroopt.parts import Cylinder
 from hydroopt.signals.conditioning import Motion, Smoothing, SmoothingSpline, condition
 from hydroopt.signals.log import Log
+from hydroopt.signals.stream import LogStream
 
 NOISE_FACTOR, OVERSHOOT, STANDSTILL = 4.0, 0.15, 1e-6
 """A joint counts as standing still below this many standard deviations of its velocity's noise, below this part of its
@@ -55,6 +56,16 @@ class Experiment:
         return self.motion.interior
 
     @property
+    def taken(self) -> int:
+        """How many samples take part."""
+        return int(np.sum(self.inside))
+
+    @property
+    def shown(self) -> Experiment:
+        """What figures show of it: all."""
+        return self
+
+    @property
     def notes(self) -> tuple[str, ...]:
         """What was done to the log, in plain words."""
         still = np.sum(self.inside[:, None] & ~self.moving, axis=0)
@@ -74,24 +85,53 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
         LogError: a channel is missing or in a unit that does not suit its joint, or a length at which a triangle is
             open.
     """
-    machine = model.machine
-    read = [_angle(model, log, joint) for joint in machine.joints]
-    angles = np.column_stack([values for _, values in read])
-    smoothing = smoothing or SmoothingSpline(bandwidth=machine.bandwidth)
+    smoothing = smoothing or SmoothingSpline(bandwidth=model.machine.bandwidth)
+    angles = measured_angles(model, log)
     motion = condition(log.t, angles, log.segment, smoothing, angle_noise(model, log),
-                       names=machine.joints, where=log.path or log.name)
-    factors = [_force_channels(model, log, k) for k in range(len(machine.actuators))]
-    force = np.column_stack([sum((factor * reading(machine, log, channel) for channel, factor in parts.items()),
-                                 np.zeros(log.t.size)) for parts in factors])
-    rms_speed, noise = np.sqrt(np.mean(motion.qd**2, axis=0)), NOISE_FACTOR * _velocity_noise(angles, motion)
-    moving = np.abs(motion.qd) > np.maximum(np.maximum(noise, OVERSHOOT * rms_speed), STANDSTILL)
+                       names=model.machine.joints, where=log.path or log.name)
+    slow, noise = slowest(angles, motion)
+    moving = np.abs(motion.qd) > slow
     moving &= np.mean(moving, axis=0) > SELDOM
-    pressed = {name: (f"{name}.p_head", f"{name}.p_rod") for name in machine.sealed}
-    pressure = np.column_stack([sum((reading(machine, log, channel) for channel in pressed.get(actuator.name, ())),
-                                    np.zeros(log.t.size)) for actuator in machine.actuators]) if pressed else None
-    used = {channel for channel, _ in read} | {channel for parts in (*factors, *pressed.values()) for channel in parts}
-    return Experiment(log, motion, force, _dry_friction_known(model, motion, moving, noise),
-                      (*_unused(log, used), *_length_check(model, log, used, angles)), pressure)
+    return Experiment(log, motion, forces(model, log), _dry_friction_known(model, motion, moving, noise),
+                      remarks(model, log, angles), pressures(model, log))
+
+
+def forces(model: Model, log: Log) -> Array:
+    """Measured forces (N, n) of all actuators."""
+    factors = [_force_channels(model, log, k) for k in range(len(model.machine.actuators))]
+    return np.column_stack([sum((factor * reading(model.machine, log, channel) for channel, factor in parts.items()),
+                                np.zeros(log.t.size)) for parts in factors])
+
+
+def pressures(model: Model, log: Log) -> Array | None:
+    """The pressures (N, n) [Pa] that the friction of seals depends on; None where none does."""
+    machine, pressed = model.machine, _sealing_channels(model)
+    return np.column_stack([sum((reading(machine, log, channel) for channel in pressed.get(actuator.name, ())),
+                                np.zeros(log.t.size)) for actuator in machine.actuators]) if pressed else None
+
+
+def _sealing_channels(model: Model) -> Mapping[str, tuple[str, str]]:
+    return {name: (f"{name}.p_head", f"{name}.p_rod") for name in model.machine.sealed}
+
+
+def slowest(angles: Array, motion: Motion) -> tuple[Array, Array]:
+    """Speed (n,) of each joint below which its sign is not known, or smoothing lets it ring; and its noise (n,)."""
+    rms_speed, noise = np.sqrt(np.mean(motion.qd**2, axis=0)), NOISE_FACTOR * _velocity_noise(angles, motion)
+    return np.maximum(np.maximum(noise, OVERSHOOT * rms_speed), STANDSTILL), noise
+
+
+def channels_used(model: Model, log: Log | LogStream) -> tuple[set[str], set[str]]:
+    """The channels that angles are read from, and those that forces and pressures are."""
+    parts = (*(_force_channels(model, log, k) for k in range(len(model.machine.actuators))),
+             *_sealing_channels(model).values())
+    return ({_angle_channel(model, log, joint) for joint in model.machine.joints},
+            {channel for part in parts for channel in part})
+
+
+def remarks(model: Model, log: Log, angles: Array) -> tuple[str, ...]:
+    """Which channels are not used, and how measured lengths compare with the geometry."""
+    used = set.union(*channels_used(model, log))
+    return (*_unused(log, used), *_length_check(model, log, used, angles))
 
 
 def _dry_friction_known(model: Model, motion: Motion, moving: NDArray[np.bool_], noise: Array) -> NDArray[np.bool_]:
@@ -160,7 +200,7 @@ def _velocity_noise(angles: Array, motion: Motion) -> Array:
     return np.asarray(sigma * np.sqrt(8 / 3 * np.pi**2 * step * bandwidth**3))
 
 
-def _angle_channel(model: Model, log: Log, joint: str) -> str:
+def _angle_channel(model: Model, log: Log | LogStream, joint: str) -> str:
     """The channel that the angle of a joint is read from."""
     actuator = model.machine.actuators[model.machine.joints.index(joint)]
     by_length = f"{actuator.name}.length"
@@ -196,7 +236,7 @@ def angle_from_length(model: Model, log: Log, channel: str) -> Array:
     return angle
 
 
-def _force_channels(model: Model, log: Log | None, k: int) -> Mapping[str, float]:
+def _force_channels(model: Model, log: Log | LogStream | None, k: int) -> Mapping[str, float]:
     """The channels that an actuator's force is read from, with their factors; pressures where there is no log."""
     joint, actuator = model.machine.joints[k], model.machine.actuators[k]
     direct = f"{actuator.name}.force" if isinstance(actuator, Cylinder) else f"{joint}.tau"
@@ -224,7 +264,7 @@ def angle_noise(model: Model, log: Log) -> Array:
     return np.array(stds)
 
 
-def force_noise(model: Model, log: Log | None = None) -> Array:
+def force_noise(model: Model, log: Log | LogStream | None = None) -> Array:
     """Standard deviation of each actuator's force from its sensors' accuracy (n,); NaN where the file states none.
 
     The sensors are those of the channels that `log` has, as in `experiment`; those of the pressures without a log.

@@ -19,6 +19,7 @@ from hydroopt.estimation.estimate import Estimate
 from hydroopt.estimation.experiment import Experiment
 from hydroopt.estimation.linear import RANK_TOLERANCE, base_least_squares
 from hydroopt.estimation.problem import Problem, identification_problem
+from hydroopt.estimation.recording import in_memory, logs_in_memory
 from hydroopt.estimation.solve import Method, solve
 from hydroopt.identifiability import random_states
 from hydroopt.inertia import Array
@@ -27,6 +28,7 @@ from hydroopt.model.build import Model
 from hydroopt.parts import Cylinder, Drive, Motor, Note
 from hydroopt.signals.conditioning import Smoothing
 from hydroopt.signals.log import Log
+from hydroopt.signals.stream import LogStream
 
 TERMS = ("coulomb", "viscous", "stribeck", "reverse", "seal", "dead_zone")
 """Terms by name; ``reverse`` gives Coulomb and viscous friction a value of their own for the negative direction."""
@@ -185,8 +187,8 @@ class FrictionChoice:
         return "\n".join(lines)
 
 
-def friction_problem(machine: Machine, logs: Sequence[Log], validation: Sequence[Log], terms: str, *,
-                     smoothing: Smoothing | None = None, actuator_inertia: bool = True) -> Problem:
+def friction_problem(machine: Machine, logs: Sequence[Log | LogStream], validation: Sequence[Log | LogStream],
+                     terms: str, *, smoothing: Smoothing | None = None, actuator_inertia: bool = True) -> Problem:
     """The identification problem of a machine with these friction terms; see `identification_problem`.
 
     Stribeck speeds that the file does not state begin where the logs are fitted best.
@@ -195,9 +197,10 @@ def friction_problem(machine: Machine, logs: Sequence[Log], validation: Sequence
         ProblemError, LogError: see `with_friction` and `identification_problem`.
     """
     terms_of(terms, machine)  # before anything that takes long
+    logs, validation = (logs_in_memory(some, "a choice of friction") for some in (logs, validation))
     plain = identification_problem(with_friction(machine, "none"), logs, (), smoothing=smoothing,
                                    actuator_inertia=actuator_inertia)
-    speeds = _typical(plain.model, [data.inputs() for data in plain.experiments])
+    speeds = _typical(plain.model, [data.inputs() for data in in_memory(plain.experiments, "a choice of friction")])
 
     def made(speeds: Mapping[str, float]) -> Problem:
         return identification_problem(with_friction(machine, terms, speeds=speeds), logs, validation,
@@ -225,7 +228,7 @@ def _best_start(problem: Problem, speeds: Mapping[str, float]) -> dict[str, floa
     return {actuator.name: speeds[actuator.name] * TRIED[k] for actuator, k in zip(actuators, best, strict=True)}
 
 
-def choose_friction(machine: Machine, logs: Sequence[Log], validation: Sequence[Log],
+def choose_friction(machine: Machine, logs: Sequence[Log | LogStream], validation: Sequence[Log | LogStream],
                     candidates: Sequence[str] | None = None, *, smoothing: Smoothing | None = None,
                     actuator_inertia: bool = True, prepare: Callable[[Problem], Problem] | None = None,
                     method: Method = "sdp", tolerance: float = RANK_TOLERANCE, ridge: float | None = None,
@@ -301,7 +304,7 @@ def _judged(fitted: Mapping[str, Estimate], failed: Mapping[str, str],
     best = min(fitted, key=lambda name: float(np.mean(blocks[name])))
     # as much as parameters that are not there may gain or lose by the noise that they were fitted to
     independent = sum(float(np.sum(np.sum(e.inside[:, None] & e.moving, axis=0) / fitted[closest].correlation_time))
-                      for e in fitted[closest].problem.experiments)
+                      for e in in_memory(fitted[closest].problem.experiments, "a choice of friction"))
     apart = {}
     for name in fitted:
         mean, error = _mean_and_error(blocks[name] - blocks[best])

@@ -15,6 +15,7 @@ from hydroopt.estimation import physics
 from hydroopt.estimation.experiment import Experiment, experiment, force_noise
 from hydroopt.estimation.instruments import instrument
 from hydroopt.estimation.physics import Condition, ScaledBody
+from hydroopt.estimation.recording import Recording, in_memory, recording
 from hydroopt.inertia import Array
 from hydroopt.machine import Machine
 from hydroopt.model.build import Model
@@ -22,6 +23,7 @@ from hydroopt.parameters import ParameterSet
 from hydroopt.parts import Note
 from hydroopt.signals.conditioning import Motion, Smoothing
 from hydroopt.signals.log import Log
+from hydroopt.signals.stream import LogStream
 
 Loss = Literal["squares", "huber", "student_t"]
 Distance = Literal["gaussian", "log-det"]
@@ -119,8 +121,8 @@ class Problem:
     """
 
     model: Model
-    experiments: tuple[Experiment, ...]
-    validation: tuple[Experiment, ...] = ()
+    experiments: tuple[Experiment | Recording, ...]
+    validation: tuple[Experiment | Recording, ...] = ()
     force_std: Array = field(default_factory=lambda: np.empty(0))
     reweight: bool = True
     constraints: tuple[Constraint, ...] = ()
@@ -290,7 +292,7 @@ class Problem:
             raise ProblemError(f"{len(logs)} instruments are given for {len(self.experiments)} logs",
                                where="instruments", remedy="give one for each log that is learnt from")
         return replace(self, instruments=tuple(instrument(self.model, data, logs[k] if logs else None)
-                                               for k, data in enumerate(self.experiments)))
+                                               for k, data in enumerate(in_memory(self.experiments, "a second reading"))))
 
     @property
     def constraint_names(self) -> tuple[str, ...]:
@@ -364,7 +366,7 @@ class Problem:
 
     def __str__(self) -> str:
         parameters, machine = self.parameters, self.model.machine
-        used = sum(int(e.inside.sum()) for e in self.experiments)
+        used = sum(e.taken for e in self.experiments)
         stated = int(np.sum(np.diag(parameters.information) > 0))
         bounded = int(np.sum(np.isfinite(parameters.lower) | np.isfinite(parameters.upper)))
         lines = [f"identification of {machine.name}: {len(parameters)} parameters, {used} samples, loss {self.loss}"]
@@ -384,17 +386,18 @@ class Problem:
         return "\n".join(lines)
 
 
-def _refuse_repetition(logs: Sequence[Log]) -> None:
+def _refuse_repetition(logs: Sequence[Log | LogStream]) -> None:
     """The same samples twice would count twice, or judge an estimate by what it was fitted to."""
     for k, log in enumerate(logs):
         for other in logs[:k]:
             same = log is other or (log.sha256 and log.sha256 == other.sha256)
-            if same and log.sample[0] <= other.sample[-1] and other.sample[0] <= log.sample[-1]:
+            if same and log.rows[0] <= other.rows[1] and other.rows[0] <= log.rows[1]:
                 raise ProblemError("the same samples are given twice", where=log.path or log.name,
                                    remedy="give each log once, and hold out another one or --holdout to judge by")
 
 
-def identification_problem(machine: Machine | Model, logs: Sequence[Log], validation: Sequence[Log] = (), *,
+def identification_problem(machine: Machine | Model, logs: Sequence[Log | LogStream],
+                           validation: Sequence[Log | LogStream] = (), *,
                            smoothing: Smoothing | None = None, actuator_inertia: bool = True) -> Problem:
     """The dynamic identification problem of a machine and its logs.
 
@@ -413,5 +416,6 @@ def identification_problem(machine: Machine | Model, logs: Sequence[Log], valida
     if not logs:
         raise ProblemError("there is no log to learn from", where="identification", remedy="give at least one")
     model = machine if isinstance(machine, Model) else Model(machine, actuator_inertia=actuator_inertia)
-    train, held_out = ([experiment(model, log, smoothing) for log in some] for some in (logs, validation))
+    train, held_out = ([experiment(model, log, smoothing) if isinstance(log, Log) else recording(model, log, smoothing)
+                        for log in some] for some in (logs, validation))
     return Problem(model, tuple(train), tuple(held_out), force_noise(model, logs[0]))

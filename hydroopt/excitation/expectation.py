@@ -18,6 +18,7 @@ import numpy as np
 from hydroopt.estimation.compression import compress
 from hydroopt.estimation.experiment import angle_noise, force_noise
 from hydroopt.estimation.problem import identification_problem
+from hydroopt.estimation.recording import in_memory
 from hydroopt.estimation.solve import solve
 from hydroopt.excitation.criteria import presumed_noise
 from hydroopt.identifiability import Identifiability
@@ -82,7 +83,8 @@ def expected(model: Model, motion: Trajectory, structure: Identifiability, known
     machine, psi = model.machine, model.parameters.nominal
     log = simulate(model, motion, seed=seed, name="expected")
     problem = identification_problem(machine, [log])
-    estimate, data, noise = solve(problem, "wls"), problem.experiments[0], presumed_noise(model)
+    estimate, noise = solve(problem, "wls"), presumed_noise(model)
+    (data,) = in_memory(problem.experiments, "the expectation")
     stated = np.isfinite(force_noise(model))  # else the simulated log has no noise
     sigma = np.where(stated, estimate.sigma, noise)
     weight = (data.inside[:, None] & data.moving) / (sigma**2 * np.where(stated, estimate.correlation_time, 1.0))

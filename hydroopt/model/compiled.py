@@ -17,6 +17,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache, partial
 from pathlib import Path
+from threading import Lock
 from typing import NamedTuple
 
 import casadi as ca
@@ -83,8 +84,13 @@ def _mapped(function: ca.Function) -> Way:
     symbols = function.sx_in()
     dense = ca.Function(function.name(), symbols, [ca.densify(out) for out in function.call(symbols)])
     mapped: tuple[int, ca.Function] = (0, dense)
+    lock = Lock()  # the buffer's memory is one
 
     def evaluate(columns: list[Array], count: int, out: list[Array] | None) -> list[Array]:
+        with lock:
+            return alone(columns, count, out)
+
+    def alone(columns: list[Array], count: int, out: list[Array] | None) -> list[Array]:
         nonlocal mapped
         if mapped[0] != count:
             mapped = count, dense.map(count)
@@ -117,12 +123,12 @@ class Kernel:
     def __call__(self, columns: list[Array], count: int, out: list[Array] | None = None) -> list[Array]:
         """Results (N, rows, columns) of arguments (N, k) or (k,)."""
         results = out or [np.zeros((count, made.rows, made.columns)) for made in self.program.outputs]
-        threads = min(_threads(), -(-count // SHARE))
-        edges = [count * k // threads for k in range(threads + 1)]
-        if threads == 1:
+        parts = min(threads(), -(-count // SHARE))
+        edges = [count * k // parts for k in range(parts + 1)]
+        if parts == 1:
             self._part(columns, results, 0, count)
         else:
-            with ThreadPoolExecutor(threads) as pool:  # the library's call releases Python's lock
+            with ThreadPoolExecutor(parts) as pool:  # the library's call releases Python's lock
                 list(pool.map(partial(self._part, columns, results), edges[:-1], edges[1:]))
         return results
 
@@ -134,7 +140,7 @@ class Kernel:
                   (ctypes.c_void_p * len(out_of))(*out_of))
 
 
-def _threads() -> int:
+def threads() -> int:
     """As many as OMP_NUM_THREADS says, or as there are processors for this process."""
     stated = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
     if stated.isdigit() and int(stated):

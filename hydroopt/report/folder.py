@@ -25,6 +25,7 @@ from hydroopt.estimation.estimate import Estimate, Fit
 from hydroopt.estimation.experiment import Experiment
 from hydroopt.estimation.friction import FrictionChoice
 from hydroopt.estimation.problem import Problem
+from hydroopt.estimation.recording import Recording
 from hydroopt.estimation.verdict import doubts
 from hydroopt.excitation.expectation import Expectation
 from hydroopt.excitation.motion import Excitation
@@ -315,10 +316,10 @@ def _origin(problem: Problem | CalibrationProblem, method: str) -> dict[str, Any
             "method": method, "versions": _versions()}
 
 
-def _input(data: Experiment, role: str) -> dict[str, Any]:
+def _input(data: Experiment | Recording, role: str) -> dict[str, Any]:
     log = data.log
-    return {"path": log.path or log.name, "sha256": log.sha256 or None, "samples": len(log.t), "role": role,
-            "first_sample": int(log.sample[0]), "last_sample": int(log.sample[-1]),
+    return {"path": log.path or log.name, "sha256": log.sha256 or None, "samples": log.size, "role": role,
+            "first_sample": log.rows[0], "last_sample": log.rows[1],
             "findings": [f.text for f in log.findings], "notes": list(data.notes)}
 
 

@@ -13,6 +13,7 @@ from markupsafe import Markup
 from hydroopt.estimation.estimate import Estimate, Fit
 from hydroopt.estimation.experiment import Experiment
 from hydroopt.estimation.friction import FrictionChoice
+from hydroopt.estimation.recording import Recording
 from hydroopt.report import figures, sideview
 from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
 
@@ -137,8 +138,8 @@ def _base(estimate: Estimate) -> list[tuple[str, str, Row]]:
             for i, (v, s) in enumerate(zip(estimate.base_value, estimate.base_std, strict=True))]
 
 
-def _log(role: str, data: Experiment) -> dict[str, Any]:
+def _log(role: str, data: Experiment | Recording) -> dict[str, Any]:
     log = data.log
-    return {"role": role, "name": log.name, "path": log.path, "samples": len(log.t), "taken": int(data.inside.sum()),
-            "duration": plain(float(log.t[-1] - log.t[0])), "rows": f"{log.sample[0]} to {log.sample[-1]}",
+    return {"role": role, "name": log.name, "path": log.path, "samples": log.size, "taken": data.taken,
+            "duration": plain(log.duration), "rows": f"{log.rows[0]} to {log.rows[1]}",
             "sha256": log.sha256, "findings": [f.text for f in log.findings], "notes": data.notes}

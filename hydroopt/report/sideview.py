@@ -52,7 +52,7 @@ class Scene(NamedTuple):
 def side_view(estimate: Estimate) -> Figure:
     """The machine at the mean pose of the training motion, with faint poses at the extremes that its joints reached."""
     model = estimate.problem.model
-    q = np.concatenate([e.motion.q for e in estimate.problem.experiments])
+    q = np.concatenate([e.shown.motion.q for e in estimate.problem.experiments])
     plane = _plane(model, np.mean(q, axis=0))
     at = [int(f(q[:, k])) for k in plane.moving for f in (np.argmin, np.argmax)]
     poses = np.vstack([np.mean(q, axis=0), q[list(dict.fromkeys(at))]])

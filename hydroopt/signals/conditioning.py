@@ -126,18 +126,42 @@ def condition(
         else:
             stated = None if smoothing.cross_validate else stds
             if stop - start >= spline.MIN_SAMPLES:
-                _refuse_too_slow(smoothing, float(times[-1] - times[0]), where)
+                refuse_too_slow(smoothing, float(times[-1] - times[0]), where)
             out[:, span], corners, said = _spline(times[span], positions[span], smoothing, stated, names, here)
             notes += said
         bandwidth = np.minimum(bandwidth, corners)
-        reach = min(0.5 / float(np.min(corners)), 0.1 * float(times[stop - 1] - times[start]))
-        interior[span] = (times[span] >= times[start] + reach) & (times[span] <= times[stop - 1] - reach)
+        interior[span] = inside(times[span], corners)
     if isinstance(smoothing, Butterworth):
         notes.append(f"zero-phase Butterworth filter of order {smoothing.order}, {smoothing.cutoff:g} Hz")
     return Motion(times, out[0], out[1], out[2], parts, interior, bandwidth, tuple(notes))
 
 
-def _refuse_too_slow(smoothing: SmoothingSpline, duration: float, where: str) -> None:
+def inside(t: Array, corners: Array) -> NDArray[np.bool_]:
+    """Which samples (N,) of a stretch do not lie near its ends, by the bandwidths [Hz] of its smoothing."""
+    reach = min(0.5 / float(np.min(corners)), 0.1 * float(t[-1] - t[0]))
+    return np.asarray((t >= t[0] + reach) & (t <= t[-1] - reach))
+
+
+def refuse_too_short(samples: int, where: str) -> None:
+    """Raise a LogError where a stretch has too few samples for a spline."""
+    if samples < spline.MIN_SAMPLES:
+        raise LogError(f"a stretch of {samples} samples is too short to differentiate", where=where,
+                       remedy=f"leave it out or record at least {spline.MIN_SAMPLES} samples without a gap")
+
+
+def told(name: str, where: str, corner: float, residual: float, stated: float | None,
+         smoothing: SmoothingSpline) -> str:
+    """How a joint was smoothed: the bandwidth [Hz], what chose it, and what it took out beside the noise stated."""
+    chosen = "cross-validation" if stated is None else f"the stated noise of {stated:.3g}"
+    if smoothing.bandwidth and corner > 0.99 * smoothing.bandwidth:
+        chosen = "the stated bandwidth of the motion"
+    doubt = " (which does not agree: check the stated noise)" if stated and not 0.5 < residual / stated < 1.5 else ""
+    return (f"{name}, {where}: smoothing spline with {corner:.3g} Hz bandwidth from {chosen}, residual std "
+            f"{residual:.3g}{doubt}")
+
+
+def refuse_too_slow(smoothing: SmoothingSpline, duration: float, where: str) -> None:
+    """Raise a ProblemError where a bandwidth leaves nothing of a motion of that duration [s]."""
     if smoothing.bandwidth is not None and not smoothing.bandwidth * duration >= 1:
         raise ProblemError(f"a bandwidth of {smoothing.bandwidth:g} Hz leaves nothing of a motion of {duration:.4g} s",
                            where=where, remedy=f"state one above {1 / duration:.2g} Hz or record a longer log")
@@ -145,9 +169,7 @@ def _refuse_too_slow(smoothing: SmoothingSpline, duration: float, where: str) ->
 
 def _spline(t: Array, q: Array, smoothing: SmoothingSpline, stds: Array | None, names: Sequence[str],
             where: str) -> tuple[Array, Array, list[str]]:
-    if t.size < spline.MIN_SAMPLES:
-        raise LogError(f"a stretch of {t.size} samples is too short to differentiate", where=where,
-                       remedy=f"leave it out or record at least {spline.MIN_SAMPLES} samples without a gap")
+    refuse_too_short(t.size, where)
     out, corners, notes = np.empty((3, *q.shape)), np.empty(q.shape[1]), []
     for joint, column in enumerate(q.T):
         stated = None if stds is None or np.isnan(stds[joint]) else float(stds[joint])
@@ -155,15 +177,8 @@ def _spline(t: Array, q: Array, smoothing: SmoothingSpline, stds: Array | None, 
         for order in range(3):
             out[order, :, joint] = fitted(t, order)
         corners[joint] = fitted.bandwidth
-        chosen = "cross-validation" if stated is None else f"the stated noise of {stated:.3g}"
-        if smoothing.bandwidth and fitted.bandwidth > 0.99 * smoothing.bandwidth:
-            chosen = "the stated bandwidth of the motion"
         name = names[joint] if names else f"joint {joint + 1}"
-        note = (f"{name}, {where}: smoothing spline with {fitted.bandwidth:.3g} Hz bandwidth from {chosen}, "
-                f"residual std {fitted.residual:.3g}")
-        if stated and not 0.5 < fitted.residual / stated < 1.5:
-            note += " (which does not agree: check the stated noise)"
-        notes.append(note)
+        notes.append(told(name, where, fitted.bandwidth, fitted.residual, stated, smoothing))
     return out, corners, notes
 
 

@@ -3,7 +3,9 @@
 import csv
 import io
 import re
-from collections.abc import Sequence
+from collections import deque
+from collections.abc import Iterator, Sequence
+from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
@@ -24,6 +26,8 @@ from hydroopt.signals.table import (
 )
 
 _IMPLAUSIBLE = 1e30
+BATCH = 2**16
+"""Rows decoded at a time, and bytes read at a time, of a Parquet file that is read in pieces."""
 
 
 class LogFile(Protocol):
@@ -184,38 +188,93 @@ def _parse(text: str, width: int, index: list[int], delimiter: str,
 
 
 class ParquetFile:
-    """A Parquet file; sizes are judged from its metadata before anything is allocated."""
+    """A Parquet file, in memory or on disk; sizes are judged from its metadata before anything is allocated."""
 
-    def __init__(self, data: bytes, where: str, layout: LogMap | None) -> None:
+    def __init__(self, source: bytes | Path, where: str, layout: LogMap | None) -> None:
         from pyarrow import ArrowException, BufferReader  # noqa: PLC0415 (import cost)
         from pyarrow.parquet import ParquetFile as Reader  # noqa: PLC0415
 
         self.where, self._rows = where, layout.rows if layout else None
         try:
-            self._file = Reader(BufferReader(data))
+            self._file = (Reader(BufferReader(source)) if isinstance(source, bytes)
+                          else Reader(source, buffer_size=BATCH, pre_buffer=False))
         except (ArrowException, OSError, ValueError) as error:
             raise unreadable("Parquet", where, error) from None
-        meta = self._file.metadata
-        check_size(meta.num_rows * meta.num_columns * 8, where)
-        if meta.num_rows < 1:
+        self.meta = self._file.metadata
+        if isinstance(source, bytes):
+            check_size(self.meta.num_rows * self.meta.num_columns * 8, where)
+        if self.meta.num_rows < 1:
             raise LogError("the table has no rows", where=where, remedy="record it again")
         self.header: list[str] = list(self._file.schema_arrow.names)
 
+    @property
+    def selected(self) -> tuple[int, int]:
+        """First and last 1-based data row that the map selects."""
+        rows = selected(self.meta.num_rows, self._rows, self.where)
+        return int(rows[0]), int(rows[-1])
+
+    def _column(self, key: RawKey) -> str:
+        """The name of a column of numbers."""
+        from pyarrow import types  # noqa: PLC0415 (import cost)
+
+        if isinstance(key, tuple):
+            raise LogError("the map names a 'variable', which only .mat files have", where=self.where,
+                           remedy="use 'column'")
+        name = self.header[find_column(key, self.header, len(self.header), self.where)]
+        kind = self._file.schema_arrow.field(name).type
+        if not (types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)):
+            raise LogError(f"column '{name}' holds {kind}, not numbers", where=self.where,
+                           remedy="convert the column to float64")
+        return name
+
+    def pieces(self, keys: Sequence[RawKey], ranges: Sequence[tuple[int, int]]) -> Iterator[Table]:
+        """The columns `keys` as numbers, nulls NaN, of ranges of 1-based data rows (first, last) that may overlap.
+
+        The ranges come in the order of both their ends. No more of the file is held than the widest of them.
+        """
+        from pyarrow import ArrowException  # noqa: PLC0415 (import cost)
+
+        names = [self._column(key) for key in keys]
+        held: list[tuple[int, list[Array]]] = []  # first row, and columns
+        waiting = deque(ranges)
+        batches = self._batches(names, ranges)
+        while waiting:
+            first, last = waiting[0]
+            held = [(row, columns) for row, columns in held if row + columns[0].size > first]
+            while not held or held[-1][0] + held[-1][1][0].size <= last:
+                try:
+                    row, batch = next(batches)
+                    if row + batch.num_rows > first:
+                        held.append((row, [np.asarray(batch.column(name).cast("float64"), dtype=float)
+                                           for name in names]))
+                except (ArrowException, OSError, ValueError) as error:
+                    raise unreadable("Parquet", self.where, error) from None
+                except StopIteration:
+                    raise unreadable("Parquet", self.where, ValueError("fewer rows than declared")) from None
+            parts = [[column[max(0, first - row) : last + 1 - row] for column in columns] for row, columns in held]
+            yield Table(dict(zip(keys, map(np.concatenate, zip(*parts, strict=True)), strict=True)),
+                        np.arange(first, last + 1))
+            waiting.popleft()
+
+    def _batches(self, names: list[str], ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, Any]]:
+        """(first row, Arrow record batch) of the row groups that hold any of the ranges."""
+        row = 1
+        for group in range(self.meta.num_row_groups):
+            stop = row + self.meta.row_group(group).num_rows
+            if any(first < stop and last >= row for first, last in ranges):
+                for batch in self._file.iter_batches(BATCH, [group], list(dict.fromkeys(names)), use_threads=False):
+                    yield row, batch
+                    row += batch.num_rows
+            row = stop
+
     def read(self, keys: Sequence[RawKey], texts: Sequence[Key] = ()) -> Table:
         """The columns `keys` as numbers, where nulls are NaN, and the columns `texts` as texts."""
-        from pyarrow import ArrowException, types  # noqa: PLC0415 (import cost)
+        from pyarrow import ArrowException  # noqa: PLC0415 (import cost)
 
-        rows = selected(self._file.metadata.num_rows, self._rows, self.where)
+        rows = selected(self.meta.num_rows, self._rows, self.where)
         columns: dict[RawKey, Array] = {}
         for key in keys:
-            if isinstance(key, tuple):
-                raise LogError("the map names a 'variable', which only .mat files have", where=self.where,
-                               remedy="use 'column'")
-            name = self.header[find_column(key, self.header, len(self.header), self.where)]
-            kind = self._file.schema_arrow.field(name).type
-            if not (types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)):
-                raise LogError(f"column '{name}' holds {kind}, not numbers", where=self.where,
-                               remedy="convert the column to float64")
+            name = self._column(key)
             try:
                 column = self._file.read(columns=[name]).column(0).cast("float64")
                 columns[key] = np.asarray(column.to_numpy(), dtype=float)[rows - 1]

@@ -2,7 +2,6 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -120,31 +119,41 @@ def spikes(x: Array) -> Mask:
     return mask
 
 
-def saturated(x: Array, limits: tuple[float, float] | None, own_extremes: bool = True) -> Mask:
-    """Samples at or beyond `limits`, and runs that hit the channel's own extreme at speed and stay there."""
+Extremes = tuple[float, float]
+
+
+def saturated(x: Array, limits: Extremes | None, own_extremes: bool = True, whole: Extremes | None = None) -> Mask:
+    """Samples at or beyond `limits`, and runs that hit the channel's own extreme at speed and stay there.
+
+    `whole` are the channel's extremes where x is but a piece of it.
+    """
     mask = np.zeros(x.size, bool) if limits is None else (x <= limits[0]) | (x >= limits[1])
-    if not own_extremes or np.ptp(x) == 0:
+    extremes = (x.min(), x.max()) if whole is None else whole
+    if not own_extremes or extremes[0] == extremes[1]:
         return mask
     for start, stop in _level_runs(x, 10):
-        if x[start] in (x.min(), x.max()) and _abrupt(x, start, stop):
+        if x[start] in extremes and _abrupt(x, start, stop):
             mask[start:stop] = True
     return mask
 
 
-def stuck(channels: Mapping[str, Array]) -> dict[str, Mask]:
+def stuck(channels: Mapping[str, Array], whole: Mapping[str, Extremes] | None = None) -> dict[str, Mask]:
     """Frozen samples by channel: level for more than 25 samples and 1 % of the log, begun or ended at speed.
 
     A run counts only while another channel passes through more than 5 % of its range. A joint that comes to
-    rest slows down first and is not meant, nor is a velocity of zero; a channel that never changes at all is.
+    rest slows down first and is not meant, nor is a velocity of zero; a channel that never changes at all is. `whole`
+    are the channels' extremes where these are but a piece of the log.
     """
     out = {name: np.zeros(x.size, bool) for name, x in channels.items()}
+    extremes = whole or {name: (float(x.min()), float(x.max())) for name, x in channels.items()}
+    ranges = {name: extremes[name][1] - extremes[name][0] for name in channels}
     for name, x in channels.items():
         for start, stop in _level_runs(x, max(26, x.size // 100 + 1)):
             at_rest = name.endswith(".qd") and x[start] == 0
-            if stop - start < x.size and (at_rest or not _abrupt(x, start, stop)):
+            if ranges[name] > 0 and (at_rest or not _abrupt(x, start, stop)):
                 continue
-            if any(np.ptp(y[start:stop]) > 0.05 * np.ptp(y) for other, y in channels.items()
-                   if other != name and np.ptp(y) > 0):
+            if any(np.ptp(y[start:stop]) > 0.05 * ranges[other] for other, y in channels.items()
+                   if other != name and ranges[other] > 0):
                 out[name][start:stop] = True
     return out
 
@@ -161,4 +170,5 @@ def _abrupt(x: Array, start: int, stop: int) -> bool:
 def _level_runs(x: Array, shortest: int) -> list[tuple[int, int]]:
     """Half-open ranges in which x is exactly constant over at least `shortest` samples."""
     edges = np.concatenate([[0], np.flatnonzero(np.diff(x) != 0) + 1, [x.size]])
-    return [(int(a), int(b)) for a, b in pairwise(edges) if b - a >= shortest]
+    long = np.flatnonzero(np.diff(edges) >= shortest)
+    return list(zip(edges[long].tolist(), edges[long + 1].tolist(), strict=True))

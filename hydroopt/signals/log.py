@@ -1,6 +1,6 @@
 """A measurement log in SI units: reading it with every doubt named, cutting it, writing it."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -66,6 +66,21 @@ class Log:
                             ("units", units)):
             object.__setattr__(self, name, value)
 
+    @property
+    def size(self) -> int:
+        """Number of samples."""
+        return int(self.t.size)
+
+    @property
+    def rows(self) -> tuple[int, int]:
+        """First and last data row in the file."""
+        return int(self.sample[0]), int(self.sample[-1])
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last sample [s]."""
+        return float(self.t[-1] - self.t[0])
+
     def channel(self, name: str) -> Array:
         """Values (N,) of one channel, in SI.
 
@@ -73,10 +88,7 @@ class Log:
             LogError: the log has no such channel.
         """
         if name not in self.channels:
-            unit = {"rad": "deg", "Pa": "bar"}.get(usual := _usual(name), usual)
-            raise LogError(f"there is no channel '{name}' (present: {', '.join(self.channels) or 'none'})",
-                           where=self.path or self.name,
-                           remedy=f"record it as a column '{name} [{unit}]' or name its column in a map")
+            raise missing(name, self.channels, self.path or self.name)
         return self.channels[name]
 
     def slice(self, start: int, stop: int) -> "Log":
@@ -141,16 +153,10 @@ def read_log(
         ProblemError: unknown treatment.
     """
     where, chosen = str(path), choose(treatment)
-    layout = (None if mapping is None else for_log(mapping, where) if isinstance(mapping, LogMap)
-              else read_map(mapping))
+    layout = given_layout(mapping, where)
     data, digest, kind = load(path, layout.format if layout else None)
     file = open_file(kind, data, where, layout)
-    ignored: tuple[str, ...] = ()
-    if layout is None:
-        layout, ignored = map_of_header(list(file.header), where)
-    if len(layout.columns) < 2:
-        raise LogError("there is a time but no channel", where=where,
-                       remedy="add columns such as 'boom.q [deg]' or 'boom_cylinder.p_head [bar]'")
+    layout, ignored = full_layout(layout, file.header, where)
     table = file.read(layout.keys)
     values, units = in_si(layout, table, where)
     t = values.pop("t")
@@ -158,16 +164,40 @@ def read_log(
     if table.rows.size < 2:
         raise LogError("there is only one data row", where=where, remedy="record at least two samples")
     samples, segment = treat(Samples(t, values, table.rows), chosen, limits or {}, where)
-    notes = samples.findings
-    if layout.rows:
-        first, last = layout.rows
-        text = f"only data rows {first} to {last} were read"
-        notes += (Finding("rows", "t", first, last, last - first + 1, text),)
-    if ignored:
-        notes += (Finding("ignored", "", int(table.rows[0]), int(table.rows[-1]), 0,
-                          f"foreign columns left out: {', '.join(ignored)}"),)
+    notes = samples.findings + left_out(layout, ignored, int(table.rows[0]), int(table.rows[-1]))
     return Log(Path(path).stem, samples.t, samples.channels, samples.sample, segment, notes, where, digest,
                units)
+
+
+def given_layout(mapping: LogMap | str | Path | None, where: str) -> LogMap | None:
+    """The map of a log that a caller stated, if any."""
+    return None if mapping is None else for_log(mapping, where) if isinstance(mapping, LogMap) else read_map(mapping)
+
+
+def full_layout(layout: LogMap | None, header: list[str], where: str) -> tuple[LogMap, tuple[str, ...]]:
+    """The map stated, or else what a header says, and the columns that this leaves out.
+
+    Raises:
+        LogError: there is no channel.
+    """
+    ignored: tuple[str, ...] = ()
+    if layout is None:
+        layout, ignored = map_of_header(list(header), where)
+    if len(layout.columns) < 2:
+        raise LogError("there is a time but no channel", where=where,
+                       remedy="add columns such as 'boom.q [deg]' or 'boom_cylinder.p_head [bar]'")
+    return layout, ignored
+
+
+def left_out(layout: LogMap, ignored: tuple[str, ...], first: int, last: int) -> tuple[Finding, ...]:
+    """What of a file's rows and columns was not read."""
+    notes: tuple[Finding, ...] = ()
+    if layout.rows:
+        a, b = layout.rows
+        notes += (Finding("rows", "t", a, b, b - a + 1, f"only data rows {a} to {b} were read"),)
+    if ignored:
+        notes += (Finding("ignored", "", first, last, 0, f"foreign columns left out: {', '.join(ignored)}"),)
+    return notes
 
 
 def _refuse_damage(table: Table, t: Array, where: str) -> None:
@@ -178,6 +208,13 @@ def _refuse_damage(table: Table, t: Array, where: str) -> None:
     for row in table.rows[sound][find.out_of_order(t[sound])]:
         damage.setdefault(int(row), "time out of order")
     refuse_damage(damage, table.rows, where)
+
+
+def missing(name: str, present: Iterable[str], where: str) -> LogError:
+    """The error of a log that has no channel `name`, but those `present`."""
+    unit = {"rad": "deg", "Pa": "bar"}.get(usual := _usual(name), usual)
+    return LogError(f"there is no channel '{name}' (present: {', '.join(present) or 'none'})", where=where,
+                    remedy=f"record it as a column '{name} [{unit}]' or name its column in a map")
 
 
 def _usual(name: str) -> str:

@@ -4,40 +4,75 @@ Minimises Σ (y_i − f(t_i))² + λ ∫ f'''(t)² dt over quintic splines on ev
 continuous form of the dynamic-programming filter of Dohrmann and Busby (penalised derivatives), and
 beats a cubic smoothing spline where accelerations matter: its second derivative stays smooth. λ is
 chosen by unbiased risk (Mallows' C_L) when the noise is known, by generalised cross-validation when it
-is not.
+is not; both sum over the pieces of a motion, so that the pieces of a long log have one λ and one grid of knots.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from math import comb, factorial
 from typing import Any
 
 import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
 from scipy.optimize import minimize_scalar
 
 Array = NDArray[np.float64]
 MIN_SAMPLES = 12
+DECAY = 30.0
+"""What lies beyond a piece's end is felt inside as e⁻³⁰ after this many e-foldings: not at all."""
 _DEGREE, _PENALISED, _PROBES = 5, 3, 8
 _LOWEST, _HIGHEST = -4.0, 8.0  # log10 λ in knot units; beyond the highest the knots are made wider
+_ORDER = _DEGREE + 1
+
+_POWERS: Array = np.array([
+    [comb(_DEGREE, k) * sum((-1.0) ** (s - j) * comb(_ORDER, s - j) * (_DEGREE - s) ** (_DEGREE - k)
+                            for s in range(j, _ORDER)) for j in range(_ORDER)]
+    for k in range(_ORDER)]) / factorial(_DEGREE)
+"""Coefficient of u^k in the j-th B-spline that lives in a knot interval, 0 ≤ u ≤ 1 (Qin 2000, Eq. 17)."""
+
+
+@dataclass(frozen=True)
+class Grid:
+    """Knots at `origin` + k·`spacing` [s]: those of a motion of `steps` samples' steps over `duration` [s]."""
+
+    origin: float
+    duration: float
+    steps: int
+    every: float = 2.0
+
+    @property
+    def intervals(self) -> int:
+        """Knot intervals over the duration: `every` so many steps, but three at least."""
+        return max(3, int(np.ceil(self.steps / self.every)))
+
+    @property
+    def spacing(self) -> float:
+        """From knot to knot [s]."""
+        return self.duration / self.intervals
+
+    @classmethod
+    def of(cls, t: Array) -> "Grid":
+        """The knots of an uninterrupted motion sampled at t (N,)."""
+        return cls(float(t[0]), float(t[-1] - t[0]), t.size - 1)
 
 
 @dataclass(frozen=True)
 class SmoothSpline:
-    """A fitted curve: `curve` (time in s from `start`), its λ [s⁵], bandwidth [Hz], residual std and the splines."""
+    """A fitted curve: its coefficients, λ [s⁵], bandwidth [Hz], residual std, and the splines it is made of."""
 
-    curve: BSpline
-    start: float
+    coefficients: Array
     weight: float
     bandwidth: float
     residual: float
-    basis: "_Basis"
+    basis: "Basis"
 
     def __call__(self, t: Array, derivative: int = 0) -> Array:
         """Value or derivative (unit of y / s^derivative) at the times `t` (N,) [s]."""
-        return np.asarray(self.curve(t - self.start, derivative))
+        rows = self.basis.derivative(self.basis.places(t), derivative)
+        return np.asarray(rows @ self.coefficients) / self.basis.spacing**derivative
 
     def again(self, y: Array) -> "SmoothSpline":
         """The same smoothing of other samples (N,) at the same times."""
@@ -56,88 +91,115 @@ def fit(t: Array, y: Array, noise: float | None, bandwidth: float | None = None)
     `noise` is the standard deviation of y's noise in y's unit; None asks for generalised cross-validation. Of a motion
     known to end at a `bandwidth` [Hz], no more is passed than half of that frequency.
     """
-    n, every = t.size, 2.0
+    bases, log_weight = choose([(t, y)], Grid.of(t), noise, bandwidth)
+    return bases[0].spline(y, log_weight)
+
+
+def choose(pieces: Sequence[tuple[Array, Array]], grid: Grid, noise: float | None,
+           bandwidth: float | None = None) -> tuple[list["Basis"], float]:
+    """The splines of every piece (t, y) of a motion, and the one log10 λ, in knot units, that suits all pieces best."""
     while True:
-        basis = _Basis(t, max(3, int(np.ceil((n - 1) / every))))
-        log_weight = basis.best(y, noise)
+        bases = [Basis(t, grid) for t, _ in pieces]
+        log_weight = _best(bases, [y for _, y in pieces], noise)
         if bandwidth is not None:
-            log_weight = max(log_weight, basis.log_weight_of(bandwidth))
-        if log_weight < _HIGHEST - 0.5 or basis.intervals == 3:
-            return basis.spline(y, log_weight)
-        every *= 6.0
+            log_weight = max(log_weight, min(basis.log_weight_of(bandwidth) for basis in bases))
+        if log_weight < _HIGHEST - 0.5 or min(basis.intervals for basis in bases) <= 3:
+            return bases, log_weight
+        grid = Grid(grid.origin, grid.duration, grid.steps, 6.0 * grid.every)
 
 
-class _Basis:
-    """Quintic B-splines on `intervals` even knot intervals over `t`; the knot spacing is the unit of time."""
+def _best(bases: Sequence["Basis"], values: Sequence[Array], noise: float | None) -> float:
+    """log10 λ of least estimated risk; traces by Hutchinson's estimator with fixed probes."""
+    n = sum(y.size for y in values)
+    rights = [np.column_stack([basis.design.T @ y, basis.projected]) for basis, y in zip(bases, values, strict=True)]
 
-    def __init__(self, t: Array, intervals: int) -> None:
-        self.start, self.intervals = float(t[0]), intervals
-        self.spacing = float(t[-1] - t[0]) / intervals
-        self.x = np.clip((t - t[0]) / self.spacing, 0.0, float(intervals))
-        self.knots = np.concatenate(
-            [np.zeros(_DEGREE), np.arange(intervals + 1.0), np.full(_DEGREE, float(intervals))])
-        self.design: Any = BSpline.design_matrix(self.x, self.knots, _DEGREE).tocsr()
-        self.gram = _band(self.design.T @ self.design)
-        self.penalty = _band(self._penalty())
-        self.probes = np.random.default_rng(0).choice([-1.0, 1.0], (t.size, _PROBES))
-        self.projected = self.design.T @ self.probes
-
-    def best(self, y: Array, noise: float | None) -> float:
-        """log10 λ of least estimated risk; traces by Hutchinson's estimator with fixed probes."""
-        n, right = y.size, np.column_stack([self.design.T @ y, self.projected])
-
-        def risk(log_weight: float) -> float:
+    def risk(log_weight: float) -> float:
+        rss = freedom = 0.0
+        for basis, y, right in zip(bases, values, rights, strict=True):
             try:
-                c = self.solve(10.0**log_weight, right)
+                c = basis.solve(10.0**log_weight, right)
             except LinAlgError:
                 return np.inf
-            rss = float(np.sum((y - self.design @ c[:, 0]) ** 2))
-            freedom = float(np.sum(self.projected * c[:, 1:])) / _PROBES
-            if noise is not None:
-                return rss / n + 2 * noise**2 * freedom / n
-            return float(np.log(max(rss / n, 1e-300)) - 2 * np.log(max(1 - freedom / n, 1e-9)))
+            rss += float(np.sum((y - basis.design @ c[:, 0]) ** 2))
+            freedom += float(np.sum(basis.projected * c[:, 1:])) / _PROBES
+        if noise is not None:
+            return rss / n + 2 * noise**2 * freedom / n
+        return float(np.log(max(rss / n, 1e-300)) - 2 * np.log(max(1 - freedom / n, 1e-9)))
 
-        grid = np.linspace(_LOWEST, _HIGHEST, 9)
-        lowest = int(np.argmin([risk(g) for g in grid]))
-        around = (grid[max(lowest - 1, 0)], grid[min(lowest + 1, grid.size - 1)])
-        return float(minimize_scalar(risk, bounds=around, method="bounded", options={"xatol": 0.03}).x)
+    exponents = np.linspace(_LOWEST, _HIGHEST, 9)
+    lowest = int(np.argmin([risk(g) for g in exponents]))
+    around = (exponents[max(lowest - 1, 0)], exponents[min(lowest + 1, exponents.size - 1)])
+    return float(minimize_scalar(risk, bounds=around, method="bounded", options={"xatol": 0.03}).x)
+
+
+class Basis:
+    """Quintic B-splines on those knots of a grid that lie around t; the knot spacing is the unit of time."""
+
+    def __init__(self, t: Array, grid: Grid) -> None:
+        self.grid, self.spacing = grid, grid.spacing
+        first, last = ((float(t[k]) - grid.origin) / self.spacing for k in (0, -1))
+        first = np.floor(first + 1e-6)  # a knot that a sample stands on up to rounding is the first, or the last
+        self.start, self.intervals = grid.origin + first * self.spacing, max(1, int(np.ceil(last - first - 1e-6)))
+        self.x = self.places(t)
+        self.design: Any = self.derivative(self.x, 0)
+        self.gram = _band(self.design.T @ self.design)
+
+    def places(self, t: Array) -> Array:
+        """Times [s] in knot units from the first knot, none beyond the ends."""
+        return np.asarray(np.clip((t - self.start) / self.spacing, 0.0, float(self.intervals)))
+
+    def derivative(self, x: Array, order: int) -> Any:
+        """Values (N, m) of the splines' derivatives at x (N,), in knot units."""
+        cell = np.minimum(x.astype(np.int32), np.int32(self.intervals - 1))
+        powers = np.power.outer(x - cell, np.arange(_ORDER - order))
+        values = powers @ _derived(order)
+        columns = cell[:, None] + np.arange(_ORDER, dtype=np.int32)
+        ends = np.arange(0, values.size + 1, _ORDER, dtype=np.int32)
+        return sp.csr_array((values.ravel(), columns.ravel(), ends), shape=(x.size, self.intervals + _DEGREE))
+
+    @cached_property
+    def penalty(self) -> Array:
+        """∫ B'''_i B'''_j dx, exact, in band storage."""
+        third = _derived(_PENALISED)
+        exponent = np.arange(len(third))
+        cell = third.T @ (1 / (exponent[:, None] + exponent + 1)) @ third
+        band = np.zeros((_DEGREE + 1, self.intervals + _DEGREE))
+        for offset in range(_DEGREE + 1):
+            for j in range(_ORDER - offset):
+                band[offset, j : j + self.intervals] += cell[j, j + offset]
+        return band
+
+    @cached_property
+    def projected(self) -> Array:
+        """Fixed random signs at the samples, on the splines."""
+        return np.asarray(self.design.T @ np.random.default_rng(0).choice([-1.0, 1.0], (self.x.size, _PROBES)))
 
     def log_weight_of(self, bandwidth: float) -> float:
         """log10 λ that passes the frequency `bandwidth` [Hz] by half."""
         return float(np.log10(self.x.size / self.intervals) - 6 * np.log10(2 * np.pi * self.spacing * bandwidth))
 
+    def bandwidth(self, log_weight: float) -> float:
+        """The frequency [Hz] passed by half."""
+        return float((self.x.size / self.intervals / 10.0**log_weight) ** (1 / 6) / (2 * np.pi * self.spacing))
+
     def spline(self, y: Array, log_weight: float) -> SmoothSpline:
-        weight = 10.0**log_weight
-        coefficients = self.solve(weight, self.design.T @ y)
-        density = self.x.size / self.intervals
-        return SmoothSpline(
-            curve=BSpline(self.knots * self.spacing, coefficients, _DEGREE), start=self.start,
-            weight=weight * self.spacing**5,
-            bandwidth=float((density / weight) ** (1 / 6) / (2 * np.pi * self.spacing)),
-            residual=float(np.sqrt(np.mean((y - self.design @ coefficients) ** 2))), basis=self)
+        """The smoothing of samples y (N,) at the basis's times with a given log10 λ in knot units."""
+        coefficients = self.solve(10.0**log_weight, self.design.T @ y)
+        return SmoothSpline(coefficients, 10.0**log_weight * self.spacing**5, self.bandwidth(log_weight),
+                            float(np.sqrt(np.mean((y - self.design @ coefficients) ** 2))), self)
 
     def solve(self, weight: float, right: Array) -> Array:
         """Coefficients of the penalised normal equations, λ in knot units."""
         factor = cholesky_banded(self.gram + weight * self.penalty, lower=True)
         return np.asarray(cho_solve_banded((factor, True), right))
 
-    def derivative(self, x: Array, order: int) -> Any:
-        """Values (N, m) of the splines' derivatives at x (N,), in knot units."""
-        knots, degree, size = self.knots, _DEGREE, self.knots.size - _DEGREE - 1
-        to_derivative = sp.eye_array(size, format="csr")
-        for _ in range(order):
-            rise = degree / (knots[degree + 1:-1] - knots[1:-degree - 1])
-            difference = sp.diags_array([-rise, rise], offsets=[0, 1], shape=(rise.size, rise.size + 1))
-            to_derivative = difference.tocsr() @ to_derivative
-            knots, degree = knots[1:-1], degree - 1
-        return BSpline.design_matrix(x, knots, degree) @ to_derivative
 
-    def _penalty(self) -> sp.csr_array:
-        """∫ B'''_i B'''_j dx, exact: three Gauss points integrate the product of two parabolas."""
-        points, weights = np.polynomial.legendre.leggauss(3)
-        x = (np.arange(self.intervals)[:, None] + 0.5 + 0.5 * points).ravel()
-        third = self.derivative(x, _PENALISED)
-        return sp.csr_array(third.T @ sp.diags_array(np.tile(weights / 2, self.intervals)) @ third)
+def _derived(order: int) -> Array:
+    """As `_POWERS`, of a derivative."""
+    matrix = _POWERS
+    for _ in range(order):
+        matrix = matrix[1:] * np.arange(1, len(matrix))[:, None]
+    return matrix
 
 
 def _band(matrix: Any) -> Array:

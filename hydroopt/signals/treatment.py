@@ -26,12 +26,18 @@ ACTIONS: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class Samples:
-    """Time t (N,) [s], channels (N,) [SI], data row (N,) of each sample, and what was found so far."""
+    """Time t (N,) [s], channels (N,) [SI], data row (N,) of each sample, and what was found so far.
+
+    Of a piece of a longer log only findings in the rows `told`, first and last, are told (none where the last comes
+    before the first), and `whole` are the extremes of the log's channels.
+    """
 
     t: Array
     channels: dict[str, Array]
     sample: NDArray[np.int64]
     findings: tuple[Finding, ...] = ()
+    told: tuple[int, int] | None = None
+    whole: Mapping[str, tuple[float, float]] | None = None
 
     def keep(self, mask: Mask) -> "Samples":
         """The samples in `mask` (N,)."""
@@ -66,7 +72,9 @@ def treat(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, tupl
     Raises:
         LogError: a kind whose action is "error" was found, or too little is left.
     """
-    for step in (_not_a_number, _order, _repeats, _outliers):
+    silent = samples.told is not None and samples.told[0] > samples.told[1]
+    idle = silent and all(chosen[kind] != "drop" for kind in ("saturated", "stuck", "spike"))
+    for step in (_not_a_number, _order, _repeats, *(() if idle else (_outliers,))):
         samples = step(samples, chosen, limits, where)
         if samples.t.size < 2:
             raise LogError(f"only {samples.t.size} of the samples would be left", where=where,
@@ -79,10 +87,15 @@ def _note(
 ) -> Samples:
     """Add a finding, or raise where the action is "error"."""
     action = chosen[kind]
+    if samples.told and action != "error":
+        mask = mask & (samples.sample >= samples.told[0]) & (samples.sample <= samples.told[1])
+        if not mask.any():
+            return samples
     found = find.finding(kind, channel, mask, samples.sample, text)
     if action == "error":
         others = [f"--treat {kind}={a}" for a in ACTIONS[kind] if a != "error"]
-        raise LogError(f"{found.text} ({found.count} in all)", where=where,
+        among = f"of rows {samples.sample[0]} to {samples.sample[-1]}" if samples.told else "in all"
+        raise LogError(f"{found.text} ({found.count} {among})", where=where,
                        remedy=f"choose {' or '.join(others)}, or mend the file")
     if action != "keep":
         done = {"drop": "dropped", "interpolate": "interpolated", "first": "first one kept",
@@ -147,9 +160,10 @@ def _outliers(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, 
     """Saturation, standstill, spikes: each sample counts once. Commands (`.u`) may rest and jump."""
     sensed = {name: x for name, x in samples.channels.items() if not name.endswith(".u")}
     none = np.zeros(samples.t.size, bool)
-    clipped = {name: find.saturated(x, limits.get(name), own_extremes=name in sensed)
+    whole = samples.whole or {}
+    clipped = {name: find.saturated(x, limits.get(name), name in sensed, whole.get(name))
                for name, x in samples.channels.items()}
-    level = {name: mask & ~clipped[name] for name, mask in find.stuck(sensed).items()}
+    level = {name: mask & ~clipped[name] for name, mask in find.stuck(sensed, samples.whole).items()}
     spiky = {name: find.spikes(x) & ~clipped[name] & ~level[name] for name, x in sensed.items()}
     texts: tuple[tuple[str, dict[str, Mask], Callable[[str, Mask], str]], ...] = (
         ("saturated", clipped, lambda name, mask: "sit at or beyond the limit of the range"),
