@@ -10,9 +10,8 @@ from scipy.linalg.lapack import dgeqrt
 
 from hydroopt.inertia import Array
 from hydroopt.model.build import Model
-from hydroopt.model.program import program
 
-ROWS, PANEL = 2048, 8
+ROWS, PANEL = 1024, 8
 """Rows of a block, and columns that LAPACK's recursive QR takes at a time: three times as fast as its plain QR."""
 
 
@@ -23,11 +22,8 @@ class Triangles:
     """
 
     def __init__(self, model: Model) -> None:
-        n, p = len(model.machine.joints), len(model.parameters)
-        made = program(model.regressor)
-        entries = made.outputs[0].entries
-        present = np.array([made.number(ref) != 0.0 for ref in entries]).reshape(n, p)
-        self.columns = [np.append(np.flatnonzero(row), p) for row in present]
+        n, p = model.regressor_pattern.shape
+        self.columns = [np.append(np.flatnonzero(row), p) for row in model.regressor_pattern]
         self.compact = [np.zeros((len(columns), len(columns)), order="F") for columns in self.columns]
         self.samples = np.zeros(n)
         self.sums = np.zeros((n, p + 1))

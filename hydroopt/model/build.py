@@ -7,6 +7,7 @@ from functools import cached_property, partial
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt import dynamic_parameters
 from hydroopt.errors import ProblemError
@@ -124,6 +125,13 @@ class Model:
         """
         K = self.dynamics.regressor(actuator_inertia=self.actuator_inertia)
         return _dense("regressor", [*self._state.values()], [K], [*self._state], ["K"])
+
+    @cached_property
+    def regressor_pattern(self) -> NDArray[np.bool_]:
+        """Which entries (n, p) of the regressor are not zero whatever the motion."""
+        made = program(self.regressor)
+        return np.array([made.number(entry) != 0.0 for entry in made.outputs[0].entries]).reshape(
+            self.regressor.size_out(0))
 
     @cached_property
     def inverse_dynamics(self) -> ca.Function:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
@@ -102,14 +103,11 @@ def spikes(x: Array) -> Mask:
     lsb = float(np.min(steps[steps > 0], initial=np.inf))
     usual = max(6 / 1.96 * float(np.quantile(residual, 0.95)), 2e-3 * float(high - low),
                 5 * lsb if np.isfinite(lsb) else 0.0)
-    half = _WINDOW // 2
-    for i in np.flatnonzero(residual > usual):
-        window = x[max(0, i - half):i + half + 1]
-        third = window.size // 3
-        slope = (np.median(window[-third:]) - np.median(window[:third])) / (window.size - third)
-        window = window - slope * np.arange(window.size)
-        spread = 1.4826 * float(np.median(np.abs(window - np.median(window))))
-        mask[i] = residual[i] > 8 * spread
+    half, far = _WINDOW // 2, np.flatnonzero(residual > usual)
+    inner = (far >= half) & (far < x.size - half)
+    mask[far[inner]] = residual[far[inner]] > 8 * _spread(sliding_window_view(x, _WINDOW)[far[inner] - half])
+    for i in far[~inner]:
+        mask[i] = residual[i] > 8 * _spread(x[None, max(0, i - half):i + half + 1])[0]
     for i in np.flatnonzero(mask):
         for direction in (-1, 1):
             for j in range(i + direction, i + 4 * direction, direction):
@@ -120,6 +118,15 @@ def spikes(x: Array) -> Mask:
 
 
 Extremes = tuple[float, float]
+
+
+def _spread(windows: Array) -> Array:
+    """Robust standard deviation (m,) of windows (m, w) about their slope."""
+    width = windows.shape[1]
+    third = width // 3
+    slope = (np.median(windows[:, -third:], axis=1) - np.median(windows[:, :third], axis=1)) / (width - third)
+    level = windows - slope[:, None] * np.arange(width)
+    return np.asarray(1.4826 * np.median(np.abs(level - np.median(level, axis=1, keepdims=True)), axis=1))
 
 
 def saturated(x: Array, limits: Extremes | None, own_extremes: bool = True, whole: Extremes | None = None) -> Mask:

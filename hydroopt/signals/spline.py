@@ -151,7 +151,7 @@ class Basis:
     def derivative(self, x: Array, order: int) -> Any:
         """Values (N, m) of the splines' derivatives at x (N,), in knot units."""
         cell = np.minimum(x.astype(np.int32), np.int32(self.intervals - 1))
-        powers = np.power.outer(x - cell, np.arange(_ORDER - order))
+        powers = np.vander(x - cell, _ORDER - order, increasing=True)
         values = powers @ _derived(order)
         columns = cell[:, None] + np.arange(_ORDER, dtype=np.int32)
         ends = np.arange(0, values.size + 1, _ORDER, dtype=np.int32)

@@ -112,7 +112,7 @@ def test_names_of_losses_and_methods_are_checked(noisy: Problem) -> None:
 def test_chunks_fold_into_what_one_factorisation_gives(
     noisy: Problem, monkeypatch: pytest.MonkeyPatch, chunk: int
 ) -> None:
-    monkeypatch.setattr(compression, "CHUNK", chunk)
+    monkeypatch.setattr(compression, "ROWS", chunk)
     folded = compression.compress(noisy.model, noisy.experiments)
     for i in range(3):
         whole = []
