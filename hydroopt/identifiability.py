@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import svd
 
 from hydroopt.inertia import Array
 from hydroopt.model.build import Model
@@ -104,7 +105,8 @@ def _first_independent(scaled: Array, rank: int, cut: float) -> list[int]:
 def _null_space(scaled: Array, rank: int) -> Array:
     if not scaled.size:
         return np.zeros((scaled.shape[1], 0))
-    return np.linalg.svd(scaled, full_matrices=True)[2][rank:].T
+    # divide and conquer, NumPy's way, now and then does not converge where singular values are but rounding errors
+    return np.asarray(svd(scaled, lapack_driver="gesvd")[2][rank:].T)
 
 
 def structural(model: Model, *, samples: int = 400, seed: int = 0, tolerance: float = 1e-8) -> Identifiability:

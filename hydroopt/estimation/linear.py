@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from scipy.linalg import svd
 
 from hydroopt.identifiability import Identifiability, analyse
 from hydroopt.inertia import Array
@@ -58,7 +59,7 @@ def ridge(R: Array, r: Array, strength: float | None = None, *, rows: float | No
     """
     lengths = np.linalg.norm(R, axis=0)
     lengths[lengths == 0] = 1.0
-    U, s, Vt = np.linalg.svd(R / lengths, full_matrices=False)
+    U, s, Vt = svd(R / lengths, full_matrices=False, lapack_driver="gesvd")
     projected = U.T @ r
     if strength is None:
         outside = rest + max(float(r @ r - projected @ projected), 0.0)
@@ -78,6 +79,6 @@ def truncated_svd(R: Array, r: Array, tolerance: float) -> tuple[Array, int]:
     """
     lengths = np.linalg.norm(R, axis=0)
     lengths[lengths == 0] = 1.0
-    U, s, Vt = np.linalg.svd(R / lengths, full_matrices=False)
+    U, s, Vt = svd(R / lengths, full_matrices=False, lapack_driver="gesvd")
     kept = s > tolerance * s[0]
     return Vt[kept].T @ ((U.T @ r)[kept] / s[kept]) / lengths, int(kept.sum())

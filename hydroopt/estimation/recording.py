@@ -189,7 +189,7 @@ class Recording:
 
     def _over(self, work: Callable[[Given], Made], given: Iterable[Given]) -> Iterator[Made]:
         """What `work` makes of all that is given, in its order, some of it at once; little of it waits in memory."""
-        _ = self._slow  # before threads ask for it
+        _ = self._slow, self.model.regressor, self.model.inverse_dynamics  # made before threads ask for them
         waiting: deque[Future[Made]] = deque()
         with threadpool_limits(limits=1, user_api="blas"), ThreadPoolExecutor(self.workers) as pool:
             try:

@@ -47,6 +47,7 @@ class Runner:
 
     def __init__(self) -> None:
         self._ways: dict[tuple[int, bool], tuple[ca.Function, Way]] = {}
+        self._lock = Lock()  # CasADi's expressions are not made for threads
 
     def over(self, function: ca.Function, *columns: Array, out: list[Array] | None = None) -> list[Array]:
         """Evaluate at N samples: each argument (N, k), or (k,) if it is the same for all; results (N, rows, columns).
@@ -73,10 +74,11 @@ class Runner:
 
     def _way(self, function: ca.Function, count: int) -> Way:
         key = hash(function), count >= FEW
-        if key not in self._ways:
-            way = kernel(function) if count >= FEW else None
-            self._ways[key] = function, way or _mapped(function)  # holding the function keeps its hash its own
-        return self._ways[key][1]
+        with self._lock:
+            if key not in self._ways:
+                way = kernel(function) if count >= FEW else None
+                self._ways[key] = function, way or _mapped(function)  # holding the function keeps its hash its own
+            return self._ways[key][1]
 
 
 def _mapped(function: ca.Function) -> Way:

@@ -61,7 +61,7 @@ def measured(command: list[str]) -> tuple[float, float, float]:
 def streaming() -> None:
     """The command as a whole with logs in pieces, all of a log's 16 columns checked."""
     with tempfile.TemporaryDirectory() as folder:
-        print(f"{'samples':>10} {'file MB':>8} {'wall s':>8} {'CPU s':>8} {'peak MB':>8} {'CPU us/sample':>14} {'load':>6}")
+        print(f"{'samples':>10} {'file MB':>8} {'wall s':>8} {'CPU s':>8} {'peak MB':>8} {'us/sample':>10} {'load':>6}")
         runs = []
         for samples in SIZES:
             log = Path(folder) / f"{samples}.parquet"
@@ -69,7 +69,7 @@ def streaming() -> None:
             wall, cpu, peak = measured([HYDROOPT, "identify", "cat215b", str(log), "-o", f"{folder}/out", "--quiet"])
             runs.append((samples, wall, cpu, peak))
             print(f"{samples:10d} {log.stat().st_size / 1e6:8.0f} {wall:8.1f} {cpu:8.1f} {peak:8.0f} "
-                  f"{1e6 * cpu / samples:14.2f} {os.getloadavg()[0]:6.2f}")
+                  f"{1e6 * cpu / samples:10.2f} {os.getloadavg()[0]:6.2f}")
             log.unlink()
         (few, wall, cpu, _), (many, longer, more, peak) = runs[0], runs[-1]
         print(f"each further sample: {1e6 * (more - cpu) / (many - few):.2f} us of processor, "
