@@ -291,8 +291,9 @@ class Problem:
         if logs and len(logs) != len(self.experiments):
             raise ProblemError(f"{len(logs)} instruments are given for {len(self.experiments)} logs",
                                where="instruments", remedy="give one for each log that is learnt from")
+        held = in_memory(self.experiments, "a second reading")
         return replace(self, instruments=tuple(instrument(self.model, data, logs[k] if logs else None)
-                                               for k, data in enumerate(in_memory(self.experiments, "a second reading"))))
+                                               for k, data in enumerate(held)))
 
     @property
     def constraint_names(self) -> tuple[str, ...]:

@@ -37,6 +37,9 @@ from hydroopt.signals.smoother import Smoother
 from hydroopt.signals.stream import BLOCK, PIECE, STREAMED, LogStream
 from hydroopt.signals.treatment import Samples
 
+WORKERS = 4
+"""Threads at most: one reads the file, which keeps no more of them busy, and each holds a piece in memory."""
+
 LAGS = 2**13
 """Lags up to which residuals of a log in pieces are compared."""
 
@@ -78,7 +81,7 @@ class Recording:
     model: Model
     stream: LogStream
     smoothing: SmoothingSpline
-    workers: int = field(default_factory=threads)
+    workers: int = field(default_factory=lambda: min(WORKERS, threads()))
 
     @cached_property
     def _sample(self) -> tuple[Smoother, Experiment]:
