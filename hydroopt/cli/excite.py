@@ -25,7 +25,7 @@ from hydroopt.excitation.poses import plan_poses
 from hydroopt.files import write_files
 from hydroopt.machine import Machine
 from hydroopt.report import folder
-from hydroopt.signals.log import read_log
+from hydroopt.signals.stream import open_log
 from hydroopt.units import to_si
 
 TIGHT = 0.02
@@ -88,7 +88,7 @@ def excite(
     described, origin = codegen_origin.read(machine, parameter_set=parameter_set)
     basis, resting = _basis(duration, period, harmonics, blend, pieces), _resting(described, rest or ())
     with progress(f"preparing {described.name}", quiet) as say:
-        logs = [read_log(path, mapping=map_file) for path in log or ()]
+        logs = [open_log(path, mapping=map_file) for path in log or ()]
         known = measured(described, logs) if logs else None
         problem = excitation_problem(described, basis, criterion=criterion or "D", focus=focus or (), priors=priors,
                                      known=known, rate=rate, resting=resting)

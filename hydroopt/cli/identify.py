@@ -34,6 +34,7 @@ from hydroopt.estimation.problem import Problem, identification_problem
 from hydroopt.estimation.solve import METHODS, Method, solve
 from hydroopt.estimation.verdict import doubts
 from hydroopt.report import folder
+from hydroopt.signals.log import read_log
 from hydroopt.signals.stream import open_log
 
 

@@ -16,6 +16,7 @@ from hydroopt.inertia import Array
 from hydroopt.model.build import Model
 from hydroopt.signals.conditioning import Motion
 
+
 @dataclass(frozen=True, eq=False)
 class Compressed:
     """Triangles (n, p+1, p+1) with ``‖T_i·[ψ; −1]‖² = Σ (K_i·ψ − f_i)²`` for actuator i, over `samples[i]` rows."""

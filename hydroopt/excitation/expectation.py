@@ -27,6 +27,7 @@ from hydroopt.machine import Machine
 from hydroopt.model.build import Model
 from hydroopt.signals import spline
 from hydroopt.signals.log import Log
+from hydroopt.signals.stream import LogStream
 from hydroopt.synthetic import Trajectory, simulate
 
 UNSEEN = 1e-9
@@ -52,7 +53,7 @@ class Expectation:
     sigma: Array
 
 
-def measured(machine: Machine, logs: Sequence[Log]) -> Array:
+def measured(machine: Machine, logs: Sequence[Log | LogStream]) -> Array:
     """Information (p, p) on ψ of logs already measured, by what their residuals turn out to be.
 
     Raises:

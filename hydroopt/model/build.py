@@ -128,8 +128,8 @@ class Model:
 
     @cached_property
     def regressor_pattern(self) -> NDArray[np.bool_]:
-        """Which entries (n, p) of the regressor are not zero whatever the motion."""
-        made = program(self.regressor)
+        """Which entries (n, p) of the regressor are not zero whatever the motion, and the point of linearisation."""
+        made = program(self.regressor if self.linear else self.linearised)
         return np.array([made.number(entry) != 0.0 for entry in made.outputs[0].entries]).reshape(
             self.regressor.size_out(0))
 

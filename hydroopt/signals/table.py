@@ -20,6 +20,8 @@ RawKey = Key | tuple[str, int | None]
 FORMATS = {".csv": "csv", ".txt": "csv", ".dat": "csv", ".parquet": "parquet", ".mat": "mat"}
 FILE_LIMIT = 2 * 1024**3
 """Largest file that is read [bytes]."""
+EXPANSION = 10
+"""Bytes of memory that a byte of text takes until an identification is done with it."""
 EXPANDED_LIMIT = 10 * 1000**3
 """Largest size in memory that a file may declare [bytes]."""
 
@@ -54,7 +56,11 @@ def load(path: str | Path, declared: str | None) -> tuple[bytes, str, str]:
                        remedy=f"use {', '.join(FORMATS)} or state 'format' in a map")
     if (size := file.stat().st_size) > FILE_LIMIT:
         raise LogError(f"the file has {size / 1e9:.1f} GB", where=where,
-                       remedy="split it into parts below 2 GiB")
+                       remedy="convert it to Parquet, which is read in pieces, or split it into parts below 2 GiB")
+    if kind == "csv" and (need := EXPANSION * size) > (have := _memory()):
+        raise LogError(f"the text of {size / 1e9:.1f} GB takes about {need / 1e9:.0f} GB of memory, of which there are "
+                       f"{have / 1e9:.0f} GB", where=where,
+                       remedy="convert it to Parquet, which is read in pieces, or split it")
     try:
         data = file.read_bytes()
     except OSError as error:
@@ -63,6 +69,14 @@ def load(path: str | Path, declared: str | None) -> tuple[bytes, str, str]:
     if not data.strip():
         raise LogError("the file is empty", where=where, remedy="record it again")
     return data, hashlib.sha256(data).hexdigest(), kind
+
+
+def _memory() -> float:
+    """Memory of this computer [bytes]; without limit where it does not say."""
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return float("inf")
 
 
 def in_si(layout: LogMap, table: Table, where: str) -> tuple[dict[str, Array], dict[str, str]]:

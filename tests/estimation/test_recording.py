@@ -13,6 +13,7 @@ import pytest
 from hydroopt import cli
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.estimation.estimate import Estimate
+from hydroopt.estimation.friction import friction_problem
 from hydroopt.estimation.problem import identification_problem
 from hydroopt.estimation.recording import Recording, recording
 from hydroopt.estimation.solve import solve
@@ -129,6 +130,8 @@ def test_what_needs_all_samples_is_refused(cat215b: Model, path: Path) -> None:
     for asked in (problem.with_loss("huber"), problem.with_fitted_motion(), problem.with_correlated_channels()):
         with pytest.raises(ProblemError, match=r"read in pieces, but .* needs all of it at once; .*rows = \["):
             solve(asked, "wls")
+    with pytest.raises(ProblemError, match="a choice of friction needs all of it at once"):
+        friction_problem(cat215b.machine, [pieces], [], "coulomb")
     with pytest.raises(ProblemError, match="only a smoothing spline joins"):
         identification_problem(cat215b.machine, [pieces], smoothing=Fourier(20.0, 10))
     with pytest.raises(ProblemError, match="the same samples are given twice"):

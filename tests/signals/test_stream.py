@@ -105,6 +105,13 @@ def test_treatments_that_need_the_whole_are_refused(tmp_path: Path, treatment: d
         stream(write(tmp_path / "log.parquet", columns()), treatment=treatment)
 
 
+def test_text_beyond_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "log.csv").write_text("t [s],boom.q [rad]\n" + "0,1\n" * 1000)
+    monkeypatch.setattr("hydroopt.signals.table._memory", lambda: 30_000.0)
+    with pytest.raises(LogError, match=r"takes about .* of memory.*convert it to Parquet, which is read in pieces"):
+        read_log(tmp_path / "log.csv")
+
+
 def test_only_long_parquet_files_are_read_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = write(tmp_path / "log.parquet", columns())
     assert isinstance(open_log(path), Log)
