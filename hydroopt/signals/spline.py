@@ -109,9 +109,10 @@ def choose(pieces: Sequence[tuple[Array, Array]], grid: Grid, noise: float | Non
 
 
 def _best(bases: Sequence["Basis"], values: Sequence[Array], noise: float | None) -> float:
-    """log10 λ of least estimated risk; traces by Hutchinson's estimator with fixed probes."""
-    n = sum(y.size for y in values)
-    rights = [np.column_stack([basis.design.T @ y, basis.projected]) for basis, y in zip(bases, values, strict=True)]
+    """log10 λ of least estimated risk; traces by Hutchinson's estimator with fixed probes, others for each piece."""
+    n, rng = sum(y.size for y in values), np.random.default_rng(0)
+    rights = [basis.design.T @ np.column_stack([y, rng.choice([-1.0, 1.0], (y.size, _PROBES))])
+              for basis, y in zip(bases, values, strict=True)]
 
     def risk(log_weight: float) -> float:
         rss = freedom = 0.0
@@ -121,7 +122,7 @@ def _best(bases: Sequence["Basis"], values: Sequence[Array], noise: float | None
             except LinAlgError:
                 return np.inf
             rss += float(np.sum((y - basis.design @ c[:, 0]) ** 2))
-            freedom += float(np.sum(basis.projected * c[:, 1:])) / _PROBES
+            freedom += float(np.sum(right[:, 1:] * c[:, 1:])) / _PROBES
         if noise is not None:
             return rss / n + 2 * noise**2 * freedom / n
         return float(np.log(max(rss / n, 1e-300)) - 2 * np.log(max(1 - freedom / n, 1e-9)))
@@ -168,11 +169,6 @@ class Basis:
             for j in range(_ORDER - offset):
                 band[offset, j : j + self.intervals] += cell[j, j + offset]
         return band
-
-    @cached_property
-    def projected(self) -> Array:
-        """Fixed random signs at the samples, on the splines."""
-        return np.asarray(self.design.T @ np.random.default_rng(0).choice([-1.0, 1.0], (self.x.size, _PROBES)))
 
     def log_weight_of(self, bandwidth: float) -> float:
         """log10 λ that passes the frequency `bandwidth` [Hz] by half."""
