@@ -37,8 +37,10 @@ CANDIDATES = ("none", "viscous", "coulomb", "coulomb+viscous", "coulomb+viscous+
 """What is tried where nothing else is asked for."""
 STRIBECK_SPEED, DEAD_ZONE = 0.3, 0.05
 """Where the file states none: Stribeck speed at first and dead zone, as parts of an actuator's RMS speed."""
-TRIED = (0.15, 0.4, 1.0, 2.5)
+TRIED = (0.35, 0.7, 1.4, 2.8)
 """Stribeck speeds to begin with, as parts of that: Gauss-Newton steps find the best one near by."""
+SLOWEST = 0.25
+"""Lower bound of a Stribeck speed as a part of that to begin with: below, it acts where nothing is told of friction."""
 BLOCKS, LONG = (6, 40), 10.0
 """Least and greatest number of blocks of held-out samples, and how many correlation times long they should be."""
 BEYOND = 1.0
@@ -108,7 +110,8 @@ def _refitted(part: Cylinder | Motor | Drive, wanted: Sequence[str], speed: floa
             for key in ("stribeck", "stribeck_speed") if term == "stribeck" else (term,):
                 made[key] = begin.get(key, 0.0) if stated[key] is None else stated[key]
             if term == "stribeck" and stated["stribeck_speed"] is None:
-                notes[f"{at}.stribeck_speed"] = Note(sigma=1.0, relative=True, source="assumed: from the speeds driven")
+                notes[f"{at}.stribeck_speed"] = Note(sigma=1.0, relative=True, lower=SLOWEST * begin["stribeck_speed"],
+                                                     source="assumed: from the speeds driven")
     for key in stated:
         if made.get(key) is None:
             notes.pop(f"{at}.{key}", None)
@@ -136,7 +139,7 @@ class Candidate:
 
     Attributes:
         terms: such as ``coulomb+viscous``.
-        parameters: how many numbers it adds to the machine's.
+        parameters: how many numbers it has, over all actuators.
         training: RMS error of the training data; NaN, as the others, where it could not be fitted.
         held_out: RMS error of held-out data; `std` its standard error.
         chosen: whether this is the one.
@@ -278,15 +281,25 @@ def choose_friction(machine: Machine, logs: Sequence[Log | LogStream], validatio
             if len(failed) == len(names) - 1:
                 raise
             failed[name] = error.what
-    rows, blocks = _judged(fitted, failed, names)
+    size = {name: _size(problem, name) for name, problem in problems.items()}
+    rows, blocks = _judged(fitted, failed, size)
     chosen = next(row.terms for row in rows if row.chosen)
     estimate = fitted[chosen] if not intervals else solve(problems[chosen], method, tolerance=tolerance, ridge=ridge,
                                                           seed=seed)
     return FrictionChoice(tuple(rows), estimate, blocks)
 
 
+def _size(problem: Problem, terms: str) -> tuple[int, int]:
+    """How many parameters the friction of actuators has, and how many terms."""
+    owners = {actuator.name for actuator in problem.model.machine.actuators}
+    elements = [element.partition("_") for owner, _, element in (
+        name.rpartition(".") for name in problem.parameters.names) if owner in owners]
+    dry_or_viscous = {"coulomb", "coulomb_reverse", "viscous", "viscous_reverse", "stribeck", "seal"}
+    return sum(kind in ("f", "tau", "v") and key in dry_or_viscous for kind, _, key in elements), len(terms_of(terms))
+
+
 def _judged(fitted: Mapping[str, Estimate], failed: Mapping[str, str],
-            names: Sequence[str]) -> tuple[list[Candidate], int]:
+            size: Mapping[str, tuple[int, int]]) -> tuple[list[Candidate], int]:
     """All candidates with their errors and the one chosen, and the number of blocks."""
     train, unseen = ({name: _errors(estimate, getattr(estimate.problem, which), estimate.predictions[key])
                       for name, estimate in fitted.items()}
@@ -299,8 +312,6 @@ def _judged(fitted: Mapping[str, Estimate], failed: Mapping[str, str],
     count = int(np.clip(wanted, BLOCKS[0], min(BLOCKS[1], samples)))
     blocks = {name: np.array([np.mean(part) for part in np.array_split(np.mean((error / sigma) ** 2, axis=1), count)])
               for name, error in unseen.items()}
-    size = {name: (len(estimate.problem.parameters), name.count("+") + (name != "none"))
-            for name, estimate in fitted.items()}
     best = min(fitted, key=lambda name: float(np.mean(blocks[name])))
     # as much as parameters that are not there may gain or lose by the noise that they were fitted to
     independent = sum(float(np.sum(np.sum(e.inside[:, None] & e.moving, axis=0) / fitted[closest].correlation_time))
@@ -311,15 +322,14 @@ def _judged(fitted: Mapping[str, Estimate], failed: Mapping[str, str],
         apart[name] = mean, float(np.hypot(error, abs(size[name][0] - size[best][0]) / independent))
     near = [name for name in fitted if size[name] <= size[best] and apart[name][0] <= BEYOND * apart[name][1]]
     chosen = min(near, key=lambda name: (size[name], float(np.mean(blocks[name]))))
-    least = min(size.values())[0]
     rows = []
-    for name in names:
+    for name in size:
         if name in failed:
-            rows.append(Candidate(name, 0, np.nan, np.nan, np.nan, False, f"not fitted: {failed[name]}"))
+            rows.append(Candidate(name, size[name][0], np.nan, np.nan, np.nan, False, f"not fitted: {failed[name]}"))
             continue
         mean, error = _mean_and_error(blocks[name])
         rms = float(np.sqrt(mean))
-        rows.append(Candidate(name, size[name][0] - least, float(np.sqrt(np.mean((train[name] / sigma) ** 2))), rms,
+        rows.append(Candidate(name, size[name][0], float(np.sqrt(np.mean((train[name] / sigma) ** 2))), rms,
                               error / (2 * rms) if rms else 0.0, name == chosen,
                               _why(name, chosen, best, apart[name], size)))
     return rows, count

@@ -23,10 +23,10 @@ from hydroopt.solvers import Certificate
 Method = Literal["sdp", "qp", "nlp", "wls", "ridge", "tsvd"]
 METHODS: tuple[Method, ...] = get_args(Method)
 _LINEAR = ("wls", "ridge", "tsvd")
-STEPS, SMALLEST, SETTLED, NIL, FAINT = 60, 1e-6, 1e-7, 1e-6, 1e-4
+STEPS, SMALLEST, SETTLED, NIL, ROUGH, FAINT = 60, 1e-6, 1e-7, 1e-6, 0.1, 1e-4
 """Gauss-Newton steps at most, the least part of one that is tried, the relative change of parameters that is none, the
-change of what is minimised, in squared standard deviations, that is none, and the Stribeck force, as a part of the
-standard deviation of residuals, that is none."""
+change of what is minimised, in squared standard deviations, that is none, and that is none where no part of a step
+leads further down, and the Stribeck force, as a part of the standard deviation of residuals, that is none."""
 
 
 def solve(problem: Problem, method: Method = "sdp", *, tolerance: float = RANK_TOLERANCE,
@@ -101,7 +101,9 @@ def _solve(problem: Problem, method: Method, tolerance: float, ridge: float | No
             part /= 2
             gain = before - _misfit(found, point + part * step)
         if part <= SMALLEST:
-            break
+            if abs(before - _misfit(found, target)) > ROUGH:
+                break
+            return _solve_at(problem, target, method, tolerance, ridge, intervals, seed) if intervals else found
         point = point + part * step
     names = ", ".join(np.array(parameters.names)[speeds])
     raise SolverError(f"Gauss-Newton steps do not come to rest: these data do not determine {names}",
