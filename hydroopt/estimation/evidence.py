@@ -77,14 +77,14 @@ class Evidence:
         return tuple(said)
 
 
-def gather(problem: Problem, tolerance: float, most_probable: MostProbable, point: Array) -> Evidence:
+def gather(problem: Problem, tolerance: float, most_probable: MostProbable, point: Array | None = None) -> Evidence:
     """Weigh residuals and condense them.
 
     Args:
         problem: whose.
         tolerance: part of the largest singular value below which a direction counts as unseen.
         most_probable: the estimator, which a fitted motion is fitted with.
-        point: (p,) parameters at which forces are linearised that are not linear in them.
+        point: (p,) parameters at which forces are linearised that are not linear in them; the nominal ones if None.
 
     Raises:
         IdentifiabilityError: no joint moves.
@@ -92,6 +92,7 @@ def gather(problem: Problem, tolerance: float, most_probable: MostProbable, poin
     """
     model, experiments = problem.model, problem.experiments
     held = _held(problem)
+    point = problem.parameters.nominal if point is None else point
     data = compress(model, experiments, psi=point)
     if not np.any(data.samples):
         names = ", ".join(e.log.path or e.log.name for e in experiments)
