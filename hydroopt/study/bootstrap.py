@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.compression import predict
+from hydroopt.estimation.experiment import Experiment
 from hydroopt.estimation.problem import Problem, identification_problem
+from hydroopt.estimation.recording import in_memory
 from hydroopt.estimation.solve import Method, solve
 from hydroopt.inertia import Array
 from hydroopt.machine import Machine
@@ -60,20 +62,20 @@ class Resampling:
         Raises:
             HydrooptError: there is no estimate.
         """
-        problem, predicted = _prepared(self)
+        problem, experiments, predicted = _prepared(self)
         of_blocks, of_sampling = seeds(seed, 2)
         rng = np.random.default_rng(of_blocks)
         forces = [np.array(force) for force in predicted]
         for k, (block, widening) in enumerate(zip(self.blocks, self.widening, strict=True)):
-            taken = [e.inside & e.moving[:, k] for e in problem.experiments]
-            left = [(e.force - force)[rows, k] for e, force, rows in zip(problem.experiments, predicted, taken,
+            taken = [e.inside & e.moving[:, k] for e in experiments]
+            left = [(e.force - force)[rows, k] for e, force, rows in zip(experiments, predicted, taken,
                                                                          strict=True)]
             drawn = widening * redrawn(np.concatenate(left), int(block), rng)
             for force, rows, new in zip(forces, taken, np.split(drawn, np.cumsum([len(x) for x in left])[:-1]),
                                         strict=True):
                 force[rows, k] += new
         again = replace(problem, experiments=tuple(replace(e, force=force) for e, force in
-                                                   zip(problem.experiments, forces, strict=True)))
+                                                   zip(experiments, forces, strict=True)))
         psi = solve(again, self.method, seed=of_sampling).psi
         values = np.concatenate([psi[self.positions], self.grouping @ psi])
         return dict(zip((*self.names, *(f"base {name}" for name in self.base)), values.tolist(), strict=True))
@@ -103,9 +105,10 @@ def block_length(time: float, samples: int) -> int:
 
 
 @cache
-def _prepared(resampling: Resampling) -> tuple[Problem, list[Array]]:
+def _prepared(resampling: Resampling) -> tuple[Problem, tuple[Experiment, ...], list[Array]]:
     problem = identification_problem(resampling.machine, resampling.logs)
-    return problem, [predict(problem.model, e, resampling.psi) for e in problem.experiments]
+    held = in_memory(problem.experiments, "a bootstrap")
+    return problem, held, [predict(problem.model, e, resampling.psi) for e in held]
 
 
 def bootstrap(machine: Machine, logs: Sequence[Log], *, cells: int, seed: int = 0, method: Method = "sdp") -> Study:
@@ -125,7 +128,8 @@ def bootstrap(machine: Machine, logs: Sequence[Log], *, cells: int, seed: int = 
         raise ProblemError(f"{cells} cells are none", where="--cells", remedy="ask for one or more")
     problem = identification_problem(machine, logs)
     found = solve(problem, method, seed=seed)
-    samples = np.sum([np.sum(e.inside[:, None] & e.moving, axis=0) for e in problem.experiments], axis=0)
+    samples = np.sum([np.sum(e.inside[:, None] & e.moving, axis=0) for e in in_memory(problem.experiments, "a bootstrap")],
+                     axis=0)
     told = np.flatnonzero(np.isfinite(found.value))
     n = len(machine.actuators)
     work = Resampling(
@@ -142,7 +146,7 @@ def bootstrap(machine: Machine, logs: Sequence[Log], *, cells: int, seed: int = 
 def summary(study: Study, table: Table) -> dict[str, Any]:
     """Scatter of the refits against the σ stated, for parameters and base parameters, as JSON."""
     work: Any = study.function
-    problem, _ = _prepared(work)
+    problem = _prepared(work)[0]
     units = [problem.parameters.units[problem.parameters.index(name)] for name in (*work.names, *work.base)]
     rows = []
     for k, name in enumerate((*work.names, *(f"base {name}" for name in work.base))):
