@@ -128,8 +128,8 @@ def bootstrap(machine: Machine, logs: Sequence[Log], *, cells: int, seed: int = 
         raise ProblemError(f"{cells} cells are none", where="--cells", remedy="ask for one or more")
     problem = identification_problem(machine, logs)
     found = solve(problem, method, seed=seed)
-    samples = np.sum([np.sum(e.inside[:, None] & e.moving, axis=0) for e in in_memory(problem.experiments, "a bootstrap")],
-                     axis=0)
+    held = in_memory(problem.experiments, "a bootstrap")
+    samples = np.sum([np.sum(e.inside[:, None] & e.moving, axis=0) for e in held], axis=0)
     told = np.flatnonzero(np.isfinite(found.value))
     n = len(machine.actuators)
     work = Resampling(
