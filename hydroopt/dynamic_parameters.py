@@ -59,6 +59,16 @@ def bodies(machine: Machine, *, actuator_inertia: bool = True) -> dict[str, Owne
     return found
 
 
+def carried(machine: Machine, *, actuator_inertia: bool = True) -> dict[str, tuple[str, ...]]:
+    """Owners of the bodies that make up each link: its own, and the ends of cylinders that are pinned to it."""
+    found = bodies(machine, actuator_inertia=actuator_inertia)
+    ends = [(f"{cylinder.name}.{end}", attachment.link) for cylinder in machine.cylinders
+            for end, attachment in (("barrel", cylinder.barrel), ("rod", cylinder.rod))]
+    made = {link.name: tuple(owner for owner in (link.name, *(end for end, pinned in ends if pinned == link.name))
+                             if owner in found) for link in machine.links}
+    return {link: owners for link, owners in made.items() if owners}
+
+
 def scalars(machine: Machine, joint: str) -> dict[str, Scalar]:
     """Friction, offset and rotor parameters of one moving joint and its actuator, in the order of Eq. 4.53, 4.54."""
     units = machine.friction_units(joint)

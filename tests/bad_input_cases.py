@@ -495,8 +495,9 @@ LOGS = {
     "length beyond the triangle": log(lambda lines: cell(7, 4, "9.9")([OPEN, *lines[1:]]),
                                       r"sample 7,.*triangle"),
     "lines without end": log(lambda lines: "t [s]," + "x" * 5_000_000, "5000006 characters"),
-    "Parquet that declares 11 GB": Case(lambda d: identify(d, huge_parquet(), name="log.parquet"),
-                                        r"log\.parquet: .*GB"),
+    "Parquet that declares 11 GB": Case(
+        lambda d: ["simulate", "patu655_lift", "--motion", str(written(d, huge_parquet(), "log.parquet")), "-o",
+                   str(d / "out")], r"log\.parquet: .*GB"),
     "MATLAB that declares 20 GB": mapped(MAT_MAP, r"log\.mat: .*GB", huge_mat(), "log.mat"),
     "MATLAB cut short": mapped(MAT_MAP, r"log\.mat: ", huge_mat()[:150], "log.mat"),
     "damaged UR10e recording": Case(_ur10e, r"15harm50secLoad\.csv: data rows 2–10, 6107 .*; .*rows = \[11, 6106\]"),

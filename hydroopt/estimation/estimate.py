@@ -5,16 +5,18 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
+from typing import NamedTuple
 
 import numpy as np
 
 from hydroopt import inertia
-from hydroopt.dynamic_parameters import bodies
+from hydroopt.dynamic_parameters import bodies, carried
 from hydroopt.estimation.compression import predict
 from hydroopt.estimation.evidence import Evidence
 from hydroopt.estimation.experiment import Experiment
 from hydroopt.estimation.problem import Problem
 from hydroopt.estimation.recording import Recording
+from hydroopt.estimation.uncertainty import Posterior
 from hydroopt.identifiability import Confounded, Identifiability
 from hydroopt.inertia import Array
 
@@ -30,6 +32,17 @@ class Fit:
     vaf: float
     relative: float
     unit: str
+
+
+class TotalMass(NamedTuple):
+    """Mass [kg] of a link with the ends of cylinders that are pinned to it; NaN where that cannot be told."""
+
+    link: str
+    bodies: tuple[str, ...]
+    value: float
+    std: float
+    low: float
+    high: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,6 +62,7 @@ class Estimate:
         evidence: what the data said, as the estimator was told: weights and the information on ψ.
         confounded: parameters the motion cannot tell apart, though the model could.
         notes: what was done, in plain words.
+        posterior: samples of the parameters, where intervals were sampled.
     """
 
     problem: Problem
@@ -67,6 +81,7 @@ class Estimate:
     confounded: tuple[Confounded, ...]
     notes: tuple[str, ...]
     seed: int = 0
+    posterior: Posterior | None = None
     status: str = "ok"
 
     @property
@@ -78,6 +93,22 @@ class Estimate:
     def correlation_time(self) -> Array:
         """How many samples in a row the residuals of each actuator repeat themselves (n,); 1 is white noise."""
         return self.evidence.correlation_time
+
+    @cached_property
+    def total_masses(self) -> tuple[TotalMass, ...]:
+        """Masses of the links, each with what is pinned to it: known better than any of its bodies alone."""
+        model, parameters = self.problem.model, self.problem.parameters
+        found = []
+        for link, owners in carried(model.machine, actuator_inertia=model.actuator_inertia).items():
+            at = parameters.select(f"{owner}.m" for owner in owners)
+            value, std, interval = float(np.sum(self.value[at])), np.nan, np.full(2, np.nan)
+            if self.posterior is not None and np.isfinite(value):
+                row = np.zeros((1, len(parameters)))
+                row[0, at] = 1.0
+                spread, limits = self.posterior.interval(row)
+                std, interval = float(spread[0]), limits[0]
+            found.append(TotalMass(link, owners, value, std, float(interval[0]), float(interval[1])))
+        return tuple(found)
 
     def __getitem__(self, name: str) -> float:
         """Value of a parameter; NaN if it is not identifiable."""

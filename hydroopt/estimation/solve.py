@@ -184,7 +184,7 @@ def _constrained_estimate(evidence: Evidence, method: str, solution: feasible.So
     p = len(problem.parameters)
     psi, std, ci = solution.psi, np.full(p, np.nan), np.full((p, 2), np.nan)
     base_std = np.full(seen.rank, np.nan)
-    note = "intervals were not asked for"
+    note, posterior = "intervals were not asked for", None
     if intervals:
         posterior = uncertainty.sample(problem, R, r, solution.psi,
                                        consistent=method != "qp" and problem.consistent, seed=seed)
@@ -206,7 +206,7 @@ def _constrained_estimate(evidence: Evidence, method: str, solution: feasible.So
     untold = np.array(told.category) != identifiability.FULL
     value = psi.copy()
     value[untold | unseen], std[untold | unseen], ci[untold | unseen] = np.nan, np.nan, np.nan
-    return _assemble(evidence, method, psi, value, std, ci, solution.active, seen, base_std, (note,), seed)
+    return _assemble(evidence, method, psi, value, std, ci, solution.active, seen, base_std, (note,), seed, posterior)
 
 
 def _nominal_where_unseen(problem: Problem, seen: Identifiability, psi: Array) -> Array:
@@ -228,7 +228,7 @@ def _nominal_where_unseen(problem: Problem, seen: Identifiability, psi: Array) -
 
 def _assemble(evidence: Evidence, method: str, psi: Array, value: Array, std: Array, ci: Array,
               active: tuple[str, ...], seen: Identifiability, base_std: Array, notes: tuple[str, ...],
-              seed: int) -> Estimate:
+              seed: int, posterior: uncertainty.Posterior | None = None) -> Estimate:
     problem = evidence.problem
     bound = [""] * len(problem.parameters)
     for condition in reversed(problem.requirements(consistent=True)):  # of several that hold, the first is named
@@ -237,4 +237,4 @@ def _assemble(evidence: Evidence, method: str, psi: Array, value: Array, std: Ar
     return Estimate(
         problem, method, psi, value, std, ci, tuple(bound), active, identifiability.structural(problem.model), seen,
         seen.grouping @ psi, base_std, evidence, identifiability.confounded(evidence.R, seen),
-        (*notes, *evidence.notes), seed)
+        (*notes, *evidence.notes), seed, posterior)

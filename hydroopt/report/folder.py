@@ -225,6 +225,10 @@ def as_dict(estimate: Estimate, wall_s: float = float("nan")) -> dict[str, Any]:
     structure, model = estimate.structure, estimate.problem.model
     return _origin(estimate.problem, estimate.method) | {
         "status": estimate.status, "parameters": rows, "base_parameters": base,
+        "total_masses": [{"link": total.link, "bodies": list(total.bodies), "unit": "kg", "value": _number(total.value),
+                          "std": _number(total.std),
+                          "ci95": [total.low, total.high] if np.isfinite(total.low) else None}
+                         for total in estimate.total_masses],
         "fit": _fits(estimate.fit),
         "conditioning": {"rank": seen.rank, "condition_number": _number(seen.condition_number),
                          "parameters": len(estimate.problem.parameters), "structural_rank": structure.rank,

@@ -8,6 +8,7 @@ from importlib.resources import files
 from typing import Any, NamedTuple
 
 import jinja2
+import numpy as np
 from markupsafe import Markup
 
 from hydroopt.estimation.estimate import Estimate, Fit
@@ -68,7 +69,8 @@ def render(estimate: Estimate, doubts: Sequence[str], friction: FrictionChoice |
         friction_rows=[(c, plain(c.training), f"{plain(c.held_out)} ± {plain(c.std, 2)}")
                        for c in (friction.candidates if friction else ())],
         weights=_weights(estimate), groups=_groups(estimate),
-        base=_base(estimate), figures=_figures(estimate), condition=plain(estimate.seen.condition_number, 3),
+        base=_base(estimate), totals=_totals(estimate), figures=_figures(estimate),
+        condition=plain(estimate.seen.condition_number, 3),
         counts={c: sum(p.identifiability == c for g in _groups(estimate) for p in g.parameters)
                 for c in ("full", "combination", "not excited", "none")},
         confounded=[(c.name, plain(c.inflation, 3), ", ".join(c.partners)) for c in estimate.confounded],
@@ -136,6 +138,15 @@ def _base(estimate: Estimate) -> list[tuple[str, str, Row]]:
     return [(seen.expression(i).replace("+ ", "+\u00a0").replace("− ", "−\u00a0"), unit_text(units[seen.basis[i]]),
              quantity(float(v), float(s)))
             for i, (v, s) in enumerate(zip(estimate.base_value, estimate.base_std, strict=True))]
+
+
+def _totals(estimate: Estimate) -> list[tuple[str, str, Row]]:
+    """Links of several bodies, with what these are and their mass together."""
+    parameters = estimate.problem.parameters
+    return [(total.link, ", ".join(total.bodies), quantity(
+        total.value, total.std, (total.low, total.high),
+        float(np.sum(parameters.nominal[parameters.select(f"{owner}.m" for owner in total.bodies)]))))
+        for total in estimate.total_masses if len(total.bodies) > 1]
 
 
 def _log(role: str, data: Experiment | Recording) -> dict[str, Any]:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from hydroopt import synthetic
+from hydroopt.dynamic_parameters import carried
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.experiment import force_noise
 from hydroopt.estimation.problem import identification_problem
@@ -67,6 +68,11 @@ class Trial:
             result |= {f"{name}.truth": float(truth[k]), f"{name}.value": float(estimate.value[k]),
                        f"{name}.std": float(estimate.std[k]),
                        f"{name}.inside": int(low <= truth[k] <= high) if np.isfinite(low) else None}
+        for total in estimate.total_masses:
+            mass = float(np.sum(truth[model.parameters.select(f"{owner}.m" for owner in total.bodies)]))
+            result |= {f"{total.link} in all.truth": mass, f"{total.link} in all.value": total.value,
+                       f"{total.link} in all.std": total.std, f"{total.link} in all.inside":
+                       int(total.low <= mass <= total.high) if np.isfinite(total.low) else None}
         K, noise = _unseen(self)
         rms = np.sqrt(np.mean((K @ (estimate.psi - truth)) ** 2, axis=0)) / noise
         return result | {f"{a.name}.rms": float(x) for a, x in zip(self.machine.actuators, rms, strict=True)}
@@ -138,14 +144,16 @@ def summary(study: Study, table: Table) -> dict[str, Any]:
 
 
 def _point(trial: Any, table: Table) -> dict[str, Any]:
-    parameters = _model(trial, 1.0).parameters
+    model = _model(trial, 1.0)
+    links = [f"{link} in all" for link in carried(model.machine)]
     rows, covered = [], []
-    for name, unit in zip(parameters.names, parameters.units, strict=True):
+    for name, unit in (*zip(model.parameters.names, model.parameters.units, strict=True), *((n, "kg") for n in links)):
         truth, value, std, inside = (table.column(f"{name}.{key}") for key in ("truth", "value", "std", "inside"))
         told = np.isfinite(value)
         if not np.any(told):
             continue
-        covered.append(inside)
+        if name not in links:
+            covered.append(inside)
         rows.append({"name": name, "unit": unit, "cells": int(told.sum()), **spread(value[told] - truth[told],
                      std[told]), "coverage": _mean(inside)})
     each = np.array([_mean(cell) for cell in np.array(covered).T], dtype=float)  # of each cell
