@@ -311,3 +311,16 @@ def test_functions_of_one_name_are_not_confused(cat215b: Model) -> None:
     values = np.arange(3.0)[:, None]
     np.testing.assert_array_equal(cat215b.over(one, values)[0].ravel(), [0, 1, 2])
     np.testing.assert_array_equal(cat215b.over(two, values)[0].ravel(), [0, 2, 4])
+
+
+def test_a_link_in_all_weighs_what_its_bodies_were_weighed_to(noisy: Problem) -> None:
+    """Of bodies hardly known alone the sum is known: exactly, where a scale said it."""
+    bodies = ("boom", "boom_cylinder.rod", "stick_cylinder.barrel")
+    weighed = {total.link: total for total in solve(noisy.with_total_mass("scale", bodies, 2100.0)).total_masses}
+    free = {total.link: total for total in solve(noisy).total_masses}
+    assert weighed["boom"].bodies == free["boom"].bodies == bodies
+    assert weighed["boom"].low == pytest.approx(2100, abs=1e-5)
+    assert weighed["boom"].high == pytest.approx(2100, abs=1e-5)
+    assert free["boom"].low < free["boom"].value < free["boom"].high
+    assert free["stick"].bodies == ("stick", "stick_cylinder.rod")
+    assert np.isnan(free["swing"].value)  # no motion shows the swing's mass

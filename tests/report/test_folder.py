@@ -24,7 +24,7 @@ from hydroopt.synthetic import random_trajectory, simulate
 
 CONTRACT = {"machine", "created", "inputs", "method", "status", "parameters", "base_parameters", "fit", "conditioning",
             "physical_consistency", "versions", "seed", "wall_s"}
-EXTRA = {"schema", "weights", "active_constraints", "doubts", "notes"}
+EXTRA = {"schema", "total_masses", "weights", "active_constraints", "doubts", "notes"}
 FILES = {"estimate.json", "report.html", "parameters.csv", "base_parameters.csv", "fit.csv", "information.csv",
          "cat215b.toml"}
 
@@ -77,6 +77,8 @@ def test_keys_are_those_of_the_contract(content: dict[str, Any]) -> None:
         assert one["identifiability"] in {"full", "combination", "none", "not excited"}
     for one in content["base_parameters"]:
         assert set(one) == {"expression", "unit", "value", "std"}
+    for one in content["total_masses"]:
+        assert set(one) == {"link", "bodies", "unit", "value", "std", "ci95"}
     assert set(content["fit"]) == {"train", "validation"}
     for table in content["fit"].values():
         for one in table.values():
