@@ -55,8 +55,8 @@ int main(void)
     assert subprocess.run(["./main"], cwd=tmp_path, check=False).returncode == 0
 
 
-COMMANDS = re.findall(r"^    (hydroopt (?:show|simulate|identify|calibrate|excite|study|codegen) .*?)(?:\s+#.*)?$",
-                      README, re.MULTILINE)
+NAMES = "show|simulate|identify|compare|calibrate|excite|study|codegen"
+COMMANDS = re.findall(rf"^    (hydroopt (?:{NAMES}) .*?)(?:\s+#.*)?$", README, re.MULTILINE)
 
 
 @pytest.mark.parametrize("command", COMMANDS)

@@ -43,6 +43,7 @@ class Evidence:
         sigma: (n,) standard deviation of each actuator's residual.
         correlation: (n, n) of the actuators' residuals with one another; the unit matrix unless asked for.
         correlation_time: (n,) how many samples in a row residuals repeat themselves.
+        fit: of motion and parameters together, where one was asked for.
     """
 
     problem: Problem
@@ -54,6 +55,11 @@ class Evidence:
     sigma: Array
     correlation: Array
     correlation_time: Array
+    fit: fitted_motion.FittedMotion | None = None
+
+    def problem_at(self, psi: Array) -> Problem:
+        """The problem with the motion that is most probable with parameters ψ (p,), where motion was fitted."""
+        return replace(self.problem, experiments=self.fit.experiments(psi)) if self.fit else self.problem
 
     @property
     def rows(self) -> float:
@@ -104,17 +110,18 @@ def gather(problem: Problem, tolerance: float, most_probable: MostProbable, poin
     # where forces are not linear, least squares without bounds may lead to where their linearisation means nothing
     psi = _least_squares(problem, *data.weighted(sigma)[:2], tolerance) if model.linear else point
     correlation = _correlation(problem, psi) if problem.correlated else np.eye(len(sigma))
+    fit, where = None, f"identification of {model.machine.name}"
     if problem.fitted_motion:
-        where = f"identification of {model.machine.name}"
         fit = fitted_motion.fit(model, fitted_motion.begin(model, held), _covariance(correlation, sigma),
                                 weights, psi, most_probable, where)
-        problem, psi = replace(problem, experiments=fit.experiments), fit.psi
+        problem, psi = replace(problem, experiments=fit.experiments(fit.psi)), fit.psi
     # residuals that repeat themselves carry less information than as many independent ones
     times = _correlation_times(problem, psi)
     wide = sigma * np.sqrt(times)
-    if problem.fitted_motion:
-        fit = fitted_motion.fit(model, fit.fitted, _covariance(correlation, wide), weights, psi, most_probable, where)
-        problem, R, r, rest = replace(problem, experiments=fit.experiments), fit.R, fit.r, fit.rest
+    if fit is not None:
+        fit = fitted_motion.fit(model, fit.motion(psi), _covariance(correlation, wide), weights, psi, most_probable,
+                                where)
+        R, r, rest = fit.R, fit.r, fit.rest
     elif problem.instruments:
         R, r, rest = compress_instrumented(model, held, problem.instruments, wide, weights, psi=point)
     elif problem.correlated:
@@ -124,7 +131,7 @@ def gather(problem: Problem, tolerance: float, most_probable: MostProbable, poin
     apart = not (problem.fitted_motion or problem.instruments or problem.correlated)
     triangles = (data.triangles / wide[:, None, None] if apart
                  else np.block([[R, r[:, None]], [np.zeros((1, len(r))), np.full((1, 1), np.sqrt(rest))]])[None])
-    return Evidence(problem, R, r, rest, data.samples, triangles, sigma, correlation, times)
+    return Evidence(problem, R, r, rest, data.samples, triangles, sigma, correlation, times, fit)
 
 
 def misfit(evidence: Evidence, psi: Array) -> float:

@@ -199,18 +199,22 @@ class Fitted:
 
 @dataclass(frozen=True, eq=False)
 class FittedMotion:
-    """The motions fitted, ψ (p,), and what all readings tell of ψ: ``‖R·ψ − r‖² + rest``."""
+    """ψ (p,), what all readings tell of it, ``‖R·ψ − r‖² + rest``, and the motion that goes with any ψ nearby."""
 
-    fitted: list[Fitted]
+    fitted: Sequence[Fitted]
+    sweeps: Sequence[list[Sweep]]
     psi: Array
     R: Array
     r: Array
     rest: float
 
-    @property
-    def experiments(self) -> tuple[Experiment, ...]:
-        """The experiments with the fitted motion."""
-        return tuple(one.experiment for one in self.fitted)
+    def motion(self, psi: Array) -> list[Fitted]:
+        """The motions that are most probable with parameters ψ (p,)."""
+        return [one.moved(some, psi) for one, some in zip(self.fitted, self.sweeps, strict=True)]
+
+    def experiments(self, psi: Array) -> tuple[Experiment, ...]:
+        """The experiments with these motions."""
+        return tuple(one.experiment for one in self.motion(psi))
 
 
 @dataclass(frozen=True, eq=False)
@@ -270,10 +274,10 @@ def fit(model: Model, fitted: Sequence[Fitted], covariance: Array, weights: Sequ
         target = most_probable(R, r)
         length = float(np.linalg.norm(R @ (target - psi)))
         part = 1.0 if length < last else part / 2  # a step longer than the one before went too far
+        if length < STILL:
+            return FittedMotion(fitted, sweeps, target, R, r, rest)
         psi = psi + part * (target - psi)
         fitted = [one.moved(some, target, part) for one, some in zip(fitted, sweeps, strict=True)]
-        if length < STILL:
-            return FittedMotion(list(fitted), psi, R, r, rest)
         last = length
     raise SolverError(f"motion and parameters fitted together do not come to rest in {STEPS} steps", where=where,
                       remedy="smooth the motion instead, or state the sensors' accuracy and the machine's bandwidth")

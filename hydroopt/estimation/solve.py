@@ -229,7 +229,7 @@ def _nominal_where_unseen(problem: Problem, seen: Identifiability, psi: Array) -
 def _assemble(evidence: Evidence, method: str, psi: Array, value: Array, std: Array, ci: Array,
               active: tuple[str, ...], seen: Identifiability, base_std: Array, notes: tuple[str, ...],
               seed: int, posterior: uncertainty.Posterior | None = None) -> Estimate:
-    problem = evidence.problem
+    problem = evidence.problem_at(psi)
     bound = [""] * len(problem.parameters)
     for condition in reversed(problem.requirements(consistent=True)):  # of several that hold, the first is named
         for k in np.flatnonzero(np.any(condition.rows, axis=0)) if condition.name in active else ():

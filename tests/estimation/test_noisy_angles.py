@@ -55,7 +55,7 @@ def test_fitted_motion_is_the_optimum_of_the_whole_problem(sensed: Model, record
         return base_least_squares(R, r, sensed.parameters.names)[0]
 
     found = fitted_motion.fit(sensed, fitted_motion.begin(sensed, [data]), covariance, None, TRUTH, least, "test")
-    one = found.fitted[0]
+    (one,) = found.motion(found.psi)
     (stretch,) = one.stretches
     count = len(stretch.coefficients) - 5
     t = data.log.t
