@@ -96,7 +96,7 @@ class Estimate:
 
     @cached_property
     def total_masses(self) -> tuple[TotalMass, ...]:
-        """Masses of the links, each with what is pinned to it: known better than any of its bodies alone."""
+        """Masses of the links, each with what is pinned to it, as a scale would weigh them."""
         model, parameters = self.problem.model, self.problem.parameters
         found = []
         for link, owners in carried(model.machine, actuator_inertia=model.actuator_inertia).items():

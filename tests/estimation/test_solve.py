@@ -314,7 +314,6 @@ def test_functions_of_one_name_are_not_confused(cat215b: Model) -> None:
 
 
 def test_a_link_in_all_weighs_what_its_bodies_were_weighed_to(noisy: Problem) -> None:
-    """Of bodies hardly known alone the sum is known: exactly, where a scale said it."""
     bodies = ("boom", "boom_cylinder.rod", "stick_cylinder.barrel")
     weighed = {total.link: total for total in solve(noisy.with_total_mass("scale", bodies, 2100.0)).total_masses}
     free = {total.link: total for total in solve(noisy).total_masses}
