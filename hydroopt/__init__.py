@@ -7,6 +7,7 @@ from hydroopt.estimation.calibration import Calibration, calibrate
 from hydroopt.estimation.change import Change, detect_change
 from hydroopt.estimation.closure import CalibrationProblem, calibration_problem
 from hydroopt.estimation.estimate import Estimate
+from hydroopt.estimation.friction import FrictionChoice, choose_friction, with_friction
 from hydroopt.estimation.payload import Payload, payload
 from hydroopt.estimation.problem import Problem, identification_problem
 from hydroopt.estimation.solve import solve
@@ -19,15 +20,16 @@ from hydroopt.report.folder import save
 from hydroopt.signals.conditioning import Butterworth, Fourier, SmoothingSpline
 from hydroopt.signals.log import Log, read_log
 from hydroopt.signals.poses import Poses, read_pose_files, read_poses
+from hydroopt.signals.stream import open_log
 from hydroopt.synthetic import random_trajectory, random_truth, simulate
 from hydroopt.urdf import read_urdf
 
 __all__ = [
-    "Butterworth", "Calibration", "CalibrationProblem", "Change", "Estimate", "Fourier", "HydrooptError",
-    "IdentifiabilityError", "KinematicModel", "Log", "LogError", "Machine", "MachineError", "Model", "Payload",
-    "Poses", "Problem", "ProblemError", "SmoothingSpline", "SolverError", "bundled", "calibrate",
-    "calibrated_machine", "calibration_problem", "design", "detect_change", "doubts", "dump_machine",
-    "excitation_problem", "identification_problem", "load_machine", "payload", "random_trajectory",
-    "random_truth", "read_log", "read_machine", "read_pose_files", "read_poses", "read_urdf", "save",
-    "simulate", "solve",
+    "Butterworth", "Calibration", "CalibrationProblem", "Change", "Estimate", "Fourier", "FrictionChoice",
+    "HydrooptError", "IdentifiabilityError", "KinematicModel", "Log", "LogError", "Machine", "MachineError",
+    "Model", "Payload", "Poses", "Problem", "ProblemError", "SmoothingSpline", "SolverError", "bundled",
+    "calibrate", "calibrated_machine", "calibration_problem", "choose_friction", "design", "detect_change",
+    "doubts", "dump_machine", "excitation_problem", "identification_problem", "load_machine", "open_log",
+    "payload", "random_trajectory", "random_truth", "read_log", "read_machine", "read_pose_files", "read_poses",
+    "read_urdf", "save", "simulate", "solve", "with_friction",
 ]
