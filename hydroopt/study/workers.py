@@ -21,11 +21,11 @@ from distributed import Client, Future, KilledWorker, LocalCluster, Worker, Work
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import HydrooptError, ProblemError, SolverError
-from hydroopt.interrupt import deaf
+from hydroopt.interrupt import deaf, noted
 from hydroopt.study.study import Outcome, Study, Values, versions
 
-PATIENCE, JOINING = 5.0, 60.0
-"""Seconds until a scheduler must answer, and until one of its workers must be there."""
+PATIENCE, JOINING, PAUSE = 5.0, 60.0, 0.2
+"""Seconds until a scheduler must answer, until one of its workers must be there, and between looks at what else is."""
 CONFIG = {"distributed.comm.timeouts.connect": f"{PATIENCE:g}s", "distributed.scheduler.worker-saturation": 1.0,
           "distributed.scheduler.allowed-failures": 1}
 """No worker holds cells that wait: if it dies, only the one it computes is suspected. Suspects get a second chance."""
@@ -146,29 +146,31 @@ def _finished(client: Client, study: Study, name: str, indices: Sequence[int],
     for future in futures:
         future.add_done_callback(queue.put)
     del futures
-    while waiting:
-        try:
-            future = queue.get(timeout=1.0)
-        except Empty:
-            if client.status != "running":
+    with noted() as check:
+        while waiting:
+            check()
+            try:
+                future = queue.get(timeout=PAUSE)
+            except Empty:
+                if client.status != "running":
+                    raise _lost() from None
+                if not client.scheduler_info()["workers"]:
+                    say("waiting for workers")
+                continue
+            status = future.status
+            if status in ("pending", "lost"):  # its process died after it and before the outcome was fetched: once more
+                future.add_done_callback(queue.put)
+                continue
+            if status == "cancelled":
+                raise _lost()
+            try:
+                outcome = future.result()
+            except KilledWorker:
+                outcome = None
+            except CancelledError:
                 raise _lost() from None
-            if not client.scheduler_info()["workers"]:
-                say("waiting for workers")
-            continue
-        status = future.status
-        if status in ("pending", "lost"):  # its process died after it and before the outcome was fetched: once more
-            future.add_done_callback(queue.put)
-            continue
-        if status == "cancelled":
-            raise _lost()
-        try:
-            outcome = future.result()
-        except KilledWorker:
-            outcome = None
-        except CancelledError:
-            raise _lost() from None
-        del waiting[future.key]
-        yield keys[future.key], outcome
+            del waiting[future.key]
+            yield keys[future.key], outcome
 
 
 def _lost() -> SolverError:
@@ -177,4 +179,5 @@ def _lost() -> SolverError:
 
 
 def _short(error: BaseException) -> str:
-    return " ".join(str(error).split()).replace(";", ",")[:200] or type(error).__name__
+    said = " ".join(str(error).split()).replace(";", ",")[:200]
+    return said or ("no answer in time" if isinstance(error, TimeoutError) else type(error).__name__)

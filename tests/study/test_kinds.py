@@ -9,6 +9,7 @@ import pytest
 from scipy.signal import lfilter
 
 from hydroopt import Model, identification_problem, load_machine, postures, random_truth, simulate, solve
+from hydroopt.dynamic_parameters import carried
 from hydroopt.errors import HydrooptError, ProblemError
 from hydroopt.estimation.closure import calibration_problem
 from hydroopt.model.loops import KinematicModel
@@ -59,7 +60,8 @@ def test_the_summary_counts_what_the_cells_say(crane: Model) -> None:
     study = montecarlo(crane.machine, cells=4, duration=6.0)
     rng = np.random.default_rng(0)
     value = rng.standard_normal(4)
-    blank = {f"{name}.{key}": float("nan") for name in crane.parameters.names
+    links = [f"{link} in all" for link in carried(crane.machine)]
+    blank = {f"{name}.{key}": float("nan") for name in (*crane.parameters.names, *links)
              for key in ("truth", "value", "std", "inside")}
     results = [{"result": {**blank, "lift.m.truth": 10.0, "lift.m.value": 10.0 + v, "lift.m.std": 2.0,
                            "lift.m.inside": int(k != 2), "lift_cylinder.rms": float(k)}} for k, v in enumerate(value)]
