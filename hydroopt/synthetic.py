@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydroopt import inertia
+from hydroopt.dynamic_parameters import SPEED
 from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.inertia import Array
 from hydroopt.machine import Machine
@@ -121,7 +122,8 @@ def forces(model: Model, motion: Trajectory, psi: Array) -> Array:
         return model.over(model.inverse_dynamics, *state, psi)[0][:, :, 0]
     still = np.zeros_like(motion.q)
     force = model.over(model.inverse_dynamics, *state, still, psi)[0][:, :, 0]
-    seals = np.where([name.endswith(".f_seal") for name in model.parameters.names], psi, 0.0)
+    # Stribeck speeds stay: there is no force, but one divides by them
+    seals = np.where([name.endswith((".f_seal", f".{SPEED}")) for name in model.parameters.names], psi, 0.0)
     share = model.over(model.inverse_dynamics, *state, still + 1.0, seals)[0][:, :, 0]
     for k, actuator in enumerate(model.machine.actuators):
         if actuator.name in model.machine.sealed and isinstance(actuator, Cylinder):

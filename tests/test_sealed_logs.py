@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.machine import Machine
 from hydroopt.model.build import Model
 from hydroopt.signals.log import read_log
-from hydroopt.synthetic import BACK_PRESSURE, random_trajectory, random_truth, simulate
+from hydroopt.synthetic import BACK_PRESSURE, forces, random_trajectory, random_truth, simulate
 
 TERMS = {"coulomb": 400.0, "coulomb_reverse": 300.0, "viscous": 3000.0, "viscous_reverse": 5000.0, "stribeck": 900.0,
          "stribeck_speed": 0.03, "seal": 3e-4}
@@ -65,6 +66,15 @@ def test_the_same_by_going_round_in_circles() -> None:
             force = without + np.sign(v) * seal * (max(push, BACK_PRESSURE) + max(pull, BACK_PRESSURE))
         assert head * log.channel("lift_cylinder.p_head")[k] - rod * log.channel("lift_cylinder.p_rod")[k] == (
             pytest.approx(force, rel=1e-11, abs=1e-6))
+
+
+def test_standing_still_is_no_trouble() -> None:
+    model = Model(crane(**TERMS))
+    moving = random_trajectory(model, duration=10.0, rate=10.0, seed=4)
+    still = replace(moving, qd=0 * moving.qd, qdd=0 * moving.qdd)
+    plain = Model(crane())
+    expected = forces(plain, still, plain.parameters.nominal)
+    np.testing.assert_allclose(forces(model, still, model.parameters.nominal), expected, rtol=1e-12)
 
 
 def test_seals_that_hold_the_piston_move_nothing() -> None:
