@@ -103,7 +103,6 @@ class ScaledBody:
         """S·J(φ)·Sᵀ (4, 4)."""
         return np.asarray(self.scaling @ inertia.pseudo_inertia(phi) @ self.scaling.T)
 
-
     def distance(self, phi: Array) -> float:
         """The weighted log-det distance of φ (10,) from the nominal body; infinite for one that cannot exist."""
         W = self.pseudo_inertia(phi)
@@ -187,8 +186,9 @@ def likeness(parameters: ParameterSet, name: str, owners: Sequence[str]) -> Cond
     Raises:
         ProblemError: fewer than two owners, an unknown one, or some with other parameters than the rest.
     """
-    own = [[element for element in (*inertia.NAMES, *FRICTION) if f"{owner}.{element}" in parameters.positions]
-           for owner in owners]
+    positions = parameters.positions  # what rubs in a link's joint is no part of its body
+    own = [[element for element in (inertia.NAMES if f"{owner}.m" in positions else FRICTION)
+            if f"{owner}.{element}" in positions] for owner in owners]
     if len(set(owners)) < 2 or not all(own) or any(one != own[0] for one in own):
         raise ProblemError(f"{', '.join(owners) or 'nothing'} cannot be identical", where=f"'{name}'",
                            remedy="name two or more bodies, or actuators with the same terms of friction")

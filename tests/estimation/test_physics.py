@@ -257,6 +257,13 @@ def test_true_statements_leave_noise_free_recovery_exact(
     np.testing.assert_allclose(grouping @ estimate.psi, base, rtol=1e-6, atol=1e-12 * np.max(np.abs(base)))
 
 
+def test_bodies_built_alike_may_stand_on_joints_that_rub_differently(cat215b: Model) -> None:
+    assert {"boom.tau_coulomb", "stick.tau_coulomb"} <= set(cat215b.parameters.names)
+    condition = physics.likeness(cat215b.parameters, "twins", ["boom", "stick"])
+    touched = {cat215b.parameters.names[k] for k in np.flatnonzero(np.any(condition.rows, axis=0))}
+    assert touched == {f"{owner}.{name}" for owner in ("boom", "stick") for name in inertia.NAMES}
+
+
 @pytest.mark.parametrize("method", METHODS)
 @pytest.mark.parametrize("intervals", [False, True])
 def test_equalities_hold_to_rounding_and_are_named(
