@@ -17,7 +17,7 @@ import numpy as np
 from hydroopt import synthetic
 from hydroopt.dynamic_parameters import carried
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.experiment import force_noise
+from hydroopt.estimation.experiment import force_noise, pressures
 from hydroopt.estimation.problem import identification_problem
 from hydroopt.estimation.solve import Method, solve
 from hydroopt.inertia import Array
@@ -73,8 +73,7 @@ class Trial:
             result |= {f"{total.link} in all.truth": mass, f"{total.link} in all.value": total.value,
                        f"{total.link} in all.std": total.std, f"{total.link} in all.inside":
                        int(total.low <= mass <= total.high) if np.isfinite(total.low) else None}
-        K, noise = _unseen(self)
-        rms = np.sqrt(np.mean((K @ (estimate.psi - truth)) ** 2, axis=0)) / noise
+        rms = unseen_error(self, truth, estimate.psi)
         return result | {f"{a.name}.rms": float(x) for a, x in zip(self.machine.actuators, rms, strict=True)}
 
 
@@ -85,12 +84,16 @@ def _model(trial: Trial, accuracy: float) -> Model:
     return Model(trial.machine.model_copy(update={"sensors": tuple(sensors)}))
 
 
-@cache
-def _unseen(trial: Trial) -> tuple[Array, Array]:
-    """K (N, n, p) of the unseen motion, and σ (n,) of the actuators' forces as the file states its sensors."""
-    model = _model(trial, 1.0)
-    K = model.over(model.regressor, trial.unseen.q, trial.unseen.qd, trial.unseen.qdd)[0]
-    return K, force_noise(model)
+def unseen_error(trial: Trial, truth: Array, psi: Array) -> Array:
+    """RMS (n,) of what ψ predicts wrongly of the unseen motion's forces, in σ as the file states the sensors."""
+    model, motion = _model(trial, 1.0), trial.unseen
+    state = [motion.q, motion.qd, motion.qdd]
+    if model.needs_pressure:
+        pressed = pressures(model, synthetic.simulate(model, motion, truth, noise=False))
+        assert pressed is not None
+        state.append(pressed)
+    true, predicted = (model.over(model.inverse_dynamics, *state, one)[0][:, :, 0] for one in (truth, psi))
+    return np.asarray(np.sqrt(np.mean((predicted - true) ** 2, axis=0)) / force_noise(model))
 
 
 def montecarlo(machine: Machine, *, cells: int, seed: int = 0, method: Method = "sdp",

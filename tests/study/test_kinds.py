@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,11 +13,13 @@ from hydroopt import Model, identification_problem, load_machine, postures, rand
 from hydroopt.dynamic_parameters import carried
 from hydroopt.errors import HydrooptError, ProblemError
 from hydroopt.estimation.closure import calibration_problem
+from hydroopt.estimation.experiment import force_noise
+from hydroopt.machine import Machine
 from hydroopt.model.loops import KinematicModel
 from hydroopt.signals.log import Log
 from hydroopt.study.bootstrap import block_length, bootstrap, redrawn
 from hydroopt.study.bootstrap import summary as bootstrap_summary
-from hydroopt.study.montecarlo import montecarlo
+from hydroopt.study.montecarlo import montecarlo, unseen_error
 from hydroopt.study.montecarlo import summary as montecarlo_summary
 from hydroopt.study.multistart import multistart
 from hydroopt.study.multistart import summary as multistart_summary
@@ -35,7 +38,6 @@ def crane() -> Model:
 
 
 def test_a_cell_is_what_a_user_would_do_by_hand(crane: Model) -> None:
-    from hydroopt.estimation.experiment import force_noise
     from hydroopt.study.study import seeds
 
     study = montecarlo(crane.machine, cells=2, seed=4, duration=6.0, rate=50.0)
@@ -54,6 +56,18 @@ def test_a_cell_is_what_a_user_would_do_by_hand(crane: Model) -> None:
     error = forces(crane, unseen, estimate.psi) - forces(crane, unseen, truth)
     expected = float(np.sqrt(np.mean(error**2)) / force_noise(crane)[0])
     assert result["lift_cylinder.rms"] == pytest.approx(expected, rel=1e-9)
+
+
+def test_seals_and_stribeck_speeds_are_predicted_as_they_are(crane: Model) -> None:
+    data = crane.machine.model_dump()
+    data["cylinders"][0]["friction"] |= {"offset": 0.0, "seal": 3e-4, "stribeck": 900.0, "stribeck_speed": 0.03}
+    study = montecarlo(Machine.model_validate(data), cells=1, duration=6.0)
+    trial: Any = study.function
+    model = Model(trial.machine)
+    psi = model.parameters.nominal.copy()
+    np.testing.assert_allclose(unseen_error(trial, psi, psi), 0.0, atol=1e-12)
+    psi[model.parameters.index("lift_cylinder.f_offset")] += 1000.0
+    np.testing.assert_allclose(unseen_error(trial, model.parameters.nominal, psi), 1000.0 / force_noise(model))
 
 
 def test_the_summary_counts_what_the_cells_say(crane: Model) -> None:
