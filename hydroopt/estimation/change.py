@@ -249,7 +249,7 @@ def _untold(name: str, others: Sequence[str]) -> str:
 def rounded(value: float, std: float) -> str:
     """Value ± std to two digits of the latter."""
     place = 1 - int(np.floor(np.log10(std))) if std > 0 else 6
-    return f"{round(value, place):.{max(0, place)}f} ± {round(std, place):.{max(0, place)}f}"
+    return f"{round(value, place) + 0.0:.{max(0, place)}f} ± {round(std, place):.{max(0, place)}f}"
 
 
 def probability(p: float) -> str:

@@ -68,8 +68,8 @@ def session(model: Model, given: Sequence[Log] | str | Path, smoothing: Smoothin
     """
     if not model.linear:
         raise ProblemError("friction with a Stribeck speed is not linear in its parameters, which comparing sessions "
-                           "calls for", where=model.machine.name, remedy="leave 'stribeck_speed' out of the machine "
-                           "file that sessions are compared with")
+                           "calls for", where=model.machine.name, remedy="leave 'stribeck' and 'stribeck_speed' "
+                           "out of the machine file that sessions are compared with")
     if isinstance(given, str | Path):
         return _read(model, Path(given))
     problem = identification_problem(model.machine, given, smoothing=smoothing)
@@ -124,7 +124,8 @@ def _read(model: Model, folder: Path) -> Session:
                            remedy="identify again, or give the logs")
     if digest != model.machine.sha256:
         raise ProblemError("the estimate is of another machine description", where=str(file),
-                           remedy="give the machine file (and --set) that it was identified with, or identify again")
+                           remedy="give the machine file (and --set) that it was identified with, or identify again "
+                                  "without --friction, or give the logs")
     try:
         text = (folder / INFORMATION).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):

@@ -194,5 +194,5 @@ def test_friction_that_is_not_linear_is_refused():
     drives = [drive.model_copy(update={"friction": drive.friction.model_copy(
         update={"stribeck": 1.0, "stribeck_speed": 0.1})}) for drive in PLANAR.machine.drives]
     machine = PLANAR.machine.model_copy(update={"drives": tuple(drives)})
-    with pytest.raises(ProblemError, match=r"not linear.*leave 'stribeck_speed' out"):
+    with pytest.raises(ProblemError, match=r"not linear.*leave 'stribeck' and 'stribeck_speed' out"):
         detect_change(machine, [], [])
