@@ -50,6 +50,7 @@ def _second_angle(model: Model, data: Experiment, joint: str) -> Array:
     actuator = model.machine.actuators[model.machine.joints.index(joint)]
     log, channel = data.log, f"{actuator.name}.length"
     if f"{joint}.q" not in log.channels or channel not in log.channels or actuator.name not in model.triangles:
+        beside = f"record '{channel}' beside '{joint}.q', or " if actuator.name in model.triangles else ""
         raise ProblemError(f"the joint '{joint}' has no second reading", where=log.path or log.name,
-                           remedy=f"record '{channel}' beside '{joint}.q', or give a log of the motion that was driven")
+                           remedy=f"{beside}give a log of the motion that was driven")
     return angle_from_length(model, log, channel)

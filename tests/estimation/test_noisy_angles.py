@@ -173,7 +173,7 @@ def test_perfect_sensors_give_back_the_truth(way: str, exact: Problem, exact_log
 
 
 def test_lengths_stand_in_for_a_reference(cat215b: Model, noisy: Problem) -> None:
-    with pytest.raises(ProblemError, match="joint 'swing' has no second reading"):
+    with pytest.raises(ProblemError, match="joint 'swing' has no second reading; give a log of the motion"):
         noisy.with_instruments()
 
 
