@@ -22,8 +22,8 @@ def calibrated_machine(estimate: Estimate) -> Machine:
     the same ones would count them twice. Of the reduced model barrels and rods are left out, whose part the links took.
 
     Raises:
-        ProblemError: a body is impossible, a friction negative, or something that the file states does not hold, so
-            that no machine could have these numbers.
+        ProblemError: a body is impossible, a friction negative or beyond its bounds, or something that the file states
+            does not hold, so that no machine could have these numbers.
     """
     problem = estimate.problem
     machine, names = problem.model.machine, problem.parameters.names
@@ -72,7 +72,12 @@ def calibrated_machine(estimate: Estimate) -> Machine:
         before = machine.notes.get(scalar.path, Note())
         notes[scalar.path] = _note(estimate, slice(k, k + 1), confidence, source).model_copy(
             update={"lower": before.lower, "upper": before.upper})
-    return Machine.model_validate(data | {"notes": notes})
+    try:
+        return Machine.model_validate(data | {"notes": notes})
+    except ValueError as error:  # what no bound or constraint says, such as seals as wide as the rod side
+        said = str(error).partition("Value error, ")[2].partition("; ")[0]
+        raise ProblemError(said or "its numbers cannot be", where=f"{machine.name} by {estimate.method}",
+                           remedy="state a confidence or bounds of it, or identify with method 'sdp'") from None
 
 
 def prior_std(parameters: ParameterSet) -> Array:

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from hydroopt.dynamic_parameters import bodies
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.calibrated import calibrated_machine
 from hydroopt.estimation.estimate import Estimate
 from hydroopt.estimation.experiment import force_noise
 from hydroopt.identifiability import NONE, Confounded
@@ -53,10 +55,14 @@ def _prediction(estimate: Estimate) -> list[str]:
 
 def _impossible(estimate: Estimate) -> list[str]:
     bad = [owner for owner, smallest in estimate.consistency.items() if smallest < 0]
-    if not bad:
-        return []
-    return [f"No such body can exist: {', '.join(bad)}. Their numbers reproduce forces but mean nothing one by one, "
-            "and no calibrated machine is written; the method 'sdp' keeps bodies possible."]
+    if bad:
+        return [f"No such body can exist: {', '.join(bad)}. Their numbers reproduce forces but mean nothing one by "
+                "one, and no calibrated machine is written; the method 'sdp' keeps bodies possible."]
+    try:
+        calibrated_machine(estimate)
+    except ProblemError as error:
+        return [f"No calibrated machine is written: {error.what}; {error.remedy}."]
+    return []
 
 
 def _confounded(found: Sequence[Confounded]) -> list[str]:

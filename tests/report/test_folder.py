@@ -17,6 +17,7 @@ from hydroopt.estimation.estimate import Estimate
 from hydroopt.estimation.problem import identification_problem
 from hydroopt.estimation.solve import solve
 from hydroopt.files import write_files
+from hydroopt.machine import Machine
 from hydroopt.model.build import Model
 from hydroopt.report import folder
 from hydroopt.signals.log import read_log
@@ -186,6 +187,17 @@ def test_an_impossible_machine_is_not_exported(estimate: Estimate, tmp_path: Pat
     assert {file.name for file in tmp_path.iterdir()} == FILES - {"cat215b.toml"}
     assert not all(one["consistent"] for one in content["physical_consistency"].values())
 
+
+def test_seals_that_cannot_be_are_said_and_not_exported(tmp_path: Path) -> None:
+    data = load_machine("patu655_lift").model_dump()
+    data["cylinders"][0]["friction"]["seal"] = 1e-4
+    model = Model(Machine.model_validate(data))
+    log = simulate(model, random_trajectory(model, duration=10, rate=25, seed=1), seed=1)
+    widest = model.parameters.upper[model.parameters.index("lift_cylinder.f_seal")]
+    estimate = solve(identification_problem(model, [log]).fix("lift_cylinder.f_seal", widest), intervals=False)
+    content = folder.save(estimate, tmp_path)
+    assert any("No calibrated machine is written: such seals hold" in doubt for doubt in content["doubts"])
+    assert not (tmp_path / "patu655_lift.toml").exists()
 
 
 def test_an_earlier_result_is_not_left_beside_a_new_one(tmp_path: Path) -> None:
