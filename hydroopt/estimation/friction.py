@@ -73,7 +73,7 @@ def with_friction(machine: Machine, terms: str, *, speeds: Mapping[str, float] |
 
     Values and confidences that the file states are kept; what it states for both directions holds for each of them. All
     else begins at zero, without a prior; but a Stribeck speed, ± 100 %, and a dead zone at parts of the actuator's
-    speed. Offsets and the friction of pins and joints stay as they are.
+    speed, of identical ones at parts of their mean speed. Offsets and the friction of pins and joints stay as they are.
 
     Args:
         machine: nominal description.
@@ -87,6 +87,8 @@ def with_friction(machine: Machine, terms: str, *, speeds: Mapping[str, float] |
     if speeds is None:
         model = Model(machine)
         speeds = _typical(model, [random_states(model, 400, np.random.default_rng(0))])
+    alike = {name: one.friction for one in machine.identical for name in one.friction}
+    speeds = {name: float(np.mean([speeds[other] for other in alike.get(name, (name,))])) for name in speeds}
     notes = dict(machine.notes)
     parts: dict[str, tuple[Any, ...]] = {}
     for kind in ("cylinders", "motors", "drives"):

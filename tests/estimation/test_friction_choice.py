@@ -286,3 +286,11 @@ def test_a_candidate_that_cannot_be_fitted_is_named_and_not_chosen(monkeypatch: 
     assert choice.terms == "coulomb"
     assert choice.candidates[1].why == "not fitted: it gave up"
     assert np.isnan(choice.candidates[1].held_out)
+
+
+def test_identical_actuators_begin_alike() -> None:
+    data = load_machine("cat215b").model_dump()
+    data["identical"] = [{"name": "jacks", "friction": ["boom_cylinder", "stick_cylinder"]}]
+    boom, stick = with_friction(Machine.model_validate(data), "coulomb+stribeck+dead_zone").cylinders
+    assert (boom.friction.dead_zone, boom.friction.stribeck_speed) == (
+        stick.friction.dead_zone, stick.friction.stribeck_speed)
