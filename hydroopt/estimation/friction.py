@@ -68,7 +68,8 @@ def terms_of(text: str, machine: Machine | None = None) -> tuple[str, ...]:
     return tuple(term for term in TERMS if term in named)
 
 
-def with_friction(machine: Machine, terms: str, *, speeds: Mapping[str, float] | None = None) -> Machine:
+def with_friction(machine: Machine, terms: str, *, speeds: Mapping[str, float] | None = None,
+                  scales: Mapping[str, float] | None = None) -> Machine:
     """The machine with these friction terms, and no others, at every cylinder, motor and drive.
 
     Values and confidences that the file states are kept; what it states for both directions holds for each of them. All
@@ -79,6 +80,7 @@ def with_friction(machine: Machine, terms: str, *, speeds: Mapping[str, float] |
         machine: nominal description.
         terms: such as ``coulomb+viscous``, see `TERMS`, or ``none``.
         speeds: typical speed [m/s, rad/s] of each actuator by name; by default in random states within limits.
+        scales: by which a Stribeck speed is to begin greater than that part of the typical one, of each by name.
 
     Raises:
         ProblemError: a term is unknown or has no meaning for this machine.
@@ -89,18 +91,21 @@ def with_friction(machine: Machine, terms: str, *, speeds: Mapping[str, float] |
         speeds = _typical(model, [random_states(model, 400, np.random.default_rng(0))])
     alike = {name: one.friction for one in machine.identical for name in one.friction}
     speeds = {name: float(np.mean([speeds[other] for other in alike.get(name, (name,))])) for name in speeds}
+    fading = {name: STRIBECK_SPEED * speed * (scales or {}).get(name, 1.0) for name, speed in speeds.items()}
+    fading = {name: float(np.mean([fading[other] for other in alike.get(name, (name,))])) for name in fading}
     notes = dict(machine.notes)
     parts: dict[str, tuple[Any, ...]] = {}
+    begin = {name: {"stribeck_speed": fading[name], "dead_zone": DEAD_ZONE * speeds[name]} for name in speeds}
     for kind in ("cylinders", "motors", "drives"):
-        parts[kind] = tuple(_refitted(part, wanted, speeds[part.name], notes) for part in getattr(machine, kind))
+        parts[kind] = tuple(_refitted(part, wanted, begin[part.name], notes) for part in getattr(machine, kind))
     return Machine.model_validate(machine.model_dump(exclude={"notes", *parts}) | parts | {"notes": notes})
 
 
-def _refitted(part: Cylinder | Motor | Drive, wanted: Sequence[str], speed: float, notes: dict[str, Any]) -> Any:
-    """An actuator with other friction terms; what is said about them goes into `notes`."""
+def _refitted(part: Cylinder | Motor | Drive, wanted: Sequence[str], begin: Mapping[str, float],
+              notes: dict[str, Any]) -> Any:
+    """An actuator with other friction terms, which `begin` so or at zero; what is said of them goes into `notes`."""
     stated, at = part.friction.model_dump(), f"{part.name}.friction"
     made = {key: value for key, value in stated.items() if key in ("offset", "barrel_pin", "rod_pin")}
-    begin = {"stribeck_speed": STRIBECK_SPEED * speed, "dead_zone": DEAD_ZONE * speed}
     for term in wanted:
         if term == "reverse":
             for key in {"coulomb", "viscous"} & set(wanted):
@@ -207,16 +212,16 @@ def friction_problem(machine: Machine, logs: Sequence[Log | LogStream], validati
                                    actuator_inertia=actuator_inertia)
     speeds = _typical(plain.model, [data.inputs() for data in in_memory(plain.experiments, "a choice of friction")])
 
-    def made(speeds: Mapping[str, float]) -> Problem:
-        return identification_problem(with_friction(machine, terms, speeds=speeds), logs, validation,
+    def made(scales: Mapping[str, float] | None = None) -> Problem:
+        return identification_problem(with_friction(machine, terms, speeds=speeds, scales=scales), logs, validation,
                                       smoothing=smoothing, actuator_inertia=actuator_inertia)
 
-    problem = made(speeds)
-    return problem if problem.model.linear else made(_best_start(problem, speeds))
+    problem = made()
+    return problem if problem.model.linear else made(_best_start(problem))
 
 
-def _best_start(problem: Problem, speeds: Mapping[str, float]) -> dict[str, float]:
-    """Typical speeds scaled so that the Stribeck speeds that follow from them fit the training data best."""
+def _best_start(problem: Problem) -> dict[str, float]:
+    """Factors, by actuator, by which Stribeck speeds fit the training data best."""
     parameters, actuators = problem.parameters, problem.model.machine.actuators
     kinds = [("f" if isinstance(actuator, Cylinder) else "tau") for actuator in actuators]
     heights = parameters.select(f"{a.name}.{kind}_stribeck" for a, kind in zip(actuators, kinds, strict=True))
@@ -230,7 +235,7 @@ def _best_start(problem: Problem, speeds: Mapping[str, float]) -> dict[str, floa
         R, r, _ = data.weighted(np.where(sigma > 0, sigma, 1.0))
         squares.append(data.squares(base_least_squares(R, r, parameters.names, RANK_TOLERANCE)[0]))
     best = np.argmin(squares, axis=0)
-    return {actuator.name: speeds[actuator.name] * TRIED[k] for actuator, k in zip(actuators, best, strict=True)}
+    return {actuator.name: TRIED[k] for actuator, k in zip(actuators, best, strict=True)}
 
 
 def choose_friction(machine: Machine, logs: Sequence[Log | LogStream], validation: Sequence[Log | LogStream],
