@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydroopt import inertia
-from hydroopt.dynamic_parameters import SPEED
+from hydroopt.dynamic_parameters import SPEED, bodies
 from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.inertia import Array
 from hydroopt.machine import Machine
@@ -89,7 +89,15 @@ def random_truth(model: Model, seed: int, *, tries: int = 20000) -> Array:
 
     Raises:
         IdentifiabilityError: a body's confidences leave practically no possible body.
+        ProblemError: the file states shapes, symmetries, total masses or identical parts, which draws would not heed.
     """
+    machine = model.machine
+    stated = [*(one.name for one in machine.total_masses), *(one.name for one in machine.identical),
+              *(f"the shape or symmetry of {owner}" for owner, owned in bodies(machine).items()
+                if owned.body.shape is not None or owned.body.symmetric)]
+    if stated:
+        raise ProblemError(f"random truths do not heed what the file states: {', '.join(stated)}", where=machine.name,
+                           remedy="draw them from a file without these statements")
     rng = np.random.default_rng(seed)
     parameters = model.parameters
     psi = parameters.nominal.copy()

@@ -178,3 +178,10 @@ def test_chunks_of_samples_do_not_show(excavator: Model) -> None:
     for k in (0, 4095, 4096, count - 1):
         one = excavator.inverse_dynamics(motion.q[k], motion.qd[k], motion.qdd[k], excavator.parameters.nominal)
         np.testing.assert_allclose(whole[k], np.asarray(one).ravel(), rtol=1e-9)
+
+
+def test_random_truths_are_refused_where_they_would_contradict_the_file() -> None:
+    data = load_machine("cat215b").model_dump()
+    data["total_masses"] = [{"name": "scale", "bodies": ["boom", "stick"], "value": 2500.0}]
+    with pytest.raises(ProblemError, match="random truths do not heed what the file states: scale"):
+        random_truth(Model(Machine.model_validate(data)), 0)

@@ -25,6 +25,8 @@ from hydroopt.signals.log import Log
 
 LOAD = "load"
 """Owner of the load's parameters."""
+NO_LOAD = 0.05
+"""p-value of no load above which none is said to be seen."""
 
 
 @dataclass(frozen=True)
@@ -74,6 +76,10 @@ class Payload:
     @property
     def verdict(self) -> str:
         """Mass and centre of mass in one sentence."""
+        if self.p_value > NO_LOAD:
+            known = f"; a load of {rounded(self.mass.value, self.mass.std)} kg fits as well" if np.isfinite(
+                self.mass.std) else ""
+            return f"No load is seen on {self.link} (p = {self.p_value:.2g}){known}."
         com, moment = (", ".join(f"{one.name[-1]} = {rounded(one.value, one.std)}" for one in some
                                  if np.isfinite(one.std)) for some in (self.com, self.moment))
         if np.isfinite(self.mass.std):
