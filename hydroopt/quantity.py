@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
@@ -29,6 +30,18 @@ class ImpossibleError(ValueError):
     def __init__(self, what: str, remedy: str, key: str = "") -> None:
         self.what, self.remedy, self.key = what, remedy, key
         super().__init__(f"{what}; {remedy}")
+
+
+def refuse_inverted(what: str, lower: Sequence[float], upper: Sequence[float]) -> None:
+    """Refuse corners (3,) [m] of a box that are the wrong way round.
+
+    Raises:
+        ImpossibleError: along some axis.
+    """
+    for axis, low, high in zip("xyz", lower, upper, strict=True):
+        if not low < high:
+            raise ImpossibleError(f"along {axis} the {what}'s lower end, {low:.6g} m, is not below the upper one, "
+                                  f"{high:.6g} m", "exchange or correct them")
 
 
 class Quantity:

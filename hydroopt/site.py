@@ -7,7 +7,7 @@ from typing import Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from hydroopt.quantity import Flow, ImpossibleError, Length, Lengths, Mass, Name, Noun
+from hydroopt.quantity import Flow, ImpossibleError, Length, Lengths, Mass, Name, Noun, refuse_inverted
 
 
 class Pump(Noun):
@@ -24,10 +24,7 @@ class Workspace(Noun):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        for axis, low, high in zip("xyz", self.lower, self.upper, strict=True):
-            if not low < high:
-                raise ImpossibleError(f"along {axis} the workspace's lower end, {low:.6g} m, is not below the upper "
-                                      f"one, {high:.6g} m", "exchange or correct them")
+        refuse_inverted("workspace", self.lower, self.upper)
         return self
 
 

@@ -8,7 +8,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from hydroopt.inertia import Array
-from hydroopt.quantity import ImpossibleError, Length, Lengths, Mass, Name, Noun
+from hydroopt.quantity import ImpossibleError, Length, Lengths, Mass, Name, Noun, refuse_inverted
 
 
 class Box(Noun):
@@ -19,10 +19,7 @@ class Box(Noun):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
-        for axis, low, high in zip("xyz", self.lower, self.upper, strict=True):
-            if not low < high:
-                raise ImpossibleError(f"along {axis} the box's lower end, {low:.6g} m, is not below the upper one, "
-                                      f"{high:.6g} m", "exchange or correct them")
+        refuse_inverted("box", self.lower, self.upper)
         return self
 
 

@@ -256,7 +256,7 @@ def fit(model: Model, fitted: Sequence[Fitted], covariance: Array, weights: Sequ
 
     Args:
         model: whose parameters.
-        fitted: experiments with a motion to begin with, and
+        fitted: experiments, with the motion to begin with.
         psi: (p,) parameters to begin with.
         covariance: (n, n) of the forces' errors in one sample.
         weights: (N, n) for each experiment, by which squared residuals of forces are multiplied.

@@ -23,10 +23,15 @@ from hydroopt.solvers import Certificate
 Method = Literal["sdp", "qp", "nlp", "wls", "ridge", "tsvd"]
 METHODS: tuple[Method, ...] = get_args(Method)
 _LINEAR = ("wls", "ridge", "tsvd")
-STEPS, SMALLEST, SETTLED, NIL, ROUGH, FAINT = 60, 1e-6, 1e-7, 1e-6, 0.1, 1e-4
-"""Gauss-Newton steps at most, the least part of one that is tried, the relative change of parameters that is none, the
-change of what is minimised, in squared standard deviations, that is none, and that is none where no part of a step
-leads further down, and the Stribeck force, as a part of the standard deviation of residuals, that is none."""
+STEPS, SMALLEST = 60, 1e-6
+"""Gauss-Newton steps at most, and the least part of one that is tried."""
+SETTLED = 1e-7
+"""Relative change of parameters that is none."""
+NIL, ROUGH = 1e-6, 0.1
+"""Change of what is minimised, in squared standard deviations, that is none: as a rule, and where no part of a step
+leads further down."""
+FAINT = 1e-4
+"""Stribeck force, as a part of the standard deviation of residuals, that is none."""
 
 
 def solve(problem: Problem, method: Method = "sdp", *, tolerance: float = RANK_TOLERANCE,

@@ -12,6 +12,7 @@ import matplotlib
 import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
 from hydroopt.files import write_files
 from hydroopt.report.figures import BLUE, GREEN, GREY, ORANGE, STYLE, WIDTH, svg
@@ -95,7 +96,9 @@ def _trials(content: Mapping[str, Any], table: Table) -> Figure:
             if values.size:
                 right.step(values, np.arange(1, len(values) + 1) / len(values) * 100, color=colour, label=name)
         right.set(title="RMS error of unseen noise-free forces", xlabel="σ of the force's sensors",
-                  ylabel="cells up to here [%]", xscale="log")
+                  ylabel="cells up to here [%]")
+        right.set_xlim(left=0)
+        left.xaxis.set_major_locator(MaxNLocator(integer=True))
         right.legend(loc="lower right")
         figure.subplots_adjust(left=0.06, right=0.99, top=0.9, bottom=0.14, wspace=0.18)
     return figure
@@ -121,7 +124,8 @@ def _sweep(content: Mapping[str, Any], table: Table) -> Figure:
                                      for key in ("q05", "median", "q95"))
                 ax.fill_between(x, low, high, color=colour, alpha=0.15, lw=0)
                 ax.plot(x, middle, color=colour, marker="o", ms=3.5, label=label)
-                ax.set(title=name, xlabel=first, ylabel="RMS of unseen forces [σ]", yscale="log")
+                ax.set(title=name, xlabel=first, ylabel="RMS of unseen forces [σ]")
+                ax.set_ylim(bottom=0)
             axes[-1].plot(x, 100 * _floats(point["coverage"] for point in some), color=colour, marker="o", ms=3.5)
         axes[-1].axhline(95, color=GREY, lw=0.8)
         axes[-1].set(title="95 % intervals that hold the truth", xlabel=first, ylabel="%")
@@ -155,13 +159,19 @@ def _starts(content: Mapping[str, Any], table: Table) -> Figure:
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 3.2))
         left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": (1.0, 1.6)})
-        left.plot(np.sort(table.column("cost")), color=BLUE, marker="o", ms=3.2)
-        left.set(title="squared errors at the optima", xlabel="start, the best first", yscale="log")
+        costs = np.sort(table.column("cost"))
+        left.plot(costs, color=BLUE, marker="o", ms=3.2)
+        left.set(title="squared errors at the optima", xlabel="start, the best first",
+                 yscale="log" if costs[-1] > 10 * costs[0] > 0 else "linear")
         for key in ("lowest", "highest"):
             right.plot([(row[key] - row["value"]) / row["std"] for row in rows], ls="none", marker="_", color=BLUE)
         right.axhline(0, color=GREY, lw=0.8)
         right.set(title="farthest from the best", xlabel="parameter, in the order of the table",
                   ylabel="standard deviations", yscale="symlog")
+        for ax in (left, right):  # powers of ten would come as unread TeX
+            ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+            ax.yaxis.set_minor_formatter(NullFormatter())
+            ax.xaxis.set_major_locator(MaxNLocator(integer=True))
         figure.subplots_adjust(left=0.07, right=0.99, top=0.9, bottom=0.15, wspace=0.2)
     return figure
 
