@@ -18,6 +18,7 @@ import tomlkit
 from pydantic import BaseModel, ValidationError
 
 from hydroopt import strokes
+from hydroopt.circuit import Valve
 from hydroopt.errors import MachineError
 from hydroopt.machine import Machine
 from hydroopt.parts import Cylinder, Joint, JointFriction, Note, Sensor, TorqueFriction
@@ -308,6 +309,8 @@ def _unit(node: BaseModel, key: str, machine: Machine, owner: str) -> str | None
     if isinstance(node, Joint) and key in ("lower", "upper", "max_speed", "max_acceleration"):
         base = "m" if node.type == "prismatic" else "rad"
         return base + {"max_speed": "/s", "max_acceleration": "/s^2"}.get(key, "")
+    if isinstance(node, Valve) and key in ("neutral", "full", "dead_band", "dead_band_reverse"):
+        return node.command
     field = type(node).model_fields[key]
     marks = [*field.metadata, *_nested_metadata(field.annotation)]
     return next((mark.si for mark in marks if isinstance(mark, Quantity)), None)

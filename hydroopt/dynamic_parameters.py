@@ -126,11 +126,11 @@ def parameter_set(machine: Machine, *, actuator_inertia: bool = True) -> Paramet
             for name, scalar in scalars(machine, link.name).items():
                 names.append(name)
                 units.append(scalar.unit)
-                blocks.append(_scalar_block(scalar, machine.notes))
+                blocks.append(scalar_block(scalar, machine.notes))
     for name, scalar in passive_scalars(machine).items():
         names.append(name)
         units.append(scalar.unit)
-        blocks.append(_scalar_block(scalar, machine.notes))
+        blocks.append(scalar_block(scalar, machine.notes))
     nominal, lower, upper, size = (np.concatenate([np.zeros(0), *(block[k] for block in blocks)]) for k in range(4))
     information = np.zeros((len(names), len(names)))
     start = 0
@@ -197,7 +197,8 @@ def _sigma(note: Note | None, value: Array, size: float) -> float:
     return note.sigma * largest if note.relative else note.sigma
 
 
-def _scalar_block(scalar: Scalar, notes: dict[str, Note]) -> tuple[Array, Array, Array, Array, Array]:
+def scalar_block(scalar: Scalar, notes: dict[str, Note]) -> tuple[Array, Array, Array, Array, Array]:
+    """Nominal value, bounds, size and information, (1,) and (1, 1), of a parameter and what is noted of it."""
     note = notes.get(scalar.path, Note())
     low = scalar.lower if note.lower is None else note.lower
     if scalar.lower > 0:  # forces divide by it

@@ -10,6 +10,7 @@ from typing import Any, Self
 
 from pydantic import Field, ModelWrapValidatorHandler, model_validator
 
+from hydroopt.circuit import Circuit, Oil
 from hydroopt.linkage import Calibrator, Distance, Fixture, Stage, Tracker
 from hydroopt.parts import Cylinder, Drive, GasCylinder, Link, Motor, Note, Sensor
 from hydroopt.quantity import Acceleration, Angle, ImpossibleError, Length, Name, Noun, Rate
@@ -47,6 +48,7 @@ class Machine(Noun):
     tracker: Tracker | None = None
     stages: tuple[Stage, ...] = ()
     pump: Pump | None = None
+    oil: Oil | None = None
     ground: Length | None = None
     workspace: Workspace | None = None
     obstacles: tuple[Obstacle, ...] = ()
@@ -95,7 +97,7 @@ class Machine(Noun):
         extra = self.calibrator.links if self.calibrator else ()
         kinds = (self.links, extra, self.cylinders, self.motors, self.drives, self.gas_cylinders, self.fixtures,
                  self.distances, self.stages, self.obstacles, self.total_masses, self.identical)
-        count = Counter([BASE, *(part.name for kind in kinds for part in kind)])
+        count = Counter([BASE, *(["pump"] if self.pump else ()), *(part.name for kind in kinds for part in kind)])
         for name, times in count.items():
             if times > 1:
                 raise ImpossibleError(f"the name '{name}' is used {times} times" if name != BASE
@@ -185,6 +187,9 @@ class Machine(Noun):
             raise ImpossibleError(f"the channel '{twice[0]}' has two sensors", "keep one of them")
 
     def _site(self) -> None:
+        if self.circuits and self.oil is None:
+            raise ImpossibleError(f"what oil feeds {', '.join(self.circuits)} is not said",
+                                  "state 'oil' with its 'bulk_modulus'", "oil")
         for obstacle in self.obstacles:
             if obstacle.link not in {BASE, *(link.name for link in self.links)}:
                 raise ImpossibleError(f"the obstacle '{obstacle.name}' hangs on '{obstacle.link}', which does not "
@@ -246,6 +251,12 @@ class Machine(Noun):
         return tuple(cylinder.name for cylinder in self.cylinders if cylinder.friction.seal is not None)
 
     @property
+    def circuits(self) -> dict[str, Circuit]:
+        """Valves, hoses and leaks of the actuators that state them, by the actuator's name."""
+        found = {a.name: a.circuit for a in self.actuators if not isinstance(a, Drive)}
+        return {name: circuit for name, circuit in found.items() if circuit is not None}
+
+    @property
     def all_cylinders(self) -> tuple[Cylinder | GasCylinder, ...]:
         """Hydraulic and gas-charged cylinders."""
         return (*self.cylinders, *self.gas_cylinders)
@@ -302,6 +313,9 @@ class Machine(Noun):
                       f"{cylinder.name}.p_rod": "Pa", f"{cylinder.name}.force": "N"}
         for motor in self.motors:
             units |= {f"{motor.name}.p_a": "Pa", f"{motor.name}.p_b": "Pa"}
+        units |= {f"{name}.u": circuit.valve.command for name, circuit in self.circuits.items()}
+        if self.pump:
+            units |= {"pump.p_supply": "Pa", "pump.p_tank": "Pa"}
         for link in self.chain:
             if link.joint.type != "locked":
                 units[f"{link.name}.q"] = "m" if link.joint.type == "prismatic" else "rad"

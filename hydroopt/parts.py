@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from hydroopt import inertia
+from hydroopt.circuit import Circuit
 from hydroopt.inertia import Array
 from hydroopt.quantity import (
     CHANNEL_UNITS,
@@ -263,6 +264,7 @@ class Cylinder(Noun):
     max_speed: Speed | None = Field(None, gt=0)
     relief_pressure: Pressure | None = Field(None, gt=0)
     friction: CylinderFriction = CylinderFriction()
+    circuit: Circuit | None = None
 
     @model_validator(mode="after")
     def _areas(self) -> Self:
@@ -318,6 +320,7 @@ class Motor(Noun):
     gear: Number = Field(1.0, gt=0)
     relief_pressure: Pressure | None = Field(None, gt=0)
     friction: TorqueFriction = TorqueFriction()
+    circuit: Circuit | None = None
 
 
 class Drive(Noun):

@@ -11,7 +11,8 @@ from hydroopt.units import UnitError, to_si
 
 CHANNEL_UNITS = {"q": ("rad", "m"), "qd": ("rad/s", "m/s"), "qdd": ("rad/s^2", "m/s^2"), "tau": ("N*m", "N"),
                  "length": ("m",), "force": ("N",), "p_head": ("Pa",), "p_rod": ("Pa",), "p_a": ("Pa",), "p_b": ("Pa",),
-                 "u": ("V", "1", "A"), "x": ("m",), "y": ("m",), "z": ("m",), "distance": ("m",)}
+                 "p_supply": ("Pa",),
+                 "p_tank": ("Pa",), "u": ("V", "1", "A"), "x": ("m",), "y": ("m",), "z": ("m",), "distance": ("m",)}
 """SI units that a channel may have, by the part of its name after the dot; the first is the usual one."""
 
 
@@ -102,6 +103,8 @@ Flow = Annotated[float, *_quantity("m^3/s"), _finite]
 Speed = Annotated[float, *_quantity("m/s"), _finite]
 AngularSpeed = Annotated[float, *_quantity("rad/s", "m/s"), _finite]
 Rate = Annotated[float, *_quantity("Hz"), _finite]
+Duration = Annotated[float, *_quantity("s"), _finite]
+LeakageConductance = Annotated[float, *_quantity("m^3/(s*Pa)"), _finite]
 Name = Annotated[str, Field(pattern=r"^[A-Za-z][A-Za-z0-9_]*$")]
 Lengths = tuple[Length, Length, Length]
 Six = tuple[Inertia, Inertia, Inertia, Inertia, Inertia, Inertia]

@@ -7,13 +7,39 @@ from typing import Self
 import numpy as np
 from pydantic import Field, model_validator
 
-from hydroopt.quantity import Flow, ImpossibleError, Length, Lengths, Mass, Name, Noun, refuse_inverted
+from hydroopt.quantity import (
+    Flow,
+    ImpossibleError,
+    Length,
+    Lengths,
+    Mass,
+    Name,
+    Noun,
+    Pressure,
+    Volume,
+    refuse_inverted,
+)
 
 
 class Pump(Noun):
-    """The supply that all actuators share: together they take no more than `max_flow` [m³/s]."""
+    """The supply that all actuators share: together they take no more than `max_flow` [m³/s].
+
+    It keeps `pressure`, against `tank_pressure`, as long as that flow suffices. With the `volume` of the line behind it
+    the supply's pressure gives way within a few percent when much is drawn, and falls when more is; without, it is the
+    same whatever is drawn.
+    """
 
     max_flow: Flow = Field(gt=0)
+    pressure: Pressure | None = Field(None, gt=0)
+    tank_pressure: Pressure = Field(0.0, ge=0)
+    volume: Volume | None = Field(None, gt=0)
+
+    @model_validator(mode="after")
+    def _pressures(self) -> Self:
+        if self.pressure is not None and self.pressure <= self.tank_pressure:
+            raise ImpossibleError("the supply's pressure is not above the tank's", "exchange or correct them",
+                                  "pressure")
+        return self
 
 
 class Workspace(Noun):

@@ -13,15 +13,17 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 LEVELS = {"errors": 0, "files": 0, "interrupt": 0, "units": 0,
           "inertia": 1, "parameters": 1, "quantity": 1, "spatial": 1,
-          "description": 2, "dynamic_parameters": 2, "geometry": 2, "linkage": 2, "machine": 2, "parts": 2,
+          "circuit": 2, "description": 2, "dynamic_parameters": 2, "geometry": 2, "hydraulic_parameters": 2, "linkage": 2, "machine": 2, "parts": 2,
           "site": 2, "statements": 2, "strokes": 2, "urdf": 2,
           "model": 3, "signals": 3,
           "identifiability": 4, "postures": 4, "solvers": 4, "synthetic": 4,
-          "codegen": 5, "estimation": 5, "excitation": 5,
+          "codegen": 5, "control": 5, "estimation": 5, "excitation": 5,
           "__init__": 6, "__main__": 6, "cli": 6, "report": 6, "study": 6}
 
 QUARANTINE = {
-    "casadi": ("spatial", "geometry", "strokes", "model", "codegen", "solvers", "estimation", "excitation"),
+    "casadi": ("spatial", "geometry", "strokes", "model", "codegen", "solvers", "estimation", "excitation",
+               "control"),
+    "control": ("control",),
     "cvxpy": ("estimation.feasible", "solvers"),
     "clarabel": ("solvers",),
     "piqp": ("excitation.solver",),
@@ -31,7 +33,7 @@ QUARANTINE = {
     "typer": ("cli",),
     "rich": ("cli",),
     "pint": ("units",),
-    "pydantic": ("quantity", "parts", "linkage", "machine", "site", "statements", "description",
+    "pydantic": ("quantity", "circuit", "parts", "linkage", "machine", "site", "statements", "description",
                  "signals.mapping"),
     "tomlkit": ("description",),
     "dask": ("study.workers",),

@@ -1,0 +1,77 @@
+"""The plant near an operating point as a linear system, and what it tells: frequency, damping, gain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import control
+import numpy as np
+
+from hydroopt.inertia import Array
+from hydroopt.model.plant import Plant, Steady
+
+
+def state_space(plant: Plant, at: Steady, psi: Array, theta: Array, *, supply: Array | None = None,
+                outputs: Sequence[str] | None = None) -> control.StateSpace:
+    """The machine near a state as δẋ = A·δx + B·δu, y = C·δx, with named states, inputs and outputs.
+
+    A machine that moves steadily does not rest in q: the linear model holds as long as the posture has hardly changed.
+
+    Args:
+        plant: the machine.
+        at: state and commands about which it is linearised, such as those of `Plant.steady`.
+        psi: dynamic parameters (p,).
+        theta: hydraulic ones.
+        supply: pressures (2,) of supply and tank; those of the machine file if None.
+        outputs: names of the states that are outputs; the joints' positions if None.
+
+    Raises:
+        ProblemError: the machine file states no supply pressure.
+    """
+    A, B = plant.jacobians(at.x, at.u, plant.supply if supply is None else supply, psi, theta)
+    names = list(plant.states)
+    chosen = list(outputs or names[:len(plant.machine.joints)])
+    C = np.eye(len(names))[[names.index(name) for name in chosen]]
+    return control.ss(np.asarray(A), np.asarray(B), C, 0, states=names, inputs=list(plant.inputs), outputs=chosen,
+                      name=plant.machine.name)
+
+
+class Mode(NamedTuple):
+    """How one joint answers its own valve, all other joints held.
+
+    `frequency` [Hz] and `damping` of the joint on its oil, NaN where it does not swing; `gain` is the steady speed of
+    the joint per unit of command [rad/s or m/s, per V, A or 1].
+    """
+
+    frequency: float
+    damping: float
+    gain: float
+
+
+def mode(plant: Plant, joint: str, at: Steady, psi: Array, theta: Array) -> Mode:
+    """Frequency and damping of a joint on its oil, and the steady gain from its valve to its speed, others held.
+
+    The least damped pair of poles of the joint with its chambers is taken, the spool's own poles aside: for these the
+    opening is an input. The gain is that of command to speed at frequency zero.
+
+    Args:
+        plant: the machine.
+        joint: which.
+        at: state about which it is linearised.
+        psi: dynamic parameters (p,).
+        theta: hydraulic ones.
+    """
+    k = plant.machine.joints.index(joint)
+    owner = plant.actuators[k].actuator.name
+    full = state_space(plant, at, psi, theta, outputs=[f"{joint}.qd"])
+    moving = [f"{joint}.qd", *(name for name in plant.states if name.startswith(f"{owner}."))]
+    rows = [plant.states.index(name) for name in moving]
+    A, B = np.asarray(full.A)[np.ix_(rows, rows)], np.asarray(full.B)[rows][:, [k]]
+    gain = float((-np.linalg.solve(A, B))[0, 0])
+    oil = [i for i, name in enumerate(moving) if ".spool" not in name]
+    swinging = [pole for pole in np.linalg.eigvals(A[np.ix_(oil, oil)]) if pole.imag > 1e-9 * abs(pole)]
+    if not swinging:
+        return Mode(np.nan, np.nan, gain)
+    pole = min(swinging, key=lambda p: -p.real / abs(p))
+    return Mode(float(abs(pole) / (2 * np.pi)), float(-pole.real / abs(pole)), gain)

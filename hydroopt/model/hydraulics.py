@@ -1,0 +1,209 @@
+"""Valves, chambers and the pump: flows and pressures as expressions, all in SI, pressures above ambient.
+
+Merritt 1967 and Jelali and Kroll 2003 give orifice, chamber and valve; where an equation of theirs has a corner it is
+rounded over a width that a part of the machine accounts for, so that every expression has derivatives.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import casadi as ca
+
+from hydroopt.circuit import Circuit, Oil, Valve
+from hydroopt.parts import Cylinder, Motor
+
+AMBIENT = 101325.0
+"""Absolute pressure [Pa] above which all others are counted."""
+VACUUM = 1e3
+"""Absolute pressure [Pa] below which the oil's air is not followed further."""
+CUT_OFF = 0.03
+"""Part of the set pressure over which a pump turns from full flow to none."""
+CORNER = 0.1
+"""Part of that over which the corners are rounded."""
+YIELDING = 5e5
+"""Excess of pressure [Pa] at which a relief or a check valve lets the rated flow of the valve beside it pass."""
+FIRM = 0.02
+"""Part of that excess over which such a valve sets in."""
+
+Value = Callable[[str], ca.SX | float]
+"""Tells the value of a number of the hydraulics by its key in the machine file, such as `dead_band`."""
+
+
+def hinge(x: ca.SX, width: ca.SX | float) -> ca.SX:
+    """max(x, 0), rounded within `width`: half of x + √(x² + width²)."""
+    return (x + ca.sqrt(x**2 + width**2)) / 2
+
+
+def orifice(conductance: ca.SX, upstream: ca.SX, downstream: ca.SX, laminar_drop: float) -> ca.SX:
+    """Flow [m³/s] through a sharp edge: K·√Δp, but laminar below `laminar_drop` [Pa].
+
+    K·Δp/(Δp² + Δp_lam²)^¼ is smooth and odd in Δp; where |Δp| is thrice Δp_lam it is off K·√Δp by 2.6 % (in the
+    manner of Ellman and Piché 1999; the transition itself: Merritt 1967, Section 3.2).
+    """
+    drop = upstream - downstream
+    return conductance * drop / ca.sqrt(ca.sqrt(drop**2 + laminar_drop**2))
+
+
+def displaced(valve: Valve, command: ca.SX, value: Value) -> ca.SX:
+    """Where a command wants the spool, −1 to 1 (positive towards P→A), dead bands included.
+
+    Beyond full opening it saturates.
+    """
+    span = valve.span
+    wanted = ca.fmax(-1.0, ca.fmin(1.0, (command - valve.neutral) / span))
+    forward = value("dead_band") / abs(span)
+    reverse = forward if valve.dead_band_reverse is None else value("dead_band_reverse") / abs(span)
+    width = valve.rounding
+    return hinge(wanted - forward, width) / (1 - forward) - hinge(-wanted - reverse, width) / (1 - reverse)
+
+
+class Openings(NamedTuple):
+    """How far each edge is open, 0 to 1."""
+
+    pa: ca.SX
+    at: ca.SX
+    pb: ca.SX
+    bt: ca.SX
+
+
+def openings(valve: Valve, spool: ca.SX, value: Value) -> Openings:
+    """Openings of the edges at a place of the spool, −1 to 1."""
+    overlap = value("overlap")
+    forward, reverse = (hinge(side - overlap, valve.rounding) / (1 - overlap) for side in (spool, -spool))
+    return Openings(pa=forward, at=reverse, pb=reverse, bt=forward)
+
+
+def conductance(valve: Valve, edge: str, value: Value) -> ca.SX:
+    """Flow through a fully open edge per root of pressure [m³/(s·√Pa)], by its key (`flow_pa`)."""
+    return value("rated_flow" if getattr(valve, edge) is None else edge) / valve.rated_drop**0.5
+
+
+def compressibility(oil: Oil, pressure: ca.SX, value: Value) -> ca.SX:
+    """Reciprocal of the bulk modulus [1/Pa] of oil with free air, at a pressure above ambient.
+
+    The air, compressed by p·Vⁿ = const, is a part of the volume at that pressure (Gholizadeh, Burton, Schoenau 2011).
+    """
+    absolute = hinge(pressure + AMBIENT - VACUUM, VACUUM) + VACUUM
+    air = value("oil.air")
+    gas = air / (1 - air) * (AMBIENT / absolute) ** (1 / oil.polytropic)
+    return (1 / value("oil.bulk_modulus") + gas / (oil.polytropic * absolute)) / (1 + gas)
+
+
+class Flows(NamedTuple):
+    """Flows [m³/s] of one actuator: into its chambers, out of the supply, into the tank by the valve."""
+
+    into_a: ca.SX
+    into_b: ca.SX
+    supply: ca.SX
+    tank: ca.SX
+
+
+class ActuatorHydraulics:
+    """One actuator's valve and chambers.
+
+    Chamber a is a cylinder's head side or a motor's side a. `areas` are what its piston displaces per metre, or a
+    motor per radian of its joint [m², m³/rad].
+    """
+
+    def __init__(self, actuator: Cylinder | Motor, circuit: Circuit, oil: Oil) -> None:
+        self.actuator, self.circuit, self.oil, self.valve = actuator, circuit, oil, circuit.valve
+        if isinstance(actuator, Cylinder):
+            self.areas = actuator.areas
+        else:
+            self.areas = (actuator.torque_per_pressure * actuator.gear,) * 2
+        self.spool_states = 2 if self.valve.natural_frequency is not None else 0
+        """How many states the spool has."""
+
+    def volumes(self, length: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Volumes [m³] of both chambers without hoses, at a cylinder's length; a motor's are part of its hoses."""
+        if isinstance(self.actuator, Motor):
+            return ca.SX(0.0), ca.SX(0.0)
+        stroke = length - self.actuator.dead_length
+        return self.areas[0] * stroke, self.areas[1] * (self.actuator.stroke - stroke)
+
+    def spool_rates(self, spool: ca.SX, spool_rate: ca.SX, wanted: ca.SX, value: Value) -> tuple[ca.SX, ca.SX]:
+        """Rates of the spool's place and speed: a system of second order (Jelali and Kroll 2003, Section 4.2)."""
+        omega = 2 * ca.pi * value("natural_frequency")
+        return spool_rate, omega**2 * (wanted - spool) - 2 * value("damping") * omega * spool_rate
+
+    def flows(self, spool: ca.SX, p_a: ca.SX, p_b: ca.SX, supply: ca.SX, value: Value) -> Flows:
+        """Flows through the valve, the leaks, and the relief and check valves at the ports.
+
+        Args:
+            spool: its place, −1 to 1.
+            p_a: pressure in chamber a [Pa].
+            p_b: pressure in chamber b.
+            supply: pressures (2,) of supply and tank.
+            value: of the numbers of the machine file.
+        """
+        valve, circuit = self.valve, self.circuit
+        pump, tank = supply[0], supply[1]
+        opening = openings(valve, spool, value)
+
+        def through(edge: str, share: ca.SX, upstream: ca.SX, downstream: ca.SX) -> ca.SX:
+            return orifice(conductance(valve, edge, value) * share, upstream, downstream, valve.laminar_drop)
+
+        pa, at = through("flow_pa", opening.pa, pump, p_a), through("flow_at", opening.at, p_a, tank)
+        pb, bt = through("flow_pb", opening.pb, pump, p_b), through("flow_bt", opening.bt, p_b, tank)
+        into = {"a": pa - at, "b": pb - bt}
+        if circuit.leakage is not None:
+            across = value("leakage") * (p_a - p_b)
+            into = {"a": into["a"] - across, "b": into["b"] + across}
+        for port, pressure in (("a", p_a), ("b", p_b)):
+            if getattr(circuit, f"leakage_{port}") is not None:
+                into[port] -= value(f"leakage_{port}") * (pressure - tank)
+            full = conductance(valve, f"flow_p{port}", value) * valve.rated_drop**0.5
+            if self.actuator.relief_pressure is not None:
+                into[port] -= full * hinge((pressure - self.actuator.relief_pressure) / YIELDING, FIRM)
+            if circuit.anticavitation:
+                into[port] += full * hinge((tank - pressure) / YIELDING, FIRM)
+        return Flows(into["a"], into["b"], pa + pb, at + bt)
+
+    def pressure_rates(self, flows: Flows, p_a: ca.SX, p_b: ca.SX, length: ca.SX, speed: ca.SX,
+                       value: Value) -> tuple[ca.SX, ca.SX]:
+        """Rates [Pa/s] of both chambers' pressures: net flow by capacity (Merritt 1967, Section 3.5).
+
+        The walls of hoses give way as well, and add the volume of the hose by the modulus of its walls.
+        """
+        rates = []
+        for port, pressure, into, volume, swept in zip(
+                "ab", (p_a, p_b), (flows.into_a, flows.into_b), self.volumes(length),
+                (self.areas[0] * speed, -self.areas[1] * speed), strict=True):
+            hose = value(f"volume_{port}")
+            capacity = (volume + hose) * compressibility(self.oil, pressure, value)
+            if self.circuit.hose_modulus is not None:
+                capacity += hose / value("hose_modulus")
+            rates.append((into - swept) / capacity)
+        return rates[0], rates[1]
+
+    def opening_for(self, force: ca.SX, speed: ca.SX, supply: ca.SX, value: Value) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Place of the spool and both chambers' pressures at which a force and a speed hold steadily.
+
+        Of sharp edges without leaks: the same spool opens the edge that feeds and the one that drains, so that
+        A_a·p_supply − A_b·p_tank − f = (v/x)²·(A_a³/K_pa² + A_b³/K_bt²) when extending, and likewise when retracting
+        (Merritt 1967, Section 6.1, for unequal areas and edges). What remains of the supply's pressure has to be
+        positive; it is NaN where it is not.
+        """
+        a, b = self.areas
+        pump, tank = supply[0], supply[1]
+        k_pa, k_at, k_pb, k_bt = (conductance(self.valve, edge, value)
+                                  for edge in ("flow_pa", "flow_at", "flow_pb", "flow_bt"))
+        out = a**3 / k_pa**2 + b**3 / k_bt**2
+        back = b**3 / k_pb**2 + a**3 / k_at**2
+        left_out, left_back = a * pump - b * tank - force, b * pump - a * tank + force
+        extends = speed >= 0
+        opening = speed * ca.sqrt(ca.if_else(extends, out / left_out, back / left_back))
+        p_a = ca.if_else(extends, pump - left_out * a**2 / (k_pa**2 * out), tank + left_back * a**2 / (k_at**2 * back))
+        p_b = (a * p_a - force) / b
+        return opening, p_a, p_b
+
+
+def pump_flow(most: float, set_pressure: ca.SX, pressure: ca.SX) -> ca.SX:
+    """Flow [m³/s] of a pressure-compensated pump: none at its set pressure, all of it from a little below.
+
+    A straight cut-off (Merritt 1967, Section 11.2) with rounded corners.
+    """
+    part = (set_pressure - pressure) / (CUT_OFF * set_pressure)
+    return most * (hinge(part, CORNER) - hinge(part - 1, CORNER))

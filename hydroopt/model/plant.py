@@ -1,0 +1,321 @@
+"""The complete machine, driven by its valves: links, barrels and rods coupled to oil pressures and spools."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+from scipy.optimize import brentq, root
+
+from hydroopt import hydraulic_parameters
+from hydroopt.errors import ProblemError
+from hydroopt.inertia import Array
+from hydroopt.model.build import Model
+from hydroopt.model.hydraulics import (
+    ActuatorHydraulics,
+    Flows,
+    Value,
+    compressibility,
+    conductance,
+    displaced,
+    pump_flow,
+)
+from hydroopt.model.program import program
+from hydroopt.parameters import ParameterSet
+from hydroopt.parts import Cylinder, Drive
+
+CREEP = 1e-3
+"""Speed [m/s or rad/s] over which dry friction turns round in the plant: sign(v) becomes tanh(v/CREEP)."""
+PRESSURE = 1e7
+"""Typical pressure [Pa] of states."""
+
+
+class Steady(NamedTuple):
+    """States (nx,) and commands (n,) of a machine that moves steadily."""
+
+    x: Array
+    u: Array
+
+
+class Plant:
+    """A machine with a valve on each actuator, as ẋ = f(x, u, supply, ψ, θ).
+
+    The state holds q and q̇ of all joints, then for every actuator its spool's place (−1 to 1) and speed, if the file
+    states how the spool follows, and the pressures of both chambers, and last the supply's pressure if the pump states
+    a volume. Commands u (n,) are in the unit of each valve, without its delay. `supply` (2,) are the pressures [Pa] of
+    supply and tank; where the pump states a volume, the first is what the pump is set to.
+
+    Transducer offsets among ψ do not act here. Dry friction turns round over the speed `CREEP`.
+
+    Raises:
+        ProblemError: an actuator states no circuit, or is no hydraulic one.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.model, self.machine = model, model.machine
+        machine = model.machine
+        self.actuators: list[ActuatorHydraulics] = []
+        for actuator in machine.actuators:
+            if isinstance(actuator, Drive):
+                raise ProblemError(f"'{actuator.name}' is driven directly, not by oil", where=machine.name,
+                                   remedy="hydraulics need cylinders or hydraulic motors on all joints")
+            if actuator.circuit is None:
+                raise ProblemError(f"nothing is said of what feeds '{actuator.name}'", where=machine.name,
+                                   remedy=f"state 'circuit' with a valve and hoses in the machine file for "
+                                          f"'{actuator.name}'")
+            assert machine.oil is not None
+            self.actuators.append(ActuatorHydraulics(actuator, actuator.circuit, machine.oil))
+
+    def __reduce__(self) -> tuple[type[Plant], tuple[Model]]:
+        return Plant, (self.model,)
+
+    @cached_property
+    def parameters(self) -> ParameterSet:
+        """Names, units, nominal values, bounds and prior of θ."""
+        return hydraulic_parameters.parameter_set(self.machine)
+
+    @cached_property
+    def states(self) -> tuple[str, ...]:
+        """Names of the states."""
+        joints = self.machine.joints
+        names = [*(f"{joint}.q" for joint in joints), *(f"{joint}.qd" for joint in joints)]
+        for each in self.actuators:
+            owner = each.actuator.name
+            names += [f"{owner}.{key}" for key in ("spool", "spool_rate")[:each.spool_states]]
+            names += [f"{owner}.{key}" for key in self._chambers(each)]
+        return (*names, *(["pump.p_supply"] if self._line else []))
+
+    @staticmethod
+    def _chambers(each: ActuatorHydraulics) -> tuple[str, str]:
+        return ("p_head", "p_rod") if isinstance(each.actuator, Cylinder) else ("p_a", "p_b")
+
+    @property
+    def _line(self) -> float | None:
+        return self.machine.pump.volume if self.machine.pump else None
+
+    @property
+    def inputs(self) -> tuple[str, ...]:
+        """Names of the commands."""
+        return tuple(f"{each.actuator.name}.u" for each in self.actuators)
+
+    @cached_property
+    def scale(self) -> Array:
+        """Typical size (nx,) of each state."""
+        omega = {f"{each.actuator.name}.spool_rate": 2 * np.pi * (each.valve.natural_frequency or 0)
+                 for each in self.actuators}
+        return np.array([omega.get(name) or (PRESSURE if ".p_" in name else 1.0) for name in self.states])
+
+    @property
+    def supply(self) -> Array:
+        """Pressures (2,) [Pa] of supply and tank as the machine file states them.
+
+        Raises:
+            ProblemError: it states no supply pressure.
+        """
+        pump = self.machine.pump
+        if pump is None or pump.pressure is None:
+            raise ProblemError("the supply's pressure is not known", where=f"{self.machine.name}: pump",
+                               remedy="state 'pressure' of the pump in the machine file, or log pump.p_supply")
+        return np.array([pump.pressure, pump.tank_pressure])
+
+    @cached_property
+    def _symbols(self) -> dict[str, ca.SX]:
+        sizes = {"x": len(self.states), "u": len(self.inputs), "supply": 2, "psi": len(self.model.parameters),
+                 "theta": len(self.parameters)}
+        return {name: ca.SX.sym(name, size) for name, size in sizes.items()}
+
+    @cached_property
+    def _parts(self) -> dict[str, ca.SX]:
+        """Rates of all states, and what else there is to see, in the symbols."""
+        x, u, given, psi, theta = self._symbols.values()
+        n, at = len(self.machine.joints), dict(zip(self.states, ca.vertsplit(x), strict=True))
+        q, qd = x[:n], x[n:2 * n]
+        supply = ca.vertcat(at["pump.p_supply"], given[1]) if self._line else given
+        length, speed = self._motion(q, qd)
+        spools: list[ca.SX] = []
+        rates: list[ca.SX] = []
+        chambers: list[ca.SX] = []
+        flows: list[Flows] = []
+        for k, each in enumerate(self.actuators):
+            value = self._value(each, theta)
+            p_a, p_b = (at[f"{each.actuator.name}.{key}"] for key in self._chambers(each))
+            spool = displaced(each.valve, u[k], value)
+            if each.spool_states:
+                wanted, spool = spool, at[f"{each.actuator.name}.spool"]
+                rates += each.spool_rates(spool, at[f"{each.actuator.name}.spool_rate"], wanted, value)
+            flows.append(each.flows(spool, p_a, p_b, supply, value))
+            rates += each.pressure_rates(flows[-1], p_a, p_b, length[k], speed[k], value)
+            spools.append(spool)
+            chambers += [p_a, p_b]
+        pressure = ca.reshape(ca.vertcat(*chambers), 2, n).T
+        areas = ca.DM([each.areas for each in self.actuators])
+        force = areas[:, 0] * pressure[:, 0] - areas[:, 1] * pressure[:, 1]
+        flow = ca.vertcat(*(each.supply for each in flows))
+        if self._line:
+            value = self._value(self.actuators[0], theta)
+            assert self.machine.pump is not None
+            given_flow = pump_flow(self.machine.pump.max_flow, given[0], supply[0])
+            squeezed = compressibility(self.actuators[0].oil, supply[0], value) * self._line
+            rates.append((given_flow - ca.sum1(flow)) / squeezed)
+        qdd = self._acceleration(q, qd, force, pressure, psi)
+        return {"rates": ca.vertcat(qd, qdd, *rates), "q": q, "qd": qd, "qdd": qdd, "length": length, "speed": speed,
+                "spool": ca.vertcat(*spools), "pressure": pressure, "force": force, "flow": flow,
+                "p_supply": supply[0]}
+
+    def _value(self, each: ActuatorHydraulics, theta: ca.SX) -> Value:
+        place, owner = self.parameters.positions, each.actuator.name
+        return lambda key: theta[place[key if key.startswith("oil.") else f"{owner}.{key}"]]
+
+    def _motion(self, q: ca.SX, qd: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Length and speed (n,) of every actuator; of a motor, angle and speed of its joint."""
+        dynamics, at = self.model.dynamics, self.model.at
+        lengths = [dynamics.cylinders[each.actuator.name].length if isinstance(each.actuator, Cylinder)
+                   else at.q[self.machine.joints.index(each.actuator.joint)] for each in self.actuators]
+        length, speed = ca.Function("motion", [at.q, at.qd], [ca.vertcat(*lengths), dynamics.rates])(q, qd)
+        return length, speed
+
+    @cached_property
+    def _forces(self) -> ca.Function:
+        """The inverse dynamics with rounded dry friction and without offsets of transducers."""
+        smooth = program(self.model.inverse_dynamics).function(lambda speed: ca.tanh(speed / CREEP))
+        given = [ca.SX.sym(name, *smooth.size_in(name)) for name in smooth.name_in()]
+        acting = ca.DM([not name.endswith("_offset") for name in self.model.parameters.names])
+        return ca.Function("forces", given, [smooth(*given[:-1], given[-1] * acting)], smooth.name_in(), ["force"])
+
+    def _demand(self, q: ca.SX, qd: ca.SX, qdd: ca.SX, pressure: ca.SX, psi: ca.SX) -> ca.SX:
+        """Forces (n,) that a motion demands of the actuators; `pressure` (n, 2) rubs at the seals."""
+        both = [pressure[:, 0] + pressure[:, 1]] if self.model.needs_pressure else []
+        force: ca.SX = self._forces(q, qd, qdd, *both, psi)
+        return force
+
+    def _acceleration(self, q: ca.SX, qd: ca.SX, force: ca.SX, pressure: ca.SX, psi: ca.SX) -> ca.SX:
+        """Joint accelerations (n,) under actuator forces: these are affine in them."""
+        qdd = ca.SX.sym("qdd", q.numel())
+        mass = ca.jacobian(self._demand(q, qd, qdd, pressure, psi), qdd)
+        rest = self._demand(q, qd, ca.SX.zeros(q.numel()), pressure, psi)
+        return ca.solve(mass, force - rest)
+
+    def _function(self, name: str, *outputs: str) -> ca.Function:
+        return ca.Function(name, list(self._symbols.values()), [ca.densify(self._parts[key]) for key in outputs],
+                           list(self._symbols), list(outputs))
+
+    @cached_property
+    def rates(self) -> ca.Function:
+        """(x, u, supply, psi, theta) → ẋ (nx,)."""
+        return self._function("rates", "rates")
+
+    @cached_property
+    def seen(self) -> ca.Function:
+        """(x, u, supply, psi, theta) → what there is to see of a state.
+
+        q, qd, qdd (n,) of the joints; length, speed, spool, force (n,) and pressure (n, 2) of the actuators; their flow
+        (n,) [m³/s] from the supply, and its pressure.
+        """
+        return self._function("seen", *(key for key in self._parts if key != "rates"))
+
+    @cached_property
+    def jacobians(self) -> ca.Function:
+        """(x, u, supply, psi, theta) → A (nx, nx) and B (nx, n) of δẋ = A·δx + B·δu."""
+        given, rates = list(self._symbols.values()), self._parts["rates"]
+        return ca.Function("jacobians", given, [ca.densify(ca.jacobian(rates, by)) for by in given[:2]],
+                           list(self._symbols), ["A", "B"])
+
+    def integrator(self, step: float, psi: Array, theta: Array) -> ca.Function:
+        """(x, u, supply) → x after `step` seconds of constant commands, by CVODES (backward differences)."""
+        z, u, supply = ca.SX.sym("z", len(self.states)), ca.SX.sym("u", len(self.inputs)), ca.SX.sym("supply", 2)
+        rates = self.rates(z * self.scale, u, supply, psi, theta) / self.scale
+        solver = ca.integrator("plant", "cvodes", {"x": z, "p": ca.vertcat(u, supply), "ode": rates}, 0.0, step,
+                               {"reltol": 1e-7, "abstol": 1e-9, "max_num_steps": 100000})
+        x, u, supply = ca.MX.sym("x", len(self.states)), ca.MX.sym("u", len(self.inputs)), ca.MX.sym("supply", 2)
+        after = solver(x0=x / self.scale, p=ca.vertcat(u, supply))["xf"] * self.scale
+        return ca.Function("step", [x, u, supply], [after], ["x", "u", "supply"], ["after"])
+
+    def steady(self, q: Array, qd: Array, psi: Array, theta: Array, supply: Array | None = None) -> Steady:
+        """State and commands at which the machine moves through a posture with constant joint speeds.
+
+        Args:
+            q: posture (n,) [rad or m].
+            qd: speeds (n,).
+            psi: dynamic parameters (p,).
+            theta: hydraulic ones.
+            supply: pressures (2,) of supply and tank; those of the machine file if None.
+
+        Raises:
+            ProblemError: the supply cannot move the machine so, or the file states no supply pressure.
+        """
+        supply = self.supply if supply is None else supply
+        n, names = len(q), [each.actuator.name for each in self.actuators]
+        opening, p_a, p_b = (np.asarray(part).ravel() for part in self._ideal(q, qd, supply, psi, theta))
+        for name, part in zip(names, opening, strict=True):
+            if not abs(part) < 1:
+                raise ProblemError(f"a supply of {supply[0] / 1e5:.0f} bar cannot move '{name}' at this speed against "
+                                   "its load", where=self.machine.name,
+                                   remedy="ask for a slower motion, or state a higher pressure or larger valve")
+
+        def balance(z: Array) -> tuple[Array, Array]:
+            gap, slope = self._balance(z, q, qd, supply, psi, theta)
+            return np.asarray(gap).ravel(), np.asarray(slope)
+
+        start = np.concatenate([opening, *(p / PRESSURE for p in (p_a, p_b, supply[:1]))])
+        found = root(balance, start, jac=True)
+        opening, p_a, p_b = found.x[:-1].reshape(3, n) * np.array([[1.0], [PRESSURE], [PRESSURE]])
+        if not (found.success and np.all(np.abs(opening) <= 1)):
+            raise ProblemError("no steady state of valves, chambers and pump was found", where=self.machine.name,
+                               remedy="ask for a slower motion, or check the numbers of its circuits")
+        u = np.array([self._command_for(k, float(opening[k]), theta) for k in range(n)])
+        x = dict.fromkeys(self.states, 0.0)
+        x |= dict(zip(self.states, [*q, *qd], strict=False))
+        for k, each in enumerate(self.actuators):
+            x |= dict(zip((f"{names[k]}.{key}" for key in self._chambers(each)), (p_a[k], p_b[k]), strict=True))
+            if each.spool_states:
+                x[f"{names[k]}.spool"] = opening[k]
+        if self._line:
+            x["pump.p_supply"] = PRESSURE * found.x[-1]
+        return Steady(np.array(list(x.values())), u)
+
+    @cached_property
+    def _ideal(self) -> ca.Function:
+        """(q, qd, supply, psi, theta) → openings and pressures of both chambers by sharp edges without leaks."""
+        _, _, supply, psi, theta = self._symbols.values()
+        n = len(self.machine.joints)
+        q, qd, still = ca.SX.sym("q", n), ca.SX.sym("qd", n), ca.SX.zeros(n)
+        force, speed = self._demand(q, qd, still, ca.SX.zeros(n, 2), psi), self._motion(q, qd)[1]
+        found = [each.opening_for(force[k], speed[k], supply, self._value(each, theta))
+                 for k, each in enumerate(self.actuators)]
+        return ca.Function("ideal", [q, qd, supply, psi, theta],
+                           [ca.vertcat(*(one[k] for one in found)) for k in range(3)])
+
+    @cached_property
+    def _balance(self) -> ca.Function:
+        """(z, q, qd, supply, psi, theta) → what flows and forces leave over, and its Jacobian.
+
+        z are the openings, the pressures of chambers a and b, and the supply's.
+        """
+        _, _, given, psi, theta = self._symbols.values()
+        n = len(self.machine.joints)
+        z, q, qd, still = ca.SX.sym("z", 3 * n + 1), ca.SX.sym("q", n), ca.SX.sym("qd", n), ca.SX.zeros(n)
+        opening, p_a, p_b, p_supply = z[:n], PRESSURE * z[n:2 * n], PRESSURE * z[2 * n:3 * n], PRESSURE * z[-1]
+        force, speed = self._demand(q, qd, still, ca.horzcat(p_a, p_b), psi), self._motion(q, qd)[1]
+        gaps, drawn = [], ca.SX(0.0)
+        for k, each in enumerate(self.actuators):
+            value, (a, b) = self._value(each, theta), each.areas
+            flows = each.flows(opening[k], p_a[k], p_b[k], ca.vertcat(p_supply, given[1]), value)
+            full = conductance(each.valve, "flow_pa", value) * PRESSURE**0.5
+            gaps += [(flows.into_a - a * speed[k]) / full, (flows.into_b + b * speed[k]) / full,
+                     (a * p_a[k] - b * p_b[k] - force[k]) / (a * PRESSURE)]
+            drawn += flows.supply
+        pump = self.machine.pump
+        gaps.append(pump_flow(1.0, given[0], p_supply) - drawn / pump.max_flow if self._line and pump
+                    else (p_supply - given[0]) / PRESSURE)
+        gap = ca.vertcat(*gaps)
+        return ca.Function("balance", [z, q, qd, given, psi, theta], [gap, ca.jacobian(gap, z)])
+
+    def _command_for(self, k: int, opening: float, theta: Array) -> float:
+        """Command that holds a spool at a place, −1 to 1."""
+        each = self.actuators[k]
+        command, valve = ca.SX.sym("command"), each.valve
+        wanted = ca.Function("wanted", [command], [displaced(valve, command, self._value(each, ca.DM(theta)))])
+        ends = valve.neutral - valve.span, valve.full
+        return float(brentq(lambda u: float(wanted(u)) - opening, *ends, xtol=1e-12, rtol=1e-14))
