@@ -13,7 +13,8 @@ FILES = sorted(PACKAGE.rglob("*.py"))
 
 LEVELS = {"errors": 0, "files": 0, "interrupt": 0, "units": 0,
           "inertia": 1, "parameters": 1, "quantity": 1, "spatial": 1,
-          "circuit": 2, "description": 2, "dynamic_parameters": 2, "geometry": 2, "hydraulic_parameters": 2, "linkage": 2, "machine": 2, "parts": 2,
+          "circuit": 2, "description": 2, "dynamic_parameters": 2, "geometry": 2, "hydraulic_parameters": 2,
+          "linkage": 2, "machine": 2, "parts": 2,
           "site": 2, "statements": 2, "strokes": 2, "urdf": 2,
           "model": 3, "signals": 3,
           "identifiability": 4, "postures": 4, "solvers": 4, "synthetic": 4,
