@@ -14,7 +14,7 @@ from hydroopt.model.plant import Plant, Steady
 
 def state_space(plant: Plant, at: Steady, psi: Array, theta: Array, *, supply: Array | None = None,
                 outputs: Sequence[str] | None = None) -> control.StateSpace:
-    """The machine near a state as δẋ = A·δx + B·δu, y = C·δx, with named states, inputs and outputs.
+    """The machine near a state as δẋ = A·δx + B·δu, y = C·δx, with named states, inputs and outputs, see `signal`.
 
     A machine that moves steadily does not rest in q: the linear model holds as long as the posture has hardly changed.
 
@@ -33,8 +33,14 @@ def state_space(plant: Plant, at: Steady, psi: Array, theta: Array, *, supply: A
     names = list(plant.states)
     chosen = list(outputs or names[:len(plant.machine.joints)])
     C = np.eye(len(names))[[names.index(name) for name in chosen]]
-    return control.ss(np.asarray(A), np.asarray(B), C, 0, states=names, inputs=list(plant.inputs), outputs=chosen,
+    labels = [[signal(name) for name in group] for group in (names, plant.inputs, chosen)]
+    return control.ss(np.asarray(A), np.asarray(B), C, 0, states=labels[0], inputs=labels[1], outputs=labels[2],
                       name=plant.machine.name)
+
+
+def signal(name: str) -> str:
+    """What python-control, which allows no dots, calls a state, command or output."""
+    return name.replace(".", "_")
 
 
 class Mode(NamedTuple):

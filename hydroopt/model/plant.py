@@ -133,7 +133,7 @@ class Plant:
         n, at = len(self.machine.joints), dict(zip(self.states, ca.vertsplit(x), strict=True))
         q, qd = x[:n], x[n:2 * n]
         supply = ca.vertcat(at["pump.p_supply"], given[1]) if self._line else given
-        length, speed = self._motion(q, qd)
+        length, speed = self.actuator_motion(q, qd)
         spools: list[ca.SX] = []
         rates: list[ca.SX] = []
         chambers: list[ca.SX] = []
@@ -168,13 +168,14 @@ class Plant:
         place, owner = self.parameters.positions, each.actuator.name
         return lambda key: theta[place[key if key.startswith("oil.") else f"{owner}.{key}"]]
 
-    def _motion(self, q: ca.SX, qd: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Length and speed (n,) of every actuator; of a motor, angle and speed of its joint."""
+    @cached_property
+    def actuator_motion(self) -> ca.Function:
+        """(q, qd) → length and speed (n,) of every actuator; of a motor, angle and speed of its joint."""
         dynamics, at = self.model.dynamics, self.model.at
         lengths = [dynamics.cylinders[each.actuator.name].length if isinstance(each.actuator, Cylinder)
                    else at.q[self.machine.joints.index(each.actuator.joint)] for each in self.actuators]
-        length, speed = ca.Function("motion", [at.q, at.qd], [ca.vertcat(*lengths), dynamics.rates])(q, qd)
-        return length, speed
+        return ca.Function("actuator_motion", [at.q, at.qd], [ca.vertcat(*lengths), ca.densify(dynamics.rates)],
+                           ["q", "qd"], ["length", "speed"])
 
     @cached_property
     def _forces(self) -> ca.Function:
@@ -281,7 +282,7 @@ class Plant:
         _, _, supply, psi, theta = self._symbols.values()
         n = len(self.machine.joints)
         q, qd, still = ca.SX.sym("q", n), ca.SX.sym("qd", n), ca.SX.zeros(n)
-        force, speed = self._demand(q, qd, still, ca.SX.zeros(n, 2), psi), self._motion(q, qd)[1]
+        force, speed = self._demand(q, qd, still, ca.SX.zeros(n, 2), psi), self.actuator_motion(q, qd)[1]
         found = [each.opening_for(force[k], speed[k], supply, self._value(each, theta))
                  for k, each in enumerate(self.actuators)]
         return ca.Function("ideal", [q, qd, supply, psi, theta],
@@ -297,7 +298,7 @@ class Plant:
         n = len(self.machine.joints)
         z, q, qd, still = ca.SX.sym("z", 3 * n + 1), ca.SX.sym("q", n), ca.SX.sym("qd", n), ca.SX.zeros(n)
         opening, p_a, p_b, p_supply = z[:n], PRESSURE * z[n:2 * n], PRESSURE * z[2 * n:3 * n], PRESSURE * z[-1]
-        force, speed = self._demand(q, qd, still, ca.horzcat(p_a, p_b), psi), self._motion(q, qd)[1]
+        force, speed = self._demand(q, qd, still, ca.horzcat(p_a, p_b), psi), self.actuator_motion(q, qd)[1]
         gaps, drawn = [], ca.SX(0.0)
         for k, each in enumerate(self.actuators):
             value, (a, b) = self._value(each, theta), each.areas

@@ -83,8 +83,10 @@ def render(estimate: Estimate, doubts: Sequence[str], friction: FrictionChoice |
 def page(name: str) -> jinja2.Template:
     """A template that lies beside this file; all share one style."""
     loader = jinja2.FunctionLoader(lambda part: files("hydroopt.report").joinpath(part).read_text(encoding="utf-8"))
-    return jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True,
-                              loader=loader).get_template(name)
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
+                                     lstrip_blocks=True, loader=loader)
+    environment.filters["number"] = lambda value: NONE if value is None else plain(value, 3)
+    return environment.get_template(name)
 
 
 def _figures(estimate: Estimate) -> dict[str, Markup]:

@@ -1,0 +1,99 @@
+"""Frequency, damping and gain of every joint on its oil, over the workspace."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from scipy.stats import qmc
+
+from hydroopt.control.linear import Mode, mode
+from hydroopt.errors import ProblemError
+from hydroopt.inertia import Array
+from hydroopt.model.plant import Plant
+
+SHARE = 0.1
+"""Part of its greatest speed at which a joint moves where it is linearised: at rest, valves are shut."""
+STILL = Mode(np.nan, np.nan, np.nan)
+"""What is said of a place at which the supply cannot move the joint."""
+
+
+class Sweep(NamedTuple):
+    """One joint over its range in one direction.
+
+    `speed` [rad/s or m/s] is that of the joint, positive if it moves towards its upper limit; `position` (N,) are the
+    joint's, `modes` (N, M) what was found there with the other joints in M postures, the first in the middle of their
+    ranges.
+    """
+
+    joint: str
+    actuator: str
+    speed: float
+    position: Array
+    modes: tuple[tuple[Mode, ...], ...]
+
+    def each(self, key: str) -> Array:
+        """Values (N, M) of `frequency`, `damping` or `gain`."""
+        return np.array([[getattr(found, key) for found in row] for row in self.modes])
+
+
+def sweeps(plant: Plant, psi: Array, theta: Array, *, positions: int = 9, postures: int = 5) -> list[Sweep]:
+    """How every joint answers its valve over its range, in both directions.
+
+    Each is linearised while it moves at a tenth of its greatest speed (what the pump's flow allows, if the file states
+    none) and the others rest.
+
+    Args:
+        plant: the machine.
+        psi: dynamic parameters (p,).
+        theta: hydraulic ones.
+        positions: of each joint, evenly over its range.
+        postures: of the other joints, spread over their ranges.
+
+    Raises:
+        ProblemError: the machine file states no supply pressure, or neither a greatest speed nor a pump.
+    """
+    supply, joints = plant.supply, plant.machine.joints
+    ranges = np.array([plant.machine.link(joint).joint.range for joint in joints])
+    spread = qmc.Halton(len(joints), scramble=False).random(postures)
+    spread[0] = 0.5  # the sequence begins at the lower limits
+    found = []
+    for k, joint in enumerate(joints):
+        lower, upper = ranges[k]
+        # at the very ends chambers may be empty and levers short
+        places = np.linspace(lower + 0.02 * (upper - lower), upper - 0.02 * (upper - lower), positions)
+        top = top_speed(plant, joint)
+        for speed in (SHARE * top, -SHARE * top):
+            rows = []
+            for place in places:
+                row = []
+                for share in spread:
+                    q, qd = ranges[:, 0] + share * (ranges[:, 1] - ranges[:, 0]), np.zeros(len(joints))
+                    q[k], qd[k] = place, speed
+                    try:
+                        row.append(mode(plant, joint, plant.steady(q, qd, psi, theta, supply), psi, theta))
+                    except ProblemError:
+                        row.append(STILL)
+                rows.append(tuple(row))
+            found.append(Sweep(joint, plant.actuators[k].actuator.name, speed, places, tuple(rows)))
+    return found
+
+
+def top_speed(plant: Plant, joint: str) -> float:
+    """The greatest speed [rad/s or m/s] of a joint, or what the pump's flow gives it in mid-range.
+
+    Raises:
+        ProblemError: the machine file states neither a greatest speed nor a pump.
+    """
+    machine = plant.machine
+    stated = machine.link(joint).joint.max_speed
+    if stated is not None:
+        return stated
+    if machine.pump is None:
+        raise ProblemError(f"how fast '{joint}' may move is not known", where=machine.name,
+                           remedy="state its 'max_speed', or the 'max_flow' of the pump, in the machine file")
+    k = machine.joints.index(joint)
+    middle = np.array([sum(machine.link(name).joint.range) / 2 for name in machine.joints])
+    each = plant.actuators[k]
+    lever = abs(float(plant.actuator_motion(middle, np.eye(len(middle))[k])[1][k]))
+    return float(machine.pump.max_flow / (max(each.areas) * lever))
