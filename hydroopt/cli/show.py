@@ -3,21 +3,42 @@
 from __future__ import annotations
 
 import json
-from typing import Any
+from pathlib import Path
+from typing import Annotated, Any
 
 import typer
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
-from hydroopt.cli.options import AsJson, MachineName, ParameterSetName
+from hydroopt.cli.options import AsJson, MachineName, ParameterSetName, progress
 from hydroopt.description import load_machine
+from hydroopt.errors import ProblemError
+from hydroopt.files import write_files
+from hydroopt.machine import Machine
+from hydroopt.model.build import Model
+from hydroopt.model.plant import Plant
 from hydroopt.report.facts import machine_facts
+from hydroopt.report.record import table as csv
 
 
-def show(machine: MachineName, parameter_set: ParameterSetName = None, as_json: AsJson = False) -> None:
+def show(
+    machine: MachineName,
+    hydraulics: Annotated[bool, typer.Option("--hydraulics", help=(
+        "Frequency, damping and gain of every joint on its oil over the workspace."))] = False,
+    output: Annotated[Path | None, typer.Option(
+        "-o", "--output", help="Directory for hydraulics.html with figures and hydraulics.csv.")] = None,
+    parameter_set: ParameterSetName = None,
+    as_json: AsJson = False,
+) -> None:
     """Show a machine: links, actuators with their geometry, sensors, and which parameters a motion can reveal."""
     described = load_machine(machine, parameter_set=parameter_set)
+    if hydraulics:
+        _hydraulics(described, output, as_json=as_json)
+        return
+    if output is not None:
+        raise ProblemError("without --hydraulics nothing is written", where="--output",
+                           remedy="leave it out, or add --hydraulics")
     facts = machine_facts(described)
     if as_json:
         typer.echo(json.dumps(facts, indent=1))
@@ -38,6 +59,37 @@ def show(machine: MachineName, parameter_set: ParameterSetName = None, as_json: 
             console.print(escape(line), soft_wrap=True)
 
 
+def _hydraulics(machine: Machine, output: Path | None, *, as_json: bool) -> None:
+    from hydroopt.control.workspace import sweeps  # noqa: PLC0415 (python-control takes a second to import)
+    from hydroopt.report import hydraulics  # noqa: PLC0415
+
+    model = Model(machine)
+    plant = Plant(model)
+    with progress(f"linearising {machine.name}", as_json):
+        found = sweeps(plant, model.parameters.nominal, plant.parameters.nominal)
+        rows = hydraulics.rows(plant, found)
+        if output is not None:
+            write_files(output, {"hydraulics.html": hydraulics.render(plant, found), "hydraulics.csv": csv(rows)})
+    if as_json:
+        typer.echo(json.dumps(rows, indent=1))
+        return
+    Console().print(_table("Joints on their oil, each moving at a tenth of its greatest speed",
+                           [_mode_row(row) for row in rows], wrap=True))
+    if output is not None:
+        typer.echo(f"{output / 'hydraulics.html'}")
+
+
+def _mode_row(row: dict[str, Any]) -> dict[str, Any]:
+    """The same for a screen: in the middle of all ranges, and from least to greatest over the workspace."""
+    def cell(key: str) -> str:
+        values = (row[key], row[f"{key}_min"], row[f"{key}_max"])
+        return "{} ({}…{})".format(*("—" if value is None else f"{value:.3g}" for value in values))
+
+    return {"joint": row["joint"], "at": f"{row['speed']:.3g} {row['speed_unit']}",
+            "frequency [Hz]": cell("frequency"), "damping": cell("damping"),
+            "gain": f"{cell('gain')} {row['gain_unit']}"}
+
+
 def _cylinder_row(facts: dict[str, Any]) -> dict[str, Any]:
     """The same for a screen, in fewer columns."""
     return {"cylinder": facts["cylinder"], "joint": facts["joint"],
@@ -46,10 +98,10 @@ def _cylinder_row(facts: dict[str, Any]) -> dict[str, Any]:
             "lever arm [m]": f"{facts['lever_arm_min_m']:.3f} … {facts['lever_arm_max_m']:.3f}"}
 
 
-def _table(title: str, rows: Any) -> Table:
+def _table(title: str, rows: Any, *, wrap: bool = False) -> Table:
     table = Table(title=title, title_justify="left", header_style="bold")
     for key in rows[0] if rows else ():
-        table.add_column(escape(key), no_wrap=True)
+        table.add_column(escape(key), no_wrap=not wrap)
     for row in rows:
         table.add_row(*[f"{v:.6g}" if isinstance(v, float) else str(v) for v in row.values()])
     return table

@@ -68,12 +68,15 @@ def mode(plant: Plant, joint: str, at: Steady, psi: Array, theta: Array) -> Mode
         psi: dynamic parameters (p,).
         theta: hydraulic ones.
     """
-    k = plant.machine.joints.index(joint)
-    owner = plant.actuators[k].actuator.name
-    full = state_space(plant, at, psi, theta, outputs=[f"{joint}.qd"])
-    moving = [f"{joint}.qd", *(name for name in plant.states if name.startswith(f"{owner}."))]
-    rows = [plant.states.index(name) for name in moving]
-    A, B = np.asarray(full.A)[np.ix_(rows, rows)], np.asarray(full.B)[rows][:, [k]]
+    joints, states = plant.machine.joints, list(plant.states)
+    k, n = joints.index(joint), len(joints)
+    A, B = (np.array(part) for part in plant.jacobians(at.x, at.u, plant.supply, psi, theta))
+    # what the actuator has to push if the other joints cannot give way
+    mass = np.asarray(plant.mass(at.x[:n], psi))
+    A[n + k] = mass[k] @ A[n:2 * n] / mass[k, k]
+    moving = [f"{joint}.qd", *(name for name in states if name.startswith(f"{plant.actuators[k].actuator.name}."))]
+    rows = [states.index(name) for name in moving]
+    A, B = A[np.ix_(rows, rows)], B[rows][:, [k]]
     gain = float((-np.linalg.solve(A, B))[0, 0])
     oil = [i for i, name in enumerate(moving) if ".spool" not in name]
     swinging = [pole for pole in np.linalg.eigvals(A[np.ix_(oil, oil)]) if pole.imag > 1e-9 * abs(pole)]

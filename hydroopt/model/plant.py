@@ -193,10 +193,16 @@ class Plant:
 
     def _acceleration(self, q: ca.SX, qd: ca.SX, force: ca.SX, pressure: ca.SX, psi: ca.SX) -> ca.SX:
         """Joint accelerations (n,) under actuator forces: these are affine in them."""
-        qdd = ca.SX.sym("qdd", q.numel())
-        mass = ca.jacobian(self._demand(q, qd, qdd, pressure, psi), qdd)
         rest = self._demand(q, qd, ca.SX.zeros(q.numel()), pressure, psi)
-        return ca.solve(mass, force - rest)
+        return ca.solve(self.mass(q, psi), force - rest)
+
+    @cached_property
+    def mass(self) -> ca.Function:
+        """(q, psi) → forces (n, n) of the actuators per acceleration of the joints."""
+        n, psi = len(self.machine.joints), self._symbols["psi"]
+        q, qd, qdd, pressure = ca.SX.sym("q", n), ca.SX.zeros(n), ca.SX.sym("qdd", n), ca.SX.zeros(n, 2)
+        return ca.Function("mass", [q, psi], [ca.densify(ca.jacobian(self._demand(q, qd, qdd, pressure, psi), qdd))],
+                           ["q", "psi"], ["mass"])
 
     def _function(self, name: str, *outputs: str) -> ca.Function:
         return ca.Function(name, list(self._symbols.values()), [ca.densify(self._parts[key]) for key in outputs],
