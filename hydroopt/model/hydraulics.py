@@ -193,9 +193,11 @@ class ActuatorHydraulics:
         out = a**3 / k_pa**2 + b**3 / k_bt**2
         back = b**3 / k_pb**2 + a**3 / k_at**2
         left_out, left_back = a * pump - b * tank - force, b * pump - a * tank + force
-        extends = speed >= 0
-        opening = speed * ca.sqrt(ca.if_else(extends, out / left_out, back / left_back))
-        p_a = ca.if_else(extends, pump - left_out * a**2 / (k_pa**2 * out), tank + left_back * a**2 / (k_at**2 * back))
+        extends = (1 + ca.sign(ca.sign(speed) + 0.5)) / 2  # 1 or 0: generated C knows no branches
+        retracts = 1 - extends
+        opening = speed * ca.sqrt(extends * out / left_out + retracts * back / left_back)
+        p_a = (extends * (pump - left_out * a**2 / (k_pa**2 * out))
+               + retracts * (tank + left_back * a**2 / (k_at**2 * back)))
         p_b = (a * p_a - force) / b
         return opening, p_a, p_b
 

@@ -139,7 +139,7 @@ class Plant:
         chambers: list[ca.SX] = []
         flows: list[Flows] = []
         for k, each in enumerate(self.actuators):
-            value = self._value(each, theta)
+            value = self.value(each, theta)
             p_a, p_b = (at[f"{each.actuator.name}.{key}"] for key in self._chambers(each))
             spool = displaced(each.valve, u[k], value)
             if each.spool_states:
@@ -154,7 +154,7 @@ class Plant:
         force = areas[:, 0] * pressure[:, 0] - areas[:, 1] * pressure[:, 1]
         flow = ca.vertcat(*(each.supply for each in flows))
         if self._line:
-            value = self._value(self.actuators[0], theta)
+            value = self.value(self.actuators[0], theta)
             assert self.machine.pump is not None
             given_flow = pump_flow(self.machine.pump.max_flow, given[0], supply[0])
             squeezed = compressibility(self.actuators[0].oil, supply[0], value) * self._line
@@ -164,7 +164,8 @@ class Plant:
                 "spool": ca.vertcat(*spools), "pressure": pressure, "force": force, "flow": flow,
                 "p_supply": supply[0]}
 
-    def _value(self, each: ActuatorHydraulics, theta: ca.SX) -> Value:
+    def value(self, each: ActuatorHydraulics, theta: ca.SX) -> Value:
+        """What tells the numbers of an actuator's hydraulics, and of the oil, out of θ."""
         place, owner = self.parameters.positions, each.actuator.name
         return lambda key: theta[place[key if key.startswith("oil.") else f"{owner}.{key}"]]
 
@@ -229,12 +230,15 @@ class Plant:
         return ca.Function("jacobians", given, [ca.densify(ca.jacobian(rates, by)) for by in given[:2]],
                            list(self._symbols), ["A", "B"])
 
-    def integrator(self, step: float, psi: Array, theta: Array) -> ca.Function:
-        """(x, u, supply) → x after `step` seconds of constant commands, by CVODES (backward differences)."""
+    def integrator(self, step: float, psi: Array, theta: Array, *, tolerance: float = 1e-7) -> ca.Function:
+        """(x, u, supply) → x after `step` seconds of constant commands, by CVODES (backward differences).
+
+        `tolerance` is the error that one of its steps may leave in each state, relative to it.
+        """
         z, u, supply = ca.SX.sym("z", len(self.states)), ca.SX.sym("u", len(self.inputs)), ca.SX.sym("supply", 2)
         rates = self.rates(z * self.scale, u, supply, psi, theta) / self.scale
         solver = ca.integrator("plant", "cvodes", {"x": z, "p": ca.vertcat(u, supply), "ode": rates}, 0.0, step,
-                               {"reltol": 1e-7, "abstol": 1e-9, "max_num_steps": 100000})
+                               {"reltol": tolerance, "abstol": tolerance / 100, "max_num_steps": 100000})
         x, u, supply = ca.MX.sym("x", len(self.states)), ca.MX.sym("u", len(self.inputs)), ca.MX.sym("supply", 2)
         after = solver(x0=x / self.scale, p=ca.vertcat(u, supply))["xf"] * self.scale
         return ca.Function("step", [x, u, supply], [after], ["x", "u", "supply"], ["after"])
@@ -289,7 +293,7 @@ class Plant:
         n = len(self.machine.joints)
         q, qd, still = ca.SX.sym("q", n), ca.SX.sym("qd", n), ca.SX.zeros(n)
         force, speed = self._demand(q, qd, still, ca.SX.zeros(n, 2), psi), self.actuator_motion(q, qd)[1]
-        found = [each.opening_for(force[k], speed[k], supply, self._value(each, theta))
+        found = [each.opening_for(force[k], speed[k], supply, self.value(each, theta))
                  for k, each in enumerate(self.actuators)]
         return ca.Function("ideal", [q, qd, supply, psi, theta],
                            [ca.vertcat(*(one[k] for one in found)) for k in range(3)])
@@ -307,7 +311,7 @@ class Plant:
         force, speed = self._demand(q, qd, still, ca.horzcat(p_a, p_b), psi), self.actuator_motion(q, qd)[1]
         gaps, drawn = [], ca.SX(0.0)
         for k, each in enumerate(self.actuators):
-            value, (a, b) = self._value(each, theta), each.areas
+            value, (a, b) = self.value(each, theta), each.areas
             flows = each.flows(opening[k], p_a[k], p_b[k], ca.vertcat(p_supply, given[1]), value)
             full = conductance(each.valve, "flow_pa", value) * PRESSURE**0.5
             gaps += [(flows.into_a - a * speed[k]) / full, (flows.into_b + b * speed[k]) / full,
@@ -323,6 +327,6 @@ class Plant:
         """Command that holds a spool at a place, −1 to 1."""
         each = self.actuators[k]
         command, valve = ca.SX.sym("command"), each.valve
-        wanted = ca.Function("wanted", [command], [displaced(valve, command, self._value(each, ca.DM(theta)))])
+        wanted = ca.Function("wanted", [command], [displaced(valve, command, self.value(each, ca.DM(theta)))])
         ends = valve.neutral - valve.span, valve.full
         return float(brentq(lambda u: float(wanted(u)) - opening, *ends, xtol=1e-12, rtol=1e-14))

@@ -1,0 +1,110 @@
+"""The machine on its valves: energy and oil along a motion, and MuJoCo for the bodies."""
+
+import casadi as ca
+import numpy as np
+import pytest
+from mujoco_tree import MujocoTree
+from pinocchio_tree import PinocchioTree
+from scipy.integrate import simpson
+from subjects import model, random_bodies
+
+from hydroopt.model.plant import CREEP, Plant
+from hydroopt.parts import Cylinder
+
+STEP = 1e-3
+
+
+def test_bodies_accelerate_as_mujoco_says():
+    """Pressures accelerate the machine by q̈; to accelerate so, MuJoCo needs just the forces of these pressures."""
+    subject = model("cat215b")
+    plant, rng = Plant(subject), np.random.default_rng(31)
+    psi, clouds = random_bodies(subject, rng)
+    tree, theta, n = MujocoTree(subject.machine, clouds), plant.parameters.nominal, 3
+    ranges = np.array([subject.machine.link(joint).joint.range for joint in subject.machine.joints])
+    for _ in range(40):
+        x = np.zeros(len(plant.states))
+        x[:n], x[n:2 * n] = rng.uniform(ranges[:, 0], ranges[:, 1]), rng.uniform(-0.5, 0.5, n)
+        pressures = [k for k, name in enumerate(plant.states) if ".p_" in name]
+        x[pressures] = rng.uniform(1e5, 2e7, len(pressures))
+        seen = plant.seen(x=x, u=np.zeros(n), supply=plant.supply, psi=psi, theta=theta)
+        expected = tree.actuator_forces(x[:n], x[n:2 * n], np.asarray(seen["qdd"]).ravel())
+        areas = np.array([each.areas for each in plant.actuators])
+        chambers = x[[k for k in pressures if not plant.states[k].startswith("pump.")]].reshape(n, 2)
+        assert np.allclose(areas[:, 0] * chambers[:, 0] - areas[:, 1] * chambers[:, 1], expected,
+                           rtol=1e-9, atol=1e-9 * np.max(np.abs(expected)))
+
+
+@pytest.fixture(scope="module")
+def motion():
+    """0.6 s of a CAT 215B whose valves open, with friction: states (N, nx), what is seen, and what it was."""
+    subject = model("cat215b")
+    plant, rng = Plant(subject), np.random.default_rng(32)
+    psi = subject.parameters.nominal.copy()
+    friction = {}
+    for k, name in enumerate(subject.parameters.names):
+        if name.endswith(("f_coulomb", "tau_coulomb")):
+            psi[k] = friction[name] = rng.uniform(500, 3000)
+        if name.endswith("_offset"):
+            psi[k] = 1e4  # of transducers: must not act
+    theta = plant.parameters.nominal
+    step = plant.integrator(STEP, psi, theta)
+    at = plant.steady(np.array([0.2, -0.5, 1.4]), np.zeros(3), psi, theta)
+    u, x = np.array([0.3, 0.35, -0.3]), [at.x]
+    for _ in range(600):
+        x.append(np.asarray(step(x[-1], u, plant.supply)).ravel())
+    keys = plant.seen.name_out()
+    seen = dict(zip(keys, zip(*(map(np.asarray, plant.seen(one, u, plant.supply, psi, theta)) for one in x),
+                                strict=True), strict=True))
+    return plant, psi, theta, friction, np.array(x), {key: np.array(value).squeeze() for key, value in seen.items()}
+
+
+def test_what_pressures_put_in_is_what_bodies_hold_and_friction_takes(motion):
+    plant, psi, _, friction, x, seen = motion
+    names = plant.model.parameters.names
+    clouds = {name[:-2]: psi[k:k + 10] for k, name in enumerate(names) if name.endswith(".m")}
+    tree, n = PinocchioTree(plant.machine, clouds), 3
+    work = simpson(np.sum(seen["force"] * seen["speed"], axis=1), dx=STEP)
+    size = simpson(np.sum(np.abs(seen["force"] * seen["speed"]), axis=1), dx=STEP)
+    owners = [each.actuator.name for each in plant.actuators]
+    lost = 0.0
+    for name, value in friction.items():
+        owner = name.partition(".")[0]
+        speed = (seen["speed"][:, owners.index(owner)] if owner in owners
+                 else x[:, n + plant.machine.joints.index(owner)])
+        lost += simpson(value * speed * np.tanh(speed / CREEP), dx=STEP)
+    gained = tree.energy(x[-1, :n], x[-1, n:2 * n]) - tree.energy(x[0, :n], x[0, n:2 * n])
+    assert lost > 1e-3 * size
+    assert abs(work - lost - gained) < 1e-5 * size
+
+
+def test_oil_is_neither_made_nor_lost(motion):
+    """Mass of oil in chamber and hose at both ends of the motion against what flowed in, by density, not by pressure.
+
+    Density of the mixture by its volume at each pressure; walls of hoses widen linearly.
+    """
+    plant, _, theta, _, x, seen = motion
+    machine = plant.machine
+    air, beta, n = machine.oil.air, machine.oil.bulk_modulus, machine.oil.polytropic
+    states = list(plant.states)
+
+    def volume(p):  # of what fills one unit at ambient pressure
+        return (1 - air) * (1 - p / beta) + air * (101325 / (101325 + p)) ** (1 / n)
+
+    for k, each in enumerate(plant.actuators):
+        value = plant.value(each, ca.DM(theta))
+        names = [name for name in states if name.startswith(f"{each.actuator.name}.p_")]
+        p = x[:, [states.index(name) for name in names]]
+        p_supply = x[:, states.index("pump.p_supply")]
+        flows = [each.flows(ca.DM(seen["spool"][i, k]), ca.DM(p[i, 0]), ca.DM(p[i, 1]),
+                            ca.DM([p_supply[i], plant.supply[1]]), value) for i in range(len(x))]
+        for port in range(2):
+            into = np.array([float(flow[port]) for flow in flows])
+            if isinstance(each.actuator, Cylinder):
+                chamber = np.array([float(ca.DM(each.volumes(ca.DM(s))[port])) for s in seen["length"][:, k]])
+            else:  # a motor holds nothing, but takes oil from one side to the other
+                chamber, into = 0.0, into - (-1) ** port * each.areas[port] * seen["speed"][:, k]
+            hose = [each.circuit.volume_a, each.circuit.volume_b][port]
+            holds = chamber + hose * (1 + p[:, port] / each.circuit.hose_modulus)
+            mass = holds / volume(p[:, port])
+            gained, came = mass[-1] - mass[0], simpson(into / volume(p[:, port]), dx=STEP)
+            assert abs(gained - came) < 2e-3 * simpson(np.abs(into), dx=STEP)
