@@ -49,6 +49,8 @@ def show(
                   _table("Cylinders", [_cylinder_row(cylinder) for cylinder in facts["cylinders"]]),
                   _table("Sensors (standard deviation of a reading)", facts["sensors"]),
                   _table("Parameters", facts["parameters"]))
+    if facts["hydraulic_parameters"]:
+        console.print(_table("Hydraulic parameters", facts["hydraulic_parameters"]))
     seen = facts["identifiability"]
     console.print(f"Of {len(facts['parameters'])} parameters a motion without noise shows {seen['full']} alone and "
                   f"{seen['combination']} in combination ({seen['rank']} base parameters); {seen['none']} leave "

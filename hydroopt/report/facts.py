@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from hydroopt import identifiability
+from hydroopt import hydraulic_parameters, identifiability
 from hydroopt.estimation.mobility import mobility
 from hydroopt.machine import Machine
 from hydroopt.model.build import Model
+from hydroopt.parameters import ParameterSet
 
 
 def machine_facts(machine: Machine) -> dict[str, Any]:
@@ -18,12 +19,8 @@ def machine_facts(machine: Machine) -> dict[str, Any]:
     model = Model(machine)
     found = identifiability.structural(model)
     cylinders = [_cylinder_facts(model, k) for k in range(len(machine.cylinders))]
-    known = model.parameters.information.diagonal() > 0
-    parameters = [{"name": name, "unit": unit, "nominal": float(value), "prior_std": float(scale) if prior else None,
-                   "identifiability": category}
-                  for name, unit, value, scale, prior, category in zip(
-                      model.parameters.names, model.parameters.units, model.parameters.nominal, model.parameters.scale,
-                      known, found.category, strict=True)]
+    parameters = [row | {"identifiability": category}
+                  for row, category in zip(_parameter_facts(model.parameters), found.category, strict=True)]
     sensors = [{"channel": channel, "unit": machine.channel_units[channel], "std": sensor.std, "rate_hz": sensor.rate}
                for sensor in machine.sensors for channel in sensor.channels]
     motion = mobility(machine)
@@ -31,9 +28,17 @@ def machine_facts(machine: Machine) -> dict[str, Any]:
                          "description": machine.description},
              "joints": [_joint_facts(machine, name) for name in machine.joints], "cylinders": cylinders,
              "channels": machine.channel_units, "sensors": sensors, "parameters": parameters,
+             "hydraulic_parameters": _parameter_facts(hydraulic_parameters.parameter_set(machine)),
              "identifiability": {"rank": found.rank, "full": found.count("full"),
                                  "combination": found.count("combination"), "none": found.count("none")},
             "calibration": motion.as_dict() | {"lines": motion.lines()}}
+
+
+def _parameter_facts(parameters: ParameterSet) -> list[dict[str, Any]]:
+    known = parameters.information.diagonal() > 0
+    return [{"name": name, "unit": unit, "nominal": float(value), "prior_std": float(scale) if prior else None}
+            for name, unit, value, scale, prior in zip(
+                parameters.names, parameters.units, parameters.nominal, parameters.scale, known, strict=True)]
 
 
 def _joint_facts(machine: Machine, name: str) -> dict[str, Any]:
