@@ -1,0 +1,204 @@
+"""Parameters of any dynamics ẋ = f(x, u, θ), y = h(x, u, θ) from what sensors recorded: one bounded nonlinear program.
+
+Unknowns are θ and the states of every record, at its samples and between them. The dynamics are constraints, so that
+a start far off does not run away as a simulation would (multiple shooting, Bock 1987, every interval being one). With
+Gaussian errors of the readings and Gaussian priors the answer is the most probable one. IPOPT finds it with the
+constrained Gauss-Newton Hessian; the information on θ is what is left when the dynamics have eliminated the states.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt import solvers
+from hydroopt.estimation.collocation import Linearised, Program
+from hydroopt.estimation.correlation import correlation_time
+from hydroopt.estimation.dynamics import Record, ShootingProblem, free_run
+from hydroopt.inertia import Array
+
+UNKNOWN = 0.5
+"""Part of the prior's information below which the data's counts as telling less than the prior."""
+SHARE = 0.3
+"""Component of a direction from which on a parameter belongs to it."""
+
+
+@dataclass(frozen=True, eq=False)
+class ShootingEstimate:
+    """A solved problem.
+
+    Attributes:
+        problem: what was solved.
+        at: parameters, states, and the rows around them.
+    """
+
+    problem: ShootingProblem
+    at: Linearised
+
+    @property
+    def theta(self) -> Array:
+        """(p,) most probable parameters."""
+        return self.at.theta
+
+    def __getitem__(self, name: str) -> float:
+        """Value of a parameter."""
+        return float(self.theta[self.problem.parameters.index(name)])
+
+    @cached_property
+    def data(self) -> Array:
+        """(p, p) information of the readings on θ, the first states being unknown but for their priors."""
+        p, parameters = len(self.theta), self.problem.parameters
+        rows = np.delete(self.at.jacobian, np.s_[self.at.seen : self.at.seen + self.at.known], axis=0)
+        unit = rows[:, :p] * parameters.scale
+        first = np.linalg.svd(rows[:, p:], full_matrices=False)[0]
+        left = unit - first @ (first.T @ unit)
+        return np.asarray(left.T @ left / np.outer(parameters.scale, parameters.scale))
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(p, p), infinite variances where neither readings nor priors tell; widened where residuals exceed σ."""
+        scale = self.problem.parameters.scale
+        values, vectors = np.linalg.eigh((self.data + self.problem.parameters.information) * np.outer(scale, scale))
+        told = values > 1e-12 * max(float(values[-1]), 1e-300)
+        root = vectors[:, told] / np.sqrt(values[told])
+        covariance = root @ root.T * max(1.0, self.residual_scale) ** 2 * np.outer(scale, scale)
+        blind = np.linalg.norm(vectors[:, ~told], axis=1) > 1e-5
+        covariance[blind, :] = covariance[:, blind] = 0.0
+        covariance[blind, blind] = np.inf
+        return np.asarray(covariance)
+
+    @cached_property
+    def residual_scale(self) -> float:
+        """Root of the squared errors over the degrees of freedom; 1 where the stated σ are right."""
+        freedom = self.at.seen - np.linalg.matrix_rank(self.at.jacobian[: self.at.seen])
+        return float(np.sqrt(np.sum(self.at.rows[: self.at.seen] ** 2) / freedom)) if freedom > 0 else float("nan")
+
+    @property
+    def at_bound(self) -> NDArray[np.bool_]:
+        """(p,) which parameters are held back by a bound, where a symmetric interval would be wrong."""
+        parameters, near = self.problem.parameters, 1e-6 * self.problem.parameters.scale
+        return np.asarray((self.theta < parameters.lower + near) | (self.theta > parameters.upper - near))
+
+    @cached_property
+    def std(self) -> Array:
+        """(p,) standard deviations; NaN at a bound and where neither readings nor priors tell."""
+        std = np.sqrt(np.diag(self.covariance))
+        return np.where(np.isfinite(std) & ~self.at_bound, std, np.nan)
+
+    @property
+    def ci95(self) -> Array:
+        """(p, 2) intervals."""
+        return np.asarray(self.theta[:, None] + 1.959964 * self.std[:, None] * np.array([-1.0, 1.0]))
+
+    @cached_property
+    def residuals(self) -> tuple[Array, ...]:
+        """For each record readings minus outputs (N, ny) in units of σ, NaN where there was no reading."""
+        readings = np.concatenate([record.y for record in self.problem.records])
+        left = np.full(readings.size, np.nan)
+        left[np.flatnonzero(np.isfinite(readings).ravel())] = -self.at.rows[: self.at.seen]
+        ends = np.cumsum([len(record.t) for record in self.problem.records])[:-1]
+        return tuple(np.split(left.reshape(readings.shape), ends))
+
+    @property
+    def reweighted(self) -> ShootingProblem:
+        """The problem with σ of each channel as large as residuals show, errors that repeat themselves counted as one.
+
+        What no parameter explains, a real system's other dynamics, so does not count as many independent readings.
+        """
+        count = [len(record.t) for record in self.problem.records]
+        segment = np.repeat(np.arange(len(count)), count)
+        left = np.concatenate(self.residuals)
+        factor = np.ones(left.shape[1])
+        for k, column in enumerate(left.T):
+            taken = np.isfinite(column)
+            if np.any(taken):
+                time = correlation_time(np.where(taken, column, 0.0), taken, segment)
+                factor[k] = max(1.0, float(np.sqrt(np.mean(column[taken] ** 2)))) * np.sqrt(time)
+        return replace(self.problem, sigma=self.problem.sigma * factor)
+
+    def free_run(self, record: Record, first: Array | None = None) -> tuple[Array, Array]:
+        """States (N, nx) and outputs (N, ny) simulated from a record's inputs, and the estimated first states.
+
+        Args:
+            record: any; one that was not fitted needs `first` (nx,), its states at the beginning.
+            first: states to begin with.
+
+        Raises:
+            SolverError: the states run away.
+        """
+        if first is None:
+            known = [k for k, own in enumerate(self.problem.records) if own is record]
+            first = self.at.points[known[0]][0] if known else record.guess[0]
+        return free_run(self.problem.dynamics, record, first, self.theta)
+
+    @cached_property
+    def doubts(self) -> tuple[str, ...]:
+        """What the readings cannot tell, in plain words."""
+        parameters = self.problem.parameters
+        prior = np.sqrt(np.diag(parameters.information))
+        size = np.maximum(np.abs(self.theta), parameters.scale)
+        unit = np.where(prior > 0, 1 / np.where(prior > 0, prior, 1.0), size)
+        values, vectors = np.linalg.eigh(self.data * np.outer(unit, unit))
+        words = []
+        for k in np.flatnonzero(values < UNKNOWN):
+            direction = vectors[:, k]
+            belong = np.flatnonzero(np.abs(direction) > SHARE * np.max(np.abs(direction)))
+            belong = belong[np.argsort(-np.abs(direction[belong]))]
+            words.append(self._words(direction * unit, belong, float(values[k])))
+        held = [parameters.names[k] for k in np.flatnonzero(self.at_bound)]
+        return (*words, *(f"{name} is held by a bound" for name in held))
+
+    def _words(self, direction: Array, belong: NDArray[np.intp], value: float) -> str:
+        """One direction about which the readings tell little."""
+        parameters = self.problem.parameters
+        names = [parameters.names[k] for k in belong]
+        informed = all(parameters.information[k, k] > 0 for k in belong)
+        decides = "the prior decides" if informed else "nothing decides"
+        if len(names) == 1:
+            k = belong[0]
+            if value < 1e-6:
+                return f"{names[0]}: the readings tell nothing of it; {decides}"
+            reach = 1.96 * abs(direction[k]) / np.sqrt(value)
+            low = max(self.theta[k] - reach, parameters.lower[k])
+            high = min(self.theta[k] + reach, parameters.upper[k])
+            return (f"{names[0]}: the readings hold anything from {low:.3g} to {high:.3g} {parameters.units[k]}; "
+                    f"{decides}")
+        if len(names) == 2 and np.all(self.theta[belong] != 0):
+            relative = direction[belong] / self.theta[belong]
+            how = "ratio" if relative[0] * relative[1] > 0 else "product"
+            if abs(abs(relative[0] / relative[1]) - 1) < SHARE:
+                return f"{' and '.join(names)} show only as a {how}; {decides} between them"
+        return f"{', '.join(names[:-1])} and {names[-1]} show only together; {decides} between them"
+
+
+def solve(problem: ShootingProblem, start: Array | None = None) -> ShootingEstimate:
+    """The most probable parameters and motion, from `start` (p,) or the nominal parameters.
+
+    Raises:
+        SolverError: IPOPT failed or its answer failed our check.
+    """
+    program = Program(problem)
+    parameters = problem.parameters
+    begin = np.clip(parameters.nominal if start is None else start, parameters.lower, parameters.upper)
+    x = ca.MX.sym("x", program.size)
+    at = program.at(x)
+    weight, multipliers, nothing = ca.MX.sym("weight"), ca.MX.sym("multipliers", program.defects), ca.MX.sym("p", 0)
+    cost = ca.sumsqr(at.rows) / 2
+    derivatives = {
+        "grad_f": ca.Function("grad_f", [x, nothing], [cost, ca.densify(at.rows_by_x.T @ at.rows)],
+                              ["x", "p"], ["f", "grad_f_x"]),
+        "jac_g": ca.Function("jac_g", [x, nothing], [at.defects, at.defects_by_x], ["x", "p"], ["g", "jac_g_x"]),
+        "hess_lag": ca.Function("hess_lag", [x, nothing, weight, multipliers],
+                                [ca.triu(weight * (at.rows_by_x.T @ at.rows_by_x))],
+                                ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"])}
+    free = np.full(program.size - len(parameters), np.inf)
+    lower = np.concatenate([(parameters.lower - parameters.nominal) / parameters.scale, -free])
+    upper = np.concatenate([(parameters.upper - parameters.nominal) / parameters.scale, free])
+    zero = np.zeros(program.defects)
+    answer = solvers.solve_nlp({"x": x, "f": cost, "g": at.defects}, program.start(begin), lower, upper, zero, zero,
+                               f"identification of {problem.name}", (), derivatives)
+    return ShootingEstimate(problem, program.linearised(answer))
