@@ -119,3 +119,24 @@ def test_too_fast_is_refused():
 def test_a_machine_without_circuit_is_refused():
     with pytest.raises(ho.ProblemError, match="driven directly, not by oil"):
         plant("kr300")
+
+
+def test_seals_rub_by_the_pressures_in_the_chambers():
+    """Pressures that cancel as force still slow the piston: by seal·(p_head + p_rod)/m at the cylinder."""
+    seal = 2e-5
+    data = ho.load_machine("patu655_lift").model_dump()
+    data["cylinders"][0]["friction"] |= {"seal": seal}
+    subject = Plant(ho.Model(ho.Machine.model_validate(data)))
+    psi, theta = subject.model.parameters.nominal, subject.parameters.nominal
+    a, b = subject.actuators[0].areas
+
+    def acceleration(p_head, p_rod, speed):
+        x = [0.5, speed, 0.0, 0.0, p_head, p_rod]
+        return float(subject.seen(x=x, u=[5.7], supply=subject.supply, psi=psi, theta=theta)["qdd"])
+
+    lever, mass = float(subject.actuator_motion([0.5], [1.0])[1]), float(subject.mass([0.5], psi))
+    low, high = (acceleration(p, p * a / b, 0.2) for p in (1e6, 2e6))
+    assert lever > 0
+    assert low - high == pytest.approx(seal * 1e6 * (1 + a / b) / mass, rel=1e-9)
+    low, high = (acceleration(p, p * a / b, -0.2) for p in (1e6, 2e6))
+    assert high - low == pytest.approx(seal * 1e6 * (1 + a / b) / mass, rel=1e-9)
