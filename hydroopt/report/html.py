@@ -69,7 +69,7 @@ def render(estimate: Estimate, doubts: Sequence[str], friction: FrictionChoice |
         friction_rows=[(c, plain(c.training), f"{plain(c.held_out)} ± {plain(c.std, 2)}")
                        for c in (friction.candidates if friction else ())],
         weights=_weights(estimate), groups=_groups(estimate),
-        base=_base(estimate), totals=_totals(estimate), figures=_figures(estimate),
+        base=_base(estimate), totals=_totals(estimate), hydraulics=_hydraulics(estimate), figures=_figures(estimate),
         condition=plain(estimate.seen.condition_number, 3),
         counts={c: sum(p.identifiability == c for g in _groups(estimate) for p in g.parameters)
                 for c in ("full", "combination", "not excited", "none")},
@@ -149,6 +149,21 @@ def _totals(estimate: Estimate) -> list[tuple[str, str, Row]]:
         total.value, total.std, (total.low, total.high),
         float(np.sum(parameters.nominal[parameters.select(f"{owner}.m" for owner in total.bodies)]))))
         for total in estimate.total_masses if len(total.bodies) > 1]
+
+
+def _hydraulics(estimate: Estimate) -> dict[str, Any] | None:
+    """How every joint answers its valve with what was identified, where the machine file tells enough of its oil."""
+    model, machine = estimate.problem.model, estimate.problem.model.machine
+    told = machine.pump is not None and machine.pump.pressure is not None and all(
+        actuator.name in machine.circuits for actuator in machine.actuators)
+    if not told or min(estimate.consistency.values(), default=0.0) < 0:
+        return None
+    from hydroopt.control.workspace import sweeps  # noqa: PLC0415 (python-control takes its time to import)
+    from hydroopt.model.plant import Plant  # noqa: PLC0415
+    from hydroopt.report import hydraulics  # noqa: PLC0415
+
+    plant = Plant(model)
+    return hydraulics.section(plant, sweeps(plant, estimate.psi, plant.parameters.nominal, positions=7, postures=2))
 
 
 def _log(role: str, data: Experiment | Recording) -> dict[str, Any]:

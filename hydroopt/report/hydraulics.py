@@ -70,7 +70,7 @@ def figure(plant: Plant, sweeps: Sequence[Sweep]) -> Figure:
             for ax, title, label in zip(line, ("natural frequency", "damping", "steady gain"),
                                         ("Hz", "of critical", line[2].get_ylabel()), strict=True):
                 ax.set(title=f"{joint}: {title}", xlabel=unit, ylabel=label)
-                ax.set_ylim(bottom=0)
+                ax.set_ylim(0, 1.1 * ax.get_ylim()[1])
         drawn.legend(handles=[Line2D([], [], color=BLUE, label="towards the upper limit"),
                               Line2D([], [], color=ORANGE, label="towards the lower limit")],
                      loc="outside upper right", ncols=2)
