@@ -73,7 +73,8 @@ def test_has_every_parameter_and_doubt(page: str, estimate: Estimate) -> None:
 def test_order_of_contents(page: str) -> None:
     titles = re.findall(r"<h2>(.*?)</h2>", page)
     assert titles == ["What is in doubt", "Fit", "Machine", "Parameters", "Masses of links in all",
-                      "Hydraulics over the workspace", "Base parameters", "Conditioning and weights", "Data and treatment", "Method"]
+                      "Hydraulics over the workspace", "Base parameters", "Conditioning and weights",
+                      "Data and treatment", "Method"]
 
 
 def test_escapes_what_others_wrote(page: str) -> None:
