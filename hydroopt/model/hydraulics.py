@@ -23,9 +23,11 @@ CUT_OFF = 0.03
 CORNER = 0.1
 """Part of that over which the corners are rounded."""
 YIELDING = 5e5
-"""Excess of pressure [Pa] at which a relief or a check valve lets the rated flow of the valve beside it pass."""
+"""Excess of pressure [Pa] at which a relief valve lets the rated flow of the valve beside it pass."""
+SUCTION = 5e4
+"""Lack of pressure [Pa] at which a check valve to the tank does: vacuum leaves no more than that of the atmosphere."""
 FIRM = 0.02
-"""Part of that excess over which such a valve sets in."""
+"""Part of these over which such a valve sets in."""
 
 Value = Callable[[str], ca.SX | float]
 """Tells the value of a number of the hydraulics by its key in the machine file, such as `dead_band`."""
@@ -158,7 +160,7 @@ class ActuatorHydraulics:
             if self.actuator.relief_pressure is not None:
                 into[port] -= full * hinge((pressure - self.actuator.relief_pressure) / YIELDING, FIRM)
             if circuit.anticavitation:
-                into[port] += full * hinge((tank - pressure) / YIELDING, FIRM)
+                into[port] += full * hinge((tank - pressure) / SUCTION, FIRM)
         return Flows(into["a"], into["b"], pa + pb, at + bt)
 
     def pressure_rates(self, flows: Flows, p_a: ca.SX, p_b: ca.SX, length: ca.SX, speed: ca.SX,

@@ -14,6 +14,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.inertia import Array
 from hydroopt.model.build import Model
 from hydroopt.model.hydraulics import (
+    AMBIENT,
     ActuatorHydraulics,
     Flows,
     Value,
@@ -254,7 +255,8 @@ class Plant:
             supply: pressures (2,) of supply and tank; those of the machine file if None.
 
         Raises:
-            ProblemError: the supply cannot move the machine so, or the file states no supply pressure.
+            ProblemError: the supply cannot move the machine so, oil cannot follow, or the file states no supply
+                pressure.
         """
         supply = self.supply if supply is None else supply
         n, names = len(q), [each.actuator.name for each in self.actuators]
@@ -275,6 +277,12 @@ class Plant:
         if not (found.success and np.all(np.abs(opening) <= 1)):
             raise ProblemError("no steady state of valves, chambers and pump was found", where=self.machine.name,
                                remedy="ask for a slower motion, or check the numbers of its circuits")
+        for k, each in enumerate(self.actuators):
+            for side, pressure in zip(self._chambers(each), (p_a[k], p_b[k]), strict=True):
+                if pressure < -AMBIENT:
+                    raise ProblemError(f"the load would pull '{names[k]}' ahead of its oil: {side} would be "
+                                       f"{pressure / 1e5:.0f} bar, below vacuum", where=self.machine.name,
+                                       remedy="state 'anticavitation' in its circuit, or let less oil out by its edges")
         u = np.array([self._command_for(k, float(opening[k]), theta) for k in range(n)])
         x = dict.fromkeys(self.states, 0.0)
         x |= dict(zip(self.states, [*q, *qd], strict=False))
@@ -288,13 +296,18 @@ class Plant:
 
     @cached_property
     def _ideal(self) -> ca.Function:
-        """(q, qd, supply, psi, theta) → openings and pressures of both chambers by sharp edges without leaks."""
+        """(q, qd, supply, psi, theta) → spools and pressures of both chambers by sharp edges without leaks."""
         _, _, supply, psi, theta = self._symbols.values()
         n = len(self.machine.joints)
         q, qd, still = ca.SX.sym("q", n), ca.SX.sym("qd", n), ca.SX.zeros(n)
         force, speed = self._demand(q, qd, still, ca.SX.zeros(n, 2), psi), self.actuator_motion(q, qd)[1]
-        found = [each.opening_for(force[k], speed[k], supply, self.value(each, theta))
-                 for k, each in enumerate(self.actuators)]
+        found = []
+        for k, each in enumerate(self.actuators):
+            value = self.value(each, theta)
+            opening, *pressures = each.opening_for(force[k], speed[k], supply, value)
+            overlap = value("overlap")
+            spool = ca.sign(opening) * ca.fmax(0.0, overlap + (1 - overlap) * ca.fabs(opening))
+            found.append([spool, *pressures])
         return ca.Function("ideal", [q, qd, supply, psi, theta],
                            [ca.vertcat(*(one[k] for one in found)) for k in range(3)])
 

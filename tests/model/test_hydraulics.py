@@ -110,6 +110,41 @@ def test_the_ideal_opening_is_that_of_the_sharp_valve():
         assert np.sign(x) == np.sign(speed)
 
 
+def changed(name="patu655_lift", valve=None, **circuit):
+    """A bundled machine with other numbers of its first cylinder's circuit."""
+    data = ho.load_machine(name).model_dump()
+    data["cylinders"][0]["circuit"] |= circuit
+    data["cylinders"][0]["circuit"]["valve"] |= valve or {}
+    return Plant(ho.Model(ho.Machine.model_validate(data)))
+
+
+@pytest.mark.parametrize("overlap", [-0.3, 0.3, 0.6, 0.9])
+def test_overlap_is_travelled_before_the_machine_moves(overlap):
+    """The spool of a valve with sharp edges, moved on by its overlap; an underlap takes both pressures with it."""
+    subject, sharp = changed(valve={"overlap": overlap}), changed(valve={"overlap": 0.0})
+    spools = []
+    for each in (subject, sharp):
+        psi, theta = each.model.parameters.nominal, each.parameters.nominal
+        at = each.steady(np.array([0.5]), np.array([0.1]), psi, theta)
+        rates = np.asarray(each.rates(at.x, at.u, each.supply, psi, theta)).ravel()
+        assert np.max(np.abs(rates / each.scale)[1:]) < 1e-6
+        spools.append(at.x[2])
+    if overlap > 0:
+        assert spools[0] == pytest.approx(overlap + (1 - overlap) * spools[1], abs=2e-3)
+
+
+def test_what_the_load_would_tear_off_its_oil_is_refused():
+    """Where the draining edge lets more out than the feeding one lets in, the rod side falls below vacuum."""
+    edges = {"flow_at": 200 / 6e4, "flow_pb": 20 / 6e4}
+    subject = changed(valve=edges)
+    psi, theta = subject.model.parameters.nominal, subject.parameters.nominal
+    with pytest.raises(ho.ProblemError, match=r"'lift_cylinder'.*p_rod would be -\d\d bar.*'anticavitation'"):
+        subject.steady(np.array([0.5]), np.array([-0.2]), psi, theta)
+    followed = changed(valve=edges, anticavitation=True)
+    at = followed.steady(np.array([0.5]), np.array([-0.2]), psi, theta)
+    assert -AMBIENT < at.x[-1] < followed.supply[1]
+
+
 def test_too_fast_is_refused():
     subject = plant()
     with pytest.raises(ho.ProblemError, match=r"a supply of 92 bar cannot move 'lift_cylinder'"):
