@@ -342,4 +342,7 @@ class Plant:
         command, valve = ca.SX.sym("command"), each.valve
         wanted = ca.Function("wanted", [command], [displaced(valve, command, self.value(each, ca.DM(theta)))])
         ends = valve.neutral - valve.span, valve.full
+        if not float(wanted(ends[0])) <= opening <= float(wanted(ends[1])):
+            raise ProblemError(f"no command moves the spool of '{each.actuator.name}' to {100 * opening:.0f} %",
+                               where=self.machine.name, remedy="ask for a slower motion, or correct its dead bands")
         return float(brentq(lambda u: float(wanted(u)) - opening, *ends, xtol=1e-12, rtol=1e-14))
