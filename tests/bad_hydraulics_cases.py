@@ -46,6 +46,11 @@ def _in_the_way(folder: Path) -> list[str]:
     return ["show", "patu655_lift", "--hydraulics", "-o", str(folder / "out")]
 
 
+def _locked(folder: Path) -> list[str]:
+    post = 'name = "post"\n[[links]]\nname = "mast"\njoint = { type = "locked" }\n'
+    return [*show(folder, post, "post.toml"), "--hydraulics"]
+
+
 def _of_a_file(folder: Path) -> list[str]:
     return [*show(folder, FED), "--hydraulics"]
 
@@ -77,6 +82,7 @@ ALL = {
                                   r".*stick_cylinder.*leakage\.sigma: "),
     "hydraulics: an actuator without circuit": Case(_of_a_file, r"digger: .*'swing_motor'; .*'circuit'"),
     "hydraulics: no hydraulic machine": _bundled("kr300", "--hydraulics", r"kr300: .*'axis1_drive'"),
+    "hydraulics: nothing moves": Case(_locked, r"post: no joint moves"),
     "hydraulics: output is a file": Case(_in_the_way, r"out: "),
     "show: output without hydraulics": _bundled("cat215b", "-o", "x", r"--output: .*--hydraulics"),
 }

@@ -77,6 +77,10 @@ def _hydraulics(machine: Machine, output: Path | None, *, as_json: bool) -> None
         return
     Console().print(_table("Joints on their oil, each moving at a tenth of its greatest speed",
                            [_mode_row(row) for row in rows], wrap=True))
+    for row in rows:
+        if row["unreachable"]:
+            typer.echo(f"{row['joint']} at {row['speed']:.3g} {row['speed_unit']}: no steady motion in "
+                       f"{row['unreachable']} postures; in the first, {row['why']}.")
     if output is not None:
         typer.echo(f"{output / 'hydraulics.html'}")
 

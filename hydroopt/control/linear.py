@@ -8,6 +8,7 @@ from typing import NamedTuple
 import control
 import numpy as np
 
+from hydroopt.errors import ProblemError
 from hydroopt.inertia import Array
 from hydroopt.model.plant import Plant, Steady
 
@@ -44,7 +45,7 @@ def signal(name: str) -> str:
 
 
 class Mode(NamedTuple):
-    """How one joint answers its own valve, all other joints held.
+    """How one joint answers its own valve, all other joints and the supply's pressure held.
 
     `frequency` [Hz] and `damping` of the joint on its oil, NaN where it does not swing; `gain` is the steady speed of
     the joint per unit of command [rad/s or m/s, per V, A or 1].
@@ -67,12 +68,18 @@ def mode(plant: Plant, joint: str, at: Steady, psi: Array, theta: Array) -> Mode
         at: state about which it is linearised.
         psi: dynamic parameters (p,).
         theta: hydraulic ones.
+
+    Raises:
+        ProblemError: nothing that the joint moves has a mass, or the machine file states no supply pressure.
     """
     joints, states = plant.machine.joints, list(plant.states)
     k, n = joints.index(joint), len(joints)
     A, B = (np.array(part) for part in plant.jacobians(at.x, at.u, plant.supply, psi, theta))
     # what the actuator has to push if the other joints cannot give way
     mass = np.asarray(plant.mass(at.x[:n], psi))
+    if mass[k, k] == 0:
+        raise ProblemError(f"nothing that '{joint}' moves has a mass or inertia", where=plant.machine.name,
+                           remedy="state the bodies of its links in the machine file")
     A[n + k] = mass[k] @ A[n:2 * n] / mass[k, k]
     moving = [f"{joint}.qd", *(name for name in states if name.startswith(f"{plant.actuators[k].actuator.name}."))]
     rows = [states.index(name) for name in moving]

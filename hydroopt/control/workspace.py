@@ -23,7 +23,7 @@ class Sweep(NamedTuple):
 
     `speed` [rad/s or m/s] is that of the joint, positive if it moves towards its upper limit; `position` (N,) are the
     joint's, `modes` (N, M) what was found there with the other joints in M postures, the first in the middle of their
-    ranges.
+    ranges; `why` says what hinders the first posture in which it cannot move steadily so, "" if there is none.
     """
 
     joint: str
@@ -31,6 +31,7 @@ class Sweep(NamedTuple):
     speed: float
     position: Array
     modes: tuple[tuple[Mode, ...], ...]
+    why: str
 
     def each(self, key: str) -> Array:
         """Values (N, M) of `frequency`, `damping` or `gain`."""
@@ -51,7 +52,7 @@ def sweeps(plant: Plant, psi: Array, theta: Array, *, positions: int = 9, postur
         postures: of the other joints, spread over their ranges.
 
     Raises:
-        ProblemError: the machine file states no supply pressure, or neither a greatest speed nor a pump.
+        ProblemError: the machine file states no supply pressure, neither a greatest speed nor a pump, or no masses.
     """
     supply, joints = plant.supply, plant.machine.joints
     ranges = np.array([plant.machine.link(joint).joint.range for joint in joints])
@@ -64,18 +65,21 @@ def sweeps(plant: Plant, psi: Array, theta: Array, *, positions: int = 9, postur
         places = np.linspace(lower + 0.02 * (upper - lower), upper - 0.02 * (upper - lower), positions)
         top = top_speed(plant, joint)
         for speed in (SHARE * top, -SHARE * top):
-            rows = []
+            rows, why = [], ""
             for place in places:
                 row = []
                 for share in spread:
                     q, qd = ranges[:, 0] + share * (ranges[:, 1] - ranges[:, 0]), np.zeros(len(joints))
                     q[k], qd[k] = place, speed
                     try:
-                        row.append(mode(plant, joint, plant.steady(q, qd, psi, theta, supply), psi, theta))
-                    except ProblemError:
+                        at = plant.steady(q, qd, psi, theta, supply)
+                    except ProblemError as error:
+                        why = why or error.what
                         row.append(STILL)
+                    else:
+                        row.append(mode(plant, joint, at, psi, theta))
                 rows.append(tuple(row))
-            found.append(Sweep(joint, plant.actuators[k].actuator.name, speed, places, tuple(rows)))
+            found.append(Sweep(joint, plant.actuators[k].actuator.name, speed, places, tuple(rows), why))
     return found
 
 

@@ -51,13 +51,16 @@ class Plant:
     Transducer offsets among ψ do not act here. Dry friction turns round over the speed `CREEP`.
 
     Raises:
-        ProblemError: an actuator states no circuit, or is no hydraulic one.
+        ProblemError: an actuator states no circuit, or is no hydraulic one; or there is none.
     """
 
     def __init__(self, model: Model) -> None:
         self.model, self.machine = model, model.machine
         machine = model.machine
         self.actuators: list[ActuatorHydraulics] = []
+        if not machine.actuators:
+            raise ProblemError("no joint moves", where=machine.name, remedy="hydraulics need cylinders or hydraulic "
+                               "motors on all joints")
         for actuator in machine.actuators:
             if isinstance(actuator, Drive):
                 raise ProblemError(f"'{actuator.name}' is driven directly, not by oil", where=machine.name,

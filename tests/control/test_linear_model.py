@@ -3,10 +3,13 @@
 import control
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 import hydroopt as ho
+from hydroopt.cli import app
 from hydroopt.control.linear import mode, signal, state_space
 from hydroopt.control.workspace import sweeps, top_speed
+from hydroopt.description import dump_machine
 from hydroopt.model.plant import Plant
 
 
@@ -85,4 +88,26 @@ def test_a_missing_supply_pressure_is_named():
     lacking = machine.model_copy(update={"pump": machine.pump.model_copy(update={"pressure": None})})
     plant = Plant(ho.Model(lacking))
     with pytest.raises(ho.ProblemError, match=r"supply's pressure is not known.*state 'pressure' of the pump"):
+        sweeps(plant, plant.model.parameters.nominal, plant.parameters.nominal)
+
+
+def test_postures_without_steady_motion_are_counted_and_explained(tmp_path):
+    """Half the pressure lifts in no posture, which the screen and the page say with the reason."""
+    path = tmp_path / "weak.toml"
+    machine = ho.load_machine("patu655_lift")
+    path.write_text(dump_machine(machine.model_copy(update={
+        "pump": machine.pump.model_copy(update={"pressure": 40e5})})))
+    result = CliRunner().invoke(app, ["show", str(path), "--hydraulics", "-o", str(tmp_path / "out")])
+    reason = "no steady motion in 45 postures; in the first, a supply of 40 bar cannot move"
+    assert result.exit_code == 0
+    assert reason in result.output
+    assert reason in (tmp_path / "out" / "hydraulics.html").read_text("utf-8")
+
+
+def test_what_has_no_mass_is_refused():
+    data = ho.load_machine("patu655_lift").model_dump()
+    for part in (*data["links"], data["cylinders"][0]["barrel"], data["cylinders"][0]["rod"]):
+        part["body"] = None
+    plant = Plant(ho.Model(ho.Machine.model_validate(data)))
+    with pytest.raises(ho.ProblemError, match="nothing that 'lift' moves has a mass"):
         sweeps(plant, plant.model.parameters.nominal, plant.parameters.nominal)
