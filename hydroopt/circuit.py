@@ -1,7 +1,9 @@
 """What is between pump and piston: the oil, and for each actuator its valve, hoses and leaks.
 
 Ports are called as on every valve: P supply, T tank, A the head side of a cylinder or side a of a motor, B the other.
-A number with a `sigma` is identified from logs, one without is exact; what is not stated is not modelled.
+A number with a `sigma` is identified from logs, one without is exact; so are in any case those that only define others
+or a shape: the commands in neutral and at full opening, rounding, drops, delay and the air's exponent. What is not
+stated is not modelled.
 """
 
 from __future__ import annotations

@@ -42,7 +42,7 @@ def orifice(conductance: ca.SX, upstream: ca.SX, downstream: ca.SX, laminar_drop
     """Flow [m³/s] through a sharp edge: K·√Δp, but laminar below `laminar_drop` [Pa].
 
     K·Δp/(Δp² + Δp_lam²)^¼ is smooth and odd in Δp; where |Δp| is thrice Δp_lam it is off K·√Δp by 2.6 % (in the
-    manner of Ellman and Piché 1999; the transition itself: Merritt 1967, Section 3.2).
+    manner of Ellman and Piché 1999; the transition itself: Merritt 1967).
     """
     drop = upstream - downstream
     return conductance * drop / ca.sqrt(ca.sqrt(drop**2 + laminar_drop**2))
@@ -126,7 +126,7 @@ class ActuatorHydraulics:
         return self.areas[0] * stroke, self.areas[1] * (self.actuator.stroke - stroke)
 
     def spool_rates(self, spool: ca.SX, spool_rate: ca.SX, wanted: ca.SX, value: Value) -> tuple[ca.SX, ca.SX]:
-        """Rates of the spool's place and speed: a system of second order (Jelali and Kroll 2003, Section 4.2)."""
+        """Rates of the spool's place and speed: a system of second order (Jelali and Kroll 2003)."""
         omega = 2 * ca.pi * value("natural_frequency")
         return spool_rate, omega**2 * (wanted - spool) - 2 * value("damping") * omega * spool_rate
 
@@ -165,7 +165,7 @@ class ActuatorHydraulics:
 
     def pressure_rates(self, flows: Flows, p_a: ca.SX, p_b: ca.SX, length: ca.SX, speed: ca.SX,
                        value: Value) -> tuple[ca.SX, ca.SX]:
-        """Rates [Pa/s] of both chambers' pressures: net flow by capacity (Merritt 1967, Section 3.5).
+        """Rates [Pa/s] of both chambers' pressures: net flow by capacity (Merritt 1967).
 
         The walls of hoses give way as well, and add the volume of the hose by the modulus of its walls.
         """
@@ -185,7 +185,7 @@ class ActuatorHydraulics:
 
         Of sharp edges without leaks: the same spool opens the edge that feeds and the one that drains, so that
         A_a·p_supply − A_b·p_tank − f = (v/x)²·(A_a³/K_pa² + A_b³/K_bt²) when extending, and likewise when retracting
-        (Merritt 1967, Section 6.1, for unequal areas and edges). What remains of the supply's pressure has to be
+        (as in Merritt 1967, for unequal areas and edges). What remains of the supply's pressure has to be
         positive; it is NaN where it is not.
         """
         a, b = self.areas
@@ -207,7 +207,7 @@ class ActuatorHydraulics:
 def pump_flow(most: float, set_pressure: ca.SX, pressure: ca.SX) -> ca.SX:
     """Flow [m³/s] of a pressure-compensated pump: none at its set pressure, all of it from a little below.
 
-    A straight cut-off (Merritt 1967, Section 11.2) with rounded corners.
+    A straight cut-off (Merritt 1967) with rounded corners.
     """
     part = (set_pressure - pressure) / (CUT_OFF * set_pressure)
     return most * (hinge(part, CORNER) - hinge(part - 1, CORNER))

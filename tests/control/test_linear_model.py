@@ -46,7 +46,7 @@ def test_small_steps_of_the_nonlinear_machine(crane, place, speed):
 
 
 def test_frequency_is_that_of_a_mass_between_two_springs_of_oil(crane):
-    """ω² = (A_a²/C_a + A_b²/C_b)/m (Merritt 1967, Section 6.1) with the chambers' capacities C, mass m at the rod."""
+    """ω² = (A_a²/C_a + A_b²/C_b)/m (Merritt 1967) with the chambers' capacities C, mass m at the rod."""
     plant, psi, theta = crane
     machine, each = plant.machine, plant.actuators[0]
     q = np.array([0.5])
