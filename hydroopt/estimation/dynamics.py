@@ -76,6 +76,9 @@ class Record:
     def __post_init__(self) -> None:
         if not (len(self.t) >= 2 and np.all(np.diff(self.t) > 0)):
             raise ProblemError("times do not increase", where=self.name, remedy="sort the samples, two or more")
+        if len(self.y) != len(self.t):
+            raise ProblemError(f"there are {len(self.y)} rows of readings at {len(self.t)} samples", where=self.name,
+                               remedy="give a row for every sample, NaN where there is no reading")
         for what, values in (("inputs", self.u), ("guessed states", self.guess)):
             bad = np.flatnonzero(~np.all(np.isfinite(values), axis=1))
             if len(values) != len(self.t) or bad.size:

@@ -74,7 +74,9 @@ class ShootingEstimate:
     @cached_property
     def residual_scale(self) -> float:
         """Root of the squared errors over the degrees of freedom; 1 where the stated σ are right."""
-        freedom = self.at.seen - np.linalg.matrix_rank(self.at.jacobian[: self.at.seen])
+        unit = self.at.jacobian[: self.at.seen].copy()
+        unit[:, : len(self.theta)] *= self.problem.parameters.scale  # in SI, moduli beside leaks look like none
+        freedom = self.at.seen - np.linalg.matrix_rank(unit)
         return float(np.sqrt(np.sum(self.at.rows[: self.at.seen] ** 2) / freedom)) if freedom > 0 else float("nan")
 
     @property

@@ -111,6 +111,8 @@ def test_covariance_is_that_of_the_simulation_s_own_derivatives():
                        / np.diag(information)[:4])
     np.testing.assert_allclose(found.std / max(1, found.residual_scale), expected, rtol=1e-2)
     assert 0.9 < found.residual_scale < 1.1
+    # four parameters, ten to the twentieth apart, and four first states
+    assert found.residual_scale == pytest.approx(np.sqrt(np.nansum(found.residuals[0] ** 2) / (600 - 8)), rel=1e-9)
 
 
 def first_order():
@@ -164,6 +166,8 @@ def test_refuses_what_is_incomplete():
     record = driven([2.0, 1.0, 0.2])
     with pytest.raises(ProblemError, match="inputs are missing at sample 3"):
         Record(record.t, np.where(np.arange(200)[:, None] == 3, np.nan, record.u), record.y, record.guess)
+    with pytest.raises(ProblemError, match="199 rows of readings at 200 samples"):
+        Record(record.t, record.u, record.y[1:], record.guess)
     with pytest.raises(ProblemError, match="times do not increase"):
         Record(record.t[::-1], record.u, record.y, record.guess)
     with pytest.raises(ProblemError, match="no positive standard deviation"):
