@@ -17,7 +17,7 @@ from hydroopt.parts import Cylinder, Motor
 AMBIENT = 101325.0
 """Absolute pressure [Pa] above which all others are counted."""
 VACUUM = 1e3
-"""Absolute pressure [Pa] below which the oil's air is not followed further."""
+"""Absolute pressure [Pa] below which oil tears, and its air is not followed further."""
 CUT_OFF = 0.03
 """Part of the set pressure over which a pump turns from full flow to none."""
 CORNER = 0.1
@@ -86,11 +86,13 @@ def compressibility(oil: Oil, pressure: ca.SX, value: Value) -> ca.SX:
     """Reciprocal of the bulk modulus [1/Pa] of oil with free air, at a pressure above ambient.
 
     The air, compressed by p·Vⁿ = const, is a part of the volume at that pressure (Gholizadeh, Burton, Schoenau 2011).
+    Oil bears no tension: at vacuum it gives way to cavities, which close again when the pressure returns.
     """
     absolute = hinge(pressure + AMBIENT - VACUUM, VACUUM) + VACUUM
     air = value("oil.air")
     gas = air / (1 - air) * (AMBIENT / absolute) ** (1 / oil.polytropic)
-    return (1 / value("oil.bulk_modulus") + gas / (oil.polytropic * absolute)) / (1 + gas)
+    cavities = (1 - ca.tanh((pressure + AMBIENT) / VACUUM - 1)) / (2 * VACUUM)
+    return (1 / value("oil.bulk_modulus") + gas / (oil.polytropic * absolute)) / (1 + gas) + cavities
 
 
 class Flows(NamedTuple):

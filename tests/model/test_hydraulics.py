@@ -70,6 +70,19 @@ def test_oil_with_air_has_the_secant_of_its_volume():
         assert found == pytest.approx(secant, rel=2 * p / beta + 0.01)
 
 
+def test_oil_that_is_pulled_on_tears_and_closes_again():
+    """A crane lowered at full speed whose valve shuts: its inertia pulls on the oil of the rod side until it rises."""
+    subject = plant()
+    psi, theta = subject.model.parameters.nominal, subject.parameters.nominal
+    at = subject.steady(np.array([0.5]), np.zeros(1), psi, theta)
+    step, x = subject.integrator(0.005, psi, theta), [at.x]
+    for u in np.repeat([7.5, 5.7, 4.8], [40, 40, 160]):
+        x.append(np.asarray(step(x[-1], [u], subject.supply)).ravel())
+    rod = np.array(x)[:, -1] + AMBIENT
+    assert 0 < np.min(rod) < 5e3
+    assert rod[-1] == pytest.approx(subject.steady(x[-1][:1], x[-1][1:2], psi, theta).x[-1] + AMBIENT, rel=0.1)
+
+
 def test_pump_gives_all_until_near_its_set_pressure():
     given = [number(pump_flow(1.0, ca.DM(280e5), ca.DM(p))) for p in (0.0, 200e5, 270e5, 290e5)]
     assert np.allclose(given, [1, 1, 1, 0], atol=0.02)
