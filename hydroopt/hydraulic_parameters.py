@@ -12,6 +12,9 @@ from hydroopt.parameters import ParameterSet
 LEAK = 1e-13
 """Typical conductance of a leak [m³/(s·Pa)]: 0.06 L/min at 100 bar."""
 
+MOST = 0.9
+"""Part of the travel that dead band and overlap take at most, if the file states no more: at all, nothing opens."""
+
 
 def scalars(machine: Machine) -> dict[str, Scalar]:
     """What the machine file states of its hydraulics, the oil first, then actuator by actuator.
@@ -36,11 +39,12 @@ def scalars(machine: Machine) -> dict[str, Scalar]:
         for key in ("rated_flow", *EDGES):
             positive(f"{name}.{key}", getattr(valve, key), "m^3/s", f"{at}.valve.{key}")
         for key in ("dead_band", "dead_band_reverse"):
-            whole(f"{name}.{key}", getattr(valve, key), valve.command, f"{at}.valve.{key}", abs(valve.span),
-                  0.1 * abs(valve.span))
-        found[f"{name}.overlap"] = Scalar(valve.overlap, "1", f"{at}.valve.overlap", -1.0, 1.0, 0.1)
+            whole(f"{name}.{key}", getattr(valve, key), valve.command, f"{at}.valve.{key}",
+                  max(MOST * abs(valve.span), getattr(valve, key) or 0.0), 0.1 * abs(valve.span))
+        most = max(MOST, abs(valve.overlap))
+        found[f"{name}.overlap"] = Scalar(valve.overlap, "1", f"{at}.valve.overlap", -most, most, 0.1)
         positive(f"{name}.natural_frequency", valve.natural_frequency, "Hz", f"{at}.valve.natural_frequency")
-        positive(f"{name}.damping", valve.damping, "1", f"{at}.valve.damping")
+        positive(f"{name}.damping", valve.damping, "1", f"{at}.valve.damping", 10.0)
         for key in ("volume_a", "volume_b"):
             positive(f"{name}.{key}", getattr(circuit, key), "m^3", f"{at}.{key}")
         positive(f"{name}.hose_modulus", circuit.hose_modulus, "Pa", f"{at}.hose_modulus")
