@@ -75,7 +75,7 @@ class Machine(Noun):
         machine = handler(data)
         for place, text, si in machine._stated_units(data) if isinstance(data, Mapping) else ():
             if isinstance(text, str) and not same_kind(unit := text.strip().partition(" ")[2].strip(), si):
-                raise ImpossibleError(f"'{unit}' is not a unit of the kind '{si}', which this joint calls for",
+                raise ImpossibleError(f"'{unit}' is not a unit of the kind '{si}', which its joint or valve calls for",
                                       f"use '{si}' or another unit of that kind", place)
         return machine
 
@@ -97,11 +97,12 @@ class Machine(Noun):
         extra = self.calibrator.links if self.calibrator else ()
         kinds = (self.links, extra, self.cylinders, self.motors, self.drives, self.gas_cylinders, self.fixtures,
                  self.distances, self.stages, self.obstacles, self.total_masses, self.identical)
-        count = Counter([BASE, *(["pump"] if self.pump else ()), *(part.name for kind in kinds for part in kind)])
+        taken = {BASE: "the chassis"} | ({"pump": "the supply"} if self.pump else {})
+        count = Counter([*taken, *(part.name for kind in kinds for part in kind)])
         for name, times in count.items():
             if times > 1:
-                raise ImpossibleError(f"the name '{name}' is used {times} times" if name != BASE
-                                      else f"the name '{BASE}' is the chassis", "give each part a name of its own")
+                raise ImpossibleError(f"the name '{name}' is {taken.get(name, f'used {times} times')}",
+                                      "give each part a name of its own")
 
     def _tree(self) -> None:
         known = {BASE, *(link.name for link in self.links)}

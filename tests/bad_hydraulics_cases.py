@@ -77,7 +77,11 @@ ALL = {
     "spool half stated": fed("damping = 0.8\n", "", rf"{VALVE}\.damping: .*; .*'damping'"),
     "supply below the tank": fed('pressure = "200 bar"', 'pressure = "200 bar"\ntank_pressure = "210 bar"',
                                  r"pump\.pressure: "),
-    "a part called pump": fed('name = "bucket"', 'name = "pump"', ".*'pump'"),
+    "a part called pump": fed('name = "bucket"', 'name = "pump"', "the name 'pump' is the supply; .*own"),
+    "noise of a command in another unit": fed(
+        '[[sensors]]\nchannels = ["boom.q", "stick.q"]', '[[sensors]]\nchannels = ["stick_cylinder.u"]\n'
+        'accuracy = "5 mA"\n[[sensors]]\nchannels = ["boom.q", "stick.q"]',
+        r"sensors\[0\]\.accuracy: 'mA'.*valve calls"),
     "leak in the wrong unit": fed('sigma = "1e-13 m^3/(s*Pa)"', 'sigma = "1e-13 m^3/s"',
                                   r".*stick_cylinder.*leakage\.sigma: "),
     "hydraulics: an actuator without circuit": Case(_of_a_file, r"digger: .*'swing_motor'; .*'circuit'"),
