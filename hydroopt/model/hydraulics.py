@@ -96,12 +96,11 @@ def compressibility(oil: Oil, pressure: ca.SX, value: Value) -> ca.SX:
 
 
 class Flows(NamedTuple):
-    """Flows [m³/s] of one actuator: into its chambers, out of the supply, into the tank by the valve."""
+    """Flows [m³/s] of one actuator: into its chambers, out of the supply."""
 
     into_a: ca.SX
     into_b: ca.SX
     supply: ca.SX
-    tank: ca.SX
 
 
 class ActuatorHydraulics:
@@ -163,7 +162,7 @@ class ActuatorHydraulics:
                 into[port] -= full * hinge((pressure - self.actuator.relief_pressure) / YIELDING, FIRM)
             if circuit.anticavitation:
                 into[port] += full * hinge((tank - pressure) / SUCTION, FIRM)
-        return Flows(into["a"], into["b"], pa + pb, at + bt)
+        return Flows(into["a"], into["b"], pa + pb)
 
     def pressure_rates(self, flows: Flows, p_a: ca.SX, p_b: ca.SX, length: ca.SX, speed: ca.SX,
                        value: Value) -> tuple[ca.SX, ca.SX]:
