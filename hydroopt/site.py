@@ -22,20 +22,23 @@ from hydroopt.quantity import (
 
 
 class Pump(Noun):
-    """The supply that all actuators share: together they take no more than `max_flow` [m³/s].
+    """The supply that all actuators share: together they take no more than `max_flow` [m³/s], if that is stated.
 
     It keeps `pressure`, against `tank_pressure`, as long as that flow suffices. With the `volume` of the line behind it
     the supply's pressure gives way within a few percent when much is drawn, and falls when more is; without, it is the
     same whatever is drawn.
     """
 
-    max_flow: Flow = Field(gt=0)
+    max_flow: Flow | None = Field(None, gt=0)
     pressure: Pressure | None = Field(None, gt=0)
     tank_pressure: Pressure = Field(0.0, ge=0)
     volume: Volume | None = Field(None, gt=0)
 
     @model_validator(mode="after")
-    def _pressures(self) -> Self:
+    def _whole(self) -> Self:
+        if self.max_flow is None and (self.pressure is None or self.volume is not None):
+            raise ImpossibleError("how much the pump gives is not said", "state it" if self.pressure else
+                                  "state it, or its 'pressure'", "max_flow")
         if self.pressure is not None and self.pressure <= self.tank_pressure:
             raise ImpossibleError("the supply's pressure is not above the tank's", "exchange or correct them",
                                   "pressure")

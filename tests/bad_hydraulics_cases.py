@@ -77,6 +77,9 @@ ALL = {
     "spool half stated": fed("damping = 0.8\n", "", rf"{VALVE}\.damping: .*; .*'damping'"),
     "supply below the tank": fed('pressure = "200 bar"', 'pressure = "200 bar"\ntank_pressure = "210 bar"',
                                  r"pump\.pressure: "),
+    "a pump that gives nobody knows how much": fed('max_flow = "100 L/min"\npressure = "200 bar"\n',
+                                                  'tank_pressure = "1 bar"\n', r"pump\.max_flow: .*; .*'pressure'"),
+    "a line without the pump's flow": fed('max_flow = "100 L/min"\n', 'volume = "5 L"\n', r"pump\.max_flow: "),
     "a part called pump": fed('name = "bucket"', 'name = "pump"', "the name 'pump' is the supply; .*own"),
     "noise of a command in another unit": fed(
         '[[sensors]]\nchannels = ["boom.q", "stick.q"]', '[[sensors]]\nchannels = ["stick_cylinder.u"]\n'

@@ -10,6 +10,7 @@ from scipy.stats import qmc
 from hydroopt.control.linear import Mode, mode
 from hydroopt.errors import ProblemError
 from hydroopt.inertia import Array
+from hydroopt.model.hydraulics import conductance
 from hydroopt.model.plant import Plant
 
 SHARE = 0.1
@@ -41,8 +42,7 @@ class Sweep(NamedTuple):
 def sweeps(plant: Plant, psi: Array, theta: Array, *, positions: int = 9, postures: int = 5) -> list[Sweep]:
     """How every joint answers its valve over its range, in both directions.
 
-    Each is linearised while it moves at a tenth of its greatest speed (what the pump's flow allows, if the file states
-    none) and the others rest.
+    Each is linearised while it moves at a tenth of its greatest speed (see `top_speed`) and the others rest.
 
     Args:
         plant: the machine.
@@ -52,7 +52,7 @@ def sweeps(plant: Plant, psi: Array, theta: Array, *, positions: int = 9, postur
         postures: of the other joints, spread over their ranges.
 
     Raises:
-        ProblemError: the machine file states no supply pressure, neither a greatest speed nor a pump, or no masses.
+        ProblemError: the machine file states no supply pressure, or no masses.
     """
     supply, joints = plant.supply, plant.machine.joints
     ranges = np.array([plant.machine.link(joint).joint.range for joint in joints])
@@ -84,20 +84,21 @@ def sweeps(plant: Plant, psi: Array, theta: Array, *, positions: int = 9, postur
 
 
 def top_speed(plant: Plant, joint: str) -> float:
-    """The greatest speed [rad/s or m/s] of a joint, or what the pump's flow gives it in mid-range.
+    """The greatest speed [rad/s or m/s] of a joint, or what its valve and the pump give it in mid-range.
+
+    The valve fully open, at half of the supply's pressure, by the machine file's numbers.
 
     Raises:
-        ProblemError: the machine file states neither a greatest speed nor a pump.
+        ProblemError: the machine file states no supply pressure.
     """
     machine = plant.machine
     stated = machine.link(joint).joint.max_speed
     if stated is not None:
         return stated
-    if machine.pump is None:
-        raise ProblemError(f"how fast '{joint}' may move is not known", where=machine.name,
-                           remedy="state its 'max_speed', or the 'max_flow' of the pump, in the machine file")
     k = machine.joints.index(joint)
-    middle = np.array([sum(machine.link(name).joint.range) / 2 for name in machine.joints])
     each = plant.actuators[k]
+    middle = np.array([sum(machine.link(name).joint.range) / 2 for name in machine.joints])
     lever = abs(float(plant.actuator_motion(middle, np.eye(len(middle))[k])[1][k]))
-    return float(machine.pump.max_flow / (max(each.areas) * lever))
+    flow = conductance(each.valve, "flow_pa", plant.value(each, plant.parameters.nominal)) * (plant.supply[0] / 2)**0.5
+    most = machine.pump.max_flow if machine.pump else None
+    return float(min(flow, most or np.inf) / (each.areas[0] * lever))

@@ -115,7 +115,7 @@ class Limits:
 
     def _pump(self) -> None:
         machine = self.model.machine
-        if machine.pump is None:
+        if machine.pump is None or machine.pump.max_flow is None:
             return
         # an actuator draws what its growing chamber takes, whichever grows: the greatest of all combinations counts,
         # two to the power of the actuators, since a maximum has no derivative

@@ -30,11 +30,12 @@ def _search(excitation: Excitation) -> Iterator[str]:
 
 def _unlimited(excitation: Excitation) -> Iterator[str]:
     machine = excitation.program.information.model.machine
-    missing = {"pump": "the flow of the pump", "ground": "the height above ground", "workspace": "where the tip may go",
-               "footprint": "tipping over"}
+    missing = {"the flow of the pump": machine.pump.max_flow if machine.pump else None,
+               "the height above ground": machine.ground, "where the tip may go": machine.workspace,
+               "tipping over": machine.footprint}
     hydraulic = any(isinstance(each, Cylinder | Motor) for each in machine.actuators)
-    free = [text for key, text in missing.items()
-            if getattr(machine, key) is None and (hydraulic or key in ("ground", "workspace"))]
+    free = [text for text, stated in missing.items()
+            if stated is None and (hydraulic or text not in ("the flow of the pump", "tipping over"))]
     free += [f"the effort of {each.name}" for each in machine.actuators
              if (each.relief_pressure if isinstance(each, Cylinder | Motor) else each.max_torque) is None]
     for joint in machine.joints:

@@ -96,8 +96,10 @@ class Plant:
         return ("p_head", "p_rod") if isinstance(each.actuator, Cylinder) else ("p_a", "p_b")
 
     @property
-    def _line(self) -> float | None:
-        return self.machine.pump.volume if self.machine.pump else None
+    def _line(self) -> tuple[float, float] | None:
+        """Volume of the supply's line and the greatest flow into it, where its pressure is a state."""
+        pump = self.machine.pump
+        return (pump.volume, pump.max_flow) if pump and pump.volume and pump.max_flow else None
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -158,17 +160,16 @@ class Plant:
         force = areas[:, 0] * pressure[:, 0] - areas[:, 1] * pressure[:, 1]
         flow = ca.vertcat(*(each.supply for each in flows))
         if self._line:
+            volume, most = self._line
             value = self.value(self.actuators[0], theta)
-            assert self.machine.pump is not None
-            given_flow = pump_flow(self.machine.pump.max_flow, given[0], supply[0])
-            squeezed = compressibility(self.actuators[0].oil, supply[0], value) * self._line
-            rates.append((given_flow - ca.sum1(flow)) / squeezed)
+            capacity = volume * compressibility(self.actuators[0].oil, supply[0], value)
+            rates.append((pump_flow(most, given[0], supply[0]) - ca.sum1(flow)) / capacity)
         qdd = self._acceleration(q, qd, force, pressure, psi)
         return {"rates": ca.vertcat(qd, qdd, *rates), "q": q, "qd": qd, "qdd": qdd, "length": length, "speed": speed,
                 "spool": ca.vertcat(*spools), "pressure": pressure, "force": force, "flow": flow,
                 "p_supply": supply[0]}
 
-    def value(self, each: ActuatorHydraulics, theta: ca.SX) -> Value:
+    def value(self, each: ActuatorHydraulics, theta: ca.SX | Array) -> Value:
         """What tells the numbers of an actuator's hydraulics, and of the oil, out of θ."""
         place, owner = self.parameters.positions, each.actuator.name
         return lambda key: theta[place[key if key.startswith("oil.") else f"{owner}.{key}"]]
@@ -333,8 +334,7 @@ class Plant:
             gaps += [(flows.into_a - a * speed[k]) / full, (flows.into_b + b * speed[k]) / full,
                      (a * p_a[k] - b * p_b[k] - force[k]) / (a * PRESSURE)]
             drawn += flows.supply
-        pump = self.machine.pump
-        gaps.append(pump_flow(1.0, given[0], p_supply) - drawn / pump.max_flow if self._line and pump
+        gaps.append(pump_flow(1.0, given[0], p_supply) - drawn / self._line[1] if self._line
                     else (p_supply - given[0]) / PRESSURE)
         gap = ca.vertcat(*gaps)
         return ca.Function("balance", [z, q, qd, given, psi, theta], [gap, ca.jacobian(gap, z)])
