@@ -117,8 +117,9 @@ class Circuit(Noun):
 
     `volume_a` and `volume_b` are those of the hoses and dead spaces at the ports A and B, `hose_modulus` is that of
     their walls: the pressure that would widen them by their own volume. `leakage` passes the piston, `leakage_a` and
-    `leakage_b` leave the chambers for the tank. With `anticavitation` check valves let oil follow from the tank when a
-    chamber's pressure falls below the tank's.
+    `leakage_b` leave the chambers for the tank. `air_a` and `air_b` are free air in the oil of a chamber and its hose,
+    as a part of its volume at ambient pressure, where there is more or less of it than in the rest. With
+    `anticavitation` check valves let oil follow from the tank when a chamber's pressure falls below the tank's.
     """
 
     valve: Valve
@@ -128,4 +129,6 @@ class Circuit(Noun):
     leakage: LeakageConductance | None = Field(None, ge=0)
     leakage_a: LeakageConductance | None = Field(None, ge=0)
     leakage_b: LeakageConductance | None = Field(None, ge=0)
+    air_a: Number | None = Field(None, ge=0, le=0.9)
+    air_b: Number | None = Field(None, ge=0, le=0.9)
     anticavitation: bool = False

@@ -50,6 +50,8 @@ def scalars(machine: Machine) -> dict[str, Scalar]:
         positive(f"{name}.hose_modulus", circuit.hose_modulus, "Pa", f"{at}.hose_modulus")
         for key in ("leakage", "leakage_a", "leakage_b"):
             whole(f"{name}.{key}", getattr(circuit, key), "m^3/(s*Pa)", f"{at}.{key}", np.inf, LEAK)
+        for key in ("air_a", "air_b"):
+            whole(f"{name}.{key}", getattr(circuit, key), "1", f"{at}.{key}", 0.9, 0.01)
     return found
 
 

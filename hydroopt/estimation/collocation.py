@@ -41,12 +41,16 @@ class Linearised:
 
 @dataclass(frozen=True, eq=False)
 class Expressions:
-    """Of the unknowns x: what must vanish, what should be small, and their derivatives."""
+    """Of the unknowns x: what must vanish, what should be small, and their derivatives.
+
+    `curvature` is the second derivative of Σ multipliers·defects + weight·Σ rows²/2, without that of the squares.
+    """
 
     defects: ca.MX
     defects_by_x: ca.MX
     rows: ca.MX
     rows_by_x: ca.MX
+    curvature: ca.MX
 
 
 class Program:
@@ -111,7 +115,7 @@ class Program:
         stages = _Mapped(f, state, z, ca.vertcat(u, span), np.column_stack([self.stage_inputs, self.span]), self.stages)
         return stages, _Mapped(h, state, z, u, self.sample_inputs, self.samples)
 
-    def at(self, x: ca.MX) -> Expressions:
+    def at(self, x: ca.MX, weight: ca.MX, multipliers: ca.MX) -> Expressions:
         """Everything IPOPT asks for."""
         z, states = x[: self.p], ca.reshape(x[self.p :], self.nx, int(self.first[-1]))
         rates, rates_by_x = self.stage.at(states, z)
@@ -119,10 +123,13 @@ class Program:
         index, sigma = self.present.tolist(), np.tile(self.problem.sigma, len(self.readings))
         pick = _matrix(np.ones(len(index)), np.arange(len(index)), self.present, (len(index), len(sigma)))
         right = ca.DM(self.readings.ravel()[self.present] / sigma[self.present])
+        left = pick @ seen - right
+        curvature = (weight * self.reading.curvature(states, z, pick.T @ left)
+                     - self.stage.curvature(states, z, multipliers))
         return Expressions(
             self.derivative @ x - rates, self.derivative - rates_by_x,
-            ca.vertcat(pick @ seen - right, self.prior @ x - ca.DM(self.prior_right)),
-            ca.vertcat(pick @ seen_by_x, ca.MX(self.prior)))
+            ca.vertcat(left, self.prior @ x - ca.DM(self.prior_right)),
+            ca.vertcat(pick @ seen_by_x, ca.MX(self.prior)), curvature)
 
     def start(self, theta: Array) -> Array:
         """Unknowns to begin with: guessed states, straight between samples."""
@@ -134,7 +141,7 @@ class Program:
     def linearised(self, x: Array) -> Linearised:
         """An answer with its rows as they change along the dynamics."""
         parameters, symbol = self.problem.parameters, ca.MX.sym("x", self.size)
-        at = self.at(symbol)
+        at = self.at(symbol, ca.MX(0), ca.MX.zeros(self.defects))
         end = ca.Function("end", [symbol], [at.rows, at.rows_by_x, at.defects_by_x])
         rows, rows_by_x, defects_by_x = end(x)
         by_x, held = rows_by_x.sparse().tocsc(), defects_by_x.sparse().tocsc()
@@ -145,9 +152,9 @@ class Program:
         jacobian[:, : self.p] /= parameters.scale
         states = x[self.p :].reshape(-1, self.nx) * self.problem.dynamics.scale
         points = tuple(states[a:b] for a, b in pairwise(self.first.tolist()))
-        return Linearised(parameters.nominal + parameters.scale * x[: self.p], points, np.asarray(rows).ravel(),
-                        np.asarray(jacobian), len(self.present),
-                          self.known)
+        # IPOPT lets bounds give way a little
+        theta = np.clip(parameters.nominal + parameters.scale * x[: self.p], parameters.lower, parameters.upper)
+        return Linearised(theta, points, np.asarray(rows).ravel(), np.asarray(jacobian), len(self.present), self.known)
 
 
 class _Mapped:
@@ -167,6 +174,26 @@ class _Mapped:
         self.column = np.concatenate([shared_column, z.numel() + points[block] * state.numel() + column]).astype(
             np.intp)
         self.order = np.lexsort((self.row, self.column))
+        multipliers, both = ca.SX.sym("m", self.rows), ca.vertcat(z, state)
+        bend = ca.hessian(ca.dot(multipliers, value), both)[0]
+        self.bend = ca.Function("bend", [state, z, data, multipliers], [bend]).map(count)
+        row, column = (np.tile(k, count) + both.numel() * np.repeat(np.arange(count), bend.nnz())
+                       for k in bend.sparsity().get_triplet())
+        self.pattern = _matrix(np.ones(len(row)), row, column, (count * both.numel(),) * 2).sparsity()
+
+    def curvature(self, states: ca.MX, z: ca.MX, multipliers: ca.MX) -> ca.MX:
+        """Second derivative by x of Σ multipliers·value."""
+        count, p, nx = len(self.points), z.numel(), states.size1()
+        if not self.pattern.nnz():
+            return ca.MX(p + states.numel(), p + states.numel())
+        entries = self.bend(states[:, self.points.tolist()], ca.repmat(z, 1, count), self.data,
+                            ca.reshape(multipliers, self.rows, count))
+        first = (p + nx) * np.arange(count)[:, None]
+        row = np.concatenate([(first + np.arange(p)).ravel(), (first + p + np.arange(nx)).ravel()])
+        column = np.concatenate([np.tile(np.arange(p), count),
+                                 (p + self.points[:, None] * nx + np.arange(nx)).ravel()])
+        gather = _matrix(np.ones(len(row)), row, column, (count * (p + nx), p + states.numel()))
+        return gather.T @ (ca.MX(self.pattern, ca.vec(entries.nz[:])) @ gather)
 
     def at(self, states: ca.MX, z: ca.MX) -> tuple[ca.MX, ca.MX]:
         count, size = len(self.points), z.numel() + states.numel()

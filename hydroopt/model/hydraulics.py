@@ -82,15 +82,15 @@ def conductance(valve: Valve, edge: str, value: Value) -> ca.SX:
     return value("rated_flow" if getattr(valve, edge) is None else edge) / valve.rated_drop**0.5
 
 
-def compressibility(oil: Oil, pressure: ca.SX, value: Value) -> ca.SX:
-    """Reciprocal of the bulk modulus [1/Pa] of oil with free air, at a pressure above ambient.
+def compressibility(oil: Oil, pressure: ca.SX, value: Value, air: str = "oil.air") -> ca.SX:
+    """Reciprocal of the bulk modulus [1/Pa] of oil with free air, whose part is that key, at a pressure above ambient.
 
     The air, compressed by p·Vⁿ = const, is a part of the volume at that pressure (Gholizadeh, Burton, Schoenau 2011).
     Oil bears no tension: at vacuum it gives way to cavities, which close again when the pressure returns.
     """
     absolute = hinge(pressure + AMBIENT - VACUUM, VACUUM) + VACUUM
-    air = value("oil.air")
-    gas = air / (1 - air) * (AMBIENT / absolute) ** (1 / oil.polytropic)
+    part = value(air)
+    gas = part / (1 - part) * (AMBIENT / absolute) ** (1 / oil.polytropic)
     cavities = (1 - ca.tanh((pressure + AMBIENT) / VACUUM - 1)) / (2 * VACUUM)
     return (1 / value("oil.bulk_modulus") + gas / (oil.polytropic * absolute)) / (1 + gas) + cavities
 
@@ -175,7 +175,8 @@ class ActuatorHydraulics:
                 "ab", (p_a, p_b), (flows.into_a, flows.into_b), self.volumes(length),
                 (self.areas[0] * speed, -self.areas[1] * speed), strict=True):
             hose = value(f"volume_{port}")
-            capacity = (volume + hose) * compressibility(self.oil, pressure, value)
+            air = "oil.air" if getattr(self.circuit, f"air_{port}") is None else f"air_{port}"
+            capacity = (volume + hose) * compressibility(self.oil, pressure, value, air)
             if self.circuit.hose_modulus is not None:
                 capacity += hose / value("hose_modulus")
             rates.append((into - swept) / capacity)
