@@ -17,7 +17,7 @@ LEVELS = {"errors": 0, "files": 0, "interrupt": 0, "units": 0,
           "linkage": 2, "machine": 2, "parts": 2,
           "site": 2, "statements": 2, "strokes": 2, "urdf": 2,
           "model": 3, "signals": 3,
-          "identifiability": 4, "postures": 4, "solvers": 4, "synthetic": 4,
+          "driving": 4, "identifiability": 4, "postures": 4, "solvers": 4, "synthetic": 4,
           "codegen": 5, "control": 5, "estimation": 5, "excitation": 5,
           "__init__": 6, "__main__": 6, "cli": 6, "report": 6, "study": 6}
 

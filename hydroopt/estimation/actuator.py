@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt import inertia
+from hydroopt.driving import arrived
 from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.estimation.dynamics import Dynamics, Record, ShootingProblem
 from hydroopt.estimation.experiment import measured_angles, reading
@@ -48,6 +49,7 @@ class ActuatorProblem:
         psi, theta: positions of the first two among the plant's dynamic and hydraulic parameters.
         bodies: (p, b) how the plant's dynamic parameters change with the last b.
         channels: what the sensors see, as far as logs have it; `sigma` of their readings.
+        steps: collocated intervals between two samples.
     """
 
     plant: Plant
@@ -59,6 +61,7 @@ class ActuatorProblem:
     bodies: Array
     channels: tuple[str, ...]
     sigma: Array
+    steps: int = 1
 
     def split(self, values: Any) -> tuple[Any, Any]:
         """Dynamic and hydraulic parameters of the plant (p,), (h,) from those identified: numbers or symbols."""
@@ -96,7 +99,7 @@ class ActuatorProblem:
         angles = measured_angles(plant.model, log)
         motion = condition(log.t, angles, log.segment, SmoothingSpline(bandwidth=machine.bandwidth),
                            names=machine.joints, where=log.path or log.name)
-        u = np.column_stack([*(_delayed(log, reading(machine, log, name), each.valve.delay)
+        u = np.column_stack([*(arrived(log.t, reading(machine, log, name), each.valve.delay)
                                for name, each in zip(plant.inputs, plant.actuators, strict=True)),
                              *_supply(plant, log)])
         y = np.column_stack([log.channels[channel] if channel in log.channels else np.full(log.size, np.nan)
@@ -111,7 +114,8 @@ class ActuatorProblem:
         states = np.column_stack([guess[name] for name in plant.states])
         edges = np.flatnonzero(np.diff(log.segment, prepend=log.segment[0] - 1, append=log.segment[-1] + 1))
         spans = [slice(a, b) for a, b in pairwise(edges.tolist()) if b - a > 1]
-        return tuple(Record(log.t[at], u[at], y[at], states[at], name=log.path or log.name) for at in spans)
+        return tuple(Record(log.t[at], u[at], y[at], states[at], steps=self.steps, name=log.path or log.name)
+                     for at in spans)
 
     @cached_property
     def shooting(self) -> ShootingProblem:
@@ -121,7 +125,7 @@ class ActuatorProblem:
 
 
 def actuator_problem(machine: Machine, logs: Sequence[Log], validation: Sequence[Log] = (), *,
-                     bodies: bool = False) -> ActuatorProblem:
+                     bodies: bool = False, steps: int = 1) -> ActuatorProblem:
     """The identification of valves, oil and friction from logs, with the machine file's confidences as priors.
 
     Every number of the hydraulics that states a `sigma` is identified, and every friction that does; all others are
@@ -133,6 +137,7 @@ def actuator_problem(machine: Machine, logs: Sequence[Log], validation: Sequence
         validation: logs to judge by.
         bodies: whether masses and inertias are identified, too, as far as forces show them; else they are exact, as
             after an identification of their own.
+        steps: collocated intervals between two samples; more follow dry friction and edges more exactly.
 
     Raises:
         ProblemError: the file states no circuit, no confidence or no sensors, or a supply pressure is neither logged
@@ -153,7 +158,7 @@ def actuator_problem(machine: Machine, logs: Sequence[Log], validation: Sequence
     shown = _shown(plant.model) if bodies else np.zeros((len(plant.model.parameters), 0))
     channels, sigma = _sensed(plant, logs)
     parameters = _joined(plant, psi, theta, shown.shape[1])
-    return ActuatorProblem(plant, tuple(logs), tuple(validation), parameters, psi, theta, shown, channels, sigma)
+    return ActuatorProblem(plant, tuple(logs), tuple(validation), parameters, psi, theta, shown, channels, sigma, steps)
 
 
 def _identified(plant: Plant) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -262,12 +267,6 @@ def _placed(plant: Plant, k: int, command: Array) -> Array:
     wanted = displaced(plant.actuators[k].valve, symbol,
                        lambda key: float(nominal.nominal[nominal.index(f"{owner}.{key}")]))
     return np.asarray(ca.Function("wanted", [symbol], [wanted])(command)).ravel()
-
-
-def _delayed(log: Log, command: Array, delay: float) -> Array:
-    """The command (N,) that has arrived at each sample; before the log's begin, its first one."""
-    at = np.searchsorted(log.t, log.t - delay + 1e-9, side="right") - 1
-    return command[np.maximum(at, 0)]
 
 
 def _refuse_idle(plant: Plant, logs: Sequence[Log]) -> None:

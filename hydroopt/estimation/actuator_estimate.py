@@ -89,7 +89,7 @@ class ActuatorEstimate:
         short = replace(record, t=record.t[:count], u=record.u[:count], y=record.y[:count], guess=record.guess[:count])
         theta, known = self.shooting.theta, self.shooting.problem
         held = replace(known.parameters, nominal=theta, lower=theta, upper=theta)
-        first: Array = shooting.solve(replace(known, parameters=held, records=(short,)), exact=True).at.points[0][0]
+        first: Array = shooting.solve(replace(known, parameters=held, records=(short,))).at.points[0][0]
         return first
 
     @cached_property
@@ -141,8 +141,8 @@ def identify_actuators(problem: ActuatorProblem, start: Array | None = None) -> 
     Raises:
         SolverError: no trustworthy answer.
     """
-    first = shooting.solve(problem.shooting, start, exact=True)
-    return ActuatorEstimate(problem, shooting.solve(first.reweighted, first.theta, exact=True))
+    first = shooting.solve(problem.shooting, start)
+    return ActuatorEstimate(problem, shooting.solve(first.reweighted, first.theta))
 
 
 def free_run_fit(problem: ActuatorProblem, runs: Sequence[Run]) -> dict[str, FreeRun]:

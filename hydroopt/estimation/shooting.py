@@ -17,11 +17,14 @@ from numpy.typing import NDArray
 from scipy.stats import truncnorm
 
 from hydroopt import solvers
+from hydroopt.errors import SolverError
 from hydroopt.estimation.collocation import Linearised, Program
 from hydroopt.estimation.correlation import correlation_time
 from hydroopt.estimation.dynamics import Record, ShootingProblem, free_run
 from hydroopt.inertia import Array
 
+PATIENCE = 60
+"""Steps after which the Gauss-Newton Hessian gives way to the exact one."""
 UNKNOWN = 0.5
 """Part of the prior's information below which the data's counts as telling less than the prior."""
 SHARE = 0.3
@@ -195,14 +198,21 @@ class ShootingEstimate:
         return f"{', '.join(names[:-1])} and {names[-1]} show only together; {decides} between them"
 
 
-def solve(problem: ShootingProblem, start: Array | None = None, *, exact: bool = False) -> ShootingEstimate:
+def solve(problem: ShootingProblem, start: Array | None = None) -> ShootingEstimate:
     """The most probable parameters and motion, from `start` (p,) or the nominal parameters.
 
-    Where much is left unexplained, the exact Hessian gets along with fewer steps than the Gauss-Newton one.
+    By the Gauss-Newton Hessian; where much is left unexplained its steps lead nowhere, and by the exact one then.
 
     Raises:
         SolverError: IPOPT failed or its answer failed our check.
     """
+    try:
+        return _solved(problem, start, exact=False)
+    except SolverError:
+        return _solved(problem, start, exact=True)
+
+
+def _solved(problem: ShootingProblem, start: Array | None, *, exact: bool) -> ShootingEstimate:
     program = Program(problem)
     parameters = problem.parameters
     begin = np.clip(parameters.nominal if start is None else start, parameters.lower, parameters.upper)
@@ -211,17 +221,18 @@ def solve(problem: ShootingProblem, start: Array | None = None, *, exact: bool =
     at = program.at(x, weight, multipliers)
     cost = ca.sumsqr(at.rows) / 2
     hessian = weight * (at.rows_by_x.T @ at.rows_by_x) + (at.curvature if exact else 0)
-    derivatives = {
+    options = {
         "grad_f": ca.Function("grad_f", [x, nothing], [cost, ca.densify(at.rows_by_x.T @ at.rows)],
                               ["x", "p"], ["f", "grad_f_x"]),
         "jac_g": ca.Function("jac_g", [x, nothing], [at.defects, at.defects_by_x], ["x", "p"], ["g", "jac_g_x"]),
-        "hess_lag": ca.Function("hess_lag", [x, nothing, weight, multipliers],
-                                [ca.triu(hessian)],
+        "hess_lag": ca.Function("hess_lag", [x, nothing, weight, multipliers], [ca.triu(hessian)],
                                 ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"])}
+    if not exact:
+        options["ipopt.max_iter"] = PATIENCE
     free = np.full(program.size - len(parameters), np.inf)
     lower = np.concatenate([(parameters.lower - parameters.nominal) / parameters.scale, -free])
     upper = np.concatenate([(parameters.upper - parameters.nominal) / parameters.scale, free])
     zero = np.zeros(program.defects)
     answer = solvers.solve_nlp({"x": x, "f": cost, "g": at.defects}, program.start(begin), lower, upper, zero, zero,
-                               f"identification of {problem.name}", (), derivatives)
+                               f"identification of {problem.name}", (), options)
     return ShootingEstimate(problem, program.linearised(answer))
