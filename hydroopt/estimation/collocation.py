@@ -7,6 +7,7 @@ those of two small functions, mapped over the points and gathered.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -131,12 +132,11 @@ class Program:
             ca.vertcat(left, self.prior @ x - ca.DM(self.prior_right)),
             ca.vertcat(pick @ seen_by_x, ca.MX(self.prior)), curvature)
 
-    def start(self, theta: Array) -> Array:
-        """Unknowns to begin with: guessed states, straight between samples."""
-        parameters, scale = self.problem.parameters, self.problem.dynamics.scale
-        states = [np.column_stack([np.interp(r.time, r.t, column) for column in r.guess.T]) / scale
-                  for r in self.problem.records]
-        return np.concatenate([(theta - parameters.nominal) / parameters.scale, np.vstack(states).ravel()])
+    def start(self, theta: Array, points: Sequence[Array]) -> Array:
+        """Unknowns to begin with: parameters and, record by record, states (K, nx) at all points."""
+        parameters = self.problem.parameters
+        return np.concatenate([(theta - parameters.nominal) / parameters.scale,
+                               (np.vstack(points) / self.problem.dynamics.scale).ravel()])
 
     def linearised(self, x: Array) -> Linearised:
         """An answer with its rows as they change along the dynamics."""

@@ -18,7 +18,7 @@ POINTS = 3
 WIDEST = 100.0
 """Standard deviation of a first state of which nothing is known, in units of its scale."""
 ACCURACY = 1e-10
-"""Error of a simulation's steps, relative and in units of the states' scales."""
+"""Error of a simulation's steps where nothing else is asked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,6 +98,10 @@ class Record:
         share = np.arange(self.steps) / self.steps
         return np.append((self.t[:-1, None] + np.diff(self.t)[:, None] * share).ravel(), self.t[-1])
 
+    def between(self, states: Array) -> Array:
+        """(K, nx) states at all points, straight between those (N, nx) at the samples."""
+        return np.column_stack([np.interp(self.time, self.t, column) for column in states.T])
+
     def inputs(self, held: NDArray[np.bool_]) -> Array:
         """(K - 1, nu) inputs at all points but the first."""
         interval = np.repeat(np.arange(len(self.t) - 1), self.steps * POINTS)
@@ -136,8 +140,11 @@ class ShootingProblem:
                                remedy="state the accuracy of its sensor")
 
 
-def free_run(dynamics: Dynamics, record: Record, first: Array, theta: Array) -> tuple[Array, Array]:
+def free_run(dynamics: Dynamics, record: Record, first: Array, theta: Array, *,
+             accuracy: float = ACCURACY) -> tuple[Array, Array]:
     """States (N, nx) and outputs (N, ny) at a record's samples, from first states (nx,) and its inputs alone.
+
+    `accuracy` is the error of a step, relative and in units of the states' scales.
 
     Raises:
         SolverError: CVODES gave up, as it does where the states run away.
@@ -150,7 +157,7 @@ def free_run(dynamics: Dynamics, record: Record, first: Array, theta: Array) -> 
     # every interval begins anew: inputs may jump there, which a multistep method takes for an error of its own
     interval = ca.integrator("interval", "cvodes", {"x": state, "p": ca.vertcat(begin, change, span), "t": t,
                                                     "ode": rate}, 0.0, 1.0,
-                             {"reltol": ACCURACY, "abstol": ACCURACY, "max_num_steps": 100000})
+                             {"reltol": accuracy, "abstol": accuracy, "max_num_steps": 100000})
     change = np.where(dynamics.held, 0.0, np.diff(record.u, axis=0))
     try:
         end = interval.mapaccum(count)(x0=first / dynamics.scale,

@@ -8,8 +8,11 @@ constrained Gauss-Newton Hessian; the information on θ is what is left when the
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import casadi as ca
 import numpy as np
@@ -23,8 +26,10 @@ from hydroopt.estimation.correlation import correlation_time
 from hydroopt.estimation.dynamics import Record, ShootingProblem, free_run
 from hydroopt.inertia import Array
 
-PATIENCE = 60
-"""Steps after which the Gauss-Newton Hessian gives way to the exact one."""
+PATIENCE, NEAR = 60, 0.1
+"""Steps that the Gauss-Newton Hessian gets to come near, and IPOPT's error, in squares of σ, that counts as near."""
+ROUGHLY = 1e-6
+"""Error of the steps of a simulation to start from."""
 UNKNOWN = 0.5
 """Part of the prior's information below which the data's counts as telling less than the prior."""
 SHARE = 0.3
@@ -201,38 +206,54 @@ class ShootingEstimate:
 def solve(problem: ShootingProblem, start: Array | None = None) -> ShootingEstimate:
     """The most probable parameters and motion, from `start` (p,) or the nominal parameters.
 
-    By the Gauss-Newton Hessian; where much is left unexplained its steps lead nowhere, and by the exact one then.
+    The Gauss-Newton Hessian leads near, from a simulation by the start or, if it comes to nothing, from the guessed
+    states; the exact one goes on from there, since the other creeps where much is left unexplained.
 
     Raises:
         SolverError: IPOPT failed or its answer failed our check.
     """
-    try:
-        return _solved(problem, start, exact=False)
-    except SolverError:
-        return _solved(problem, start, exact=True)
+    parameters = problem.parameters
+    theta = np.clip(parameters.nominal if start is None else start, parameters.lower, parameters.upper)
+    points: Sequence[Array] | None = None
+    for first in (_simulated, _guessed):
+        with suppress(SolverError):
+            near = _solved(problem, theta, first(problem, theta), exact=False)
+            theta, points = near.theta, near.at.points
+            break
+    return _solved(problem, theta, points or _guessed(problem, theta), exact=True)
 
 
-def _solved(problem: ShootingProblem, start: Array | None, *, exact: bool) -> ShootingEstimate:
+def _simulated(problem: ShootingProblem, theta: Array) -> list[Array]:
+    found = [(r, free_run(problem.dynamics, r, r.guess[0], theta, accuracy=ROUGHLY)[0]) for r in problem.records]
+    if not all(np.all(np.isfinite(states)) for _, states in found):
+        raise SolverError("the simulation left what is possible", where=problem.name, remedy="start elsewhere")
+    return [r.between(states) for r, states in found]
+
+
+def _guessed(problem: ShootingProblem, theta: Array) -> list[Array]:
+    return [r.between(r.guess) for r in problem.records]
+
+
+def _solved(problem: ShootingProblem, theta: Array, points: Sequence[Array], *, exact: bool) -> ShootingEstimate:
     program = Program(problem)
     parameters = problem.parameters
-    begin = np.clip(parameters.nominal if start is None else start, parameters.lower, parameters.upper)
     x = ca.MX.sym("x", program.size)
     weight, multipliers, nothing = ca.MX.sym("weight"), ca.MX.sym("multipliers", program.defects), ca.MX.sym("p", 0)
     at = program.at(x, weight, multipliers)
     cost = ca.sumsqr(at.rows) / 2
     hessian = weight * (at.rows_by_x.T @ at.rows_by_x) + (at.curvature if exact else 0)
-    options = {
+    options: dict[str, Any] = {
         "grad_f": ca.Function("grad_f", [x, nothing], [cost, ca.densify(at.rows_by_x.T @ at.rows)],
                               ["x", "p"], ["f", "grad_f_x"]),
         "jac_g": ca.Function("jac_g", [x, nothing], [at.defects, at.defects_by_x], ["x", "p"], ["g", "jac_g_x"]),
         "hess_lag": ca.Function("hess_lag", [x, nothing, weight, multipliers], [ca.triu(hessian)],
                                 ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"])}
-    if not exact:
-        options["ipopt.max_iter"] = PATIENCE
+    options |= {"ipopt.mu_init": 1e-4} if exact else {"ipopt.max_iter": PATIENCE, "ipopt.tol": NEAR,
+                                                      "ipopt.dual_inf_tol": NEAR}
     free = np.full(program.size - len(parameters), np.inf)
     lower = np.concatenate([(parameters.lower - parameters.nominal) / parameters.scale, -free])
     upper = np.concatenate([(parameters.upper - parameters.nominal) / parameters.scale, free])
     zero = np.zeros(program.defects)
-    answer = solvers.solve_nlp({"x": x, "f": cost, "g": at.defects}, program.start(begin), lower, upper, zero, zero,
-                               f"identification of {problem.name}", (), options)
+    nlp, where = {"x": x, "f": cost, "g": at.defects}, f"identification of {problem.name}"
+    answer = solvers.solve_nlp(nlp, program.start(theta, points), lower, upper, zero, zero, where, (), options)
     return ShootingEstimate(problem, program.linearised(answer))
