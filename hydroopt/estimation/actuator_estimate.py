@@ -13,6 +13,7 @@ from hydroopt import dynamic_parameters, hydraulic_parameters
 from hydroopt.estimation import shooting
 from hydroopt.estimation.actuator import ActuatorProblem
 from hydroopt.estimation.dynamics import Record
+from hydroopt.estimation.estimate import Fit
 from hydroopt.estimation.shooting import ShootingEstimate
 from hydroopt.inertia import Array
 from hydroopt.machine import Machine
@@ -23,17 +24,14 @@ SETTLED = 1.0
 
 
 @dataclass(frozen=True)
-class FreeRun:
-    """How well a channel is predicted from commands and supply alone, its first state aside.
+class FreeRun(Fit):
+    """How well a channel is predicted from commands and supply alone.
 
-    RMS and largest error [`unit`], RMS as a part of the range that the channel covers, and variance accounted for.
+    Besides RMS and VAF the largest error [`unit`], and the RMS as a part of the range that the channel covers.
     """
 
-    rms: float
     largest: float
-    relative: float
-    vaf: float
-    unit: str
+    of_range: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,7 +121,7 @@ class ActuatorEstimate:
         for name, table in self.fit.items():
             for channel, fit in table.items():
                 lines.append(f"  {name:<10} {channel:<24} free run RMS {fit.rms:10.4g} {fit.unit:<4} largest "
-                             f"{fit.largest:10.4g}  {100 * fit.relative:6.2f} % of the range  "
+                             f"{fit.largest:10.4g}  {100 * fit.of_range:6.2f} % of the range  "
                              f"VAF {100 * fit.vaf:6.2f} %")
         return "\n".join(lines)
 
@@ -157,8 +155,10 @@ def free_run_fit(problem: ActuatorProblem, runs: Sequence[Run]) -> dict[str, Fre
             continue
         y, e = read[there, k], error[there, k]
         rms, spread = float(np.sqrt(np.mean(e**2))), float(np.ptp(y))
-        table[channel] = FreeRun(rms, float(np.max(np.abs(e))), rms / spread if spread else float("inf"),
-                                 float(1 - np.var(e) / np.var(y)) if spread else float("nan"), units[channel])
+        size = float(np.sqrt(np.mean(y**2)))
+        table[channel] = FreeRun(
+            rms, float(1 - np.var(e) / np.var(y)) if spread else float("nan"), rms / size if size else float("inf"),
+            units[channel], float(np.max(np.abs(e))), rms / spread if spread else float("inf"))
     return table
 
 

@@ -164,21 +164,39 @@ class ShootingEstimate:
         return free_run(self.problem.dynamics, record, first, self.theta)
 
     @cached_property
-    def doubts(self) -> tuple[str, ...]:
-        """What the readings cannot tell, in plain words."""
+    def _weak(self) -> tuple[tuple[Array, NDArray[np.intp], float], ...]:
+        """Directions (p,) about which the readings tell little, who belongs to each, and how much they tell."""
         parameters = self.problem.parameters
         prior = np.sqrt(np.diag(parameters.information))
         size = np.maximum(np.abs(self.theta), parameters.scale)
         unit = np.where(prior > 0, 1 / np.where(prior > 0, prior, 1.0), size)
         values, vectors = np.linalg.eigh(self.data * np.outer(unit, unit))
-        words = []
+        found = []
         for k in np.flatnonzero(values < UNKNOWN):
-            direction = vectors[:, k]
-            belong = np.flatnonzero(np.abs(direction) > SHARE * np.max(np.abs(direction)))
-            belong = belong[np.argsort(-np.abs(direction[belong]))]
-            words.append(self._words(direction * unit, belong, float(values[k])))
-        held = [parameters.names[k] for k in np.flatnonzero(self.at_bound)]
-        return (*words, *(f"{name} is held by a bound" for name in held))
+            weight = np.abs(vectors[:, k])
+            belong = np.flatnonzero(weight > SHARE * np.max(weight))
+            found.append((vectors[:, k] * unit, belong[np.argsort(-weight[belong])], float(values[k])))
+        return tuple(found)
+
+    def category(self, name: str) -> str:
+        """``full``, ``combination`` or ``none``, by the readings alone."""
+        k = self.problem.parameters.index(name)
+        sizes = [len(belong) for _, belong, _ in self._weak if k in belong]
+        return "full" if not sizes else "none" if min(sizes) == 1 else "combination"
+
+    @property
+    def doubts(self) -> tuple[str, ...]:
+        """What the readings cannot tell, in plain words."""
+        return (*(self._words(*weak) for weak in self._weak),
+                *(self._held(int(k)) for k in np.flatnonzero(self.at_bound)))
+
+    def _held(self, k: int) -> str:
+        """What is known of a parameter that stands at a bound."""
+        parameters, (low, high) = self.problem.parameters, self.ci95[k]
+        least = self.gradient[k] > 0
+        return (f"{parameters.names[k]} stands at its {'least' if least else 'greatest'} value, "
+                f"{(parameters.lower if least else parameters.upper)[k]:.3g} {parameters.units[k]}; 95 % lie "
+                f"{'below' if least else 'above'} {high if least else low:.3g}")
 
     def _words(self, direction: Array, belong: NDArray[np.intp], value: float) -> str:
         """One direction about which the readings tell little."""

@@ -78,12 +78,12 @@ def save(estimate: Estimate, directory: str | Path, *, wall_s: float = float("na
                                                  estimate.evidence.triangles)}
     with contextlib.suppress(ProblemError):  # the doubts and the report say which body cannot exist
         files[machine_file] = dump_machine(calibrated_machine(estimate))
-    _forget(directory, machine_file)
+    forget(directory, machine_file)
     write_files(directory, files | {"estimate.json": json.dumps(content, indent=1, allow_nan=False)})
     return content
 
 
-def _forget(directory: str | Path, machine_file: str) -> None:
+def forget(directory: str | Path, machine_file: str) -> None:
     """Remove an earlier result from the directory, so that none of it is taken for part of the next."""
     for name in ("estimate.json", "report.html", "parameters.csv", "base_parameters.csv", "fit.csv", "residuals.csv",
                  session.INFORMATION, machine_file):
@@ -116,7 +116,7 @@ def save_calibration(calibration: Calibration, directory: str | Path, *, wall_s:
              "fit.csv": _fit_csv(content["fit"]), "residuals.csv": _csv(_residual_rows(appraisal))}
     if appraisal.machine_text[0]:
         files[machine_file] = appraisal.machine_text[0]
-    _forget(directory, machine_file)
+    forget(directory, machine_file)
     write_files(directory, files | {"estimate.json": json.dumps(content, indent=1, allow_nan=False)})
     return content
 
@@ -207,7 +207,7 @@ def save_failure(problem: Problem | CalibrationProblem, method: str, error: Hydr
         ProblemError: the directory cannot be written.
     """
     content = _origin(problem, method) | {"status": "failed", "reason": str(error)}
-    _forget(directory, f"{problem.model.machine.name}.toml")
+    forget(directory, f"{problem.model.machine.name}.toml")
     write_files(directory, {"estimate.json": json.dumps(content, indent=1, allow_nan=False)})
     return content
 

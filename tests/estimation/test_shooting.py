@@ -150,7 +150,9 @@ def test_a_bound_holds_and_is_named():
     found = solve(ShootingProblem(first_order(), start, np.array([1e-3]), (driven([2.0, 1.0, -0.05]),)))
     assert found["leak"] == pytest.approx(0.0, abs=1e-7)
     assert np.isnan(found.std[2])
-    assert "leak is held by a bound" in found.doubts
+    assert found.ci95[2, 0] == 0
+    assert 0 < found.ci95[2, 1] < 0.01
+    assert any("leak stands at its least value, 0 1; 95 % lie below" in doubt for doubt in found.doubts)
 
 
 def test_errors_that_repeat_themselves_count_less():
