@@ -66,6 +66,7 @@ def drive(plant: Plant, t: Array, commands: Array, start: Array, *, supply: Arra
         raise ProblemError("the simulation came to no end", where=name,
                            remedy="give commands that keep the machine within its range") from None
     states = np.vstack([start, np.asarray(after).T])
+    _refuse_far(plant, t, states, name)
     channels = _seen(plant, states, late, given, psi, theta)
     rng = np.random.default_rng(seed)
     for channel in channels if noise else ():
@@ -76,6 +77,27 @@ def drive(plant: Plant, t: Array, commands: Array, start: Array, *, supply: Arra
     channels |= {channel: commands[:, k] for k, channel in enumerate(plant.inputs)}
     units = plant.machine.channel_units
     return Log(name, t, channels, units={channel: units[channel] for channel in channels})
+
+
+def random_numbers(plant: Plant, seed: int) -> Array:
+    """Hydraulic parameters θ (h,) drawn from the machine file's confidences, within their bounds."""
+    known, rng = plant.parameters, np.random.default_rng(seed)
+    theta = known.nominal.copy()
+    for k in np.flatnonzero(np.diag(known.information) > 0):
+        while True:
+            theta[k] = known.nominal[k] + known.scale[k] * rng.standard_normal()
+            if known.lower[k] <= theta[k] <= known.upper[k]:
+                break
+    return theta
+
+
+def _refuse_far(plant: Plant, t: Array, states: Array, name: str) -> None:
+    for k, joint in enumerate(plant.machine.joints):
+        lower, upper = plant.machine.link(joint).joint.range
+        beyond = np.flatnonzero(~((states[:, k] >= lower) & (states[:, k] <= upper)))
+        if beyond.size:
+            raise ProblemError(f"the commands drive {joint} out of its range after {t[beyond[0]] - t[0]:.2f} s",
+                               where=name, remedy="give others, for a shorter time, or begin elsewhere")
 
 
 def arrived(t: Array, command: Array, delay: float) -> Array:

@@ -9,16 +9,21 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from hydroopt import synthetic
+from hydroopt import driving, synthetic
 from hydroopt.cli.options import Directory, MachineName, MapFile, ParameterSetName, Quiet, progress
 from hydroopt.description import load_machine
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.estimation.experiment import reading
 from hydroopt.files import write_files
+from hydroopt.inertia import Array
 from hydroopt.machine import Machine
 from hydroopt.model.build import Model
+from hydroopt.model.plant import Plant
 from hydroopt.signals.conditioning import SmoothingSpline, condition
 from hydroopt.signals.log import Log, read_log
+
+HALVED = 6
+"""How often a random motion is halved until the supply can drive it."""
 
 
 def simulate(
@@ -26,6 +31,10 @@ def simulate(
     output: Directory,
     motion: Annotated[Path | None, typer.Option(
         help="Log whose joint positions are to be followed; else random.")] = None,
+    driven: Annotated[bool, typer.Option("--driven", help=(
+        "Drive the valves, open loop, by commands for that motion; the log holds commands, supply and what they do."
+        ))] = False,
+    commands: Annotated[Path | None, typer.Option(help="Log whose commands drive the valves.")] = None,
     map_file: MapFile = None,
     duration: Annotated[float | None, typer.Option(help="Of a random motion [s]; 33.28 if not given.")] = None,
     rate: Annotated[float | None, typer.Option(help=(
@@ -48,13 +57,25 @@ def simulate(
                            remedy="leave out --duration and --rate, or --motion")
     if truth not in ("nominal", "random"):
         raise ProblemError(f"'{truth}' is no truth", where="--truth", remedy="use nominal or random")
+    if commands is not None and (driven or motion is not None or duration is not None or rate is not None):
+        raise ProblemError("given commands make a motion of their own", where="--commands",
+                           remedy="leave out --driven, --motion, --duration and --rate")
+    draw, random = seed if truth_seed is None else truth_seed, truth == "random"
     with progress("simulating", quiet):
-        path = (_random(model, duration, rate, seed) if motion is None
-                else followed(described, read_log(motion, mapping=map_file)))
-        psi = (synthetic.random_truth(model, seed if truth_seed is None else truth_seed) if truth == "random"
-               else model.parameters.nominal)
-        log = synthetic.simulate(model, path, psi, noise=noise, seed=seed, name=described.name)
-    named = dict(zip(model.parameters.names, psi.tolist(), strict=True))
+        psi = synthetic.random_truth(model, draw) if random else model.parameters.nominal
+        named = dict(zip(model.parameters.names, psi.tolist(), strict=True))
+        if driven or commands is not None:
+            plant = Plant(model)
+            theta = driving.random_numbers(plant, draw) if random else plant.parameters.nominal
+            named |= zip(plant.parameters.names, theta.tolist(), strict=True)
+            given = (_commands(plant, read_log(commands, mapping=map_file)) if commands is not None
+                     else _driving(plant, _random(model, duration, rate, seed), smaller=True) if motion is None
+                     else _driving(plant, followed(described, read_log(motion, mapping=map_file)), smaller=False))
+            log = driving.drive(plant, *given, psi=psi, theta=theta, noise=noise, seed=seed, name=described.name)
+        else:
+            path = (_random(model, duration, rate, seed) if motion is None
+                    else followed(described, read_log(motion, mapping=map_file)))
+            log = synthetic.simulate(model, path, psi, noise=noise, seed=seed, name=described.name)
     write_files(output, {})  # the directory
     file = output / ("log.parquet" if parquet else "log.csv")
     log.write(file)
@@ -68,6 +89,29 @@ def simulate(
 def _random(model: Model, duration: float | None, rate: float | None, seed: int) -> synthetic.Trajectory:
     return synthetic.random_trajectory(model, duration=33.28 if duration is None else duration,
                                        rate=synthetic.sampling_rate(model.machine) if rate is None else rate, seed=seed)
+
+
+def _driving(plant: Plant, motion: synthetic.Trajectory, *, smaller: bool) -> tuple[Array, Array, Array]:
+    """Times, commands for a motion, and the posture to begin with; half the motion as often as the supply needs it."""
+    for k in range(HALVED + 1):
+        part, middle = 0.5**k, np.mean(motion.q, axis=0)
+        try:
+            scaled = synthetic.Trajectory(motion.t, middle + part * (motion.q - middle), part * motion.qd,
+                                          part * motion.qdd)
+            return motion.t, driving.commands_for(plant, scaled), scaled.q[0]
+        except ProblemError:
+            if not smaller or k == HALVED:
+                raise
+    raise AssertionError
+
+
+def _commands(plant: Plant, log: Log) -> tuple[Array, Array, Array]:
+    """Times and commands of a log, and the posture that it begins with; the middle of the ranges where it says none."""
+    machine = plant.machine
+    u = np.column_stack([reading(machine, log, channel) for channel in plant.inputs])
+    begin = [reading(machine, log, f"{joint}.q")[0] if f"{joint}.q" in log.channels
+             else np.mean(machine.link(joint).joint.range) for joint in machine.joints]
+    return log.t, u, np.array(begin)
 
 
 def followed(machine: Machine, log: Log) -> synthetic.Trajectory:
