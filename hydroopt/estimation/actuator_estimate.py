@@ -140,7 +140,7 @@ def identify_actuators(problem: ActuatorProblem, start: Array | None = None) -> 
         SolverError: no trustworthy answer.
     """
     first = shooting.solve(problem.shooting, start)
-    return ActuatorEstimate(problem, shooting.solve(first.reweighted, first.theta))
+    return ActuatorEstimate(problem, shooting.solve(first.reweighted, first))
 
 
 def free_run_fit(problem: ActuatorProblem, runs: Sequence[Run]) -> dict[str, FreeRun]:

@@ -221,8 +221,8 @@ class ShootingEstimate:
         return f"{', '.join(names[:-1])} and {names[-1]} show only together; {decides} between them"
 
 
-def solve(problem: ShootingProblem, start: Array | None = None) -> ShootingEstimate:
-    """The most probable parameters and motion, from `start` (p,) or the nominal parameters.
+def solve(problem: ShootingProblem, start: Array | ShootingEstimate | None = None) -> ShootingEstimate:
+    """The most probable parameters and motion, from `start` (p,), an estimate nearby, or the nominal parameters.
 
     The Gauss-Newton Hessian leads near, from a simulation by the start or, if it comes to nothing, from the guessed
     states; the exact one goes on from there, since the other creeps where much is left unexplained.
@@ -230,6 +230,8 @@ def solve(problem: ShootingProblem, start: Array | None = None) -> ShootingEstim
     Raises:
         SolverError: IPOPT failed or its answer failed our check.
     """
+    if isinstance(start, ShootingEstimate):
+        return _solved(problem, start.theta, start.at.points, exact=True)
     parameters = problem.parameters
     theta = np.clip(parameters.nominal if start is None else start, parameters.lower, parameters.upper)
     points: Sequence[Array] | None = None
