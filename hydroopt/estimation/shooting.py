@@ -27,7 +27,8 @@ from hydroopt.estimation.dynamics import Record, ShootingProblem, free_run
 from hydroopt.inertia import Array
 
 PATIENCE, NEAR = 60, 0.1
-"""Steps that the Gauss-Newton Hessian gets to come near, and IPOPT's error, in squares of σ, that counts as near."""
+"""Steps that the Gauss-Newton Hessian gets to come near (the exact one gets five times as many), and IPOPT's error, in
+squares of σ, that counts as near."""
 ROUGHLY = 1e-6
 """Error of the steps of a simulation to start from."""
 UNKNOWN = 0.5
@@ -224,8 +225,8 @@ class ShootingEstimate:
 def solve(problem: ShootingProblem, start: Array | ShootingEstimate | None = None) -> ShootingEstimate:
     """The most probable parameters and motion, from `start` (p,), an estimate nearby, or the nominal parameters.
 
-    The Gauss-Newton Hessian leads near, from a simulation by the start or, if it comes to nothing, from the guessed
-    states; the exact one goes on from there, since the other creeps where much is left unexplained.
+    It begins with a simulation by the start or, if that comes to nothing, with the guessed states. The Gauss-Newton
+    Hessian leads near, if it does; the exact one goes on, since the other creeps where much is left unexplained.
 
     Raises:
         SolverError: IPOPT failed or its answer failed our check.
@@ -234,13 +235,17 @@ def solve(problem: ShootingProblem, start: Array | ShootingEstimate | None = Non
         return _solved(problem, start.theta, start.at.points, exact=True)
     parameters = problem.parameters
     theta = np.clip(parameters.nominal if start is None else start, parameters.lower, parameters.upper)
-    points: Sequence[Array] | None = None
-    for first in (_simulated, _guessed):
-        with suppress(SolverError):
-            near = _solved(problem, theta, first(problem, theta), exact=False)
-            theta, points = near.theta, near.at.points
-            break
-    return _solved(problem, theta, points or _guessed(problem, theta), exact=True)
+    try:
+        return _solved_near(problem, theta, _simulated(problem, theta))
+    except SolverError:
+        return _solved_near(problem, theta, _guessed(problem, theta))
+
+
+def _solved_near(problem: ShootingProblem, theta: Array, points: Sequence[Array]) -> ShootingEstimate:
+    with suppress(SolverError):
+        near = _solved(problem, theta, points, exact=False)
+        theta, points = near.theta, near.at.points
+    return _solved(problem, theta, points, exact=True)
 
 
 def _simulated(problem: ShootingProblem, theta: Array) -> list[Array]:
@@ -268,8 +273,8 @@ def _solved(problem: ShootingProblem, theta: Array, points: Sequence[Array], *, 
         "jac_g": ca.Function("jac_g", [x, nothing], [at.defects, at.defects_by_x], ["x", "p"], ["g", "jac_g_x"]),
         "hess_lag": ca.Function("hess_lag", [x, nothing, weight, multipliers], [ca.triu(hessian)],
                                 ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"])}
-    options |= {"ipopt.mu_init": 1e-4} if exact else {"ipopt.max_iter": PATIENCE, "ipopt.tol": NEAR,
-                                                      "ipopt.dual_inf_tol": NEAR}
+    options |= ({"ipopt.max_iter": 5 * PATIENCE, "ipopt.mu_init": 1e-4} if exact else
+                {"ipopt.max_iter": PATIENCE, "ipopt.tol": NEAR, "ipopt.dual_inf_tol": NEAR})
     free = np.full(program.size - len(parameters), np.inf)
     lower = np.concatenate([(parameters.lower - parameters.nominal) / parameters.scale, -free])
     upper = np.concatenate([(parameters.upper - parameters.nominal) / parameters.scale, free])
