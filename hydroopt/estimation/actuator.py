@@ -205,13 +205,14 @@ def _joined(plant: Plant, psi: NDArray[np.intp], theta: NDArray[np.intp], bodies
 
 
 def _sensed(plant: Plant, logs: Sequence[Log]) -> tuple[tuple[str, ...], Array]:
-    """Channels that some log has, with the σ of their sensors.
+    """Channels that some log has, with the σ of their sensors; the supply's pressure only if it has a sensor.
 
     Raises:
         ProblemError: the file does not state a sensor.
     """
     machine = plant.machine
-    there = [channel for channel in _seen(plant) if any(channel in log.channels for log in logs)]
+    there = [channel for channel in _seen(plant) if any(channel in log.channels for log in logs)
+             and (channel != SUPPLY[0] or machine.sensor(channel))]
     stated = {channel: sensor.std for channel in there if (sensor := machine.sensor(channel)) is not None}
     missing = [channel for channel in there if not stated.get(channel, 0.0) > 0]
     if missing:

@@ -175,12 +175,13 @@ def changes(groups: Sequence[tuple[str, list[Change]]], columns: int = 4) -> Fig
     reach = max(abs(x) for _, group in groups for c in group for x in (c.change, c.low, c.high))
     reach = min(CLIP, max(2.6, 1.08 * reach))
     height = 0.155 * length + 0.75
+    margin = max(0.95, 0.075 * max(len(c.name) for _, group in groups for c in group))  # inches for the names
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, height))
         for i, column in enumerate(filled):
-            left, width = (0.95 + i * WIDTH / columns) / WIDTH, (WIDTH / columns - 1.1) / WIDTH
+            left, width = (margin + i * WIDTH / columns) / WIDTH, (WIDTH / columns - margin - 0.15) / WIDTH
             ax = figure.add_axes((left, 0.45 / height, width, 1 - 0.75 / height))
-            _change_column(ax, column, reach, length)
+            _change_column(ax, column, reach, length, margin)
             ax.set_xlabel("change [standard deviations]")
         handles: list[Line2D | Patch] = [
             Line2D([], [], color=BLUE, marker="o", ms=4, label="identifiable alone"),
@@ -230,7 +231,8 @@ def _columns(groups: Sequence[tuple[str, list[Change]]], columns: int) -> list[l
     return [column for column in filled if column]
 
 
-def _change_column(ax: Axes, column: Sequence[tuple[str, list[Change]]], reach: float, length: float) -> None:
+def _change_column(ax: Axes, column: Sequence[tuple[str, list[Change]]], reach: float, length: float,
+                   margin: float) -> None:
     ax.axvspan(-1.96, 1.96, color=GREY, alpha=0.15, lw=0)
     ax.axvline(0, color=GREY, lw=0.8)
     ticks: list[float] = []
@@ -238,7 +240,7 @@ def _change_column(ax: Axes, column: Sequence[tuple[str, list[Change]]], reach: 
     looks: dict[tuple[str, str, bool], list[tuple[float, Change]]] = {}
     y = 0.0
     for owner, group in column:
-        ax.annotate(owner, (0, y + 0.6), xycoords=ax.get_yaxis_transform(), xytext=(-62, 0),
+        ax.annotate(owner, (0, y + 0.6), xycoords=ax.get_yaxis_transform(), xytext=(6.4 - 72 * margin, 0),
                     textcoords="offset points", va="center", weight="bold", annotation_clip=False)
         y += 1.6
         for c in group:
