@@ -29,6 +29,8 @@ from hydroopt.inertia import Array
 PATIENCE, NEAR = 60, 0.1
 """Steps that the Gauss-Newton Hessian gets to come near (the exact one gets five times as many), and IPOPT's error, in
 squares of σ, that counts as near."""
+ASTRAY = 3.0
+"""How many times the stated errors must be exceeded for another start to be tried."""
 ROUGHLY = 1e-6
 """Error of the steps of a simulation to start from."""
 UNKNOWN = 0.5
@@ -225,8 +227,9 @@ class ShootingEstimate:
 def solve(problem: ShootingProblem, start: Array | ShootingEstimate | None = None) -> ShootingEstimate:
     """The most probable parameters and motion, from `start` (p,), an estimate nearby, or the nominal parameters.
 
-    It begins with a simulation by the start or, if that comes to nothing, with the guessed states. The Gauss-Newton
-    Hessian leads near, if it does; the exact one goes on, since the other creeps where much is left unexplained.
+    It begins with a simulation by the start or, if that comes to nothing or far from the readings, with the guessed
+    states. The Gauss-Newton Hessian leads near, if it does; the exact one goes on, since the other creeps where much is
+    left unexplained.
 
     Raises:
         SolverError: IPOPT failed or its answer failed our check.
@@ -235,10 +238,20 @@ def solve(problem: ShootingProblem, start: Array | ShootingEstimate | None = Non
         return _solved(problem, start.theta, start.at.points, exact=True)
     parameters = problem.parameters
     theta = np.clip(parameters.nominal if start is None else start, parameters.lower, parameters.upper)
-    try:
-        return _solved_near(problem, theta, _simulated(problem, theta))
-    except SolverError:
-        return _solved_near(problem, theta, _guessed(problem, theta))
+    best: ShootingEstimate | None = None
+    for first in (_simulated, _guessed):
+        try:
+            found = _solved_near(problem, theta, first(problem, theta))
+        except SolverError:
+            if best is None and first is _guessed:
+                raise
+            continue
+        if best is None or np.sum(found.at.rows**2) < np.sum(best.at.rows**2):
+            best = found
+        if best.residual_scale < ASTRAY:
+            break
+    assert best is not None
+    return best
 
 
 def _solved_near(problem: ShootingProblem, theta: Array, points: Sequence[Array]) -> ShootingEstimate:
