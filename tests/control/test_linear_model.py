@@ -15,7 +15,10 @@ from hydroopt.model.plant import Plant
 
 @pytest.fixture(scope="module")
 def crane():
-    plant = Plant(ho.Model(ho.load_machine("patu655_lift")))
+    """The log crane without the air in its oil."""
+    data = ho.load_machine("patu655_lift").model_dump()
+    data["cylinders"][0]["circuit"]["air_b"] = None
+    plant = Plant(ho.Model(ho.Machine.model_validate(data)))
     return plant, plant.model.parameters.nominal, plant.parameters.nominal
 
 

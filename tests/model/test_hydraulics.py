@@ -10,7 +10,13 @@ from hydroopt.model.plant import Plant
 
 
 def plant(name="patu655_lift"):
-    return Plant(ho.Model(ho.load_machine(name)))
+    """A bundled machine; the log crane without its air, with an own flow for each edge."""
+    data = ho.load_machine(name).model_dump()
+    if name == "patu655_lift":
+        circuit = data["cylinders"][0]["circuit"]
+        circuit["air_b"] = circuit["valve"]["rated_flow"] = None
+        circuit["valve"] |= {"flow_pa": 62 / 6e4, "flow_at": 72 / 6e4, "flow_pb": 72 / 6e4, "flow_bt": 62 / 6e4}
+    return Plant(ho.Model(ho.Machine.model_validate(data)))
 
 
 def value_of(subject, k=0):
