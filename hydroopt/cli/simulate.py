@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import json
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -23,7 +26,9 @@ from hydroopt.signals.conditioning import SmoothingSpline, condition
 from hydroopt.signals.log import Log, read_log
 
 HALVED = 6
-"""How often a random motion is halved until the supply can drive it."""
+"""How often a random motion is halved until the supply can drive it and it keeps within its range."""
+Given = tuple[Array, Array, Array]
+"""Times, commands and the posture to begin with."""
 
 
 def simulate(
@@ -68,10 +73,15 @@ def simulate(
             plant = Plant(model)
             theta = driving.random_numbers(plant, draw) if random else plant.parameters.nominal
             named |= zip(plant.parameters.names, theta.tolist(), strict=True)
-            given = (_commands(plant, read_log(commands, mapping=map_file)) if commands is not None
-                     else _driving(plant, _random(model, duration, rate, seed), smaller=True) if motion is None
-                     else _driving(plant, followed(described, read_log(motion, mapping=map_file)), smaller=False))
-            log = driving.drive(plant, *given, psi=psi, theta=theta, noise=noise, seed=seed, name=described.name)
+            if commands is not None:
+                tries = [lambda: _commands(plant, read_log(commands, mapping=map_file))]
+            else:
+                path = (_random(model, duration, rate, seed) if motion is None
+                        else followed(described, read_log(motion, mapping=map_file)))
+                sizes = 0.5 ** np.arange(1 if motion is not None else HALVED + 1)
+                tries = [partial(_driving, plant, path, psi, theta, float(size)) for size in sizes]
+            log = _first_possible(tries, lambda given: driving.drive(
+                plant, *given, psi=psi, theta=theta, noise=noise, seed=seed, name=described.name))
         else:
             path = (_random(model, duration, rate, seed) if motion is None
                     else followed(described, read_log(motion, mapping=map_file)))
@@ -91,21 +101,31 @@ def _random(model: Model, duration: float | None, rate: float | None, seed: int)
                                        rate=synthetic.sampling_rate(model.machine) if rate is None else rate, seed=seed)
 
 
-def _driving(plant: Plant, motion: synthetic.Trajectory, *, smaller: bool) -> tuple[Array, Array, Array]:
-    """Times, commands for a motion, and the posture to begin with; half the motion as often as the supply needs it."""
-    for k in range(HALVED + 1):
-        part, middle = 0.5**k, np.mean(motion.q, axis=0)
-        try:
-            scaled = synthetic.Trajectory(motion.t, middle + part * (motion.q - middle), part * motion.qd,
-                                          part * motion.qdd)
-            return motion.t, driving.commands_for(plant, scaled), scaled.q[0]
-        except ProblemError:
-            if not smaller or k == HALVED:
-                raise
-    raise AssertionError
+def _driving(plant: Plant, motion: synthetic.Trajectory, psi: Array, theta: Array,
+             size: float) -> Given:
+    """Times, commands for a part of a motion about its middle, and the posture to begin with.
+
+    The commands are those of an operator who sees what the machine does: its true numbers tell them.
+    """
+    middle = np.mean(motion.q, axis=0)
+    part = synthetic.Trajectory(motion.t, middle + size * (motion.q - middle), size * motion.qd, size * motion.qdd)
+    return motion.t, driving.commands_for(plant, part, psi, theta), part.q[0]
 
 
-def _commands(plant: Plant, log: Log) -> tuple[Array, Array, Array]:
+def _first_possible(tries: Sequence[Callable[[], Given]], drive: Callable[[Given], Log]) -> Log:
+    """The log of the first commands that supply and ranges allow.
+
+    Raises:
+        ProblemError: none of them do.
+    """
+    *most, last = tries
+    for each in most:
+        with suppress(ProblemError):
+            return drive(each())
+    return drive(last())
+
+
+def _commands(plant: Plant, log: Log) -> Given:
     """Times and commands of a log, and the posture that it begins with; the middle of the ranges where it says none."""
     machine = plant.machine
     u = np.column_stack([reading(machine, log, channel) for channel in plant.inputs])
