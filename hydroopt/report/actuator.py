@@ -57,7 +57,7 @@ def save(estimate: ActuatorEstimate, directory: str | Path, *, wall_s: float = f
              "fit.csv": table([{"data": data, "channel": channel, **one} for data, channels in content["fit"].items()
                                for channel, one in channels.items()]),
              "free_run.csv": table(list(_samples(estimate)))}
-    _forget(directory, machine_file)
+    forget(directory, machine_file)
     write_files(directory, files | {"estimate.json": json.dumps(content, indent=1, allow_nan=False)})
     return content
 
@@ -69,14 +69,9 @@ def save_failure(problem: ActuatorProblem, error: HydrooptError, directory: str 
         ProblemError: the directory cannot be written.
     """
     content = _origin(problem) | {"status": "failed", "reason": str(error)}
-    _forget(directory, f"{problem.plant.machine.name}.toml")
+    forget(directory, f"{problem.plant.machine.name}.toml")
     write_files(directory, {"estimate.json": json.dumps(content, indent=1, allow_nan=False)})
     return content
-
-
-def _forget(directory: str | Path, machine_file: str) -> None:
-    forget(directory, machine_file)
-    (Path(directory) / "free_run.csv").unlink(missing_ok=True)
 
 
 def as_dict(estimate: ActuatorEstimate, wall_s: float = float("nan")) -> dict[str, Any]:

@@ -86,7 +86,7 @@ def save(estimate: Estimate, directory: str | Path, *, wall_s: float = float("na
 def forget(directory: str | Path, machine_file: str) -> None:
     """Remove an earlier result from the directory, so that none of it is taken for part of the next."""
     for name in ("estimate.json", "report.html", "parameters.csv", "base_parameters.csv", "fit.csv", "residuals.csv",
-                 session.INFORMATION, machine_file):
+                 "free_run.csv", session.INFORMATION, machine_file):
         with contextlib.suppress(OSError):  # not there, or the directory is no directory, which writing will say
             (Path(directory) / name).unlink()
 
