@@ -23,11 +23,11 @@ from hydroopt import solvers
 from hydroopt.errors import SolverError
 from hydroopt.estimation.collocation import Linearised, Program
 from hydroopt.estimation.correlation import correlation_time
-from hydroopt.estimation.dynamics import Record, ShootingProblem, free_run
+from hydroopt.estimation.dynamics import POINTS, Record, ShootingProblem, free_run
 from hydroopt.inertia import Array
 
 PATIENCE, NEAR = 60, 0.1
-"""Steps that the Gauss-Newton Hessian gets to come near (the exact one gets five times as many), and IPOPT's error, in
+"""Steps that the Gauss-Newton Hessian gets to come near (the exact one gets twice as many), and IPOPT's error, in
 squares of σ, that counts as near."""
 ASTRAY = 3.0
 """How many times the stated errors must be exceeded for another start to be tried."""
@@ -227,9 +227,9 @@ class ShootingEstimate:
 def solve(problem: ShootingProblem, start: Array | ShootingEstimate | None = None) -> ShootingEstimate:
     """The most probable parameters and motion, from `start` (p,), an estimate nearby, or the nominal parameters.
 
-    It begins with a simulation by the start or, if that comes to nothing or far from the readings, with the guessed
-    states. The Gauss-Newton Hessian leads near, if it does; the exact one goes on, since the other creeps where much is
-    left unexplained.
+    It begins with a simulation by the start or, if that comes to nothing, with the guessed states. The Gauss-Newton
+    Hessian leads near, if it does; the exact one goes on, since the other creeps where much is left unexplained. Finer
+    intervals than the samples' come last.
 
     Raises:
         SolverError: IPOPT failed or its answer failed our check.
@@ -238,20 +238,26 @@ def solve(problem: ShootingProblem, start: Array | ShootingEstimate | None = Non
         return _solved(problem, start.theta, start.at.points, exact=True)
     parameters = problem.parameters
     theta = np.clip(parameters.nominal if start is None else start, parameters.lower, parameters.upper)
-    best: ShootingEstimate | None = None
-    for first in (_simulated, _guessed):
-        try:
-            found = _solved_near(problem, theta, first(problem, theta))
-        except SolverError:
-            if best is None and first is _guessed:
-                raise
-            continue
-        if best is None or np.sum(found.at.rows**2) < np.sum(best.at.rows**2):
-            best = found
-        if best.residual_scale < ASTRAY:
-            break
-    assert best is not None
-    return best
+    coarse = replace(problem, records=tuple(replace(record, steps=1) for record in problem.records))
+    best = _best(coarse, theta)
+    if all(record.steps == 1 for record in problem.records):
+        return best
+    finer = [r.between(points[::POINTS]) for r, points in zip(problem.records, best.at.points, strict=True)]
+    return _solved(problem, best.theta, finer, exact=True)
+
+
+def _best(problem: ShootingProblem, theta: Array) -> ShootingEstimate:
+    """From a simulation or, if that comes to nothing or far from the readings, from guessed states, too."""
+    try:
+        found = _solved_near(problem, theta, _simulated(problem, theta))
+        if found.residual_scale < ASTRAY:
+            return found
+    except SolverError:
+        return _solved_near(problem, theta, _guessed(problem, theta))
+    with suppress(SolverError):
+        other = _solved_near(problem, theta, _guessed(problem, theta))
+        return min(found, other, key=lambda one: float(np.sum(one.at.rows**2)))
+    return found
 
 
 def _solved_near(problem: ShootingProblem, theta: Array, points: Sequence[Array]) -> ShootingEstimate:
@@ -286,7 +292,7 @@ def _solved(problem: ShootingProblem, theta: Array, points: Sequence[Array], *, 
         "jac_g": ca.Function("jac_g", [x, nothing], [at.defects, at.defects_by_x], ["x", "p"], ["g", "jac_g_x"]),
         "hess_lag": ca.Function("hess_lag", [x, nothing, weight, multipliers], [ca.triu(hessian)],
                                 ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"])}
-    options |= ({"ipopt.max_iter": 5 * PATIENCE, "ipopt.mu_init": 1e-4} if exact else
+    options |= ({"ipopt.max_iter": 2 * PATIENCE, "ipopt.mu_init": 1e-4} if exact else
                 {"ipopt.max_iter": PATIENCE, "ipopt.tol": NEAR, "ipopt.dual_inf_tol": NEAR})
     free = np.full(program.size - len(parameters), np.inf)
     lower = np.concatenate([(parameters.lower - parameters.nominal) / parameters.scale, -free])
