@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from scipy.stats import truncnorm
 
 from hydroopt import solvers
-from hydroopt.errors import SolverError
+from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.collocation import Linearised, Program
 from hydroopt.estimation.correlation import correlation_time
 from hydroopt.estimation.dynamics import POINTS, Record, ShootingProblem, free_run
@@ -159,11 +159,15 @@ class ShootingEstimate:
             first: states to begin with.
 
         Raises:
+            ProblemError: the record was not fitted, and no first states are given.
             SolverError: the states run away.
         """
         if first is None:
             known = [k for k, own in enumerate(self.problem.records) if own is record]
-            first = self.at.points[known[0]][0] if known else record.guess[0]
+            if not known:
+                raise ProblemError("this record was not fitted, so that its first states are not known",
+                                   where=record.name, remedy="give them")
+            first = self.at.points[known[0]][0]
         return free_run(self.problem.dynamics, record, first, self.theta)
 
     @cached_property
@@ -238,10 +242,10 @@ def solve(problem: ShootingProblem, start: Array | ShootingEstimate | None = Non
         return _solved(problem, start.theta, start.at.points, exact=True)
     parameters = problem.parameters
     theta = np.clip(parameters.nominal if start is None else start, parameters.lower, parameters.upper)
+    if all(record.steps == 1 for record in problem.records):
+        return _best(problem, theta)
     coarse = replace(problem, records=tuple(replace(record, steps=1) for record in problem.records))
     best = _best(coarse, theta)
-    if all(record.steps == 1 for record in problem.records):
-        return best
     finer = [r.between(points[::POINTS]) for r, points in zip(problem.records, best.at.points, strict=True)]
     return _solved(problem, best.theta, finer, exact=True)
 
