@@ -1,0 +1,220 @@
+"""The plant as a sampled controller meets it about a point of its motion, and the margins of the loops that it closes.
+
+Commands are held between the samples and arrive later by the delays of the valves; both enter exactly.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple, Protocol
+
+import control
+import numpy as np
+
+from hydroopt.control.linear import signal, state_space
+from hydroopt.inertia import Array
+from hydroopt.model.plant import Plant, Steady
+
+FREQUENCIES = 400
+"""At which loops are looked at, up to half the sampling rate."""
+SLOWEST = 2e-4
+"""Lowest of these, as a part of the sampling rate."""
+
+
+class Reading(NamedTuple):
+    """What a controller gets at a sample: lengths and forces (n,) of the actuators, pressures (2,) of the supply.
+
+    `q` (n,) are the joints' angles that the lengths follow from.
+    """
+
+    q: Array
+    length: Array
+    force: Array
+    supply: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Point:
+    """A posture with speeds at which the machine moves steadily.
+
+    Attributes:
+        name: in words.
+        q, qd: of the joints (n,).
+        length, speed: of the actuators (n,).
+        pressure: of their chambers (n, 2) [Pa].
+        lever_arm: (n, n) speeds of the actuators per speeds of the joints.
+        supply: pressures (2,) [Pa].
+        steady: state and commands.
+    """
+
+    name: str
+    q: Array
+    qd: Array
+    length: Array
+    speed: Array
+    pressure: Array
+    lever_arm: Array
+    supply: Array
+    steady: Steady
+
+
+class Linear(Protocol):
+    """A controller that can be linearised."""
+
+    def linear(self, point: Point) -> control.StateSpace:
+        """From q, forces and the supply's pressure to commands."""
+
+
+def point(plant: Plant, name: str, q: Array, qd: Array, psi: Array, theta: Array) -> Point:
+    """A point of steady motion.
+
+    Raises:
+        ProblemError: the supply cannot move the machine so.
+    """
+    steady = plant.steady(q, qd, psi, theta)
+    seen = plant.seen.call({"x": steady.x, "u": steady.u, "supply": plant.supply, "psi": psi, "theta": theta})
+    lever_arm = np.column_stack([np.asarray(plant.actuator_motion(q, unit)[1]).ravel() for unit in np.eye(len(q))])
+    length, speed = (np.asarray(seen[key]).ravel() for key in ("length", "speed"))
+    return Point(name, q, qd, length, speed, np.asarray(seen["pressure"]), lever_arm, plant.supply, steady)
+
+
+def linearised(plant: Plant, at: Point, psi: Array, theta: Array) -> control.StateSpace:
+    """From commands to q, forces of the actuators and the supply's pressure; states are divided by `plant.scale`.
+
+    Of deviations from a motion: that lever arms change along it turns an actuator's error of length into one of the
+    joint by the arm that there is at that time, and makes no error grow, so that it is left out.
+    """
+    n, scale, names = len(plant.inputs), plant.scale, plant.states
+    own = state_space(plant, at.steady, psi, theta, supply=at.supply)
+    A = own.A.copy()
+    A[[".p_" in name for name in names], :n] = 0.0
+    C = np.zeros((2 * n + 1, len(names)))
+    C[:n, :n] = np.eye(n)
+    for k, each in enumerate(plant.actuators):
+        C[n + k, [i for i, name in enumerate(names) if name.startswith(f"{each.actuator.name}.p_")]] = (
+            each.areas[0], -each.areas[1])
+    C[-1] = [name == "pump.p_supply" for name in names]
+    seen = [*names[:n], *(f"{each.actuator.name}.force" for each in plant.actuators), "pump.p_supply"]
+    return control.StateSpace(A * scale / scale[:, None], own.B / scale[:, None], C * scale, 0,
+                              states=own.state_labels, inputs=own.input_labels,
+                              outputs=[f"{signal(name)}_seen" for name in seen])
+
+
+def sampled(system: control.StateSpace, delays: Array, period: float) -> control.StateSpace:
+    """A system whose commands are held from sample to sample and arrive later by `delays` (n,) [s].
+
+    What was commanded and has not arrived is a state of its own (Åström and Wittenmark 1997).
+    """
+    A, B = system.A, system.B
+    whole = np.floor(delays / period * (1 + 1e-12)).astype(int)
+    part = np.round(np.maximum(delays - whole * period, 0.0), 12)
+    size, n = len(A), B.shape[1]
+
+    def over(seconds: float) -> tuple[Array, Array]:
+        if seconds <= 0:
+            return np.eye(size), np.zeros_like(B)
+        step = control.sample_system(control.StateSpace(A, B, np.eye(size), np.zeros((size, n))), seconds, "zoh")
+        return step.A, step.B
+
+    count = whole + (part > 0)
+    waiting = [(k, j) for k in range(n) for j in range(count[k], 0, -1)]
+    place = {entry: size + i for i, entry in enumerate(waiting)}
+    new_A, new_B = np.zeros((size + len(waiting),) * 2), np.zeros((size + len(waiting), n))
+    new_A[:size, :size] = over(period)[0]
+
+    def enter(k: int, ago: int, effect: Array) -> None:
+        if ago:
+            new_A[:size, place[k, ago]] = effect
+        else:
+            new_B[:size, k] = effect
+
+    for k in range(n):
+        rest, late = over(period - part[k])
+        enter(k, whole[k], late[:, k])
+        if part[k] > 0:
+            enter(k, count[k], rest @ over(part[k])[1][:, k])
+        for j in range(1, count[k] + 1):
+            if j == 1:
+                new_B[place[k, j], k] = 1.0
+            else:
+                new_A[place[k, j], place[k, j - 1]] = 1.0
+    names = [f"{system.input_labels[k]}_{j}_samples_ago" for k, j in waiting]
+    return control.StateSpace(
+        new_A, new_B, np.hstack([system.C, np.zeros((len(system.C), len(waiting)))]), system.D, period,
+        states=[*system.state_labels, *names], inputs=system.input_labels, outputs=system.output_labels)
+
+
+class Margin(NamedTuple):
+    """How far a loop is from instability.
+
+    Attributes:
+        point: where, in words.
+        loop: the actuator at whose command the loop is cut, all others closed.
+        gain: by which factor the gain may grow, infinite if by any; where the loop is unstable, less than one.
+        gain_at: frequency [rad/s] of that.
+        phase: by how much the phase may fall [rad]; infinite if the gain never reaches one.
+        phase_at: frequency [rad/s] of that.
+        distance: least distance of the Nyquist curve from −1.
+        damping: least damping ratio of the closed loop's poles; negative where it is unstable.
+    """
+
+    point: str
+    loop: str
+    gain: float
+    gain_at: float
+    phase: float
+    phase_at: float
+    distance: float
+    damping: float
+
+
+def frequencies(period: float) -> Array:
+    """[rad/s] at which loops are looked at."""
+    return np.geomspace(2 * np.pi * SLOWEST, np.pi, FREQUENCIES) / period
+
+
+def responses(plant: control.StateSpace, feedback: control.StateSpace, omega: Array) -> Array:
+    """L(jω) (n, ω) of each loop, cut at its command while all others are closed; negative feedback."""
+    both = control.series(plant, feedback)
+    G = np.moveaxis(np.asarray(control.frequency_response(both, omega, squeeze=False).complex), 2, 0)
+    return one_by_one(G)
+
+
+def one_by_one(G: Array, which: Sequence[int] = ()) -> Array:
+    """L (n, …) of each loop, or of some, from the responses (…, n, n) of all commands to themselves round the loops."""
+    n = G.shape[-1]
+    loops = []
+    for i in which or range(n):
+        others = [j for j in range(n) if j != i]
+        rest = np.eye(n - 1) - G[..., others, :][..., others]
+        through = G[..., i, others][..., None, :] @ np.linalg.solve(rest, G[..., others, i][..., None])
+        loops.append(-(G[..., i, i] + through[..., 0, 0]))
+    return np.array(loops)
+
+
+def poles(plant: control.StateSpace, feedback: control.StateSpace) -> Array:
+    """Of the closed loop, in the z plane."""
+    return np.asarray(control.feedback(plant, feedback, sign=1).poles())
+
+
+def margins(plant: control.StateSpace, feedback: control.StateSpace, names: Sequence[str],
+            where: str) -> tuple[list[Margin], Array, Array]:
+    """Margins of all loops, with the frequencies [rad/s] and L(jω) (n, ω) that they were read from."""
+    period = float(plant.dt)
+    omega = frequencies(period)
+    L = responses(plant, feedback, omega)
+    roots = np.log(poles(plant, feedback).astype(complex) + 1e-300)
+    damping = float(np.min(-roots.real / np.maximum(np.abs(roots), 1e-12)))
+    found = []
+    for name, loop in zip(names, L, strict=True):
+        gains, phases, distances, gain_at, phase_at, _ = control.stability_margins(
+            control.FrequencyResponseData(loop, omega, smooth=True), returnall=True)
+        # of an unstable loop the factor counts that would bring it back
+        own = [(g, w) for g, w in zip(gains, gain_at, strict=True) if (g > 1) == (damping >= 0)]
+        gain, at = min(own, key=lambda pair: abs(np.log(pair[0])), default=(np.inf, np.nan))
+        phase, crossing = min(((abs((p + 180) % 360 - 180), w) for p, w in zip(phases, phase_at, strict=True)),
+                              default=(np.inf, np.nan))
+        found.append(Margin(where, name, float(gain), float(at), float(np.radians(phase)), float(crossing),
+                            float(min(distances, default=np.inf)), damping))
+    return found, omega, L

@@ -1,0 +1,73 @@
+"""Sampled loops with delays, and their margins, against what can be derived by hand."""
+
+from __future__ import annotations
+
+import control
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+
+from hydroopt.control.sampled import margins, poles, sampled
+
+PERIOD = 0.02
+INTEGRATOR = control.StateSpace([[0.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"], states=["x"])
+
+
+def proportional(gain: float) -> control.StateSpace:
+    """u = −gain·y."""
+    return control.StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-gain]], PERIOD)
+
+
+@pytest.mark.parametrize("delay", [0.0, 0.008, 0.02, 0.034])
+def test_held_commands_that_come_late_move_an_integrator_as_they_should(delay: float) -> None:
+    """Its place at the samples is the integral of the held commands, shifted by the delay."""
+    plant = sampled(INTEGRATOR, np.array([delay]), PERIOD)
+    rng = np.random.default_rng(2)
+    u = rng.standard_normal(40)
+    x, place = np.zeros(len(plant.A)), []
+    for value in u:
+        place.append((plant.C @ x)[0])
+        x = plant.A @ x + plant.B[:, 0] * value
+    fine = np.arange(0, len(u) * PERIOD, 1e-5) + 5e-6
+    index = np.floor((fine - delay) / PERIOD).astype(int)
+    integral = np.concatenate([[0.0], np.cumsum(np.where(index >= 0, u[index], 0.0)) * 1e-5])
+    assert_allclose(place, integral[::round(PERIOD / 1e-5)][:len(u)], atol=1e-9)
+
+
+@pytest.mark.parametrize("gain", [2.0, 10.0, 30.0])
+def test_margins_of_an_integrator_with_one_sample_of_delay(gain: float) -> None:
+    """L = k·h/(z·(z − 1)): the closed loop z² − z + k·h is stable for k·h < 1, which is the gain margin.
+
+    |L| = 1 where 2·sin(θ/2) = k·h, and there the phase is −90° − 3·θ/2.
+    """
+    found, omega, L = margins(sampled(INTEGRATOR, np.array([PERIOD]), PERIOD), proportional(gain), ["loop"], "here")
+    turn = 2 * np.arcsin(gain * PERIOD / 2)
+    assert found[0].gain == pytest.approx(1 / (gain * PERIOD), rel=1e-3)
+    assert found[0].phase == pytest.approx(np.pi / 2 - 1.5 * turn, rel=1e-3)
+    assert found[0].phase_at == pytest.approx(turn / PERIOD, rel=1e-3)
+    z = np.exp(1j * omega * PERIOD)
+    assert_allclose(L[0], gain * PERIOD / (z * (z - 1)), rtol=1e-9)
+
+
+@pytest.mark.parametrize(("gain", "stable"), [(49.0, True), (51.0, False)])
+def test_stability_ends_where_the_characteristic_polynomial_says(gain: float, stable: bool) -> None:
+    plant = sampled(INTEGRATOR, np.array([PERIOD]), PERIOD)
+    (found,), _, _ = margins(plant, proportional(gain), ["loop"], "here")
+    assert (found.damping > 0) == stable
+    roots = np.roots([1, -1, gain * PERIOD])
+    assert_allclose(np.sort_complex(poles(plant, proportional(gain))), np.sort_complex(roots), atol=1e-9)
+    # of an unstable loop the factor that would bring it back
+    assert found.gain == pytest.approx(50 / gain, rel=1e-2)
+
+
+def test_a_loop_is_cut_while_the_others_stay_closed() -> None:
+    """Two integrators, the second of which also feels the first: closing one loop leaves a first-order lag."""
+    plant = control.StateSpace(np.zeros((2, 2)), [[1.0, 0.5], [0.3, 1.0]], np.eye(2), np.zeros((2, 2)),
+                               inputs=["u1", "u2"], outputs=["y1", "y2"], states=["x1", "x2"])
+    gains = np.array([3.0, 7.0])
+    feedback = control.StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), -np.diag(gains), PERIOD)
+    _, omega, L = margins(sampled(plant, np.zeros(2), PERIOD), feedback, ["a", "b"], "here")
+    # x1+ = x1 + h·(u1 + u2/2), x2+ = x2 + h·(0.3·u1 + u2), u2 = −7·x2: solved for x1 by u1
+    z = np.exp(1j * omega * PERIOD)
+    second = 0.3 * PERIOD / (z - 1 + 7 * PERIOD)
+    assert_allclose(L[0], 3 * PERIOD * (1 - 3.5 * second) / (z - 1), rtol=1e-9)
