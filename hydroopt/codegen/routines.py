@@ -8,6 +8,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from hydroopt import hydraulic_parameters
+from hydroopt.control import valves
 from hydroopt.errors import ProblemError
 from hydroopt.geometry import Geometry
 from hydroopt.inertia import NAMES, UNITS, Array
@@ -15,7 +17,9 @@ from hydroopt.machine import Machine
 from hydroopt.model.build import Model
 from hydroopt.model.kinematics import coordinates
 from hydroopt.model.loops import KinematicModel
+from hydroopt.model.plant import Plant
 from hydroopt.model.regressor import Dynamics
+from hydroopt.parts import Cylinder
 from hydroopt.spatial import triangle_angle
 
 SHORTEST = 1e-3
@@ -97,13 +101,15 @@ class Interface:
         routines: by name.
     """
 
-    def __init__(self, machine: Machine, *, fold_geometry: bool = False, course: Course | None = None) -> None:
+    def __init__(self, machine: Machine, *, fold_geometry: bool = False, course: Course | None = None,
+                 psi: Array | None = None) -> None:
         self.machine, self.course = machine, course
         self.chain = KinematicModel(machine)
         self.complete, self.reduced = Model(machine), Model(machine, actuator_inertia=False)
         self.complete.refuse_seals("codegen")
         self.folded = fold_geometry
-        psi, free, units = self.complete.parameters, self.chain.parameters, machine.channel_units
+        known, free, units = self.complete.parameters, self.chain.parameters, machine.channel_units
+        hydraulics = hydraulic_parameters.parameter_set(machine)
         factors = [(channel, factor, units[channel], f"{unit}/({units[channel]})") for each, unit in
                    zip(self.complete.force_from_pressure.values(), self.complete.force_units, strict=True)
                    for channel, factor in each.items()]
@@ -113,13 +119,15 @@ class Interface:
             "actuator": Kind(tuple(a.name for a in machine.actuators)),
             "cylinder": Kind(tuple(c.name for c in machine.cylinders)),
             "reading": Kind(tuple(f[0] for f in factors), tuple(f[2] for f in factors)),
-            "geometry": Kind(() if fold_geometry else free.names, free.units), "psi": Kind(psi.names, psi.units),
+            "geometry": Kind(() if fold_geometry else free.names, free.units), "psi": Kind(known.names, known.units),
             "reduced": Kind(self.reduced.parameters.names, self.reduced.parameters.units),
             "body": Kind(NAMES, tuple(UNITS)),
+            "theta": Kind(hydraulics.names, hydraulics.units),
             "chain": Kind(self.chain.joints, tuple(units[f"{joint}.q"] for joint in self.chain.joints))}
         self.units = {"effort": tuple(f[3] for f in factors)}
         values = {
-            "geometry": free.nominal if not fold_geometry else np.zeros(0), "psi": psi.nominal,
+            "geometry": free.nominal if not fold_geometry else np.zeros(0),
+            "psi": known.nominal if psi is None else psi, "theta": hydraulics.nominal,
             "effort": np.array([f[1] for f in factors]),
             "shortest": np.array([c.dead_length for c in machine.cylinders]),
             "longest": np.array([c.dead_length + c.stroke for c in machine.cylinders])}
@@ -128,6 +136,7 @@ class Interface:
         self.struct("params", "What calibration and identification estimate, and what the maker states.",
                     Field("geometry", ("geometry",), "SI", "numbers of the geometry"),
                     Field("psi", ("psi",), "SI", "dynamic parameters"),
+                    Field("theta", ("theta",), "SI", "parameters of valves, hoses and oil"),
                     Field("effort", ("reading",), "SI", "actuator force per unit of each reading"),
                     Field("shortest", ("cylinder",), "m", "pin distance of each cylinder when retracted"),
                     Field("longest", ("cylinder",), "m", "pin distance of each cylinder when extended"))
@@ -208,6 +217,7 @@ def _possible(interface: Interface, name: str) -> bool:
              "inverse_dynamics": len(interface.complete.parameters) > 0,
              "gravity_forces": len(interface.complete.parameters) > 0,
              "payload_update": len(interface.complete.parameters) > 0,
+             "valve_feedforward": len(machine.circuits) == len(machine.actuators),
              "closure": bool(machine.calibrator or machine.cylinders)}
     return needs.get(name, True)
 
@@ -391,6 +401,38 @@ def _payload_update(own: Interface) -> Routine:
                    gives, {"predicted": _predicted(own), "rows": rows}, own.guards(levers=True, gas=True), own.lengths)
 
 
+def _valve_feedforward(own: Interface) -> Routine:
+    plant, count = Plant(own.complete), len(own.machine.actuators)
+    rate, p_a, p_b = (own.symbol(name, count) for name in ("force_rate", "pressure_a", "pressure_b"))
+    supply, speed = own.symbol("supply", 2), own.dynamics.rates + own.symbol("speed_added", count)
+    openings, commands = [], []
+    for k, each in enumerate(plant.actuators):
+        value = plant.value(each, own.inputs["theta"])
+        length = ca.SX(0)
+        if isinstance(each.actuator, Cylinder):  # whose stroke begins where calibration finds it
+            dead = own.dynamics.geometry.value[f"{each.actuator.name}.dead_length"]
+            length = own.dynamics.cylinders[each.actuator.name].length - dead + each.actuator.dead_length
+        wide = valves.opening(each, speed[k], rate[k], length, ca.vertcat(p_a[k], p_b[k]), supply, value)
+        openings.append(ca.fmin(ca.fmax(wide, -1.0), 1.0))
+        commands.append(valves.command(each.valve, openings[-1], value))
+    motion = own.structs[own.motion()].fields
+    takes = own.struct("demand", "A motion to drive, with the pressures that the valves meet.", *motion,
+                       Field("speed_added", ("actuator",), "m/s or rad/s", "speed that a feedback adds; 0 without"),
+                       Field("force_rate", ("actuator",), "N/s or N*m/s", "how fast each force is to change"),
+                       Field("pressure_a", ("actuator",), "Pa", "in the head of a cylinder, at port A of a motor"),
+                       Field("pressure_b", ("actuator",), "Pa", "in the rod side of a cylinder, at port B of a motor"),
+                       Field("supply", (2,), "Pa", "pressures of supply and tank"))
+    gives = own.struct("commands", "What the valves are to do.",
+                       Field("force", ("actuator",), "N or N*m", "force that each actuator shows in the motion"),
+                       Field("opening", ("actuator",), "1", "of each valve, -1 to 1, positive from P to A"),
+                       Field("command", ("actuator",), "1, V or A", "to each valve"))
+    return Routine("valve_feedforward", "Valve commands for a motion, by inverse dynamics and the valves' flow.", takes,
+                   ("q", "qd", "qdd", "speed_added", "force_rate", "pressure_a", "pressure_b", "supply"), gives,
+                   {"force": _predicted(own), "opening": ca.vertcat(*openings), "command": ca.vertcat(*commands)},
+                   (*own.guards(levers=True, gas=True),
+                    Guard(supply[0] - supply[1], ">", valves.DROP, "NO_SUPPLY")), own.lengths)
+
+
 def _excitation(own: Interface, course: Course) -> Routine:
     t = own.symbol("t", 1)
     takes = own.struct("instant", "A moment of the excitation.",
@@ -403,4 +445,4 @@ ROUTINES: Mapping[str, Callable[[Interface], Routine]] = {
     "forward_kinematics": _forward_kinematics, "cylinder_state": _cylinder_state, "joint_state": _joint_state,
     "actuator_forces": _actuator_forces, "inverse_dynamics": _inverse_dynamics, "gravity_forces": _gravity_forces,
     "regressor": _regressor, "reduced_regressor": _reduced_regressor, "closure": _closure,
-    "payload_update": _payload_update}
+    "payload_update": _payload_update, "valve_feedforward": _valve_feedforward}

@@ -33,9 +33,9 @@ SUBJECTS = ("cat215b", "cat215b folded", "patu655_lift", "kr300", "panda_mukca",
 Array = np.ndarray
 Values = Mapping[str, Array]
 
-OK, OUT_OF_STROKE, NULL_POINTER, NOT_FINITE, OUT_OF_RANGE, OPEN_TRIANGLE, DEAD_POINT, NO_GAS_VOLUME = (
+OK, OUT_OF_STROKE, NULL_POINTER, NOT_FINITE, OUT_OF_RANGE, OPEN_TRIANGLE, DEAD_POINT, NO_GAS_VOLUME, NO_SUPPLY = (
     list(STATUSES).index(name) for name in ("OK", "OUT_OF_STROKE", "NULL_POINTER", "NOT_FINITE", "OUT_OF_RANGE",
-                                            "OPEN_TRIANGLE", "DEAD_POINT", "NO_GAS_VOLUME"))
+                                            "OPEN_TRIANGLE", "DEAD_POINT", "NO_GAS_VOLUME", "NO_SUPPLY"))
 ORIGIN = Origin("a test", "0" * 64)
 CONSTANTS = 1 << 20
 """Bytes that `prepare` may fill: more than any machine here needs."""
