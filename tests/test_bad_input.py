@@ -12,6 +12,7 @@ from hydroopt import cli
 sys.path.insert(0, str(Path(__file__).parent))
 import bad_actuator_cases
 import bad_compare_cases
+import bad_control_cases
 import bad_excite_cases
 import bad_hydraulics_cases
 import bad_input_cases
@@ -19,7 +20,7 @@ import bad_study_cases
 from bad_input_cases import DIGGER, GOOD_LOG, identify, show
 
 CASES = (bad_input_cases.CASES | bad_excite_cases.CASES | bad_compare_cases.CASES | bad_study_cases.CASES
-         | bad_hydraulics_cases.CASES | bad_actuator_cases.CASES)
+         | bad_hydraulics_cases.CASES | bad_actuator_cases.CASES | bad_control_cases.CASES)
 JARGON = re.compile(r"pydantic|pint|numpy|casadi|typer|click|validation error|dtype|ndarray|tuple|\w+Error\b|Traceback"
                     r"|<class|object at 0x|Input should be a valid tuple", re.IGNORECASE)
 

@@ -1,4 +1,4 @@
-"""The command `hydroopt`: show, simulate, identify, compare, calibrate, excite, study, codegen."""
+"""The command `hydroopt`: show, simulate, identify, compare, calibrate, excite, control, study, codegen."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import typer
 from hydroopt.cli.calibrate import calibrate
 from hydroopt.cli.codegen import codegen
 from hydroopt.cli.compare import compare
+from hydroopt.cli.control import control
 from hydroopt.cli.excite import excite
 from hydroopt.cli.identify import identify
 from hydroopt.cli.show import show
@@ -19,7 +20,7 @@ from hydroopt.errors import HydrooptError
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help=(
     "Calibrate hydraulically actuated manipulators: a machine file and logs in, a model with error bars out."))
-for command in (show, simulate, identify, compare, calibrate, excite, study, codegen):
+for command in (show, simulate, identify, compare, calibrate, excite, control, study, codegen):
     app.command()(command)
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]
