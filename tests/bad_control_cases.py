@@ -57,6 +57,9 @@ ALL = {
         machine=edited(edited(PATU, 'flow_pa = { value = "62 L/min"', 'flow_pa = { value = "9 L/min"'),
                        'flow_bt = { value = "62 L/min"', 'flow_bt = { value = "9 L/min"'),
         place="--trajectory: at .* s .*'lift_cylinder'.*fully open; .*slower"),
+    "load beyond the supply": control(
+        machine=edited(PATU, 'pressure = { value = "92 bar"', 'pressure = { value = "30 bar"'),
+        place=r"--trajectory: at .* s .* N of 'lift_cylinder', which 30 bar do not make; "),
     "motion beyond the joint": control(motion=path(2.0), place=r"path\.csv: lift\.q leaves the joint's range at"),
     "no motion": Case(_no_trajectory, r"none\.csv: "),
     "motion of another machine": control(motion=path().replace("lift.q", "boom.q"), place=r"path\.csv: .*'?lift\.q"),

@@ -16,6 +16,7 @@ from hydroopt.control.comparison import LQG, PI, Comparison, Setting, compare, r
 from hydroopt.control.knowledge import COMPLETE, Knowledge, nominal_of, reduced, truth
 from hydroopt.control.tuning import SENSITIVITY
 from hydroopt.control.verdict import FEEDFORWARD
+from hydroopt.description import bundled
 from hydroopt.errors import ProblemError
 from hydroopt.model.build import Model
 from hydroopt.model.plant import Plant
@@ -71,7 +72,8 @@ def control(
     motion = followed(described, read_log(trajectory, mapping=map_file))
     with progress(f"closing the loop on {described.name}", quiet) as say:
         complete = Knowledge(COMPLETE, origin.text, model, model.parameters.nominal)
-        before = nominal_of(Path(machine) / "estimate.json", model) if Path(machine).is_dir() else None
+        estimated = machine not in bundled() and Path(machine).is_dir()
+        before = nominal_of(Path(machine) / "estimate.json", model) if estimated else None
         known = [*([before] if before else ()), *([reduced(complete)] if FEEDFORWARD in kinds else ()), complete]
         setting = Setting(plant, motion, truth(true, model, seed=seed), plant.parameters.nominal,
                           rate_of(plant, rate, motion), seed if noise else None, sensitivity, gain)

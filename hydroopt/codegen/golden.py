@@ -34,13 +34,12 @@ def states(interface: Interface, count: int = STATES, seed: int = 0, *, single: 
         "speed": rng.uniform(-0.3, 0.3, (count, len(machine.cylinders))),
         "reading": rng.uniform(1e5, 2e7, (count, len(interface.kinds["reading"].names))),
         "chain_q": between({joint: ranges[joint] for joint in chain.joints}), "fixture": rng.uniform(-3, 3, (count, 3))}
-    actuators = len(machine.actuators)
-    given |= {"speed_added": rng.uniform(-0.1, 0.1, (count, actuators)),
-              "force_rate": rng.uniform(-1e5, 1e5, (count, actuators)),
-              "pressure_a": rng.uniform(1e6, 2e7, (count, actuators)),
-              "pressure_b": rng.uniform(1e6, 2e7, (count, actuators)), "supply": np.tile([2.5e7, 3e5], (count, 1))}
     given["stroke"] = given["length"] - np.array([c.dead_length for c in machine.cylinders])
     given |= {name: _generic(name, array, rng) for name, array in interface.values.items()}
+    if "valve_feedforward" in interface.routines:
+        given |= {"speed_added": rng.uniform(-0.1, 0.1, (count, n)), "force_rate": rng.uniform(-1e5, 1e5, (count, n)),
+                  "pressure_a": rng.uniform(1e6, 2e7, (count, n)), "pressure_b": rng.uniform(1e6, 2e7, (count, n)),
+                  "supply": np.tile([2.5e7, 3e5], (count, 1))}
     if interface.course is not None:
         given["t"] = rng.uniform(0, interface.course.duration, (count, 1))
     given = {name: given[name] for name in interface.inputs}

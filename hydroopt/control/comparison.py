@@ -19,7 +19,7 @@ from hydroopt.control.lqg import Lqg, design, reading_noise
 from hydroopt.control.sampled import Linear, Margin, Point, linearised, margins, point, sampled
 from hydroopt.control.tuning import SENSITIVITY, tuned
 from hydroopt.control.valves import Valves
-from hydroopt.control.verdict import FEEDFORWARD, refuse_motion, refuse_unstable
+from hydroopt.control.verdict import FEEDFORWARD, refuse_flow, refuse_opening, refuse_unstable
 from hydroopt.control.workspace import SHARE, top_speed
 from hydroopt.errors import ProblemError
 from hydroopt.inertia import Array
@@ -203,8 +203,9 @@ def compare(setting: Setting, known: Sequence[Knowledge], kinds: Sequence[str] =
     """
     best = next(each for each in known if each.name == COMPLETE)
     demands, period = setting.demands, 1 / setting.rate
+    refuse_flow(setting.plant, setting.reference.at(setting.t))
     aim = demands.by(best.model, best.psi)
-    refuse_motion(setting.plant, setting.reference.at(setting.t), aim, demands.valves)
+    refuse_opening(setting.plant, setting.t, aim, demands.valves)
     say("tuning")
     way, space = setting.points(best.psi)
     plants = setting.plants([*way, *space], best.psi)

@@ -10,6 +10,7 @@ from scipy.integrate import solve_ivp
 from scipy.interpolate import BPoly
 
 from hydroopt.control.valves import Valves
+from hydroopt.errors import ProblemError, SolverError
 from hydroopt.inertia import Array
 from hydroopt.model.build import Model
 from hydroopt.synthetic import Trajectory, forces
@@ -91,7 +92,8 @@ class Demands:
         chambers that the valves fill and empty as the forces need it: p_a' by the flow, p_b by force and p_a.
 
         Raises:
-            ProblemError: the supply cannot begin the motion.
+            ProblemError: the supply's pressure does not suffice for a force.
+            SolverError: the pressures could not be integrated.
         """
         late = lead(self.valves, period := float(self.t[1] - self.t[0]))
         # half a period resolves a jump of dry friction
@@ -102,6 +104,7 @@ class Demands:
         length, speed = (part[:, :, 0] for part in self.plant.model.over(self.plant.actuator_motion, path.q, path.qd))
         shown = forces(model, path, psi)
         force = shown - offset(model, psi)
+        self._refuse_force(times, force)
         rate = np.diff(force, axis=0, append=force[-1:]) / np.diff(times, append=times[-1] + period)[:, None]
         pressure = self._pressures(times, length, speed, force, rate)
         now = np.zeros_like(late)
@@ -126,8 +129,22 @@ class Demands:
             both = np.column_stack([p_a, (a * p_a - strength) / b])
             return np.asarray(self.valves.function(swept, rate[k], now, both, supply)[2]).ravel()
 
-        p_a = solve_ivp(rates, (times[0], times[-1]), start, "LSODA", times, rtol=1e-5, atol=1e3).y.T
+        found = solve_ivp(rates, (times[0], times[-1]), start, "LSODA", times, rtol=1e-5, atol=1e3)
+        if not found.success:
+            raise SolverError(f"the pressures of the motion cannot be integrated beyond {found.t[-1]:.2f} s",
+                              where="control", remedy="check the numbers of the machine's circuits")
+        p_a = found.y.T
         return p_a, (a * p_a - force) / b
+
+    def _refuse_force(self, times: Array, force: Array) -> None:
+        (a, b), (pump, tank) = np.array([each.areas for each in self.plant.actuators]).T, self.plant.supply
+        beyond = np.maximum(force - (a * pump - b * tank), (a * tank - b * pump) - force)
+        k, i = divmod(int(np.argmax(beyond)), len(a))
+        if beyond[k, i] >= 0:
+            raise ProblemError(
+                f"at {times[k]:.2f} s the motion demands {force[k, i]:.4g} {self.plant.model.force_units[i]} of "
+                f"'{self.plant.actuators[i].actuator.name}', which {pump / 1e5:.0f} bar do not make",
+                where="--trajectory", remedy="move where less is to be held, or correct masses or the pump's pressure")
 
 
 def offset(model: Model, psi: Array) -> Array:

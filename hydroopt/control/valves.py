@@ -59,7 +59,7 @@ def opening(each: ActuatorHydraulics, speed: ca.SX, force_rate: ca.SX, length: c
     # edges that let nothing pass leave the leaks
     leaks = each.flows(ca.SX(0), p_a, p_b, supply, lambda key: 0.0 if key in (*EDGES, "rated_flow") else value(key))
     shut = each.pressure_rates(leaks, p_a, p_b, length, speed, value)
-    unit = each.pressure_rates(Flows(ca.SX(1), ca.SX(1), ca.SX(0), ca.SX(0)), p_a, p_b, length, ca.SX(0), value)
+    unit = each.pressure_rates(Flows(ca.SX(1), ca.SX(1), ca.SX(0)), p_a, p_b, length, ca.SX(0), value)
 
     def through(edge: str, upstream: ca.SX, downstream: ca.SX) -> ca.SX:
         drop = ca.fmax(upstream - downstream, DROP)

@@ -23,15 +23,15 @@ ENOUGH_DB, ENOUGH_DEG = 6.0, 45.0
 """Gain and phase margins below which a loop is doubted."""
 
 
-def refuse_motion(plant: Plant, motion: Trajectory, aim: Demand, valves: Valves) -> None:
-    """Refuse a motion for which pump or valves are too small.
+def refuse_flow(plant: Plant, motion: Trajectory) -> None:
+    """Refuse a motion for which the pump is too small: growing chambers take what they sweep.
 
     Raises:
         ProblemError: tells the time, what is demanded and what there is.
     """
     machine, t = plant.machine, motion.t
     areas = np.array([each.areas for each in plant.actuators])
-    speed = aim.ahead.speed
+    speed = plant.model.over(plant.actuator_motion, motion.q, motion.qd)[1][:, :, 0]
     drawn = np.where(speed > 0, areas[:, 0], areas[:, 1]) * np.abs(speed)
     total = np.sum(drawn, axis=1)
     k = int(np.argmax(total))
@@ -41,6 +41,14 @@ def refuse_motion(plant: Plant, motion: Trajectory, aim: Demand, valves: Valves)
             f"{machine.pump.max_flow * 6e4:.0f} L/min", where="--trajectory",
             remedy=f"drive it {np.ceil(100 * (total[k] / machine.pump.max_flow - 1)):.0f} % slower, or move fewer "
                    "joints at a time")
+
+
+def refuse_opening(plant: Plant, t: Array, aim: Demand, valves: Valves) -> None:
+    """Refuse a motion for which a valve is too small.
+
+    Raises:
+        ProblemError: tells the time and the valve.
+    """
     opening = openings(aim, valves, plant.supply)
     k, i = divmod(int(np.argmax(np.abs(opening))), opening.shape[1])
     if abs(opening[k, i]) >= 1:

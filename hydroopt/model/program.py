@@ -15,7 +15,7 @@ from typing import NamedTuple
 import casadi as ca
 
 _NAMES = {value: name[3:].lower() for name, value in vars(ca).items() if name.startswith("OP_")}
-ODD = frozenset({"sin", "tan", "asin", "atan", "sign"})
+ODD = frozenset({"sin", "tan", "asin", "atan", "tanh", "sign"})
 EVEN = frozenset({"cos", "fabs"})
 UNARY = ODD | EVEN | {"sqrt", "acos", "exp", "log", "inv", "floor"}
 FACTORS = 12

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -47,7 +48,8 @@ def save(comparison: Comparison, directory: str | Path, *, origin: Origin, asked
     machine = setting.plant.machine
     content = {
         "schema": SCHEMA, "machine": machine_entry(machine), "origin": origin.text, "created": now(),
-        "versions": versions(), **asked, "rate": setting.rate, "truth_text": setting.true.text,
+        "versions": versions() | {"control": metadata.version("control")}, **asked, "rate": setting.rate,
+        "truth_text": setting.true.text,
         "gains": [{"actuator": each.actuator.name, "position": float(comparison.gains.position[k]),
                    "force": float(comparison.gains.force[k]), "integral_time": float(comparison.gains.integral_time[k]),
                    "filter_time": float(comparison.gains.filter_time[k])}
@@ -67,7 +69,7 @@ def save(comparison: Comparison, directory: str | Path, *, origin: Origin, asked
         code.write(where / "c")
     for name in FILES:
         (where / name).unlink(missing_ok=True)
-    write_columns_of(comparison, where / "runs.csv")
+    _write_runs(comparison, where / "runs.csv")
     write_files(where, {"report.html": page, "tracking.csv": table(rows), "margins.csv": table(margins),
                         "control.json": json.dumps(content, indent=1, allow_nan=False)})
     return content
@@ -79,7 +81,7 @@ def _complete(names: tuple[str, ...], knowledge: Knowledge) -> Array:
     return np.array([knowledge.psi[own[name]] if name in own else 0.0 for name in names])
 
 
-def write_columns_of(comparison: Comparison, file: Path) -> None:
+def _write_runs(comparison: Comparison, file: Path) -> None:
     """Reference, positions and commands of all candidates that reached the end."""
     setting = comparison.setting
     machine, plant = setting.plant.machine, setting.plant
