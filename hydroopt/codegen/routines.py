@@ -8,7 +8,6 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from hydroopt import hydraulic_parameters
 from hydroopt.control import valves
 from hydroopt.errors import ProblemError
 from hydroopt.geometry import Geometry
@@ -109,7 +108,6 @@ class Interface:
         self.complete.refuse_seals("codegen")
         self.folded = fold_geometry
         known, free, units = self.complete.parameters, self.chain.parameters, machine.channel_units
-        hydraulics = hydraulic_parameters.parameter_set(machine)
         factors = [(channel, factor, units[channel], f"{unit}/({units[channel]})") for each, unit in
                    zip(self.complete.force_from_pressure.values(), self.complete.force_units, strict=True)
                    for channel, factor in each.items()]
@@ -122,12 +120,11 @@ class Interface:
             "geometry": Kind(() if fold_geometry else free.names, free.units), "psi": Kind(known.names, known.units),
             "reduced": Kind(self.reduced.parameters.names, self.reduced.parameters.units),
             "body": Kind(NAMES, tuple(UNITS)),
-            "theta": Kind(hydraulics.names, hydraulics.units),
             "chain": Kind(self.chain.joints, tuple(units[f"{joint}.q"] for joint in self.chain.joints))}
         self.units = {"effort": tuple(f[3] for f in factors)}
         values = {
             "geometry": free.nominal if not fold_geometry else np.zeros(0),
-            "psi": known.nominal if psi is None else psi, "theta": hydraulics.nominal,
+            "psi": known.nominal if psi is None else psi,
             "effort": np.array([f[1] for f in factors]),
             "shortest": np.array([c.dead_length for c in machine.cylinders]),
             "longest": np.array([c.dead_length + c.stroke for c in machine.cylinders])}
@@ -136,7 +133,6 @@ class Interface:
         self.struct("params", "What calibration and identification estimate, and what the maker states.",
                     Field("geometry", ("geometry",), "SI", "numbers of the geometry"),
                     Field("psi", ("psi",), "SI", "dynamic parameters"),
-                    Field("theta", ("theta",), "SI", "parameters of valves, hoses and oil"),
                     Field("effort", ("reading",), "SI", "actuator force per unit of each reading"),
                     Field("shortest", ("cylinder",), "m", "pin distance of each cylinder when retracted"),
                     Field("longest", ("cylinder",), "m", "pin distance of each cylinder when extended"))
@@ -407,7 +403,7 @@ def _valve_feedforward(own: Interface) -> Routine:
     supply, speed = own.symbol("supply", 2), own.dynamics.rates + own.symbol("speed_added", count)
     openings, commands = [], []
     for k, each in enumerate(plant.actuators):
-        value = plant.value(each, own.inputs["theta"])
+        value = plant.value(each, ca.SX(ca.DM(plant.parameters.nominal)))  # built in
         length = ca.SX(0)
         if isinstance(each.actuator, Cylinder):  # whose stroke begins where calibration finds it
             dead = own.dynamics.geometry.value[f"{each.actuator.name}.dead_length"]
@@ -426,7 +422,8 @@ def _valve_feedforward(own: Interface) -> Routine:
                        Field("force", ("actuator",), "N or N*m", "force that each actuator shows in the motion"),
                        Field("opening", ("actuator",), "1", "of each valve, -1 to 1, positive from P to A"),
                        Field("command", ("actuator",), "1, V or A", "to each valve"))
-    return Routine("valve_feedforward", "Valve commands for a motion, by inverse dynamics and the valves' flow.", takes,
+    return Routine("valve_feedforward", "Forces of a motion, and commands at which the valves, as the machine file "
+                   "states them, bring it about.", takes,
                    ("q", "qd", "qdd", "speed_added", "force_rate", "pressure_a", "pressure_b", "supply"), gives,
                    {"force": _predicted(own), "opening": ca.vertcat(*openings), "command": ca.vertcat(*commands)},
                    (*own.guards(levers=True, gas=True),

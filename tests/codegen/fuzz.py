@@ -217,7 +217,8 @@ _LENGTHS = """\
 """
 
 _SCALES = {"q": 4.0, "qd": 3.0, "qdd": 10.0, "chain_q": 4.0, "fixture": 5.0, "stroke": 1.0, "length": 4.0, "speed": 1.0,
-           "reading": 3e7, "force": 1e5, "std": 1e3}
+           "reading": 3e7, "force": 1e5, "std": 1e3, "speed_added": 1.0, "force_rate": 1e6, "pressure_a": 3e7,
+           "pressure_b": 3e7, "supply": 3e7}
 
 
 def driver(code: Code) -> str:

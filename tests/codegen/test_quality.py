@@ -32,7 +32,7 @@ OPTIMISED = {"cat215b": "-O2", "patu655_lift": "-O2", "kr300": "-O2", "panda_muk
 """How machines are compiled where it takes the optimiser's time."""
 MACHINES = tuple(OPTIMISED)
 SINGLE = {f"{name}f" for name in ("sin", "cos", "tan", "asin", "acos", "atan", "atan2", "sqrt", "fabs", "pow", "exp",
-                                  "log", "sincos")} | {"memcpy", "memset"}
+                                  "log", "sincos", "tanh", "fmin", "fmax")} | {"memcpy", "memset"}
 """What single precision may call: the last two are for a compiler to call where a struct is copied."""
 SANITIZE = ("-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
 FUZZED = (("cat215b", "double"), ("patu655_lift", "float"), ("kr300", "float"))

@@ -33,11 +33,12 @@ def states(plant: Plant) -> dict[str, np.ndarray]:
     return {name: held(values) for name, values in some.items()}
 
 
-def said(plant: Plant, given: dict[str, np.ndarray], theta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def said(plant: Plant, given: dict[str, np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
     length, speed = (part[:, :, 0] for part in over(plant.actuator_motion, given["q"], given["qd"]))
     pressure = np.stack([given["pressure_a"], given["pressure_b"]], axis=2)
+    valves = Valves(plant, plant.parameters.nominal)
     rows = zip(speed + given["speed_added"], given["force_rate"], length, pressure, given["supply"], strict=True)
-    command, opening = zip(*(Valves(plant, theta).command(*row) for row in rows), strict=True)
+    command, opening = zip(*(valves.command(*row) for row in rows), strict=True)
     return np.array(command), np.array(opening)
 
 
@@ -45,9 +46,8 @@ def said(plant: Plant, given: dict[str, np.ndarray], theta: np.ndarray) -> tuple
 def test_c_says_what_the_model_says(plant: Plant, real: str, tmp_path) -> None:
     made = subject(plant.machine.name, real, "valve_feedforward")
     library, given = Library(made, tmp_path / "c", "-O2"), states(plant)
-    theta = np.asarray(made.interface.values["theta"])
     status, results = library.call("valve_feedforward", library.prepare(), given, COUNT)
-    command, opening = said(plant, given, theta)
+    command, opening = said(plant, given)
     force = over(plant.model.inverse_dynamics, given["q"], given["qd"], given["qdd"],
                  plant.model.parameters.nominal)[0][:, :, 0]
     assert np.all(status == OK)
