@@ -12,6 +12,8 @@ import hydroopt
 
 PATU = (Path(hydroopt.__file__).parent / "models" / "patu655_lift.toml").read_text("utf-8")
 """The machine file of a crane with one valve."""
+LIMITED = edited(PATU, "[pump]", '[pump]\nmax_flow = "60 L/min"')
+"""The same with a pump of stated flow."""
 
 
 def path(amplitude: float = 0.1, frequency: float = 0.1, middle: float = 0.3, duration: float = 4.0) -> str:
@@ -51,11 +53,10 @@ def _no_trajectory(folder: Path) -> list[str]:
 
 
 ALL = {
-    "motion beyond the pump": control(motion=path(0.3, 0.4),
-                                      place=r"--trajectory: at \d+\.\d+ s .* \d+ L/min .* gives 60 L/min; .* slower"),
+    "motion beyond the pump": control(motion=path(0.3, 0.4), machine=LIMITED, place=(
+        r"--trajectory: at \d+\.\d+ s .* \d+ L/min .* gives 60 L/min; .* longer")),
     "motion beyond the valve": control(
-        machine=edited(edited(PATU, 'flow_pa = { value = "62 L/min"', 'flow_pa = { value = "9 L/min"'),
-                       'flow_bt = { value = "62 L/min"', 'flow_bt = { value = "9 L/min"'),
+        machine=edited(PATU, 'rated_flow = { value = "62 L/min"', 'rated_flow = { value = "9 L/min"'),
         place="--trajectory: at .* s .*'lift_cylinder'.*fully open; .*slower"),
     "load beyond the supply": control(
         machine=edited(PATU, 'pressure = { value = "92 bar"', 'pressure = { value = "30 bar"'),
@@ -70,7 +71,7 @@ ALL = {
     "no circuit": control(machine=DIGGER, place="digger: nothing is said of what feeds '.*'; state 'circuit'"),
     "driven without oil": Case(lambda d: ["control", "panda_mukca", "-o", str(d / "out"), "--trajectory",
                                           str(written(d, path(), "path.csv"))], "panda_mukca: .*driven directly.*; "),
-    "no supply pressure": control(machine="\n".join(line for line in PATU.splitlines()
+    "no supply pressure": control(machine="\n".join(line for line in LIMITED.splitlines()
                                                     if not line.startswith("pressure = ")),
                                   place="patu655_lift: pump: the supply's pressure is not known; state 'pressure'"),
     "dead band larger than the commands": control(

@@ -75,7 +75,7 @@ def control(
         estimated = machine not in bundled() and Path(machine).is_dir()
         before = nominal_of(Path(machine) / "estimate.json", model) if estimated else None
         known = [*([before] if before else ()), *([reduced(complete)] if FEEDFORWARD in kinds else ()), complete]
-        setting = Setting(plant, motion, truth(true, model, seed=seed), plant.parameters.nominal,
+        setting = Setting(plant, motion, *truth(true, plant, seed=seed), plant.parameters.nominal,
                           rate_of(plant, rate, motion), seed if noise else None, sensitivity, gain)
         comparison = compare(setting, known, kinds, say=say)
         say("writing the report and the code")

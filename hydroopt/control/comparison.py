@@ -86,7 +86,8 @@ class Setting:
         plant: the machine.
         motion: to follow.
         true: what the machine really is.
-        theta: hydraulic parameters, true and known to all controllers.
+        true_theta: its hydraulic parameters.
+        theta: those that all controllers are given.
         rate: of the controller [Hz].
         seed: of the sensors' errors; None for none.
         sensitivity: to which gains are tuned.
@@ -96,6 +97,7 @@ class Setting:
     plant: Plant
     motion: Trajectory
     true: Knowledge
+    true_theta: Array
     theta: Array
     rate: float
     seed: int | None = 0
@@ -123,8 +125,8 @@ class Setting:
         """Of the valves (n,) [s]."""
         return np.array([each.valve.delay for each in self.plant.actuators])
 
-    def points(self, psi: Array) -> tuple[list[Point], list[Point]]:
-        """Points of the motion, and all over the workspace, of a machine with parameters ψ.
+    def points(self, psi: Array, theta: Array) -> tuple[list[Point], list[Point]]:
+        """Points of the motion, and all over the workspace, of a machine with parameters ψ and θ.
 
         Everywhere joints move at least at the part `SHARE` of their greatest speeds: a shut valve closes no loop.
 
@@ -139,20 +141,20 @@ class Setting:
         way = []
         for t, q, qd in zip(moments, path.q, path.qd, strict=True):
             way.append(point(self.plant, f"motion at {t:.1f} s", q,
-                             np.where(np.abs(qd) < least, np.where(qd < 0, -least, least), qd), psi, self.theta))
+                             np.where(np.abs(qd) < least, np.where(qd < 0, -least, least), qd), psi, theta))
         n, space = len(least), list[Point]()
         for k, share in enumerate(qmc.Halton(2 * n, scramble=False).random(WORKSPACE + 1)[1:]):
             direction = np.where(share[n:] < 0.5, -1.0, 1.0)
             q = lower + (upper - lower) * (EDGE + (1 - 2 * EDGE) * share[:n])
             try:
-                space.append(point(self.plant, f"workspace {k + 1}", q, direction * least, psi, self.theta))
+                space.append(point(self.plant, f"workspace {k + 1}", q, direction * least, psi, theta))
             except ProblemError:  # the supply need not reach every posture
                 continue
         return way, space
 
-    def plants(self, points: Sequence[Point], psi: Array) -> list[control.StateSpace]:
+    def plants(self, points: Sequence[Point], psi: Array, theta: Array) -> list[control.StateSpace]:
         """The sampled plant with the valves' delays about each point."""
-        return [sampled(linearised(self.plant, at, psi, self.theta), self.delays, 1 / self.rate) for at in points]
+        return [sampled(linearised(self.plant, at, psi, theta), self.delays, 1 / self.rate) for at in points]
 
 
 @dataclass(frozen=True, eq=False)
@@ -207,8 +209,8 @@ def compare(setting: Setting, known: Sequence[Knowledge], kinds: Sequence[str] =
     aim = demands.by(best.model, best.psi)
     refuse_opening(setting.plant, setting.t, aim, demands.valves)
     say("tuning")
-    way, space = setting.points(best.psi)
-    plants = setting.plants([*way, *space], best.psi)
+    way, space = setting.points(best.psi, setting.theta)
+    plants = setting.plants([*way, *space], best.psi, setting.theta)
     gains = tuned(plants, [*way, *space], demands.valves, setting.sensitivity)
     gains = replace(gains, position=setting.gain * gains.position)
     candidates: list[tuple[str, str, Knowledge, Cascade | Lqg]] = []
@@ -224,8 +226,8 @@ def compare(setting: Setting, known: Sequence[Knowledge], kinds: Sequence[str] =
                    for plant, at in zip(plants, way, strict=False)]
         nearest = np.minimum(np.arange(len(setting.t)) * len(way) // len(setting.t), len(way) - 1)
         candidates.append(("LQG", LQG, best, Lqg(demands.valves, aim, designs, nearest.tolist(), period)))
-    way, space = setting.points(setting.true.psi)
-    true_plants = setting.plants([*way, *space], setting.true.psi)
+    way, space = setting.points(setting.true.psi, setting.true_theta)
+    true_plants = setting.plants([*way, *space], setting.true.psi, setting.true_theta)
     path, outcomes = setting.reference.at(setting.t), []
     looked: dict[type, tuple[tuple[Margin, ...], Bode]] = {}  # all cascades have the same loops
     for name, kind, knowledge, controller in candidates:
@@ -234,7 +236,7 @@ def compare(setting: Setting, known: Sequence[Knowledge], kinds: Sequence[str] =
             looked[type(controller)] = _margins(true_plants, [*way, *space], controller, demands)
         found, bode = looked[type(controller)]
         refuse_unstable(name, [m for m in found if m.point in {at.name for at in way}])
-        run = simulate(demands, controller, setting.true.psi, setting.theta, seed=setting.seed)
+        run = simulate(demands, controller, setting.true.psi, setting.true_theta, seed=setting.seed)
         wanted = path.q[:len(run.t)]
         away = np.linalg.norm(tip(setting.plant, run.q) - tip(setting.plant, wanted), axis=1)
         outcomes.append(Outcome(name, kind, knowledge, run, run.q - wanted, away, found, bode))

@@ -12,6 +12,7 @@ from hydroopt import synthetic
 from hydroopt.errors import ProblemError
 from hydroopt.inertia import Array
 from hydroopt.model.build import Model
+from hydroopt.model.plant import Plant
 
 NOMINAL, REDUCED, COMPLETE, TRUE = "nominal", "reduced", "complete", "true"
 
@@ -30,6 +31,13 @@ class Knowledge(NamedTuple):
     text: str
     model: Model
     psi: Array
+
+
+class Truth(NamedTuple):
+    """What a simulated machine really is: its bodies and friction, and the numbers of valves and oil (t,)."""
+
+    knowledge: Knowledge
+    theta: Array
 
 
 def reduced(complete: Knowledge, *, seed: int = 0) -> Knowledge:
@@ -67,23 +75,26 @@ def nominal_of(estimate: Path, complete: Model) -> Knowledge | None:
     return Knowledge(NOMINAL, "the machine file before identification", complete, psi) if rows else None
 
 
-def truth(stated: str, model: Model, *, seed: int) -> Knowledge:
+def truth(stated: str, plant: Plant, *, seed: int) -> Truth:
     """What is true of a simulated machine.
+
+    Valves and oil are those of the machine file, unless a truth.json of driven valves says otherwise.
 
     Args:
         stated: 'nominal', 'random' within the file's confidences, or a truth.json that `simulate` wrote.
-        model: the complete model.
+        plant: the machine.
         seed: of a random truth.
 
     Raises:
         ProblemError: there is no such file, or it is of another machine.
         IdentifiabilityError: a body's confidences leave practically no possible body.
     """
+    model, theta = plant.model, plant.parameters.nominal
     if stated == "nominal":
-        return Knowledge(TRUE, "the machine file itself", model, model.parameters.nominal)
+        return Truth(Knowledge(TRUE, "the machine file itself", model, model.parameters.nominal), theta)
     if stated == "random":
-        return Knowledge(TRUE, "drawn from the confidences of the machine file", model,
-                         synthetic.random_truth(model, seed))
+        return Truth(Knowledge(TRUE, "drawn from the confidences of the machine file", model,
+                               synthetic.random_truth(model, seed)), theta)
     file = Path(stated)
     if not file.is_file():
         raise ProblemError(f"'{stated}' is no truth", where="--truth",
@@ -93,13 +104,15 @@ def truth(stated: str, model: Model, *, seed: int) -> Knowledge:
     names = model.parameters.names
     try:
         psi = np.array([float(values[name]) for name in names])  # type: ignore[index]
+        theta = np.array([float(values.get(name, own)) for name, own in  # type: ignore[union-attr]
+                          zip(plant.parameters.names, theta, strict=True)])
     except (TypeError, KeyError, ValueError):
         missing = next((name for name in names if not isinstance(values, dict) or name not in values), names[0])
         raise ProblemError(f"the truth of '{machine}' says nothing of '{missing}'", where=stated,
                            remedy=f"simulate {model.machine.name} with the same parameters") from None
-    if not np.all(np.isfinite(psi)):
+    if not (np.all(np.isfinite(psi)) and np.all(np.isfinite(theta))):
         raise ProblemError("a true parameter is no number", where=stated, remedy="simulate again")
-    return Knowledge(TRUE, "the truth of a simulated log", model, psi)
+    return Truth(Knowledge(TRUE, "the truth of a simulated log", model, psi), theta)
 
 
 def _read(file: Path) -> dict[str, Any]:

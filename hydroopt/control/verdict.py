@@ -34,13 +34,12 @@ def refuse_flow(plant: Plant, motion: Trajectory) -> None:
     speed = plant.model.over(plant.actuator_motion, motion.q, motion.qd)[1][:, :, 0]
     drawn = np.where(speed > 0, areas[:, 0], areas[:, 1]) * np.abs(speed)
     total = np.sum(drawn, axis=1)
-    k = int(np.argmax(total))
-    if machine.pump is not None and total[k] > machine.pump.max_flow:
+    k, most = int(np.argmax(total)), machine.pump.max_flow if machine.pump else None
+    if most is not None and total[k] > most:
         raise ProblemError(
             f"at {t[k]:.2f} s the motion demands {total[k] * 6e4:.0f} L/min of a pump that gives "
-            f"{machine.pump.max_flow * 6e4:.0f} L/min", where="--trajectory",
-            remedy=f"drive it {np.ceil(100 * (total[k] / machine.pump.max_flow - 1)):.0f} % slower, or move fewer "
-                   "joints at a time")
+            f"{most * 6e4:.0f} L/min", where="--trajectory",
+            remedy=f"let it take {np.ceil(100 * (total[k] / most - 1)):.0f} % longer, or move fewer joints at a time")
 
 
 def refuse_opening(plant: Plant, t: Array, aim: Demand, valves: Valves) -> None:

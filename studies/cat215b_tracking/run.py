@@ -39,7 +39,8 @@ def run() -> dict:
                  Knowledge(REDUCED, "identified", reduced, solve(identification_problem(reduced, logs)).psi),
                  Knowledge(COMPLETE, "identified", model, solve(identification_problem(model, logs)).psi)]
         motion = feasible(model, 12.0, 100 * seed)
-        setting = Setting(plant, motion, Knowledge(TRUE, "drawn", model, truth), plant.parameters.nominal, RATE, seed)
+        theta = plant.parameters.nominal
+        setting = Setting(plant, motion, Knowledge(TRUE, "drawn", model, truth), theta, theta, RATE, seed)
         compared = compare(setting, known, [FEEDFORWARD])
         for outcome in compared.outcomes:
             rms[outcome.knowledge.name].append(1e3 * outcome.tip_rms)

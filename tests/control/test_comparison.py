@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import json
+import sys
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from hydroopt import Model, ProblemError, load_machine, random_trajectory
+from hydroopt import Model, ProblemError, load_machine, random_trajectory, read_machine
 from hydroopt.control.comparison import LQG, PI, Comparison, Outcome, Setting, compare
 from hydroopt.control.demand import Reference
 from hydroopt.control.knowledge import COMPLETE, NOMINAL, TRUE, Knowledge, reduced, truth
@@ -17,16 +20,22 @@ from hydroopt.control.verdict import FEEDFORWARD
 from hydroopt.model.plant import Plant
 from hydroopt.synthetic import Trajectory, forces
 
+sys.path.insert(0, str(Path(__file__).parents[1]))
+from bad_control_cases import PATU
+
 RATE = 100.0
 
 
 @pytest.fixture(scope="module")
 def setting() -> Setting:
-    plant = Plant(Model(load_machine("patu655_lift")))
+    """A crane with one valve, its oil without the free air that its file states of the rod side."""
+    stiff = "\n".join(line for line in PATU.splitlines() if not line.startswith("air_b"))
+    plant = Plant(Model(read_machine(stiff)))
     model = plant.model
     motion = random_trajectory(model, duration=14, rate=RATE, seed=1, slowest=0.05, fastest=0.15)
     true = Knowledge(TRUE, "nominal", model, model.parameters.nominal)
-    return Setting(plant, motion, true, plant.parameters.nominal, RATE, None)
+    theta = plant.parameters.nominal
+    return Setting(plant, motion, true, theta, theta, RATE, None)
 
 
 @pytest.fixture(scope="module")
@@ -147,4 +156,15 @@ def test_a_truth_of_another_machine_is_refused(setting: Setting, tmp_path) -> No
     file = tmp_path / "truth.json"
     file.write_text('{"machine": "other", "parameters": {}}')
     with pytest.raises(ProblemError, match="truth of 'other' says nothing of 'lift"):
-        truth(str(file), setting.plant.model, seed=0)
+        truth(str(file), setting.plant, seed=0)
+
+
+def test_a_truth_of_driven_valves_is_that_of_the_plant(setting: Setting, tmp_path) -> None:
+    plant, file = setting.plant, tmp_path / "truth.json"
+    names = [*plant.model.parameters.names, *plant.parameters.names]
+    values = np.concatenate([setting.true.psi, 1.1 * plant.parameters.nominal])
+    stated = dict(zip(names, values.tolist(), strict=True))
+    file.write_text(json.dumps({"machine": "patu655_lift", "parameters": stated}))
+    found = truth(str(file), plant, seed=0)
+    assert_allclose(found.theta, 1.1 * plant.parameters.nominal)
+    assert_allclose(found.knowledge.psi, setting.true.psi)
