@@ -9,9 +9,12 @@ import matplotlib
 import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
+from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from hydroopt.codegen.origin import Origin
 from hydroopt.control.comparison import LQG, PI, Comparison, Outcome
+from hydroopt.control.workspace import sweeps
+from hydroopt.report import hydraulics
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE, STYLE, WIDTH, svg, thin
 from hydroopt.report.html import page
 from hydroopt.report.numbers import NONE, plain
@@ -35,7 +38,8 @@ def render(comparison: Comparison, doubts: Sequence[str], origin: Origin) -> str
         gains=[(each.actuator.name, *(plain(float(values[k]), 3) for values in (
             comparison.gains.position, comparison.gains.force, comparison.gains.integral_time,
             comparison.gains.filter_time))) for k, each in enumerate(setting.plant.actuators)],
-        loops=[row for outcome in comparison.outcomes for row in _loops(comparison, outcome)],
+        loops=[row for outcome in _cut(comparison) for row in _loops(comparison, outcome)],
+        hydraulics=_section(comparison),
         figures={name: Markup(svg(figure, name)) for name, figure in drawn.items()})
 
 
@@ -52,8 +56,14 @@ def _row(comparison: Comparison, outcome: Outcome) -> dict[str, Any]:
             "energy": plain(run.energy / 1e3, 4)}
 
 
+def _cut(comparison: Comparison) -> list[Outcome]:
+    """One outcome for each kind of loops: those of the cascade are the same whatever it is fed forward."""
+    cascade = comparison.feedforward or comparison.outcomes[0]
+    return [outcome for outcome in comparison.outcomes if outcome is cascade or outcome.kind == LQG]
+
+
 def _loops(comparison: Comparison, outcome: Outcome) -> list[tuple[str, ...]]:
-    """Controller, loop, least gain margin with its place, least phase margin with its place."""
+    """Controller, loop, and the least margins of gain and phase on the way and anywhere, each with its place."""
     rows = []
     on_the_way = [at.name for at in comparison.points if at.name.startswith("motion")]
     for each in comparison.setting.plant.actuators:
@@ -62,9 +72,16 @@ def _loops(comparison: Comparison, outcome: Outcome) -> list[tuple[str, ...]]:
         for key, points in (("gain", on_the_way), ("phase", on_the_way), ("gain", ()), ("phase", ())):
             found = outcome.worst(name, key, points)
             value = 20 * np.log10(found.gain) if key == "gain" else np.degrees(found.phase)
-            cells += [plain(float(value), 3), found.point if np.isfinite(value) else NONE]
-        rows.append((outcome.name, name, *cells))
+            cells.append(f"{plain(float(value), 3)} ({found.point})" if np.isfinite(value) else NONE)
+        rows.append((outcome.name if outcome.kind == LQG else "cascade", name, *cells))
     return rows
+
+
+def _section(comparison: Comparison) -> dict[str, Any]:
+    """How every joint answers its valve, by the parameters that count as complete."""
+    plant = comparison.setting.plant
+    return hydraulics.section(plant, sweeps(plant, plant.model.parameters.nominal, plant.parameters.nominal,
+                                            positions=7, postures=2))
 
 
 def _errors(comparison: Comparison) -> Figure:
@@ -126,18 +143,19 @@ def _bode(comparison: Comparison) -> Figure:
     """Every loop of the cascade, which all with it share, and of LQG where its Nyquist curve comes nearest to −1."""
     plant = comparison.setting.plant
     count = len(plant.actuators)
-    cascade = comparison.feedforward or comparison.outcomes[0]
-    shown = [o for o in comparison.outcomes if o is cascade or o.kind == LQG]
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 4.6), layout="constrained")
         axes = np.asarray(figure.subplots(2, count, squeeze=False, sharex=True))
-        for outcome, colour in zip(shown, (BLUE, ORANGE, GREEN, INK), strict=False):
+        for outcome, colour in zip(_cut(comparison), (BLUE, ORANGE, GREEN, INK), strict=False):
             where, omega, L = outcome.bode
             for k, each in enumerate(plant.actuators):
                 axes[0, k].loglog(omega / (2 * np.pi), np.abs(L[k]), color=colour, label=f"{outcome.name}, {where}")
                 axes[1, k].semilogx(omega / (2 * np.pi), np.degrees(np.unwrap(np.angle(L[k]))), color=colour)
                 axes[0, k].set_title(f"{each.actuator.name}: gain of the loop")
                 axes[1, k].set(title="phase [deg]", xlabel="frequency [Hz]")
+                for axis in (axes[0, k].yaxis, axes[0, k].xaxis, axes[1, k].xaxis):  # powers would be TeX
+                    axis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
+                    axis.set_minor_formatter(NullFormatter())
         for k in range(count):
             axes[0, k].axhline(1.0, color=INK, lw=0.8, ls=(0, (4, 3)))
             axes[1, k].axhline(-180.0, color=INK, lw=0.8, ls=(0, (4, 3)))
