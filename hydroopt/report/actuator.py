@@ -22,6 +22,7 @@ from hydroopt.files import write_files
 from hydroopt.report.figures import BLUE, GREY, ORANGE, STYLE, WIDTH, Change, changes, svg, thin
 from hydroopt.report.folder import forget
 from hydroopt.report.html import page
+from hydroopt.report.hydraulics import over_workspace
 from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
 from hydroopt.report.record import SCHEMA, flat, machine_entry, now, number, table, versions
 
@@ -139,9 +140,11 @@ def render(estimate: ActuatorEstimate) -> str:
                                 float(found.ci95[k, 1])), float(parameters.nominal[k])), found.category(name),
                        _bound(estimate, k)) for k, name in enumerate(parameters.names)]
     drawn = {"runs": free_runs(estimate), "changes": changes(_changes(estimate))}
+    psi, theta = (np.asarray(part).ravel() for part in problem.split(found.theta))
     return page("actuator.html").render(
         machine=problem.plant.machine, estimate=estimate, doubts=estimate.doubts, failed=estimate.status != "ok",
-        method=METHOD, fit=_fit(estimate), bodies=problem.bodies.shape[1],
+        method=METHOD, hydraulics=over_workspace(problem.plant, psi, theta), fit=_fit(estimate),
+        bodies=problem.bodies.shape[1],
         groups=[(owner, list(rows)) for owner, rows in groupby(lines, lambda p: p.name.rpartition(".")[0])],
         counts={kind: sum(p.identifiability == kind for p in lines) for kind in ("full", "combination", "none")},
         figures={name: Markup(svg(figure, name)) for name, figure in drawn.items() if figure is not None},

@@ -13,7 +13,6 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 
 from hydroopt.codegen.origin import Origin
 from hydroopt.control.comparison import LQG, PI, Comparison, Outcome
-from hydroopt.control.workspace import sweeps
 from hydroopt.report import hydraulics
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE, STYLE, WIDTH, svg, thin
 from hydroopt.report.html import page
@@ -39,7 +38,7 @@ def render(comparison: Comparison, doubts: Sequence[str], origin: Origin) -> str
             comparison.gains.position, comparison.gains.force, comparison.gains.integral_time,
             comparison.gains.filter_time))) for k, each in enumerate(setting.plant.actuators)],
         loops=[row for outcome in _cut(comparison) for row in _loops(comparison, outcome)],
-        hydraulics=_section(comparison),
+        hydraulics=hydraulics.over_workspace(setting.plant, setting.plant.model.parameters.nominal, setting.theta),
         figures={name: Markup(svg(figure, name)) for name, figure in drawn.items()})
 
 
@@ -75,13 +74,6 @@ def _loops(comparison: Comparison, outcome: Outcome) -> list[tuple[str, ...]]:
             cells.append(f"{plain(float(value), 3)} ({found.point})" if np.isfinite(value) else NONE)
         rows.append((outcome.name if outcome.kind == LQG else "cascade", name, *cells))
     return rows
-
-
-def _section(comparison: Comparison) -> dict[str, Any]:
-    """How every joint answers its valve, by the parameters that count as complete."""
-    plant = comparison.setting.plant
-    return hydraulics.section(plant, sweeps(plant, plant.model.parameters.nominal, plant.parameters.nominal,
-                                            positions=7, postures=2))
 
 
 def _errors(comparison: Comparison) -> Figure:

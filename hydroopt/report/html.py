@@ -154,16 +154,14 @@ def _totals(estimate: Estimate) -> list[tuple[str, str, Row]]:
 def _hydraulics(estimate: Estimate) -> dict[str, Any] | None:
     """How every joint answers its valve with what was identified, where the machine file tells enough of its oil."""
     model, machine = estimate.problem.model, estimate.problem.model.machine
-    told = machine.pump is not None and machine.pump.pressure is not None and all(
-        actuator.name in machine.circuits for actuator in machine.actuators)
-    if not told or min(estimate.consistency.values(), default=0.0) < 0:
+    fed = all(actuator.name in machine.circuits for actuator in machine.actuators)
+    if not fed or min(estimate.consistency.values(), default=0.0) < 0:
         return None
-    from hydroopt.control.workspace import sweeps  # noqa: PLC0415 (python-control takes its time to import)
-    from hydroopt.model.plant import Plant  # noqa: PLC0415
-    from hydroopt.report import hydraulics  # noqa: PLC0415
+    from hydroopt.model.plant import Plant  # noqa: PLC0415 (python-control takes its time to import)
+    from hydroopt.report.hydraulics import over_workspace  # noqa: PLC0415
 
     plant = Plant(model)
-    return hydraulics.section(plant, sweeps(plant, estimate.psi, plant.parameters.nominal, positions=7, postures=2))
+    return over_workspace(plant, estimate.psi, plant.parameters.nominal)
 
 
 def _log(role: str, data: Experiment | Recording) -> dict[str, Any]:
