@@ -15,7 +15,7 @@ from hydroopt.model.plant import Plant
 from hydroopt.synthetic import Trajectory
 
 HERE = Path(__file__).parent
-LOGS, SECONDS, RATE = 100, 4.0, 50
+LOGS, SECONDS, RATE = 60, 4.0, 50
 
 
 def swing() -> Trajectory:
