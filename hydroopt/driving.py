@@ -118,11 +118,9 @@ def _seen(plant: Plant, states: Array, u: Array, supply: Array, psi: Array, thet
             for name, values in zip(plant.seen.name_out(), found, strict=True)}
     channels = {f"{joint}.q": seen["q"][k, :, 0] for k, joint in enumerate(machine.joints)}
     for k, each in enumerate(plant.actuators):
-        name = each.actuator.name
         if isinstance(each.actuator, Cylinder):
-            channels[f"{name}.length"] = seen["length"][k, :, 0]
-        keys = ("p_head", "p_rod") if isinstance(each.actuator, Cylinder) else ("p_a", "p_b")
-        channels |= {f"{name}.{key}": seen["pressure"][k, :, side] for side, key in enumerate(keys)}
+            channels[f"{each.actuator.name}.length"] = seen["length"][k, :, 0]
+        channels |= {name: seen["pressure"][k, :, side] for side, name in enumerate(each.chambers)}
     if machine.pump:
         channels |= {"pump.p_supply": seen["p_supply"][0, :, 0], "pump.p_tank": supply[:, 1].copy()}
     return channels

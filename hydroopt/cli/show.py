@@ -12,12 +12,14 @@ from rich.markup import escape
 from rich.table import Table
 
 from hydroopt.cli.options import AsJson, MachineName, ParameterSetName, progress
+from hydroopt.control.workspace import sweeps
 from hydroopt.description import load_machine
 from hydroopt.errors import ProblemError
 from hydroopt.files import write_files
 from hydroopt.machine import Machine
 from hydroopt.model.build import Model
 from hydroopt.model.plant import Plant
+from hydroopt.report import hydraulics as workspace
 from hydroopt.report.facts import machine_facts
 from hydroopt.report.record import table as csv
 
@@ -62,16 +64,13 @@ def show(
 
 
 def _hydraulics(machine: Machine, output: Path | None, *, as_json: bool) -> None:
-    from hydroopt.control.workspace import sweeps  # noqa: PLC0415 (python-control takes a second to import)
-    from hydroopt.report import hydraulics  # noqa: PLC0415
-
     model = Model(machine)
     plant = Plant(model)
     with progress(f"linearising {machine.name}", as_json):
         found = sweeps(plant, model.parameters.nominal, plant.parameters.nominal)
-        rows = hydraulics.rows(plant, found)
+        rows = workspace.rows(plant, found)
         if output is not None:
-            write_files(output, {"hydraulics.html": hydraulics.render(plant, found), "hydraulics.csv": csv(rows)})
+            write_files(output, {"hydraulics.html": workspace.render(plant, found), "hydraulics.csv": csv(rows)})
     if as_json:
         typer.echo(json.dumps(rows, indent=1))
         return

@@ -63,7 +63,7 @@ class Sensors:
         machine = plant.machine
         names = [f"{joint}.q" for joint in machine.joints]
         for each in plant.actuators:
-            names += [name for name in machine.channel_units if name.startswith(f"{each.actuator.name}.p_")]
+            names += each.chambers
         self.channels = [*names, "pump.p_supply"]
         self.sensors = [machine.sensor(name) for name in self.channels]
         # a sensor slower than the controller is read anew at some of the samples only

@@ -79,9 +79,8 @@ def reading_noise(plant: Plant) -> Array:
     for joint in machine.joints:
         found.append(_std(machine, f"{joint}.q", EXACT))
     for each in plant.actuators:
-        sides = [name for name in plant.states if name.startswith(f"{each.actuator.name}.p_")]
         found.append(float(np.linalg.norm([area * _std(machine, name, 1e7 * EXACT)
-                                           for area, name in zip(each.areas, sides, strict=True)])))
+                                           for area, name in zip(each.areas, each.chambers, strict=True)])))
     return np.array([*found, _std(machine, "pump.p_supply", 1e7 * EXACT)])
 
 

@@ -92,8 +92,7 @@ def linearised(plant: Plant, at: Point, psi: Array, theta: Array) -> control.Sta
     C = np.zeros((2 * n + 1, len(names)))
     C[:n, :n] = np.eye(n)
     for k, each in enumerate(plant.actuators):
-        C[n + k, [i for i, name in enumerate(names) if name.startswith(f"{each.actuator.name}.p_")]] = (
-            each.areas[0], -each.areas[1])
+        C[n + k, [names.index(name) for name in each.chambers]] = each.areas[0], -each.areas[1]
     C[-1] = [name == "pump.p_supply" for name in names]
     seen = [*names[:n], *(f"{each.actuator.name}.force" for each in plant.actuators), "pump.p_supply"]
     return control.StateSpace(A * scale / scale[:, None], own.B / scale[:, None], C * scale, 0,

@@ -113,7 +113,7 @@ class ActuatorProblem:
         for k, each in enumerate(plant.actuators):
             owner = each.actuator.name
             guess |= {f"{owner}.spool": _placed(plant, k, u[:, k]), f"{owner}.spool_rate": np.zeros(log.size)}
-            guess |= {channel: reading(machine, log, channel) for channel in _pressures(each.actuator)}
+            guess |= {channel: reading(machine, log, channel) for channel in each.chambers}
         guess[SUPPLY[0]] = log.channels.get(SUPPLY[0], u[:, -2])
         states = np.column_stack([guess[name] for name in plant.states])
         edges = np.flatnonzero(np.diff(log.segment, prepend=log.segment[0] - 1, append=log.segment[-1] + 1))
@@ -153,7 +153,7 @@ def actuator_problem(machine: Machine, logs: Sequence[Log], validation: Sequence
     """
     plant = Plant(Model(machine))
     for log in (*logs, *validation):
-        for channel in (*plant.inputs, *(c for each in plant.actuators for c in _pressures(each.actuator))):
+        for channel in (*plant.inputs, *(c for each in plant.actuators for c in each.chambers)):
             reading(machine, log, channel)
     _refuse_idle(plant, logs)
     psi, theta = _identified(plant)
@@ -234,7 +234,7 @@ def _seen(plant: Plant) -> Iterator[str]:
     for each in plant.actuators:
         if isinstance(each.actuator, Cylinder):
             yield f"{each.actuator.name}.length"
-        yield from _pressures(each.actuator)
+        yield from each.chambers
     if plant.states[-1] == SUPPLY[0]:
         yield SUPPLY[0]
 
@@ -247,13 +247,7 @@ def _channel(plant: Plant, seen: dict[str, ca.SX], channel: str) -> ca.SX:
     if channel == SUPPLY[0]:
         return seen["p_supply"]
     k = [each.actuator.name for each in plant.actuators].index(owner)
-    return seen["length"][k] if key == "length" else seen["pressure"][k, key in ("p_rod", "p_b")]
-
-
-def _pressures(actuator: object) -> tuple[str, str]:
-    keys = ("p_head", "p_rod") if isinstance(actuator, Cylinder) else ("p_a", "p_b")
-    name = actuator.name  # type: ignore[attr-defined]
-    return f"{name}.{keys[0]}", f"{name}.{keys[1]}"
+    return seen["length"][k] if key == "length" else seen["pressure"][k, plant.actuators[k].chambers.index(channel)]
 
 
 def _supply(plant: Plant, log: Log) -> list[Array]:

@@ -33,6 +33,8 @@ ASTRAY = 3.0
 """How many times the stated errors must be exceeded for another start to be tried."""
 ROUGHLY = 1e-6
 """Error of the steps of a simulation to start from."""
+TRACE = 1e-12
+"""Singular value, relative to the largest, up to which first states leave no trace in the readings."""
 UNKNOWN = 0.5
 """Part of the prior's information below which the data's counts as telling less than the prior."""
 SHARE = 0.3
@@ -66,8 +68,7 @@ class ShootingEstimate:
         p, parameters = len(self.theta), self.problem.parameters
         rows = np.delete(self.at.jacobian, np.s_[self.at.seen : self.at.seen + self.at.known], axis=0)
         unit = rows[:, :p] * parameters.scale
-        first = np.linalg.svd(rows[:, p:], full_matrices=False)[0]
-        left = unit - first @ (first.T @ unit)
+        left = _without(rows[:, p:], unit)
         return np.asarray(left.T @ left / np.outer(parameters.scale, parameters.scale))
 
     @cached_property
@@ -94,9 +95,8 @@ class ShootingEstimate:
     @cached_property
     def gradient(self) -> Array:
         """(p,) of half the squared errors by θ, the first states following: zero but where a bound holds."""
-        p, rows = len(self.theta), self.at.rows
-        first = np.linalg.svd(self.at.jacobian[:, p:], full_matrices=False)[0]
-        return np.asarray(self.at.jacobian[:, :p].T @ (rows - first @ (first.T @ rows)))
+        p = len(self.theta)
+        return np.asarray(self.at.jacobian[:, :p].T @ _without(self.at.jacobian[:, p:], self.at.rows))
 
     @property
     def at_bound(self) -> NDArray[np.bool_]:
@@ -226,6 +226,13 @@ class ShootingEstimate:
             if abs(abs(relative[0] / relative[1]) - 1) < SHARE:
                 return f"{' and '.join(names)} show only as a {how}; {decides} between them"
         return f"{', '.join(names[:-1])} and {names[-1]} show only together; {decides} between them"
+
+
+def _without(columns: Array, rows: Array) -> Array:
+    """Rows (m, ·) less what columns (m, f) can explain; columns that leave no trace explain nothing."""
+    basis, size, _ = np.linalg.svd(columns, full_matrices=False)
+    basis = basis[:, size > TRACE * size.max(initial=0.0)]
+    return np.asarray(rows - basis @ (basis.T @ rows))
 
 
 def solve(problem: ShootingProblem, start: Array | ShootingEstimate | None = None) -> ShootingEstimate:

@@ -119,6 +119,13 @@ class ActuatorHydraulics:
         self.spool_states = 2 if self.valve.natural_frequency is not None else 0
         """How many states the spool has."""
 
+    @property
+    def chambers(self) -> tuple[str, str]:
+        """Names of the states and log channels of both chambers' pressures."""
+        name = self.actuator.name
+        return (f"{name}.p_head", f"{name}.p_rod") if isinstance(self.actuator, Cylinder) else (
+            f"{name}.p_a", f"{name}.p_b")
+
     def volumes(self, length: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Volumes [m³] of both chambers without hoses, at a cylinder's length; a motor's are part of its hoses."""
         if isinstance(self.actuator, Motor):

@@ -88,12 +88,8 @@ class Plant:
         for each in self.actuators:
             owner = each.actuator.name
             names += [f"{owner}.{key}" for key in ("spool", "spool_rate")[:each.spool_states]]
-            names += [f"{owner}.{key}" for key in self._chambers(each)]
+            names += each.chambers
         return (*names, *(["pump.p_supply"] if self._line else []))
-
-    @staticmethod
-    def _chambers(each: ActuatorHydraulics) -> tuple[str, str]:
-        return ("p_head", "p_rod") if isinstance(each.actuator, Cylinder) else ("p_a", "p_b")
 
     @property
     def _line(self) -> tuple[float, float] | None:
@@ -146,7 +142,7 @@ class Plant:
         flows: list[Flows] = []
         for k, each in enumerate(self.actuators):
             value = self.value(each, theta)
-            p_a, p_b = (at[f"{each.actuator.name}.{key}"] for key in self._chambers(each))
+            p_a, p_b = (at[name] for name in each.chambers)
             spool = displaced(each.valve, u[k], value)
             if each.spool_states:
                 wanted, spool = spool, at[f"{each.actuator.name}.spool"]
@@ -282,7 +278,7 @@ class Plant:
             raise ProblemError("no steady state of valves, chambers and pump was found", where=self.machine.name,
                                remedy="ask for a slower motion, or check the numbers of its circuits")
         for k, each in enumerate(self.actuators):
-            for side, pressure in zip(self._chambers(each), (p_a[k], p_b[k]), strict=True):
+            for side, pressure in zip(each.chambers, (p_a[k], p_b[k]), strict=True):
                 if pressure < -AMBIENT:
                     raise ProblemError(f"the load would pull '{names[k]}' ahead of its oil: {side} would be "
                                        f"{pressure / 1e5:.0f} bar, below vacuum", where=self.machine.name,
@@ -291,7 +287,7 @@ class Plant:
         x = dict.fromkeys(self.states, 0.0)
         x |= dict(zip(self.states, [*q, *qd], strict=False))
         for k, each in enumerate(self.actuators):
-            x |= dict(zip((f"{names[k]}.{key}" for key in self._chambers(each)), (p_a[k], p_b[k]), strict=True))
+            x |= dict(zip(each.chambers, (p_a[k], p_b[k]), strict=True))
             if each.spool_states:
                 x[f"{names[k]}.spool"] = opening[k]
         if self._line:

@@ -21,9 +21,9 @@ from hydroopt.estimation.actuator_estimate import ActuatorEstimate, FreeRun, Run
 from hydroopt.files import write_files
 from hydroopt.report.figures import BLUE, GREY, ORANGE, STYLE, WIDTH, Change, changes, svg, thin
 from hydroopt.report.folder import forget
-from hydroopt.report.html import page
 from hydroopt.report.hydraulics import over_workspace
 from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
+from hydroopt.report.page import page
 from hydroopt.report.record import SCHEMA, flat, machine_entry, now, number, table, versions
 
 METHOD = "multiple shooting"

@@ -23,8 +23,8 @@ from hydroopt.estimation.calibration import Calibration
 from hydroopt.estimation.estimate import Fit
 from hydroopt.inertia import Array
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, LIGHT, ORANGE, SHADE, STYLE, WIDTH, Change, changes, svg
-from hydroopt.report.html import page
 from hydroopt.report.numbers import NONE, Row, plain, quantity, unit_text
+from hydroopt.report.page import page
 
 METHODS = {
     "joint": "all poses, stages and parameters at once; sensed angles err, too (maximum likelihood, IPOPT)",

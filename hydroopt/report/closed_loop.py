@@ -15,8 +15,8 @@ from hydroopt.codegen.origin import Origin
 from hydroopt.control.comparison import LQG, PI, Comparison, Outcome
 from hydroopt.report import hydraulics
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE, STYLE, WIDTH, svg, thin
-from hydroopt.report.html import page
 from hydroopt.report.numbers import NONE, plain
+from hydroopt.report.page import page
 
 COLOURS = (GREY, ORANGE, BLUE, GREEN, INK, "#cc79a7")
 UNITS = {"rad": ("deg", 180 / np.pi), "m": ("mm", 1e3)}

@@ -20,8 +20,8 @@ from hydroopt.estimation.session import Session
 from hydroopt.files import write_files
 from hydroopt.machine import Machine
 from hydroopt.report.figures import BLUE, GREY, ORANGE, STYLE, WIDTH, svg
-from hydroopt.report.html import page
 from hydroopt.report.numbers import NONE, plain, quantity, unit_text
+from hydroopt.report.page import page
 from hydroopt.report.record import SCHEMA, flat, machine_entry, now, number, table, versions
 
 FILES = ("comparison.json", "report.html", "comparison.csv")

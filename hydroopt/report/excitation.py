@@ -18,8 +18,8 @@ from hydroopt.excitation.motion import Excitation, Use
 from hydroopt.inertia import Array
 from hydroopt.machine import BASE
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, LIGHT, ORANGE, STYLE, WIDTH, svg, thin
-from hydroopt.report.html import page
 from hydroopt.report.numbers import NONE, percent, plain, quantity, unit_text
+from hydroopt.report.page import page
 from hydroopt.synthetic import BACK_PRESSURE
 
 PRINTED: dict[str, tuple[str, float]] = {

@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from importlib.resources import files
 from typing import Any, NamedTuple
 
-import jinja2
 import numpy as np
 from markupsafe import Markup
 
@@ -15,8 +13,11 @@ from hydroopt.estimation.estimate import Estimate, Fit
 from hydroopt.estimation.experiment import Experiment
 from hydroopt.estimation.friction import FrictionChoice
 from hydroopt.estimation.recording import Recording
+from hydroopt.model.plant import Plant
 from hydroopt.report import figures, sideview
+from hydroopt.report.hydraulics import over_workspace
 from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
+from hydroopt.report.page import page
 
 METHODS = {
     "sdp": "least squares with priors, bounds and physically possible bodies (semidefinite program)",
@@ -78,15 +79,6 @@ def render(estimate: Estimate, doubts: Sequence[str], friction: FrictionChoice |
         constraints=problem.constraint_names, priors=[f"{p.name}: {plain(p.value, 5)} ± {plain(p.sigma, 2)}"
                                                       for p in (*problem.stated_priors, *problem.priors)],
         fixed=[f"{name} = {plain(value, 5)}" for name, value in problem.fixed.items()])
-
-
-def page(name: str) -> jinja2.Template:
-    """A template that lies beside this file; all share one style."""
-    loader = jinja2.FunctionLoader(lambda part: files("hydroopt.report").joinpath(part).read_text(encoding="utf-8"))
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
-                                     lstrip_blocks=True, loader=loader)
-    environment.filters["number"] = lambda value: NONE if value is None else plain(value, 3)
-    return environment.get_template(name)
 
 
 def _figures(estimate: Estimate) -> dict[str, Markup]:
@@ -157,9 +149,6 @@ def _hydraulics(estimate: Estimate) -> dict[str, Any] | None:
     fed = all(actuator.name in machine.circuits for actuator in machine.actuators)
     if not fed or min(estimate.consistency.values(), default=0.0) < 0:
         return None
-    from hydroopt.model.plant import Plant  # noqa: PLC0415 (python-control takes its time to import)
-    from hydroopt.report.hydraulics import over_workspace  # noqa: PLC0415
-
     plant = Plant(model)
     return over_workspace(plant, estimate.psi, plant.parameters.nominal)
 

@@ -15,7 +15,7 @@ from hydroopt.control.workspace import Sweep, sweeps
 from hydroopt.inertia import Array
 from hydroopt.model.plant import Plant
 from hydroopt.report.figures import BLUE, ORANGE, STYLE, WIDTH, svg
-from hydroopt.report.html import page
+from hydroopt.report.page import page
 
 KEYS = ("frequency", "damping", "gain")
 

@@ -16,8 +16,8 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
 from hydroopt.files import write_files
 from hydroopt.report.figures import BLUE, GREEN, GREY, ORANGE, STYLE, WIDTH, svg
-from hydroopt.report.html import page
 from hydroopt.report.numbers import NONE, plain, unit_text
+from hydroopt.report.page import page
 from hydroopt.study.study import Study
 from hydroopt.study.table import Table
 

@@ -1,0 +1,18 @@
+"""The templates of the pages, which all share one style."""
+
+from __future__ import annotations
+
+from importlib.resources import files
+
+import jinja2
+
+from hydroopt.report.numbers import NONE, plain
+
+
+def page(name: str) -> jinja2.Template:
+    """A template that lies beside this file; all share one style."""
+    loader = jinja2.FunctionLoader(lambda part: files("hydroopt.report").joinpath(part).read_text(encoding="utf-8"))
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
+                                     lstrip_blocks=True, loader=loader)
+    environment.filters["number"] = lambda value: NONE if value is None else plain(value, 3)
+    return environment.get_template(name)
