@@ -4,9 +4,10 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hydroopt import Problem, inertia
-from hydroopt.estimation.compression import compress
-from hydroopt.estimation.linear import RANK_TOLERANCE, truncated_svd
+from hydroopt import Problem
+from hydroopt.estimation.dynamic.regressor_qr import compress
+from hydroopt.estimation.inference.least_squares import RANK_TOLERANCE, truncated_svd
+from hydroopt.spatial import inertia
 
 FULL, COMBINATION, NONE = "‡", "†", "*"
 """Marks: identified alone, stands for a linear combination, not identified (no trace, or left out of a combination)."""

@@ -12,14 +12,14 @@ import numpy as np
 import typer
 
 from hydroopt.cli.options import AsJson, Directory, MachineName, MapFile, Quiet, loss_of, progress
-from hydroopt.description import load_machine
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.estimation.appraisal import leavable
-from hydroopt.estimation.calibration import METHODS
-from hydroopt.estimation.calibration import calibrate as solve_calibration
-from hydroopt.estimation.closure import CalibrationProblem, calibration_problem
+from hydroopt.estimation.kinematic.calibration import METHODS
+from hydroopt.estimation.kinematic.calibration import calibrate as solve_calibration
+from hydroopt.estimation.kinematic.diagnostics import leavable
+from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
+from hydroopt.logs.poses import Poses, joined, read_pose_files
+from hydroopt.machine.machine_file import load_machine
 from hydroopt.report import folder
-from hydroopt.signals.poses import Poses, joined, read_pose_files
 from hydroopt.units import to_si
 
 

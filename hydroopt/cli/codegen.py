@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from hydroopt.cli.options import Directory, ParameterSetName, Quiet, progress
-from hydroopt.codegen import origin as codegen_origin
+from hydroopt.codegen import parameter_source as codegen_origin
 from hydroopt.codegen.folder import Code
 from hydroopt.codegen.routines import ROUTINES
 

@@ -26,13 +26,13 @@ from hydroopt.cli.options import (
     smoothing_of,
     treatment_of,
 )
-from hydroopt.description import load_machine
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.estimation.change import Change, detect_change
-from hydroopt.estimation.payload import Payload
-from hydroopt.estimation.payload import payload as weigh_load
+from hydroopt.estimation.dynamic.change import Change, detect_change
+from hydroopt.estimation.dynamic.payload import Payload
+from hydroopt.estimation.dynamic.payload import payload as weigh_load
+from hydroopt.logs.log import Log, read_log
+from hydroopt.machine.machine_file import load_machine
 from hydroopt.report import comparison
-from hydroopt.signals.log import Log, read_log
 
 OF_A_CHANGE, OF_A_LOAD = ("parts", "level"), ("link", "friction_changes", "gain")
 """Options that only one of the two uses has."""

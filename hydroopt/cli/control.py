@@ -11,17 +11,16 @@ import typer
 
 from hydroopt.cli.options import AsJson, Directory, MapFile, ParameterSetName, Quiet, progress
 from hydroopt.cli.simulate import followed
-from hydroopt.codegen import origin as codegen_origin
-from hydroopt.control.comparison import LQG, PI, Comparison, Setting, compare, rate_of
-from hydroopt.control.knowledge import COMPLETE, Knowledge, nominal_of, reduced, truth
+from hydroopt.codegen import parameter_source as codegen_origin
+from hydroopt.control.comparison import FEEDFORWARD, LQG, PI, Comparison, Setting, compare, rate_of
+from hydroopt.control.model_variants import COMPLETE, Knowledge, nominal_of, reduced, truth
 from hydroopt.control.tuning import SENSITIVITY
-from hydroopt.control.verdict import FEEDFORWARD
-from hydroopt.description import bundled
 from hydroopt.errors import ProblemError
-from hydroopt.model.build import Model
+from hydroopt.logs.log import read_log
+from hydroopt.machine.machine_file import bundled
+from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.report import closed_loop_folder as folder
-from hydroopt.signals.log import read_log
 
 KINDS = (PI, FEEDFORWARD, LQG)
 

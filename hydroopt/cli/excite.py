@@ -13,19 +13,19 @@ from typing import Annotated, Any
 import typer
 
 from hydroopt.cli.options import AsJson, Directory, MachineName, MapFile, ParameterSetName, Quiet, progress, refuse_idle
-from hydroopt.codegen import origin as codegen_origin
-from hydroopt.description import load_machine
+from hydroopt.codegen import parameter_source as codegen_origin
 from hydroopt.errors import IdentifiabilityError, ProblemError
-from hydroopt.excitation.basis import Basis, Fourier, Spline
 from hydroopt.excitation.criteria import CRITERIA
-from hydroopt.excitation.design import design, excitation_problem
-from hydroopt.excitation.expectation import expected, measured
-from hydroopt.excitation.motion import Excitation
-from hydroopt.excitation.poses import plan_poses
+from hydroopt.excitation.motion.basis import Basis, Fourier, Spline
+from hydroopt.excitation.motion.design import design, excitation_problem
+from hydroopt.excitation.motion.excitation import Excitation
+from hydroopt.excitation.motion.expected_accuracy import expected, measured
+from hydroopt.excitation.poses.plan import plan_poses
 from hydroopt.files import write_files
-from hydroopt.machine import Machine
+from hydroopt.logs.stream import open_log
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import load_machine
 from hydroopt.report import folder
-from hydroopt.signals.stream import open_log
 from hydroopt.units import to_si
 
 TIGHT = 0.02

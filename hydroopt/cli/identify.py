@@ -10,7 +10,7 @@ from typing import Annotated
 
 import typer
 
-from hydroopt.cli.hydraulics import OTHERS, identify_hydraulics
+from hydroopt.cli.identify_valves import OTHERS, identify_valves
 from hydroopt.cli.options import (
     AsJson,
     Bandwidth,
@@ -29,15 +29,16 @@ from hydroopt.cli.options import (
     smoothing_of,
     treatment_of,
 )
-from hydroopt.description import load_machine
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.estimation.friction import TERMS, choose_friction, friction_problem, terms_of
-from hydroopt.estimation.problem import Problem, identification_problem
-from hydroopt.estimation.solve import METHODS, Method, solve
-from hydroopt.estimation.verdict import doubts
+from hydroopt.estimation.dynamic.diagnostics import doubts
+from hydroopt.estimation.dynamic.friction_choice import TERMS, choose_friction, friction_problem, terms_of
+from hydroopt.estimation.dynamic.identify import METHODS, Method
+from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
+from hydroopt.logs.log import read_log
+from hydroopt.logs.stream import open_log
+from hydroopt.machine.machine_file import load_machine
 from hydroopt.report import folder
-from hydroopt.signals.log import read_log
-from hydroopt.signals.stream import open_log
+from hydroopt.solving import solve
 
 
 def identify(
@@ -86,7 +87,7 @@ def identify(
     if hydraulics:
         refuse_idle(context, OTHERS, "this says nothing to the identification of valves and oil",
                     "leave it out, or --hydraulics")
-        identify_hydraulics(described, logs, output, validate or (), holdout, map_file=map_file,
+        identify_valves(described, logs, output, validate or (), holdout, map_file=map_file,
                             treatment=treatment_of(treat), bodies=bodies, quiet=quiet, as_json=as_json)
         return
     refuse_idle(context, ("bodies",), "masses and inertias are identified anyhow", "leave it out, or add --hydraulics")
@@ -103,7 +104,7 @@ def identify(
         train, held_out = [pair[0] for pair in pairs], held_out + [pair[1] for pair in pairs]
     kind, far, full = loss_of(loss, "--loss"), distance_of(distance, "--distance"), not reduced
 
-    def prepared(problem: Problem) -> Problem:
+    def prepared(problem: IdentificationProblem) -> IdentificationProblem:
         problem = _with_noisy_angles(problem.with_loss(kind).with_distance(far), motion, instruments, map_file)
         return problem.with_correlated_channels() if correlated else problem
 
@@ -134,8 +135,8 @@ def identify(
         typer.echo(f"{output / 'report.html'}")
 
 
-def _with_noisy_angles(problem: Problem, motion: str, instruments: list[str] | None,
-                       map_file: Path | None) -> Problem:
+def _with_noisy_angles(problem: IdentificationProblem, motion: str, instruments: list[str] | None,
+                       map_file: Path | None) -> IdentificationProblem:
     if motion not in ("smoothed", "fitted"):
         raise ProblemError(f"'{motion}' is no way to a motion", where="--motion", remedy="use smoothed or fitted")
     if motion == "fitted":

@@ -12,10 +12,11 @@ import typer
 from rich.console import Console
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.problem import Distance, Loss
-from hydroopt.machine import Machine
-from hydroopt.parts import Cylinder, Motor
-from hydroopt.signals.conditioning import Butterworth, Fourier, Smoothing, SmoothingSpline
+from hydroopt.estimation.dynamic.problem import Loss
+from hydroopt.estimation.inference.problem import Distance
+from hydroopt.logs.smoothing import Butterworth, Fourier, Smoothing, SmoothingSpline
+from hydroopt.machine.components import Cylinder, Motor
+from hydroopt.machine.machine import Machine
 
 MachineName = Annotated[str, typer.Argument(
     metavar="MACHINE", help="A bundled machine's name or a .toml or .urdf file.")]

@@ -13,14 +13,14 @@ from rich.table import Table
 
 from hydroopt.cli.options import AsJson, MachineName, ParameterSetName, progress
 from hydroopt.control.workspace import sweeps
-from hydroopt.description import load_machine
 from hydroopt.errors import ProblemError
 from hydroopt.files import write_files
-from hydroopt.machine import Machine
-from hydroopt.model.build import Model
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.report import hydraulics as workspace
-from hydroopt.report.facts import machine_facts
+from hydroopt.report.machine_facts import machine_facts
 from hydroopt.report.record import table as csv
 
 

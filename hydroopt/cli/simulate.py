@@ -12,18 +12,19 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from hydroopt import driving, synthetic
 from hydroopt.cli.options import Directory, MachineName, MapFile, ParameterSetName, Quiet, progress
-from hydroopt.description import load_machine
 from hydroopt.errors import LogError, ProblemError
-from hydroopt.estimation.experiment import reading
 from hydroopt.files import write_files
-from hydroopt.inertia import Array
-from hydroopt.machine import Machine
-from hydroopt.model.build import Model
+from hydroopt.logs.log import Log, read_log
+from hydroopt.logs.readings import reading
+from hydroopt.logs.smoothing import SmoothingSpline, condition
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
-from hydroopt.signals.conditioning import SmoothingSpline, condition
-from hydroopt.signals.log import Log, read_log
+from hydroopt.simulation import drive_valves
+from hydroopt.simulation import simulate as synthetic
+from hydroopt.spatial.inertia import Array
 
 HALVED = 6
 """How often a random motion is halved until the supply can drive it and it keeps within its range."""
@@ -71,7 +72,7 @@ def simulate(
         named = dict(zip(model.parameters.names, psi.tolist(), strict=True))
         if driven or commands is not None:
             plant = Plant(model)
-            theta = driving.random_numbers(plant, draw) if random else plant.parameters.nominal
+            theta = drive_valves.random_numbers(plant, draw) if random else plant.parameters.nominal
             named |= zip(plant.parameters.names, theta.tolist(), strict=True)
             if commands is not None:
                 tries = [lambda: _commands(plant, read_log(commands, mapping=map_file))]
@@ -80,7 +81,7 @@ def simulate(
                         else followed(described, read_log(motion, mapping=map_file)))
                 sizes = 0.5 ** np.arange(1 if motion is not None else HALVED + 1)
                 tries = [partial(_driving, plant, path, psi, theta, float(size)) for size in sizes]
-            log = _first_possible(tries, lambda given: driving.drive(
+            log = _first_possible(tries, lambda given: drive_valves.drive(
                 plant, *given, psi=psi, theta=theta, noise=noise, seed=seed, name=described.name))
         else:
             path = (_random(model, duration, rate, seed) if motion is None
@@ -109,7 +110,7 @@ def _driving(plant: Plant, motion: synthetic.Trajectory, psi: Array, theta: Arra
     """
     middle = np.mean(motion.q, axis=0)
     part = synthetic.Trajectory(motion.t, middle + size * (motion.q - middle), size * motion.qd, size * motion.qdd)
-    return motion.t, driving.commands_for(plant, part, psi, theta), part.q[0]
+    return motion.t, drive_valves.commands_for(plant, part, psi, theta), part.q[0]
 
 
 def _first_possible(tries: Sequence[Callable[[], Given]], drive: Callable[[Given], Log]) -> Log:

@@ -26,12 +26,12 @@ from hydroopt.cli.options import (
     treatment_of,
 )
 from hydroopt.cli.simulate import followed
-from hydroopt.description import load_machine
 from hydroopt.errors import ProblemError, StoppedError
-from hydroopt.estimation.closure import calibration_problem
+from hydroopt.estimation.kinematic.problem import calibration_problem
+from hydroopt.logs.log import read_log
+from hydroopt.logs.poses import read_pose_files
+from hydroopt.machine.machine_file import load_machine
 from hydroopt.report import study as report
-from hydroopt.signals.log import read_log
-from hydroopt.signals.poses import read_pose_files
 from hydroopt.study import bootstrap, montecarlo, multistart
 from hydroopt.study.run import run
 from hydroopt.study.study import Study

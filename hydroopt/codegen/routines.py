@@ -8,18 +8,18 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from hydroopt.control import valves
+from hydroopt.control import valve_inversion
 from hydroopt.errors import ProblemError
-from hydroopt.geometry import Geometry
-from hydroopt.inertia import NAMES, UNITS, Array
-from hydroopt.machine import Machine
-from hydroopt.model.build import Model
+from hydroopt.machine.components import Cylinder
+from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.machine import Machine
+from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.kinematics import coordinates
-from hydroopt.model.loops import KinematicModel
+from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.model.regressor import Dynamics
-from hydroopt.parts import Cylinder
-from hydroopt.spatial import triangle_angle
+from hydroopt.spatial.inertia import NAMES, UNITS, Array
+from hydroopt.spatial.poses import triangle_angle
 
 SHORTEST = 1e-3
 """Pin distance [m] below which pins count as coinciding."""
@@ -408,9 +408,9 @@ def _valve_feedforward(own: Interface) -> Routine:
         if isinstance(each.actuator, Cylinder):  # whose stroke begins where calibration finds it
             dead = own.dynamics.geometry.value[f"{each.actuator.name}.dead_length"]
             length = own.dynamics.cylinders[each.actuator.name].length - dead + each.actuator.dead_length
-        wide = valves.opening(each, speed[k], rate[k], length, ca.vertcat(p_a[k], p_b[k]), supply, value)
+        wide = valve_inversion.opening(each, speed[k], rate[k], length, ca.vertcat(p_a[k], p_b[k]), supply, value)
         openings.append(ca.fmin(ca.fmax(wide, -1.0), 1.0))
-        commands.append(valves.command(each.valve, openings[-1], value))
+        commands.append(valve_inversion.command(each.valve, openings[-1], value))
     motion = own.structs[own.motion()].fields
     takes = own.struct("demand", "A motion to drive, with the pressures that the valves meet.", *motion,
                        Field("speed_added", ("actuator",), "m/s or rad/s", "speed that a feedback adds; 0 without"),
@@ -427,7 +427,7 @@ def _valve_feedforward(own: Interface) -> Routine:
                    ("q", "qd", "qdd", "speed_added", "force_rate", "pressure_a", "pressure_b", "supply"), gives,
                    {"force": _predicted(own), "opening": ca.vertcat(*openings), "command": ca.vertcat(*commands)},
                    (*own.guards(levers=True, gas=True),
-                    Guard(supply[0] - supply[1], ">", valves.DROP, "NO_SUPPLY")), own.lengths)
+                    Guard(supply[0] - supply[1], ">", valve_inversion.DROP, "NO_SUPPLY")), own.lengths)
 
 
 def _excitation(own: Interface, course: Course) -> Routine:

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 import control
 import numpy as np
 
-from hydroopt.control.demand import Demand
+from hydroopt.control.reference import Demand
 from hydroopt.control.sampled import Point, Reading
-from hydroopt.control.valves import Valves
-from hydroopt.inertia import Array
+from hydroopt.control.valve_inversion import Valves
+from hydroopt.spatial.inertia import Array
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,21 +12,21 @@ import numpy as np
 from scipy.stats import qmc
 
 from hydroopt.control.cascade import Cascade, Gains
-from hydroopt.control.demand import Demands, Reference
-from hydroopt.control.knowledge import COMPLETE, TRUE, Knowledge
-from hydroopt.control.loop import Run, simulate
+from hydroopt.control.closed_loop import Run, simulate
+from hydroopt.control.feasibility import refuse_flow, refuse_opening, refuse_unstable
 from hydroopt.control.lqg import Lqg, design, reading_noise
+from hydroopt.control.model_variants import COMPLETE, TRUE, Knowledge
+from hydroopt.control.reference import Demands, Reference
 from hydroopt.control.sampled import Linear, Margin, Point, linearised, margins, point, sampled
 from hydroopt.control.tuning import SENSITIVITY, tuned
-from hydroopt.control.valves import Valves
-from hydroopt.control.verdict import FEEDFORWARD, refuse_flow, refuse_opening, refuse_unstable
+from hydroopt.control.valve_inversion import Valves
 from hydroopt.control.workspace import SHARE, top_speed
 from hydroopt.errors import ProblemError
-from hydroopt.inertia import Array
 from hydroopt.model.plant import Plant
-from hydroopt.synthetic import Trajectory, sampling_rate
+from hydroopt.simulation.simulate import Trajectory, sampling_rate
+from hydroopt.spatial.inertia import Array
 
-PI, LQG = "pi", "lqg"
+PI, FEEDFORWARD, LQG = "pi", "feedforward", "lqg"
 ON_THE_WAY = 6
 """Points of the motion at which loops are looked at, and about which the LQG controller is designed."""
 WORKSPACE = 16

@@ -8,13 +8,13 @@ from typing import NamedTuple
 import control
 import numpy as np
 
-from hydroopt.control.demand import Demand
+from hydroopt.control.reference import Demand
 from hydroopt.control.sampled import Point, Reading
 from hydroopt.control.tuning import SLOWNESS
-from hydroopt.control.valves import Valves
-from hydroopt.inertia import Array
-from hydroopt.machine import Machine
+from hydroopt.control.valve_inversion import Valves
+from hydroopt.machine.machine import Machine
 from hydroopt.model.plant import Plant
+from hydroopt.spatial.inertia import Array
 
 CAUTION = 0.7
 """Part of the cascade's position gain that is aimed at: what a model knows of resonances, postures change."""

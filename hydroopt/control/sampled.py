@@ -12,9 +12,9 @@ from typing import NamedTuple, Protocol
 import control
 import numpy as np
 
-from hydroopt.control.linear import signal, state_space
-from hydroopt.inertia import Array
+from hydroopt.control.linearisation import signal, state_space
 from hydroopt.model.plant import Plant, Steady
+from hydroopt.spatial.inertia import Array
 
 FREQUENCIES = 400
 """At which loops are looked at, up to half the sampling rate."""

@@ -10,9 +10,9 @@ import numpy as np
 
 from hydroopt.control.cascade import Gains
 from hydroopt.control.sampled import Point, frequencies
-from hydroopt.control.valves import Valves
+from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
-from hydroopt.inertia import Array
+from hydroopt.spatial.inertia import Array
 
 SENSITIVITY = 1.3
 """Largest sensitivity |1/(1 + L)| of a loop: 1.3 keeps a gain margin of 12.7 dB and a phase margin of 45 degrees."""

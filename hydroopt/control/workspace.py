@@ -8,9 +8,9 @@ import numpy as np
 from scipy.stats import qmc
 
 from hydroopt.errors import ProblemError
-from hydroopt.inertia import Array
 from hydroopt.model.hydraulics import conductance
 from hydroopt.model.plant import Plant, Steady
+from hydroopt.spatial.inertia import Array
 
 SHARE = 0.1
 """Part of its greatest speed at which a joint moves where it is linearised: at rest, valves are shut."""

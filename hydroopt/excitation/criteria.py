@@ -13,11 +13,11 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.errors import IdentifiabilityError, ProblemError
-from hydroopt.estimation.experiment import force_noise
-from hydroopt.identifiability import Identifiability, random_states, structural
-from hydroopt.inertia import NAMES, Array
-from hydroopt.model.build import Model
-from hydroopt.model.program import program
+from hydroopt.estimation.inference.identifiability import Identifiability, random_states, structural
+from hydroopt.kernels.expression_graph import program
+from hydroopt.logs.readings import force_noise
+from hydroopt.model.model import Model
+from hydroopt.spatial.inertia import NAMES, Array
 
 CRITERIA = ("D", "A", "E", "condition")
 SLOW = 0.02

@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import casadi as ca
 
-from hydroopt.dynamic_parameters import SPEED
-from hydroopt.parts import Cylinder, Drive, Motor
+from hydroopt.machine.components import Cylinder, Drive, Motor
+from hydroopt.parameters.dynamic import SPEED
 
 
 def sign_of(speed: ca.SX, dead_zone: float | None) -> ca.SX:

@@ -11,8 +11,8 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from hydroopt.circuit import Circuit, Oil, Valve
-from hydroopt.parts import Cylinder, Motor
+from hydroopt.machine.components import Cylinder, Motor
+from hydroopt.machine.valves import Circuit, Oil, Valve
 
 AMBIENT = 101325.0
 """Absolute pressure [Pa] above which all others are counted."""

@@ -6,9 +6,9 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from hydroopt.geometry import Geometry
-from hydroopt.machine import BASE, Machine
-from hydroopt.spatial import Pose, identity, roll_pitch_yaw
+from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.machine import BASE, Machine
+from hydroopt.spatial.poses import Pose, identity, roll_pitch_yaw
 
 UP = ca.SX(ca.DM([0, 0, 1]))
 STILL = ca.SX(3, 1)

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import casadi as ca
 
-from hydroopt.inertia import NAMES
 from hydroopt.model.kinematics import Coordinates, gravity_in_base
 from hydroopt.model.regressor import Dynamics
-from hydroopt.spatial import unskew
+from hydroopt.spatial.inertia import NAMES
+from hydroopt.spatial.poses import unskew
 
 
 def energies(dynamics: Dynamics, owner: str, phi: ca.SX) -> tuple[ca.SX, ca.SX]:

@@ -9,10 +9,9 @@ import casadi as ca
 import numpy as np
 from scipy.optimize import brentq, root
 
-from hydroopt import hydraulic_parameters
 from hydroopt.errors import ProblemError
-from hydroopt.inertia import Array
-from hydroopt.model.build import Model
+from hydroopt.kernels.expression_graph import program
+from hydroopt.machine.components import Cylinder, Drive
 from hydroopt.model.hydraulics import (
     AMBIENT,
     ActuatorHydraulics,
@@ -23,9 +22,10 @@ from hydroopt.model.hydraulics import (
     displaced,
     pump_flow,
 )
-from hydroopt.model.program import program
-from hydroopt.parameters import ParameterSet
-from hydroopt.parts import Cylinder, Drive
+from hydroopt.model.model import Model
+from hydroopt.parameters import hydraulic as hydraulic_parameters
+from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.spatial.inertia import Array
 
 CREEP = 1e-3
 """Speed [m/s or rad/s] over which dry friction turns round in the plant: sign(v) becomes tanh(v/CREEP)."""

@@ -9,16 +9,16 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from hydroopt import inertia
-from hydroopt.dynamic_parameters import SPEED, bodies, parameter_set
-from hydroopt.geometry import Geometry
-from hydroopt.machine import Machine
-from hydroopt.model.bodies import CylinderMotion, cylinder_motion
+from hydroopt.machine.components import Cylinder, Drive, GasCylinder, Motor
+from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.machine import Machine
+from hydroopt.model.cylinder_motion import CylinderMotion, cylinder_motion
 from hydroopt.model.friction import friction_terms
 from hydroopt.model.kinematics import Coordinates, Motion, link_motions
-from hydroopt.parameters import ParameterSet
-from hydroopt.parts import Cylinder, Drive, GasCylinder, Motor
-from hydroopt.spatial import skew
+from hydroopt.parameters.dynamic import SPEED, bodies, parameter_set
+from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.spatial import inertia
+from hydroopt.spatial.poses import skew
 
 
 def body_regressor(motion: Motion) -> ca.SX:

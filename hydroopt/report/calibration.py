@@ -18,13 +18,13 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
-from hydroopt.estimation.appraisal import CORRELATED, Appraisal, Chain, Residuals
-from hydroopt.estimation.calibration import Calibration
-from hydroopt.estimation.estimate import Fit
-from hydroopt.inertia import Array
+from hydroopt.estimation.inference.fit import Fit
+from hydroopt.estimation.kinematic.calibration import Calibration
+from hydroopt.estimation.kinematic.diagnostics import CORRELATED, Appraisal, Chain, Residuals
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, LIGHT, ORANGE, SHADE, STYLE, WIDTH, Change, changes, svg
 from hydroopt.report.numbers import NONE, Row, plain, quantity, unit_text
 from hydroopt.report.page import page
+from hydroopt.spatial.inertia import Array
 
 METHODS = {
     "joint": "all poses, stages and parameters at once; sensed angles err, too (maximum likelihood, IPOPT)",

@@ -11,7 +11,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from hydroopt.codegen.origin import Origin
+from hydroopt.codegen.parameter_source import Origin
 from hydroopt.control.comparison import LQG, PI, Comparison, Outcome
 from hydroopt.report import hydraulics
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE, STYLE, WIDTH, svg, thin

@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 
 from hydroopt.codegen.folder import Code
-from hydroopt.codegen.origin import Origin
+from hydroopt.codegen.parameter_source import Origin
 from hydroopt.control.comparison import Comparison, Outcome
-from hydroopt.control.knowledge import Knowledge
+from hydroopt.control.diagnostics import doubts
+from hydroopt.control.model_variants import Knowledge
 from hydroopt.control.sampled import Margin
-from hydroopt.control.verdict import doubts
 from hydroopt.errors import ProblemError
 from hydroopt.files import write_files
-from hydroopt.inertia import Array
+from hydroopt.logs.table import write_columns
 from hydroopt.report import closed_loop
 from hydroopt.report.record import SCHEMA, machine_entry, now, number, table, versions
-from hydroopt.signals.table import write_columns
+from hydroopt.spatial.inertia import Array
 
 FILES = ("control.json", "report.html", "tracking.csv", "margins.csv", "runs.csv")
 """Files that the next comparison replaces."""

@@ -14,11 +14,11 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 
 from hydroopt.errors import HydrooptError
-from hydroopt.estimation.change import Change, Difference
-from hydroopt.estimation.payload import Payload, Quantity
-from hydroopt.estimation.session import Session
+from hydroopt.estimation.dynamic.change import Change, Difference
+from hydroopt.estimation.dynamic.payload import Payload, Quantity
+from hydroopt.estimation.dynamic.stored_information import Session
 from hydroopt.files import write_files
-from hydroopt.machine import Machine
+from hydroopt.machine.machine import Machine
 from hydroopt.report.figures import BLUE, GREY, ORANGE, STYLE, WIDTH, svg
 from hydroopt.report.numbers import NONE, plain, quantity, unit_text
 from hydroopt.report.page import page

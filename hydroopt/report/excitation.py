@@ -12,15 +12,15 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
 
-from hydroopt.excitation.basis import Fourier
-from hydroopt.excitation.expectation import Expectation
-from hydroopt.excitation.motion import Excitation, Use
-from hydroopt.inertia import Array
-from hydroopt.machine import BASE
+from hydroopt.excitation.motion.basis import Fourier
+from hydroopt.excitation.motion.excitation import Excitation, Use
+from hydroopt.excitation.motion.expected_accuracy import Expectation
+from hydroopt.machine.machine import BASE
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, LIGHT, ORANGE, STYLE, WIDTH, svg, thin
 from hydroopt.report.numbers import NONE, percent, plain, quantity, unit_text
 from hydroopt.report.page import page
-from hydroopt.synthetic import BACK_PRESSURE
+from hydroopt.simulation.simulate import BACK_PRESSURE
+from hydroopt.spatial.inertia import Array
 
 PRINTED: dict[str, tuple[str, float]] = {
     "rad": ("deg", 180 / np.pi), "rad/s": ("deg/s", 180 / np.pi), "rad/s^2": ("deg/s²", 180 / np.pi),

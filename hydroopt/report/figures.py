@@ -16,10 +16,10 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from hydroopt.estimation.estimate import Estimate
-from hydroopt.estimation.experiment import Experiment
-from hydroopt.inertia import Array
+from hydroopt.estimation.dynamic.estimate import Estimate
+from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.report.numbers import unit_text
+from hydroopt.spatial.inertia import Array
 
 Mask = NDArray[np.bool_]
 

@@ -11,29 +11,32 @@ from typing import Any
 import numpy as np
 
 from hydroopt.codegen.folder import Code
-from hydroopt.codegen.origin import Origin
+from hydroopt.codegen.parameter_source import Origin
 from hydroopt.codegen.routines import Course
-from hydroopt.description import dump_machine
 from hydroopt.errors import HydrooptError, ProblemError
-from hydroopt.estimation import session
-from hydroopt.estimation.appraisal import Appraisal
-from hydroopt.estimation.calibrated import calibrated_machine
-from hydroopt.estimation.calibration import Calibration
-from hydroopt.estimation.closure import CalibrationProblem
-from hydroopt.estimation.diagnosis import Suspect
-from hydroopt.estimation.estimate import Estimate, Fit
-from hydroopt.estimation.experiment import Experiment
-from hydroopt.estimation.friction import FrictionChoice
-from hydroopt.estimation.problem import Problem
-from hydroopt.estimation.recording import Recording
-from hydroopt.estimation.verdict import doubts
-from hydroopt.excitation.expectation import Expectation
-from hydroopt.excitation.motion import Excitation
-from hydroopt.excitation.verdict import doubts as excitation_doubts
+from hydroopt.estimation.dynamic import stored_information
+from hydroopt.estimation.dynamic.calibrated import calibrated_machine
+from hydroopt.estimation.dynamic.diagnostics import doubts
+from hydroopt.estimation.dynamic.estimate import Estimate
+from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.estimation.dynamic.friction_choice import FrictionChoice
+from hydroopt.estimation.dynamic.problem import IdentificationProblem
+from hydroopt.estimation.dynamic.streamed_experiment import Recording
+from hydroopt.estimation.inference.fit import Fit
+from hydroopt.estimation.kinematic.calibration import Calibration
+from hydroopt.estimation.kinematic.diagnostics import Appraisal
+from hydroopt.estimation.kinematic.problem import CalibrationProblem
+from hydroopt.estimation.kinematic.suspects import Suspect
+from hydroopt.excitation.motion.diagnostics import doubts as excitation_doubts
+from hydroopt.excitation.motion.excitation import Excitation
+from hydroopt.excitation.motion.expected_accuracy import Expectation
 from hydroopt.files import write_files
+from hydroopt.logs.poses import Poses
+from hydroopt.logs.table import write_columns
+from hydroopt.machine.machine_file import dump_machine
 from hydroopt.report import calibration as calibration_page
 from hydroopt.report import excitation as excitation_page
-from hydroopt.report import html
+from hydroopt.report import identification
 from hydroopt.report.record import SCHEMA
 from hydroopt.report.record import flat as _flat
 from hydroopt.report.record import machine_entry as _machine
@@ -41,8 +44,6 @@ from hydroopt.report.record import now as _now
 from hydroopt.report.record import number as _number
 from hydroopt.report.record import table as _csv
 from hydroopt.report.record import versions as _versions
-from hydroopt.signals.poses import Poses
-from hydroopt.signals.table import write_columns
 
 EXCITATION = ("excitation.json", "report.html", "trajectory.csv", "trajectory.parquet")
 """Files of a motion to drive, which the next one replaces."""
@@ -71,11 +72,11 @@ def save(estimate: Estimate, directory: str | Path, *, wall_s: float = float("na
              "held_out_error": _number(c.held_out), "held_out_std": _number(c.std), "chosen": c.chosen, "why": c.why}
             for c in friction.candidates]}
     machine_file = f"{estimate.problem.model.machine.name}.toml"
-    files = {"report.html": html.render(estimate, doubts(estimate), friction),
+    files = {"report.html": identification.render(estimate, doubts(estimate), friction),
              "parameters.csv": _csv([_flat(row) for row in content["parameters"]]),
              "base_parameters.csv": _csv(content["base_parameters"]), "fit.csv": _fit_csv(content["fit"]),
-             session.INFORMATION: session.as_csv(estimate.problem.model.machine, estimate.problem.parameters.names,
-                                                 estimate.evidence.triangles)}
+             stored_information.INFORMATION: stored_information.as_csv(
+                 estimate.problem.model.machine, estimate.problem.parameters.names, estimate.evidence.triangles)}
     with contextlib.suppress(ProblemError):  # the doubts and the report say which body cannot exist
         files[machine_file] = dump_machine(calibrated_machine(estimate))
     forget(directory, machine_file)
@@ -86,7 +87,7 @@ def save(estimate: Estimate, directory: str | Path, *, wall_s: float = float("na
 def forget(directory: str | Path, machine_file: str) -> None:
     """Remove an earlier result from the directory, so that none of it is taken for part of the next."""
     for name in ("estimate.json", "report.html", "parameters.csv", "base_parameters.csv", "fit.csv", "residuals.csv",
-                 "free_run.csv", session.INFORMATION, machine_file):
+                 "free_run.csv", stored_information.INFORMATION, machine_file):
         with contextlib.suppress(OSError):  # not there, or the directory is no directory, which writing will say
             (Path(directory) / name).unlink()
 
@@ -199,7 +200,7 @@ def _excitation(excitation: Excitation, expectation: Expectation) -> dict[str, A
                        for k, name in enumerate(parameters.names)]}
 
 
-def save_failure(problem: Problem | CalibrationProblem, method: str, error: HydrooptError,
+def save_failure(problem: IdentificationProblem | CalibrationProblem, method: str, error: HydrooptError,
                  directory: str | Path) -> dict[str, Any]:
     """Write an estimate.json that says why there is no estimate; nothing else.
 
@@ -313,9 +314,9 @@ def _residual_rows(appraisal: Appraisal) -> list[dict[str, Any]]:
     return rows
 
 
-def _origin(problem: Problem | CalibrationProblem, method: str) -> dict[str, Any]:
+def _origin(problem: IdentificationProblem | CalibrationProblem, method: str) -> dict[str, Any]:
     inputs = ([_input(e, "train") for e in problem.experiments] + [_input(e, "validation") for e in problem.validation]
-              if isinstance(problem, Problem) else _tables(problem))
+              if isinstance(problem, IdentificationProblem) else _tables(problem))
     return {"schema": SCHEMA, "machine": _machine(problem.model.machine), "created": _now(), "inputs": inputs,
             "method": method, "versions": _versions()}
 

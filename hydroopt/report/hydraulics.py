@@ -12,10 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from hydroopt.control.workspace import Sweep, sweeps
-from hydroopt.inertia import Array
 from hydroopt.model.plant import Plant
 from hydroopt.report.figures import BLUE, ORANGE, STYLE, WIDTH, svg
 from hydroopt.report.page import page
+from hydroopt.spatial.inertia import Array
 
 KEYS = ("frequency", "damping", "gain")
 

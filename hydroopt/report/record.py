@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from hydroopt.machine import Machine
+from hydroopt.machine.machine import Machine
 
 SCHEMA = 1
 """Version of estimate.json and its like; it changes when a key changes its meaning or goes."""

@@ -17,14 +17,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.compression import predict
-from hydroopt.estimation.experiment import Experiment
-from hydroopt.estimation.problem import Problem, identification_problem
-from hydroopt.estimation.recording import in_memory
-from hydroopt.estimation.solve import Method, solve
-from hydroopt.inertia import Array
-from hydroopt.machine import Machine
-from hydroopt.signals.log import Log
+from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.estimation.dynamic.identify import Method, identify
+from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
+from hydroopt.estimation.dynamic.regressor_qr import predict
+from hydroopt.estimation.dynamic.streamed_experiment import in_memory
+from hydroopt.logs.log import Log
+from hydroopt.machine.machine import Machine
+from hydroopt.spatial.inertia import Array
 from hydroopt.study.study import Study, Values, seeds
 from hydroopt.study.summary import failed
 from hydroopt.study.table import Table
@@ -76,7 +76,7 @@ class Resampling:
                 force[rows, k] += new
         again = replace(problem, experiments=tuple(replace(e, force=force) for e, force in
                                                    zip(experiments, forces, strict=True)))
-        psi = solve(again, self.method, seed=of_sampling).psi
+        psi = identify(again, self.method, seed=of_sampling).psi
         values = np.concatenate([psi[self.positions], self.grouping @ psi])
         return dict(zip((*self.names, *(f"base {name}" for name in self.base)), values.tolist(), strict=True))
 
@@ -105,7 +105,7 @@ def block_length(time: float, samples: int) -> int:
 
 
 @cache
-def _prepared(resampling: Resampling) -> tuple[Problem, tuple[Experiment, ...], list[Array]]:
+def _prepared(resampling: Resampling) -> tuple[IdentificationProblem, tuple[Experiment, ...], list[Array]]:
     problem = identification_problem(resampling.machine, resampling.logs)
     held = in_memory(problem.experiments, "a bootstrap")
     return problem, held, [predict(problem.model, e, resampling.psi) for e in held]
@@ -127,7 +127,7 @@ def bootstrap(machine: Machine, logs: Sequence[Log], *, cells: int, seed: int = 
     if cells < 1:
         raise ProblemError(f"{cells} cells are none", where="--cells", remedy="ask for one or more")
     problem = identification_problem(machine, logs)
-    found = solve(problem, method, seed=seed)
+    found = identify(problem, method, seed=seed)
     held = in_memory(problem.experiments, "a bootstrap")
     samples = np.sum([np.sum(e.inside[:, None] & e.moving, axis=0) for e in held], axis=0)
     told = np.flatnonzero(np.isfinite(found.value))

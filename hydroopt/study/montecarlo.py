@@ -14,15 +14,15 @@ from typing import Any
 
 import numpy as np
 
-from hydroopt import synthetic
-from hydroopt.dynamic_parameters import carried
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.experiment import force_noise, pressures
-from hydroopt.estimation.problem import identification_problem
-from hydroopt.estimation.solve import Method, solve
-from hydroopt.inertia import Array
-from hydroopt.machine import Machine
-from hydroopt.model.build import Model
+from hydroopt.estimation.dynamic.identify import Method, identify
+from hydroopt.estimation.dynamic.problem import identification_problem
+from hydroopt.logs.readings import force_noise, pressures
+from hydroopt.machine.machine import Machine
+from hydroopt.model.model import Model
+from hydroopt.parameters.dynamic import carried
+from hydroopt.simulation import simulate
+from hydroopt.spatial.inertia import Array
 from hydroopt.study.study import Study, Value, Values, seeds
 from hydroopt.study.summary import failed, quantiles, spread
 from hydroopt.study.table import Table
@@ -45,8 +45,8 @@ class Trial:
 
     machine: Machine
     method: Method
-    motion: synthetic.Trajectory | None
-    unseen: synthetic.Trajectory = field(repr=False)
+    motion: simulate.Trajectory | None
+    unseen: simulate.Trajectory = field(repr=False)
 
     def __call__(self, *, seed: int, accuracy: float = 1.0, duration: float = DURATION,
                  rate: float | None = None) -> Values:
@@ -56,12 +56,12 @@ class Trial:
             HydrooptError: there is no estimate.
         """
         model, (of_truth, of_motion, of_noise, of_sampling) = _model(self, accuracy), seeds(seed, 4)
-        truth = synthetic.random_truth(model, of_truth)
-        motion = self.motion or synthetic.random_trajectory(
-            model, duration=duration, rate=synthetic.sampling_rate(self.machine) if rate is None else rate,
+        truth = simulate.random_truth(model, of_truth)
+        motion = self.motion or simulate.random_trajectory(
+            model, duration=duration, rate=simulate.sampling_rate(self.machine) if rate is None else rate,
             seed=of_motion)
-        log = synthetic.simulate(model, motion, truth, seed=of_noise)
-        estimate = solve(identification_problem(model, [log]), self.method, seed=of_sampling)
+        log = simulate.simulate(model, motion, truth, seed=of_noise)
+        estimate = identify(identification_problem(model, [log]), self.method, seed=of_sampling)
         result: dict[str, Value] = {}
         for k, name in enumerate(model.parameters.names):
             low, high = estimate.ci95[k]
@@ -89,7 +89,7 @@ def unseen_error(trial: Trial, truth: Array, psi: Array) -> Array:
     model, motion = _model(trial, 1.0), trial.unseen
     state = [motion.q, motion.qd, motion.qdd]
     if model.needs_pressure:
-        pressed = pressures(model, synthetic.simulate(model, motion, truth, noise=False))
+        pressed = pressures(model, simulate.simulate(model, motion, truth, noise=False))
         assert pressed is not None
         state.append(pressed)
     true, predicted = (model.over(model.inverse_dynamics, *state, one)[0][:, :, 0] for one in (truth, psi))
@@ -97,7 +97,7 @@ def unseen_error(trial: Trial, truth: Array, psi: Array) -> Array:
 
 
 def montecarlo(machine: Machine, *, cells: int, seed: int = 0, method: Method = "sdp",
-               motion: synthetic.Trajectory | None = None, motion_sha256: str = "",
+               motion: simulate.Trajectory | None = None, motion_sha256: str = "",
                vary: Mapping[str, Sequence[float]] | None = None, duration: float = DURATION,
                rate: float | None = None) -> Study:
     """A Monte Carlo study of identification, or a sweep if something is varied.
@@ -126,14 +126,14 @@ def montecarlo(machine: Machine, *, cells: int, seed: int = 0, method: Method = 
                                f"{name}", where="--vary", remedy="give different positive numbers")
     if cells < 1:
         raise ProblemError(f"{cells} cells are none", where="--cells", remedy="ask for one or more")
-    given = {} if motion is not None else {"duration": duration, "rate": rate or synthetic.sampling_rate(machine)}
+    given = {} if motion is not None else {"duration": duration, "rate": rate or simulate.sampling_rate(machine)}
     points = [given | dict(zip(grid, point, strict=True)) for point in product(*grid.values())]
     for point in points:
         if motion is None:  # what cannot be sampled is refused now
-            synthetic.random_trajectory(Model(machine), duration=point["duration"], rate=point["rate"], seed=0)
+            simulate.random_trajectory(Model(machine), duration=point["duration"], rate=point["rate"], seed=0)
     own = seeds(seed, cells * len(points))
     table = tuple({**point, "seed": own[k * cells + i]} for k, point in enumerate(points) for i in range(cells))
-    unseen = synthetic.random_trajectory(Model(machine), duration=UNSEEN[0], rate=UNSEEN[1], seed=seed)
+    unseen = simulate.random_trajectory(Model(machine), duration=UNSEEN[0], rate=UNSEEN[1], seed=seed)
     settings = {"machine": machine.name, "machine_sha256": machine.sha256, "method": method, "seed": seed,
                 "motion_sha256": motion_sha256, "vary": {name: list(values) for name, values in grid.items()}}
     return Study("sweep" if grid else "montecarlo", Trial(machine, method, motion, unseen), table, settings | given)

@@ -14,11 +14,11 @@ from typing import Any
 import numpy as np
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.calibration import SAME, closed_angles, optimum, random_start, solvable
-from hydroopt.estimation.closure import CalibrationProblem, calibration_problem
-from hydroopt.estimation.observability import linearise, observability
-from hydroopt.machine import Machine
-from hydroopt.signals.poses import Poses
+from hydroopt.estimation.kinematic.calibration import SAME, closed_angles, optimum, random_start, solvable
+from hydroopt.estimation.kinematic.observability import linearise, observability
+from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
+from hydroopt.logs.poses import Poses
+from hydroopt.machine.machine import Machine
 from hydroopt.study.study import Study, Values, seeds
 from hydroopt.study.summary import failed
 from hydroopt.study.table import Table

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hydroopt.inertia import Array
+from hydroopt.spatial.inertia import Array
 from hydroopt.study.table import Table
 
 

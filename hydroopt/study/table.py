@@ -8,7 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from hydroopt.inertia import Array
+from hydroopt.spatial.inertia import Array
 from hydroopt.study.study import Outcome, Values
 
 

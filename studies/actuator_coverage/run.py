@@ -6,13 +6,13 @@ import numpy as np
 from scipy.stats import truncnorm
 
 from hydroopt import load_machine
-from hydroopt.driving import commands_for, drive
 from hydroopt.errors import SolverError
-from hydroopt.estimation.actuator import actuator_problem
-from hydroopt.estimation.actuator_estimate import identify_actuators
-from hydroopt.model.build import Model
+from hydroopt.estimation.hydraulic.estimate import identify_hydraulics
+from hydroopt.estimation.hydraulic.problem import hydraulic_problem
+from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
-from hydroopt.synthetic import Trajectory
+from hydroopt.simulation.drive_valves import commands_for, drive
+from hydroopt.simulation.simulate import Trajectory
 
 HERE = Path(__file__).parent
 LOGS, SECONDS, RATE = 60, 4.0, 50
@@ -35,14 +35,14 @@ def run() -> dict:
     rng = np.random.default_rng(1)
     inside, score, narrower, failed = [], [], [], 0
     for k in range(LOGS):
-        blank = actuator_problem(plant.machine, [drive(plant, motion.t, commands, motion.q[0], noise=False)])
+        blank = hydraulic_problem(plant.machine, [drive(plant, motion.t, commands, motion.q[0], noise=False)])
         known = blank.parameters
         truth = truncnorm.rvs((known.lower - known.nominal) / known.scale, (known.upper - known.nominal) / known.scale,
                               known.nominal, known.scale, random_state=rng)
         psi, theta = (np.asarray(part).ravel() for part in blank.split(truth))
         log = drive(plant, motion.t, commands, motion.q[0], psi=psi, theta=theta, seed=k)
         try:
-            found = identify_actuators(actuator_problem(plant.machine, [log])).shooting
+            found = identify_hydraulics(hydraulic_problem(plant.machine, [log])).shooting
         except SolverError:
             failed += 1
             continue

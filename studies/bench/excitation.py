@@ -9,10 +9,10 @@ from scipy.optimize import minimize
 from threadpoolctl import threadpool_limits
 
 from hydroopt import excitation_problem, load_machine
-from hydroopt.excitation.basis import Fourier
-from hydroopt.excitation.design import BACK_OFF, design, drawn, rest
-from hydroopt.excitation.program import Program
-from hydroopt.excitation.solver import KEPT, WIDEST, solve
+from hydroopt.excitation.motion.basis import Fourier
+from hydroopt.excitation.motion.design import BACK_OFF, design, drawn, rest
+from hydroopt.excitation.motion.problem import ExcitationProblem
+from hydroopt.excitation.motion.sqp import KEPT, WIDEST, sequential_quadratic_programming
 
 PATIENCE = 300.0
 """Seconds after which the baseline is stopped."""
@@ -24,7 +24,7 @@ class _OutOfTimeError(Exception):
     pass
 
 
-def _baseline(program: Program, start: np.ndarray) -> tuple[float, float]:
+def _baseline(program: ExcitationProblem, start: np.ndarray) -> tuple[float, float]:
     """Seconds until it ends, and the best it reached, with the same compiled functions but no derivatives."""
     lower, upper = program.bounds(ROOM)
     count = len(program.nodes.position)
@@ -49,7 +49,7 @@ def _baseline(program: Program, start: np.ndarray) -> tuple[float, float]:
     return time.perf_counter() - began, best
 
 
-def _ours(program: Program, start: np.ndarray, target: float) -> tuple[float, int, float]:
+def _ours(program: ExcitationProblem, start: np.ndarray, target: float) -> tuple[float, int, float]:
     """Seconds to the target, starts that it took, and what the first of them came to.
 
     Where the first ends in a worse local optimum the next begin at random, as in a design.
@@ -63,7 +63,8 @@ def _ours(program: Program, start: np.ndarray, target: float) -> tuple[float, in
 
     still, rng = rest(program, np.random.default_rng(0)), np.random.default_rng(99)
     while math.isinf(reached) and time.perf_counter() - began < PATIENCE:
-        found = solve(program, start, BACK_OFF, time.monotonic() + PATIENCE, lambda: not math.isinf(reached), heard)
+        found = sequential_quadratic_programming(program, start, BACK_OFF, time.monotonic() + PATIENCE,
+                                                 lambda: not math.isinf(reached), heard)
         values.append(program.value(found))
         start = drawn(program, still, rng)
     return reached, len(values), values[0]

@@ -11,7 +11,8 @@ from pathlib import Path
 
 import numpy as np
 
-from hydroopt import KinematicModel, calibrate, calibration_problem, load_machine, postures
+from hydroopt import KinematicModel, calibrate, calibration_problem, load_machine
+from hydroopt.simulation import postures
 
 HYDROOPT = str(Path(sys.executable).with_name("hydroopt"))
 SIZES = {1664: 3, 10_000: 1, 100_000: 1}

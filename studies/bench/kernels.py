@@ -14,7 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from hydroopt import Machine, Model, load_machine
-from hydroopt.model.compiled import Runner
+from hydroopt.kernels.native import Runner
 from studies.bench.contenders import CONTROLLER, FLAGS, KEPT, SAMPLES, Contender, Regressor, motions, toolchain
 from studies.bench.jobs import HYDROOPT
 

@@ -4,11 +4,12 @@ import math
 
 import numpy as np
 
-from hydroopt import calibrate, calibration_problem, load_machine, postures
-from hydroopt.estimation import hierarchical, joint
-from hydroopt.estimation.calibration import guess_unsensed
-from hydroopt.estimation.observability import linearise, observability
-from hydroopt.model.loops import KinematicModel
+from hydroopt import calibrate, calibration_problem, load_machine
+from hydroopt.estimation.kinematic import joint, link_by_link
+from hydroopt.estimation.kinematic.calibration import guess_unsensed
+from hydroopt.estimation.kinematic.observability import linearise, observability
+from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.simulation import postures
 
 SEEDS, POSES = 200, 120
 SWEEPS = {"stick_moves": (60, 115), "boom_moves": (-48, -8), "swing_moves": (-30, 30)}
@@ -143,8 +144,8 @@ def tables(drifting) -> dict:
         best = calibrate(drift)
         odd = [suspect.poses for suspect in best.suspects if suspect.kind in ("stage", "stretch", "pose")]
         cleaned = calibrate(drift.without(np.any(odd, axis=0))) if odd else best
-        answers = {"hierarchical": hierarchical.solve(plain, plain.start, plain.at.reading)[0],
-                   "joint": joint.solve(plain, plain.start, guess_unsensed(plain, plain.start))[0],
+        answers = {"hierarchical": link_by_link.sequential_least_squares(plain, plain.start, plain.at.reading)[0],
+                   "joint": joint.maximum_likelihood(plain, plain.start, guess_unsensed(plain, plain.start))[0],
                    "joint_with_drift": best.theta, "joint_without_suspects": cleaned.theta,
                    "joint_robust": calibrate(drift.with_loss("student_t")).theta}
         for name, value in TABLES[table].items():

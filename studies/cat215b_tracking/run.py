@@ -5,12 +5,11 @@ from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 
 from hydroopt import Model, identification_problem, load_machine, random_trajectory, random_truth, simulate, solve
-from hydroopt.control.comparison import Setting, compare
-from hydroopt.control.knowledge import COMPLETE, NOMINAL, REDUCED, TRUE, Knowledge
-from hydroopt.control.verdict import FEEDFORWARD
-from hydroopt.excitation.limits import Limits
+from hydroopt.control.comparison import FEEDFORWARD, Setting, compare
+from hydroopt.control.model_variants import COMPLETE, NOMINAL, REDUCED, TRUE, Knowledge
+from hydroopt.excitation.motion.limits import Limits
 from hydroopt.model.plant import Plant
-from hydroopt.synthetic import Trajectory
+from hydroopt.simulation.simulate import Trajectory
 from studies import show
 
 SEEDS = range(10, 16)  # 0 to 5 served to improve the controller

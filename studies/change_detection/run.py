@@ -7,9 +7,9 @@ from scipy import stats
 from threadpoolctl import threadpool_limits
 
 from hydroopt import Log, Model, load_machine, payload, random_trajectory, random_truth, simulate
-from hydroopt.estimation.change import holm, named_parts
-from hydroopt.estimation.comparison import Wald, comparison, wald
-from hydroopt.estimation.session import Session, session
+from hydroopt.estimation.dynamic.change import holm, named_parts
+from hydroopt.estimation.dynamic.comparison import Wald, comparison, wald
+from hydroopt.estimation.dynamic.stored_information import Session, session
 
 PAIRS, CHANGED, LOADED = 240, 60, 20
 STEP, OF = 400.0, "boom_cylinder.f_coulomb"

@@ -4,9 +4,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hydroopt import Model, load_machine, random_trajectory
-from hydroopt.estimation.experiment import force_noise
+from hydroopt.logs.readings import force_noise
 from hydroopt.report.figures import BLUE, GREY, INK, ORANGE
-from hydroopt.synthetic import Trajectory, forces
+from hydroopt.simulation.simulate import Trajectory, forces
 from studies import show
 
 SETS = ("thesis_literal", "consistent")

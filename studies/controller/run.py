@@ -9,7 +9,7 @@ from pathlib import Path
 
 from hydroopt import load_machine
 from hydroopt.codegen.folder import Code
-from hydroopt.codegen.origin import Origin
+from hydroopt.codegen.parameter_source import Origin
 from hydroopt.codegen.routines import ROUTINES
 from hydroopt.codegen.sizes import CORTEX_M4F, sizes
 

@@ -5,7 +5,7 @@ import tempfile
 import numpy as np
 
 from hydroopt import design, excitation_problem, load_machine
-from hydroopt.excitation.basis import Fourier
+from hydroopt.excitation.motion.basis import Fourier
 from hydroopt.study.montecarlo import montecarlo
 from hydroopt.study.run import run as computed
 

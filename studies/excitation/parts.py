@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from hydroopt import Model, identification_problem, load_machine, simulate, solve
-from hydroopt.excitation.design import drawn, rest
-from hydroopt.excitation.program import Program
-from hydroopt.synthetic import Trajectory
+from hydroopt.excitation.motion.design import drawn, rest
+from hydroopt.excitation.motion.problem import ExcitationProblem
+from hydroopt.simulation.simulate import Trajectory
 
 
-def random_motions(program: Program, seeds: range) -> list[tuple[float, np.ndarray]]:
+def random_motions(program: ExcitationProblem, seeds: range) -> list[tuple[float, np.ndarray]]:
     """Criterion and variables of a random feasible motion of each seed."""
     still = rest(program, np.random.default_rng(0))
     motions = [drawn(program, still, np.random.default_rng((7, seed))) for seed in seeds]

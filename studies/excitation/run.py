@@ -7,12 +7,13 @@ from multiprocessing import get_context
 
 import numpy as np
 
-from hydroopt import excitation_problem, load_machine, random_trajectory, synthetic
-from hydroopt.excitation.basis import Fourier
+from hydroopt import excitation_problem, load_machine, random_trajectory
 from hydroopt.excitation.criteria import presumed_noise
-from hydroopt.excitation.design import design, drawn, rest
-from hydroopt.excitation.expectation import expected
-from hydroopt.excitation.motion import Excitation
+from hydroopt.excitation.motion.basis import Fourier
+from hydroopt.excitation.motion.design import design, drawn, rest
+from hydroopt.excitation.motion.excitation import Excitation
+from hydroopt.excitation.motion.expected_accuracy import expected
+from hydroopt.simulation import simulate
 from studies.excitation import parts
 
 RANDOM, IDENTIFIED, UNSEEN, CORES = 1000, 400, 10, 2
@@ -43,7 +44,7 @@ def unseen_errors(model, program, found) -> dict[str, float]:
                              for k in range(UNSEEN)],
         "over_all_ranges": [random_trajectory(model, duration=33.28, rate=50, seed=100 + k) for k in range(UNSEEN)]}
     return {kind: float(np.median([
-        np.sqrt(np.mean(((synthetic.forces(model, path, psi) - synthetic.forces(model, path, truth)) / sigma) ** 2))
+        np.sqrt(np.mean(((simulate.forces(model, path, psi) - simulate.forces(model, path, truth)) / sigma) ** 2))
         for path in paths for _, _, psi in found[:20]])) for kind, paths in motions.items()}
 
 

@@ -6,16 +6,17 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from hydroopt import Machine, Model, load_machine, simulate, synthetic
+from hydroopt import Machine, Model, load_machine, simulate
 from hydroopt.errors import ProblemError
-from hydroopt.excitation.basis import Fourier, Spline
+from hydroopt.estimation.inference.identifiability import random_states
 from hydroopt.excitation.criteria import CRITERIA
-from hydroopt.excitation.design import design, excitation_problem
-from hydroopt.excitation.limits import Limits, margins
-from hydroopt.excitation.motion import Excitation
-from hydroopt.identifiability import random_states
-from hydroopt.model import compiled
-from hydroopt.site import Obstacle, Pump, Workspace
+from hydroopt.excitation.motion.basis import Fourier, Spline
+from hydroopt.excitation.motion.design import design, excitation_problem
+from hydroopt.excitation.motion.excitation import Excitation
+from hydroopt.excitation.motion.limits import Limits, margins
+from hydroopt.kernels import native
+from hydroopt.machine.environment import Obstacle, Pump, Workspace
+from hydroopt.simulation import simulate as synthetic
 
 BASES = ("cat215b", "cat215b", "patu655_lift", "ur10")
 RATE = 20.0
@@ -74,7 +75,7 @@ def _maybe(rng: np.random.Generator, low: float, high: float) -> float | None:
 
 def outcomes(seeds: range) -> list[Outcome]:
     """Of the settings of some seeds."""
-    compiled.FEW = 10**9  # every setting is another function; CasADi's own machine is quicker for so few samples
+    native.FEW = 10**9  # every setting is another function; CasADi's own machine is quicker for so few samples
     return [outcome(seed) for seed in seeds]
 
 

@@ -6,9 +6,18 @@ import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch, Rectangle
 
-from hydroopt import Machine, Model, inertia, load_machine
-from hydroopt.identifiability import COMBINATION, FULL, NONE, Identifiability, analyse, random_states, structural
+from hydroopt import Machine, Model, load_machine
+from hydroopt.estimation.inference.identifiability import (
+    COMBINATION,
+    FULL,
+    NONE,
+    Identifiability,
+    analyse,
+    random_states,
+    structural,
+)
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE
+from hydroopt.spatial import inertia
 from studies import show, thesis
 
 MEANS = {thesis.FULL: (FULL,), thesis.COMBINATION: (COMBINATION,), thesis.NONE: (NONE, COMBINATION)}

@@ -4,7 +4,7 @@ import control
 import numpy as np
 
 from hydroopt import Model, load_machine
-from hydroopt.control.linear import signal, state_space
+from hydroopt.control.linearisation import signal, state_space
 from hydroopt.model.plant import Plant
 
 MACHINES = ("cat215b", "patu655_lift")

@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from hydroopt import calibrate, calibration_problem, load_machine, read_pose_files
-from hydroopt.estimation.appraisal import leavable
-from hydroopt.estimation.calibration import predicted
-from hydroopt.estimation.observability import linearise
+from hydroopt.estimation.kinematic.calibration import predicted
+from hydroopt.estimation.kinematic.diagnostics import leavable
+from hydroopt.estimation.kinematic.observability import linearise
 
 DATA = Path(__file__).parents[2] / "data" / "mukca_panda_2"
 SHIFT = 1.959964

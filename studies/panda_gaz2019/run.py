@@ -5,9 +5,9 @@ from pathlib import Path
 import numpy as np
 
 from hydroopt import Log, Model, SmoothingSpline, identification_problem, load_machine, solve
-from hydroopt.estimation.experiment import experiment
-from hydroopt.identifiability import analyse
-from hydroopt.signals.conditioning import condition
+from hydroopt.estimation.dynamic.experiment import experiment
+from hydroopt.estimation.inference.identifiability import analyse
+from hydroopt.logs.smoothing import condition
 
 DATA = Path(__file__).parents[3] / "shared" / "data" / "panda_gaz2019" / "rbt_log"
 SIGMOID = np.array([[0.54615, 0.87224, 0.64068, 1.2794, 0.83904, 0.30301, 0.56489],

@@ -5,8 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from hydroopt import load_machine, read_log
-from hydroopt.estimation.actuator import actuator_problem
-from hydroopt.estimation.actuator_estimate import free_run_fit, identify_actuators
+from hydroopt.estimation.hydraulic.estimate import free_run_fit, identify_hydraulics
+from hydroopt.estimation.hydraulic.problem import hydraulic_problem
 
 HERE = Path(__file__).parent
 DATA = HERE.parents[2] / "shared" / "data" / "patu_log_crane" / "patu_measured_100Hz.csv"
@@ -20,8 +20,8 @@ def run() -> dict | None:
         return None
     log = read_log(DATA, mapping=HERE / "map.toml")
     half = int(np.searchsorted(log.t, (BEGINS + ENDS) / 2))
-    problem = actuator_problem(load_machine("patu655_lift"), [log.slice(0, half)], bodies=True)
-    estimate = identify_actuators(problem)
+    problem = hydraulic_problem(load_machine("patu655_lift"), [log.slice(0, half)], bodies=True)
+    estimate = identify_hydraulics(problem)
     whole = estimate.run(problem.records(log)[0], estimate.shooting.at.points[0][0])
     fit, found = free_run_fit(problem, [whole]), estimate.shooting
     results = {"length_largest_mm": round(1e3 * fit["lift_cylinder.length"].largest, 1),

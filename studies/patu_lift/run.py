@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from hydroopt import doubts, identification_problem, load_machine, read_log, solve
-from hydroopt.estimation.compression import predict
+from hydroopt.estimation.dynamic.regressor_qr import predict
 
 HERE = Path(__file__).parent
 DATA = HERE.parents[2] / "shared" / "data" / "patu_log_crane" / "patu_measured_100Hz.csv"

@@ -5,9 +5,10 @@ import time
 
 import numpy as np
 
-from hydroopt import load_machine, postures
-from hydroopt.excitation.poses import expected_uncertainty, plan_poses
-from hydroopt.model.loops import KinematicModel
+from hydroopt import load_machine
+from hydroopt.excitation.poses.plan import expected_uncertainty, plan_poses
+from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.simulation import postures
 
 POSES = 120
 SWEEPS = {"stick_moves": (60, 115), "boom_moves": (-48, -8), "swing_moves": (-30, 30)}

@@ -7,11 +7,11 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.io import loadmat
 
-from hydroopt.estimation.correlation import correlation_time
-from hydroopt.estimation.dynamics import Dynamics, Record, ShootingProblem
-from hydroopt.estimation.shooting import ShootingEstimate, solve
+from hydroopt.estimation.hydraulic.dynamics import Dynamics, Record, ShootingProblem
+from hydroopt.estimation.hydraulic.shooting import ShootingEstimate, multiple_shooting
+from hydroopt.estimation.inference.correlation import correlation_time
 from hydroopt.model.hydraulics import hinge, orifice
-from hydroopt.parameters import ParameterSet
+from hydroopt.parameters.parameter_set import ParameterSet
 from studies.show import look, save, table
 
 DATA = Path(__file__).parents[2] / "data" / "sjoberg_hydraulic_actuator" / "actuator.mat"
@@ -101,7 +101,8 @@ def identified(samples: Record, starts: int = 1) -> ShootingEstimate:
     problem = ShootingProblem(actuator(), parameters, SIGMA, (samples,), "hydraulic crane")
     factors = np.exp(0.3 * np.random.default_rng(0).standard_normal((starts, len(start))))
     factors[0] = 1.0
-    return min((solve(problem, start * factor) for factor in factors), key=lambda found: found.residual_scale)
+    return min((multiple_shooting(problem, start * factor) for factor in factors),
+               key=lambda found: found.residual_scale)
 
 
 def arx(u: np.ndarray, p: np.ndarray) -> np.ndarray:

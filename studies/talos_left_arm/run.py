@@ -6,11 +6,11 @@ from pathlib import Path
 import numpy as np
 
 from hydroopt import calibrate, calibration_problem, read_poses, read_urdf
-from hydroopt.estimation.calibration import gaps
-from hydroopt.estimation.observability import linearise, observability
-from hydroopt.linkage import Calibrator, Tracker
-from hydroopt.machine import Machine
-from hydroopt.parts import Note, Sensor
+from hydroopt.estimation.kinematic.calibration import gaps
+from hydroopt.estimation.kinematic.observability import linearise, observability
+from hydroopt.machine.calibration_chain import Calibrator, Tracker
+from hydroopt.machine.components import Note, Sensor
+from hydroopt.machine.machine import Machine
 
 HERE = Path(__file__).parent
 DATA = HERE.parents[2] / "shared" / "data" / "talos_left_arm"

@@ -14,9 +14,9 @@ from hydroopt import (
     simulate,
     solve,
 )
-from hydroopt.estimation.experiment import force_noise
+from hydroopt.logs.readings import force_noise
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE
-from hydroopt.synthetic import Trajectory, forces
+from hydroopt.simulation.simulate import Trajectory, forces
 from studies import show, thesis
 
 SEEDS = 5

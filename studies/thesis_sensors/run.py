@@ -7,10 +7,11 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hydroopt import Machine, Model, Problem, identification_problem, load_machine, random_trajectory, simulate, solve
-from hydroopt.estimation.experiment import Experiment, force_noise
-from hydroopt.estimation.linear import RANK_TOLERANCE, truncated_svd
+from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.estimation.inference.least_squares import RANK_TOLERANCE, truncated_svd
+from hydroopt.logs.readings import force_noise
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE
-from hydroopt.synthetic import Trajectory, forces
+from hydroopt.simulation.simulate import Trajectory, forces
 from studies import show, thesis
 
 SEEDS = 5

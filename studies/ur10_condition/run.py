@@ -6,14 +6,14 @@ import time
 import numpy as np
 
 from hydroopt import Model, load_machine
-from hydroopt.excitation.basis import Fourier
 from hydroopt.excitation.criteria import Information, Question, presumed_noise, question
-from hydroopt.excitation.design import design
-from hydroopt.excitation.limits import Limits, margins
-from hydroopt.excitation.motion import Excitation
-from hydroopt.excitation.program import Program
-from hydroopt.machine import Machine
-from hydroopt.parts import TorqueFriction
+from hydroopt.excitation.motion.basis import Fourier
+from hydroopt.excitation.motion.design import design
+from hydroopt.excitation.motion.excitation import Excitation
+from hydroopt.excitation.motion.limits import Limits, margins
+from hydroopt.excitation.motion.problem import ExcitationProblem
+from hydroopt.machine.components import TorqueFriction
+from hydroopt.machine.machine import Machine
 
 CENTRE = (0, -90, 90, -90, -90, 0)
 REACH, SPEED_SHARE, TORQUE_SHARE, TORQUES = 1.2, 0.7, 0.8, (330, 330, 150, 54, 54, 54)
@@ -79,7 +79,8 @@ def condition(model: Model, states, places) -> float:
 
 
 def designed(model: Model, asked: Question) -> tuple[Excitation, float]:
-    program = Program(Information(model, asked, "condition"), Limits(model, margins(model)), Fourier(10.0, 5), 100.0)
+    program = ExcitationProblem(Information(model, asked, "condition"), Limits(model, margins(model)),
+                                Fourier(10.0, 5), 100.0)
     began = time.perf_counter()
     found = design(program, processes=2, seconds=SECONDS)
     return found, time.perf_counter() - began

@@ -6,7 +6,7 @@ import numpy as np
 from scipy.signal import butter, filtfilt
 
 from hydroopt import Log, LogError, Machine, identification_problem, load_machine, payload, read_log, solve
-from hydroopt.signals.log import read_map
+from hydroopt.logs.log import read_map
 
 HERE = Path(__file__).parent
 DATA = HERE.parents[2] / "shared" / "data" / "ur10e_mamedov" / "dataset_ur10e"

@@ -6,7 +6,7 @@ import numpy as np
 from library import NOT_FINITE, NULL_POINTER, OK, OUT_OF_RANGE, OUT_OF_STROKE
 
 from hydroopt.codegen.folder import STATUSES, Code
-from hydroopt.geometry import Geometry
+from hydroopt.machine.geometry import Geometry
 
 INPUTS = 20000
 MODES = ("usual", "near", "bad", "tiny", "huge")

@@ -24,9 +24,9 @@ import subjects
 
 from hydroopt.codegen import folder
 from hydroopt.codegen.folder import STATUSES, Code
-from hydroopt.codegen.origin import Origin
-from hydroopt.machine import Machine
-from hydroopt.model.loops import KinematicModel
+from hydroopt.codegen.parameter_source import Origin
+from hydroopt.machine.machine import Machine
+from hydroopt.model.closed_chain import KinematicModel
 
 SUBJECTS = ("cat215b", "cat215b folded", "patu655_lift", "kr300", "panda_mukca", "spatial")
 

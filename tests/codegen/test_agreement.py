@@ -24,9 +24,9 @@ from library import OK, OPEN_TRIANGLE, OUT_OF_STROKE, SUBJECTS, Library, held, o
 
 from hydroopt.codegen.folder import STATUSES
 from hydroopt.codegen.routines import ROUTINES
-from hydroopt.model.build import Model
-from hydroopt.model.loops import KinematicModel
-from hydroopt.parts import Cylinder
+from hydroopt.machine.components import Cylinder
+from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.model.model import Model
 
 Array = np.ndarray
 Values = dict[str, Array]

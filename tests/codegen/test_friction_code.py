@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from library import OK, Library, held
 
-from hydroopt.description import load_machine
 from hydroopt.errors import ProblemError
-from hydroopt.machine import Machine
-from hydroopt.model.build import Model
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.model import Model
 
 ROUTINES = ("inverse_dynamics", "gravity_forces", "regressor", "reduced_regressor", "payload_update")
 

@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 from library import OK, OUT_OF_STROKE, Library, held, over
 
-from hydroopt.model.build import Model
+from hydroopt.model.model import Model
 
 Array = np.ndarray
 LOAD = np.array([1.0, 0.8, -0.3, 0.2, 0.12, 0.01, -0.006, 0.16, 0.008, 0.14])

@@ -19,11 +19,11 @@ from fuzz import INPUTS, MODES, driver
 from library import OK, OUT_OF_STROKE, run, sources, write
 
 from hydroopt.codegen.folder import STATUSES, Code
-from hydroopt.codegen.origin import read
+from hydroopt.codegen.parameter_source import read
 from hydroopt.codegen.routines import ROUTINES
 from hydroopt.codegen.sizes import CORTEX_M4F
-from hydroopt.description import bundled
-from hydroopt.machine import Machine
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import bundled
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wshadow", "-Wmissing-prototypes",
           "-Wdouble-promotion", "-Werror")

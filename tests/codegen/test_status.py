@@ -22,10 +22,10 @@ from library import (
     over,
 )
 
-from hydroopt.codegen import golden
-from hydroopt.geometry import Geometry
-from hydroopt.machine import Machine
-from hydroopt.model.build import Model
+from hydroopt.codegen import self_test
+from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.machine import Machine
+from hydroopt.model.model import Model
 
 Array = np.ndarray
 
@@ -49,7 +49,7 @@ def excavator(request: pytest.FixtureRequest, libraries) -> Library:
 def good(lib: Library, name: str) -> Array:
     """One input of a routine that it can reckon with."""
     takes = "load_sample" if name == "payload_update" else lib.interface.routines[name].takes
-    states = golden.states(lib.interface, 1, seed=3)
+    states = self_test.states(lib.interface, 1, seed=3)
     given = {key: array[0] for key, array in states.items() if array.ndim == 2}
     force = np.full(len(lib.interface.kinds["actuator"].names), 100.0)
     return lib.filled(takes, given | {"force": force, "std": force}, 1)

@@ -7,8 +7,8 @@ import pytest
 from library import NO_SUPPLY, OK, Library, held, machine, over, subject
 from numpy.testing import assert_allclose
 
-from hydroopt.control.valves import RAMP, Valves
-from hydroopt.model.build import Model
+from hydroopt.control.valve_inversion import RAMP, Valves
+from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 
 COUNT = 60

@@ -3,25 +3,20 @@
 from __future__ import annotations
 
 import json
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
+from cli.bad_control_cases import PATU
 from numpy.testing import assert_allclose
 
 from hydroopt import Model, ProblemError, load_machine, random_trajectory, read_machine
-from hydroopt.control.comparison import LQG, PI, Comparison, Outcome, Setting, compare
-from hydroopt.control.demand import Reference
-from hydroopt.control.knowledge import COMPLETE, NOMINAL, TRUE, Knowledge, reduced, truth
-from hydroopt.control.loop import Sensors
-from hydroopt.control.verdict import FEEDFORWARD
+from hydroopt.control.closed_loop import Sensors
+from hydroopt.control.comparison import FEEDFORWARD, LQG, PI, Comparison, Outcome, Setting, compare
+from hydroopt.control.model_variants import COMPLETE, NOMINAL, TRUE, Knowledge, reduced, truth
+from hydroopt.control.reference import Reference
 from hydroopt.model.plant import Plant
-from hydroopt.synthetic import Trajectory, forces
-
-sys.path.insert(0, str(Path(__file__).parents[1]))
-from bad_control_cases import PATU
+from hydroopt.simulation.simulate import Trajectory, forces
 
 RATE = 100.0
 

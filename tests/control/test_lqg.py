@@ -8,14 +8,14 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
-from hydroopt.control.demand import Ahead, Demand
 from hydroopt.control.lqg import CAUTION, UNKNOWN, Design, Lqg, design, reading_noise
+from hydroopt.control.reference import Ahead, Demand
 from hydroopt.control.sampled import Point, linearised, poles, sampled
 from hydroopt.control.sampled import point as steady_point
 from hydroopt.control.tuning import SLOWNESS
-from hydroopt.control.valves import Valves
-from hydroopt.description import load_machine
-from hydroopt.model.build import Model
+from hydroopt.control.valve_inversion import Valves
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 
 PERIOD, BANDWIDTH = 0.01, np.array([2.0])

@@ -7,9 +7,9 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from hydroopt.circuit import Valve
-from hydroopt.control.loop import Late
-from hydroopt.control.valves import command
+from hydroopt.control.closed_loop import Late
+from hydroopt.control.valve_inversion import command
+from hydroopt.machine.valves import Valve
 from hydroopt.model.hydraulics import displaced, openings
 
 VALVES = {

@@ -7,14 +7,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from hydroopt.description import load_machine
-from hydroopt.estimation.problem import Problem, identification_problem
-from hydroopt.machine import Machine
-from hydroopt.model.build import Model
-from hydroopt.parts import Note
-from hydroopt.signals.conditioning import Fourier
-from hydroopt.signals.log import Log
-from hydroopt.synthetic import random_trajectory, random_truth, simulate
+from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
+from hydroopt.logs.log import Log
+from hydroopt.logs.smoothing import Fourier
+from hydroopt.machine.components import Note
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.model import Model
+from hydroopt.simulation.simulate import random_trajectory, random_truth, simulate
 
 PERIOD = 33.28
 PERIODIC = Fourier(period=PERIOD, harmonics=20)
@@ -52,12 +52,12 @@ def exact_logs(cat215b: Model, cat_truth: np.ndarray, record: Logs) -> list[Log]
 
 
 @pytest.fixture(scope="session")
-def exact(cat215b: Model, exact_logs: list[Log]) -> Problem:
+def exact(cat215b: Model, exact_logs: list[Log]) -> IdentificationProblem:
     return identification_problem(cat215b.machine, exact_logs[:-1], exact_logs[-1:], smoothing=PERIODIC)
 
 
 @pytest.fixture(scope="session")
-def noisy(cat215b: Model, cat_truth: np.ndarray, record: Logs) -> Problem:
+def noisy(cat215b: Model, cat_truth: np.ndarray, record: Logs) -> IdentificationProblem:
     """Two motions of the excavator as its own sensors see them, and a third to judge by."""
     logs = record(cat215b, cat_truth, (1, 2, 99), noise=True)
     return identification_problem(cat215b.machine, logs[:-1], logs[-1:], smoothing=PERIODIC)
@@ -77,12 +77,12 @@ def wheel() -> Model:
 
 
 @pytest.fixture(scope="session")
-def one_body() -> Callable[..., Problem]:
+def one_body() -> Callable[..., IdentificationProblem]:
     """A problem whose only unknown is one body about which the machine file says `phi` ± `sigma`."""
-    def problem(phi: np.ndarray, sigma: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> Problem:
+    def problem(phi: np.ndarray, sigma: tuple[float, float, float] = (1.0, 1.0, 1.0)) -> IdentificationProblem:
         link = {"name": "arm", "parent": "base", "joint": {"type": "revolute", "lower": -1.0, "upper": 1.0},
                 "body": {"m": phi[0], "mc": tuple(phi[1:4]), "inertia": tuple(phi[4:])}}
         notes = {f"arm.body.{key}": Note(sigma=s) for key, s in zip(("m", "mc", "inertia"), sigma, strict=True)}
-        return Problem(Model(Machine.model_validate(
+        return IdentificationProblem(Model(Machine.model_validate(
             {"name": "arm", "links": [link], "drives": [{"name": "drive", "joint": "arm"}], "notes": notes})), ())
     return problem

@@ -7,11 +7,11 @@ import math
 import numpy as np
 import pytest
 
-from hydroopt.description import dump_machine, load_machine, read_machine
 from hydroopt.errors import ProblemError
-from hydroopt.identifiability import COMBINATION, FULL, random_states, structural
-from hydroopt.machine import Machine
-from hydroopt.model.build import Model
+from hydroopt.estimation.inference.identifiability import COMBINATION, FULL, random_states, structural
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import dump_machine, load_machine, read_machine
+from hydroopt.model.model import Model
 
 CYLINDER = {"offset": 120.0, "coulomb": 900.0, "coulomb_reverse": 500.0, "viscous": 4000.0, "viscous_reverse": 2500.0,
             "stribeck": 700.0, "stribeck_speed": 0.05, "seal": 2e-4}

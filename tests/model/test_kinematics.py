@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 
-from hydroopt.description import load_machine
-from hydroopt.machine import BASE, Machine
-from hydroopt.model.build import Model
+from hydroopt.machine.components import GasCylinder
+from hydroopt.machine.machine import BASE, Machine
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.model import Model
 from hydroopt.model.regressor import gas_force
-from hydroopt.parts import GasCylinder
 
 STEP = 1e-30
 

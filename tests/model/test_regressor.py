@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from hydroopt.description import load_machine
-from hydroopt.inertia import NAMES
-from hydroopt.machine import Machine
-from hydroopt.model.build import Model
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.model import Model
+from hydroopt.spatial.inertia import NAMES
 
 BUNDLED = ("cat215b", "kr300", "patu655_lift")
 

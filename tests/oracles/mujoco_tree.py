@@ -12,8 +12,8 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hydroopt.machine import BASE, Machine
-from hydroopt.parts import Cylinder, Link
+from hydroopt.machine.components import Cylinder, Link
+from hydroopt.machine.machine import BASE, Machine
 
 
 class Loop(NamedTuple):

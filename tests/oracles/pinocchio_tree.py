@@ -10,8 +10,8 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from hydroopt.machine import BASE, Machine
-from hydroopt.parts import Cylinder, GasCylinder
+from hydroopt.machine.components import Cylinder, GasCylinder
+from hydroopt.machine.machine import BASE, Machine
 
 WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
 

@@ -6,10 +6,10 @@ from functools import cache
 
 import numpy as np
 
-from hydroopt.description import load_machine
-from hydroopt.dynamic_parameters import bodies
-from hydroopt.machine import Machine
-from hydroopt.model.build import Model
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.model import Model
+from hydroopt.parameters.dynamic import bodies
 
 SUBJECTS = ("cat215b", "kr300", "patu655_lift", "lift_with_bodies", "made_up")
 BODY = {"m": 1.0, "com": (0, 0, 0), "inertia_com": (1, 0, 0, 1, 0, 1)}

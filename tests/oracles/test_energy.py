@@ -5,7 +5,7 @@ import pytest
 from pinocchio_tree import PinocchioTree
 from subjects import SUBJECTS, forces, model, random_bodies, relative_error, states
 
-from hydroopt.parts import Cylinder
+from hydroopt.machine.components import Cylinder
 
 
 @pytest.mark.parametrize("name", SUBJECTS)

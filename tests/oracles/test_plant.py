@@ -8,8 +8,8 @@ from pinocchio_tree import PinocchioTree
 from scipy.integrate import simpson
 from subjects import model, random_bodies
 
+from hydroopt.machine.components import Cylinder
 from hydroopt.model.plant import CREEP, Plant
-from hydroopt.parts import Cylinder
 
 STEP = 1e-3
 

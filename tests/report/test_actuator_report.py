@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hydroopt.cli import app
-from hydroopt.description import load_machine
+from hydroopt.machine.machine_file import load_machine
 
 CRANE = str(Path(__file__).parents[2] / "studies" / "actuator_coverage" / "crane.toml")
 FILES = {"estimate.json", "report.html", "parameters.csv", "fit.csv", "free_run.csv", "crane.toml"}

@@ -13,15 +13,16 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from hydroopt import cli, postures
-from hydroopt.description import load_machine
+from hydroopt import cli
 from hydroopt.errors import MachineError, SolverError
-from hydroopt.estimation.appraisal import Appraisal
-from hydroopt.estimation.calibration import Calibration, calibrate, gaps
-from hydroopt.estimation.closure import calibration_problem
-from hydroopt.model.loops import KinematicModel
+from hydroopt.estimation.kinematic.calibration import Calibration, calibrate, gaps
+from hydroopt.estimation.kinematic.diagnostics import Appraisal
+from hydroopt.estimation.kinematic.problem import calibration_problem
+from hydroopt.logs.poses import Poses
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.report import folder
-from hydroopt.signals.poses import Poses
+from hydroopt.simulation import postures
 
 ROOT = Path(__file__).parents[2]
 MUKCA = ROOT / "data/mukca_panda_2"
@@ -177,7 +178,7 @@ def test_impossible_geometry_is_not_written(solved: Calibration, tmp_path: Path,
                                             monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: Any, **__: Any) -> None:
         raise MachineError("a dead point lies in the range", where="the calibrated machine", remedy="widen it")
-    monkeypatch.setattr("hydroopt.estimation.appraisal.read_machine", refuse)
+    monkeypatch.setattr("hydroopt.estimation.kinematic.diagnostics.read_machine", refuse)
     content = folder.save_calibration(solved, tmp_path)
     assert {file.name for file in tmp_path.iterdir()} == FILES - {"cat215b.toml"}
     assert any("No calibrated machine is written" in d and "a dead point" in d for d in content["doubts"])

@@ -14,8 +14,8 @@ from typer.testing import CliRunner
 from hydroopt import cli, load_machine, read_log
 from hydroopt.cli import app
 from hydroopt.errors import SolverError
-from hydroopt.estimation.change import detect_change
-from hydroopt.estimation.payload import payload
+from hydroopt.estimation.dynamic.change import detect_change
+from hydroopt.estimation.dynamic.payload import payload
 from hydroopt.report.comparison import save
 
 CRANE = load_machine("patu655_lift")
@@ -116,7 +116,7 @@ def test_what_is_kept_reproduces_the_fit(made: Path) -> None:
     names = [one["name"] for one in content["parameters"]]
     T = np.array([[float(row[key]) for key in [*names, "force"]] for row in rows])
     calibrated = load_machine(made / "kept/patu655_lift.toml")
-    from hydroopt.model.build import Model
+    from hydroopt.model.model import Model
     psi = Model(calibrated).parameters.nominal
     weight = content["weights"]["lift_cylinder"]
     squares = float(np.sum((T @ [*psi, -1.0]) ** 2)) * weight["correlation_time"]

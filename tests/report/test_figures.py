@@ -3,10 +3,10 @@
 import numpy as np
 import pytest
 
-from hydroopt.description import load_machine
-from hydroopt.model.build import Model
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.model import Model
 from hydroopt.report.figures import thin
-from hydroopt.report.sideview import _plane, _scenes
+from hydroopt.report.side_view import _plane, _scenes
 
 
 def test_thinning_keeps_peaks_and_gaps() -> None:

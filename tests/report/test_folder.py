@@ -11,17 +11,17 @@ from typing import Any
 import numpy as np
 import pytest
 
-from hydroopt.description import load_machine
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.estimation.estimate import Estimate
-from hydroopt.estimation.problem import identification_problem
-from hydroopt.estimation.solve import solve
+from hydroopt.estimation.dynamic.estimate import Estimate
+from hydroopt.estimation.dynamic.identify import identify
+from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.files import write_files
-from hydroopt.machine import Machine
-from hydroopt.model.build import Model
+from hydroopt.logs.log import read_log
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.model import Model
 from hydroopt.report import folder
-from hydroopt.signals.log import read_log
-from hydroopt.synthetic import random_trajectory, simulate
+from hydroopt.simulation.simulate import random_trajectory, simulate
 
 CONTRACT = {"machine", "created", "inputs", "method", "status", "parameters", "base_parameters", "fit", "conditioning",
             "physical_consistency", "versions", "seed", "wall_s"}
@@ -40,7 +40,7 @@ def estimate(tmp_path_factory: pytest.TempPathFactory) -> Estimate:
             place / f"{seed}.csv"
         )
         logs.append(read_log(place / f"{seed}.csv"))
-    return solve(identification_problem(machine, logs[:1], logs[1:]), seed=5)
+    return identify(identification_problem(machine, logs[:1], logs[1:]), seed=5)
 
 
 @pytest.fixture(scope="module")
@@ -142,7 +142,7 @@ def test_saving_again_replaces_and_leaves_the_estimate_alone(estimate: Estimate,
 def test_a_failing_report_leaves_nothing(estimate: Estimate, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: Any) -> str:
         raise RuntimeError("no ink")
-    monkeypatch.setattr(folder.html, "render", fail)
+    monkeypatch.setattr(folder.identification, "render", fail)
     with pytest.raises(RuntimeError, match="no ink"):
         folder.save(estimate, tmp_path / "run")
     assert not list(tmp_path.rglob("*"))
@@ -181,7 +181,7 @@ def test_failure_is_marked(estimate: Estimate, tmp_path: Path) -> None:
 
 
 def test_an_impossible_machine_is_not_exported(estimate: Estimate, tmp_path: Path) -> None:
-    impossible = solve(estimate.problem, "wls")
+    impossible = identify(estimate.problem, "wls")
     assert min(impossible.consistency.values()) < 0
     content = folder.save(impossible, tmp_path)
     assert {file.name for file in tmp_path.iterdir()} == FILES - {"cat215b.toml"}
@@ -194,7 +194,7 @@ def test_seals_that_cannot_be_are_said_and_not_exported(tmp_path: Path) -> None:
     model = Model(Machine.model_validate(data))
     log = simulate(model, random_trajectory(model, duration=10, rate=25, seed=1), seed=1)
     widest = model.parameters.upper[model.parameters.index("lift_cylinder.f_seal")]
-    estimate = solve(identification_problem(model, [log]).fix("lift_cylinder.f_seal", widest), intervals=False)
+    estimate = identify(identification_problem(model, [log]).fix("lift_cylinder.f_seal", widest), intervals=False)
     content = folder.save(estimate, tmp_path)
     assert any("No calibrated machine is written: such seals hold" in doubt for doubt in content["doubts"])
     assert not (tmp_path / "patu655_lift.toml").exists()
@@ -206,8 +206,8 @@ def test_an_earlier_result_is_not_left_beside_a_new_one(tmp_path: Path) -> None:
     model = Model(machine)
     log = simulate(model, random_trajectory(model, duration=20, rate=25, seed=1), seed=1)
     problem = identification_problem(machine, [log])
-    folder.save(solve(problem, "sdp", intervals=False), tmp_path)
+    folder.save(identify(problem, "sdp", intervals=False), tmp_path)
     assert (tmp_path / "cat215b.toml").exists()
-    folder.save(solve(problem, "wls"), tmp_path)
+    folder.save(identify(problem, "wls"), tmp_path)
     assert not (tmp_path / "cat215b.toml").exists()
     assert json.loads((tmp_path / "estimate.json").read_text())["method"] == "wls"

@@ -7,13 +7,13 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from hydroopt.description import load_machine
-from hydroopt.estimation.estimate import Estimate
-from hydroopt.estimation.problem import identification_problem
-from hydroopt.estimation.solve import solve
-from hydroopt.model.build import Model
-from hydroopt.report.html import render
-from hydroopt.synthetic import random_trajectory, simulate
+from hydroopt.estimation.dynamic.estimate import Estimate
+from hydroopt.estimation.dynamic.identify import identify
+from hydroopt.estimation.dynamic.problem import identification_problem
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.model import Model
+from hydroopt.report.identification import render
+from hydroopt.simulation.simulate import random_trajectory, simulate
 
 EVIL = "<script>alert(1)</script>"
 
@@ -24,7 +24,7 @@ def estimate() -> Estimate:
     model = Model(machine)
     motions = [random_trajectory(model, duration=20.0, rate=25.0, seed=k) for k in (1, 2)]
     logs = [simulate(model, motion, seed=k, name=f'log "{k}" {EVIL}') for k, motion in enumerate(motions)]
-    return solve(identification_problem(machine, logs[:1], logs[1:]))
+    return identify(identification_problem(machine, logs[:1], logs[1:]))
 
 
 @pytest.fixture(scope="module")

@@ -9,14 +9,16 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
-from hydroopt import Model, identification_problem, load_machine, postures, random_truth, simulate, solve
-from hydroopt.dynamic_parameters import carried
+from hydroopt import Model, identification_problem, load_machine, random_truth, simulate, solve
 from hydroopt.errors import HydrooptError, ProblemError
-from hydroopt.estimation.closure import calibration_problem
-from hydroopt.estimation.experiment import force_noise
-from hydroopt.machine import Machine
-from hydroopt.model.loops import KinematicModel
-from hydroopt.signals.log import Log
+from hydroopt.estimation.kinematic.problem import calibration_problem
+from hydroopt.logs.log import Log
+from hydroopt.logs.readings import force_noise
+from hydroopt.machine.machine import Machine
+from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.parameters.dynamic import carried
+from hydroopt.simulation import postures
+from hydroopt.simulation.simulate import forces, random_trajectory
 from hydroopt.study.bootstrap import block_length, bootstrap, redrawn
 from hydroopt.study.bootstrap import summary as bootstrap_summary
 from hydroopt.study.montecarlo import montecarlo, unseen_error
@@ -25,7 +27,6 @@ from hydroopt.study.multistart import multistart
 from hydroopt.study.multistart import summary as multistart_summary
 from hydroopt.study.study import Study
 from hydroopt.study.table import Table
-from hydroopt.synthetic import forces, random_trajectory
 
 
 def table(study: Study) -> Table:

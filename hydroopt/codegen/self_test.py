@@ -1,0 +1,63 @@
+"""States of a machine much like the one described, and what the model says of them: for the self-test."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from hydroopt.codegen.routines import Interface
+from hydroopt.spatial.inertia import Array
+
+STATES = 4
+MARGIN = 0.1
+"""Part of a joint's range at each end that is left out, so that rounding leaves no stroke."""
+
+
+def states(interface: Interface, count: int = STATES, seed: int = 0, *, single: bool = False) -> dict[str, Array]:
+    """All that routines read, (count, size) each, and the parameters (size,); as floats can hold it if `single`."""
+    rng = np.random.default_rng(seed)
+    machine, chain = interface.machine, interface.chain
+
+    def between(links: dict[str, tuple[float, float]]) -> Array:
+        lower, upper = np.array(list(links.values()), dtype=float).reshape(-1, 2).T
+        drawn: Array = lower + (upper - lower) * rng.uniform(MARGIN, 1 - MARGIN, (count, len(links)))
+        return drawn
+
+    ranges = {link.name: link.joint.range for link in chain.links if link.joint.type != "locked"}
+    q = between({joint: ranges[joint] for joint in machine.joints})
+    n = len(machine.joints)
+    model = interface.complete
+    given = {
+        "q": q, "qd": rng.uniform(-1, 1, (count, n)), "qdd": rng.uniform(-1, 1, (count, n)),
+        "length": np.array([np.asarray(model.cylinder_kinematics(each, 0 * each, 0 * each)[0]).ravel()
+                            [:len(machine.cylinders)] for each in q]),
+        "speed": rng.uniform(-0.3, 0.3, (count, len(machine.cylinders))),
+        "reading": rng.uniform(1e5, 2e7, (count, len(interface.kinds["reading"].names))),
+        "chain_q": between({joint: ranges[joint] for joint in chain.joints}), "fixture": rng.uniform(-3, 3, (count, 3))}
+    given["stroke"] = given["length"] - np.array([c.dead_length for c in machine.cylinders])
+    given |= {name: _generic(name, array, rng) for name, array in interface.values.items()}
+    if "valve_feedforward" in interface.routines:
+        given |= {"speed_added": rng.uniform(-0.1, 0.1, (count, n)), "force_rate": rng.uniform(-1e5, 1e5, (count, n)),
+                  "pressure_a": rng.uniform(1e6, 2e7, (count, n)), "pressure_b": rng.uniform(1e6, 2e7, (count, n)),
+                  "supply": np.tile([2.5e7, 3e5], (count, 1))}
+    if interface.course is not None:
+        given["t"] = rng.uniform(0, interface.course.duration, (count, 1))
+    given = {name: given[name] for name in interface.inputs}
+    return {name: array.astype(np.float32).astype(float) if single else array for name, array in given.items()}
+
+
+def _generic(name: str, array: Array, rng: np.random.Generator) -> Array:
+    """Parameters without the zeros and right angles of a machine file, which would hide what is wrong with others."""
+    if name in ("shortest", "longest"):
+        return np.full(len(array), 0.0 if name == "shortest" else 100.0)
+    if name == "psi":
+        return np.asarray(array + rng.uniform(-0.3, 0.3, len(array)) * np.maximum(np.abs(array), 100.0))
+    return np.asarray(array + rng.uniform(-0.05, 0.05, len(array)) * (1 if name == "geometry" else array))
+
+
+def results(function: ca.Function, given: dict[str, Array]) -> list[Array]:
+    """Outputs (count, rows, columns) of a function by CasADi's own evaluation, state after state."""
+    count = max(len(array) for array in given.values() if array.ndim == 2)
+    rows = [function.call([ca.DM(array[k] if array.ndim == 2 else array) for array in given.values()])
+            for k in range(count)]
+    return [np.array([np.asarray(row[i].full()) for row in rows]) for i in range(function.n_out())]

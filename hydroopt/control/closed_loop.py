@@ -1,0 +1,161 @@
+"""The closed loop over time: the true plant between the samples, sensors that err, commands that come late."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from hydroopt.control.reference import Demands, offset
+from hydroopt.control.sampled import Reading
+from hydroopt.errors import SolverError
+from hydroopt.logs.sensors import measure
+from hydroopt.model.plant import Plant
+from hydroopt.spatial.inertia import Array
+
+BEYOND = 0.2
+"""Part of a joint's range beyond its limits at which a simulation ends: the machine would have hit its stops."""
+
+
+class Controller(Protocol):
+    """What closes the loop."""
+
+    def begin(self) -> None:
+        """Forget the past."""
+
+    def command(self, k: int, reading: Reading) -> Array:
+        """Commands (n,) at sample k."""
+
+
+@dataclass(frozen=True, eq=False)
+class Run:
+    """What the machine did.
+
+    Attributes:
+        t: times (N,) of the samples.
+        q: joint positions (N, n).
+        u: commands (N, n) as the valves got them.
+        pressure: of the chambers (N, n, 2) [Pa].
+        flow: into the valves (N, n) [m³/s].
+        p_supply: (N,) [Pa].
+        stopped: why it ended early, in words; "" if it did not. Arrays then end there.
+    """
+
+    t: Array
+    q: Array
+    u: Array
+    pressure: Array
+    flow: Array
+    p_supply: Array
+    stopped: str
+
+    @property
+    def energy(self) -> float:
+        """Drawn from the supply [J]."""
+        return float(np.trapezoid(self.p_supply * np.sum(self.flow, axis=1), self.t))
+
+
+class Sensors:
+    """Readings of all that a controller needs, each with the errors and at the rate that the machine file states."""
+
+    def __init__(self, plant: Plant, offsets: Array, period: float, seed: int | None) -> None:
+        machine = plant.machine
+        names = [f"{joint}.q" for joint in machine.joints]
+        for each in plant.actuators:
+            names += each.chambers
+        self.channels = [*names, "pump.p_supply"]
+        self.sensors = [machine.sensor(name) for name in self.channels]
+        # a sensor slower than the controller is read anew at some of the samples only
+        self.every = [max(1, round(1 / (sensor.rate * period))) if sensor and sensor.rate else 1
+                      for sensor in self.sensors]
+        self.areas = np.array([each.areas for each in plant.actuators])
+        self.added = np.zeros(len(self.channels))
+        # what a transducer adds to the force is in the pressure of chamber a
+        self.added[len(machine.joints):-1:2] = offsets / self.areas[:, 0]
+        self.rng = None if seed is None else np.random.default_rng(seed)
+        self.held = np.zeros(len(self.channels))
+
+    def read(self, k: int, q: Array, pressure: Array, p_supply: float) -> Array:
+        """Readings (m,) at sample k."""
+        true = np.array([*q, *pressure.ravel(), p_supply]) + self.added
+        for i, sensor in enumerate(self.sensors):
+            if k % self.every[i] == 0:
+                self.held[i] = true[i] if sensor is None or self.rng is None else float(measure(
+                    true[i], sensor.accuracy, sensor.resolution, self.rng, sensor.distribution))
+        return self.held
+
+
+def simulate(demands: Demands, controller: Controller, psi: Array, theta: Array, *,
+             seed: int | None = 0) -> Run:
+    """Let a controller drive the machine along a motion, from a start on it.
+
+    Args:
+        demands: plant, motion and samples.
+        controller: what drives it.
+        psi: true dynamic parameters (p,).
+        theta: true hydraulic ones.
+        seed: of the sensors' errors; None for sensors without any.
+
+    Raises:
+        ProblemError: the motion's start cannot be held.
+        SolverError: the plant could not be integrated.
+    """
+    plant, t = demands.plant, demands.t
+    machine, n, period = plant.machine, len(plant.actuators), float(t[1] - t[0])
+    first = demands.reference.at(t[:1])
+    steady = plant.steady(first.q[0], first.qd[0], psi, theta)
+    sensors = Sensors(plant, offset(plant.model, psi), period, seed)
+    late = Late(np.array([each.valve.delay for each in plant.actuators]), period, steady.u)
+    steps = {seconds: plant.integrator(seconds, psi, theta) for seconds in late.pieces}
+    lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
+    room = BEYOND * (upper - lower)
+    x, tank, stopped = steady.x, plant.supply[1], ""
+    rows: list[tuple[Array, ...]] = []
+    controller.begin()
+    for k in range(len(t)):
+        seen = plant.seen.call({"x": x, "u": late.now, "supply": plant.supply, "psi": psi, "theta": theta})
+        q, flow = (np.asarray(seen[key]).ravel() for key in ("q", "flow"))
+        pressure, p_supply = np.asarray(seen["pressure"]), float(seen["p_supply"])
+        if np.any((q < lower - room) | (q > upper + room)):
+            stopped = f"the machine hits its stops at {t[k]:.2f} s"
+            break
+        shown = sensors.read(k, q, pressure, p_supply)
+        p = shown[n:-1].reshape(n, 2)
+        angles = shown[:n].copy()
+        length = np.asarray(plant.actuator_motion(angles, angles)[0]).ravel()
+        force = sensors.areas[:, 0] * p[:, 0] - sensors.areas[:, 1] * p[:, 1]
+        reading = Reading(angles, length, force, np.array([shown[-1], tank]))
+        u = np.clip(controller.command(k, reading), *demands.valves.limits)
+        rows.append((q, u, pressure, flow, np.array(p_supply)))
+        try:
+            for seconds, held in late.after(u):
+                x = np.asarray(steps[seconds](x, held, plant.supply)).ravel()
+        except RuntimeError:
+            raise SolverError(f"the plant cannot be integrated beyond {t[k]:.2f} s", where="control",
+                              remedy="check the numbers of its circuits, or lower the gains") from None
+    q, u, pressure, flow, supply = (np.array(column) for column in zip(*rows, strict=True))
+    return Run(t[:len(rows)], q, u, pressure, flow, supply, stopped)
+
+
+class Late:
+    """Commands on their way: which are in force in which part of a sampling period."""
+
+    def __init__(self, delays: Array, period: float, u: Array) -> None:
+        self.whole = np.floor(delays / period * (1 + 1e-12)).astype(int)
+        part = np.round(np.maximum(delays - self.whole * period, 0.0), 12)
+        edges = np.unique([0.0, *part, period])
+        self.starts, self.lengths = edges[:-1], np.diff(edges)
+        self.pieces = set(self.lengths.tolist())
+        self.part = part
+        self.past = np.tile(u, (int(np.max(self.whole)) + 2, 1))  # newest first
+        self.now = u
+
+    def after(self, u: Array) -> list[tuple[float, Array]]:
+        """Lengths of the pieces of the next period with the commands in force in each."""
+        self.past = np.vstack([u, self.past[:-1]])
+        each = np.arange(len(u))
+        pieces = [(float(length), self.past[self.whole + (self.part > start), each])
+                  for start, length in zip(self.starts, self.lengths, strict=True)]
+        self.now = pieces[-1][1]
+        return pieces

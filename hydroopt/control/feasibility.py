@@ -1,0 +1,71 @@
+"""What is refused before a motion or a loop is simulated."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from hydroopt.control.reference import Demand
+from hydroopt.control.sampled import Margin
+from hydroopt.control.valve_inversion import Valves
+from hydroopt.errors import ProblemError
+from hydroopt.model.plant import Plant
+from hydroopt.simulation.simulate import Trajectory
+from hydroopt.spatial.inertia import Array
+
+
+def refuse_flow(plant: Plant, motion: Trajectory) -> None:
+    """Refuse a motion for which the pump is too small: growing chambers take what they sweep.
+
+    Raises:
+        ProblemError: tells the time, what is demanded and what there is.
+    """
+    machine, t = plant.machine, motion.t
+    areas = np.array([each.areas for each in plant.actuators])
+    speed = plant.model.over(plant.actuator_motion, motion.q, motion.qd)[1][:, :, 0]
+    drawn = np.where(speed > 0, areas[:, 0], areas[:, 1]) * np.abs(speed)
+    total = np.sum(drawn, axis=1)
+    k, most = int(np.argmax(total)), machine.pump.max_flow if machine.pump else None
+    if most is not None and total[k] > most:
+        raise ProblemError(
+            f"at {t[k]:.2f} s the motion demands {total[k] * 6e4:.0f} L/min of a pump that gives "
+            f"{most * 6e4:.0f} L/min", where="--trajectory",
+            remedy=f"let it take {np.ceil(100 * (total[k] / most - 1)):.0f} % longer, or move fewer joints at a time")
+
+
+def refuse_opening(plant: Plant, t: Array, aim: Demand, valves: Valves) -> None:
+    """Refuse a motion for which a valve is too small.
+
+    Raises:
+        ProblemError: tells the time and the valve.
+    """
+    opening = openings(aim, valves, plant.supply)
+    k, i = divmod(int(np.argmax(np.abs(opening))), opening.shape[1])
+    if abs(opening[k, i]) >= 1:
+        raise ProblemError(
+            f"at {t[k]:.2f} s the motion demands more of '{plant.actuators[i].actuator.name}' than its valve gives "
+            "when fully open", where="--trajectory",
+            remedy="drive it slower, or correct the valve's flow or the pump's pressure")
+
+
+def openings(aim: Demand, valves: Valves, supply: Array) -> Array:
+    """Of the valves (N, n) along a motion, cut at fully open."""
+    ahead = aim.ahead
+    return np.array([np.asarray(valves.function(ahead.speed[k], ahead.force_rate[k], ahead.length[k], ahead.pressure[k],
+                                                supply)[1]).ravel() for k in range(len(ahead.speed))])
+
+
+def refuse_unstable(name: str, margins: Sequence[Margin]) -> None:
+    """Refuse a controller whose loops do not hold the machine.
+
+    Raises:
+        ProblemError: tells the loop, the posture and the gain margin.
+    """
+    unstable = [margin for margin in margins if margin.damping < 0]
+    if unstable:
+        worst = min(unstable, key=lambda margin: margin.distance)
+        raise ProblemError(
+            f"the loop of '{worst.loop}' is unstable with {name} in the posture of the {worst.point}, where its gain "
+            f"margin is {20 * np.log10(worst.gain):.1f} dB", where="control",
+            remedy="lower --gain or --sensitivity, raise --rate, or leave this controller out with --controller")

@@ -1,0 +1,125 @@
+"""With which parameters controllers are given a machine: nominal, reduced, complete and true ones."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hydroopt.errors import ProblemError
+from hydroopt.model.model import Model
+from hydroopt.model.plant import Plant
+from hydroopt.simulation import simulate
+from hydroopt.spatial.inertia import Array
+
+NOMINAL, REDUCED, COMPLETE, TRUE = "nominal", "reduced", "complete", "true"
+
+
+class Knowledge(NamedTuple):
+    """What is known of a machine, or true of it.
+
+    Attributes:
+        name: `NOMINAL`, `REDUCED`, `COMPLETE` or `TRUE`.
+        text: where it is from.
+        model: complete, or reduced.
+        psi: its parameters (p,).
+    """
+
+    name: str
+    text: str
+    model: Model
+    psi: Array
+
+
+class Truth(NamedTuple):
+    """What a simulated machine really is: its bodies and friction, and the numbers of valves and oil (t,)."""
+
+    knowledge: Knowledge
+    theta: Array
+
+
+def reduced(complete: Knowledge, *, seed: int = 0) -> Knowledge:
+    """The reduced model that comes nearest to a complete one: what identifying it from exact forces would give.
+
+    Its parameters take over what barrels and rods do as far as they can: least squares over the forces of a random
+    motion, with the smallest changes where these leave a choice.
+    """
+    model, small = complete.model, Model(complete.model.machine, actuator_inertia=False)
+    motion = simulate.random_trajectory(model, duration=60.0, rate=5.0, seed=seed)
+    start = complete.psi[list(model.parameters.select(small.parameters.names))]
+    lost = simulate.forces(model, motion, complete.psi) - simulate.forces(small, motion, start)
+    K = small.over(small.regressor if small.linear else small.linearised, motion.q, motion.qd, motion.qdd,
+                   *([] if small.linear else [start]))[0]
+    scale = small.parameters.scale
+    size = np.sqrt(np.mean(np.square(simulate.forces(model, motion, complete.psi)), axis=0))
+    change, *_ = np.linalg.lstsq((K * scale / size[:, None]).reshape(-1, len(scale)), (lost / size).ravel(), rcond=1e-8)
+    return Knowledge(REDUCED, "the reduced model nearest to the complete one", small, start + change * scale)
+
+
+def nominal_of(estimate: Path, complete: Model) -> Knowledge | None:
+    """What an estimate began with; None if it did not estimate dynamic parameters.
+
+    Raises:
+        ProblemError: this is no estimate.
+    """
+    psi, known = complete.parameters.nominal.copy(), complete.parameters.positions
+    try:
+        rows = [row for row in _read(estimate)["parameters"] if row["name"] in known]
+        for row in rows:
+            psi[known[row["name"]]] = float(row["nominal"])
+    except (KeyError, TypeError, ValueError):
+        raise ProblemError("this is no estimate that hydroopt wrote", where=str(estimate),
+                           remedy="identify or calibrate again") from None
+    return Knowledge(NOMINAL, "the machine file before identification", complete, psi) if rows else None
+
+
+def truth(stated: str, plant: Plant, *, seed: int) -> Truth:
+    """What is true of a simulated machine.
+
+    Valves and oil are those of the machine file, unless a truth.json of driven valves says otherwise.
+
+    Args:
+        stated: 'nominal', 'random' within the file's confidences, or a truth.json that `simulate` wrote.
+        plant: the machine.
+        seed: of a random truth.
+
+    Raises:
+        ProblemError: there is no such file, or it is of another machine.
+        IdentifiabilityError: a body's confidences leave practically no possible body.
+    """
+    model, theta = plant.model, plant.parameters.nominal
+    if stated == "nominal":
+        return Truth(Knowledge(TRUE, "the machine file itself", model, model.parameters.nominal), theta)
+    if stated == "random":
+        return Truth(Knowledge(TRUE, "drawn from the confidences of the machine file", model,
+                               simulate.random_truth(model, seed)), theta)
+    file = Path(stated)
+    if not file.is_file():
+        raise ProblemError(f"'{stated}' is no truth", where="--truth",
+                           remedy="use nominal, random, or the truth.json that simulate wrote")
+    content = _read(file)
+    values, machine = content.get("parameters"), content.get("machine")
+    names = model.parameters.names
+    try:
+        psi = np.array([float(values[name]) for name in names])  # type: ignore[index]
+        theta = np.array([float(values.get(name, own)) for name, own in  # type: ignore[union-attr]
+                          zip(plant.parameters.names, theta, strict=True)])
+    except (TypeError, KeyError, ValueError):
+        missing = next((name for name in names if not isinstance(values, dict) or name not in values), names[0])
+        raise ProblemError(f"the truth of '{machine}' says nothing of '{missing}'", where=stated,
+                           remedy=f"simulate {model.machine.name} with the same parameters") from None
+    if not (np.all(np.isfinite(psi)) and np.all(np.isfinite(theta))):
+        raise ProblemError("a true parameter is no number", where=stated, remedy="simulate again")
+    return Truth(Knowledge(TRUE, "the truth of a simulated log", model, psi), theta)
+
+
+def _read(file: Path) -> dict[str, Any]:
+    try:
+        content = json.loads(file.read_bytes())
+    except (OSError, ValueError, RecursionError):
+        content = None
+    if not isinstance(content, dict):
+        raise ProblemError("this file cannot be read as JSON", where=str(file), remedy="have it written again")
+    return content

@@ -1,0 +1,150 @@
+"""What a controller knows of the valves: the command at which an actuator's force changes as it should at a speed."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from hydroopt.machine.valves import EDGES, Valve
+from hydroopt.model.hydraulics import ActuatorHydraulics, Flows, Value, conductance, orifice
+from hydroopt.model.plant import Plant
+from hydroopt.spatial.inertia import Array
+
+RAMP = 0.003
+"""Opening below which the command passes through the dead band in proportion to it instead of jumping over it."""
+DROP = 1e5
+"""Pressure drop [Pa] below which an edge is not counted on: what a wide open valve could not give, a feedback finds."""
+
+
+def command(valve: Valve, opening: ca.SX, value: Value) -> ca.SX:
+    """Command at which the edges of a valve open so far, −1 to 1 (positive P→A): the inverse of its dead bands.
+
+    Beyond the ramp it undoes `displaced` and `openings`, whose rounded corner h = (x + √(x² + w²))/2 has the inverse
+    x = h − w²/(4·h). Within, it is a smooth inverse, so that noise about zero does not make the spool leap (Tao and
+    Kokotovic 1996).
+    """
+    side, size, width = ca.sign(opening), ca.fabs(opening), valve.rounding
+
+    def beyond(h: ca.SX) -> ca.SX:
+        return h - width**2 / (4 * ca.fmax(h, 1e-2 * width))
+
+    forward = value("dead_band") / abs(valve.span)
+    reverse = forward if valve.dead_band_reverse is None else value("dead_band_reverse") / abs(valve.span)
+    dead = (1 + side) / 2 * forward + (1 - side) / 2 * reverse
+    spool = ca.fmax(value("overlap") + beyond(size * (1 - value("overlap"))), 0)
+    wanted = ca.fmax(dead + beyond(spool * (1 - dead)), 0)
+    return valve.neutral + valve.span * side * ca.fmin(1.0, size / RAMP) * wanted
+
+
+def opening(each: ActuatorHydraulics, speed: ca.SX, force_rate: ca.SX, length: ca.SX, pressure: ca.SX, supply: ca.SX,
+            value: Value) -> ca.SX:
+    """Opening, −1 to 1, at which an actuator's force changes at a rate while it moves at a speed.
+
+    f' = A_a·p_a' − A_b·p_b' is that of a shut valve, by motion and leaks, and what the edges add, which is in
+    proportion to the opening; solved for it (the innermost step of Sirouspour and Salcudean 2001).
+
+    Args:
+        each: the actuator.
+        speed: of it [m/s or rad/s].
+        force_rate: [N/s or N·m/s].
+        length: of a cylinder [m].
+        pressure: (2,) of the chambers [Pa].
+        supply: (2,) of supply and tank [Pa].
+        value: of the numbers of its circuit.
+    """
+    (a, b), (p_a, p_b), (pump, tank) = each.areas, ca.vertsplit(pressure), ca.vertsplit(supply)
+    # edges that let nothing pass leave the leaks
+    leaks = each.flows(ca.SX(0), p_a, p_b, supply, lambda key: 0.0 if key in (*EDGES, "rated_flow") else value(key))
+    shut = each.pressure_rates(leaks, p_a, p_b, length, speed, value)
+    unit = each.pressure_rates(Flows(ca.SX(1), ca.SX(1), ca.SX(0)), p_a, p_b, length, ca.SX(0), value)
+
+    def through(edge: str, upstream: ca.SX, downstream: ca.SX) -> ca.SX:
+        drop = ca.fmax(upstream - downstream, DROP)
+        return orifice(conductance(each.valve, edge, value), drop, ca.SX(0), each.valve.laminar_drop)
+
+    extending = a * unit[0] * through("flow_pa", pump, p_a) + b * unit[1] * through("flow_bt", p_b, tank)
+    retracting = a * unit[0] * through("flow_at", p_a, tank) + b * unit[1] * through("flow_pb", pump, p_b)
+    missing = force_rate - (a * shut[0] - b * shut[1])
+    return ca.fmax(missing, 0) / extending + ca.fmin(missing, 0) / retracting
+
+
+class Slopes(NamedTuple):
+    """How commands (n,) change with the demanded speeds (n,) of the same actuators and with the supply's pressure."""
+
+    speed: Array
+    supply: Array
+
+
+class Valves:
+    """The valves of a machine by the parameters θ that a controller has.
+
+    Attributes:
+        plant: the machine.
+        theta: hydraulic parameters.
+        limits: lowest and highest commands (n,) to which each valve is driven.
+    """
+
+    def __init__(self, plant: Plant, theta: Array) -> None:
+        self.plant, self.theta = plant, theta
+        ends = np.sort([(each.valve.neutral - each.valve.span, each.valve.full) for each in plant.actuators], axis=1)
+        self.limits = ends[:, 0], ends[:, 1]
+
+    @cached_property
+    def function(self) -> ca.Function:
+        """(speed, force_rate, length (n,), pressure (n, 2), supply (2,)) → command and opening (n,), p_a' (n,)."""
+        n = len(self.plant.actuators)
+        speed, rate, length = (ca.SX.sym(name, n) for name in ("speed", "force_rate", "length"))
+        pressure, supply = ca.SX.sym("pressure", n, 2), ca.SX.sym("supply", 2)
+        commands, openings, rates = [], [], []
+        for k, each in enumerate(self.plant.actuators):
+            value, p = self.plant.value(each, ca.SX(ca.DM(self.theta))), pressure[k, :].T
+            wide = ca.fmin(ca.fmax(opening(each, speed[k], rate[k], length[k], p, supply, value), -1.0), 1.0)
+            openings.append(wide)
+            commands.append(command(each.valve, wide, value))
+            spool = value("overlap") * ca.sign(wide) + wide * (1 - value("overlap"))
+            rates.append(each.pressure_rates(each.flows(spool, p[0], p[1], supply, value), p[0], p[1], length[k],
+                                             speed[k], value)[0])
+        return ca.Function("valves", [speed, rate, length, pressure, supply],
+                           [ca.vertcat(*commands), ca.vertcat(*openings), ca.vertcat(*rates)],
+                           ["speed", "force_rate", "length", "pressure", "supply"], ["command", "opening", "p_a_rate"])
+
+    def command(self, speed: Array, force_rate: Array, length: Array, pressure: Array,
+                supply: Array) -> tuple[Array, Array]:
+        """Commands and openings (n,)."""
+        commands, openings, _ = self.function(speed, force_rate, length, pressure, supply)
+        return np.asarray(commands).ravel(), np.asarray(openings).ravel()
+
+    @property
+    def quickness(self) -> Array:
+        """Speed (n,) through a fully open valve without load per largest force [m/(s·N) or rad/(s·N·m)]."""
+        found, pump = [], self.plant.supply[0]
+        for each in self.plant.actuators:
+            flow = conductance(each.valve, "flow_pa", self.plant.value(each, ca.SX(ca.DM(self.theta)))) * pump**0.5
+            found.append(float(ca.evalf(flow)) / each.areas[0] / (each.areas[0] * pump))
+        return np.array(found)
+
+    @cached_property
+    def steady(self) -> ca.Function:
+        """(speed, force (n,), supply (2,)) → p_a (n,) of steady motion, see `ActuatorHydraulics.opening_for`."""
+        n = len(self.plant.actuators)
+        speed, force, supply = ca.SX.sym("speed", n), ca.SX.sym("force", n), ca.SX.sym("supply", 2)
+        found = [each.opening_for(force[k], speed[k], supply, self.plant.value(each, ca.SX(ca.DM(self.theta))))[1]
+                 for k, each in enumerate(self.plant.actuators)]
+        return ca.Function("steady", [speed, force, supply], [ca.vertcat(*found)],
+                           ["speed", "force", "supply"], ["p_a"])
+
+    @cached_property
+    def _derivatives(self) -> ca.Function:
+        given = self.function.sx_in()
+        out = self.function(*given)[0]
+        return ca.Function("slopes", given, [ca.densify(ca.jacobian(out, given[0])),
+                                             ca.densify(ca.jacobian(out, given[4]))])
+
+    def slopes(self, speed: Array, length: Array, pressure: Array, supply: Array) -> Slopes:
+        """Of the commands, at speeds that open the valves beyond the ramp while forces stay as they are."""
+        still = np.zeros_like(speed)
+        by_speed, by_supply = (np.asarray(part) for part in self._derivatives(speed, still, length, pressure, supply))
+        return Slopes(np.diag(by_speed).copy(), by_supply[:, 0].copy())

@@ -1,0 +1,1 @@
+"""Bodies and friction from forces."""

@@ -1,0 +1,280 @@
+"""Two sessions in one least squares: parameters are shared but for those that may have changed in between.
+
+Before: f = K·ψ; after: f = K·ψ + K_c·δ. The first session and the machine file's priors hold ψ, so that what is left
+over in the second is the change, and both share every error that a wrong nominal model makes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from hydroopt.errors import IdentifiabilityError, SolverError
+from hydroopt.estimation.dynamic.problem import IdentificationProblem
+from hydroopt.estimation.dynamic.stored_information import Session
+from hydroopt.estimation.inference import posterior as uncertainty
+from hydroopt.estimation.inference import sdp
+from hydroopt.estimation.inference.constraints import Constraint, Named
+from hydroopt.estimation.inference.gaussian import gaussian
+from hydroopt.estimation.inference.least_squares import RANK_TOLERANCE
+from hydroopt.model.model import Model
+from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.spatial.inertia import NAMES, Array
+
+AFTER = "after."
+"""What the name of a parameter's second value begins with."""
+
+ROUNDING = 1e-10
+"""Part of the largest singular value below which a direction of the shared parameters is rounding error."""
+
+
+@dataclass(frozen=True, eq=False)
+class Comparison(IdentificationProblem):
+    """The unknowns x (P,) of two sessions: all ψ of the first, then what the second adds.
+
+    Attributes:
+        unknowns: of x, with bounds and priors.
+        second: (p, P) the second session's parameters are ``second @ x``; the first's are the first p of x.
+        null: (P, ·) basis of the x in which nothing has changed.
+        change: (P, c) what a change δ (c,) does to x.
+        labels: (c,) names of the changes.
+        gains: (n,) places in x of the relative errors of the actuators' force readings; none if they are exact.
+    """
+
+    unknowns: ParameterSet = field(kw_only=True)
+    second: Array = field(kw_only=True)
+    null: Array = field(kw_only=True)
+    change: Array = field(kw_only=True)
+    labels: tuple[str, ...] = field(kw_only=True)
+    gains: tuple[int, ...] = field(default=(), kw_only=True)
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """The unknowns x."""
+        return self.unknowns
+
+    def rows(self, before: Session, after: Session) -> tuple[Array, Array]:
+        """A (m, P) and b (m,) with ``‖A·x − b‖²`` the weighted squares of both sessions' residuals.
+
+        Gains make f = (1 + γ)·K·ψ bilinear; A and b are then its linearisation at the most probable x.
+
+        Raises:
+            SolverError: that x was not found.
+        """
+        x = self.unknowns.nominal
+        for _ in range(100 if self.gains else 1):
+            A, b = self._rows_at(x, before, after)
+            if not self.gains:
+                return A, b
+            last, x = x, gaussian(self, *folded(A, b)).offset
+            if np.all(np.abs(x - last) < 1e-9 * self.unknowns.scale):
+                return A, b
+        raise SolverError("the gains of the force readings did not settle", where=self.where,
+                          remedy="state a smaller sigma of the gains, or more of what is known about masses")
+
+    @property
+    def where(self) -> str:
+        """What errors say."""
+        return f"comparison of two sessions of {self.model.machine.name}"
+
+    def _rows_at(self, x: Array, before: Session, after: Session) -> tuple[Array, Array]:
+        p, blocks, right = len(self.second), [], []
+        for triangles, own in ((before.triangles, np.eye(p, len(x))), (after.triangles, self.second)):
+            K, f = triangles[:, :, :p] @ own, triangles[:, :, p].copy()
+            if self.gains:
+                gain, predicted = x[list(self.gains)], K @ x
+                K = (1 + gain)[:, None, None] * K
+                K[np.arange(len(K)), :, list(self.gains)] = predicted
+                f += gain[:, None] * predicted
+            blocks.append(K.reshape(-1, len(x)))
+            right.append(f.ravel())
+        return np.vstack(blocks), np.concatenate(right)
+
+
+def joined(*sets: ParameterSet) -> ParameterSet:
+    """Sets of parameters that know nothing of each other, one after the other."""
+    sizes = np.cumsum([0, *map(len, sets)])
+    information = np.zeros((sizes[-1], sizes[-1]))
+    for start, stop, one in zip(sizes[:-1], sizes[1:], sets, strict=True):
+        information[start:stop, start:stop] = one.information
+    nominal, lower, upper, scale = (np.concatenate([getattr(one, key) for one in sets])
+                                    for key in ("nominal", "lower", "upper", "scale"))
+    return ParameterSet(tuple(name for one in sets for name in one.names),
+                        tuple(unit for one in sets for unit in one.units), nominal, lower, upper, scale, information)
+
+
+def stated_twice(parameters: ParameterSet, names: Collection[str]) -> list[int]:
+    """Places of the parameters that need a second value if those of these names may change.
+
+    Where one of a body's may change, the whole body is stated twice, so that it can exist both times.
+    """
+    owners = {name.rpartition(".")[0] for name in names if name.rpartition(".")[2] in NAMES}
+    return [k for k, name in enumerate(parameters.names) if name in names
+            or (name.rpartition(".")[0] in owners and name.rpartition(".")[2] in NAMES)]
+
+
+def copied(parameters: ParameterSet, places: Sequence[int]) -> ParameterSet:
+    """The second values of parameters, about which nothing is known but their bounds."""
+    at = list(places)
+    return ParameterSet(tuple(AFTER + parameters.names[k] for k in at), tuple(parameters.units[k] for k in at),
+                        parameters.nominal[at], parameters.lower[at], parameters.upper[at], parameters.scale[at],
+                        np.zeros((len(at), len(at))))
+
+
+def comparison(model: Model, names: Sequence[str]) -> Comparison:
+    """The problem in which parameters of these names may have changed between two sessions."""
+    parameters, p = model.parameters, len(model.parameters)
+    twice = stated_twice(parameters, names)
+    chosen, copies = np.eye(p)[twice], [parameters.names[k] for k in twice]
+    asked = [p + copies.index(name) for name in names]
+    tied = tuple(Constraint(f"{name} unchanged", partial(_unchanged, name)) for name in copies if name not in names)
+    return Comparison(model, (), constraints=tied, unknowns=joined(parameters, copied(parameters, twice)),
+                      second=np.hstack([np.eye(p) - chosen.T @ chosen, chosen.T]),
+                      null=np.vstack([np.eye(p), chosen]), change=np.eye(p + len(twice))[:, asked],
+                      labels=tuple(names))
+
+
+def _unchanged(name: str, x: Named) -> Any:
+    return x[AFTER + name] == x[name]
+
+
+def folded(A: Array, b: Array) -> tuple[Array, Array]:
+    """R (P, P) and r (P,) of ``‖R·x − r‖² = ‖A·x − b‖²`` less what no x can change."""
+    P = A.shape[1]
+    R: Array = np.asarray(np.linalg.qr(np.column_stack([A, b]), mode="r"))
+    return R[:P, :P], R[:P, P]
+
+
+class Wald(NamedTuple):
+    """Least squares and test of a change δ (c,), before any bound or body is heeded.
+
+    Attributes:
+        value, std: (c,) NaN where δ is not told.
+        statistic, rank, freedom, p_value: F = W/k with k = `rank` directions of δ that are told, W the Wald statistic
+            of δ = 0 in them, and `freedom` degrees of freedom of the residuals.
+        partners: for each δ not told, the places of those it cannot be told from.
+        alone: value, standard deviation, and p-value of what is left over (c,), if this δ were the only one.
+    """
+
+    value: Array
+    std: Array
+    statistic: float
+    rank: int
+    freedom: float
+    p_value: float
+    partners: tuple[tuple[int, ...], ...]
+    alone: tuple[Array, Array, Array]
+
+    def single(self) -> Array:
+        """Two-sided p-value (c,) of each δ by itself, NaN where it is not told."""
+        return np.asarray(2 * stats.t.sf(np.abs(self.value) / self.std, self.freedom))
+
+
+def wald(problem: Comparison, A: Array, b: Array, readings: float) -> Wald:
+    """Test whether anything has changed, on the directions of δ that data and priors determine.
+
+    Args:
+        problem: what may have changed, and the priors.
+        A, b: rows of both sessions.
+        readings: independent ones in both sessions, for the degrees of freedom of σ.
+
+    Raises:
+        IdentifiabilityError: no direction is told, or there are not enough readings.
+    """
+    scale, p = problem.unknowns.scale, len(problem.second)
+    prior, right = problem.prior_rows
+    rows = np.vstack([A, prior])
+    # the nominal machine, unchanged; gains, which come after ψ in the basis, are nominally zero
+    rest = np.concatenate([b, right]) - rows @ (problem.null[:, :p] @ problem.unknowns.nominal[:p])
+    U = _orthonormal(rows @ (problem.null * np.linalg.norm(problem.null.T * scale, axis=1)))
+    moved = A @ problem.change
+    size = np.linalg.norm(moved, axis=0)
+    effect = size * (scale @ np.abs(problem.change))
+    touched = np.flatnonzero(effect > 1e-12 * np.max(effect, initial=0.0))
+    C = np.vstack([moved, np.zeros((len(prior), moved.shape[1]))])[:, touched] / size[touched]
+    C, rest = _without(U, C), _without(U, rest)
+    left, s, axes = np.linalg.svd(C, full_matrices=False)
+    told = s > RANK_TOLERANCE
+    k = int(np.sum(told))
+    freedom = readings - float(np.sum(U[: len(A)] ** 2)) - k  # what priors determine costs no readings
+    if not k or freedom < 1:
+        raise IdentifiabilityError("these logs cannot tell a change of what was asked for", where=problem.where,
+                                   remedy="drive motions that show it, and longer ones, in both sessions")
+    along = left[:, told].T @ rest
+    value, std = np.full(len(size), np.nan), np.full(len(size), np.nan)
+    root = axes[told].T / s[told] / size[touched][:, None]
+    hidden = axes[~told].T @ axes[~told]
+    alone = np.abs(hidden).max(axis=1, initial=0.0) < 1e-6
+    value[touched[alone]] = (root @ along)[alone]
+    std[touched[alone]] = np.sqrt(np.sum(root**2, axis=1))[alone]
+    partners: list[tuple[int, ...]] = [()] * len(size)
+    for i in np.flatnonzero(~alone):
+        partners[touched[i]] = tuple(int(touched[j]) for j in np.flatnonzero(np.abs(hidden[i]) > 1e-3) if j != i)
+    statistic = float(along @ along) / k
+    return Wald(value, std, statistic, k, freedom, float(stats.f.sf(statistic, k, freedom)), tuple(partners),
+                _one_by_one(C, rest, k * statistic, k, freedom, touched, size))
+
+
+def _one_by_one(C: Array, rest: Array, statistic: float, rank: int, freedom: float, touched: NDArray[np.intp],
+                size: Array) -> tuple[Array, Array, Array]:
+    """Least squares on each column of C (rows, ·) by itself, and how much of the Wald statistic it leaves."""
+    value, std, p = (np.full(len(size), np.nan) for _ in range(3))
+    length = np.linalg.norm(C, axis=0)
+    own = np.flatnonzero(length > RANK_TOLERANCE)
+    at, share = touched[own], (C[:, own].T @ rest) / length[own]
+    value[at], std[at] = share / length[own] / size[at], 1 / length[own] / size[at]
+    left = np.maximum(statistic - share**2, 0.0) / max(rank - 1, 1)
+    p[at] = stats.f.sf(left, max(rank - 1, 1), freedom) if rank > 1 else 1.0
+    return value, std, p
+
+
+def _orthonormal(columns: Array) -> Array:
+    """Orthonormal basis of a column space; columns are scaled to unit length first."""
+    lengths = np.linalg.norm(columns, axis=0)
+    scaled = columns[:, lengths > 0] / lengths[lengths > 0]
+    U, s, _ = np.linalg.svd(scaled, full_matrices=False)
+    return np.asarray(U[:, s > ROUNDING * s[0]])
+
+
+def _without(basis: Array, columns: Array) -> Array:
+    """Columns less their projection; twice, so that they stay perpendicular to rounding."""
+    for _ in range(2):
+        columns = columns - basis @ (basis.T @ columns)
+    return columns
+
+
+@dataclass(frozen=True, eq=False)
+class Solution:
+    """The most probable x (P,) with possible bodies, samples around it (or None), and notes on how they came about."""
+
+    x: Array
+    posterior: uncertainty.Posterior | None
+    active: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def centre(self) -> Array:
+        """The most probable x (P,), or the posterior's mean where limits hold that in a corner."""
+        mean = self.posterior.mean if self.posterior is not None else None
+        return self.x if mean is None or not self.active else mean
+
+
+def settle(problem: Comparison, A: Array, b: Array, *, intervals: bool, seed: int) -> Solution:
+    """The most probable unknowns with possible bodies in both sessions, and samples of the posterior.
+
+    Raises:
+        SolverError: no trustworthy answer.
+    """
+    R, r = folded(A, b)
+    found = sdp.semidefinite_program(problem, gaussian(problem, R, r), consistent=problem.consistent)
+    if not intervals:
+        return Solution(found.psi, None, found.active, ())
+    posterior = uncertainty.sample(problem, R, r, found.psi, consistent=problem.consistent, seed=seed)
+    note = "bounds or bodies leave no inside to sample intervals from" if posterior is None else posterior.note
+    return Solution(found.psi, posterior, found.active, (note,))

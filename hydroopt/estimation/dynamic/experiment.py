@@ -1,0 +1,157 @@
+"""One log made ready for dynamics: smooth motion and actuator forces."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.logs.log import Log
+from hydroopt.logs.readings import angle_noise, channels_used, forces, measured_angles, pressures
+from hydroopt.logs.smoothing import Motion, Smoothing, SmoothingSpline, condition
+from hydroopt.machine.components import Cylinder
+from hydroopt.model.model import Model
+from hydroopt.spatial.inertia import Array
+
+NOISE_FACTOR, OVERSHOOT, STANDSTILL = 4.0, 0.15, 1e-6
+"""A joint counts as standing still below this many standard deviations of its velocity's noise, below this part of its
+RMS speed (smoothing lets an abrupt stop ring, so that slower readings may have the wrong sign), and below this speed in
+rad/s or m/s."""
+
+SELDOM = 0.01
+"""A joint that seems to move in less than this part of the samples stands still: noise alone does as much."""
+
+
+@dataclass(frozen=True, eq=False)
+class Experiment:
+    """Motion (N, n) and measured actuator forces (N, n) [N or N·m] of one log.
+
+    `inside` (N,) is False near the ends of a stretch, where derivatives of noisy angles are worse: those samples take
+    no part in estimation and validation. `moving` (N, n) is False where a joint is too slow for the sign of its
+    velocity, and so of its dry friction, to be known (Eq. 4.51), unless it is so slow that there is none by the dead
+    zone of its actuator: those take no part in estimation. `remarks` say which channels were not used and how measured
+    lengths compare with the geometry. `pressure` (N, n) [Pa] is p_head + p_rod of each cylinder whose seals' friction
+    depends on it and 0 for all other actuators; None where no friction does.
+    """
+
+    log: Log
+    motion: Motion
+    force: Array
+    moving: NDArray[np.bool_]
+    remarks: tuple[str, ...] = ()
+    pressure: Array | None = None
+
+    def inputs(self, rows: slice | NDArray[np.intp] = slice(None)) -> tuple[Array, ...]:
+        """What the model's regressor and inverse dynamics take: q, qd, qdd and, if they do, pressure (·, n)."""
+        motion = (self.motion.q[rows], self.motion.qd[rows], self.motion.qdd[rows])
+        return motion if self.pressure is None else (*motion, self.pressure[rows])
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Samples that take part (N,)."""
+        return self.motion.interior
+
+    @property
+    def taken(self) -> int:
+        """How many samples take part."""
+        return int(np.sum(self.inside))
+
+    @property
+    def shown(self) -> Experiment:
+        """What figures show of it: all."""
+        return self
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to the log, in plain words."""
+        still = np.sum(self.inside[:, None] & ~self.moving, axis=0)
+        left_out = f"{int(np.sum(~self.inside))} of {len(self.inside)} samples at the ends of stretches left out"
+        return (*self.motion.notes, left_out,
+                f"standing still (no sign of friction) per joint: {still.tolist()} samples", *self.remarks)
+
+
+def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Experiment:
+    """Condition a log.
+
+    Joint angles are read from ``<joint>.q`` or, where a log lacks them, from the length of the cylinder that moves the
+    joint. Forces are those of the pressures (Eq. 4.33, 4.61) or, where a log lacks one of them, ``<cylinder>.force`` or
+    ``<joint>.tau``. What else the log holds is named in the notes.
+
+    Raises:
+        LogError: a channel is missing or in a unit that does not suit its joint, or a length at which a triangle is
+            open.
+    """
+    smoothing = smoothing or SmoothingSpline(bandwidth=model.machine.bandwidth)
+    angles = measured_angles(model, log)
+    motion = condition(log.t, angles, log.segment, smoothing, angle_noise(model, log),
+                       names=model.machine.joints, where=log.path or log.name)
+    slow, noise = slowest(angles, motion)
+    moving = np.abs(motion.qd) > slow
+    moving &= np.mean(moving, axis=0) > SELDOM
+    return Experiment(log, motion, forces(model, log), _dry_friction_known(model, motion, moving, noise),
+                      remarks(model, log, angles), pressures(model, log))
+
+
+def slowest(angles: Array, motion: Motion) -> tuple[Array, Array]:
+    """Speed (n,) of each joint below which its sign is not known, or smoothing lets it ring; and its noise (n,)."""
+    rms_speed, noise = np.sqrt(np.mean(motion.qd**2, axis=0)), NOISE_FACTOR * _velocity_noise(angles, motion)
+    return np.maximum(np.maximum(noise, OVERSHOOT * rms_speed), STANDSTILL), noise
+
+
+def remarks(model: Model, log: Log, angles: Array) -> tuple[str, ...]:
+    """Which channels are not used, and how measured lengths compare with the geometry."""
+    used = set.union(*channels_used(model, log))
+    return (*_unused(log, used), *_length_check(model, log, used, angles))
+
+
+def _dry_friction_known(model: Model, motion: Motion, moving: NDArray[np.bool_], noise: Array) -> NDArray[np.bool_]:
+    """`moving` (N, n), but where there are dead zones: well inside them there is no dry friction, near their ends it is
+    not known. `noise` (n,) is what the joints' speeds may be off."""
+    machine = model.machine
+    known = moving.copy()
+    for k, (joint, actuator) in enumerate(zip(machine.joints, machine.actuators, strict=True)):
+        width = actuator.friction.dead_zone
+        if width is None:
+            continue
+        speed, doubt = motion.qd[:, k], np.full(len(motion.t), noise[k])
+        other_dry = machine.link(joint).joint.friction.coulomb is not None
+        if isinstance(actuator, Cylinder):
+            c = machine.all_cylinders.index(actuator)
+            _, speeds, _, arms, _ = model.over(model.cylinder_kinematics, motion.q, motion.qd, motion.qdd)
+            speed, doubt = speeds[:, c, 0], np.linalg.norm(arms[:, c] * noise, axis=1)
+            other_dry |= actuator.friction.barrel_pin is not None or actuator.friction.rod_pin is not None
+        size = np.abs(speed)
+        known[:, k] &= size > width + doubt
+        if not other_dry:
+            known[:, k] |= size < width - doubt
+    return known
+
+
+def _unused(log: Log, used: set[str]) -> tuple[str, ...]:
+    rest = [channel for channel in log.channels if channel not in used]
+    return (f"not used: {', '.join(rest)}",) if rest else ()
+
+
+def _length_check(model: Model, log: Log, used: set[str], angles: Array) -> Iterator[str]:
+    """What measured cylinder lengths say about the geometry, where they did not give the angle themselves."""
+    checked = [(k, f"{c.name}.length") for k, c in enumerate(model.machine.cylinders)
+               if f"{c.name}.length" in log.channels and f"{c.name}.length" not in used]
+    if not checked:
+        return
+    expected = model.over(model.cylinder_kinematics, angles, 0 * angles, 0 * angles)[0][:, :, 0]
+    for k, channel in checked:
+        off = 1e3 * (log.channel(channel) - expected[:, k])
+        yield f"{channel} differs from the geometry by {np.mean(off):.1f} mm mean, {np.std(off):.1f} mm std"
+
+
+def _velocity_noise(angles: Array, motion: Motion) -> Array:
+    """Standard deviation of the smoothed velocities (n,): white noise, low-passed and differentiated.
+
+    σ_v² = ∫₀^f (2πν)²·2σ²Δt dν with the smoother's bandwidth f and the σ of what it took out.
+    """
+    sigma = np.std(angles - motion.q, axis=0)
+    step = float(np.median(np.diff(motion.t)))
+    bandwidth = np.clip(motion.bandwidth, 1 / float(motion.t[-1] - motion.t[0]), 0.5 / step)
+    return np.asarray(sigma * np.sqrt(8 / 3 * np.pi**2 * step * bandwidth**3))

@@ -1,0 +1,289 @@
+"""Motion and parameters fitted together: readings of angles err as those of pressures do, and both tell the motion.
+
+The motion of each joint is a quintic spline q(t) = B(t)·c. With parameters ψ it is the most probable one:
+
+    Σ ((q_measured − B·c)/σ_q)² + λ/σ_q²·∫ (B'''·c)² dt + Σ ((f − f(B·c, Ḃ·c, B̈·c, ψ))/σ_f)²  →  min over c and ψ.
+
+Gauss-Newton steps with exact derivatives solve it. A spline's coefficients meet only their neighbours, so that an
+orthogonal sweep along time (the square-root information filter of Bierman 1977) eliminates them one by one; what is
+left is ``‖R·ψ − r‖²``, all that angles and forces together tell of the parameters, the uncertainty of the motion
+included. Whatever estimator, prior or constraint goes on from there, as it does after smoothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import BSpline, PPoly
+
+from hydroopt.errors import SolverError
+from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.estimation.dynamic.regressor_qr import equations, whitened
+from hydroopt.logs.readings import angle_noise, measured_angles
+from hydroopt.model.model import Model
+from hydroopt.spatial.inertia import Array
+
+DEGREE, ORDER = 5, 6
+FINER = 2.0
+"""The fitted motion may be this much faster than the smoothed one: the forces hold it back where the angles do not."""
+KNOTS_PER_PERIOD = 2.0
+"""Knots per period of the fastest motion admitted."""
+STEPS = 30
+TOGETHER = 16
+"""Intervals whose rows left for the parameters are folded at a time: few factorisations are faster than many."""
+STILL = 1e-4
+"""The fit stands still when a step moves the parameters by less than this part of their standard deviations."""
+
+
+def _cardinal() -> Array:
+    """(6, 6): powers 1, u, …, u⁵ to the six quintic B-splines of evenly spaced knots that are not zero at 0 ≤ u < 1."""
+    spline = BSpline.basis_element(np.arange(ORDER + 1.0))
+    pieces = PPoly.from_spline((spline.t, spline.c, DEGREE))
+    at = [int(np.searchsorted(pieces.x, DEGREE - j, side="right")) - 1 for j in range(ORDER)]
+    return np.column_stack([pieces.c[::-1, k] for k in at])  # the j-th of the six began DEGREE − j knots ago
+
+
+_POLYNOMIALS = _cardinal()
+_GAUSS = np.polynomial.legendre.leggauss(3)
+
+
+def _splines(u: Array, derivative: int, spacing: float) -> Array:
+    """Values (N, 6) of the six splines' derivatives at places u (N,) in their knot interval."""
+    polynomials = _POLYNOMIALS
+    for _ in range(derivative):
+        polynomials = polynomials[1:] * np.arange(1, len(polynomials))[:, None]
+    return (u[:, None] ** np.arange(len(polynomials))) @ polynomials / spacing**derivative
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """The spline over one uninterrupted stretch: samples `span`, their knot intervals, and coefficients c (k, n).
+
+    `basis` are values and first and second derivatives of the six splines at each sample, `rough` the rows (3, 6) with
+    ``Σ (rough·c)² = ∫ q'''²`` over an interval.
+    """
+
+    span: slice
+    interval: NDArray[np.intp]
+    basis: tuple[Array, Array, Array]
+    rough: Array
+    coefficients: Array
+
+    @classmethod
+    def over(cls, t: Array, span: slice, spacing: float, joints: int) -> Stretch:
+        """With knots about `spacing` [s] apart."""
+        times = t[span]
+        count = max(1, round(float(times[-1] - times[0]) / spacing))
+        spacing = float(times[-1] - times[0]) / count
+        place = (times - times[0]) / spacing
+        interval = np.minimum(place.astype(np.intp), count - 1)
+        basis = [_splines(place - interval, order, spacing) for order in range(3)]
+        rough = _splines(0.5 + 0.5 * _GAUSS[0], 3, spacing) * np.sqrt(_GAUSS[1] / 2 * spacing)[:, None]
+        return cls(span, interval, (basis[0], basis[1], basis[2]), rough, np.zeros((count + DEGREE, joints)))
+
+    @property
+    def motion(self) -> list[Array]:
+        """q, qd and qdd (N, n)."""
+        around = self.coefficients[self.interval[:, None] + np.arange(ORDER)]
+        return [np.einsum("mk,mkj->mj", basis, around) for basis in self.basis]
+
+
+@dataclass(frozen=True, eq=False)
+class Sweep:
+    """Eliminated coefficients of a stretch: rows that give each c from the next five and ψ, and what is left for ψ."""
+
+    rows: list[Array]
+    last: Array
+    triangle: Array
+
+    def back(self, psi: Array) -> Array:
+        """Steps (k, n) of the coefficients at which parameters ψ (p,) are most probable."""
+        n = len(self.rows[0])
+        tail, width = np.append(-psi, 1.0), ORDER * n
+        step = np.zeros((len(self.rows) + DEGREE, n))
+        step[-DEGREE:] = np.linalg.solve(self.last[:, n:width], self.last[:, width:] @ tail).reshape(DEGREE, n)
+        for i in range(len(self.rows) - 1, -1, -1):
+            row = self.rows[i]
+            known = row[:, width:] @ tail - row[:, n:width] @ step[i + 1 : i + ORDER].ravel()
+            step[i] = np.linalg.solve(row[:, :n], known)
+        return step
+
+
+@dataclass(frozen=True, eq=False)
+class Fitted:
+    """An experiment whose motion is being fitted; `stiffness` (n,) is √λ/σ_q, `angles` (N, n) are the readings."""
+
+    data: Experiment
+    angles: Array
+    sigma: Array
+    stiffness: Array
+    stretches: tuple[Stretch, ...]
+
+    @classmethod
+    def begin(cls, model: Model, data: Experiment) -> Fitted:
+        """From the smoothed motion of an experiment."""
+        log, motion = data.log, data.motion
+        angles = measured_angles(model, log)
+        stated = angle_noise(model, log)
+        sigma = np.where(stated > 0, stated, np.std(angles - motion.q, axis=0))
+        sigma = np.maximum(sigma, 1e-9 * np.maximum(np.std(angles, axis=0), 1e-3))
+        rate = (len(log.t) - 1) / float(log.t[-1] - log.t[0])
+        fastest = np.minimum(FINER * motion.bandwidth, rate / 4)
+        if model.machine.bandwidth is not None:
+            fastest = np.minimum(fastest, np.maximum(model.machine.bandwidth, motion.bandwidth))
+        stiffness = np.sqrt(rate) / (2 * np.pi * fastest) ** 3 / sigma
+        edges = np.flatnonzero(np.diff(motion.segment, prepend=motion.segment[0] - 1, append=motion.segment[-1] + 1))
+        spacing = 1 / (KNOTS_PER_PERIOD * float(np.max(fastest)))
+        stretches = tuple(Stretch.over(log.t, slice(a, b), spacing, angles.shape[1])
+                          for a, b in pairwise(edges))
+        begun = cls(data, angles, sigma, stiffness, stretches)
+        return begun.moved([begun._sweep(stretch, None) for stretch in stretches], np.zeros(0))
+
+    @property
+    def experiment(self) -> Experiment:
+        """The experiment with the fitted motion, of which the ends of stretches take part, too."""
+        q, qd, qdd = (np.concatenate(parts) for parts in zip(*[s.motion for s in self.stretches], strict=True))
+        off = np.std(q - self.angles, axis=0) / self.sigma
+        note = ("motion fitted together with the parameters; what is left of the angles, in standard deviations of "
+                f"their sensors: {', '.join(f'{x:.2f}' for x in off)}")
+        motion = replace(self.data.motion, q=q, qd=qd, qdd=qdd, interior=np.ones(len(q), dtype=bool),
+                         notes=(*self.data.motion.notes, note))
+        return replace(self.data, motion=motion)
+
+    def moved(self, sweeps: Sequence[Sweep], psi: Array, part: float = 1.0) -> Fitted:
+        """After `part` of the step that sweeps lead to with parameters ψ."""
+        return replace(self, stretches=tuple(replace(s, coefficients=s.coefficients + part * sweep.back(psi))
+                                             for s, sweep in zip(self.stretches, sweeps, strict=True)))
+
+    def sweeps(self, model: Model, psi: Array, covariance: Array, weights: Array | None) -> list[Sweep]:
+        """Eliminate the motion from rows linearised at ψ, whose forces err by `covariance` (n, n) over `weights`."""
+        rows = ForceRows.at(model, self.experiment, psi, covariance, weights)
+        return [self._sweep(stretch, rows) for stretch in self.stretches]
+
+    def _sweep(self, stretch: Stretch, forces: ForceRows | None) -> Sweep:
+        n, p = self.angles.shape[1], 0 if forces is None else forces.by_psi.shape[2]
+        width, unit = ORDER * n, np.eye(n)
+
+        def rows(values: Array, size: Array, right: Array) -> Array:
+            by_c = np.einsum("mk,ab->makb", values, unit * size).reshape(-1, width)
+            return np.hstack([by_c, np.zeros((len(by_c), p)), (right * size).reshape(-1, 1)])
+
+        count = len(stretch.coefficients) - DEGREE
+        starts = np.searchsorted(stretch.interval, np.arange(count + 1))
+        angles = self.angles[stretch.span]
+        left: Array = np.zeros((0, width + p + 1))
+        triangle: Array = np.zeros((p + 1, p + 1))
+        kept, pending = [], []
+        for i in range(count):
+            here, active = slice(starts[i], starts[i + 1]), stretch.coefficients[i : i + ORDER]
+            values = stretch.basis[0][here]
+            blocks = [left, rows(values, 1 / self.sigma, angles[here] - values @ active),
+                      rows(stretch.rough, self.stiffness, -stretch.rough @ active)]
+            if forces is not None:
+                inside = slice(stretch.span.start + here.start, stretch.span.start + here.stop)
+                blocks.append(forces.of(inside, [basis[here] for basis in stretch.basis]))
+            stacked = np.vstack([*blocks, np.zeros((width, width + p + 1))])  # never fewer rows than coefficients
+            folded: Array = np.asarray(np.linalg.qr(stacked, mode="r"))
+            kept.append(folded[:n])
+            rest = folded[n:width]
+            left = np.hstack([rest[:, n:width], np.zeros((len(rest), n)), rest[:, width:]])
+            pending.append(folded[width:, width:])
+            if len(pending) == TOGETHER or i == count - 1:
+                triangle = np.asarray(np.linalg.qr(np.vstack([triangle, *pending]), mode="r"))
+                pending = []
+        return Sweep(kept, rest, triangle)
+
+
+@dataclass(frozen=True, eq=False)
+class FittedMotion:
+    """ψ (p,), what all readings tell of it, ``‖R·ψ − r‖² + rest``, and the motion that goes with any ψ nearby."""
+
+    fitted: Sequence[Fitted]
+    sweeps: Sequence[list[Sweep]]
+    psi: Array
+    R: Array
+    r: Array
+    rest: float
+
+    def motion(self, psi: Array) -> list[Fitted]:
+        """The motions that are most probable with parameters ψ (p,)."""
+        return [one.moved(some, psi) for one, some in zip(self.fitted, self.sweeps, strict=True)]
+
+    def experiments(self, psi: Array) -> tuple[Experiment, ...]:
+        """The experiments with these motions."""
+        return tuple(one.experiment for one in self.motion(psi))
+
+
+@dataclass(frozen=True, eq=False)
+class ForceRows:
+    """Forces of an experiment linearised in motion and parameters, (N, …); `taken` (N, n) tells which count."""
+
+    by_motion: Array
+    by_psi: Array
+    right: Array
+    taken: NDArray[np.bool_]
+    covariance: Array
+
+    @classmethod
+    def at(cls, model: Model, data: Experiment, psi: Array, covariance: Array, weights: Array | None) -> ForceRows:
+        """At the experiment's motion and at ψ: ``by_motion·δ + by_psi·ψ_new = right``."""
+        by_motion = np.stack(model.over(model.force_by_motion, *data.inputs(), psi), axis=2)
+        (by_psi, *_), right = equations(model, data, psi)
+        root = np.ones_like(right) if weights is None else np.sqrt(weights)
+        return cls(by_motion * root[:, :, None, None], by_psi * root[:, :, None], right * root, data.moving,
+                   covariance)
+
+    def of(self, span: slice, basis: list[Array]) -> Array:
+        """Rows (·, 6n+p+1) of independent errors of size one, by coefficients, ψ and right side."""
+        by_c = sum(np.einsum("mk,mab->makb", values, self.by_motion[span, :, order])
+                   for order, values in enumerate(basis))
+        m, n = self.right[span].shape
+        block = np.concatenate([by_c.reshape(m, n, -1), self.by_psi[span], self.right[span][:, :, None]], axis=2)
+        return whitened(block, self.taken[span], self.covariance)
+
+
+def begin(model: Model, experiments: Sequence[Experiment]) -> list[Fitted]:
+    """Experiments with the motion that their angles alone make most probable."""
+    return [Fitted.begin(model, data) for data in experiments]
+
+
+def fit(model: Model, fitted: Sequence[Fitted], covariance: Array, weights: Sequence[Array] | None,
+        psi: Array, most_probable: Callable[[Array, Array], Array], where: str) -> FittedMotion:
+    """Fit motion and parameters together.
+
+    Args:
+        model: whose parameters.
+        fitted: experiments, with the motion to begin with.
+        psi: (p,) parameters to begin with.
+        covariance: (n, n) of the forces' errors in one sample.
+        weights: (N, n) for each experiment, by which squared residuals of forces are multiplied.
+        most_probable: from (R, r) to ψ, with whatever priors and constraints there are.
+        where: for error messages.
+
+    Raises:
+        SolverError: the steps do not come to rest.
+    """
+    part, last = 1.0, np.inf
+    for _ in range(STEPS):
+        sweeps = [one.sweeps(model, psi, covariance, None if weights is None else weights[k])
+                  for k, one in enumerate(fitted)]
+        R, r, rest = _joined([sweep for some in sweeps for sweep in some], len(psi))
+        target = most_probable(R, r)
+        length = float(np.linalg.norm(R @ (target - psi)))
+        part = 1.0 if length < last else part / 2  # a step longer than the one before went too far
+        if length < STILL:
+            return FittedMotion(fitted, sweeps, target, R, r, rest)
+        psi = psi + part * (target - psi)
+        fitted = [one.moved(some, target, part) for one, some in zip(fitted, sweeps, strict=True)]
+        last = length
+    raise SolverError(f"motion and parameters fitted together do not come to rest in {STEPS} steps", where=where,
+                      remedy="smooth the motion instead, or state the sensors' accuracy and the machine's bandwidth")
+
+
+def _joined(sweeps: Sequence[Sweep], p: int) -> tuple[Array, Array, float]:
+    triangle: Array = np.asarray(np.linalg.qr(np.vstack([sweep.triangle for sweep in sweeps]), mode="r"))
+    return triangle[:p, :p], triangle[:p, p], float(triangle[p, p] ** 2)

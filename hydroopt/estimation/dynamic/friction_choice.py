@@ -1,0 +1,364 @@
+"""Which friction a machine's actuators have: sets of terms fitted to some logs and judged by others.
+
+A fit to the data that it was learnt from improves with every term. Here each set has to predict logs that it has not
+seen, and a larger set must do so better than a smaller one by more than the standard error of the difference.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from hydroopt.errors import ProblemError, SolverError
+from hydroopt.estimation.dynamic.estimate import Estimate
+from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.estimation.dynamic.identify import Method, identify
+from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
+from hydroopt.estimation.dynamic.regressor_qr import compress
+from hydroopt.estimation.dynamic.streamed_experiment import in_memory, logs_in_memory
+from hydroopt.estimation.inference.identifiability import random_states
+from hydroopt.estimation.inference.least_squares import RANK_TOLERANCE, base_least_squares
+from hydroopt.logs.log import Log
+from hydroopt.logs.smoothing import Smoothing
+from hydroopt.logs.stream import LogStream
+from hydroopt.machine.components import Cylinder, Drive, Motor, Note
+from hydroopt.machine.machine import Machine
+from hydroopt.model.model import Model
+from hydroopt.parameters.dynamic import SPEED
+from hydroopt.spatial.inertia import Array
+
+TERMS = ("coulomb", "viscous", "stribeck", "reverse", "seal", "dead_zone")
+"""Terms by name; ``reverse`` gives Coulomb and viscous friction a value of their own for the negative direction."""
+CANDIDATES = ("none", "viscous", "coulomb", "coulomb+viscous", "coulomb+viscous+stribeck", "coulomb+viscous+reverse",
+              "coulomb+viscous+seal", "coulomb+viscous+dead_zone", "coulomb+viscous+stribeck+reverse")
+"""What is tried where nothing else is asked for."""
+STRIBECK_SPEED, DEAD_ZONE = 0.3, 0.05
+"""Where the file states none: Stribeck speed at first and dead zone, as parts of an actuator's RMS speed."""
+TRIED = (0.35, 0.7, 1.4, 2.8)
+"""Stribeck speeds to begin with, as parts of that: Gauss-Newton steps find the best one near by."""
+SLOWEST = 0.25
+"""Lower bound of a Stribeck speed as a part of that to begin with: below, it acts where nothing is told of friction."""
+BLOCKS, LONG = (6, 40), 10.0
+"""Least and greatest number of blocks of held-out samples, and how many correlation times long they should be."""
+BEYOND = 1.0
+"""Standard errors of the difference by which a larger set of terms must predict better than a smaller one."""
+
+
+def terms_of(text: str, machine: Machine | None = None) -> tuple[str, ...]:
+    """The terms that a text such as ``coulomb+viscous+stribeck`` or ``none`` names, in the order of `TERMS`.
+
+    Raises:
+        ProblemError: a term is unknown, cannot be without another one, or has no meaning for the machine.
+    """
+    named = [] if text.strip() == "none" else [term.strip() for term in text.split("+")]
+    for term in named:
+        if term not in TERMS:
+            raise ProblemError(f"'{term}' is no friction term", where=f"friction '{text}'",
+                               remedy=f"use none, or {', '.join(TERMS)} joined by +")
+    for term, others in (("reverse", ("coulomb", "viscous")), ("dead_zone", ("coulomb", "stribeck", "seal"))):
+        if term in named and not set(named) & set(others):
+            raise ProblemError(f"there is nothing that '{term}' could change", where=f"friction '{text}'",
+                               remedy=f"add {', '.join(others[:-1])} or {others[-1]}")
+    if "seal" in named and machine is not None and not machine.cylinders:
+        raise ProblemError("the machine has no cylinders, whose seals alone feel pressure", where=f"friction '{text}'",
+                           remedy="leave out 'seal'")
+    return tuple(term for term in TERMS if term in named)
+
+
+def with_friction(machine: Machine, terms: str, *, speeds: Mapping[str, float] | None = None,
+                  scales: Mapping[str, float] | None = None) -> Machine:
+    """The machine with these friction terms, and no others, at every cylinder, motor and drive.
+
+    Values and confidences that the file states are kept; what it states for both directions holds for each of them. All
+    else begins at zero, without a prior; but a Stribeck speed, ± 100 %, and a dead zone at parts of the actuator's
+    speed, of identical ones at parts of their mean speed. Offsets and the friction of pins and joints stay as they are.
+
+    Args:
+        machine: nominal description.
+        terms: such as ``coulomb+viscous``, see `TERMS`, or ``none``.
+        speeds: typical speed [m/s, rad/s] of each actuator by name; by default in random states within limits.
+        scales: by which a Stribeck speed is to begin greater than that part of the typical one, of each by name.
+
+    Raises:
+        ProblemError: a term is unknown or has no meaning for this machine.
+    """
+    wanted = terms_of(terms, machine)
+    if speeds is None:
+        model = Model(machine)
+        speeds = _typical(model, [random_states(model, 400, np.random.default_rng(0))])
+    alike = {name: one.friction for one in machine.identical for name in one.friction}
+    speeds = {name: float(np.mean([speeds[other] for other in alike.get(name, (name,))])) for name in speeds}
+    fading = {name: STRIBECK_SPEED * speed * (scales or {}).get(name, 1.0) for name, speed in speeds.items()}
+    fading = {name: float(np.mean([fading[other] for other in alike.get(name, (name,))])) for name in fading}
+    notes = dict(machine.notes)
+    parts: dict[str, tuple[Any, ...]] = {}
+    begin = {name: {"stribeck_speed": fading[name], "dead_zone": DEAD_ZONE * speeds[name]} for name in speeds}
+    for kind in ("cylinders", "motors", "drives"):
+        parts[kind] = tuple(_refitted(part, wanted, begin[part.name], notes) for part in getattr(machine, kind))
+    return Machine.model_validate(machine.model_dump(exclude={"notes", *parts}) | parts | {"notes": notes})
+
+
+def _refitted(part: Cylinder | Motor | Drive, wanted: Sequence[str], begin: Mapping[str, float],
+              notes: dict[str, Any]) -> Any:
+    """An actuator with other friction terms, which `begin` so or at zero; what is said of them goes into `notes`."""
+    stated, at = part.friction.model_dump(), f"{part.name}.friction"
+    made = {key: value for key, value in stated.items() if key in ("offset", "barrel_pin", "rod_pin")}
+    for term in wanted:
+        if term == "reverse":
+            for key in {"coulomb", "viscous"} & set(wanted):
+                own = f"{key}_reverse" if stated[f"{key}_reverse"] is not None else key
+                made[f"{key}_reverse"] = stated[own] or 0.0
+                if f"{at}.{own}" in notes:
+                    notes[f"{at}.{key}_reverse"] = notes[f"{at}.{own}"]
+        elif term != "seal" or isinstance(part, Cylinder):
+            for key in ("stribeck", "stribeck_speed") if term == "stribeck" else (term,):
+                made[key] = begin.get(key, 0.0) if stated[key] is None else stated[key]
+            if term == "stribeck" and stated["stribeck_speed"] is None:
+                notes[f"{at}.stribeck_speed"] = Note(sigma=1.0, relative=True, lower=SLOWEST * begin["stribeck_speed"],
+                                                     source="assumed: from the speeds driven")
+    for key in stated:
+        if made.get(key) is None:
+            notes.pop(f"{at}.{key}", None)
+    return part.model_copy(update={"friction": type(part.friction).model_validate(made)})
+
+
+def _typical(model: Model, motions: Sequence[tuple[Array, ...]]) -> dict[str, float]:
+    """RMS speed [m/s, rad/s] of each actuator, by name, over motions q, qd, qdd."""
+    squares, count = np.zeros(len(model.machine.actuators)), 0
+    cylinders = [cylinder.name for cylinder in model.machine.all_cylinders]
+    for motion in motions:
+        strokes = model.over(model.cylinder_kinematics, *motion[:3])[1][:, :, 0]
+        for k, actuator in enumerate(model.machine.actuators):
+            rates = strokes[:, cylinders.index(actuator.name)] if isinstance(actuator, Cylinder) else motion[1][:, k]
+            squares[k] += np.sum(rates**2)
+        count += len(motion[0])
+    # what never moves has no speed that could be typical of it
+    return {actuator.name: float(np.sqrt(square / count)) or 1.0
+            for actuator, square in zip(model.machine.actuators, squares, strict=True)}
+
+
+@dataclass(frozen=True)
+class Candidate:
+    """A set of terms: errors are RMS over all actuators' forces, each in units of its own residual's σ.
+
+    Attributes:
+        terms: such as ``coulomb+viscous``.
+        parameters: how many numbers it has, over all actuators.
+        training: RMS error of the training data; NaN, as the others, where it could not be fitted.
+        held_out: RMS error of held-out data; `std` its standard error.
+        chosen: whether this is the one.
+        why: it is, or is not, in words.
+    """
+
+    terms: str
+    parameters: int
+    training: float
+    held_out: float
+    std: float
+    chosen: bool
+    why: str
+
+
+@dataclass(frozen=True, eq=False)
+class FrictionChoice:
+    """Friction terms chosen by held-out prediction: all candidates, and the estimate with those chosen."""
+
+    candidates: tuple[Candidate, ...]
+    estimate: Estimate
+    blocks: int
+
+    @property
+    def terms(self) -> str:
+        """The terms chosen, such as ``coulomb+viscous``."""
+        return next(candidate.terms for candidate in self.candidates if candidate.chosen)
+
+    @property
+    def machine(self) -> Machine:
+        """The machine with the terms chosen, its values nominal."""
+        return self.estimate.problem.model.machine
+
+    @property
+    def rule(self) -> str:
+        """How it was chosen, in words."""
+        return (f"The fewest terms whose held-out error is not above the smallest one by more than {BEYOND:g} standard "
+                f"error of the difference, over {self.blocks} blocks of held-out samples. Errors are RMS over all "
+                "actuators in units of the smallest training residual. Intervals take the terms chosen for granted.")
+
+    def __str__(self) -> str:
+        width = max(len(candidate.terms) for candidate in self.candidates)
+        lines = [f"  {'friction':<{width}}  parameters  training [σ]  held-out [σ]"]
+        for c in self.candidates:
+            mark = "*" if c.chosen else " "
+            lines.append(f"{mark} {c.terms:<{width}}  {c.parameters:>10}  {c.training:>12.4f}  {c.held_out:>7.4f} ± "
+                         f"{c.std:.4f}  {c.why}")
+        return "\n".join(lines)
+
+
+def friction_problem(machine: Machine, logs: Sequence[Log | LogStream], validation: Sequence[Log | LogStream],
+                     terms: str, *, smoothing: Smoothing | None = None,
+                     actuator_inertia: bool = True) -> IdentificationProblem:
+    """The identification problem of a machine with these friction terms; see `identification_problem`.
+
+    Stribeck speeds that the file does not state begin where the logs are fitted best.
+
+    Raises:
+        ProblemError, LogError: see `with_friction` and `identification_problem`.
+    """
+    terms_of(terms, machine)  # before anything that takes long
+    logs, validation = (logs_in_memory(some, "a choice of friction") for some in (logs, validation))
+    plain = identification_problem(with_friction(machine, "none"), logs, (), smoothing=smoothing,
+                                   actuator_inertia=actuator_inertia)
+    speeds = _typical(plain.model, [data.inputs() for data in in_memory(plain.experiments, "a choice of friction")])
+
+    def made(scales: Mapping[str, float] | None = None) -> IdentificationProblem:
+        return identification_problem(with_friction(machine, terms, speeds=speeds, scales=scales), logs, validation,
+                                      smoothing=smoothing, actuator_inertia=actuator_inertia)
+
+    problem = made()
+    return problem if problem.model.linear else made(_best_start(problem))
+
+
+def _best_start(problem: IdentificationProblem) -> dict[str, float]:
+    """Factors, by actuator, by which Stribeck speeds fit the training data best."""
+    parameters, actuators = problem.parameters, problem.model.machine.actuators
+    kinds = [("f" if isinstance(actuator, Cylinder) else "tau") for actuator in actuators]
+    heights = parameters.select(f"{a.name}.{kind}_stribeck" for a, kind in zip(actuators, kinds, strict=True))
+    at = parameters.select(f"{actuator.name}.{SPEED}" for actuator in actuators)
+    squares = []
+    for part in TRIED:
+        point = parameters.nominal.copy()
+        point[heights], point[at] = 0.0, part * parameters.nominal[at]  # nothing depends on the speeds to first order
+        data = compress(problem.model, problem.experiments, psi=point)
+        sigma = np.linalg.norm(data.triangles[:, :, -1], axis=1) / np.sqrt(np.maximum(data.samples, 1.0))
+        R, r, _ = data.weighted(np.where(sigma > 0, sigma, 1.0))
+        squares.append(data.squares(base_least_squares(R, r, parameters.names, RANK_TOLERANCE)[0]))
+    best = np.argmin(squares, axis=0)
+    return {actuator.name: TRIED[k] for actuator, k in zip(actuators, best, strict=True)}
+
+
+def choose_friction(machine: Machine, logs: Sequence[Log | LogStream], validation: Sequence[Log | LogStream],
+                    candidates: Sequence[str] | None = None, *, smoothing: Smoothing | None = None,
+                    actuator_inertia: bool = True,
+                    prepare: Callable[[IdentificationProblem], IdentificationProblem] | None = None,
+                    method: Method = "sdp", tolerance: float = RANK_TOLERANCE, ridge: float | None = None,
+                    intervals: bool = True, seed: int = 0) -> FrictionChoice:
+    """Fit sets of friction terms to logs and choose the one that predicts held-out logs with the fewest of them.
+
+    Held-out samples are cut into blocks longer than residuals repeat themselves; errors of two sets are compared block
+    by block. The smallest set whose mean squared error is not larger than the least one by more than the standard error
+    of that difference is chosen. That error has two parts: the scatter of the blocks, and what as many parameters as
+    the sets differ by gain by chance from the noise they were fitted to, one part in the number of independent samples
+    each.
+
+    Args:
+        machine: nominal description; what it states of friction is a prior where a set has the term.
+        logs: training data.
+        validation: held-out data to judge by.
+        candidates: sets of terms such as ``coulomb+viscous+stribeck``; `CANDIDATES` if None, those with seals only
+            where all pressures were measured.
+        smoothing, actuator_inertia: see `identification_problem`.
+        prepare: what is done with each problem before it is solved, such as ``lambda p: p.with_loss("huber")``.
+        method, tolerance, ridge, intervals, seed: see `solve`; intervals are those of the chosen set.
+
+    Raises:
+        ProblemError: nothing is held out, or a set of terms has no meaning.
+        LogError: a channel is missing.
+        SolverError: none of them could be fitted.
+    """
+    if not validation:
+        raise ProblemError("friction terms are chosen by how they predict what they have not seen, and no log is held "
+                           "out", where="friction", remedy="give --validate or --holdout, or name one set of terms")
+    if candidates is None:
+        pressed = machine.cylinders and all(
+            f"{cylinder.name}.{end}" in log.channels for log in (*logs, *validation) for cylinder in machine.cylinders
+            for end in ("p_head", "p_rod"))
+        candidates = [text for text in CANDIDATES if pressed or "seal" not in terms_of(text)]
+    names = list(dict.fromkeys("+".join(terms_of(text, machine)) or "none" for text in candidates))
+    problems: dict[str, IdentificationProblem] = {}
+    fitted: dict[str, Estimate] = {}
+    failed: dict[str, str] = {}
+    for name in names:
+        problem = friction_problem(machine, logs, validation, name, smoothing=smoothing,
+                                   actuator_inertia=actuator_inertia)
+        problems[name] = prepare(problem) if prepare else problem
+        try:
+            fitted[name] = identify(problems[name], method, tolerance=tolerance, ridge=ridge, intervals=False,
+                                    seed=seed)
+        except SolverError as error:
+            if len(failed) == len(names) - 1:
+                raise
+            failed[name] = error.what
+    size = {name: _size(problem, name) for name, problem in problems.items()}
+    rows, blocks = _judged(fitted, failed, size)
+    chosen = next(row.terms for row in rows if row.chosen)
+    estimate = fitted[chosen] if not intervals else identify(problems[chosen], method, tolerance=tolerance, ridge=ridge,
+                                                          seed=seed)
+    return FrictionChoice(tuple(rows), estimate, blocks)
+
+
+def _size(problem: IdentificationProblem, terms: str) -> tuple[int, int]:
+    """How many parameters the friction of actuators has, and how many terms."""
+    owners = {actuator.name for actuator in problem.model.machine.actuators}
+    elements = [element.partition("_") for owner, _, element in (
+        name.rpartition(".") for name in problem.parameters.names) if owner in owners]
+    dry_or_viscous = {"coulomb", "coulomb_reverse", "viscous", "viscous_reverse", "stribeck", "seal"}
+    return sum(kind in ("f", "tau", "v") and key in dry_or_viscous for kind, _, key in elements), len(terms_of(terms))
+
+
+def _judged(fitted: Mapping[str, Estimate], failed: Mapping[str, str],
+            size: Mapping[str, tuple[int, int]]) -> tuple[list[Candidate], int]:
+    """All candidates with their errors and the one chosen, and the number of blocks."""
+    train, unseen = ({name: _errors(estimate, getattr(estimate.problem, which), estimate.predictions[key])
+                      for name, estimate in fitted.items()}
+                     for which, key in (("experiments", "train"), ("validation", "validation")))
+    sigma = np.sqrt(np.min([np.mean(error**2, axis=0) for error in train.values()], axis=0))
+    sigma = np.where(sigma > 0, sigma, 1.0)
+    closest = min(fitted, key=lambda name: float(np.mean((train[name] / sigma) ** 2)))
+    samples = len(unseen[closest])
+    wanted = samples / (LONG * np.max(fitted[closest].correlation_time))
+    count = int(np.clip(wanted, BLOCKS[0], min(BLOCKS[1], samples)))
+    blocks = {name: np.array([np.mean(part) for part in np.array_split(np.mean((error / sigma) ** 2, axis=1), count)])
+              for name, error in unseen.items()}
+    best = min(fitted, key=lambda name: float(np.mean(blocks[name])))
+    # as much as parameters that are not there may gain or lose by the noise that they were fitted to
+    independent = sum(float(np.sum(np.sum(e.inside[:, None] & e.moving, axis=0) / fitted[closest].correlation_time))
+                      for e in in_memory(fitted[closest].problem.experiments, "a choice of friction"))
+    apart = {}
+    for name in fitted:
+        mean, error = _mean_and_error(blocks[name] - blocks[best])
+        apart[name] = mean, float(np.hypot(error, abs(size[name][0] - size[best][0]) / independent))
+    near = [name for name in fitted if size[name] <= size[best] and apart[name][0] <= BEYOND * apart[name][1]]
+    chosen = min(near, key=lambda name: (size[name], float(np.mean(blocks[name]))))
+    rows = []
+    for name in size:
+        if name in failed:
+            rows.append(Candidate(name, size[name][0], np.nan, np.nan, np.nan, False, f"not fitted: {failed[name]}"))
+            continue
+        mean, error = _mean_and_error(blocks[name])
+        rms = float(np.sqrt(mean))
+        rows.append(Candidate(name, size[name][0], float(np.sqrt(np.mean((train[name] / sigma) ** 2))), rms,
+                              error / (2 * rms) if rms else 0.0, name == chosen,
+                              _why(name, chosen, best, apart[name], size)))
+    return rows, count
+
+
+def _why(name: str, chosen: str, best: str, apart: tuple[float, float], size: Mapping[str, tuple[int, int]]) -> str:
+    difference = f"squared error larger by {apart[0]:.2g} ± {apart[1]:.2g}"
+    if name == best:
+        return "smallest held-out error" if name == chosen else f"better than {chosen}, but not by its standard error"
+    if name == chosen:
+        return f"fewer terms than {best}, and {difference} only"
+    return f"{'' if size[name] <= size[best] else 'more terms, and '}{difference} than of {best}"
+
+
+def _errors(estimate: Estimate, data: Sequence[Experiment], predicted: Sequence[Array]) -> Array:
+    """Measured minus predicted forces (N, n) of all samples that take part."""
+    return np.concatenate([(e.force - force)[e.inside] for e, force in zip(data, predicted, strict=True)])
+
+
+def _mean_and_error(blocks: Array) -> tuple[float, float]:
+    """Mean of blocks and its standard error."""
+    return float(np.mean(blocks)), float(np.std(blocks, ddof=1) / np.sqrt(len(blocks)))

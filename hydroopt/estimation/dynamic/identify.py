@@ -1,0 +1,249 @@
+"""From a problem to an estimate: weights, compression, the chosen estimator, and its uncertainty."""
+
+from __future__ import annotations
+
+from typing import Literal, get_args
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from hydroopt.errors import ProblemError, SolverError
+from hydroopt.estimation.dynamic.estimate import Estimate
+from hydroopt.estimation.dynamic.problem import IdentificationProblem
+from hydroopt.estimation.dynamic.weighted_residuals import Evidence, gather, misfit
+from hydroopt.estimation.inference import identifiability, nlp, sdp
+from hydroopt.estimation.inference import least_squares as linear
+from hydroopt.estimation.inference import posterior as uncertainty
+from hydroopt.estimation.inference.gaussian import gaussian
+from hydroopt.estimation.inference.identifiability import Identifiability
+from hydroopt.estimation.inference.least_squares import RANK_TOLERANCE
+from hydroopt.estimation.inference.solvers import Certificate
+from hydroopt.parameters.dynamic import SPEED
+from hydroopt.spatial.inertia import Array
+
+Method = Literal["sdp", "qp", "nlp", "wls", "ridge", "tsvd"]
+METHODS: tuple[Method, ...] = get_args(Method)
+_LINEAR = ("wls", "ridge", "tsvd")
+STEPS, SMALLEST = 60, 1e-6
+"""Gauss-Newton steps at most, and the least part of one that is tried."""
+SETTLED = 1e-7
+"""Relative change of parameters that is none."""
+NIL, ROUGH = 1e-6, 0.1
+"""Change of what is minimised, in squared standard deviations, that is none: as a rule, and where no part of a step
+leads further down."""
+FAINT = 1e-4
+"""Stribeck force, as a part of the standard deviation of residuals, that is none."""
+
+
+def identify(problem: IdentificationProblem, method: Method = "sdp", *, tolerance: float = RANK_TOLERANCE,
+          ridge: float | None = None, intervals: bool = True, seed: int = 0) -> Estimate:
+    """Solve an identification problem; the problem itself is not changed.
+
+    Args:
+        problem: what to solve.
+        method: ``sdp`` priors, bounds and physically possible bodies (default); ``qp`` the same without the bodies;
+            ``nlp`` as ``sdp`` but by IPOPT, for constraints that are not convex; ``wls`` weighted least squares on base
+            parameters (Eq. 4.58); ``ridge`` (Eq. 4.59); ``tsvd`` truncated singular values (Eq. 4.60). What the machine
+            file states (confidences, bounds, shapes, symmetries, total masses, identical parts) binds the first three;
+            the last three ignore it, and refuse what was added to the problem. A log-det distance needs ``sdp`` or
+            ``nlp``.
+        tolerance: part of the largest singular value below which a direction counts as unseen.
+        ridge: strength λ for ``ridge``, relative to the largest eigenvalue; chosen by cross-validation if None.
+        intervals: whether to sample the posterior. The estimate is then its mean, else its most probable point; the
+            mean of possible machines is a possible machine, is nearer to the truth and lies inside its intervals.
+        seed: of that sampling.
+
+    Raises:
+        ProblemError: unknown method, or constraints the method cannot honour or that contradict each other.
+        IdentifiabilityError: the data show nothing.
+        SolverError: no trustworthy answer.
+    """
+    if method not in METHODS:
+        raise ProblemError(f"'{method}' is no method", where="identification",
+                           remedy=f"use one of {', '.join(METHODS)}")
+    added = [*(c.name for c in problem.constraints), *(p.name for p in problem.priors),
+             *(c.name for c in problem.physics), *problem.fixed]
+    if problem.distance == "log-det" and method not in ("sdp", "nlp"):
+        raise ProblemError(f"method '{method}' has no log-det distance", where="identification",
+                           remedy="use sdp or nlp")
+    if method in _LINEAR and added:
+        raise ProblemError(f"method '{method}' cannot honour {', '.join(added)}", where="identification",
+                           remedy="use qp, sdp or nlp")
+    # the matrices are too small to gain from threads, which only get in each other's way
+    with threadpool_limits(limits=1, user_api="blas"):
+        return _solve(problem, method, tolerance, ridge, intervals, seed)
+
+
+def _solve(problem: IdentificationProblem, method: Method, tolerance: float, ridge: float | None, intervals: bool,
+           seed: int) -> Estimate:
+    """Solve at once, or by Gauss-Newton steps where forces are not linear in the parameters.
+
+    Raises:
+        SolverError: the steps do not come to rest.
+    """
+    parameters = problem.parameters
+    if problem.model.linear:
+        return _solve_at(problem, parameters.nominal, method, tolerance, ridge, intervals, seed)
+    speeds = np.array([name.endswith(f".{SPEED}") for name in parameters.names])
+    bent = speeds | np.array([name.endswith("_stribeck") for name in parameters.names])
+    owners = [actuator.name for actuator in problem.model.machine.actuators]
+    heights = {parameters.index(name): owners.index(name.rpartition(".")[0])
+               for name in np.array(parameters.names)[bent & ~speeds]}
+    point, faint = parameters.nominal.copy(), np.full(len(owners), np.inf)
+    for _ in range(STEPS):
+        for k, actuator in heights.items():  # so that nothing depends on the speed where there is next to no force
+            point[k] *= abs(point[k]) > faint[actuator]
+        found = _solve_at(problem, point, method, tolerance, ridge, False, seed)
+        faint = FAINT * found.sigma
+        unseen = speeds & (np.array(found.seen.category) == identifiability.NONE)
+        target = np.where(unseen, point, np.where(speeds, np.clip(found.psi, parameters.lower, parameters.upper),
+                                                  found.psi))
+        step = target - point
+        rests = np.all(np.abs(step)[bent] <= SETTLED * np.abs(point)[bent])
+        before = _misfit(found, point)
+        gain, part = before - _misfit(found, target), 1.0
+        if (rests or abs(gain) <= NIL) and np.all((target == found.psi)[speeds & ~unseen]):
+            return _solve_at(problem, target, method, tolerance, ridge, intervals, seed) if intervals else found
+        # instruments do not minimise residuals, which then say nothing about how far to go
+        while gain <= 0 and part > SMALLEST and not problem.instruments:
+            part /= 2
+            gain = before - _misfit(found, point + part * step)
+        if part <= SMALLEST:
+            if abs(before - _misfit(found, target)) > ROUGH:
+                break
+            return _solve_at(problem, target, method, tolerance, ridge, intervals, seed) if intervals else found
+        point = point + part * step
+    names = ", ".join(np.array(parameters.names)[speeds])
+    raise SolverError(f"Gauss-Newton steps do not come to rest: these data do not determine {names}",
+                      where=f"identification of {problem.model.machine.name}",
+                      remedy="use a method that heeds bounds and priors (sdp, qp, nlp), or leave out 'stribeck'")
+
+
+def _misfit(estimate: Estimate, psi: Array) -> float:
+    """What an estimate's method minimises, weighted as it was, at ψ (p,) and without linearisation."""
+    evidence, total = estimate.evidence, 0.0
+    if estimate.method not in _LINEAR:
+        total += evidence.problem.prior_misfit(psi)
+    return total + misfit(evidence, psi)
+
+
+def _solve_at(problem: IdentificationProblem, point: Array, method: Method, tolerance: float, ridge: float | None,
+              intervals: bool,
+              seed: int) -> Estimate:
+    """Solve with forces linearised at the parameters `point` (p,)."""
+    where = f"identification of {problem.model.machine.name}"
+
+    def least_squares(R: Array, r: Array) -> Array:
+        psi, _, seen = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
+        return linear.nearest(problem.parameters, seen, psi)
+
+    def constrained(R: Array, r: Array) -> sdp.Solution:
+        belief = gaussian(problem, R, r)
+        return (nlp.interior_point(problem, belief) if method == "nlp"
+                else sdp.semidefinite_program(problem, belief, consistent=method == "sdp" and problem.consistent))
+
+    evidence = gather(problem, tolerance, least_squares if method in _LINEAR else lambda R, r: constrained(R, r).psi,
+                      point)
+    psi, _, seen = linear.base_least_squares(evidence.R, evidence.r, problem.parameters.names, tolerance)
+    _trust(evidence.R, evidence.r, psi, seen, where)
+    if method in _LINEAR:
+        return _linear_estimate(evidence, method, tolerance, ridge)
+    solution = constrained(evidence.R, evidence.r)
+    return _constrained_estimate(evidence, method, solution, seen, tolerance, intervals, seed)
+
+
+def _trust(R: Array, r: Array, psi: Array, seen: Identifiability, where: str) -> None:
+    """Check least squares by its normal equations: what is left over must be perpendicular to every base column.
+
+    Raises:
+        SolverError: it is not, because directions of rounding errors were taken for information.
+    """
+    basis = R[:, list(seen.basis)]
+    slope = np.max(np.abs(basis.T @ (r - R @ psi)) / np.linalg.norm(basis, axis=0), initial=0.0)
+    Certificate(0.0, float(slope / max(1.0, np.linalg.norm(r)))).trust(where, tolerance=1e-6)
+    if seen.condition_number > 1e12:
+        raise SolverError(f"the condition number of what counts as seen is {seen.condition_number:.0e}", where=where,
+                          remedy="raise the tolerance above rounding errors, e.g. to 1e-9")
+
+
+def _linear_estimate(evidence: Evidence, method: str, tolerance: float, ridge: float | None) -> Estimate:
+    problem, R, r = evidence.problem, evidence.R, evidence.r
+    names = problem.parameters.names
+    psi, covariance, seen = linear.base_least_squares(R, r, names, tolerance)
+    value, std = linear.individual_values(psi, covariance, seen)
+    psi = linear.nearest(problem.parameters, seen, psi)
+    base_std = np.sqrt(np.diag(covariance))
+    note = "standard deviations of weighted least squares on base parameters"
+    if method == "ridge":
+        psi, strength = linear.ridge(R, r, ridge, rows=evidence.rows, rest=evidence.rest)
+        note = f"ridge strength {strength:.3g}; a shrunk estimate is biased, so that it has no honest interval"
+    elif method == "tsvd":
+        psi, kept = linear.truncated_svd(R, r, tolerance)
+        note = f"{kept} directions kept; those cut off are biased to zero, so that there is no honest interval"
+    if method != "wls":
+        value = np.where(np.array(seen.category) == identifiability.FULL, psi, np.nan)
+        std, base_std = np.full_like(std, np.nan), np.full_like(base_std, np.nan)
+    ci = value[:, None] + 1.959964 * std[:, None] * np.array([-1, 1])
+    return _assemble(evidence, method, psi, value, std, ci, (), seen, base_std, (note,), 0)
+
+
+def _constrained_estimate(evidence: Evidence, method: str, solution: sdp.Solution, seen: Identifiability,
+                          tolerance: float, intervals: bool, seed: int) -> Estimate:
+    problem, R, r = evidence.problem, evidence.R, evidence.r
+    p = len(problem.parameters)
+    psi, std, ci = solution.psi, np.full(p, np.nan), np.full((p, 2), np.nan)
+    base_std = np.full(seen.rank, np.nan)
+    note, posterior = "intervals were not asked for", None
+    if intervals:
+        posterior = uncertainty.sample(problem, R, r, solution.psi,
+                                       consistent=method != "qp" and problem.consistent, seed=seed)
+        if posterior is None:
+            note = ("no intervals: a constraint cannot be sampled (a nonlinear equality, one without an inside, or one "
+                    "that only cvxpy understands); values are the most probable ones")
+        else:
+            std, ci = posterior.interval()
+            base_std, _ = posterior.interval(seen.grouping)
+            # the most probable point sits in a corner of the constraints, with most of what is possible to one side
+            psi = solution.psi if posterior.mean is None else posterior.mean
+            kind = "the most probable ones" if posterior.mean is None else "posterior means"
+            note = f"values are {kind}; {posterior.note}"
+    psi = _nominal_where_unseen(problem, seen, psi)
+    # where the data say nothing, a number would be no estimate, whatever the priors say
+    rows, _ = problem.prior_rows
+    told = identifiability.analyse(np.vstack([R, rows]), problem.parameters.names, tolerance=tolerance)
+    unseen = np.array(seen.category) == identifiability.NONE
+    untold = np.array(told.category) != identifiability.FULL
+    value = psi.copy()
+    value[untold | unseen], std[untold | unseen], ci[untold | unseen] = np.nan, np.nan, np.nan
+    return _assemble(evidence, method, psi, value, std, ci, solution.active, seen, base_std, (note,), seed, posterior)
+
+
+def _nominal_where_unseen(problem: IdentificationProblem, seen: Identifiability, psi: Array) -> Array:
+    """ψ with bodies that leave no trace at all back at their nominal values, unless somebody spoke of them.
+
+    What is stated of one body alone, its nominal values fulfil.
+    """
+    if problem.constraints or problem.priors or problem.stated_priors or problem.physics or problem.fixed:
+        return psi
+    spoken = np.abs(np.vstack([np.zeros((0, len(psi))), *(c.rows for c in problem.conditions)])) > 0
+    psi = psi.copy()
+    for k, name in enumerate(problem.parameters.names):
+        body = np.isin(np.arange(len(psi)), range(k, k + 10))
+        with_others = spoken[:, body].any(axis=1) & spoken[:, ~body].any(axis=1)
+        if name.endswith(".m") and set(seen.category[k : k + 10]) == {identifiability.NONE} and not with_others.any():
+            psi[k : k + 10] = problem.parameters.nominal[k : k + 10]
+    return psi
+
+
+def _assemble(evidence: Evidence, method: str, psi: Array, value: Array, std: Array, ci: Array,
+              active: tuple[str, ...], seen: Identifiability, base_std: Array, notes: tuple[str, ...],
+              seed: int, posterior: uncertainty.Posterior | None = None) -> Estimate:
+    problem = evidence.problem_at(psi)
+    bound = [""] * len(problem.parameters)
+    for condition in reversed(problem.requirements(consistent=True)):  # of several that hold, the first is named
+        for k in np.flatnonzero(np.any(condition.rows, axis=0)) if condition.name in active else ():
+            bound[k] = condition.name
+    return Estimate(
+        problem, method, psi, value, std, ci, tuple(bound), active, identifiability.structural(problem.model), seen,
+        seen.grouping @ psi, base_std, evidence, identifiability.confounded(evidence.R, seen),
+        (*notes, *evidence.notes), seed, posterior)

@@ -1,0 +1,57 @@
+"""A second reading of a motion, whose errors are not those of the first: what instrumental variables are made of."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.interpolate import make_interp_spline
+
+from hydroopt.errors import LogError, ProblemError
+from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.logs.log import Log
+from hydroopt.logs.readings import angle_from_length, reading
+from hydroopt.logs.smoothing import Motion, SmoothingSpline, condition
+from hydroopt.model.model import Model
+from hydroopt.spatial.inertia import Array
+
+
+def instrument(model: Model, data: Experiment, reference: Log | None) -> Motion:
+    """The motion of an experiment, at its samples, as a reference or the lengths of cylinders tell it.
+
+    Raises:
+        ProblemError: without a reference, a joint whose angle is read has no cylinder whose length is read, too.
+        LogError: the reference does not cover the log, or lacks a joint.
+    """
+    machine, log = model.machine, data.log
+    smoothing = SmoothingSpline(bandwidth=machine.bandwidth)
+    if reference is None:
+        angles = np.column_stack([_second_angle(model, data, joint) for joint in machine.joints])
+        return condition(log.t, angles, log.segment, smoothing, names=machine.joints, where=log.path or log.name)
+    where = reference.path or reference.name
+    if reference.t[0] > log.t[0] + 1e-9 or reference.t[-1] < log.t[-1] - 1e-9:
+        raise LogError(f"it covers {reference.t[0]:g} to {reference.t[-1]:g} s, the log that it belongs to "
+                       f"{log.t[0]:g} to {log.t[-1]:g} s", where=where,
+                       remedy="shift its time to that of the log, or give the whole motion")
+    channels = [[f"{joint}.{rate}" for joint in machine.joints] for rate in ("q", "qd", "qdd")]
+    if all(channel in reference.channels for some in channels for channel in some):
+        states = [np.column_stack([reading(machine, reference, channel) for channel in some]) for some in channels]
+    else:
+        angles = np.column_stack([reading(machine, reference, channel) for channel in channels[0]])
+        motion = condition(reference.t, angles, reference.segment, smoothing, names=machine.joints, where=where)
+        states = [motion.q, motion.qd, motion.qdd]
+    q, qd, qdd = (_at(reference.t, values, log.t) for values in states)
+    every = np.ones(log.t.size, dtype=bool)
+    return Motion(log.t, q, qd, qdd, log.segment, every, data.motion.bandwidth, (f"instruments from {where}",))
+
+
+def _at(t: Array, values: Array, times: Array) -> Array:
+    return np.asarray(make_interp_spline(t, values, k=3)(times))
+
+
+def _second_angle(model: Model, data: Experiment, joint: str) -> Array:
+    actuator = model.machine.actuators[model.machine.joints.index(joint)]
+    log, channel = data.log, f"{actuator.name}.length"
+    if f"{joint}.q" not in log.channels or channel not in log.channels or actuator.name not in model.triangles:
+        beside = f"record '{channel}' beside '{joint}.q', or " if actuator.name in model.triangles else ""
+        raise ProblemError(f"the joint '{joint}' has no second reading", where=log.path or log.name,
+                           remedy=f"{beside}give a log of the motion that was driven")
+    return angle_from_length(model, log, channel)

@@ -1,0 +1,362 @@
+"""An identification problem that a user can read and extend; solving it never changes it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Literal
+
+import casadi as ca
+import numpy as np
+
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.dynamic.experiment import Experiment, experiment
+from hydroopt.estimation.dynamic.instruments import instrument
+from hydroopt.estimation.dynamic.streamed_experiment import Recording, in_memory, recording
+from hydroopt.estimation.inference import conditions as physics
+from hydroopt.estimation.inference.conditions import Condition, ScaledBody
+from hydroopt.estimation.inference.constraints import Constraint, Expression, Named, Prior
+from hydroopt.estimation.inference.problem import Distance
+from hydroopt.logs.log import Log
+from hydroopt.logs.readings import force_noise
+from hydroopt.logs.smoothing import Motion, Smoothing
+from hydroopt.logs.stream import LogStream
+from hydroopt.machine.components import Note
+from hydroopt.machine.machine import Machine
+from hydroopt.model.model import Model
+from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.spatial.inertia import Array
+
+Loss = Literal["squares", "huber", "student_t"]
+
+
+@dataclass(frozen=True, eq=False)
+class IdentificationProblem:
+    """Weighted residuals f − K·ψ of some experiments, priors and constraints on ψ.
+
+    Attributes:
+        model: what predicts the forces; its parameters carry nominal values, bounds and the file's confidences.
+        experiments: training data.
+        validation: data that the estimate has not seen and is judged by.
+        force_std: (n,) standard deviation of each actuator's force reading; NaN where unknown. It is re-estimated
+            from the residuals when `reweight` is set.
+        constraints, priors, physics: what was added by name.
+        fixed: parameters held at a value.
+        consistent: whether every body must be physically possible (positive definite pseudo-inertia).
+        loss: of the residuals; the robust ones are solved by iterative reweighting.
+        correlated: whether the actuators' residuals in one sample may correlate; their correlation is estimated.
+        fitted_motion: whether motion and parameters are fitted together, instead of smoothing the motion beforehand.
+        instruments: for each experiment another motion at its samples, whose errors are not those of the measured one.
+        distance: of a body from its nominal one: ``gaussian`` takes the file's confidences of its ten numbers, and
+            ``log-det`` the entropic divergence of pseudo-inertias, which knows no frame, weighted by the confidence of
+            the mass (`hydroopt.estimation.inference.conditions.scaled_bodies`).
+    """
+
+    model: Model
+    experiments: tuple[Experiment | Recording, ...]
+    validation: tuple[Experiment | Recording, ...] = ()
+    force_std: Array = field(default_factory=lambda: np.empty(0))
+    reweight: bool = True
+    constraints: tuple[Constraint, ...] = ()
+    priors: tuple[Prior, ...] = ()
+    physics: tuple[Condition, ...] = ()
+    fixed: Mapping[str, float] = field(default_factory=dict)
+    consistent: bool = True
+    loss: Loss = "squares"
+    correlated: bool = False
+    fitted_motion: bool = False
+    instruments: tuple[Motion, ...] = ()
+    distance: Distance = "gaussian"
+
+    @property
+    def where(self) -> str:
+        """What is being solved, for error messages."""
+        return f"identification of {self.model.machine.name}"
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """The unknowns ψ."""
+        return self.model.parameters
+
+    def subject_to(self, name: str, relation: Expression) -> IdentificationProblem:
+        """With a named constraint, e.g. ``lambda p: p["boom.m"] + p["stick.m"] == 2518``.
+
+        The relation is called with parameters in cvxpy for the convex methods and in CasADi for ``nlp``.
+
+        Raises:
+            ProblemError: the name is taken.
+        """
+        self._refuse_taken(name)
+        return replace(self, constraints=(*self.constraints, Constraint(name, relation)))
+
+    def with_prior(self, name: str, expression: str | Expression, *, value: float,
+                   sigma: float) -> IdentificationProblem:
+        """With a linear expression (or one parameter's name) known to be ``value ± sigma``, in SI.
+
+        It adds to what the machine file already says.
+
+        Raises:
+            ProblemError: the expression is not linear in the parameters, sigma is not positive, or the name is taken.
+        """
+        if not (0 < sigma < np.inf and np.isfinite(value)):
+            raise ProblemError(f"{value} ± {sigma} is no prior", where=f"prior '{name}'",
+                               remedy="give a finite value and a positive sigma, or a constraint")
+        self._refuse_taken(name)
+        symbols = ca.SX.sym("p", len(self.parameters))
+        named = Named(self.parameters, lambda k: symbols[k])
+        result = ca.SX(named[expression] if isinstance(expression, str) else expression(named))
+        row = ca.jacobian(result, symbols)
+        if result.shape != (1, 1) or ca.depends_on(row, symbols) or not row.nnz():
+            raise ProblemError("the expression is not one linear sum of parameters", where=f"prior '{name}'",
+                               remedy="use a constraint with method 'nlp' for anything else")
+        at_zero = ca.Function("prior", [symbols], [row, result])(ca.DM.zeros(symbols.shape))
+        prior = Prior(name, np.asarray(ca.DM(at_zero[0])).ravel(), value - float(at_zero[1]), sigma)
+        return replace(self, priors=(*self.priors, prior))
+
+    def with_total_mass(self, name: str, bodies: Sequence[str], value: float,
+                        sigma: float | None = None) -> IdentificationProblem:
+        """With the mass [kg] of several bodies together: exactly, or as a prior ``value ± sigma``.
+
+        Raises:
+            ProblemError: an unknown body, none or one twice, a value or sigma that is not positive, or the name is
+                taken.
+        """
+        if not 0 < value < np.inf:
+            raise ProblemError(f"{value:g} kg is no mass", where=f"'{name}'", remedy="give a positive number")
+        row = physics.total_mass(self.parameters, name, bodies)
+        if sigma is not None:
+            return self.with_prior(name, lambda p: sum(p[f"{body}.m"] for body in bodies), value=value, sigma=sigma)
+        return self._with(physics.equal(name, self.parameters, row, value))
+
+    def identical(self, name: str, owners: Sequence[str]) -> IdentificationProblem:
+        """With parts built alike: bodies of equal inertial parameters, or actuators of equal friction.
+
+        Raises:
+            ProblemError: an unknown owner, fewer than two, bodies mixed with actuators, or the name is taken.
+        """
+        return self._with(physics.likeness(self.parameters, name, owners))
+
+    def symmetric(self, owner: str, plane: str) -> IdentificationProblem:
+        """With a body whose mass is symmetric about a plane of its frame: ``xy``, ``xz`` or ``yz``.
+
+        Raises:
+            ProblemError: an unknown body or plane, or the file or an earlier call says so already.
+        """
+        return self._with(physics.symmetry(self.parameters, owner, plane))
+
+    def _with(self, condition: Condition) -> IdentificationProblem:
+        self._refuse_taken(condition.name)
+        return replace(self, physics=(*self.physics, condition))
+
+    def with_distance(self, distance: Distance) -> IdentificationProblem:
+        """With another distance of bodies from their nominal ones: ``gaussian`` or ``log-det``.
+
+        With the relative confidence σ of a body's mass, the log-det one is least at the nominal body; as a density over
+        the ten numbers, from which intervals come, it is that of a Wishart distribution, with the mean
+        (1 + 10·σ²)·nominal and a spread of the mass of about 2·σ: state σ well below 30 %.
+
+        Raises:
+            ProblemError: there is no such distance, or a nominal body could not exist and has no log-det distance.
+        """
+        if distance not in ("gaussian", "log-det"):
+            raise ProblemError(f"'{distance}' is no distance", where="distance", remedy="use gaussian or log-det")
+        changed = replace(self, distance=distance)
+        assert changed.bodies is not None  # raises where there is none
+        return changed
+
+    def _refuse_taken(self, name: str) -> None:
+        if name in {*self.constraint_names, *(p.name for p in (*self.stated_priors, *self.priors))}:
+            raise ProblemError("two constraints or priors have the same name", where=f"'{name}'",
+                               remedy="give each a name of its own")
+
+    def fix(self, name: str, value: float | None = None) -> IdentificationProblem:
+        """With a parameter held at a value (SI), or at its nominal one.
+
+        Raises:
+            ProblemError: there is no such parameter.
+        """
+        k = self.parameters.index(name)
+        if value is not None and not np.isfinite(value):
+            raise ProblemError(f"it cannot be held at {value}", where=f"parameter '{name}'",
+                               remedy="give a finite value")
+        return replace(self, fixed={**self.fixed, name: float(self.parameters.nominal[k] if value is None else value)})
+
+    def with_loss(self, loss: Loss) -> IdentificationProblem:
+        """With another loss: ``squares``, ``huber`` or ``student_t``."""
+        if loss not in ("squares", "huber", "student_t"):
+            raise ProblemError(f"'{loss}' is no loss", where="loss", remedy="use squares, huber or student_t")
+        return replace(self, loss=loss)
+
+    def with_correlated_channels(self) -> IdentificationProblem:
+        """With the covariance of the actuators' residuals estimated and used, instead of a weight for each.
+
+        Raises:
+            ProblemError: instruments were given.
+        """
+        if self.instruments:
+            raise ProblemError("correlated channels do not go with instruments", where="channels",
+                               remedy="choose one of the two")
+        return replace(self, correlated=True)
+
+    def with_fitted_motion(self) -> IdentificationProblem:
+        """With motion and parameters fitted together by maximum a posteriori.
+
+        Angles have the accuracy that the machine file states; the training data's motion, not that of the validation
+        data, is then what angles and forces together make most probable.
+
+        Raises:
+            ProblemError: instruments were given.
+        """
+        if self.instruments:
+            raise ProblemError("a motion cannot be fitted and have instruments", where="motion",
+                               remedy="choose one of the two")
+        return replace(self, fitted_motion=True)
+
+    def with_instruments(self, logs: Sequence[Log] = ()) -> IdentificationProblem:
+        """With instrumental variables from a second reading of the same motion.
+
+        Args:
+            logs: one for each log that is learnt from, with channels ``<joint>.q`` (and ``.qd``, ``.qdd``, if known)
+                that cover its time: the reference that was driven, or a repetition of the motion. Without logs the
+                lengths of cylinders serve, which must stand beside the angles of all joints.
+
+        Raises:
+            ProblemError: another number of logs, a fitted or correlated problem, or a joint without a second reading.
+            LogError: a reference does not cover its log, or lacks a joint.
+        """
+        if self.fitted_motion or self.correlated:
+            raise ProblemError("instruments go with neither a fitted motion nor correlated channels", where="motion",
+                               remedy="choose one of them")
+        if logs and len(logs) != len(self.experiments):
+            raise ProblemError(f"{len(logs)} instruments are given for {len(self.experiments)} logs",
+                               where="instruments", remedy="give one for each log that is learnt from")
+        held = in_memory(self.experiments, "a second reading")
+        return replace(self, instruments=tuple(instrument(self.model, data, logs[k] if logs else None)
+                                               for k, data in enumerate(held)))
+
+    @property
+    def constraint_names(self) -> tuple[str, ...]:
+        """Names of what the machine file states and of what was added."""
+        return tuple(dict.fromkeys([c.name for c in self.conditions] + [c.name for c in self.constraints]))
+
+    @cached_property
+    def bodies(self) -> tuple[ScaledBody, ...]:
+        """All bodies, scaled to about one, with the weight of their log-det distance if that is the one."""
+        return physics.scaled_bodies(self.parameters, distances=self.distance == "log-det")
+
+    @cached_property
+    def conditions(self) -> tuple[Condition, ...]:
+        """What the machine file states of its bodies, and what was added of this kind."""
+        model = self.model
+        stated = physics.stated(model.machine, self.parameters, actuator_inertia=model.actuator_inertia)
+        return (*stated, *self.physics)
+
+    def requirements(self, *, consistent: bool) -> tuple[Condition, ...]:
+        """All conditions on ψ but the user's own functions: bounds, possible bodies if asked, and `conditions`."""
+        p = len(self.parameters)
+        return (*physics.bounds(self.parameters, self.fixed, consistent=consistent),
+                *(physics.consistency(body, p) for body in self.bodies if consistent or self.distance == "log-det"),
+                *self.conditions)
+
+    @cached_property
+    def stated_priors(self) -> tuple[Prior, ...]:
+        """Total masses that the machine file states with a confidence."""
+        notes = self.model.machine.notes
+        spreads = [(total, notes.get(f"{total.name}.value", Note()).spread(total.value))
+                   for total in self.model.machine.total_masses]
+        return tuple(Prior(total.name, physics.total_mass(self.parameters, total.name, total.bodies), total.value,
+                           sigma) for total, sigma in spreads if sigma is not None)
+
+    @cached_property
+    def prior_rows(self) -> tuple[Array, Array]:
+        """Rows and right-hand side of ``‖A·ψ − b‖²``, the negative logarithm of all priors times two.
+
+        A log-det distance is none of a square; the Gaussian of its mean and covariance stands in for it.
+        """
+        parameters = self.parameters
+        information, mean = parameters.information.copy(), parameters.nominal.copy()
+        for body in self.bodies if self.distance == "log-det" else ():
+            mean[body.columns] *= body.spread
+            information[body.columns, body.columns] = body.information
+        return self._rows(information, mean)
+
+    @cached_property
+    def square_rows(self) -> tuple[Array, Array]:
+        """The same of the priors that are squares indeed: without what a log-det distance says of bodies."""
+        information = self.parameters.information.copy()
+        for body in self.bodies if self.distance == "log-det" else ():
+            information[body.columns, body.columns] = 0.0
+        return self._rows(information, self.parameters.nominal)
+
+    def prior_misfit(self, psi: Array) -> float:
+        """The negative logarithm of all priors times two, at ψ (p,)."""
+        rows, right = self.square_rows
+        distances = sum(body.distance(psi[body.columns]) for body in self.bodies if body.weight)
+        return float(np.sum((rows @ psi - right) ** 2)) + distances
+
+    def _rows(self, information: Array, mean: Array) -> tuple[Array, Array]:
+        diagonal = np.diag(information)
+        size = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))  # so that units do not decide what counts as known
+        values, vectors = np.linalg.eigh(information / np.outer(size, size))
+        known = values > 1e-12
+        root = np.sqrt(values[known])[:, None] * vectors[:, known].T * size
+        priors = (*self.stated_priors, *self.priors)
+        return (np.vstack([root, *[prior.row / prior.sigma for prior in priors]]),
+                np.concatenate([root @ mean, [prior.value / prior.sigma for prior in priors]]))
+
+    def __str__(self) -> str:
+        parameters, machine = self.parameters, self.model.machine
+        used = sum(e.taken for e in self.experiments)
+        stated = int(np.sum(np.diag(parameters.information) > 0))
+        bounded = int(np.sum(np.isfinite(parameters.lower) | np.isfinite(parameters.upper)))
+        lines = [f"identification of {machine.name}: {len(parameters)} parameters, {used} samples, loss {self.loss}"]
+        for actuator, std, unit in zip(machine.actuators, self.force_std, self.model.force_units, strict=True):
+            weight = f"sigma {std:.4g} {unit}" if np.isfinite(std) else "sigma unknown"
+            again = ", re-estimated from the residuals" if self.reweight else ""
+            lines.append(f"  residual {actuator.name}: {weight}{again}")
+        lines.append(f"  priors of the machine file on {stated} parameters, bounds on {bounded}")
+        lines += [f"  prior {p.name}: {p.value:.6g} ± {p.sigma:.3g}" for p in (*self.stated_priors, *self.priors)]
+        lines += [f"  constraint {name}" for name in self.constraint_names]
+        lines += [f"  fixed {name} = {value:.6g}" for name, value in self.fixed.items()]
+        lines += ["  physical consistency of every body"] * self.consistent
+        lines += ["  residuals of the actuators correlate"] * self.correlated
+        lines += ["  motion fitted together with the parameters"] * self.fitted_motion
+        lines += ["  instrumental variables from a second reading of the motion"] * bool(self.instruments)
+        lines += ["  log-det distance of every body from its nominal one"] * (self.distance == "log-det")
+        return "\n".join(lines)
+
+
+def _refuse_repetition(logs: Sequence[Log | LogStream]) -> None:
+    """The same samples twice would count twice, or judge an estimate by what it was fitted to."""
+    for k, log in enumerate(logs):
+        for other in logs[:k]:
+            same = log is other or (log.sha256 and log.sha256 == other.sha256)
+            if same and log.rows[0] <= other.rows[1] and other.rows[0] <= log.rows[1]:
+                raise ProblemError("the same samples are given twice", where=log.path or log.name,
+                                   remedy="give each log once, and hold out another one or --holdout to judge by")
+
+
+def identification_problem(machine: Machine | Model, logs: Sequence[Log | LogStream],
+                           validation: Sequence[Log | LogStream] = (), *,
+                           smoothing: Smoothing | None = None, actuator_inertia: bool = True) -> IdentificationProblem:
+    """The dynamic identification problem of a machine and its logs.
+
+    Args:
+        machine: nominal description, with its confidences; or a model of it, which spares building one.
+        logs: training data.
+        validation: logs to judge the estimate by.
+        smoothing: how angles are differentiated; a smoothing spline by default.
+        actuator_inertia: whether barrels and rods belong to the model that is built.
+
+    Raises:
+        LogError: a channel is missing or a log is too short.
+        ProblemError: there is no log, or one is given twice.
+    """
+    _refuse_repetition([*logs, *validation])
+    if not logs:
+        raise ProblemError("there is no log to learn from", where="identification", remedy="give at least one")
+    model = machine if isinstance(machine, Model) else Model(machine, actuator_inertia=actuator_inertia)
+    train, held_out = ([experiment(model, log, smoothing) if isinstance(log, Log) else recording(model, log, smoothing)
+                        for log in some] for some in (logs, validation))
+    return IdentificationProblem(model, tuple(train), tuple(held_out), force_noise(model, logs[0]))

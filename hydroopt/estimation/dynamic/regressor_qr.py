@@ -1,0 +1,154 @@
+"""A log of any length as one small triangle for each actuator: streaming QR of [K, f]."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.estimation.dynamic.folding import ROWS, Triangles
+from hydroopt.estimation.dynamic.streamed_experiment import Recording
+from hydroopt.estimation.inference.identifiability import analyse
+from hydroopt.logs.smoothing import Motion
+from hydroopt.model.model import Model
+from hydroopt.spatial.inertia import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Compressed:
+    """Triangles (n, p+1, p+1) with ``‖T_i·[ψ; −1]‖² = Σ (K_i·ψ − f_i)²`` for actuator i, over `samples[i]` rows."""
+
+    triangles: Array
+    samples: Array
+
+    def squares(self, psi: Array) -> Array:
+        """Sum of squared residuals of each actuator (n,)."""
+        return np.asarray(np.sum((self.triangles @ np.append(psi, -1.0)) ** 2, axis=1))
+
+    def weighted(self, sigma: Array) -> tuple[Array, Array, float]:
+        """R (p, p) upper triangular, r (p,) and a rest with ``‖R·ψ − r‖² + rest`` the weighted sum of squares."""
+        p = self.triangles.shape[2] - 1
+        stacked = (self.triangles / sigma[:, None, None]).reshape(-1, p + 1)
+        R: Array = np.asarray(np.linalg.qr(stacked, mode="r"))
+        return R[:p, :p], R[:p, p], float(np.sum(R[p:, p] ** 2))
+
+
+def _chunks(model: Model, experiments: Sequence[Experiment],
+            psi: Array | None) -> Iterator[tuple[int, NDArray[np.intp], Array, Array]]:
+    """(experiment, sample indices, K (m, n, p), f (m, n)) of samples that take part; K is written over by the next."""
+    reused: list[Array] | None = None
+    for which, data in enumerate(experiments):
+        taken = np.flatnonzero(data.inside)
+        for start in range(0, len(taken), ROWS):
+            rows = taken[start : start + ROWS]
+            reused = reused if reused is not None and len(reused[0]) == len(rows) else None
+            reused, force = equations(model, data, psi, rows, reused)
+            yield which, rows, reused[0], force
+
+
+def equations(model: Model, data: Experiment, psi: Array | None, rows: slice | NDArray[np.intp] = slice(None),
+              out: list[Array] | None = None) -> tuple[list[Array], Array]:
+    """K (m, n, p), first of a list that `out` may reuse, and f (m, n) of ``K·ψ = f``.
+
+    Forces that are not linear in the parameters are linearised at `psi` (p,), by default at the nominal ones.
+    """
+    if model.linear:
+        return model.over(model.regressor, *data.inputs(rows), out=out), data.force[rows]
+    psi = model.parameters.nominal if psi is None else psi
+    made = model.over(model.linearised, *data.inputs(rows), psi, out=out)
+    return made, data.force[rows] - made[1][:, :, 0] + made[0] @ psi
+
+
+def compress(model: Model, experiments: Sequence[Experiment | Recording], weights: Sequence[Array] | None = None, *,
+             psi: Array | None = None) -> Compressed:
+    """Fold experiments, linearised at `psi`, into triangles; `weights` (N, n) for each multiply squared residuals."""
+    held = [data for data in experiments if isinstance(data, Experiment)]
+    folded = Triangles(model)
+    for which, rows, K, force in _chunks(model, held, psi):
+        if weights is None:
+            folded.fold(K, force, held[which].moving[rows])
+        else:
+            root = np.sqrt(weights[which][rows])
+            folded.fold(K * root[:, :, None], force * root, held[which].moving[rows])
+    for data in experiments:
+        if isinstance(data, Recording):
+            folded.add(data.folded)
+    return Compressed(folded.full, folded.samples)
+
+
+def compress_jointly(model: Model, experiments: Sequence[Experiment], covariance: Array,
+                     weights: Sequence[Array] | None = None, *,
+                     psi: Array | None = None) -> tuple[Array, Array, float]:
+    """R (p, p), r (p,) and the rest, as of `Compressed.weighted`, when the actuators' residuals err together.
+
+    Args:
+        model, experiments, weights, psi: as of `compress`.
+        covariance: (n, n) of the actuators' residuals in one sample; where some of them take no part, what the
+            covariance says of the others counts.
+    """
+    p = len(model.parameters)
+    triangle = np.zeros((p + 1, p + 1))
+    for which, rows, K, force in _chunks(model, experiments, psi):
+        block = np.concatenate([K, force[:, :, None]], axis=2)
+        if weights is not None:
+            block = block * np.sqrt(weights[which][rows])[:, :, None]
+        triangle = _fold(triangle, whitened(block, experiments[which].moving[rows], covariance))
+    return triangle[:p, :p], triangle[:p, p], float(triangle[p, p] ** 2)
+
+
+def whitened(block: Array, taken: NDArray[np.bool_], covariance: Array) -> Array:
+    """Rows (·, c) of independent errors of size one, from rows (m, n, c) of which those `taken` (m, n) count."""
+    made = []
+    for pattern in np.unique(taken, axis=0):
+        here = np.flatnonzero(pattern)
+        if here.size:
+            root = np.linalg.cholesky(covariance[np.ix_(here, here)])
+            chosen = block[np.all(taken == pattern, axis=1)][:, here]
+            made.append(np.linalg.solve(root, chosen).reshape(-1, block.shape[2]))
+    return np.concatenate(made) if made else np.zeros((0, block.shape[2]))
+
+
+def compress_instrumented(model: Model, experiments: Sequence[Experiment], instruments: Sequence[Motion],
+                          sigma: Array, weights: Sequence[Array] | None = None, *,
+                          psi: Array | None = None) -> tuple[Array, Array, float]:
+    """R (p, p) and r (p,) of ``Zᵀ·(f − K·ψ) ≈ 0``: least squares on what the instruments Z see of the rows.
+
+    Z is the regressor of a motion whose errors are not those of the measured one (a reference, a second sensor, a
+    repetition): its columns do not correlate with the noise in K, so that noisy angles no longer pull parameters to
+    zero (two-stage least squares; Janot, Vandanjon, Gautier 2014, "A generic instrumental variable approach for
+    industrial robot identification").
+
+    Args:
+        model, experiments, weights, psi: as of `compress`.
+        instruments: a motion at the samples of each experiment.
+        sigma: (n,) standard deviation of each actuator's residual.
+    """
+    p = len(model.parameters)
+    triangle = np.zeros((2 * p + 1, 2 * p + 1))
+    for which, rows, K, force in _chunks(model, experiments, psi):
+        Z = model.over(model.regressor, *replace(experiments[which], motion=instruments[which]).inputs(rows))[0]
+        block = np.concatenate([Z, K, force[:, :, None]], axis=2) / sigma[:, None]
+        if weights is not None:
+            block = block * np.sqrt(weights[which][rows])[:, :, None]
+        triangle = _fold(triangle, block[experiments[which].moving[rows]])
+    # directions that the instruments do not see would let the noise of K in
+    seen = list(analyse(triangle[:p, :p], model.parameters.names).basis)
+    order = [*seen, *range(p, 2 * p + 1)]
+    folded: Array = np.asarray(np.linalg.qr(triangle[:, order], mode="r"))
+    on_instruments = folded[: len(seen), len(seen) :]
+    padded = np.vstack([on_instruments, np.zeros((p + 1 - len(seen), p + 1))])
+    R: Array = np.asarray(np.linalg.qr(padded, mode="r"))
+    return R[:p, :p], R[:p, p], float(R[p, p] ** 2)
+
+
+def _fold(triangle: Array, block: Array) -> Array:
+    folded: Array = np.asarray(np.linalg.qr(np.vstack([triangle, block]), mode="r"))
+    return folded[: len(triangle)]
+
+
+def predict(model: Model, data: Experiment, psi: Array) -> Array:
+    """Actuator forces (N, n) that the parameters ψ predict for a measured motion."""
+    return model.over(model.inverse_dynamics, *data.inputs(), psi)[0][:, :, 0]

@@ -1,0 +1,166 @@
+"""What the logs of one session tell of the parameters, small enough to keep until the machine is measured again."""
+
+from __future__ import annotations
+
+import csv
+import io
+import json
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.dynamic.problem import identification_problem
+from hydroopt.estimation.dynamic.weighted_residuals import gather
+from hydroopt.estimation.inference.gaussian import gaussian
+from hydroopt.estimation.inference.least_squares import RANK_TOLERANCE
+from hydroopt.logs.log import Log
+from hydroopt.logs.smoothing import Smoothing
+from hydroopt.machine.machine import Machine
+from hydroopt.model.model import Model
+from hydroopt.spatial.inertia import Array
+
+INFORMATION = "information.csv"
+"""File beside estimate.json that holds the triangles of `identify`, so that its logs need not be read again."""
+
+_LABELS = ("actuator", "force")
+
+
+@dataclass(frozen=True, eq=False)
+class Session:
+    """Triangles (·, p+1, p+1) with ``Σ_i ‖T_i·[ψ; −1]‖² = Σ ((K·ψ − f)/(σ·√τ))²``.
+
+    Attributes:
+        triangles: one per actuator, weighted by the standard deviation σ (n,) and the correlation time τ (n,) of its
+            residual, so that their rows are independent and of variance 1; or one of all actuators, see `Evidence`.
+        sigma: (n,) σ [N or N·m].
+        times: (n,) τ in samples.
+        samples: (n,) that took part.
+        inputs: path, digest and range of samples of each log.
+    """
+
+    triangles: Array
+    sigma: Array
+    times: Array
+    samples: Array
+    inputs: tuple[Mapping[str, Any], ...]
+
+    @property
+    def freedom(self) -> float:
+        """How many independent readings the logs amount to."""
+        return float(np.sum(self.samples / self.times))
+
+
+def session(model: Model, given: Sequence[Log] | str | Path, smoothing: Smoothing | None = None) -> Session:
+    """What logs tell, or what the logs told from which `hydroopt identify` made a folder.
+
+    Args:
+        model: the machine's.
+        given: logs, or the folder.
+        smoothing: of the logs.
+
+    Raises:
+        LogError, IdentifiabilityError: the logs cannot be used.
+        ProblemError: there is no log, the folder is of no use here, or forces are not linear in the parameters.
+    """
+    if not model.linear:
+        raise ProblemError("friction with a Stribeck speed is not linear in its parameters, which comparing sessions "
+                           "calls for", where=model.machine.name, remedy="leave 'stribeck' and 'stribeck_speed' "
+                           "out of the machine file that sessions are compared with")
+    if isinstance(given, str | Path):
+        return _read(model, Path(given))
+    problem = identification_problem(model.machine, given, smoothing=smoothing)
+    evidence = gather(problem, RANK_TOLERANCE, lambda R, r: gaussian(problem, R, r).offset,
+                      model.parameters.nominal)
+    inputs = [{"path": log.path or log.name, "sha256": log.sha256 or None, "samples": len(log.t),
+               "first_sample": int(log.sample[0]), "last_sample": int(log.sample[-1])} for log in given]
+    return Session(evidence.triangles, evidence.sigma, evidence.correlation_time, evidence.samples, tuple(inputs))
+
+
+def refuse_repetition(before: Session, after: Session) -> None:
+    """Refuse samples that stand in both sessions: they would hide every change.
+
+    Raises:
+        ProblemError: naming the log.
+    """
+    for one in after.inputs:
+        for other in before.inputs:
+            if (one["sha256"] and one["sha256"] == other["sha256"] and one["first_sample"] <= other["last_sample"]
+                    and other["first_sample"] <= one["last_sample"]):
+                raise ProblemError("the same samples stand before and after", where=str(one["path"]),
+                                   remedy="give another log on one side")
+
+
+def as_csv(machine: Machine, names: Sequence[str], triangles: Array) -> str:
+    """The content of information.csv: rows of the triangles, a column per parameter, numbers in full."""
+    text = io.StringIO()
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow([_LABELS[0], *names, _LABELS[1]])
+    for owner, triangle in zip(_owners(machine, len(triangles)), triangles, strict=True):
+        writer.writerows([owner, *(repr(float(value)) if value else "0" for value in row)] for row in triangle)
+    return text.getvalue()
+
+
+def _owners(machine: Machine, triangles: int) -> list[str]:
+    """What each triangle is of."""
+    return [actuator.name for actuator in machine.actuators] if triangles == len(machine.actuators) else ["all"]
+
+
+def _read(model: Model, folder: Path) -> Session:
+    file, where = folder / "estimate.json", str(folder)
+    try:
+        content = json.loads(file.read_bytes())
+        status, digest = content["status"], content["machine"]["sha256"]
+    except OSError:
+        raise ProblemError("this folder holds no estimate", where=where,
+                           remedy="name the folder that identify wrote, or the logs") from None
+    except (ValueError, KeyError, TypeError, RecursionError):
+        raise _foreign(file) from None
+    if status == "failed":
+        raise ProblemError("the estimate failed, so that there is nothing to compare with", where=str(file),
+                           remedy="identify again, or give the logs")
+    if digest != model.machine.sha256:
+        raise ProblemError("the estimate is of another machine description", where=str(file),
+                           remedy="give the machine file (and --set) that it was identified with, or identify again "
+                                  "without --friction, or give the logs")
+    try:
+        text = (folder / INFORMATION).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        raise ProblemError(f"there is no {INFORMATION} beside the estimate, which keeps what the logs told",
+                           where=where, remedy="identify again with this version, or give the logs") from None
+    triangles = _triangles(model, text, folder / INFORMATION)
+    try:
+        weights = [content["weights"][actuator.name] for actuator in model.machine.actuators]
+        sigma, times, samples = (np.array([float(w[key]) for w in weights])
+                                 for key in ("sigma", "correlation_time", "samples"))
+        inputs = [{key: one[key] for key in ("path", "sha256", "samples", "first_sample", "last_sample")}
+                  for one in content["inputs"] if one["role"] == "train"]
+    except (ValueError, KeyError, TypeError):
+        raise _foreign(file) from None
+    return Session(triangles, sigma, times, samples, tuple(inputs))
+
+
+def _triangles(model: Model, text: str, file: Path) -> Array:
+    rows = list(csv.reader(io.StringIO(text)))
+    names, p = model.parameters.names, len(model.parameters)
+    if not rows or rows[0] != [_LABELS[0], *names, _LABELS[1]]:
+        raise ProblemError("its columns are not the parameters of this machine", where=str(file),
+                           remedy="identify again, without --reduced, or give the logs")
+    owners = [owner for owner in _owners(model.machine, len(rows) // (p + 1)) for _ in range(p + 1)]
+    try:
+        if [row[0] for row in rows[1:]] != owners:
+            raise ValueError
+        triangles = np.array([[float(cell) for cell in row[1:]] for row in rows[1:]]).reshape(-1, p + 1, p + 1)
+        if not np.all(np.isfinite(triangles)):
+            raise ValueError
+    except ValueError:
+        raise ProblemError("it is damaged", where=str(file), remedy="identify again, or give the logs") from None
+    return triangles
+
+
+def _foreign(file: Path) -> ProblemError:
+    return ProblemError("this is no estimate of dynamic parameters that hydroopt wrote", where=str(file),
+                        remedy="name the folder that identify wrote, or the logs")

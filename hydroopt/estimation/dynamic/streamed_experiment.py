@@ -1,0 +1,317 @@
+"""A log that is too long for memory, made ready for dynamics piece by piece, each of which is folded and forgotten."""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import cached_property
+from typing import TypeVar
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from hydroopt.errors import LogError, ProblemError
+from hydroopt.estimation.dynamic.experiment import SELDOM, Experiment, remarks, slowest
+from hydroopt.estimation.dynamic.folding import ROWS, Triangles
+from hydroopt.estimation.inference.correlation import Lagged
+from hydroopt.kernels.native import threads
+from hydroopt.logs import streamed_smoothing
+from hydroopt.logs.log import Log, missing
+from hydroopt.logs.quality import Finding
+from hydroopt.logs.readings import angle_noise, channels_used, forces, measured_angles, pressures
+from hydroopt.logs.smoothing import Motion, Smoothing, SmoothingSpline
+from hydroopt.logs.stream import BLOCK, PIECE, STREAMED, LogStream
+from hydroopt.logs.streamed_smoothing import Smoother
+from hydroopt.logs.treatment import Samples
+from hydroopt.model.model import Model
+from hydroopt.spatial.inertia import Array
+
+WORKERS = 4
+"""Threads at most: one reads the file, which keeps no more of them busy, and each holds a piece in memory."""
+
+LAGS = 2**13
+"""Lags up to which residuals of a log in pieces are compared."""
+
+Rows = tuple[int, int]
+Given = TypeVar("Given")
+Made = TypeVar("Made")
+
+
+class Totals:
+    """What is kept of all samples: the triangles of those in which a joint moves and of those in which it stands still,
+    how often each joint moves, how many samples there are, how many of them take part, and what was found in them.
+    """
+
+    def __init__(self, model: Model) -> None:
+        self.moved, self.still = Triangles(model), Triangles(model)
+        self.moving = np.zeros(len(model.machine.joints))
+        self.samples = self.taken = 0
+        self.findings: tuple[Finding, ...] = ()
+
+    def add(self, other: Totals) -> None:
+        """Add what another holds."""
+        self.moved.add(other.moved)
+        self.still.add(other.still)
+        self.moving += other.moving
+        self.samples, self.taken = self.samples + other.samples, self.taken + other.taken
+        self.findings += other.findings
+
+
+@dataclass(frozen=True, eq=False)
+class Recording:
+    """As an `Experiment`, but of a log that is read in pieces, whenever something is asked of it.
+
+    One smoothing weight for each joint serves all pieces. It, and how slow counts as standing still, are chosen by a
+    sample of the log, from where the joints move, or by all of it if it is short. Pieces overlap so far that their
+    borders leave no trace. Threads work at some pieces at once; how many of them changes no bit of the result, since
+    pieces are added up in their order.
+    """
+
+    model: Model
+    stream: LogStream
+    smoothing: SmoothingSpline
+    workers: int = field(default_factory=lambda: min(WORKERS, threads()))
+
+    @cached_property
+    def _sample(self) -> tuple[Smoother, Experiment]:
+        """How all pieces are smoothed, and a sample of the log that is smoothed so."""
+        model, log = self.model, self.stream.sample(self._angle_channels)
+        angles, where = measured_angles(model, log), self.stream.path
+        edges = np.flatnonzero(np.diff(log.segment)) + 1
+        pieces = list(zip(np.split(log.t, edges), np.split(angles, edges), strict=True))
+        chosen = streamed_smoothing.choose(pieces, self.stream.grid, self.smoothing, angle_noise(model, log),
+                                 model.machine.joints, where)
+        if chosen.margin > PIECE * self.stream.survey.step:
+            raise LogError(f"a motion of {np.min(chosen.bandwidth):.2g} Hz is too slow to be smoothed in pieces",
+                           where=where, remedy="keep every tenth sample, or state a higher --bandwidth")
+        motion = chosen.motion(log.t, angles, log.segment, np.ones(log.size, bool), where)
+        moving = np.abs(motion.qd) > slowest(angles, motion)[0]
+        return chosen, Experiment(log, motion, forces(model, log), moving, remarks(model, log, angles),
+                                  pressures(model, log))
+
+    @property
+    def _angle_channels(self) -> list[str]:
+        return sorted(channels_used(self.model, self.stream)[0])
+
+    @cached_property
+    def _slow(self) -> Array:
+        sample = self._sample[1]
+        return slowest(measured_angles(self.model, sample.log), sample.motion)[0]
+
+    @cached_property
+    def totals(self) -> Totals:
+        """All pieces folded: one pass over the log.
+
+        Raises:
+            LogError: a piece cannot be used, with its rows.
+        """
+        margin = self._margin
+        totals = Totals(self.model)
+        for part in self._over(lambda window: self._folded(*window), self.stream.windows((margin, margin))):
+            totals.add(part)
+        return totals
+
+    @property
+    def moves(self) -> np.ndarray:
+        """Which joints (n,) move more often than noise makes them seem to."""
+        return self.totals.moving > SELDOM * self.totals.samples
+
+    @property
+    def folded(self) -> Triangles:
+        """The samples in which a joint moves."""
+        return self.totals.moved.only(self.moves)
+
+    @property
+    def taken(self) -> int:
+        """How many samples take part."""
+        return self.totals.taken
+
+    @property
+    def shown(self) -> Experiment:
+        """What figures show of it: a block from the middle of the sample, or all of a short log."""
+        sample = self._sample[1]
+        if self.stream.size <= sample.log.size:
+            return sample
+        middle = sample.log.size // 2 // BLOCK * BLOCK
+        return _cut(sample, middle, min(middle + BLOCK, sample.log.size))
+
+    @cached_property
+    def log(self) -> LogStream:
+        """The log, with all that was found in it."""
+        return self.stream.with_findings(_joined(self.totals.findings))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to the log, in plain words."""
+        chosen, sample = self._sample
+        totals, shown = self.totals, self.shown.log
+        still = totals.taken - self.folded.samples
+        left_out, stood = totals.samples - totals.taken, still.astype(int).tolist()
+        return (f"read in pieces of {self.stream.piece} samples; {sample.log.size} samples chose the smoothing, and "
+                f"figures show samples {shown.rows[0]} to {shown.rows[1]}", *chosen.notes,
+                f"{left_out} of {totals.samples} samples at the ends of stretches left out",
+                f"standing still (no sign of friction) per joint: {stood} samples", *sample.remarks)
+
+    def moments(self, psi: Array) -> Array:
+        """Sums (5, n) over the samples that take part: 1, force, force², error and error² of the prediction by ψ."""
+        v, last = np.append(psi, -1.0), np.append(0.0 * psi, -1.0)
+        both = (self.totals.moved, self.totals.still)
+        return np.array([sum(some.samples for some in both), sum(some.sums[:, -1] for some in both),
+                         sum(some.squares(last) for some in both), -sum(some.sums @ v for some in both),
+                         sum(some.squares(v) for some in both)])
+
+    def correlation_times(self, psi: Array) -> Array:
+        """Correlation time (n,) of the residuals of each actuator in samples: one more pass over the log."""
+        totals = self.totals
+        mean = -(totals.moved.sums @ np.append(psi, -1.0)) / np.maximum(totals.moved.samples, 1.0)
+        drops = "drop" in self.stream.treatment.values()  # what another channel makes drop has to drop again
+        used = None if drops else set.union(*channels_used(self.model, self.stream))
+        windows = self.stream.windows((self._margin, LAGS + self._margin), used)
+        sums = [Lagged(LAGS) for _ in mean]
+        for part in self._over(lambda window: self._lagged(psi, mean, *window), windows):
+            for total, one in zip(sums, part, strict=True):
+                total.pairs += one.pairs
+                total.products += one.products
+        return np.array([one.time for one in sums])
+
+    @property
+    def _margin(self) -> int:
+        """Rows that pieces overlap by."""
+        return int(np.ceil(self._sample[0].margin / self.stream.survey.step)) + 1
+
+    def _over(self, work: Callable[[Given], Made], given: Iterable[Given]) -> Iterator[Made]:
+        """What `work` makes of all that is given, in its order, some of it at once; little of it waits in memory."""
+        _ = self._slow, self.model.regressor, self.model.inverse_dynamics  # made before threads ask for them
+        waiting: deque[Future[Made]] = deque()
+        with threadpool_limits(limits=1, user_api="blas"), ThreadPoolExecutor(self.workers) as pool:
+            try:
+                for one in given:
+                    waiting.append(pool.submit(work, one))
+                    if len(waiting) > self.workers:
+                        yield waiting.popleft().result()
+                while waiting:
+                    yield waiting.popleft().result()
+            finally:
+                for left in waiting:
+                    left.cancel()
+
+    def _prepared(self, log: Log, needed: Rows) -> Experiment:
+        """A piece as an experiment, whose motion is right in the rows `needed`, first and last."""
+        rows = (log.sample >= needed[0]) & (log.sample <= needed[1])
+        motion = self._sample[0].motion(log.t, measured_angles(self.model, log), log.segment, rows,
+                                        f"{log.path}, rows {needed[0]} to {needed[1]}")
+        return Experiment(log, motion, forces(self.model, log), np.abs(motion.qd) > self._slow, (),
+                          pressures(self.model, log))
+
+    def _folded(self, samples: Samples, core: Rows) -> Totals:
+        """The totals of one piece."""
+        totals, model = Totals(self.model), self.model
+        log = self.stream.treated(samples, core)
+        totals.findings = log.findings
+        a, b = np.searchsorted(log.sample, [core[0], core[1] + 1])
+        if a == b:
+            return totals
+        data = self._prepared(log, core)
+        totals.samples, totals.moving = int(b - a), np.sum(data.moving[a:b], axis=0).astype(float)
+        taken = a + np.flatnonzero(data.inside[a:b])
+        totals.taken = len(taken)
+        reused: list[Array] | None = None
+        for start in range(0, len(taken), ROWS):
+            rows = taken[start : start + ROWS]
+            reused = reused if reused is not None and len(reused[0]) == len(rows) else None
+            reused = model.over(model.regressor, *data.inputs(rows), out=reused)
+            totals.moved.fold(reused[0], data.force[rows], data.moving[rows])
+            totals.still.fold(reused[0], data.force[rows], ~data.moving[rows])
+        return totals
+
+    def _lagged(self, psi: Array, mean: Array, samples: Samples, core: Rows) -> list[Lagged]:
+        """Products of the residuals of one piece with those behind them."""
+        log, model = self.stream.treated(samples, (1, 0)), self.model
+        a, b = np.searchsorted(log.sample, [core[0], core[1] + 1])
+        sums = [Lagged(LAGS) for _ in mean]
+        if a < b:
+            data = self._prepared(log, (core[0], core[1] + LAGS))
+            predicted = model.over(model.inverse_dynamics, *data.inputs(), psi)[0][:, :, 0]
+            taken = data.inside[:, None] & data.moving & self.moves
+            for k, residual in enumerate((data.force - predicted - mean).T):
+                sums[k].add(residual, taken[:, k], log.segment, slice(a, b))
+        return sums
+
+
+def recording(model: Model, stream: LogStream, smoothing: Smoothing | None = None) -> Recording:
+    """Make a log ready that is read in pieces; nothing is read yet.
+
+    Raises:
+        LogError: a channel is missing.
+        ProblemError: another way to smooth than by splines.
+    """
+    smoothing = smoothing or SmoothingSpline(bandwidth=model.machine.bandwidth)
+    if not isinstance(smoothing, SmoothingSpline):
+        raise ProblemError("the log is read in pieces, which only a smoothing spline joins", where=stream.path,
+                           remedy="leave out --smoothing, or give shorter logs")
+    zones = [actuator.name for actuator in model.machine.actuators if actuator.friction.dead_zone is not None]
+    if zones or not model.linear:
+        what = f"a dead zone in the friction of {', '.join(zones)}" if zones else "friction that is not linear"
+        raise whole(stream, what)
+    for channel in sorted(set.union(*channels_used(model, stream)) - set(stream.channels)):
+        raise missing(channel, stream.channels, stream.path)
+    return Recording(model, stream, smoothing)
+
+
+def in_memory(experiments: Iterable[Experiment | Recording], what: str) -> tuple[Experiment, ...]:
+    """The experiments, if all of them are in memory.
+
+    Raises:
+        ProblemError: one is read in pieces, which `what` cannot do.
+    """
+    held = []
+    for data in experiments:
+        if isinstance(data, Recording):
+            raise whole(data.stream, what)
+        held.append(data)
+    return tuple(held)
+
+
+def logs_in_memory(logs: Iterable[Log | LogStream], what: str) -> tuple[Log, ...]:
+    """The logs, if all of them are in memory.
+
+    Raises:
+        ProblemError: one is read in pieces, which `what` cannot do.
+    """
+    held = []
+    for log in logs:
+        if isinstance(log, LogStream):
+            raise whole(log, what)
+        held.append(log)
+    return tuple(held)
+
+
+def whole(log: LogStream, what: str) -> ProblemError:
+    """The error of what cannot do with pieces of a log."""
+    return ProblemError(f"the log is read in pieces, but {what} needs all of it at once", where=log.path,
+                        remedy=f"leave that out, or give {STREAMED} rows at most with 'rows = [first, last]' in a map")
+
+
+def _cut(data: Experiment, start: int, stop: int) -> Experiment:
+    """Samples `start` to `stop` of an experiment."""
+    m, span = data.motion, slice(start, stop)
+    motion = Motion(m.t[span], m.q[span], m.qd[span], m.qdd[span], m.segment[span], m.interior[span], m.bandwidth,
+                    m.notes)
+    return Experiment(data.log.slice(start, stop), motion, data.force[span], data.moving[span], data.remarks,
+                      None if data.pressure is None else data.pressure[span])
+
+
+def _joined(findings: Iterable[Finding]) -> Iterator[Finding]:
+    """Findings of one kind in one channel as one."""
+    groups: dict[tuple[str, str], list[Finding]] = {}
+    for one in findings:
+        groups.setdefault((one.kind, one.channel), []).append(one)
+    for (kind, channel), some in groups.items():
+        if len(some) == 1:
+            yield some[0]
+            continue
+        count = sum(one.count for one in some)
+        yield Finding(kind, channel, some[0].first, some[-1].last, count,
+                      f"{some[0].text}; {count} samples in all, the last of them {some[-1].last}")

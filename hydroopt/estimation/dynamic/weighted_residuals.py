@@ -1,0 +1,258 @@
+"""What logs say of the parameters, ``‖R·ψ − r‖²``: weights of residuals, and how noisy angles are dealt with."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hydroopt.errors import IdentifiabilityError
+from hydroopt.estimation.dynamic import fitted_motion
+from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.estimation.dynamic.problem import IdentificationProblem
+from hydroopt.estimation.dynamic.regressor_qr import (
+    Compressed,
+    compress,
+    compress_instrumented,
+    compress_jointly,
+    predict,
+    whitened,
+)
+from hydroopt.estimation.dynamic.streamed_experiment import Recording, in_memory
+from hydroopt.estimation.inference import least_squares
+from hydroopt.estimation.inference.correlation import correlation_time
+from hydroopt.estimation.inference.gaussian import gaussian
+from hydroopt.spatial.inertia import Array
+
+HUBER = 1.345
+"""Residual, in its standard deviations, beyond which Huber's loss no longer grows with the square."""
+MostProbable = Callable[[Array, Array], Array]
+"""From (R, r) to the parameters ψ (p,) that an estimator takes."""
+
+
+@dataclass(frozen=True, eq=False)
+class Evidence:
+    """``‖R·ψ − r‖² + rest``, the weighted sum of squared residuals, and how these were weighted.
+
+    Attributes:
+        problem: whose residuals; with the fitted motion where one was asked for.
+        R, r, rest: (p, p) upper triangular, (p,), and what no ψ explains.
+        samples: (n,) residuals of each actuator.
+        triangles: (·, p+1, p+1) of [K, f] with the same sum of squares: one for each actuator, or one of all where
+            their rows are mixed.
+        sigma: (n,) standard deviation of each actuator's residual.
+        correlation: (n, n) of the actuators' residuals with one another; the unit matrix unless asked for.
+        correlation_time: (n,) how many samples in a row residuals repeat themselves.
+        fit: of motion and parameters together, where one was asked for.
+    """
+
+    problem: IdentificationProblem
+    R: Array
+    r: Array
+    rest: float
+    samples: Array
+    triangles: Array
+    sigma: Array
+    correlation: Array
+    correlation_time: Array
+    fit: fitted_motion.FittedMotion | None = None
+
+    def problem_at(self, psi: Array) -> IdentificationProblem:
+        """The problem with the motion that is most probable with parameters ψ (p,), where motion was fitted."""
+        return replace(self.problem, experiments=self.fit.experiments(psi)) if self.fit else self.problem
+
+    @property
+    def rows(self) -> float:
+        """Number of residuals of forces."""
+        return float(np.sum(self.samples))
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """How angles and channels were dealt with, in plain words."""
+        said = []
+        if self.problem.fitted_motion:
+            said.append("motion and parameters are fitted together; the fit of the training data is that of the fitted "
+                        "motion, unseen data are judged by their smoothed motion")
+        if self.problem.instruments:
+            said.append("two-stage least squares with instruments from a second reading of the motion")
+        if self.problem.correlated:
+            names = [a.name for a in self.problem.model.machine.actuators]
+            pairs = [f"{names[j]} and {names[i]} {self.correlation[i, j]:.2f}" for i in range(len(names))
+                     for j in range(i)]
+            said.append(f"residuals weighted by their covariance; correlations: {', '.join(pairs)}")
+        return tuple(said)
+
+
+def gather(problem: IdentificationProblem, tolerance: float, most_probable: MostProbable,
+           point: Array | None = None) -> Evidence:
+    """Weigh residuals and condense them.
+
+    Args:
+        problem: whose.
+        tolerance: part of the largest singular value below which a direction counts as unseen.
+        most_probable: the estimator, which a fitted motion is fitted with.
+        point: (p,) parameters at which forces are linearised that are not linear in them; the nominal ones if None.
+
+    Raises:
+        IdentifiabilityError: no joint moves.
+        SolverError: a fitted motion does not come to rest.
+    """
+    model, experiments = problem.model, problem.experiments
+    held = _held(problem)
+    point = problem.parameters.nominal if point is None else point
+    data = compress(model, experiments, psi=point)
+    if not np.any(data.samples):
+        names = ", ".join(e.log.path or e.log.name for e in experiments)
+        raise IdentifiabilityError("no joint moves in what is to be learnt from", where=names,
+                                   remedy="record a log in which the joints move")
+    sigma, weights = _sigma(problem, data, tolerance), None
+    if problem.loss != "squares":
+        data, sigma, weights = _robust(problem, data, sigma, point)
+    # where forces are not linear, least squares without bounds may lead to where their linearisation means nothing
+    psi = _least_squares(problem, *data.weighted(sigma)[:2], tolerance) if model.linear else point
+    correlation = _correlation(problem, psi) if problem.correlated else np.eye(len(sigma))
+    fit, where = None, f"identification of {model.machine.name}"
+    if problem.fitted_motion:
+        fit = fitted_motion.fit(model, fitted_motion.begin(model, held), _covariance(correlation, sigma),
+                                weights, psi, most_probable, where)
+        problem, psi = replace(problem, experiments=fit.experiments(fit.psi)), fit.psi
+    # residuals that repeat themselves carry less information than as many independent ones
+    times = _correlation_times(problem, psi)
+    wide = sigma * np.sqrt(times)
+    if fit is not None:
+        fit = fitted_motion.fit(model, fit.motion(psi), _covariance(correlation, wide), weights, psi, most_probable,
+                                where)
+        R, r, rest = fit.R, fit.r, fit.rest
+    elif problem.instruments:
+        R, r, rest = compress_instrumented(model, held, problem.instruments, wide, weights, psi=point)
+    elif problem.correlated:
+        R, r, rest = compress_jointly(model, held, _covariance(correlation, wide), weights, psi=point)
+    else:
+        R, r, rest = data.weighted(wide)
+    apart = not (problem.fitted_motion or problem.instruments or problem.correlated)
+    triangles = (data.triangles / wide[:, None, None] if apart
+                 else np.block([[R, r[:, None]], [np.zeros((1, len(r))), np.full((1, 1), np.sqrt(rest))]])[None])
+    return Evidence(problem, R, r, rest, data.samples, triangles, sigma, correlation, times, fit)
+
+
+def misfit(evidence: Evidence, psi: Array) -> float:
+    """The loss of all residuals of forces at ψ (p,), weighted as the evidence is but without linearisation."""
+    problem, total = evidence.problem, 0.0
+    wide = evidence.sigma * np.sqrt(evidence.correlation_time)
+    for residual, data in zip(_residuals(problem, psi), _held(problem), strict=True):
+        taken = data.inside[:, None] & data.moving
+        if problem.loss == "squares":
+            total += float(np.sum(whitened(residual[:, :, None], taken, _covariance(evidence.correlation, wide)) ** 2))
+            continue
+        u = np.abs(np.where(taken, residual, 0.0)) / evidence.sigma
+        loss = np.where(u < HUBER, u**2, 2 * HUBER * u - HUBER**2) if problem.loss == "huber" else (
+            5 * np.log1p(u**2 / 4))
+        total += float(np.sum(loss / evidence.correlation_time))
+    return total
+
+
+def _covariance(correlation: Array, sigma: Array) -> Array:
+    return correlation * np.outer(sigma, sigma)
+
+
+def _least_squares(problem: IdentificationProblem, R: Array, r: Array, tolerance: float) -> Array:
+    return least_squares.base_least_squares(R, r, problem.parameters.names, tolerance)[0]
+
+
+def _sigma(problem: IdentificationProblem, data: Compressed, tolerance: float) -> Array:
+    """Standard deviation (n,) of each actuator's residual: stated by its sensors, then estimated from the fit."""
+    size = np.linalg.norm(data.triangles[:, :, -1], axis=1) / np.sqrt(np.maximum(data.samples, 1.0))  # RMS force
+    sigma = np.where(np.isfinite(problem.force_std), problem.force_std, 0.1 * size)
+    sigma = np.where(sigma > 0, sigma, 1.0)
+    if not problem.reweight:
+        return np.asarray(sigma)
+    floor = 1e-11 * np.maximum(size, 1e-12)
+    for _ in range(3):
+        R, r, _ = data.weighted(sigma)
+        psi, _, seen = least_squares.base_least_squares(R, r, problem.parameters.names, tolerance)
+        freedom = np.maximum(data.samples - seen.rank / len(sigma), 1.0)
+        sigma = np.maximum(np.sqrt(data.squares(psi) / freedom), floor)
+    return np.asarray(sigma)
+
+
+def _robust(problem: IdentificationProblem, data: Compressed, sigma: Array, point: Array) -> tuple[Compressed, Array,
+                                                                                                   list[Array]]:
+    """Iteratively reweighted least squares: Huber (95 % efficient at 1.345 σ) or Student-t (4 degrees of freedom).
+
+    The residuals are those of the most probable parameters before constraints, which good data hardly move.
+    """
+    floor = 1e-6 * sigma
+    psi = np.full(len(problem.parameters), np.inf)
+    for _ in range(20):
+        R, r, _ = data.weighted(sigma)
+        before, psi = psi, gaussian(problem, R, r).offset
+        residuals = _residuals(problem, psi)
+        if problem.reweight:
+            taken = np.concatenate(_taken(problem, residuals))
+            sigma = np.maximum(1.4826 * np.nanmedian(np.abs(taken), axis=0), floor)
+        ratios = [np.abs(res) / sigma for res in residuals]
+        weights = [np.minimum(1.0, HUBER / np.maximum(u, 1e-12)) if problem.loss == "huber" else 5.0 / (4.0 + u**2)
+                   for u in ratios]
+        data = compress(problem.model, problem.experiments, weights, psi=point)
+        if np.all(np.abs(psi - before) < 1e-3 * problem.parameters.scale):
+            break
+    return data, sigma, weights
+
+
+def _held(problem: IdentificationProblem) -> tuple[Experiment, ...]:
+    """The experiments of a problem that needs all samples at once; else none.
+
+    Raises:
+        ProblemError: a log is read in pieces.
+    """
+    needs = {f"the loss '{problem.loss}'": problem.loss != "squares", "the correlation of channels": problem.correlated,
+             "a fitted motion": problem.fitted_motion, "a second reading": bool(problem.instruments),
+             "friction that is not linear": not problem.model.linear}
+    return next((in_memory(problem.experiments, what) for what, so in needs.items() if so), ())
+
+
+def _residuals(problem: IdentificationProblem, psi: Array) -> list[Array]:
+    return [e.force - predict(problem.model, e, psi) for e in _held(problem)]
+
+
+def _taken(problem: IdentificationProblem, residuals: Sequence[Array]) -> list[Array]:
+    """Residuals with NaN where they take no part."""
+    return [np.where(e.inside[:, None] & e.moving, res, np.nan)
+            for res, e in zip(residuals, _held(problem), strict=True)]
+
+
+def _correlation(problem: IdentificationProblem, psi: Array) -> Array:
+    """Correlation (n, n) of the actuators' residuals with one another in one sample.
+
+    Zero where fewer than 100 samples have both.
+    """
+    residuals = np.concatenate(_taken(problem, _residuals(problem, psi)))
+    n = residuals.shape[1]
+    correlation = np.eye(n)
+    for i in range(n):
+        for j in range(i):
+            both = residuals[np.all(np.isfinite(residuals[:, [i, j]]), axis=1)][:, [i, j]]
+            if len(both) >= 100:
+                centred = both - both.mean(axis=0)
+                size = np.linalg.norm(centred, axis=0)
+                correlation[i, j] = correlation[j, i] = centred[:, 0] @ centred[:, 1] / np.prod(size)
+    # pairs from different samples need not fit together: the nearest of those that do
+    values, vectors = np.linalg.eigh(correlation)
+    possible = vectors @ np.diag(np.maximum(values, 1e-3)) @ vectors.T
+    size = np.sqrt(np.diag(possible))
+    return np.asarray(possible / np.outer(size, size))
+
+
+def _correlation_times(problem: IdentificationProblem, psi: Array) -> Array:
+    """Correlation time of each actuator's residuals (n,), in samples; the logs weigh by their lengths."""
+    times, weights = [], []
+    for data in problem.experiments:
+        if isinstance(data, Recording):
+            times.append(data.correlation_times(psi).tolist())
+            weights.append(np.maximum(data.folded.samples, 1e-9))
+            continue
+        residual, taken = data.force - predict(problem.model, data, psi), data.inside[:, None] & data.moving
+        times.append([correlation_time(r, t, data.motion.segment) for r, t in zip(residual.T, taken.T, strict=True)])
+        weights.append(np.maximum(np.sum(taken, axis=0), 1e-9))
+    return np.asarray(np.average(times, axis=0, weights=weights))

@@ -1,0 +1,1 @@
+"""Valves and oil from commands, pressures and motion."""

@@ -1,0 +1,1 @@
+"""What all estimators share: constraints, priors, least squares, SDP, NLP, posterior, identifiability."""

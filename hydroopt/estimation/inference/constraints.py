@@ -1,0 +1,82 @@
+"""What a user adds to a problem: relations and priors between named parameters, in any solver's own symbols."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import casadi as ca
+
+from hydroopt.errors import ProblemError
+from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.spatial.inertia import Array
+
+
+class Named(Mapping[str, Any]):
+    """Parameters by name, as the solver at hand writes them: ``p["boom.m"]`` in CasADi or cvxpy."""
+
+    def __init__(self, parameters: ParameterSet, symbols: Callable[[int], Any]) -> None:
+        self._parameters, self._symbols = parameters, symbols
+
+    def __getitem__(self, name: str) -> Any:
+        return self._symbols(self._parameters.index(name))
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._parameters.names)
+
+    def __len__(self) -> int:
+        return len(self._parameters)
+
+
+Expression = Callable[[Named], Any]
+
+
+def as_casadi(constraint: Constraint, named: Named) -> tuple[ca.SX, bool]:
+    """Left minus right side of a constraint in CasADi, and whether the two must be equal (else left ≤ right).
+
+    Raises:
+        ProblemError: it is not a relation.
+    """
+    relation = constraint.evaluated(named)
+    if not isinstance(relation, ca.SX) or relation.n_dep() != 2 or relation.op() not in (ca.OP_EQ, ca.OP_LE, ca.OP_LT):
+        raise no_relation(constraint)
+    return relation.dep(0) - relation.dep(1), relation.op() == ca.OP_EQ
+
+
+def no_relation(constraint: Constraint) -> ProblemError:
+    """The error of a constraint that returns something else than a relation."""
+    return ProblemError("it does not return a relation", where=f"constraint '{constraint.name}'",
+                        remedy="return left == right, left <= right or left >= right")
+
+
+@dataclass(frozen=True)
+class Constraint:
+    """A relation between parameters that must hold: `relation` returns ``left == right``, ``<=`` or ``>=``."""
+
+    name: str
+    relation: Expression
+
+    def evaluated(self, named: Named) -> Any:
+        """The relation in a solver's own symbols.
+
+        Raises:
+            ProblemError: the function failed, for instance at a chain such as ``1 <= x <= 2``.
+        """
+        try:
+            return self.relation(named)
+        except ProblemError:
+            raise
+        except Exception as error:
+            raise ProblemError(f"its function failed ({error})".replace("\n", " "), where=f"constraint '{self.name}'",
+                               remedy="state one relation, left == right, left <= right or left >= right") from error
+
+
+@dataclass(frozen=True)
+class Prior:
+    """A linear expression of parameters known to be ``value ± sigma`` (SI, one standard deviation)."""
+
+    name: str
+    row: Array
+    value: float
+    sigma: float

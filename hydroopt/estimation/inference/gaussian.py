@@ -1,0 +1,81 @@
+"""What residuals and priors say before any constraint: a Gaussian, in coordinates that suit every solver."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.inference.conditions import Condition
+from hydroopt.estimation.inference.problem import InferenceProblem
+from hydroopt.spatial.inertia import Array
+
+WIDEST = 1e6
+"""Width, in parameter scales, given to directions that neither data nor priors determine."""
+
+
+@dataclass(frozen=True, eq=False)
+class Gaussian:
+    """ψ = offset + slope·z with independent standard normal z (k,); the constrained estimate minimises ‖z‖².
+
+    The columns of `slope` (p, k) are the principal axes, from what the data know best to what only the priors know, so
+    that a solver moves each by its own uncertainty however far these are apart.
+
+    Where bodies have a log-det distance, z is only about normal, and the estimate minimises ``‖root·z − right‖²`` and
+    these distances.
+    """
+
+    offset: Array
+    slope: Array
+    root: Array
+    right: Array
+
+    def on(self, conditions: Sequence[Condition]) -> Gaussian | None:
+        """The Gaussian where those conditions hold that are equalities; None if these contradict each other.
+
+        They may repeat themselves.
+
+        Raises:
+            ProblemError: they leave nothing open.
+        """
+        exact = [c for c in conditions if c.kind == "zero"]
+        if not exact:
+            return self
+        E = np.vstack([c.rows for c in exact]) @ self.slope
+        e = -np.concatenate([c.at(self.offset) for c in exact])
+        size = np.maximum(np.linalg.norm(E, axis=1), 1e-300)
+        E, e = E / size[:, None], e / size
+        U, s, Vt = np.linalg.svd(E, full_matrices=True)
+        rank = int(np.linalg.matrix_rank(E))
+        # the nearest point to the mean, so that what is left is again independent and standard normal
+        nearest = Vt[:rank].T @ (U[:, :rank].T @ e / s[:rank])
+        if np.max(np.abs(E @ nearest - e), initial=0.0) > 1e-7 * max(1.0, float(np.linalg.norm(nearest))):
+            return None
+        if rank == len(Vt):
+            raise ProblemError("every parameter is held, and nothing is left to identify", where=exact[-1].name,
+                               remedy="hold fewer")
+        free = Vt[rank:].T
+        return Gaussian(self.offset + self.slope @ nearest, self.slope @ free, self.root @ free,
+                        self.right - self.root @ nearest)
+
+
+def gaussian(problem: InferenceProblem, R: Array, r: Array) -> Gaussian:
+    """The Gaussian ``exp(−½‖R·ψ − r‖²)`` times the priors."""
+    nominal, scale = problem.parameters.nominal, problem.parameters.scale
+    p = len(nominal)
+
+    def stacked(rows: Array, right: Array) -> tuple[Array, Array]:
+        return (np.vstack([np.vstack([R, rows]) * scale, np.eye(p) / WIDEST]),
+                np.concatenate([r - R @ nominal, right - rows @ nominal, np.zeros(p)]))
+
+    A, b = stacked(*problem.prior_rows)
+    U, s, Vt = np.linalg.svd(A, full_matrices=False)
+    mean, slope = Vt.T @ (U.T @ b / s), Vt.T / s
+    root, rest = np.eye(p), np.zeros(p)
+    if problem.distance == "log-det":
+        A, b = stacked(*problem.square_rows)
+        triangle = np.asarray(np.linalg.qr(np.column_stack([A @ slope, b - A @ mean]), mode="r"))
+        root, rest = triangle[:p, :p], triangle[:p, p]
+    return Gaussian(nominal + scale * mean, scale[:, None] * slope, root, rest)

@@ -1,0 +1,84 @@
+"""Least squares on base parameters, and the thesis's two ways around a singular regressor (Eq. 4.58 to 4.60)."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.linalg import svd
+
+from hydroopt.estimation.inference.identifiability import Identifiability, analyse
+from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.spatial.inertia import Array
+
+RANK_TOLERANCE = 1e-7
+"""Default part of the largest singular value of the scaled regressor below which a direction counts as unseen."""
+
+
+def base_least_squares(R: Array, r: Array, names: tuple[str, ...],
+                       tolerance: float = RANK_TOLERANCE) -> tuple[Array, Array, Identifiability]:
+    """Least squares on the base parameters (Eq. 4.58).
+
+    Returns:
+        ψ (p,) with every parameter outside the basis at zero, which predicts what the base parameters predict;
+        the covariance (r, r) of the base parameters for unit weights; what is identifiable.
+    """
+    found = analyse(R, names, tolerance=tolerance)
+    basis = list(found.basis)
+    scale = np.linalg.norm(R[:, basis], axis=0)
+    Q, T = np.linalg.qr(R[:, basis] / scale)
+    psi = np.zeros(R.shape[1])
+    psi[basis] = np.linalg.solve(T, Q.T @ r) / scale if basis else 0.0
+    inverse = np.linalg.inv(T) / scale[:, None] if basis else np.zeros((0, 0))
+    return psi, inverse @ inverse.T, found
+
+
+def individual_values(psi: Array, covariance: Array, found: Identifiability) -> tuple[Array, Array]:
+    """Values and standard deviations (p,) of the parameters identifiable alone, NaN for all others."""
+    value, std = np.full(len(psi), np.nan), np.full(len(psi), np.nan)
+    for i, j in enumerate(found.basis):
+        if found.category[j] == "full":
+            value[j], std[j] = psi[j], np.sqrt(covariance[i, i])
+    return value, std
+
+
+def nearest(parameters: ParameterSet, found: Identifiability, psi: Array) -> Array:
+    """The ψ (p,) with the same base parameters that is nearest to the nominal one, in units of the priors' sizes.
+
+    It predicts the same as `psi` wherever the data had something to say, and as the nominal model elsewhere.
+    """
+    change = found.grouping @ (psi - parameters.nominal)
+    step = np.linalg.pinv(found.grouping * parameters.scale, rcond=1e-12) @ change
+    return np.asarray(parameters.nominal + parameters.scale * step)
+
+
+def ridge(R: Array, r: Array, strength: float | None = None, *, rows: float | None = None,
+          rest: float = 0.0) -> tuple[Array, float]:
+    """Ridge regression on columns of unit length (Eq. 4.59); `strength` λ is relative to the largest eigenvalue of KᵀK.
+
+    Without a strength, generalised cross-validation chooses it, for which the number of `rows` and the sum of squares
+    outside of R (`rest`) must be given if R is a triangle that stands for more. Returns ψ (p,) and the λ used.
+    """
+    lengths = np.linalg.norm(R, axis=0)
+    lengths[lengths == 0] = 1.0
+    U, s, Vt = svd(R / lengths, full_matrices=False, lapack_driver="gesvd")
+    projected = U.T @ r
+    if strength is None:
+        outside = rest + max(float(r @ r - projected @ projected), 0.0)
+        idle = (len(r) if rows is None else rows) - len(s)
+        grid = np.logspace(-16, 0, 257)
+        shrunk = [grid_point / (s**2 / s[0] ** 2 + grid_point) for grid_point in grid]
+        score = [(outside + np.sum((f * projected) ** 2)) / max(idle + np.sum(f), 1e-12) ** 2 for f in shrunk]
+        strength = float(grid[int(np.argmin(score))])
+    filtered = s / (s**2 + strength * s[0] ** 2) * projected
+    return Vt.T @ filtered / lengths, strength
+
+
+def truncated_svd(R: Array, r: Array, tolerance: float) -> tuple[Array, int]:
+    """Least squares in the directions whose singular value is at least `tolerance` of the largest (Eq. 4.60).
+
+    Returns ψ (p,) of smallest scaled norm and the number of directions kept.
+    """
+    lengths = np.linalg.norm(R, axis=0)
+    lengths[lengths == 0] = 1.0
+    U, s, Vt = svd(R / lengths, full_matrices=False, lapack_driver="gesvd")
+    kept = s > tolerance * s[0]
+    return Vt[kept].T @ ((U.T @ r)[kept] / s[kept]) / lengths, int(kept.sum())

@@ -1,0 +1,289 @@
+"""Intervals that stay honest when constraints are active: samples of the posterior, cut off where bodies end to exist.
+
+Residuals and priors make a Gaussian posterior; bounds, physical consistency, what is stated of bodies and the user's
+constraints cut it, and a log-det distance bends it. Its samples are drawn by elliptical slice sampling (Murray, Adams,
+MacKay 2010), many chains side by side. Covariances of the unconstrained problem would be wrong at an active constraint,
+and those of the active set alone too small.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.inference import conditions as physics
+from hydroopt.estimation.inference import sdp
+from hydroopt.estimation.inference.conditions import MARGIN, UPPER, Condition
+from hydroopt.estimation.inference.constraints import Named, as_casadi
+from hydroopt.estimation.inference.gaussian import Gaussian, gaussian
+from hydroopt.estimation.inference.problem import InferenceProblem
+from hydroopt.spatial.inertia import Array
+
+Mask = NDArray[np.bool_]
+
+CHAINS, WARM_UP, SWEEPS, KEEP_EVERY, BLOCK, TRIES = 128, 60, 16, 2, 8, 6
+"""Chains side by side, sweeps until they have settled and of which every second is kept, coordinates moved together,
+places tried for each move."""
+
+DRIFT, ROUNDS = 0.5, 4
+"""Chains have settled when their mean moves by less than this many of its standard deviations over half a warm-up; they
+are given this many warm-ups."""
+
+
+@dataclass(frozen=True, eq=False)
+class Posterior:
+    """Samples (s, p) of the parameters, their mean (p,), and how they were drawn in words.
+
+    `mean` is None where the mean of possible parameters is not itself possible: constraints that are not convex.
+    """
+
+    samples: Array
+    mean: Array | None
+    note: str
+
+    def interval(self, rows: Array | None = None) -> tuple[Array, Array]:
+        """Standard deviation (k,) and 95 % interval (k, 2) of the parameters, or of linear sums of them (k, p)."""
+        values = self.samples if rows is None else self.samples @ rows.T
+        return np.std(values, axis=0), np.quantile(values, [0.025, 0.975], axis=0).T
+
+
+def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consistent: bool,
+           seed: int) -> Posterior | None:
+    """Sample the posterior around the estimate ψ; None (with no samples) where a constraint forbids it.
+
+    Args:
+        problem: priors, bounds and constraints.
+        R: (p, p) and r (p,): weighted residuals ``‖R·ψ − r‖²``.
+        psi: (p,) the constrained estimate, from which the chains start.
+        consistent: whether bodies must be possible.
+        seed: of the random numbers.
+    """
+    conditions = problem.requirements(consistent=consistent)
+    wishes = _wishes(problem)
+    if wishes is None:
+        return None
+    belief = gaussian(problem, R, r).on([*conditions, *wishes.equalities])
+    if belief is None:
+        return None
+    limits = _Limits(problem, belief, wishes, conditions)
+    scale = problem.parameters.scale
+    # the start in the Gaussian's coordinates; what leaves the equalities is dropped
+    begin = np.linalg.lstsq(belief.slope / scale[:, None], (psi - belief.offset) / scale, rcond=None)[0].astype(float)
+    for distance in (1e-1, 1e-2, 1e-3):
+        inner = sdp.inner_point(problem, belief, begin, consistent=consistent, margin=1e-3 * distance)
+        if inner is None:
+            continue
+        state = np.tile(wishes.inwards(inner, belief, distance)[:, None], CHAINS)
+        reach = limits.of(state)
+        height = limits.height(reach, lambda: state)  # noqa: B023 - called at once
+        if np.all(height > -np.inf):
+            break
+    else:
+        return None
+    rng = np.random.default_rng(seed)
+
+    def sweep() -> None:
+        nonlocal state, reach, height
+        order = rng.permutation(len(state))
+        for first in range(0, len(order), BLOCK):
+            state, reach, height = _elliptical_step(state, reach, height, order[first : first + BLOCK], limits, rng)
+
+    settled = False
+    for _ in range(ROUNDS):
+        for _ in range(WARM_UP // 2):
+            sweep()
+        half_way = state.mean(axis=1)
+        for _ in range(WARM_UP - WARM_UP // 2):
+            sweep()
+        drift = np.abs(state.mean(axis=1) - half_way) / np.maximum(state.std(axis=1), 1e-12)
+        settled = bool(np.all(drift < DRIFT))
+        if settled:
+            break
+    kept = []
+    for step in range(SWEEPS):
+        sweep()
+        if step % KEEP_EVERY == 0:
+            kept.append(belief.offset + (belief.slope @ state).T)
+    samples = np.concatenate(kept)
+    mean = (samples.mean(axis=0) - belief.offset) / scale
+    centre = np.linalg.lstsq(belief.slope / scale[:, None], mean[:, None], rcond=None)[0]
+    possible = bool(limits.height(limits.of(centre), lambda: centre)[0] > -np.inf)
+    bent = "Gaussian posterior" if problem.distance == "gaussian" else "posterior with log-det distances"
+    note = (f"intervals from the {bent} cut off by bounds and constraints: {len(samples)} samples by "
+            "elliptical slice sampling" + ("" if settled else ", WHICH HAD NOT SETTLED: do not rely on them"))
+    return Posterior(samples, samples.mean(axis=0) if possible else None, note)
+
+
+class _Limits:
+    """All inequalities as functions of the Gaussian's coordinates z; a column each chain.
+
+    The linear ones and the entries of matrices are kept as numbers (m, c) that a step updates cheaply.
+    """
+
+    def __init__(self, problem: InferenceProblem, belief: Gaussian, wishes: _Wishes,
+                 conditions: Sequence[Condition]) -> None:
+        matrices = [c for c in conditions if c.kind == "semidefinite"]
+        linear = [c for c in conditions if c.kind == "nonnegative"]
+        weights = {body.consistency: body.weight for body in problem.bodies}
+        all_weights = np.array([weights.get(c.name, 0.0) for c in matrices])
+        self._distant = np.flatnonzero(all_weights)
+        self._weights = all_weights[self._distant]
+        self._spread = np.array([body.spread for body in problem.bodies if body.weight])
+        self._matrices = len(matrices)
+        # first entries of all matrices, second entries, ..., then the linear ones
+        order = np.arange(10 * len(matrices)).reshape(-1, 10).T.ravel()
+        p = len(problem.parameters)
+        rows = np.vstack([np.zeros((0, p)), *(c.rows for c in matrices)])[order]
+        right = np.concatenate([np.zeros(0), *(c.right + MARGIN / 2 * (UPPER[0] == UPPER[1]) for c in matrices)])[order]
+        gradient = np.vstack([rows, *(c.rows for c in linear)])
+        self.slope = gradient @ belief.slope
+        self.start = gradient @ belief.offset - np.concatenate([right, *(c.right for c in linear)])
+        self._wishes = wishes
+        self._belief = belief
+
+    def of(self, state: Array) -> Array:
+        """The linear functions (m, c) at the states z (k, c)."""
+        return np.asarray(self.start[:, None] + self.slope @ state)
+
+    def height(self, reach: Array, state: Callable[[], Array]) -> Array:
+        """Logarithm (c,) of the posterior's density relative to the Gaussian's, −∞ where a limit does not hold.
+
+        It is zero inside but for log-det distances, and needs the states only if the user has limits of his own.
+        """
+        good: Mask = np.all(reach[10 * self._matrices :] >= 0, axis=0)
+        bend = np.zeros(len(good))
+        if self._matrices:
+            entries = reach[: 10 * self._matrices].reshape(10, self._matrices, -1)
+            pivots = _pivots(entries)
+            good &= np.all(pivots > 0, axis=(0, 1))
+            if self._distant.size:
+                bend[good] = self._bend(entries[:, self._distant][..., good], pivots[:, self._distant][..., good])
+        if self._wishes.inequality is not None:
+            good[good] = self._wishes.hold(self._belief.offset + (self._belief.slope @ state()[:, good]).T)
+        return np.where(good, bend, -np.inf)
+
+    def _bend(self, entries: Array, pivots: Array) -> Array:
+        """What log-det distances of the matrices W (10, b, c) weigh beyond the Gaussian that stands in for them."""
+        diagonal = UPPER[0] == UPPER[1]
+        mean = self._spread[:, None]
+        square = np.sum((entries[diagonal] - mean) ** 2, axis=0) + 2 * np.sum(entries[~diagonal] ** 2, axis=0)
+        distance = np.sum(entries[diagonal], axis=0) - np.sum(np.log(pivots), axis=0)
+        return np.asarray(self._weights @ (square / mean / 4 - distance / 2))
+
+
+def _elliptical_step(state: Array, reach: Array, height: Array, block: NDArray[np.intp], limits: _Limits,
+                     rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Move a block of coordinates of all chains along random ellipses, shrunk until they are high enough.
+
+    A chain that found no place after `TRIES` stays: every number of rejected places is as likely on the way back, so
+    that stopping early keeps the distribution, and the slowest chain does not hold up the others.
+    """
+    chains = state.shape[1]
+    other = rng.standard_normal((len(block), chains))
+    # how the bracket shrinks does not depend on the limits: all places to try are known beforehand
+    angles = np.empty((TRIES, chains))
+    angles[0] = rng.uniform(0, 2 * np.pi, chains)
+    high = angles[0]
+    low = high - 2 * np.pi
+    for k in range(1, TRIES):
+        angles[k] = rng.uniform(low, high)
+        low, high = np.where(angles[k] < 0, angles[k], low), np.where(angles[k] < 0, high, angles[k])
+    state, reach, height = state.copy(), reach.copy(), height.copy()
+    floor = height - rng.exponential(size=chains)
+    waiting = np.arange(chains)
+    for tries in (angles[:1], angles[1:]):  # most chains are done after one
+        at, here = tries[:, waiting], state[np.ix_(block, waiting)]
+        step = here[:, None] * (np.cos(at) - 1) + other[:, waiting][:, None] * np.sin(at)
+        flat = step.reshape(len(block), -1)
+        linear = np.tile(reach[:, waiting], len(tries)) + limits.slope[:, block] @ flat
+        new = limits.height(linear, partial(_stepped, state, np.tile(waiting, len(tries)), block, flat))
+        good = new.reshape(at.shape) > floor[waiting]
+        found = np.flatnonzero(good.any(axis=0))
+        pick = np.argmax(good[:, found], axis=0) * len(waiting) + found  # the first good one
+        state[np.ix_(block, waiting[found])] += flat[:, pick]
+        reach[:, waiting[found]] = linear[:, pick]
+        height[waiting[found]] = new[pick]
+        waiting = np.delete(waiting, found)
+    return state, reach, height
+
+
+def _stepped(state: Array, chains: NDArray[np.intp], block: NDArray[np.intp], step: Array) -> Array:
+    moved = state[:, chains]
+    moved[block] += step
+    return moved
+
+
+def _pivots(upper: Array) -> Array:
+    """Pivots (4, ...) of many symmetric matrices, given by their upper triangles (10, ...).
+
+    All are positive where the matrix is positive definite, and their product then is its determinant.
+    """
+    a, b, c, d, e, f, g, h, i, j = upper
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # past a pivot that fails the rest is void
+        e, f, g, h, i, j = e - b * b / a, f - b * c / a, g - b * d / a, h - c * c / a, i - c * d / a, j - d * d / a
+        h, i, j = h - f * f / e, i - f * g / e, j - g * g / e
+        return np.stack([a, e, h, j - i * i / h])
+
+
+@dataclass(frozen=True)
+class _Wishes:
+    """The user's equalities, and his inequalities ``g(ψ) ≤ 0`` with their slopes, if any."""
+
+    equalities: tuple[Condition, ...]
+    inequality: ca.Function | None
+    slopes: ca.Function | None
+
+    def hold(self, psi: Array) -> Mask:
+        """Whether all inequalities hold (s,) at ψ (s, p)."""
+        if self.inequality is None or not len(psi):
+            return np.ones(len(psi), dtype=bool)
+        return np.asarray(np.all(np.asarray(self.inequality(psi.T)) <= 0, axis=0))
+
+    def inwards(self, z: Array, belief: Gaussian, distance: float) -> Array:
+        """z (k,) moved until every inequality is `distance` standard deviations from its edge, to first order."""
+        if self.inequality is None or self.slopes is None:
+            return z
+        for i in range(self.inequality.size1_out(0)):
+            psi = belief.offset + belief.slope @ z
+            slope = belief.slope.T @ np.asarray(self.slopes(psi))[i]
+            size = float(np.linalg.norm(slope)) or 1.0
+            excess = float(np.asarray(self.inequality(psi)).ravel()[i]) / size + distance
+            z = z - max(excess, 0.0) * slope / size
+        return z
+
+
+def _wishes(problem: InferenceProblem) -> _Wishes | None:
+    """The user's constraints in a form that can be sampled.
+
+    None if one cannot be: a nonlinear equality, or a relation that only cvxpy understands.
+    """
+    parameters = problem.parameters
+    psi = ca.SX.sym("psi", len(parameters))
+    named = Named(parameters, lambda k: psi[k])
+    equalities: list[Condition] = []
+    insides: list[ca.SX] = []
+    for constraint in problem.constraints:
+        try:
+            body, equal = as_casadi(constraint, named)
+        except (ProblemError, TypeError, ValueError, NotImplementedError):  # what cvxpy raises at CasADi symbols
+            return None
+        if not equal:
+            insides.append(body)
+            continue
+        row = ca.jacobian(body, psi)
+        if ca.depends_on(row, psi):
+            return None
+        at_zero = ca.Function("equality", [psi], [row, body])(ca.DM.zeros(psi.shape))
+        equalities.append(physics.equal(constraint.name, parameters, np.asarray(ca.DM(at_zero[0])).ravel(),
+                                        -float(at_zero[1])))
+    if not insides:
+        return _Wishes(tuple(equalities), None, None)
+    g = ca.vertcat(*insides)
+    return _Wishes(tuple(equalities), ca.Function("inequality", [psi], [g]),
+                   ca.Function("slopes", [psi], [ca.densify(ca.jacobian(g, psi))]))

@@ -1,0 +1,51 @@
+"""What the solvers and the sampler need to know of a problem; each kind of estimation offers it."""
+
+from __future__ import annotations
+
+from typing import Literal, Protocol
+
+from hydroopt.estimation.inference.conditions import Condition, ScaledBody
+from hydroopt.estimation.inference.constraints import Constraint
+from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.spatial.inertia import Array
+
+Distance = Literal["gaussian", "log-det"]
+
+
+class InferenceProblem(Protocol):
+    """Parameters, priors and constraints; the residuals are handed to the solvers as ``‖R·ψ − r‖²``."""
+
+    @property
+    def where(self) -> str:
+        """What is being solved, for error messages."""
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """The unknowns ψ (p,)."""
+
+    @property
+    def constraints(self) -> tuple[Constraint, ...]:
+        """The user's relations between them."""
+
+    @property
+    def consistent(self) -> bool:
+        """Whether every body must be physically possible."""
+
+    @property
+    def distance(self) -> Distance:
+        """How the distance of a body from its nominal one is measured."""
+
+    @property
+    def bodies(self) -> tuple[ScaledBody, ...]:
+        """All bodies, scaled, with the weights of their log-det distances."""
+
+    @property
+    def prior_rows(self) -> tuple[Array, Array]:
+        """Rows and right-hand side of ``‖A·ψ − b‖²``: all priors, a log-det distance by the Gaussian nearest to it."""
+
+    @property
+    def square_rows(self) -> tuple[Array, Array]:
+        """The same of the priors that are squares, without the log-det distances."""
+
+    def requirements(self, *, consistent: bool) -> tuple[Condition, ...]:
+        """All linear conditions on ψ: bounds, possible bodies if asked, and what else is stated."""

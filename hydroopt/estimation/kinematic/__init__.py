@@ -1,0 +1,1 @@
+"""Geometry from poses of closed chains."""

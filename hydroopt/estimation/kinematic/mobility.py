@@ -1,0 +1,375 @@
+"""Whether closed chains can move, what their poses can tell, and why a set-up cannot work (Sections 3.3.2 and 3.6.4).
+
+Everything is derived from random closed postures of the machine file's nominal geometry, read without noise: mobility
+from the rank of the loop's Jacobian, identifiability from that of the linearised calibration problem.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterator, Sequence
+from dataclasses import asdict, dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.kinematic.observability import Linearised, linearise, observability
+from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
+from hydroopt.logs.poses import joined
+from hydroopt.machine.calibration_chain import Stage
+from hydroopt.machine.components import Cylinder, Note
+from hydroopt.machine.machine import Machine
+from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.simulation import postures
+from hydroopt.spatial.inertia import Array
+
+BALL = 3
+"""Freedoms of a ball joint, none of them sensed."""
+RANK = 1e-7
+"""Singular value or column, relative to the largest, that counts as zero."""
+PLAY = 1e-3
+"""Standard deviation [m] that every row is given at least: where too few joints are sensed nothing else weighs it."""
+TRIES = 20
+"""Random postures that are tried for each one wanted."""
+POSES = "poses"
+"""Name of the only stage of a machine that states none: all its sensed joints move."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Told:
+    """Which parameters poses without noise tell alone, which only together, and which leave no trace.
+
+    `rank` is the number of independent combinations that they tell.
+    """
+
+    rank: int = 0
+    full: tuple[str, ...] = ()
+    combinations: tuple[tuple[str, ...], ...] = ()
+    none: tuple[str, ...] = ()
+
+    def lines(self) -> Iterator[str]:
+        """In words."""
+        groups = "; ".join(" with ".join((group[0], ", ".join(group[1:]))) for group in self.combinations)
+        for title, names in (("alone", ", ".join(self.full)), ("in combination", groups),
+                             ("no trace", ", ".join(self.none))):
+            if names:
+                yield f"  {title}: {names}"
+
+
+@dataclass(frozen=True, kw_only=True)
+class StageMobility(Told):
+    """A stage's chain, and what its poses tell if that which earlier stages told alone is known (Section 3.6.4).
+
+    Attributes:
+        moves: joints that move without being read; `sensed` those that are read, `locked` those that stand.
+        grubler: mobility by counting joints (Eq. 3.1).
+        rank_mobility: mobility by the loop's Jacobian; None where no closed posture was found.
+        unsensed: freedoms without a sensor, the ball's included.
+    """
+
+    stage: str
+    moves: tuple[str, ...]
+    sensed: tuple[str, ...]
+    locked: tuple[str, ...]
+    grubler: int
+    rank_mobility: int | None
+    unsensed: int
+
+    @property
+    def remark(self) -> str:
+        """Why the two mobilities differ, if they do."""
+        if self.rank_mobility is None:
+            return ", no closed posture found"
+        lost = self.rank_mobility - self.grubler
+        return "" if lost == 0 else (f", {self.rank_mobility} by the loop's Jacobian: in this special geometry nothing "
+                                     f"moves the tip in {_count(lost, 'direction')}")
+
+    def lines(self) -> Iterator[str]:
+        """In words."""
+        parts = (("moves", self.moves), ("senses", self.sensed), ("locks", self.locked))
+        yield f"stage {self.stage}: " + "; ".join(f"{verb} {', '.join(names)}" for verb, names in parts if names)
+        yield f"  mobility: {self.grubler} (Eq. 3.1){self.remark}; freedoms without a sensor: {self.unsensed}"
+        yield from super().lines()
+
+
+@dataclass(frozen=True)
+class Mobility:
+    """All stages of a machine, what they tell together, what each cylinder's readings tell, and what is in the way."""
+
+    machine: Machine
+    stages: tuple[StageMobility, ...]
+    together: Told | None
+    cylinders: dict[str, Told]
+    obstacles: tuple[str, ...]
+
+    def lines(self) -> list[str]:
+        """Plain text for a screen; none for a machine without calibrator and length sensors."""
+        text = [line for stage in self.stages for line in stage.lines()]
+        if self.together is not None and len(self.stages) > 1:
+            text += ["all stages together:", *self.together.lines()]
+        for name, told in self.cylinders.items():
+            text += [f"{name}: lengths and joint angles tell {_count(told.rank, 'number')} of its geometry (Eq. 3.26)",
+                     *told.lines()]
+        return text + [f"! {obstacle}" for obstacle in self.obstacles if self.machine.calibrator]
+
+    def as_dict(self) -> dict[str, Any]:
+        """The same for JSON."""
+        return {"stages": [asdict(stage) for stage in self.stages],
+                "together": None if self.together is None else asdict(self.together),
+                "cylinders": {name: asdict(told) for name, told in self.cylinders.items()},
+                "obstacles": list(self.obstacles)}
+
+
+def grubler(n: int, *, p: int, d: int, extra: int, t: int = BALL) -> int:
+    """Mobility m (Eq. 3.5) of n joints, of which p are powered and d of these move, on a fixture of t freedoms.
+
+    `extra` is the number l of joints that the calibrator adds.
+    """
+    return (n - p) + d + t + extra - 6
+
+
+def obstacles(machine: Machine) -> tuple[str, ...]:
+    """Why a set-up cannot work: one sentence with its remedy for every reason."""
+    return mobility(machine).obstacles
+
+
+def mobility(machine: Machine, *, count: int = 30, seed: int = 0) -> Mobility:
+    """What the kinematic calibration of a machine can do and cannot, from so many poses of every stage and fixture."""
+    cylinders = {cylinder.name: _triangle(machine, cylinder, count) for cylinder in machine.cylinders
+                 if _read(machine, *_triangle_channels(machine, cylinder))}
+    if machine.calibrator is None or not (machine.fixtures or machine.tracker):
+        return Mobility(machine, (), None, cylinders, (str(ProblemError(
+            "nothing closes the chain, so that no pose tells anything of its links", where=f"machine '{machine.name}'",
+            remedy="state a calibrator with a fixture or a tracker")),))
+    still = tuple(stage.model_copy(update={"drift": 0.0}) for stage in machine.stages)
+    model, rng = KinematicModel(machine.model_copy(update={"stages": still})), np.random.default_rng(seed)
+    visits = [_Visit(model, stage, count, rng) for stage in still or (Stage(name=POSES),)]
+    where: dict[tuple[str, str], list[str]] = {}  # a reason and its remedy: the stages that it concerns
+    for visit in visits:
+        for reason in visit.reasons():
+            where.setdefault(reason, []).append(visit.stage.name)
+    sentences = [str(ProblemError(what, where=_named("stage", names), remedy=remedy))
+                 for (what, remedy), names in where.items()]
+    told, together = [Told() for _ in visits], None
+    if any(len(visit.q) for visit in visits):
+        try:
+            survey = _Survey(visits)
+            told, together = survey.in_turn([visit.stage.name for visit in visits]), survey.told()
+            if not survey.has_scale():
+                sentences.append(str(ProblemError(
+                    "there is no length scale: the same angles fit a chain with all its lengths doubled",
+                    where=f"machine '{machine.name}'", remedy="take a length as exact, the calibrator's, say, or state "
+                    "a distance between two fixtures or the sensor of a tape, a tracker or a cylinder's length")))
+        except ProblemError as error:
+            sentences.append(str(error))
+    stages = tuple(visit.described(own) for visit, own in zip(visits, told, strict=True))
+    return Mobility(machine, stages, together, cylinders, tuple(sentences))
+
+
+class _Visit:
+    """A stage: what its joints do, and closed postures q (N, n) at the fixtures with the labels `fixture` (N,).
+
+    Read are the calibrator's sensors and those of the machine's joints that the stage does not name, or all where the
+    calibrator has none; tracker, tapes and cylinders' lengths too. `turning` are positions of joints that move, `blind`
+    of those unread, `rows` of what a pose gives among the model's channels.
+    """
+
+    def __init__(self, model: KinematicModel, stage: Stage, count: int, rng: np.random.Generator) -> None:
+        self.model, self.stage, self.fixtures = model, stage, model.machine.fixtures
+        machine, own = model.machine, postures.sensed_joints(model)
+        self.chain = [model.joints.index(link.name) for link in machine.chain if link.joint.type != "locked"]
+        sensed = [k for k in self.chain if machine.sensor(f"{model.joints[k]}.q")]
+        moves, locked = ({model.joints.index(joint) for joint in joints} for joints in (stage.moves, stage.locked))
+        self.read = [k for k in sensed if not own or k in own or k not in moves | locked]
+        self.turning = [k for k in self.chain if k in moves or (k in sensed and k not in locked)]
+        self.blind = [k for k in self.turning if k not in self.read]
+        powered = {model.joints.index(joint) for joint in machine.joints} & {*self.chain}
+        moved = powered & {*self.turning}
+        self.grubler = grubler(len(powered), p=len(powered), d=len(moved), extra=len(self.turning) - len(moved),
+                               t=BALL if self.fixtures else 6)
+        links = {model.joints[k] for k in self.chain}
+        lengths = {f"{cylinder.name}.length" for cylinder in machine.cylinders
+                   if links.issuperset(machine.joints_between(cylinder.barrel.link, cylinder.rod.link))}
+        self.rows = [i for i, name in enumerate(model.channels) if (name.startswith("gap.") and self.fixtures)
+                     or (_read(machine, name) and (name in lengths or (name.startswith("tip.") and machine.tracker)
+                                                   or (name.endswith(".distance") and self.fixtures)))]
+        places = [np.array(fixture.position) for fixture in self.fixtures]
+        found = [self._postures(place, count, rng) for place in places] or [self._random(count, rng)]
+        self.q, size = np.concatenate(found), [len(q) for q in found]
+        self.fixture = np.repeat([fixture.name for fixture in self.fixtures] or [""], size)
+        self.lost = [fixture.name for fixture, q in zip(self.fixtures, found, strict=False) if not len(q)]
+        self.channels = [f"{model.joints[k]}.q" for k in self.read] + [model.channels[i] for i in self.rows if i >= 3]
+        self.by_q = np.zeros((0, len(model.channels), len(model.joints)))
+        if len(self.q):
+            self.by_q = model.over(model.observed_jacobians, model.parameters.nominal, self.q,
+                                   np.repeat(places or [np.zeros(3)], size, axis=0))[2]
+
+    def _random(self, count: int, rng: np.random.Generator) -> Array:
+        q = rng.uniform(*postures.limits(self.model), (count, len(self.model.joints)))
+        for joint, angle in self.stage.locked.items():
+            q[:, self.model.joints.index(joint)] = angle
+        return q
+
+    def _postures(self, place: Array, count: int, rng: np.random.Generator) -> Array:
+        """Up to so many, closed by all joints that move, also by those that nothing reads."""
+        (low, high), tried = postures.limits(self.model), 0
+        found = np.zeros((0, len(low)))
+        while self.turning and len(found) < count and tried < TRIES * count:
+            q, closed = postures.close(self.model, self.model.parameters.nominal, self._random(2 * count, rng),
+                                       self.turning, place)
+            inside = np.all(((q >= low) & (q <= high))[:, self.turning], axis=1)
+            found, tried = np.vstack([found, q[closed & inside]]), tried + len(q)
+        return found[:count]
+
+    def rank(self, joints: Sequence[int], rows: Sequence[int]) -> int:
+        """Number of independent directions in which some joints change some rows, in general postures."""
+        part = self.by_q[np.ix_(range(len(self.q)), rows, joints)]
+        return int(np.linalg.matrix_rank(part, rtol=RANK).max()) if part.size else 0
+
+    @property
+    def rank_mobility(self) -> int | None:
+        """Joints that move less the directions in which the fixture holds the tip."""
+        held = self.rank(self.turning, range(3)) if self.fixtures else 0
+        return len(self.turning) - held if len(self.q) else None
+
+    def described(self, told: Told) -> StageMobility:
+        """The stage with what it tells."""
+        moves, sensed, locked = (tuple(self.model.joints[k] for k in positions) for positions in (
+            self.blind, self.read, [k for k in self.chain if k not in self.turning and k not in self.read]))
+        return StageMobility(**vars(told), stage=self.stage.name, moves=moves, sensed=sensed, locked=locked,
+                             grubler=self.grubler, rank_mobility=self.rank_mobility,
+                             unsensed=len(self.blind) + BALL * bool(self.fixtures))
+
+    def reasons(self) -> Iterator[tuple[str, str]]:
+        """What is wrong with the chain (Sections 3.3.2 and 3.5.1), and the remedy."""
+        names = self.model.joints
+        degrees = self.grubler if self.rank_mobility is None else self.rank_mobility
+        if degrees < 1:
+            yield (f"the chain cannot move: its mobility is {degrees} (Eq. 3.1)",
+                   "add a joint to the calibrator or free one that is locked")
+        elif self.lost:
+            yield (f"within the joints' limits the tip does not reach {_named('fixture', self.lost)}",
+                   "move what is out of reach nearer, widen the limits or lock the joints elsewhere")
+        if not len(self.q):
+            return
+        blind, held = _named("joint", [names[k] for k in self.blind]), self.rank(self.blind, self.rows)
+        if (loose := len(self.blind) - held) > 0:
+            yield (f"with all readings held the chain can still move in {_count(loose, 'way')}, so that nothing tells "
+                   f"where {blind} stood", "sense or lock as many of them")
+        if held == len(self.rows):
+            yield (f"its poses tell nothing: {blind} and the fixture have more than five freedoms without a sensor",
+                   "sense or lock one of them")
+        sensed = [k for k in self.read if k in self.turning]
+        erring = [k for k in sensed if _read(self.model.machine, f"{names[k]}.q")]
+        if len(sensed) >= 3 and self._flat(sensed):
+            yield (f"the axes of {_named('joint', [names[k] for k in sensed])} are parallel and move the tip in planes "
+                   "only", "turn one of them across, or sense another joint")
+        elif any(fixture.play == 0 for fixture in self.fixtures) and self.rank(erring, range(3)) < 3:
+            yield ("too few joints are sensed: they do not move the tip in all directions, so that nothing weighs the "
+                   "loop's gap", "sense three joints with axes across each other, or state the fixture's play")
+
+    def _flat(self, joints: Sequence[int]) -> bool:
+        """Whether these joints move the tip in a plane only."""
+        q = np.repeat(self.q[:1], 30, axis=0)
+        q[:, joints] = self._random(30, np.random.default_rng(0))[:, joints]
+        tip = self.model.over(self.model.tip, self.model.parameters.nominal, q)[0][:, :, 0]
+        size = np.linalg.svd(tip - tip.mean(axis=0), compute_uv=False)
+        return bool(size[2] <= RANK * size[0])
+
+
+class _Survey:
+    """The linearised calibration problem of all visits; `pins` marks the cylinders' parameters, which are not told."""
+
+    def __init__(self, visits: Sequence[_Visit]) -> None:
+        model, visits = visits[0].model, [visit for visit in visits if len(visit.q)]
+        poses = joined([postures.record(
+            model, visit.q, [visit.stage.name] * len(visit.q), list(map(str, visit.fixture)), seed=None,
+            geometry=model.parameters.nominal, channels=visit.channels) for visit in visits])
+        problem = calibration_problem(model.machine, poses, priors=False)
+        self.problem = replace(problem, row_sigma=np.maximum(problem.row_sigma, PLAY))
+        self.linear = linearise(self.problem, problem.start, np.concatenate([visit.q for visit in visits]))
+        owners = {cylinder.name for cylinder in model.machine.cylinders}
+        self.pins = np.array([name.partition(".")[0] in owners for name in problem.parameters.names])
+
+    def told(self, stage: str | None = None, known: Sequence[str] = ()) -> Told:
+        """What the poses of one stage, or of all, tell of the parameters that they depend on and that are not known."""
+        rows = (self.problem.poses.stage == stage) | (stage is None)
+        part, names = self.problem.without(~rows), self.problem.parameters.names
+        touched = np.arange(len(names)) < len(part.model.parameters)
+        touched[np.concatenate([part.at.locked[1], part.at.fixture[part.at.fixture >= 0]]).astype(int)] = True
+        rest = {name: part.start[k] for k, name in enumerate(names) if not touched[k] or name in known}
+        return _told(part.fixing(**rest), replace(self.linear, jacobian=self.linear.jacobian[rows]),
+                     {name for name, hidden in zip(names, self.pins, strict=True) if hidden})
+
+    def in_turn(self, stages: Sequence[str]) -> list[Told]:
+        """What stage after stage tells, where all counts as known that the ones before told alone."""
+        told: list[Told] = []
+        for stage in stages:
+            visited = stage in self.problem.poses.stage
+            told.append(self.told(stage, [name for before in told for name in before.full]) if visited else Told())
+        return told
+
+    def has_scale(self) -> bool:
+        """Whether a common factor on all lengths leaves a trace that pins and fixtures cannot follow.
+
+        Lengths before the first axis do not count: like fixtures they only place the base frame.
+        """
+        problem, own, machine = self.problem, self.problem.parameters, self.problem.model.machine
+        assert machine.calibrator is not None
+        first = next((k for k, link in enumerate(machine.chain) if link.joint.type != "locked"), 0)
+        lengths = {f"{link.name}.{key}": getattr(link.joint, key) for k, link in enumerate(machine.chain)
+                   for key in ("a", "d") if k > first or (k, key) == (first, "a")}
+        lengths |= zip(("tip.x", "tip.y", "tip.z"), machine.calibrator.tip, strict=True)
+        if any(problem.fixed.values()) or any(value and name not in own.names for name, value in lengths.items()):
+            return True
+        grown = np.where((np.array(own.units) == "m") & ~self.pins, problem.start, 0.0)
+        follow = self.pins & problem.free
+        follow[problem.at.fixture[problem.at.fixture >= 0]] = True
+        rows = np.vstack([self.linear.jacobian.reshape(-1, len(own)), self.linear.shared])
+        trace = rows @ grown
+        trace = trace - rows[:, follow] @ np.linalg.lstsq(rows[:, follow], trace, rcond=None)[0]
+        return bool(np.linalg.norm(trace) > RANK * np.linalg.norm(np.abs(rows) @ np.abs(grown)))
+
+
+def _told(problem: CalibrationProblem, linear: Linearised, hidden: Collection[str] = ()) -> Told:
+    """What is told; parameters that are `hidden` are free but named only where they obscure a single one."""
+    # what projections leave of a column that should vanish is rounding, and would count as a trace
+    size = np.sqrt(np.sum(linear.jacobian**2, axis=(0, 1))) * problem.parameters.scale
+    seen = observability(problem, replace(linear, jacobian=np.where(size > RANK * size.max(), linear.jacobian, 0.0)))
+    full, none = (tuple(name for name, category in zip(seen.names, seen.category, strict=True)
+                        if category == wanted and name not in hidden) for wanted in ("full", "none"))
+    shown = [tuple(name for name in group if name not in hidden) for group in seen.combinations]
+    groups = tuple(own if len(own) > 1 else group for own, group in zip(shown, seen.combinations, strict=True) if own)
+    return Told(rank=len(seen.names) - seen.unseen.shape[1], full=full, combinations=groups, none=none)
+
+
+def _read(machine: Machine, *channels: str) -> bool:
+    """Whether all these channels have a sensor that states how well it reads."""
+    return all((sensor := machine.sensor(channel)) is not None and sensor.std > 0 for channel in channels)
+
+
+def _triangle_channels(machine: Machine, cylinder: Cylinder) -> list[str]:
+    between = machine.joints_between(cylinder.barrel.link, cylinder.rod.link)
+    return [f"{cylinder.name}.length", *(f"{joint}.q" for joint in between)]
+
+
+def _triangle(machine: Machine, cylinder: Cylinder, count: int) -> Told:
+    """What readings of length and joint angles over the joints' ranges tell of pins and dead length (Eq. 3.26)."""
+    keys = ("barrel.pin", "rod.pin", "dead_length")
+    alone = machine.model_copy(update={
+        "calibrator": None, "fixtures": (), "distances": (), "tracker": None, "stages": (),
+        "notes": {f"{cylinder.name}.{key}": Note(sigma=0.01) for key in keys}})
+    model, rng = KinematicModel(alone), np.random.default_rng(0)
+    q = rng.uniform(*postures.limits(model), (count, len(model.joints)))
+    poses = postures.record(model, q, [""] * count, [""] * count, geometry=model.parameters.nominal, seed=None,
+                            channels=_triangle_channels(alone, cylinder))
+    problem = calibration_problem(alone, poses, priors=False)
+    return _told(problem, linearise(problem, problem.start, q))
+
+
+def _count(number: int, noun: str) -> str:
+    return f"{number} {noun}{'s' * (number != 1)}"
+
+
+def _named(noun: str, names: Sequence[str]) -> str:
+    return f"{noun}{'s' * (len(names) != 1)} " + ", ".join(f"'{name}'" for name in names)

@@ -1,0 +1,244 @@
+"""What poses tell about parameters: linearised information, covariance, and what cannot be told.
+
+Around a solution every pose's rows are r + A·δθ + B·δq = 0. Errors of the sensed angles give the rows the covariance
+S = B·Σ·Bᵀ + R; directions in which an unsensed angle moves them are projected out. What is left is white, and its
+Jacobian's square is the Fisher information of the joint problem, so that its inverse is the Cramér-Rao bound.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.kinematic.problem import CalibrationProblem
+from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.spatial.inertia import Array
+
+UNSEEN = 1e-10
+"""Eigenvalue of the normalised information, relative to the largest, below which a combination is not identifiable."""
+ROUNDING = 1e-7
+"""Size of a scaled column, relative to the largest, that is rounding only."""
+SHARE = 1e-5
+"""Part of a parameter's unit vector in the unseen space from which on it counts as touched by it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Whitened rows of all poses: residual (N, m), Jacobian (N, m, P) by all parameters, rank (N,) of each pose's rows.
+
+    `shared` and `shared_residual` are those of known distances, then of what is known before; `errors` (N, m, n) are
+    the rows' changes by one standard deviation of each sensed angle.
+    """
+
+    residual: Array
+    jacobian: Array
+    rank: NDArray[np.int64]
+    shared: Array
+    shared_residual: Array
+    errors: Array
+
+    @property
+    def pose_square(self) -> Array:
+        """Squared error (N,) of each pose in standard deviations; expected to be its rank."""
+        return np.asarray(np.sum(self.residual**2, axis=1))
+
+
+def linearise(problem: CalibrationProblem, theta: Array, q: Array) -> Linearised:
+    """Whitened rows around parameters (P,) and joint vectors (N, n).
+
+    Raises:
+        ProblemError: neither sensors nor fixtures state any error, so that nothing can be weighed.
+    """
+    at = problem.at
+    rows, jacobian, by_q = problem.rows(theta, q)
+    used = np.flatnonzero(at.present.any(axis=0))
+    rows, jacobian, by_q = rows[:, used], jacobian[:, used], by_q[:, used]
+    present, row_sigma = at.present[:, used], problem.row_sigma[:, used]
+    read = np.where(at.sensed, at.reading - q, 0.0)
+    rows = rows + np.einsum("nij,nj->ni", by_q, read)
+    weighted = by_q * np.where(at.sensed, problem.angle_sigma, 0.0)[:, None, :]
+    spread = weighted @ weighted.transpose(0, 2, 1)
+    diagonal = np.where(present, row_sigma**2, 1.0)
+    spread[:, np.arange(len(used)), np.arange(len(used))] += diagonal
+    try:
+        factor = np.linalg.cholesky(spread)
+    except np.linalg.LinAlgError:
+        raise ProblemError("nothing says how exactly the loops close", where=f"poses of {problem.poses.name}",
+                           remedy="state the accuracy of three sensed joints or more, or the play of the fixture"
+                           ) from None
+    white = np.linalg.solve(factor, np.concatenate(
+        [rows[:, :, None], jacobian, by_q * np.where(at.moving, 1.0, 0.0)[:, None, :], weighted], axis=2))
+    total, n = len(problem.parameters), by_q.shape[2]
+    blind = white[:, :, 1 + total : 1 + total + n]
+    moving = at.moving.any(axis=0)
+    rank = present.sum(axis=1)
+    if np.any(moving):
+        u, s, _ = np.linalg.svd(blind[:, :, moving], full_matrices=False)
+        kept = s > 1e-9 * np.maximum(s[:, :1], 1e-300)
+        u = u * (kept & (s > 0))[:, None, :]
+        white = white - u @ (u.transpose(0, 2, 1) @ white)
+        rank = rank - (kept & (s > 0)).sum(axis=1)
+    extra, extra_residual = _shared(problem, theta)
+    return Linearised(white[:, :, 0], white[:, :, 1 : 1 + total], rank, extra, extra_residual,
+                      white[:, :, 1 + total + n :])
+
+
+def _shared(problem: CalibrationProblem, theta: Array) -> tuple[Array, Array]:
+    rows, residuals = [], []
+    for ends, length, sigma in zip(problem.distances.ends, problem.distances.length, problem.distances.sigma,
+                                   strict=True):
+        apart = theta[ends[0]] - theta[ends[1]]
+        row = np.zeros(len(theta))
+        row[ends[0]], row[ends[1]] = apart / np.linalg.norm(apart) / sigma, -apart / np.linalg.norm(apart) / sigma
+        rows.append(row)
+        residuals.append((np.linalg.norm(apart) - length) / sigma)
+    for k in np.flatnonzero(problem.known):
+        rows.append(np.eye(len(theta))[k] * problem.known[k])
+        residuals.append(problem.known[k] * (theta[k] - problem.parameters.nominal[k]))
+    return np.array(rows).reshape(-1, len(theta)), np.array(residuals)
+
+
+@dataclass(frozen=True, eq=False)
+class Observability:
+    """What rows tell about the free parameters.
+
+    Attributes:
+        names: of the free parameters, f of them; `scale` (f,) makes them comparable.
+        information: (f, f) Fisher information of the data, known distances included; `prior` (f, f) that of the priors.
+    """
+
+    names: tuple[str, ...]
+    scale: Array
+    information: Array
+    prior: Array
+
+    @cached_property
+    def _normalised(self) -> tuple[Array, Array, Array]:
+        size = np.sqrt(np.diag(self.information))
+        size = np.where(size > 0, size, 1.0)
+        values, vectors = np.linalg.eigh(self.information / np.outer(size, size))
+        return size, values, vectors
+
+    @cached_property
+    def unseen(self) -> Array:
+        """(f, k) orthonormal directions, in units of `scale`, that leave no trace in the data."""
+        size, values, vectors = self._normalised
+        away = vectors[:, values < UNSEEN * max(values[-1], 1e-300)] / (size * self.scale)[:, None]
+        return np.linalg.qr(away)[0] if away.shape[1] else away
+
+    @cached_property
+    def category(self) -> tuple[str, ...]:
+        """``full``, ``combination`` or ``none`` of every parameter, from the data alone."""
+        touched = np.linalg.norm(self.unseen, axis=1) > SHARE
+        blank = np.diag(self.information) == 0
+        return tuple("none" if b else "combination" if t else "full" for b, t in zip(blank, touched, strict=True))
+
+    @cached_property
+    def combinations(self) -> tuple[tuple[str, ...], ...]:
+        """Groups of parameters that the data show only together."""
+        groups: list[set[int]] = []
+        for column in _sparse_basis(self.unseen).T:
+            members = {int(k) for k in np.flatnonzero(np.abs(column) > SHARE)}
+            if len(members) < 2:
+                continue
+            for group in [g for g in groups if g & members]:
+                members |= group
+                groups.remove(group)
+            groups.append(members)
+        return tuple(tuple(self.names[k] for k in sorted(group)) for group in groups)
+
+    @cached_property
+    def covariance(self) -> Array:
+        """(f, f) of the estimate; infinite where neither data nor priors tell."""
+        total = self.information + self.prior
+        size = np.sqrt(np.maximum(np.diag(total), 1e-300))
+        values, vectors = np.linalg.eigh(total / np.outer(size, size))
+        good = values > UNSEEN * values[-1]
+        half = vectors[:, good] / np.sqrt(values[good]) / size[:, None]
+        covariance: Array = half @ half.T
+        lost = np.linalg.norm(vectors[:, ~good], axis=1) > SHARE
+        covariance[lost, lost] = np.inf
+        return covariance
+
+    @property
+    def std(self) -> Array:
+        """(f,) standard deviations."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+    def strongest(self, k: int) -> tuple[str, float]:
+        """The parameter with the strongest correlation to the one at k, and that correlation."""
+        std = self.std
+        if not np.isfinite(std[k]) or len(self.names) < 2:
+            return "", float("nan")
+        other = np.where(np.isfinite(std), self.covariance[k] / (std * std[k]), 0.0)
+        other[k] = 0.0
+        best = int(np.argmax(np.abs(other)))
+        return self.names[best], float(other[best])
+
+    @property
+    def condition_number(self) -> float:
+        """Largest over smallest singular value of the scaled, whitened Jacobian, unseen directions left out."""
+        singular = self._singular
+        return float(singular[0] / singular[-1])
+
+    @property
+    def noise_amplification_index(self) -> float:
+        """σ_min²/σ_max of the same Jacobian (Nahvi and Hollerbach 1996): the larger the better the poses."""
+        singular = self._singular
+        return float(singular[-1] ** 2 / singular[0])
+
+    @cached_property
+    def _singular(self) -> Array:
+        values = np.linalg.eigvalsh(self.information * np.outer(self.scale, self.scale))[::-1]
+        return np.asarray(np.sqrt(np.maximum(values[: len(values) - self.unseen.shape[1]], 1e-300)))
+
+
+def _sparse_basis(space: Array) -> Array:
+    """The same space by columns that each have as few entries as elimination gives."""
+    basis = space.T.copy()
+    for row in range(len(basis)):
+        pivot = int(np.argmax(np.abs(basis[row])))
+        basis[row] /= basis[row, pivot]
+        for other in range(len(basis)):
+            if other != row:
+                basis[other] -= basis[other, pivot] * basis[row]
+    return np.asarray(basis.T)
+
+
+def observability(problem: CalibrationProblem, at: Linearised) -> Observability:
+    """What the linearised poses tell about the free parameters of a problem."""
+    free = np.flatnonzero(problem.free)
+    jacobian = at.jacobian[:, :, free].reshape(-1, len(free))
+    known = len(problem.distances.length)
+    jacobian = np.vstack([jacobian, at.shared[:known][:, free]])
+    size = np.linalg.norm(jacobian * problem.parameters.scale[free], axis=0)
+    jacobian[:, size < ROUNDING * np.max(size, initial=0.0)] = 0.0  # what projecting left of columns that vanish
+    prior = at.shared[known:][:, free]
+    names = tuple(problem.parameters.names[k] for k in free)
+    return Observability(names, problem.parameters.scale[free], jacobian.T @ jacobian, prior.T @ prior)
+
+
+def spread(model: KinematicModel, seen: Observability, by_g: Array) -> Array:
+    """Root of the trace of a point's covariance (K,) [m], for its Jacobians by the geometry (K, 3, p).
+
+    NaN where a parameter that moves the point is not known.
+    """
+    own = [k for k, name in enumerate(seen.names) if name in model.parameters.positions]
+    by_own = by_g[:, :, model.parameters.select(seen.names[k] for k in own)]
+    covariance = seen.covariance[np.ix_(own, own)]
+    lost = ~np.isfinite(np.diag(covariance))
+    blurred = np.any(np.abs(by_own[:, :, lost]) > 0, axis=(1, 2))
+    covariance = np.where(lost[:, None] | lost, 0.0, covariance)
+    variance = np.einsum("nik,kl,nil->n", by_own, covariance, by_own, optimize=True)
+    return np.where(blurred, np.nan, np.sqrt(np.maximum(variance, 0.0)))
+
+
+def tip_uncertainty(problem: CalibrationProblem, theta: Array, seen: Observability, q: Array) -> Array:
+    """Standard deviation (N,) [m] of the tip's position at joint vectors (N, n), as `spread`."""
+    model = problem.model
+    by_g = model.over(model.observed_jacobians, theta[: len(model.parameters)], q, np.zeros(3))[1][:, :3]
+    return spread(model, seen, by_g)

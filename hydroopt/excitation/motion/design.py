@@ -1,0 +1,284 @@
+"""The motion that tells most about a machine's parameters within all of its limits (Gautier and Khalil 1992).
+
+Coefficients of the motion are the variables of a nonlinear program with exact first derivatives, which is solved from
+many starts, in processes side by side. What it returns is checked at the controller's rate and, if a limit
+is touched in between, drawn towards a posture of rest until none is: a motion that breaks a limit never comes out.
+"""
+
+from __future__ import annotations
+
+import signal
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor, wait
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from multiprocessing import get_context
+from multiprocessing.queues import Queue
+from multiprocessing.synchronize import Event
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from hydroopt.errors import ProblemError, SolverError
+from hydroopt.excitation.criteria import Information, presumed_noise, question
+from hydroopt.excitation.motion.basis import Basis
+from hydroopt.excitation.motion.excitation import Excitation
+from hydroopt.excitation.motion.limits import Limits, margins
+from hydroopt.excitation.motion.problem import ExcitationProblem
+from hydroopt.excitation.motion.sqp import sequential_quadratic_programming
+from hydroopt.interrupt import deaf
+from hydroopt.machine.machine import Machine
+from hydroopt.model.model import Model
+from hydroopt.simulation.simulate import sampling_rate
+from hydroopt.spatial.inertia import Array
+
+POSTURES = 2000
+"""Random postures among which one to rest in is sought."""
+DRAWN = 4
+"""Random motions of which the best is a start."""
+BACK_OFF, ROUNDS = 0.001, 4
+"""Part of every limit's range that is left as room, and how often it is widened if it was not enough."""
+TIGHT = 0.02
+"""Part of a limit's scale within which it counts as touched."""
+STILL = 1e-6
+"""Speed [rad/s, m/s] that is none."""
+Heard = Callable[[int, float], None]
+
+
+def excitation_problem(machine: Machine, basis: Basis, *, criterion: str = "D", focus: Sequence[str] = (),
+                       priors: bool = False, known: Array | None = None, rate: float | None = None,
+                       resting: Mapping[str, float] | None = None) -> ExcitationProblem:
+    """What a motion of a machine is to tell, and within which limits.
+
+    Args:
+        machine: with all of its limits.
+        basis: functions of time of which the motion is made.
+        criterion: ``D``, ``A``, ``E`` or ``condition``.
+        focus: parameters, parts, ``payload`` or ``friction``, which alone count.
+        priors: whether the machine file's confidences count as known.
+        known: (p, p) information of logs already measured, see `expectation.measured`.
+        rate: samples per second of the controller; by default the highest that the file states for a joint's sensor,
+            or 50.
+        resting: joints that rest, and where [rad, m].
+
+    Raises:
+        ProblemError: what cannot be, and what would do.
+        IdentifiabilityError: nothing tells what is in focus.
+    """
+    model = Model(machine)
+    model.refuse_seals("excitation")
+    asked = question(model, presumed_noise(model), focus=focus, bayesian=priors, measured=known)
+    return ExcitationProblem(Information(model, asked, criterion), Limits(model, margins(model)), basis,
+                   sampling_rate(machine) if rate is None else rate, resting)
+
+
+def design(program: ExcitationProblem, *, starts: int = 16, seed: int = 0, seconds: float = 60.0, processes: int = 1,
+           say: Callable[[str], None] = lambda _: None) -> Excitation:
+    """The best motion found from several starts; Ctrl-C ends the search and keeps it.
+
+    Args:
+        program: what is asked, within which limits, with which functions.
+        starts: random motions to begin with.
+        seed: of these.
+        seconds: after which the best motion so far is taken; at least one start is begun.
+        processes: how many starts go on at the same time; with more than one, a script that calls this needs the usual
+            ``if __name__ == "__main__"``.
+        say: hears of progress.
+
+    Raises:
+        ProblemError: not even rest keeps all limits, or nothing but rest; the limits in conflict are named.
+        SolverError: a process ended without an answer.
+        KeyboardInterrupt: there was Ctrl-C before there was a motion.
+    """
+    if not (starts >= 1 and processes >= 1 and seconds > 0):
+        raise ProblemError("nothing is to be tried", where="excitation",
+                           remedy="give at least one start, one process and some seconds")
+    still = rest(program, np.random.default_rng(seed))
+    found: list[tuple[Array, float]] = []
+    criterion, best = program.information.criterion, np.inf
+
+    def heard(start: int, value: float) -> None:
+        nonlocal best
+        best = min(best, value)
+        say(f"start {start + 1} of {starts}: {criterion} = {value:.4g}, best {best:.4g}")
+
+    processes, end = min(processes, starts), time.time() + seconds
+    with _interruptible() as interrupted:
+        if processes == 1:
+            for start in range(starts):
+                found.append(_attempt(program, still, (seed, start), end, interrupted, heard))
+                if interrupted():
+                    break
+        else:
+            found += _in_parallel(program, still, seed, starts, processes, end, interrupted, heard)
+        stopped = interrupted()
+    moving = [each for each in found if np.max(np.abs(program.states(each[0], program.fine).qd)) > STILL]
+    if moving:
+        return Excitation(program, min(moving, key=lambda each: each[1])[0], stopped)
+    if stopped:
+        raise KeyboardInterrupt
+    raise ProblemError(f"{', '.join(_obstacles(program, still))} cannot be kept by any motion that was tried, however "
+                       "small", where="excitation",
+                       remedy="correct these limits in the machine file, or give more time")
+
+
+def _attempt(program: ExcitationProblem, rest: Array, seed: tuple[int, int], end: float,
+             interrupted: Callable[[], bool],
+             heard: Heard) -> tuple[Array, float]:
+    """The best motion that a start leads to, and its value; rest if the time, by ``time.time()``, is over."""
+    end += time.monotonic() - time.time()
+    if interrupted() or (time.monotonic() > end and seed[1] > 0):  # the first goes as far as to a random motion
+        return rest, np.inf
+    # the matrices are too small to gain from threads, which only get in each other's way
+    with threadpool_limits(limits=1, user_api="blas"):
+        rng = np.random.default_rng(seed)
+        best = min((drawn(program, rest, rng) for _ in range(DRAWN)), key=program.value)
+        x, back_off = best, BACK_OFF
+        for _ in range(ROUNDS):
+            x = sequential_quadratic_programming(program, x, back_off, end, interrupted,
+                                                 lambda value: heard(seed[1], value))
+            over = program.excess(x, program.fine)
+            if over <= 0:
+                break
+            back_off += BACK_OFF / 4 + 1.5 * over  # a limit is broken between the times at which it was kept
+        best = min(best, shrunk(program, x, rest), key=program.value)
+        return best, program.value(best)
+
+
+class _Worker:
+    """What a process of the pool holds from its beginning."""
+
+    program: ExcitationProblem
+    rest: Array
+    stop: Event
+    tell: Queue[tuple[int, float]]
+
+    @classmethod
+    def begin(cls, program: ExcitationProblem, rest: Array, stop: Event, tell: Queue[tuple[int, float]]) -> None:
+        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when to stop
+        cls.program, cls.rest, cls.stop, cls.tell = program, rest, stop, tell
+
+    @classmethod
+    def attempt(cls, seed: tuple[int, int], end: float) -> tuple[Array, float]:
+        return _attempt(cls.program, cls.rest, seed, end, cls.stop.is_set, lambda *said: cls.tell.put(said))
+
+
+def _in_parallel(program: ExcitationProblem, rest: Array, seed: int, starts: int, processes: int, end: float,
+                 interrupted: Callable[[], bool], heard: Heard) -> list[tuple[Array, float]]:
+    context = get_context("spawn")
+    stop, told = context.Event(), context.Queue()
+    try:
+        with ProcessPoolExecutor(processes, context, _Worker.begin, (program, rest, stop, told)) as pool:
+            with deaf():
+                attempts = [pool.submit(_Worker.attempt, (seed, start), end) for start in range(starts)]
+            running = set(attempts)
+            while running:
+                _, running = wait(running, timeout=0.2)
+                while not told.empty():
+                    heard(*told.get())
+                if interrupted() and not stop.is_set():
+                    stop.set()
+                    for attempt in running:  # what has not begun need not
+                        attempt.cancel()
+            return [attempt.result() for attempt in attempts if not attempt.cancelled()]
+    except BrokenProcessPool:
+        raise SolverError("a process ended without an answer", where="excitation",
+                          remedy="use fewer processes, so that memory suffices") from None
+
+
+def shrunk(program: ExcitationProblem, x: Array, rest: Array, *, rough: bool = False) -> Array:
+    """The motion nearest to x, on the way to rest, that keeps all limits at the controller's rate and on the grid.
+
+    A rough one keeps them at the few nodes, and may be a little nearer to rest.
+    """
+    times = (program.nodes,) if rough else (program.fine, program.grid)
+
+    def keeps(part: float) -> bool:
+        at = rest + part * (x - rest)
+        return bool(np.all(np.isfinite(at))) and all(program.excess(at, rows) <= 0 for rows in times)
+
+    if keeps(1.0):
+        return x
+    low, high = 0.0, 1.0
+    for _ in range(8 if rough else 30):
+        middle = (low + high) / 2
+        low, high = (middle, high) if keeps(middle) else (low, middle)
+    return np.asarray(rest + low * (x - rest))
+
+
+def rest(program: ExcitationProblem, rng: np.random.Generator) -> Array:
+    """The posture in which all limits are kept by the most, of many random ones and then of ever nearer ones.
+
+    Raises:
+        ProblemError: a limit is broken in all of them; those in conflict are named.
+    """
+    limits, best = program.limits, program.mean
+    least = np.full(len(limits.rows), np.inf)
+    for size in (1.0, 0.3, 0.1, 0.03, 0.01):
+        q, excess = _postures(program, best, size, rng)
+        chosen = int(np.argmin(np.max(excess, axis=1)))
+        best, worst, least = q[chosen], excess[chosen], np.minimum(least, np.min(excess, axis=0))
+    if np.max(worst) > 0:
+        never = dict.fromkeys(limits.rows[k].name for k in np.flatnonzero(least > 0))
+        broken = dict.fromkeys(limits.rows[k].name for k in np.flatnonzero(worst > 0))
+        # of limits that can each be kept, those that hold the posture where it is conflict with the broken ones
+        tight = dict.fromkeys(limits.rows[k].name for k in np.flatnonzero((worst <= 0) & (worst > -TIGHT)))
+        what = "in any posture" if never else "together in any posture"
+        raise ProblemError(f"{', '.join(never or broken | tight)} cannot be kept {what}", where="excitation",
+                           remedy="correct these limits in the machine file, or the posture of joints that rest")
+    return program.posture(best)
+
+
+def _obstacles(program: ExcitationProblem, rest: Array) -> list[str]:
+    """Names of limits that a slight random motion about rest breaks."""
+    slight = rest + STILL * np.random.default_rng(0).standard_normal(len(rest))
+    values = program.limits.values(*program.states(slight, program.grid))
+    broken = np.flatnonzero(np.max(program.limits.excess(values), axis=0) > 0)
+    return list(dict.fromkeys(program.limits.rows[k].name for k in broken)) or ["all limits together"]
+
+
+def _postures(program: ExcitationProblem, near: Array, size: float, rng: np.random.Generator) -> tuple[Array, Array]:
+    """A posture (n,) and random ones within a part of the joints' ranges, (P, n), and their excesses (P, m) at rest."""
+    joints = program.information.model.machine.joints
+    low, high = np.array([program.information.model.machine.link(joint).joint.range for joint in joints]).T
+    drawn = rng.uniform(low, high, (POSTURES, len(low)))
+    q = np.vstack([near, drawn if size == 1 else np.clip(near + size * (drawn - (low + high) / 2), low, high)])
+    for joint, at in program.resting.items():
+        q[:, joints.index(joint)] = at
+    return q, program.limits.excess(program.limits.values(q, 0 * q, 0 * q))
+
+
+def drawn(program: ExcitationProblem, rest: Array, rng: np.random.Generator) -> Array:
+    """A random motion: about a random posture every joint as far as the limits let it go by itself, then all together.
+
+    `rest` is where it rests if nothing else keeps the limits.
+    """
+    q, excess = _postures(program, program.mean, 1.0, rng)
+    kept = np.flatnonzero(np.max(excess, axis=1) <= 0)
+    rest = program.posture(q[rng.choice(kept)]) if kept.size else rest
+    shape = (len(program.basis.names), len(program.active))
+    wave = rng.standard_normal(shape)
+    wave -= np.outer(program.one, wave.mean(axis=0))  # the posture is its middle
+    total = np.zeros(shape)
+    for k in range(shape[1]):
+        alone = np.zeros(shape)
+        alone[:, k] = wave[:, k]
+        total[:, k] = np.reshape(
+            shrunk(program, rest + alone.ravel(), rest, rough=True) - rest, shape)[:, k]
+    return shrunk(program, rest + total.ravel(), rest)
+
+
+@contextmanager
+def _interruptible() -> Iterator[Callable[[], bool]]:
+    """Ctrl-C becomes something that can be asked for; elsewhere than in the main thread nothing changes."""
+    pressed = threading.Event()
+    if threading.current_thread() is not threading.main_thread():
+        yield pressed.is_set
+        return
+    before = signal.signal(signal.SIGINT, lambda *_: pressed.set())
+    try:
+        yield pressed.is_set
+    finally:
+        signal.signal(signal.SIGINT, before)

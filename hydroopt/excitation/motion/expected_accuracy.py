@@ -1,0 +1,133 @@
+"""What a log tells of the parameters: of one already measured, and of a motion before it is driven.
+
+Angles are noisy too, and so are the speeds and accelerations that follow from them. To first order in that noise the
+residual of the actuator forces is ``ε − A·S·n``: ε the noise of the forces, n that of the angles, S the smoother, which
+is linear once its weight is chosen, and A the derivative of the forces by the motion. Weighted least squares with
+weights W, regressor K and prior information Λ then errs by ``H⁻¹·(KᵀW·(ε − A·S·n) + prior's error)`` with
+``H = KᵀWK + Λ``, whose covariance stands here. What the smoother takes away from the motion itself is no noise: it puts
+parameters off by a bias, ``−H⁻¹·KᵀW·A·(S − 1)·q``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydroopt.estimation.dynamic.identify import identify
+from hydroopt.estimation.dynamic.problem import identification_problem
+from hydroopt.estimation.dynamic.regressor_qr import compress
+from hydroopt.estimation.dynamic.streamed_experiment import in_memory
+from hydroopt.estimation.inference.identifiability import Identifiability
+from hydroopt.excitation.criteria import presumed_noise
+from hydroopt.logs import spline
+from hydroopt.logs.log import Log
+from hydroopt.logs.readings import angle_noise, force_noise
+from hydroopt.logs.stream import LogStream
+from hydroopt.machine.machine import Machine
+from hydroopt.model.model import Model
+from hydroopt.simulation.simulate import Trajectory, simulate
+from hydroopt.spatial.inertia import Array
+
+UNSEEN = 1e-9
+"""Part of the greatest singular value of the scaled regressor below which a direction counts as unseen."""
+
+
+@dataclass(frozen=True, eq=False)
+class Expectation:
+    """Standard deviations to expect of an identification; infinite where nothing is told.
+
+    Attributes:
+        base: (r,) of the base parameters by weighted least squares on the motion alone.
+        bias: (r,) by how much smoothing puts these off.
+        before: (p,) of all parameters by the machine file's confidences and the logs already measured.
+        after: (p,) of all parameters by these and the motion.
+        sigma: (n,) of the residuals of the actuators' forces [N, N·m].
+    """
+
+    base: Array
+    bias: Array
+    before: Array
+    after: Array
+    sigma: Array
+
+
+def measured(machine: Machine, logs: Sequence[Log | LogStream]) -> Array:
+    """Information (p, p) on ψ of logs already measured, by what their residuals turn out to be.
+
+    Raises:
+        LogError: a log that cannot be used.
+        IdentifiabilityError: no joint moves in them.
+    """
+    problem = identification_problem(machine, list(logs))
+    estimate = identify(problem, "wls")
+    R, _, _ = compress(problem.model, problem.experiments, psi=estimate.psi).weighted(
+        estimate.sigma * np.sqrt(estimate.correlation_time))
+    return np.asarray(R.T @ R)
+
+
+def expected(model: Model, motion: Trajectory, structure: Identifiability, known: Array | None = None, *,
+             seed: int = 0) -> Expectation:
+    """What identification with smoothing splines will tell after a motion was driven.
+
+    The smoother's weights, the samples left out and the weights of the forces are those that one simulated log leads
+    to; parameters are nominal.
+
+    Args:
+        model: the machine.
+        motion: what it will do.
+        structure: base parameters by ideal motion.
+        known: (p, p) information of logs already measured.
+        seed: of the simulated log.
+    """
+    machine, psi = model.machine, model.parameters.nominal
+    log = simulate(model, motion, seed=seed, name="expected")
+    problem = identification_problem(machine, [log])
+    estimate, noise = identify(problem, "wls"), presumed_noise(model)
+    (data,) = in_memory(problem.experiments, "the expectation")
+    stated = np.isfinite(force_noise(model))  # else the simulated log has no noise
+    sigma = np.where(stated, estimate.sigma, noise)
+    weight = (data.inside[:, None] & data.moving) / (sigma**2 * np.where(stated, estimate.correlation_time, 1.0))
+    scale, basis = model.parameters.scale, np.array(structure.basis)
+    K = model.over(model.regressor, motion.q, motion.qd, motion.qdd)[0] * scale
+    told: Array = np.asarray(np.linalg.qr((K * np.sqrt(weight)[:, :, None]).reshape(-1, K.shape[2]), mode="r"))
+    pulled = K * weight[:, :, None]
+    # what the noise of each force and of each angle adds to KᵀW·residual, a column each
+    errors = [(pulled * noise[:, None]).reshape(-1, K.shape[2]).T]
+    slopes = model.over(model.force_by_motion, motion.q, motion.qd, motion.qdd, psi)
+    off = np.zeros((K.shape[2], 1))
+    for j, (joint, std) in enumerate(zip(machine.joints, angle_noise(model, log), strict=True)):
+        if std > 0:
+            smooth = spline.fit(log.t, log.channel(f"{joint}.q"), float(std), machine.bandwidth)
+            rows = [np.einsum("tia,ti->at", pulled, slope[:, :, j]) for slope in slopes]
+            errors.append(std * smooth.pull_back(rows))
+            taken = smooth.again(motion.q[:, j])
+            for order, (row, true) in enumerate(zip(rows, (motion.q, motion.qd, motion.qdd), strict=True)):
+                off[:, 0] -= row @ (taken(motion.t, order) - true[:, j])
+    noisy = np.hstack(errors)
+    values, axes = np.linalg.eigh((model.parameters.information + (0 if known is None else known))
+                                  * np.outer(scale, scale))
+    prior = np.sqrt(np.maximum(values, 0))[:, None] * axes.T
+    alone, both = _Told(told[:, basis]), _Told(np.vstack([told, prior]))
+    return Expectation(scale[basis] * alone.std(noisy[basis]), scale[basis] * alone.std(off[basis]),
+                       scale * _Told(prior).std(prior.T), scale * both.std(np.hstack([noisy, prior.T])), sigma)
+
+
+class _Told:
+    """What rows R (·, p) of a regressor tell of p parameters."""
+
+    def __init__(self, root: Array) -> None:
+        lengths = np.linalg.norm(root, axis=0)
+        self.unit = np.where(lengths > 0, lengths, 1.0)
+        _, s, self.axes = np.linalg.svd(np.linalg.qr(root / self.unit, mode="r"), full_matrices=True)
+        self.seen = np.zeros(len(self.axes), dtype=bool)
+        self.seen[:len(s)] = s > UNSEEN * s[0]
+        self.size = s[self.seen[:len(s)]]
+        self.blind = (lengths == 0) | (np.max(np.abs(self.axes[~self.seen]), axis=0, initial=0.0) > 1e-6)
+
+    def std(self, errors: Array) -> Array:
+        """Sizes (p,) of ``(RᵀR)⁻¹·E·n`` with n white, for errors E (p, ·); infinite where R sees nothing."""
+        axes = self.axes[self.seen]
+        spread = axes.T @ (axes @ (errors / self.unit[:, None]) / self.size[:, None] ** 2)
+        return np.where(self.blind, np.inf, np.linalg.norm(spread, axis=1) / self.unit)

@@ -1,0 +1,214 @@
+"""What a machine cannot or must not do, as rows of numbers with bounds, each with a name a user knows.
+
+Joint positions, speeds and accelerations; cylinder strokes and speeds; the pump's flow; chamber pressures or torques by
+the nominal dynamics with a margin for its uncertainty; workspace, ground and obstacles; tipping over.
+"""
+
+from __future__ import annotations
+
+import itertools
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from hydroopt.estimation.inference.identifiability import random_states
+from hydroopt.machine.components import Cylinder, Motor
+from hydroopt.machine.machine import BASE
+from hydroopt.model.kinematics import gravity_in_base
+from hydroopt.model.model import Model
+from hydroopt.model.regressor import body_regressor
+from hydroopt.parameters.dynamic import bodies
+from hydroopt.simulation.simulate import BACK_PRESSURE
+from hydroopt.spatial.inertia import NAMES, Array
+
+
+class Row(NamedTuple):
+    """A quantity over a motion: its name, unit, bounds and typical size, by which its excess is judged.
+
+    It cannot be below its `floor`, whatever the function says.
+    """
+
+    name: str
+    unit: str
+    lower: float
+    upper: float
+    scale: float
+    floor: float = -np.inf
+
+
+class Limits:
+    """All limits of a machine as one function of the joints' state.
+
+    Attributes:
+        rows: what is bounded (m,), in the order of the function's output.
+        function: casadi.Function (q, qd, qdd) → (m,). It knows nothing of bounds, so that machines which differ in
+            these alone share its kernel.
+        derivatives: of it, (m, n) each, by q, qd and qdd.
+        scale: (m,) of the rows.
+        lower, upper: bounds (m,), divided by the scales.
+        margin: (n,) force [N, N·m] that each actuator keeps in reserve.
+    """
+
+    def __init__(self, model: Model, margin: Array | None = None) -> None:
+        self.model = model
+        machine = model.machine
+        self.margin = np.zeros(len(machine.actuators)) if margin is None else margin
+        self._found: list[tuple[Row, ca.SX]] = []
+        self._joints()
+        self._cylinders()
+        self._pump()
+        self._efforts()
+        self._places()
+        self._tipping()
+        self.rows = tuple(row for row, _ in self._found)
+        self.scale = np.array([row.scale for row in self.rows])
+        at, values = model.at, ca.vertcat(*(value for _, value in self._found))
+        self.function = ca.Function("limits", [*at], [values], ["q", "qd", "qdd"], ["value"])
+        self.derivatives = ca.Function("limits_derivatives", [*at], [ca.densify(ca.jacobian(values, x)) for x in at],
+                                       ["q", "qd", "qdd"], ["by_q", "by_qd", "by_qdd"])
+        self.lower = np.array([row.lower for row in self.rows]) / self.scale
+        self.upper = np.array([row.upper for row in self.rows]) / self.scale
+
+    def __reduce__(self) -> tuple[type[Limits], tuple[object, ...]]:
+        return Limits, (self.model, self.margin)
+
+    def values(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """What is limited (N, m) in states (N, n), divided by the scales."""
+        return np.asarray(self.model.over(self.function, q, qd, qdd)[0][:, :, 0] / self.scale)
+
+    def slopes(self, q: Array, qd: Array, qdd: Array) -> tuple[Array, Array, Array]:
+        """Derivatives (N, m, n) of `values` by q, qd and qdd."""
+        first, second, third = (part / self.scale[:, None]
+                                for part in self.model.over(self.derivatives, q, qd, qdd))
+        return first, second, third
+
+    def excess(self, values: Array) -> Array:
+        """By how much (N, m) values (N, m) exceed their bounds; at most zero if kept, infinite if there is none."""
+        found = np.maximum(values - self.upper, self.lower - values)
+        return np.where(np.isfinite(found), found, np.inf)
+
+    def _add(self, name: str, unit: str, value: ca.SX, lower: float = -np.inf, upper: float = np.inf,
+             scale: float | None = None, floor: float = -np.inf) -> None:
+        sizes = [abs(bound) for bound in (lower, upper) if np.isfinite(bound) and bound]
+        self._found.append((Row(name, unit, lower, upper, scale or (max(sizes) if sizes else 1.0), floor), value))
+
+    def _joints(self) -> None:
+        machine, at = self.model.machine, self.model.at
+        for k, name in enumerate(machine.joints):
+            joint = machine.link(name).joint
+            unit = "m" if joint.type == "prismatic" else "rad"
+            lower, upper = joint.range
+            self._add(f"{name} position", unit, at.q[k], lower, upper, upper - lower)
+            for what, limit, value, per in (("speed", joint.max_speed, at.qd[k], "/s"),
+                                            ("acceleration", joint.max_acceleration, at.qdd[k], "/s^2")):
+                if limit is not None:
+                    self._add(f"{name} {what}", unit + per, value, -limit, limit)
+
+    def _cylinders(self) -> None:
+        for cylinder in self.model.machine.cylinders:
+            motion = self.model.dynamics.cylinders[cylinder.name]
+            self._add(f"{cylinder.name} stroke", "m", motion.length, cylinder.dead_length,
+                      cylinder.dead_length + cylinder.stroke, cylinder.stroke)
+            if cylinder.max_speed is not None:
+                self._add(f"{cylinder.name} speed", "m/s", motion.speed, -cylinder.max_speed, cylinder.max_speed)
+
+    def _pump(self) -> None:
+        machine = self.model.machine
+        if machine.pump is None or machine.pump.max_flow is None:
+            return
+        # an actuator draws what its growing chamber takes, whichever grows: the greatest of all combinations counts,
+        # two to the power of the actuators, since a maximum has no derivative
+        draws = []
+        for k, actuator in enumerate(machine.actuators):
+            speed = self.model.dynamics.rates[k]
+            if isinstance(actuator, Cylinder):
+                head, rod = actuator.areas
+                draws.append((head * speed, -rod * speed))
+            elif isinstance(actuator, Motor):
+                size = actuator.torque_per_pressure * actuator.gear
+                draws.append((size * speed, -size * speed))
+        for chosen in itertools.product(*draws) if draws else ():
+            self._add("pump flow", "m^3/s", sum(chosen[1:], chosen[0]), upper=machine.pump.max_flow)
+
+    def _efforts(self) -> None:
+        model = self.model
+        force = model.dynamics.forces(ca.DM(model.parameters.nominal), actuator_inertia=model.actuator_inertia)
+        for k, actuator in enumerate(model.machine.actuators):
+            margin = float(self.margin[k])
+            if isinstance(actuator, Cylinder):
+                areas, chambers = actuator.areas, ("p_head", "p_rod")
+            elif isinstance(actuator, Motor):
+                size = abs(actuator.torque_per_pressure) * actuator.gear
+                areas, chambers = (size, size), ("p_a", "p_b")
+            elif actuator.max_torque is not None:
+                most = actuator.max_torque
+                self._add(f"{actuator.name} torque", model.force_units[k], force[k], margin - most, most - margin, most)
+                continue
+            else:
+                continue
+            if actuator.relief_pressure is None:
+                continue
+            # a chamber pushes against the back pressure in the other one
+            for chamber, area, other, sign in zip(chambers, areas, areas[::-1], (1, -1), strict=True):
+                most = actuator.relief_pressure - margin / area
+                self._add(f"{actuator.name} {chamber}", "Pa", (sign * force[k] + other * BACK_PRESSURE) / area,
+                          upper=most if most >= BACK_PRESSURE else -np.inf,  # nothing is as low as that
+                          scale=actuator.relief_pressure, floor=BACK_PRESSURE)
+
+    def _places(self) -> None:
+        machine, dynamics = self.model.machine, self.model.dynamics
+        ends = {link.name: (dynamics.links[link.name].pose @ dynamics.geometry.far_end(link.name)).origin
+                for link in machine.links}
+        tip = ends[machine.links[-1].name]
+        if machine.workspace is not None:
+            for k, (low, high) in enumerate(zip(machine.workspace.lower, machine.workspace.upper, strict=True)):
+                self._add(f"workspace along {'xyz'[k]}", "m", tip[k], low, high, high - low)
+        if machine.ground is not None:
+            for name, end in ends.items():
+                if not end[2].is_constant():
+                    self._add(f"{name} above ground", "m", end[2], machine.ground, scale=1.0)
+        for obstacle in machine.obstacles:
+            pose = dynamics.links[obstacle.link].pose if obstacle.link != BASE else None
+            centre = ca.DM(obstacle.centre) if pose is None else pose.point(ca.DM(obstacle.centre))
+            self._add(f"distance to {obstacle.name}", "m", ca.norm_2(tip - centre), obstacle.radius)
+
+    def _tipping(self) -> None:
+        machine, dynamics = self.model.machine, self.model.dynamics
+        if machine.footprint is None or machine.ground is None:
+            return
+        psi, place = self.model.parameters.nominal, self.model.parameters.positions
+        owners = tuple(bodies(machine, actuator_inertia=self.model.actuator_inertia))
+        force, moment = ca.SX(3, 1), ca.SX(3, 1)
+        for owner in owners:
+            motion = dynamics.body_motion(owner)
+            first = place[f"{owner}.m"]
+            wrench = body_regressor(motion) @ ca.DM(psi[first:first + len(NAMES)])
+            own = motion.pose.rotation @ wrench[:3]
+            force += own
+            moment += motion.pose.rotation @ wrench[3:] + ca.cross(motion.pose.origin, own)
+        weight = -machine.footprint.mass * ca.DM(gravity_in_base(machine))
+        force += weight
+        moment += ca.cross(ca.DM(machine.footprint.com), weight)
+        corners = [np.array([*corner, machine.ground]) for corner in machine.footprint.corners]
+        total = machine.gravity * (machine.footprint.mass + sum(psi[place[f"{owner}.m"]] for owner in owners)) or 1.0
+        for k, corner in enumerate(corners):
+            edge = corners[(k + 1) % len(corners)] - corner
+            # about each edge the ground's push must turn inwards, or the machine leaves the ground
+            held = ca.dot(ca.DM(edge / np.linalg.norm(edge)), moment - ca.cross(ca.DM(corner), force))
+            self._add(f"tipping over edge {k + 1}", "N*m", held, 0.0, scale=total)
+
+
+def margins(model: Model, samples: int = 400, seed: int = 0) -> Array:
+    """How much more force [N, N·m] (n,) than by the nominal parameters an actuator may need.
+
+    Twice the standard deviation that the machine file's confidences leave, in the median of random states within the
+    joints' limits; what the file gives no confidence of counts as exact.
+    """
+    states = random_states(model, samples, np.random.default_rng(seed))
+    K = model.over(model.regressor, *states)[0]
+    information = model.parameters.information
+    known = np.diag(information) > 0
+    covariance = np.linalg.inv(information[np.ix_(known, known)])
+    variance = np.einsum("tij,jk,tik->ti", K[:, :, known], covariance, K[:, :, known])
+    return np.asarray(2 * np.sqrt(np.median(variance, axis=0)))

@@ -1,0 +1,178 @@
+"""The nonlinear program of a motion: coefficients in, criterion and limits out, with exact derivatives."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.errors import ProblemError
+from hydroopt.excitation.criteria import Information
+from hydroopt.excitation.motion.basis import Basis, Rows, check
+from hydroopt.excitation.motion.limits import Limits
+from hydroopt.spatial.inertia import Array
+
+NODES, GRID = 12, 48
+"""Times in a period of the fastest wave at which the criterion is reckoned, and at which limits are kept."""
+
+
+FEWEST, MOST = 20, 1e6
+"""Samples of a motion."""
+
+
+class State(NamedTuple):
+    """States (N, n) of the joints."""
+
+    q: Array
+    qd: Array
+    qdd: Array
+
+
+class ExcitationProblem:
+    """The nonlinear program of a design: `x` holds the coefficients (m, active) of the joints that move.
+
+    Args:
+        information: what the motion is asked, and of what machine.
+        limits: what it must keep.
+        basis: its functions of time.
+        rate: samples per second of the controller.
+        resting: joints that rest, and where [rad, m].
+
+    Raises:
+        ProblemError: the motion is faster than the valves, a resting joint is unknown or out of its range, all rest, or
+            there would be too many samples.
+    """
+
+    def __init__(self, information: Information, limits: Limits, basis: Basis, rate: float,
+                 resting: Mapping[str, float] | None = None) -> None:
+        check(basis, information.model.machine.bandwidth)
+        self.information, self.limits, self.basis, self.rate = information, limits, basis, rate
+        joints = information.model.machine.joints
+        self.resting = dict(resting or {})
+        self.samples = _samples(basis, rate)
+        for name, at in self.resting.items():
+            if name not in joints:
+                raise ProblemError(f"'{name}' is no moving joint that could rest", where="excitation",
+                                   remedy=f"use {', '.join(joints)}")
+            lower, upper = information.model.machine.link(name).joint.range
+            if not lower <= at <= upper:
+                unit = information.model.machine.channel_units[f"{name}.q"]
+                raise ProblemError(f"joint '{name}' cannot rest at {at:.4g} {unit}: its range is {lower:.4g} to "
+                                   f"{upper:.4g} {unit}", where="excitation", remedy="let it rest within its range")
+        self.active, self.idle = ([k for k, joint in enumerate(joints) if (joint in self.resting) == rests]
+                                  for rests in (False, True))
+        if not self.active:
+            raise ProblemError("all joints rest", where="excitation", remedy="let one joint move")
+        self.still = np.array([self.resting.get(joint, 0.0) for joint in joints])
+        waves = basis.fastest * basis.duration
+        self.nodes, self.grid = (basis.rows(np.linspace(0, basis.duration, max(int(np.ceil(times * waves)) + 1, 20)))
+                                 for times in (NODES, GRID))
+        self.worth = self.samples / len(self.nodes.position)
+        ranges = np.array([information.model.machine.link(joint).joint.range for joint in joints])
+        self.size = np.diff(ranges, axis=1)[self.active, 0] / 2
+        self.mean = np.where([joint in self.resting for joint in joints], self.still, ranges.mean(axis=1))
+        # the coefficients of a function that is one throughout
+        self.one = np.linalg.lstsq(self.nodes.position, np.ones(len(self.nodes.position)), rcond=None)[0]
+
+    def __reduce__(self) -> tuple[type[ExcitationProblem], tuple[object, ...]]:
+        return ExcitationProblem, (self.information, self.limits, self.basis, self.rate, self.resting)
+
+    @cached_property
+    def t(self) -> Array:
+        """Times (N,) of the controller's samples [s]."""
+        return np.arange(self.samples) / self.rate
+
+    @cached_property
+    def fine(self) -> Rows:
+        """The functions at the controller's samples."""
+        return self.basis.rows(self.t)
+
+    def coefficients(self, x: Array) -> Array:
+        """(m, n) of all joints."""
+        made = np.outer(self.one, self.still)
+        made[:, self.active] = np.reshape(x, (-1, len(self.active))) * self.size
+        return made
+
+    def states(self, x: Array, rows: Rows) -> State:
+        """Joint states (N, n) at the times of some rows."""
+        c = self.coefficients(x)
+        found = State(*(part @ c for part in rows))
+        found.q[:, self.idle], found.qd[:, self.idle], found.qdd[:, self.idle] = self.still[self.idle], 0.0, 0.0
+        return found
+
+    def posture(self, q: Array) -> Array:
+        """x of resting at a posture (n,)."""
+        return np.asarray(np.outer(self.one, q[self.active] / self.size).ravel())
+
+    def objective(self, x: Array) -> tuple[float, Array]:
+        """Criterion and gradient."""
+        value, by_state = self.information.value_and_slope(*self.states(x, self.nodes), self.worth)
+        return value, self._chain(by_state)
+
+    def value(self, x: Array) -> float:
+        """The criterion alone."""
+        return self.information.value(*self.states(x, self.nodes), self.worth)
+
+    def _chain(self, by_state: Array) -> Array:
+        n = len(self.still)
+        parts = [by_state[:, k * n:(k + 1) * n][:, self.active] for k in range(3)]
+        total = sum(rows.T @ part for rows, part in zip(self.nodes, parts, strict=True))
+        return np.asarray((total * self.size).ravel())
+
+    def constraints(self, x: Array) -> Array:
+        """What is limited (N, m) at the times of `grid`, divided by its scale."""
+        return self.limits.values(*self.states(x, self.grid))
+
+    def slopes(self, x: Array) -> tuple[Array, Array, Array]:
+        """Derivatives (N, m, active) of `constraints` by the positions, speeds and accelerations of moving joints."""
+        first, second, third = (part[:, :, self.active] * self.size
+                                for part in self.limits.slopes(*self.states(x, self.grid)))
+        return first, second, third
+
+    def jacobian(self, slopes: tuple[Array, Array, Array], taken: NDArray[np.bool_]) -> Array:
+        """Derivatives (k, len(x)) of those constraints (N, m) that are taken."""
+        node, row = np.nonzero(taken)
+        found = sum(part[node, row][:, None, :] * rows[node][:, :, None]
+                    for part, rows in zip(slopes, self.grid, strict=True))
+        return np.asarray(found).reshape(len(node), len(self.basis.names) * len(self.active))
+
+    def pushed(self, slopes: tuple[Array, Array, Array], step: Array) -> Array:
+        """Change (N, m) of all constraints, to first order, by a step (len(x),)."""
+        moved = np.reshape(step, (-1, len(self.active)))
+        return np.asarray(sum(np.einsum("tma,ta->tm", part, rows @ moved)
+                              for part, rows in zip(slopes, self.grid, strict=True)))
+
+    def pulled(self, slopes: tuple[Array, Array, Array], multipliers: Array) -> Array:
+        """Sum (len(x),) of the constraints' derivatives times multipliers (N, m)."""
+        return np.asarray(sum(rows.T @ np.einsum("tma,tm->ta", part, multipliers)
+                              for part, rows in zip(slopes, self.grid, strict=True))).ravel()
+
+    def excess(self, x: Array, rows: Rows) -> float:
+        """By how much a limit is exceeded at most, in parts of its scale; at most zero if all are kept."""
+        return float(np.max(self.limits.excess(self.limits.values(*self.states(x, rows)))))
+
+    @cached_property
+    def _moved(self) -> NDArray[np.bool_]:
+        """Which limits (m,) the moving joints change."""
+        size = len(self.basis.names) * len(self.active)
+        x = self.posture(self.mean) + np.random.default_rng(0).uniform(-0.1, 0.1, size)
+        return np.asarray(np.any([np.any(part != 0, axis=(0, 2)) for part in self.slopes(x)], axis=0))
+
+    def bounds(self, back_off: float) -> tuple[Array, Array]:
+        """Lower and upper bounds (m,) of `constraints`, with a part of each range left as room where joints move it."""
+        lower, upper = self.limits.lower, self.limits.upper
+        room = back_off * self._moved * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
+        return lower + room, upper - room
+
+
+def _samples(basis: Basis, rate: float) -> int:
+    if not (0 < rate < np.inf and basis.duration * rate >= FEWEST):
+        raise ProblemError(f"at {rate:g} Hz a motion of {basis.duration:g} s has fewer than {FEWEST} samples",
+                           where="excitation", remedy=f"give a rate higher than {FEWEST / basis.duration:.2g} Hz")
+    if basis.duration * rate > MOST:
+        raise ProblemError(f"{basis.duration * rate:.1e} samples are too many to check", where="excitation",
+                           remedy="shorten the motion or lower the rate")
+    return int(np.ceil(basis.duration * rate - 1e-9)) + 1  # after its end the motion rests

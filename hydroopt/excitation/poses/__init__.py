@@ -1,0 +1,1 @@
+"""The poses to measure next."""

@@ -1,0 +1,244 @@
+"""Model functions over whole logs: native kernels of the same C that the controller gets, several samples in each step.
+
+A kernel is compiled once with the system's compiler and kept under the hash of all that it depends on. Without a
+compiler CasADi's virtual machine does the same work.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import hashlib
+import logging
+import os
+import shlex
+import subprocess
+import tempfile
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import cache, partial
+from pathlib import Path
+from threading import Lock
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+import platformdirs
+from jinja2 import Environment, PackageLoader, StrictUndefined
+
+from hydroopt.kernels import c_writer
+from hydroopt.kernels import expression_graph as straight
+from hydroopt.kernels.expression_graph import Program, program
+from hydroopt.spatial.inertia import Array
+
+FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fPIC", "-shared", "-w")
+"""No fast-math: only that sqrt need not set errno. Products and sums may be fused, as the compiler does by itself."""
+FEW = 100
+"""Samples below which a kernel is not worth its compilation."""
+SHARE = 4096
+"""Samples that are worth a thread of their own."""
+
+
+Way = Callable[[list[Array], int, list[Array] | None], list[Array]]
+"""How a function is evaluated: from its arguments, the number of samples and earlier results to be written over."""
+
+
+class Runner:
+    """Evaluates functions at many samples; remembers how, for as long as it lives."""
+
+    def __init__(self) -> None:
+        self._ways: dict[tuple[int, bool], tuple[ca.Function, Way]] = {}
+        self._lock = Lock()  # CasADi's expressions are not made for threads
+
+    def over(self, function: ca.Function, *columns: Array, out: list[Array] | None = None) -> list[Array]:
+        """Evaluate at N samples: each argument (N, k), or (k,) if it is the same for all; results (N, rows, columns).
+
+        `out` holds what an earlier call with as many samples gave, to be written over: fresh memory costs more than
+        most functions.
+
+        Raises:
+            ValueError: arguments or `out` have not the shapes that the function calls for.
+        """
+        held = [np.ascontiguousarray(column, dtype=float) for column in columns]
+        count = next((len(values) for values in held if values.ndim == 2), 0)
+        wanted = [(count, function.numel_in(i)) for i in range(function.n_in())]
+        if [values.shape if values.ndim == 2 else (count, *values.shape) for values in held] != wanted:
+            raise ValueError(f"{function.name()} takes arguments of the shapes {wanted}, not "
+                             f"{[values.shape for values in held]}")
+        shapes = [(count, *function.size_out(i)) for i in range(function.n_out())]
+        if out is not None and ([values.shape for values in out] != shapes or not all(
+                values.dtype == float and values.flags.c_contiguous and values.flags.writeable for values in out)):
+            raise ValueError(f"{function.name()} writes over arrays of float64 of the shapes {shapes}, row by row")
+        if not count:
+            return [np.zeros(shape) for shape in shapes]
+        return self._way(function, count)(held, count, out)
+
+    def _way(self, function: ca.Function, count: int) -> Way:
+        key = hash(function), count >= FEW
+        with self._lock:
+            if key not in self._ways:
+                way = kernel(function) if count >= FEW else None
+                self._ways[key] = function, way or _mapped(function)  # holding the function keeps its hash its own
+            return self._ways[key][1]
+
+
+def _mapped(function: ca.Function) -> Way:
+    """The same on CasADi's virtual machine."""
+    symbols = function.sx_in()
+    dense = ca.Function(function.name(), symbols, [ca.densify(out) for out in function.call(symbols)])
+    mapped: tuple[int, ca.Function] = (0, dense)
+    lock = Lock()  # the buffer's memory is one
+
+    def evaluate(columns: list[Array], count: int, out: list[Array] | None) -> list[Array]:
+        with lock:
+            return alone(columns, count, out)
+
+    def alone(columns: list[Array], count: int, out: list[Array] | None) -> list[Array]:
+        nonlocal mapped
+        if mapped[0] != count:
+            mapped = count, dense.map(count)
+        buffer, run = mapped[1].buffer()
+        held = [np.ascontiguousarray(np.broadcast_to(c, (count, c.shape[-1]))) for c in columns]
+        results = [np.empty((count, function.size2_out(i), function.size1_out(i))) for i in range(function.n_out())]
+        for give, arrays in ((buffer.set_arg, held), (buffer.set_res, results)):
+            for i, values in enumerate(arrays):
+                if values.size:
+                    give(i, memoryview(values.data).cast("B").cast("d"))
+        run()
+        # CasADi writes column by column
+        made = [np.ascontiguousarray(values.swapaxes(1, 2)) for values in results]
+        for old, new in zip(out or (), made, strict=False):
+            old[:] = new
+        return out or made
+
+    return evaluate
+
+
+class Kernel:
+    """A compiled function. What is always zero in its outputs it leaves alone, as it is in fresh memory."""
+
+    def __init__(self, library: Path, made: Program) -> None:
+        self.program = made
+        self._run = ctypes.CDLL(str(library)).over
+        self._run.argtypes = [ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+        self._run.restype = None
+
+    def __call__(self, columns: list[Array], count: int, out: list[Array] | None = None) -> list[Array]:
+        """Results (N, rows, columns) of arguments (N, k) or (k,)."""
+        results = out or [np.zeros((count, made.rows, made.columns)) for made in self.program.outputs]
+        parts = min(threads(), -(-count // SHARE))
+        edges = [count * k // parts for k in range(parts + 1)]
+        if parts == 1:
+            self._part(columns, results, 0, count)
+        else:
+            with ThreadPoolExecutor(parts) as pool:  # the library's call releases Python's lock
+                list(pool.map(partial(self._part, columns, results), edges[:-1], edges[1:]))
+        return results
+
+    def _part(self, columns: list[Array], results: list[Array], first: int, last: int) -> None:
+        strides = [c.shape[1] if c.ndim == 2 else 0 for c in columns]
+        into = [c.ctypes.data + first * step * c.itemsize for c, step in zip(columns, strides, strict=True)]
+        out_of = [values.ctypes.data + first * values.strides[0] for values in results]
+        self._run(last - first, (ctypes.c_void_p * len(into))(*into), (ctypes.c_long * len(strides))(*strides),
+                  (ctypes.c_void_p * len(out_of))(*out_of))
+
+
+def threads() -> int:
+    """As many as OMP_NUM_THREADS says, or as there are processors for this process."""
+    stated = os.environ.get("OMP_NUM_THREADS", "").partition(",")[0].strip()
+    if stated.isdigit() and int(stated):
+        return int(stated)
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+class Compiler(NamedTuple):
+    """The system's compiler: its command, and what it says of itself and of the processor it compiles for."""
+
+    command: tuple[str, ...]
+    macros: bytes
+
+    @property
+    def libraries(self) -> tuple[str, ...]:
+        """The C library's vectors of sines, where there are any, and its mathematics."""
+        vectors = all(name in self.macros for name in (b"__GLIBC__", b"__x86_64__")) and b"__clang__" not in self.macros
+        return ("-DVECTOR_LIBRARY", "-lmvec", "-lm") if vectors else ("-lm",)
+
+
+@cache
+def compiler() -> Compiler | None:
+    """``$CC``, ``cc``, ``gcc`` or ``clang``; None, with a notice, where none of them works."""
+    for stated in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
+        command = tuple(shlex.split(stated))
+        try:
+            probe = subprocess.run([*command, *FLAGS[:2], "-dM", "-E", "-x", "c", "-"], input=b"#include <math.h>\n",
+                                   capture_output=True, check=True)
+            return Compiler(command, probe.stdout)
+        except (OSError, subprocess.SubprocessError):
+            continue
+    _notice("no C compiler found")
+    return None
+
+
+def _notice(what: str) -> None:
+    logging.getLogger("hydroopt").warning("hydroopt: %s; CasADi's virtual machine evaluates the model, more slowly.",
+                                          what)
+
+
+def kernel(function: ca.Function) -> Kernel | None:
+    """The kernel of a function from the cache, or compiled now; None where CasADi has to do the work."""
+    found = compiler()
+    if found is None or not function.is_a("SXFunction"):
+        return None
+    try:
+        made = program(function)
+        return Kernel(_library(function, made, found), made)
+    except (OSError, subprocess.SubprocessError, NotImplementedError) as error:
+        said = (getattr(error, "stderr", None) or str(error).encode()).decode(errors="replace").strip()[:200]
+        _notice(f"the kernel '{function.name()}' cannot be compiled or kept ({said})")
+        return None
+
+
+def _library(function: ca.Function, made: Program, by: Compiler) -> Path:
+    """The shared library in the cache; what is there but not whole is made anew."""
+    key = hashlib.sha256()
+    here = Path(__file__).parent
+    own = [(here / name).read_bytes() for name in ("expression_graph.py", "c_writer.py", "native.py", "kernel.c")]
+    for part in (function.serialize().encode(), *own, " ".join((*by.command, *FLAGS)).encode(), by.macros):
+        key.update(hashlib.sha256(part).digest())
+    folder = Path(os.environ.get("HYDROOPT_CACHE") or platformdirs.user_cache_dir("hydroopt")).resolve()
+    for entry in sorted(folder.glob(f"{key.hexdigest()[:32]}-*.so")):
+        if hashlib.sha256(entry.read_bytes()).hexdigest()[:32] == entry.stem.partition("-")[2]:
+            return entry
+        entry.unlink(missing_ok=True)
+    folder.mkdir(mode=0o700, parents=True, exist_ok=True)  # what lies here is run
+    with tempfile.TemporaryDirectory(dir=folder) as scratch:
+        built = Path(scratch) / "kernel.so"
+        subprocess.run([*by.command, *FLAGS, "-x", "c", "-", "-o", str(built), *by.libraries],
+                       input=source(made).encode(), capture_output=True, check=True)
+        # the name tells the content: a library is whole or is not used, however many processes make it at once
+        digest = hashlib.sha256(built.read_bytes()).hexdigest()[:32]
+        return built.rename(folder / f"{key.hexdigest()[:32]}-{digest}.so")
+
+
+def source(made: Program) -> str:
+    """The kernel's C: a few samples side by side in each value, as many as the processor's registers hold."""
+    place: dict[tuple[str, int], int] = {}
+    runs: list[list[list[int]]] = []
+    for out in made.outputs:
+        runs.append([])
+        for k, ref in enumerate(out.entries):
+            if made.number(ref) != 0.0:
+                place[out.name, k] = len(place)
+                if runs[-1] and runs[-1][-1][0] + runs[-1][-1][2] == k:
+                    runs[-1][-1][2] += 1
+                else:
+                    runs[-1].append([k, place[out.name, k], 1])
+    number = {given.name: k for k, given in enumerate(made.inputs)}
+    lines = c_writer.statements(made, c_writer.Naming(
+        source=lambda name, k: f"x{number[name]}[{k}]",
+        target=lambda name, k: f"y[{place[name, k]}] = {{}};" if (name, k) in place else None,
+        type="real", call=lambda op: f"each_{op}", lift=lambda text: f"((real){{0}} + {text})"))
+    environment = Environment(loader=PackageLoader("hydroopt.kernels", "."), undefined=StrictUndefined,
+                              trim_blocks=True, lstrip_blocks=True)
+    return environment.get_template("kernel.c").render(
+        unary=sorted({node.op for node in made.nodes} & straight.UNARY - {"inv", "sign"}), lines=lines,
+        inputs=made.inputs, outputs=made.outputs, runs=runs, entries=len(place))

@@ -1,0 +1,224 @@
+"""A measurement log in SI units: reading it with every doubt named, cutting it, writing it."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.errors import HydrooptError, LogError, ProblemError
+from hydroopt.logs import quality as find
+from hydroopt.logs.column_map import LogMap, for_log, map_of_header, read_map, si_unit
+from hydroopt.logs.quality import Finding
+from hydroopt.logs.readers import open_file
+from hydroopt.logs.table import Table, frozen, in_si, load, refuse_damage, write_columns
+from hydroopt.logs.treatment import Samples, choose, treat
+
+__all__ = ["Finding", "Log", "LogMap", "read_log", "read_map"]
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Log:
+    """Synchronously sampled channels of one recording.
+
+    Attributes:
+        name: short name, for tables and figures.
+        t: (N,) strictly increasing times [s].
+        channels: (N,) values by channel name such as ``boom.q``, in SI.
+        sample: (N,) 1-based data row in the file; survives dropping and cutting. Default 1..N.
+        segment: (N,) index of the uninterrupted stretch a sample belongs to. Default: cut at gaps.
+        findings: what looked wrong and what was done about it.
+        path: file it came from; empty for a log that was made.
+        sha256: of that file's bytes.
+        units: SI unit by channel; defaults to the usual one of the suffix (rad for ``.q``).
+
+    Raises:
+        LogError: lengths differ, fewer than two samples, times do not increase, or an unknown channel name.
+    """
+
+    name: str
+    t: Array
+    channels: Mapping[str, Array]
+    sample: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, int))
+    segment: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, int))
+    findings: tuple[Finding, ...] = ()
+    path: str = ""
+    sha256: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        where, t = self.path or self.name, frozen(self.t, float)
+        if t.ndim != 1 or t.size < 2 or not np.all(np.diff(t) > 0):
+            raise LogError("times do not increase over two or more samples", where=where,
+                           remedy="mend the time stamps or choose a longer stretch")
+        channels = {name: frozen(x, float) for name, x in self.channels.items()}
+        sample = frozen(self.sample if np.size(self.sample) else np.arange(1, t.size + 1), int)
+        segment = frozen(self.segment if np.size(self.segment) else np.cumsum(find.gaps(t)), int)
+        for name, x in {"sample": sample, "segment": segment, **channels}.items():
+            if x.shape != t.shape:
+                raise LogError(f"'{name}' has shape {x.shape}, the time {t.shape}", where=where,
+                               remedy="give all channels the same length")
+        units = {name: self.units.get(name) or si_unit(name) for name in channels}
+        for name, value in (("t", t), ("channels", channels), ("sample", sample), ("segment", segment),
+                            ("units", units)):
+            object.__setattr__(self, name, value)
+
+    @property
+    def size(self) -> int:
+        """Number of samples."""
+        return int(self.t.size)
+
+    @property
+    def rows(self) -> tuple[int, int]:
+        """First and last data row in the file."""
+        return int(self.sample[0]), int(self.sample[-1])
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last sample [s]."""
+        return float(self.t[-1] - self.t[0])
+
+    def channel(self, name: str) -> Array:
+        """Values (N,) of one channel, in SI.
+
+        Raises:
+            LogError: the log has no such channel.
+        """
+        if name not in self.channels:
+            raise missing(name, self.channels, self.path or self.name)
+        return self.channels[name]
+
+    def slice(self, start: int, stop: int) -> "Log":
+        """Samples `start` to `stop` (0-based, half open, negative from the end) as a log.
+
+        Raises:
+            LogError: fewer than two samples.
+        """
+        span = np.s_[start:stop]
+        sample = self.sample[span]
+        if sample.size < 2:
+            raise LogError(f"positions {start} to {stop} hold {sample.size} of {self.t.size} samples",
+                           where=self.path or self.name, remedy="choose a longer stretch")
+        kept = tuple(f for f in self.findings if f.last >= sample[0] and f.first <= sample[-1])
+        return replace(self, t=self.t[span], channels={k: x[span] for k, x in self.channels.items()},
+                       sample=sample, segment=self.segment[span], findings=kept)
+
+    def split(self, fraction: float) -> tuple["Log", "Log"]:
+        """The first `fraction` of the samples, and the rest.
+
+        Raises:
+            ProblemError: `fraction` is not between 0 and 1.
+            LogError: one part has fewer than two samples.
+        """
+        if not 0 < fraction < 1:
+            raise ProblemError(f"a log cannot be split at {fraction}", where=self.path or self.name,
+                               remedy="choose a fraction between 0 and 1")
+        cut = round(fraction * self.t.size)
+        return self.slice(0, cut), self.slice(cut, self.t.size)
+
+    def write(self, path: str | Path) -> None:
+        """Write as CSV or Parquet, by extension, with headers `name [SI unit]`; complete or not at all.
+
+        Raises:
+            LogError: another extension, or the file cannot be written.
+        """
+        headers = (f"{name} [{self.units[name]}]" for name in self.channels)
+        columns = {"t [s]": self.t, **dict(zip(headers, self.channels.values(), strict=True))}
+        write_columns(path, columns, "log")
+
+
+def read_log(
+    path: str | Path,
+    *,
+    mapping: LogMap | str | Path | None = None,
+    treatment: Mapping[str, str] | None = None,
+    limits: Mapping[str, tuple[float, float]] | None = None,
+) -> Log:
+    """Read a log from CSV, Parquet or, with a map, a MATLAB file.
+
+    Args:
+        path: file with headers `name [unit]`; columns whose name has no dot are foreign and left out (a
+            finding of kind "ignored" says so).
+        mapping: for foreign files, what stands where (`read_map`); it needs the time `t` and has no labels.
+        treatment: action by kind of finding, see `treatment.ACTIONS`. By default NaN and bad time stamps are
+            errors, gaps split the log into segments and everything else is reported only.
+        limits: (lowest, highest) value of a sensor's range by channel, in SI; samples there are saturated. Limits of
+            channels that the log lacks mean nothing.
+
+    Raises:
+        LogError: the file is missing, damaged or not understood; the sentence names row and column.
+        ProblemError: unknown treatment.
+    """
+    where, chosen = str(path), choose(treatment)
+    layout = given_layout(mapping, where)
+    data, digest, kind = load(path, layout.format if layout else None)
+    file = open_file(kind, data, where, layout)
+    layout, ignored = full_layout(layout, file.header, where)
+    table = file.read(layout.keys)
+    values, units = in_si(layout, table, where)
+    t = values.pop("t")
+    _refuse_damage(table, t, where)
+    if table.rows.size < 2:
+        raise LogError("there is only one data row", where=where, remedy="record at least two samples")
+    samples, segment = treat(Samples(t, values, table.rows), chosen, limits or {}, where)
+    notes = samples.findings + left_out(layout, ignored, int(table.rows[0]), int(table.rows[-1]))
+    return Log(Path(path).stem, samples.t, samples.channels, samples.sample, segment, notes, where, digest,
+               units)
+
+
+def given_layout(mapping: LogMap | str | Path | None, where: str) -> LogMap | None:
+    """The map of a log that a caller stated, if any."""
+    return None if mapping is None else for_log(mapping, where) if isinstance(mapping, LogMap) else read_map(mapping)
+
+
+def full_layout(layout: LogMap | None, header: list[str], where: str) -> tuple[LogMap, tuple[str, ...]]:
+    """The map stated, or else what a header says, and the columns that this leaves out.
+
+    Raises:
+        LogError: there is no channel.
+    """
+    ignored: tuple[str, ...] = ()
+    if layout is None:
+        layout, ignored = map_of_header(list(header), where)
+    if len(layout.columns) < 2:
+        raise LogError("there is a time but no channel", where=where,
+                       remedy="add columns such as 'boom.q [deg]' or 'boom_cylinder.p_head [bar]'")
+    return layout, ignored
+
+
+def left_out(layout: LogMap, ignored: tuple[str, ...], first: int, last: int) -> tuple[Finding, ...]:
+    """What of a file's rows and columns was not read."""
+    notes: tuple[Finding, ...] = ()
+    if layout.rows:
+        a, b = layout.rows
+        notes += (Finding("rows", "t", a, b, b - a + 1, f"only data rows {a} to {b} were read"),)
+    if ignored:
+        notes += (Finding("ignored", "", first, last, 0, f"foreign columns left out: {', '.join(ignored)}"),)
+    return notes
+
+
+def _refuse_damage(table: Table, t: Array, where: str) -> None:
+    """Refuse rows that are cut or hold garbage; then also name those whose time is astray."""
+    if not table.damage:
+        return
+    damage, sound = dict(table.damage), np.isfinite(t)
+    for row in table.rows[sound][find.out_of_order(t[sound])]:
+        damage.setdefault(int(row), "time out of order")
+    refuse_damage(damage, table.rows, where)
+
+
+def missing(name: str, present: Iterable[str], where: str) -> LogError:
+    """The error of a log that has no channel `name`, but those `present`."""
+    unit = {"rad": "deg", "Pa": "bar"}.get(usual := _usual(name), usual)
+    return LogError(f"there is no channel '{name}' (present: {', '.join(present) or 'none'})", where=where,
+                    remedy=f"record it as a column '{name} [{unit}]' or name its column in a map")
+
+
+def _usual(name: str) -> str:
+    try:
+        return si_unit(name)
+    except HydrooptError:
+        return "unit"

@@ -1,0 +1,187 @@
+"""Tables of poses: the machine stands still at each row, and some of its channels were read."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hydroopt.errors import LogError
+from hydroopt.logs.column_map import Labels, LogMap, TextColumn, map_of_header, read_map, si_unit
+from hydroopt.logs.readers import open_table
+from hydroopt.logs.table import frozen, in_si, load, refuse_damage, write_columns
+
+__all__ = ["LogMap", "Poses", "joined", "read_map", "read_pose_files", "read_poses"]
+
+Array = NDArray[np.float64]
+Texts = NDArray[np.str_]
+
+
+def _no_texts() -> Texts:
+    return np.empty(0, np.str_)
+
+
+@dataclass(frozen=True, eq=False)
+class Poses:
+    """Channels of N poses at rest. All arrays are frozen; those left out get the stated default.
+
+    Attributes:
+        name: short name, for tables and figures.
+        stage: (N,) part of the procedure a pose belongs to; default '', not stated.
+        fixture: (N,) what held or targeted the tip; default ''.
+        pose: (N,) label of the pose; default, and where empty, the number of its row.
+        t: (N,) time [s]; default NaN, not stated.
+        channels: (N,) values by channel name such as ``boom.q`` or ``tip.x``, in SI; NaN where not read.
+        units: SI unit by channel; defaults to the usual one of the suffix (rad for ``.q``).
+        row: (N,) 1-based data row in its file; default 1..N.
+        file: (N,) path of the file each row came from; default '', made.
+        sha256: of those files' bytes, by path.
+
+    Raises:
+        LogError: there is no channel, its name is unknown, lengths differ, or a value is infinite.
+    """
+
+    name: str
+    stage: Texts = field(default_factory=_no_texts)
+    fixture: Texts = field(default_factory=_no_texts)
+    pose: Texts = field(default_factory=_no_texts)
+    t: Array = field(default_factory=lambda: np.empty(0))
+    channels: Mapping[str, Array] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    row: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, int))
+    file: Texts = field(default_factory=_no_texts)
+    sha256: Mapping[str, str] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if not self.channels:
+            raise LogError("there is no channel", where=self.name,
+                           remedy="add columns such as 'boom.q [deg]' or 'tip.x [m]'")
+        channels = {name: frozen(x, float) for name, x in self.channels.items()}
+        size = next(iter(channels.values())).size
+        row = frozen(self.row if np.size(self.row) else np.arange(1, size + 1), int)
+        t = frozen(self.t if np.size(self.t) else np.full(size, np.nan), float)
+        texts = {name: _texts(getattr(self, name), size) for name in ("stage", "fixture", "pose")}
+        file = frozen(self.file if np.size(self.file) else np.full(size, ""), np.str_)
+        for name, x in {"t": t, "row": row, "file": file, **texts, **channels}.items():
+            if x.shape != (size,):
+                raise LogError(f"'{name}' has shape {x.shape}, the first channel ({size},)", where=self.name,
+                               remedy="give all of them the same length")
+        for name, x in {"t": t, **channels}.items():
+            if (bad := np.flatnonzero(np.isinf(x))).size:
+                raise LogError(f"'{name}' is infinite", where=f"{file[bad[0]] or self.name}, data row {row[bad[0]]}",
+                               remedy="correct the cell, or leave it empty if nothing was read")
+        texts["pose"] = frozen(np.where(texts["pose"] == "", row.astype(np.str_), texts["pose"]), np.str_)
+        units = {name: self.units.get(name) or si_unit(name) for name in channels}
+        for name, value in {**texts, "t": t, "channels": channels, "units": units, "row": row, "file": file}.items():
+            object.__setattr__(self, name, value)
+
+    def __len__(self) -> int:
+        return int(self.row.size)
+
+    def select(self, which: ArrayLike) -> Poses:
+        """The poses where a mask (N,) is True, or those of the 0-based indices (M,), in that order; may be none."""
+        index = np.asarray(which)
+        index = np.arange(len(self))[index if index.dtype == bool else index.astype(int)]
+        file = self.file[index]
+        return replace(self, stage=self.stage[index], fixture=self.fixture[index], pose=self.pose[index],
+                       t=self.t[index], channels={name: x[index] for name, x in self.channels.items()},
+                       row=self.row[index], file=file, sha256={p: h for p, h in self.sha256.items() if p in file})
+
+    def write(self, path: str | Path) -> None:
+        """Write as CSV or Parquet, by extension, with headers `name [SI unit]`; complete or not at all.
+
+        Cells are empty where nothing was read; the column of time is left out where no pose has one.
+
+        Raises:
+            LogError: another extension, or the file cannot be written.
+        """
+        time = {} if np.all(np.isnan(self.t)) else {"t [s]": self.t}
+        channels = {f"{name} [{self.units[name]}]": x for name, x in self.channels.items()}
+        write_columns(path, {"stage": self.stage, "fixture": self.fixture, "pose": self.pose, **time, **channels},
+                      "table of poses")
+
+
+def joined(parts: Sequence[Poses]) -> Poses:
+    """All poses of several tables, in order; NaN where a table lacks a channel that another one has.
+
+    Raises:
+        LogError: there is no table, or two state a channel in units of different kinds.
+    """
+    if not parts:
+        raise LogError("there is no table of poses", where="poses", remedy="give at least one")
+    units: dict[str, str] = {}
+    for part in parts:
+        for name, unit in part.units.items():
+            if units.setdefault(name, unit) != unit:
+                raise LogError(f"channel '{name}' is in '{unit}' here and in '{units[name]}' in a table before",
+                               where=next(iter(part.sha256), part.name), remedy="state it in units of one kind")
+    names = list(dict.fromkeys(part.name for part in parts))
+    return Poses(
+        names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more",
+        stage=np.concatenate([part.stage for part in parts]),
+        fixture=np.concatenate([part.fixture for part in parts]),
+        pose=np.concatenate([part.pose for part in parts]),
+        t=np.concatenate([part.t for part in parts]),
+        channels={name: np.concatenate([part.channels.get(name, np.full(len(part), np.nan)) for part in parts])
+                  for name in units},
+        units=units,
+        row=np.concatenate([part.row for part in parts]),
+        file=np.concatenate([part.file for part in parts]),
+        sha256={path: digest for part in parts for path, digest in part.sha256.items()})
+
+
+def read_poses(path: str | Path, *, mapping: LogMap | str | Path | None = None) -> Poses:
+    """Read a table of poses from CSV or Parquet.
+
+    Args:
+        path: file with text columns `stage`, `fixture`, `pose` and columns `name [unit]` of channels and of the time
+            `t`, of which at least one channel must be there. Empty cells and NaN mean "not read".
+        mapping: for foreign files, what stands where (`read_map` with ``poses=True``), and their labels.
+
+    Raises:
+        LogError: the file is missing, damaged or not understood; the sentence names row and column.
+    """
+    where = str(path)
+    layout = mapping if isinstance(mapping, LogMap) or mapping is None else read_map(mapping, poses=True)
+    data, digest, kind = load(path, layout.format if layout else None)
+    file = open_table(kind, data, where, layout)
+    if layout is None:
+        layout, _ = map_of_header(file.header, where, poses=True)
+    labels = dict(layout.labels or Labels())
+    table = file.read(layout.keys, [label.column for label in labels.values() if isinstance(label, TextColumn)])
+    refuse_damage(table.damage, table.rows, where)
+    values, units = in_si(layout, table, where)
+    if not units:
+        raise LogError("there is no channel", where=where, remedy="add columns such as 'boom.q [deg]' or 'tip.x [m]'")
+    words = {"folder": Path(path).absolute().parent.name, "file": Path(path).stem}
+    size = table.rows.size
+    texts = {name: np.array(table.texts[label.column] if isinstance(label, TextColumn)
+                            else [label.format(**words)] * size) for name, label in labels.items()}
+    return Poses(Path(path).stem, **texts, t=values.pop("t", np.full(size, np.nan)), channels=values, units=units,
+                 row=table.rows, file=np.full(size, where), sha256={where: digest})
+
+
+def read_pose_files(paths: Sequence[str | Path], *, mapping: LogMap | str | Path | None = None) -> Poses:
+    """Read several tables of poses as one, each as `read_poses` does with the same `mapping`.
+
+    Raises:
+        LogError: as in `read_poses` and `joined`, or a file is named twice and its poses would count twice.
+    """
+    layout = mapping if isinstance(mapping, LogMap) or mapping is None else read_map(mapping, poses=True)
+    seen: set[Path] = set()
+    for path in paths:
+        if (real := Path(path).resolve()) in seen:
+            raise LogError("this file is named twice", where=str(path), remedy="name it once")
+        seen.add(real)
+    return joined([read_poses(path, mapping=layout) for path in paths])
+
+
+def _texts(values: ArrayLike, size: int) -> Texts:
+    """Labels on one line without blanks around, so that they compare and can be written; '' where left out."""
+    array = np.asarray(values)
+    if not array.size:
+        return frozen(np.full(size, ""), np.str_)
+    return frozen(np.array([" ".join(str(text).split()) for text in array.ravel()]).reshape(array.shape), np.str_)

@@ -1,0 +1,181 @@
+"""What looks wrong in a log. Each check gives a mask over samples; nothing is changed here."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from hydroopt.logs.table import runs
+
+Array = NDArray[np.float64]
+Mask = NDArray[np.bool_]
+_WINDOW = 25  # samples of the running median: spikes up to 12 samples wide stand out
+
+
+@dataclass(frozen=True)
+class Finding:
+    """Something a user should know about a log.
+
+    Attributes:
+        kind: "nan", "duplicate", "non-monotonic", "irregular", "gap", "stuck", "spike", "saturated", or for
+            information "rows" (a map selected them) and "ignored" (foreign columns).
+        channel: the channel, "t" for the time; empty for "ignored".
+        first: first and `last`: last 1-based data row concerned; count: number of samples concerned.
+        text: one sentence.
+    """
+
+    kind: str
+    channel: str
+    first: int
+    last: int
+    count: int
+    text: str
+
+
+def finding(kind: str, channel: str, mask: Mask, sample: NDArray[np.int64], text: str) -> Finding:
+    """The samples in `mask` (N,) as one finding; `text` starts with a plural verb."""
+    rows = sample[mask]
+    noun, (verb, rest) = "samples", text.split(" ", 1)
+    if rows.size == 1:
+        noun, verb = "sample", "is" if verb == "are" else f"{verb}s"
+    return Finding(kind, channel, int(rows[0]), int(rows[-1]), int(rows.size),
+                   f"{channel}: {noun} {runs(rows)} {verb} {rest}")
+
+
+def out_of_order(t: Array) -> Mask:
+    """Samples whose time stands off their neighbours' order, repeated stamps not counted.
+
+    Stray stamps are found against a running median. Where the clock itself restarts, all samples that are not
+    later than an earlier one are marked.
+    """
+    if np.all(np.diff(t) >= 0):
+        return np.zeros(t.size, bool)
+    stray = median_filter(t, _WINDOW, mode="nearest") != t
+    if 2 * np.count_nonzero(stray) < t.size and np.all(np.diff(t[~stray]) >= 0):
+        kept = np.where(stray, -np.inf, t)
+        before, after = np.maximum.accumulate(kept), np.inf
+        for i in range(t.size - 1, -1, -1):
+            if not stray[i] or before[i] < t[i] < after:
+                stray[i], after = False, t[i]
+        return np.asarray(stray, dtype=bool)
+    return np.asarray(t < np.maximum.accumulate(t), dtype=bool)
+
+
+def repeated(t: Array) -> Mask:
+    """Samples that carry the same time stamp as the one before, t (N,) not decreasing."""
+    return np.asarray(np.diff(t, prepend=-np.inf) == 0, dtype=bool)
+
+
+def gaps(t: Array, times_median: float = 3.0) -> Mask:
+    """Samples that follow a step of more than `times_median` median steps."""
+    if t.size < 2:
+        return np.zeros(t.size, bool)
+    step = np.diff(t)
+    return np.concatenate([[False], step > times_median * np.median(step)])
+
+
+def jitter(t: Array) -> Mask:
+    """Samples after a step off the median by more than 10 %, gaps not counted."""
+    if t.size < 3:
+        return np.zeros(t.size, bool)
+    step = np.diff(t)
+    off = np.abs(step - np.median(step)) > 0.1 * np.median(step)
+    return np.concatenate([[False], off]) & ~gaps(t)
+
+
+def spikes(x: Array) -> Mask:
+    """Samples far off the running median, both against the channel's usual residual and against their window.
+
+    The first test (6 robust sigma, from the 95th percentile of the residual) keeps noise quiet, the second (8
+    local sigma, from the median deviation in the window less its slope) keeps sharp but real motion quiet. A
+    spike extends by up to 3 samples on each side that stand off by 2 robust sigma.
+    """
+    mask = np.zeros(x.size, bool)
+    if x.size < _WINDOW:
+        return mask
+    signed = x - median_filter(x, _WINDOW, mode="nearest")
+    residual = np.abs(signed)
+    low, high = np.quantile(x, [0.01, 0.99])
+    steps = np.abs(np.diff(x))
+    lsb = float(np.min(steps[steps > 0], initial=np.inf))
+    usual = max(6 / 1.96 * float(np.quantile(residual, 0.95)), 2e-3 * float(high - low),
+                5 * lsb if np.isfinite(lsb) else 0.0)
+    half, far = _WINDOW // 2, np.flatnonzero(residual > usual)
+    inner = (far >= half) & (far < x.size - half)
+    mask[far[inner]] = residual[far[inner]] > 8 * _spread(sliding_window_view(x, _WINDOW)[far[inner] - half])
+    for i in far[~inner]:
+        mask[i] = residual[i] > 8 * _spread(x[None, max(0, i - half):i + half + 1])[0]
+    for i in np.flatnonzero(mask):
+        for direction in (-1, 1):
+            for j in range(i + direction, i + 4 * direction, direction):
+                if not 0 <= j < x.size or 3 * residual[j] < usual or signed[j] * signed[i] < 0:
+                    break
+                mask[j] = True
+    return mask
+
+
+Extremes = tuple[float, float]
+
+
+def _spread(windows: Array) -> Array:
+    """Robust standard deviation (m,) of windows (m, w) about their slope."""
+    width = windows.shape[1]
+    third = width // 3
+    slope = (np.median(windows[:, -third:], axis=1) - np.median(windows[:, :third], axis=1)) / (width - third)
+    level = windows - slope[:, None] * np.arange(width)
+    return np.asarray(1.4826 * np.median(np.abs(level - np.median(level, axis=1, keepdims=True)), axis=1))
+
+
+def saturated(x: Array, limits: Extremes | None, own_extremes: bool = True, whole: Extremes | None = None) -> Mask:
+    """Samples at or beyond `limits`, and runs that hit the channel's own extreme at speed and stay there.
+
+    `whole` are the channel's extremes where x is but a piece of it.
+    """
+    mask = np.zeros(x.size, bool) if limits is None else (x <= limits[0]) | (x >= limits[1])
+    extremes = (x.min(), x.max()) if whole is None else whole
+    if not own_extremes or extremes[0] == extremes[1]:
+        return mask
+    for start, stop in _level_runs(x, 10):
+        if x[start] in extremes and _abrupt(x, start, stop):
+            mask[start:stop] = True
+    return mask
+
+
+def stuck(channels: Mapping[str, Array], whole: Mapping[str, Extremes] | None = None) -> dict[str, Mask]:
+    """Frozen samples by channel: level for more than 25 samples and 1 % of the log, begun or ended at speed.
+
+    A run counts only while another channel passes through more than 5 % of its range. A joint that comes to
+    rest slows down first and is not meant, nor is a velocity of zero; a channel that never changes at all is. `whole`
+    are the channels' extremes where these are but a piece of the log.
+    """
+    out = {name: np.zeros(x.size, bool) for name, x in channels.items()}
+    extremes = whole or {name: (float(x.min()), float(x.max())) for name, x in channels.items()}
+    ranges = {name: extremes[name][1] - extremes[name][0] for name in channels}
+    for name, x in channels.items():
+        for start, stop in _level_runs(x, max(26, x.size // 100 + 1)):
+            at_rest = name.endswith(".qd") and x[start] == 0
+            if ranges[name] > 0 and (at_rest or not _abrupt(x, start, stop)):
+                continue
+            if any(np.ptp(y[start:stop]) > 0.05 * ranges[other] for other, y in channels.items()
+                   if other != name and ranges[other] > 0):
+                out[name][start:stop] = True
+    return out
+
+
+def _abrupt(x: Array, start: int, stop: int) -> bool:
+    """Whether x enters or leaves the level run at more than half its usual (RMS) speed, over 3 steps."""
+    speed = float(np.sqrt(np.mean(np.diff(x) ** 2)))
+    before, after = max(0, start - 3), min(x.size - 1, stop + 2)
+    entry = abs(x[start] - x[before]) / max(start - before, 1)
+    leave = abs(x[after] - x[stop - 1]) / max(after - stop + 1, 1)
+    return bool(max(entry, leave) > 0.5 * speed)
+
+
+def _level_runs(x: Array, shortest: int) -> list[tuple[int, int]]:
+    """Half-open ranges in which x is exactly constant over at least `shortest` samples."""
+    edges = np.concatenate([[0], np.flatnonzero(np.diff(x) != 0) + 1, [x.size]])
+    long = np.flatnonzero(np.diff(edges) >= shortest)
+    return list(zip(edges[long].tolist(), edges[long + 1].tolist(), strict=True))

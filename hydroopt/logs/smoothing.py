@@ -1,0 +1,237 @@
+"""From sampled joint positions to smooth positions, velocities and accelerations, each stretch by itself."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy.interpolate import make_interp_spline
+
+from hydroopt.errors import LogError, ProblemError
+from hydroopt.logs import spline
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class SmoothingSpline:
+    """Quintic smoothing spline; its weight follows from the stated noise, or from cross-validation.
+
+    `cross_validate` asks for generalised cross-validation even where the noise is stated. Both suppose white noise;
+    where it is not white they pass too much, and the motion's `bandwidth` [Hz] bounds that: at most half of it passes.
+    """
+
+    cross_validate: bool = False
+    bandwidth: float | None = None
+
+
+@dataclass(frozen=True)
+class Fourier:
+    """Constant plus `harmonics` sines and cosines of a periodic motion of the given `period` [s]."""
+
+    period: float
+    harmonics: int
+
+
+@dataclass(frozen=True)
+class Butterworth:
+    """Zero-phase (forward and backward) low-pass of the given `cutoff` [Hz]; needs regular sampling."""
+
+    cutoff: float
+    order: int = 4
+
+
+Smoothing = SmoothingSpline | Fourier | Butterworth
+
+
+@dataclass(frozen=True)
+class Motion:
+    """Conditioned motion of n joints.
+
+    Attributes:
+        t: (N,) times [s].
+        q: (N, n) positions [rad or m]; qd: velocities [rad/s]; qdd: accelerations [rad/s²].
+        segment: (N,) index of the uninterrupted stretch.
+        interior: (N,) False near the ends of a stretch, where derivatives lean on one side only.
+        bandwidth: (n,) frequency passed by half (-6 dB), lowest of the stretches [Hz].
+        notes: what was done, in plain words.
+    """
+
+    t: Array
+    q: Array
+    qd: Array
+    qdd: Array
+    segment: NDArray[np.int64]
+    interior: NDArray[np.bool_]
+    bandwidth: Array
+    notes: tuple[str, ...]
+
+
+def condition(
+    t: ArrayLike,
+    q: ArrayLike,
+    segment: ArrayLike | None = None,
+    smoothing: Smoothing = SmoothingSpline(),
+    noise: ArrayLike | None = None,
+    *,
+    names: Sequence[str] = (),
+    where: str = "log",
+) -> Motion:
+    """Smooth positions and their first and second derivatives.
+
+    Args:
+        t: (N,) increasing times [s].
+        q: (N, n) or (N,) measured positions [rad or m].
+        segment: (N,) index of the stretch each sample belongs to; None for one stretch.
+        smoothing: how.
+        noise: (n,) or scalar standard deviation of each joint's sensor, unit of q; None or NaN where unknown, which
+            asks for cross-validation.
+        names: of the joints, for the notes.
+        where: name of the log, for error messages.
+
+    Raises:
+        LogError: a stretch is too short, sampling is irregular for Butterworth, or the log is shorter than
+            the Fourier period.
+        ProblemError: an option is impossible (cutoff or harmonics beyond the Nyquist frequency, a bandwidth
+            below one period in the whole log, negative noise).
+    """
+    times = np.asarray(t, dtype=float)
+    positions = np.asarray(q, dtype=float)
+    positions = positions.reshape(times.size, -1)
+    parts = np.zeros(times.size, int) if segment is None else np.asarray(segment, dtype=int)
+    lost = np.flatnonzero(~np.isfinite(times + positions.sum(axis=1)))
+    if lost.size:
+        raise LogError(f"the position or time at sample {lost[0] + 1} is not finite ({lost.size} in all; a "
+                       "cylinder's length gives no angle where its triangle is open)", where=where,
+                       remedy="mend it or read the log with --treat nan=drop")
+    stds = None if noise is None else np.broadcast_to(np.asarray(noise, dtype=float), positions.shape[1:])
+    if stds is not None and np.any(np.isinf(stds) | (stds < 0)):
+        raise ProblemError("the stated noise is negative or infinite", where=where,
+                           remedy="give each joint's standard deviation in SI units")
+    if isinstance(smoothing, Fourier):
+        return _fourier(times, positions, parts, smoothing, where)
+
+    out = np.empty((3, *positions.shape))
+    bandwidth = np.full(positions.shape[1], np.inf)
+    interior = np.zeros(times.size, bool)
+    notes: list[str] = []
+    starts = np.flatnonzero(np.diff(parts, prepend=parts[0] - 1))
+    for start, stop in zip(starts, [*starts[1:], times.size], strict=True):
+        span, here = slice(start, stop), f"{where}, samples {start + 1} to {stop}"
+        if np.any(np.diff(times[span]) <= 0):
+            raise LogError("times do not increase", where=here, remedy="mend the time stamps")
+        if isinstance(smoothing, Butterworth):
+            out[:, span] = _butterworth(times[span], positions[span], smoothing, here)
+            corners = np.full(positions.shape[1], smoothing.cutoff)
+        else:
+            stated = None if smoothing.cross_validate else stds
+            if stop - start >= spline.MIN_SAMPLES:
+                refuse_too_slow(smoothing, float(times[-1] - times[0]), where)
+            out[:, span], corners, said = _spline(times[span], positions[span], smoothing, stated, names, here)
+            notes += said
+        bandwidth = np.minimum(bandwidth, corners)
+        interior[span] = inside(times[span], corners)
+    if isinstance(smoothing, Butterworth):
+        notes.append(f"zero-phase Butterworth filter of order {smoothing.order}, {smoothing.cutoff:g} Hz")
+    return Motion(times, out[0], out[1], out[2], parts, interior, bandwidth, tuple(notes))
+
+
+def inside(t: Array, corners: Array) -> NDArray[np.bool_]:
+    """Which samples (N,) of a stretch do not lie near its ends, by the bandwidths [Hz] of its smoothing."""
+    reach = min(0.5 / float(np.min(corners)), 0.1 * float(t[-1] - t[0]))
+    return np.asarray((t >= t[0] + reach) & (t <= t[-1] - reach))
+
+
+def refuse_too_short(samples: int, where: str) -> None:
+    """Raise a LogError where a stretch has too few samples for a spline."""
+    if samples < spline.MIN_SAMPLES:
+        raise LogError(f"a stretch of {samples} samples is too short to differentiate", where=where,
+                       remedy=f"leave it out or record at least {spline.MIN_SAMPLES} samples without a gap")
+
+
+def told(name: str, where: str, corner: float, residual: float, stated: float | None,
+         smoothing: SmoothingSpline) -> str:
+    """How a joint was smoothed: the bandwidth [Hz], what chose it, and what it took out beside the noise stated."""
+    chosen = "cross-validation" if stated is None else f"the stated noise of {stated:.3g}"
+    if smoothing.bandwidth and corner > 0.99 * smoothing.bandwidth:
+        chosen = "the stated bandwidth of the motion"
+    doubt = " (which does not agree: check the stated noise)" if stated and not 0.5 < residual / stated < 1.5 else ""
+    return (f"{name}, {where}: smoothing spline with {corner:.3g} Hz bandwidth from {chosen}, residual std "
+            f"{residual:.3g}{doubt}")
+
+
+def refuse_too_slow(smoothing: SmoothingSpline, duration: float, where: str) -> None:
+    """Raise a ProblemError where a bandwidth leaves nothing of a motion of that duration [s]."""
+    if smoothing.bandwidth is not None and not smoothing.bandwidth * duration >= 1:
+        raise ProblemError(f"a bandwidth of {smoothing.bandwidth:g} Hz leaves nothing of a motion of {duration:.4g} s",
+                           where=where, remedy=f"state one above {1 / duration:.2g} Hz or record a longer log")
+
+
+def _spline(t: Array, q: Array, smoothing: SmoothingSpline, stds: Array | None, names: Sequence[str],
+            where: str) -> tuple[Array, Array, list[str]]:
+    refuse_too_short(t.size, where)
+    out, corners, notes = np.empty((3, *q.shape)), np.empty(q.shape[1]), []
+    for joint, column in enumerate(q.T):
+        stated = None if stds is None or np.isnan(stds[joint]) else float(stds[joint])
+        fitted = spline.fit(t, column, stated, smoothing.bandwidth)
+        for order in range(3):
+            out[order, :, joint] = fitted(t, order)
+        corners[joint] = fitted.bandwidth
+        name = names[joint] if names else f"joint {joint + 1}"
+        notes.append(told(name, where, fitted.bandwidth, fitted.residual, stated, smoothing))
+    return out, corners, notes
+
+
+def _butterworth(t: Array, q: Array, smoothing: Butterworth, where: str) -> Array:
+    steps = np.diff(t)
+    shortest = 6 * (smoothing.order + 1)
+    if t.size <= shortest:
+        raise LogError(f"a stretch of {t.size} samples is too short to filter", where=where,
+                       remedy=f"leave it out or record more than {shortest} samples without a gap")
+    if np.any(np.abs(steps - np.median(steps)) > 0.1 * np.median(steps)):
+        raise LogError("sampling is irregular, which a Butterworth filter cannot take", where=where,
+                       remedy="choose the smoothing spline, which uses the time stamps as they are")
+    rate = (t.size - 1) / float(t[-1] - t[0])
+    if not 0 < smoothing.cutoff < rate / 2 or smoothing.order < 1:
+        raise ProblemError(f"a cutoff of {smoothing.cutoff:g} Hz and order {smoothing.order} do not suit "
+                           f"sampling at {rate:g} Hz", where=where,
+                           remedy=f"choose a cutoff between 0 and {rate / 2:g} Hz and an order of 1 or more")
+    from scipy.signal import butter, sosfiltfilt  # noqa: PLC0415 (its import takes longer than most identifications)
+
+    sections = butter(smoothing.order, smoothing.cutoff, fs=rate, output="sos")
+    smooth = make_interp_spline(t, sosfiltfilt(sections, q, axis=0), k=5)
+    return np.stack([smooth(t, order) for order in range(3)])
+
+
+def _fourier(t: Array, q: Array, segment: NDArray[np.int64], smoothing: Fourier, where: str) -> Motion:
+    """One least-squares fit over all stretches: the phase of a periodic motion survives a gap."""
+    period, harmonics = smoothing.period, smoothing.harmonics
+    if not period > 0 or harmonics < 1:
+        raise ProblemError(f"period {period:g} s with {harmonics} harmonics is no Fourier series",
+                           where=where, remedy="give a positive period and at least one harmonic")
+    step = float(np.median(np.diff(t))) if t.size > 1 else np.inf
+    if t.size < 2 or t[-1] - t[0] + step < period * (1 - 1e-9):
+        raise LogError(f"{t.size} samples over {np.ptp(t):.4g} s do not hold a period of {period:g} s",
+                       where=where, remedy="record at least one full period or choose the smoothing spline")
+    if harmonics / period >= (1 - 1e-9) * 0.5 / step:
+        raise ProblemError(f"harmonic {harmonics} at {harmonics / period:g} Hz exceeds half the sampling "
+                           "rate", where=where,
+                           remedy=f"choose fewer than {period / (2 * step):.0f} harmonics")
+    if t.size <= 2 * harmonics + 1:
+        raise LogError(f"{t.size} samples do not determine {harmonics} harmonics", where=where,
+                       remedy="choose fewer harmonics or record a longer log")
+    omega = 2 * np.pi / period * np.arange(1, harmonics + 1)
+    sine, cosine = np.sin(np.outer(t, omega)), np.cos(np.outer(t, omega))
+    basis = np.column_stack([np.ones(t.size), sine, cosine])
+    coefficients, _, rank, _ = np.linalg.lstsq(basis, q, rcond=None)
+    if rank < basis.shape[1]:
+        raise LogError(f"the samples do not determine {harmonics} harmonics", where=where,
+                       remedy="choose fewer harmonics or a log without long gaps")
+    a, b = coefficients[1:harmonics + 1], coefficients[harmonics + 1:]
+    w = omega[:, None]
+    residual = np.sqrt(np.mean((q - basis @ coefficients) ** 2, axis=0))
+    notes = tuple(f"joint {j + 1}, {where}: Fourier series of {harmonics} harmonics of {period:g} s, "
+                  f"residual std {r:.3g}" for j, r in enumerate(residual))
+    return Motion(t, basis @ coefficients, cosine @ (w * a) - sine @ (w * b),
+                  -(sine @ (w**2 * a) + cosine @ (w**2 * b)), segment, np.ones(t.size, bool),
+                  np.full(q.shape[1], harmonics / period), notes)

@@ -1,0 +1,259 @@
+"""A log that is too long for memory: a Parquet file that is read piece by piece as often as need be."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from copy import copy
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.errors import LogError, ProblemError
+from hydroopt.logs.column_map import LogMap
+from hydroopt.logs.log import Log, full_layout, given_layout, left_out, read_log
+from hydroopt.logs.quality import Finding
+from hydroopt.logs.readers import ParquetFile
+from hydroopt.logs.spline import MIN_SAMPLES, Grid
+from hydroopt.logs.table import FORMATS, in_si
+from hydroopt.logs.treatment import Samples, choose, treat
+
+Array = NDArray[np.float64]
+
+STREAMED = 500_000
+"""Data rows of a Parquet file above which it is read in pieces."""
+
+PIECE = 2**17
+"""Rows of a piece."""
+
+BLOCKS, BLOCK = 16, 4096
+"""A sample of the log: so many blocks of so many rows, or all of it where it is no longer than that."""
+
+
+@dataclass(frozen=True)
+class Survey:
+    """What one look at all rows tells: first and last time [s], the usual step [s], how many there are of them and the
+    time they take [s], gaps not counted; extremes of every channel, and how far each moves in each block.
+    """
+
+    first: float
+    last: float
+    step: float
+    steps: int
+    moved: float
+    extremes: Mapping[str, tuple[float, float]]
+    ranges: Mapping[str, Array]
+
+
+@dataclass(frozen=True)
+class LogStream:
+    """Rows of a Parquet file as a log, of which no more than a piece is ever in memory.
+
+    Attributes:
+        path: of the file; `sha256` of its bytes.
+        layout: which column is what; `units`: SI unit by channel.
+        treatment: action by kind of finding; `limits`: of the sensors' ranges, as for `read_log`.
+        rows: first and last 1-based data row.
+        findings: what is known before the samples are looked at.
+        piece: rows read at a time.
+    """
+
+    path: str
+    sha256: str
+    layout: LogMap
+    units: Mapping[str, str]
+    treatment: Mapping[str, str]
+    limits: Mapping[str, tuple[float, float]]
+    rows: tuple[int, int]
+    findings: tuple[Finding, ...] = ()
+    piece: int = PIECE
+
+    @property
+    def name(self) -> str:
+        """Short name, for tables and figures."""
+        return Path(self.path).stem
+
+    @property
+    def channels(self) -> Mapping[str, str]:
+        """The channels' names, with their units."""
+        return self.units
+
+    @property
+    def size(self) -> int:
+        """Number of rows, those that a treatment drops among them."""
+        return self.rows[1] - self.rows[0] + 1
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last sample [s]."""
+        return self.survey.last - self.survey.first
+
+    def slice(self, start: int, stop: int) -> LogStream:
+        """Rows `start` to `stop` (0-based, half open).
+
+        Raises:
+            LogError: fewer than two rows.
+        """
+        if not 0 <= start < stop - 1 < self.size:
+            raise LogError(f"positions {start} to {stop} hold fewer than two of {self.size} samples", where=self.path,
+                           remedy="choose a longer stretch")
+        return replace(self, rows=(self.rows[0] + start, self.rows[0] + stop - 1))
+
+    def with_findings(self, more: Iterable[Finding]) -> LogStream:
+        """The same log, of which more is known."""
+        made = copy(self)  # with its survey
+        object.__setattr__(made, "findings", (*self.findings, *more))
+        return made
+
+    def split(self, fraction: float) -> tuple[LogStream, LogStream]:
+        """The first `fraction` of the rows, and the rest.
+
+        Raises:
+            ProblemError: `fraction` is not between 0 and 1.
+            LogError: one part has fewer than two rows.
+        """
+        if not 0 < fraction < 1:
+            raise ProblemError(f"a log cannot be split at {fraction}", where=self.path,
+                               remedy="choose a fraction between 0 and 1")
+        cut = round(fraction * self.size)
+        return self.slice(0, cut), self.slice(cut, self.size)
+
+    def read(self, ranges: Sequence[tuple[int, int]], channels: Iterable[str] | None = None) -> Iterator[Samples]:
+        """Time and channels, all of them if not stated, of ranges of data rows in SI; nothing is treated."""
+        wanted = {"t", *(self.units if channels is None else channels)}
+        layout = self.layout.model_copy(update={
+            "columns": {name: column for name, column in self.layout.columns.items() if name in wanted}})
+        for table in ParquetFile(Path(self.path), self.path, self.layout).pieces(layout.keys, ranges):
+            values, _ = in_si(layout, table, self.path)
+            yield Samples(values.pop("t"), values, table.rows)
+
+    @cached_property
+    def survey(self) -> Survey:
+        """One look at all rows.
+
+        Raises:
+            LogError: there are not two times, or not one number in a channel.
+        """
+        extremes = dict.fromkeys(self.units, (np.inf, -np.inf))
+        ranges: dict[str, list[Array]] = {name: [] for name in self.units}
+        first, last, step, steps, moved = np.nan, np.nan, np.nan, 0, 0.0
+        for samples in self.read(_ranges(self.rows, self.piece // BLOCK * BLOCK or BLOCK)):
+            t = samples.t[np.isfinite(samples.t)]
+            if np.isnan(last) and t.size > 1:
+                first, last, step = float(t[0]), float(t[0]), float(np.median(np.diff(t)))
+            long = np.diff(t, prepend=last)
+            usual = long[(long > 0) & (long <= 3.0 * step)]
+            steps, moved, last = steps + usual.size, moved + float(usual.sum()), float(t[-1]) if t.size else last
+            for name, x in samples.channels.items():
+                starts = np.arange(0, x.size, BLOCK)
+                low, high = np.fmin.reduceat(x, starts), np.fmax.reduceat(x, starts)
+                ranges[name].append(high - low)
+                extremes[name] = (min(extremes[name][0], float(np.fmin.reduce(low))),
+                                  max(extremes[name][1], float(np.fmax.reduce(high))))
+        empty = [name for name, (low, high) in extremes.items() if not low <= high]
+        if not steps or empty:
+            raise LogError(f"{empty[0]} holds no number" if steps else "times do not increase", where=self.path,
+                           remedy="select other rows, or leave the channel out with a map")
+        return Survey(first, last, step, steps, moved, extremes,
+                      {name: np.nan_to_num(np.concatenate(parts)) for name, parts in ranges.items()})
+
+    @property
+    def grid(self) -> Grid:
+        """Knots for splines, the same whatever the pieces."""
+        return Grid(self.survey.first, self.survey.moved, self.survey.steps)
+
+    def sample(self, moving: Sequence[str]) -> Log:
+        """All of a short log; of a long one the blocks between which the channels `moving` move the same way.
+
+        Raises:
+            LogError: there is no stretch that can be smoothed.
+        """
+        if self.size <= BLOCKS * BLOCK:
+            ranges = [self.rows]
+        else:
+            spans = {name: high - low for name, (low, high) in self.survey.extremes.items()}
+            way = np.cumsum(sum(self.survey.ranges[name] / spans[name] for name in moving if spans[name] > 0))
+            blocks = np.searchsorted(way, (np.arange(BLOCKS) + 0.5) / BLOCKS * way[-1])
+            starts = self.rows[0] + BLOCK * np.unique(blocks)
+            ranges = [(int(row), min(int(row) + BLOCK - 1, self.rows[1])) for row in starts]
+        parts = [self.treated(samples, (1, 0)) for samples in self.read(ranges)]
+        begins = np.cumsum([0, *(part.segment[-1] + 1 for part in parts)])
+        segment = np.concatenate([part.segment + begin for part, begin in zip(parts, begins, strict=False)])
+        long = np.bincount(segment)[segment] >= MIN_SAMPLES
+        if not long.any():
+            raise LogError("there is no stretch that is long enough to differentiate", where=self.path,
+                           remedy=f"record at least {MIN_SAMPLES} samples without a gap")
+        return Log(self.name, np.concatenate([part.t for part in parts])[long],
+                   {name: np.concatenate([part.channels[name] for part in parts])[long] for name in self.units},
+                   np.concatenate([part.sample for part in parts])[long], segment[long], (), self.path, self.sha256,
+                   self.units)
+
+    def windows(self, margins: tuple[int, int], channels: Iterable[str] | None = None
+                ) -> Iterator[tuple[Samples, tuple[int, int]]]:
+        """Samples of every piece with so many rows more before and behind it, and the piece's first and last row."""
+        pieces = _ranges(self.rows, self.piece)
+        wide = [(max(first - margins[0], self.rows[0]), min(last + margins[1], self.rows[1])) for first, last in pieces]
+        yield from zip(self.read(wide, channels), pieces, strict=True)
+
+    def treated(self, samples: Samples, told: tuple[int, int]) -> Log:
+        """Samples as a log after checks and treatments; only findings in the rows `told`, first and last, are told.
+
+        Raises:
+            LogError: a kind of finding whose action is "error".
+        """
+        piece = replace(samples, told=told, whole={name: self.survey.extremes[name] for name in samples.channels})
+        kept, segment = treat(piece, self.treatment, self.limits, self.path)
+        return Log(self.name, kept.t, kept.channels, kept.sample, segment, kept.findings, self.path, self.sha256,
+                   {name: self.units[name] for name in kept.channels})
+
+
+def open_log(path: str | Path, *, mapping: LogMap | str | Path | None = None,
+             treatment: Mapping[str, str] | None = None,
+             limits: Mapping[str, tuple[float, float]] | None = None) -> Log | LogStream:
+    """As `read_log`, but a Parquet file of more than `STREAMED` rows is not read now, and later in pieces.
+
+    Raises:
+        LogError: the file is missing, damaged or not understood.
+        ProblemError: unknown treatment, or one that a log in pieces does not know.
+    """
+    layout = given_layout(mapping, str(path))
+    kind = (layout.format if layout else None) or FORMATS.get(Path(path).suffix.lower())
+    if kind == "parquet" and Path(path).is_file() and Path(path).stat().st_size:
+        file = ParquetFile(Path(path), str(path), layout)
+        if file.meta.num_rows > STREAMED and (rows := file.selected)[1] - rows[0] >= STREAMED:
+            return stream(path, mapping=layout, treatment=treatment, limits=limits)
+    return read_log(path, mapping=layout, treatment=treatment, limits=limits)
+
+
+def stream(path: str | Path, *, mapping: LogMap | str | Path | None = None,
+           treatment: Mapping[str, str] | None = None, limits: Mapping[str, tuple[float, float]] | None = None,
+           piece: int = PIECE) -> LogStream:
+    """A Parquet file as a log that is read in pieces of so many rows.
+
+    Raises:
+        LogError: the file is damaged or not understood.
+        ProblemError: unknown treatment, or one that needs the log as a whole.
+    """
+    where, chosen = str(path), choose(treatment)
+    for kind, action in chosen.items():
+        if action == "interpolate" or (kind, action) == ("non-monotonic", "drop"):
+            raise ProblemError(f"the log is read in pieces, between which '{kind}' cannot be treated by '{action}'",
+                               where=where, remedy="choose another treatment, mend the file, or give a part of fewer "
+                                                   f"than {STREAMED} rows with 'rows = [first, last]' in a map")
+    given = given_layout(mapping, where)
+    file = ParquetFile(Path(path), where, given)
+    layout, ignored = full_layout(given, file.header, where)
+    rows = file.selected
+    # the units as they are found for whole logs: of no samples
+    _, units = in_si(layout, next(file.pieces(layout.keys, [(rows[0], rows[0])])), where)
+    with Path(path).open("rb") as data:
+        digest = hashlib.file_digest(data, "sha256").hexdigest()
+    return LogStream(where, digest, layout, units, chosen, limits or {}, rows, left_out(layout, ignored, *rows), piece)
+
+
+def _ranges(rows: tuple[int, int], size: int) -> list[tuple[int, int]]:
+    """Data rows (first, last) of pieces of so many rows."""
+    return [(first, min(first + size - 1, rows[1])) for first in range(rows[0], rows[1] + 1, size)]

@@ -1,0 +1,89 @@
+"""The smoothing spline of a log that is smoothed in pieces: knots and weights are chosen once, for all pieces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.logs import spline
+from hydroopt.logs.smoothing import Motion, SmoothingSpline, inside, refuse_too_short, refuse_too_slow, told
+from hydroopt.logs.spline import Basis, Grid
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Smoother:
+    """Knots, log10 λ in knot units and bandwidth [Hz] of every joint's spline, and how they were chosen in words."""
+
+    grids: tuple[Grid, ...]
+    log_weights: tuple[float, ...]
+    bandwidth: Array
+    notes: tuple[str, ...]
+
+    @property
+    def margin(self) -> float:
+        """How far [s] beyond a piece its smoothing has to reach, for what lies beyond to be felt no more.
+
+        A sample's influence falls by e within 1/(π·bandwidth): the slowest of the six roots of 1 + (ω/ω₀)⁶.
+        """
+        return spline.DECAY / (np.pi * float(np.min(self.bandwidth)))
+
+    def motion(self, t: Array, q: Array, segment: NDArray[np.int64], needed: NDArray[np.bool_], where: str) -> Motion:
+        """Smooth positions (N, n) of a piece at times t (N,); stretches in which no sample is `needed` (N,) stay NaN.
+
+        Raises:
+            LogError: a stretch is too short.
+        """
+        out = np.full((3, *q.shape), np.nan)
+        interior = np.zeros(t.size, bool)
+        edges = np.flatnonzero(np.diff(segment, prepend=segment[0] - 1, append=segment[-1] + 1))
+        for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+            span = slice(start, stop)
+            if not needed[span].any():
+                continue
+            refuse_too_short(stop - start, where)
+            for grid in dict.fromkeys(self.grids):
+                basis = Basis(t[span], grid)
+                joints = [j for j, own in enumerate(self.grids) if own == grid]
+                right = basis.design.T @ q[span, joints]
+                coefficients = np.column_stack([basis.solve(10.0 ** self.log_weights[j], right[:, k])
+                                                for k, j in enumerate(joints)])
+                for order in range(3):
+                    rows = basis.design if order == 0 else basis.derivative(basis.x, order)
+                    out[order, span, joints] = (rows @ coefficients).T / basis.spacing**order
+            interior[span] = inside(t[span], self.bandwidth)
+        return Motion(t, out[0], out[1], out[2], segment, interior, self.bandwidth, self.notes)
+
+
+def choose(pieces: Sequence[tuple[Array, Array]], grid: Grid, smoothing: SmoothingSpline, noise: Array,
+           names: Sequence[str], where: str) -> Smoother:
+    """The smoother of a motion by a sample of it: pieces (t, q) of N samples (N,), (N, n).
+
+    Args:
+        pieces: uninterrupted stretches, none too short for a spline.
+        grid: knots of the whole motion.
+        smoothing: how weights are chosen.
+        noise: (n,) standard deviation of the positions; NaN where unknown.
+        names: of the joints.
+        where: name of the log, for error messages.
+
+    Raises:
+        ProblemError: the bandwidth leaves nothing of the motion.
+    """
+    refuse_too_slow(smoothing, grid.duration, where)
+    grids, weights, corners, notes = [], [], [], []
+    for j, name in enumerate(names):
+        stated = None if smoothing.cross_validate or np.isnan(noise[j]) else float(noise[j])
+        bases, log_weight = spline.choose([(t, q[:, j]) for t, q in pieces], grid, stated, smoothing.bandwidth)
+        fitted = [basis.spline(q[:, j], log_weight) for basis, (_, q) in zip(bases, pieces, strict=True)]
+        sizes = [t.size for t, _ in pieces]
+        residual = float(np.sqrt(np.average([one.residual**2 for one in fitted], weights=sizes)))
+        grids.append(bases[0].grid)
+        weights.append(log_weight)
+        corners.append(min(one.bandwidth for one in fitted))
+        notes.append(told(name, where, corners[-1], residual, stated, smoothing))
+    return Smoother(tuple(grids), tuple(weights), np.array(corners), tuple(notes))

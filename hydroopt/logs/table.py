@@ -1,0 +1,210 @@
+"""Raw columns of a file as numbers or texts, their writing, and what all file formats have in common."""
+
+import hashlib
+import os
+import tempfile
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from hydroopt.errors import LogError
+from hydroopt.logs.column_map import Key, LogMap, si_unit
+from hydroopt.units import factor
+
+Array = NDArray[np.float64]
+RawKey = Key | tuple[str, int | None]
+FORMATS = {".csv": "csv", ".txt": "csv", ".dat": "csv", ".parquet": "parquet", ".mat": "mat"}
+FILE_LIMIT = 2 * 1024**3
+"""Largest file that is read [bytes]."""
+EXPANSION = 10
+"""Bytes of memory that a byte of text takes until an identification is done with it."""
+EXPANDED_LIMIT = 10 * 1000**3
+"""Largest size in memory that a file may declare [bytes]."""
+
+
+@dataclass(frozen=True)
+class Table:
+    """Raw columns by key, each (N,); `rows` (N,) 1-based data rows; `damage`: why a row cannot be trusted.
+
+    `texts` are the columns (N,) that were asked for as texts, '' where a cell is empty.
+    """
+
+    columns: dict[RawKey, Array]
+    rows: NDArray[np.int64]
+    damage: dict[int, str] = field(default_factory=dict)
+    texts: dict[Key, list[str]] = field(default_factory=dict)
+
+
+def load(path: str | Path, declared: str | None) -> tuple[bytes, str, str]:
+    """Bytes of a file, their SHA-256 and the format.
+
+    Raises:
+        LogError: the file is missing, no file, too large or of an unknown kind.
+    """
+    file, where = Path(path), str(path)
+    kind = declared or FORMATS.get(file.suffix.lower())
+    if not file.exists():
+        raise LogError("there is no such file", where=where, remedy="check the path")
+    if not file.is_file():
+        raise LogError("this is a directory or device, not a file", where=where, remedy="name one log file")
+    if kind is None:
+        raise LogError(f"'{file.suffix}' is not a kind of log that can be read", where=where,
+                       remedy=f"use {', '.join(FORMATS)} or state 'format' in a map")
+    if (size := file.stat().st_size) > FILE_LIMIT:
+        raise LogError(f"the file has {size / 1e9:.1f} GB", where=where,
+                       remedy="convert it to Parquet, which is read in pieces, or split it into parts below 2 GiB")
+    if kind == "csv" and (need := EXPANSION * size) > (have := _memory()):
+        raise LogError(f"the text of {size / 1e9:.1f} GB takes about {need / 1e9:.0f} GB of memory, of which there are "
+                       f"{have / 1e9:.0f} GB", where=where,
+                       remedy="convert it to Parquet, which is read in pieces, or split it")
+    try:
+        data = file.read_bytes()
+    except OSError as error:
+        raise LogError(f"the file cannot be read ({error.strerror})", where=where,
+                       remedy="check its permissions") from None
+    if not data.strip():
+        raise LogError("the file is empty", where=where, remedy="record it again")
+    return data, hashlib.sha256(data).hexdigest(), kind
+
+
+def _memory() -> float:
+    """Memory of this computer [bytes]; without limit where it does not say."""
+    try:
+        return float(os.sysconf("SC_PAGE_SIZE")) * os.sysconf("SC_PHYS_PAGES")
+    except (AttributeError, ValueError, OSError):
+        return float("inf")
+
+
+def in_si(layout: LogMap, table: Table, where: str) -> tuple[dict[str, Array], dict[str, str]]:
+    """Channels (N,) of a map in SI, the time `t` among them, and the SI unit of each but the time."""
+    values: dict[str, Array] = {}
+    units: dict[str, str] = {}
+    for name, column in layout.columns.items():
+        si = si_unit(name, column.unit)
+        raw = [table.columns[key] for key in column.keys]
+        difference = raw[0] if len(raw) == 1 else raw[0] - raw[1]
+        with np.errstate(over="ignore", invalid="ignore"):
+            values[name] = column.factor * factor(column.unit, si) * difference + column.shift(si, where)
+        units[name] = si
+    return values, {name: unit for name, unit in units.items() if name != "t"}
+
+
+def refuse_damage(damage: Mapping[int, str], every: NDArray[np.int64], where: str) -> None:
+    """Raise a LogError if there is `damage` (reason by row), naming the longest sound stretch of all rows `every`."""
+    if not damage:
+        return
+    rows = np.array(sorted(damage))
+    fences = np.concatenate([[every[0] - 1], rows, [every[-1] + 1]])
+    longest = int(np.argmax(np.diff(fences)))
+    start, stop = int(fences[longest]) + 1, int(fences[longest + 1]) - 1
+    reasons: dict[str, list[int]] = {}
+    for row in rows:
+        reasons.setdefault(damage[int(row)], []).append(int(row))
+    shown = "; ".join(f"{runs(which)}: {reason}" for reason, which in list(reasons.items())[:4])
+    noun = "row" if rows.size == 1 else "rows"
+    trim = f"trim it with 'rows = [{start}, {stop}]' in a map, or " if stop > start else ""
+    raise LogError(f"data {noun} {runs(rows)} {'is' if rows.size == 1 else 'are'} damaged ({shown})",
+                   where=where,
+                   remedy=f"{trim}mend the file")
+
+
+def frozen(values: ArrayLike, kind: type) -> NDArray[Any]:
+    """A copy of `values` as an array of `kind` that cannot be written to."""
+    array: NDArray[Any] = np.array(values, dtype=kind)
+    array.setflags(write=False)
+    return array
+
+
+def write_columns(path: str | Path, columns: Mapping[str, NDArray[Any]], what: str) -> None:
+    """Write columns (N,) by header as CSV or Parquet, by extension; complete or not at all, NaN as an empty cell.
+
+    Raises:
+        LogError: another extension, or the file cannot be written; the sentence calls it `what`.
+    """
+    import pyarrow as pa  # noqa: PLC0415 (import cost)
+    from pyarrow import csv, parquet  # noqa: PLC0415
+
+    target = Path(path)
+    if target.suffix.lower() not in (".csv", ".parquet"):
+        raise LogError(f"'{target.suffix}' is not a kind of {what} that can be written", where=str(path),
+                       remedy="use .csv or .parquet")
+    table = pa.table({name: pa.array(column, from_pandas=True) for name, column in columns.items()})
+    temporary = ""
+    try:
+        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
+        with os.fdopen(handle, "wb") as file:
+            if target.suffix.lower() == ".parquet":
+                parquet.write_table(table, file)
+            else:
+                file.write((",".join(columns) + "\n").encode())
+                csv.write_csv(table, file, csv.WriteOptions(include_header=False))
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, target)
+    except OSError as error:
+        if temporary:
+            Path(temporary).unlink(missing_ok=True)
+        raise LogError(f"the {what} cannot be written ({error.strerror})", where=str(path),
+                       remedy="check the directory and its permissions") from None
+
+
+def runs(rows: Sequence[int] | NDArray[np.int64], most: int = 4) -> str:
+    """Row numbers in words, neighbours joined: ``2–10, 6107``."""
+    numbers = sorted(int(r) for r in rows)
+    parts: list[list[int]] = []
+    for number in numbers:
+        if parts and number == parts[-1][1] + 1:
+            parts[-1][1] = number
+        else:
+            parts.append([number, number])
+    words = [str(a) if a == b else f"{a}–{b}" for a, b in parts[:most]]
+    return ", ".join(words) + (f" and {len(parts) - most} more stretches" if len(parts) > most else "")
+
+
+def find_column(key: Key, header: list[str], width: int, where: str) -> int:
+    """Index of a column given by name or 0-based index.
+
+    Raises:
+        LogError: there is none, or the name stands there twice.
+    """
+    if isinstance(key, int):
+        if not 0 <= key < width:
+            raise LogError(f"there is no column {key} among {width} (counted from 0)", where=where,
+                           remedy="correct the index in the map")
+        return key
+    count = header.count(key)
+    if count == 0:
+        present = f"those present are {', '.join(header[:40])}" if header else "no header is read"
+        raise LogError(f"there is no column '{key}' ({present})", where=where,
+                       remedy="correct the name in the map")
+    if count > 1:
+        raise LogError(f"column '{key}' stands there {count} times", where=where,
+                       remedy="rename one or give the column's 0-based index in a map")
+    return header.index(key)
+
+
+def selected(count: int, rows: tuple[int, int] | None, where: str) -> NDArray[np.int64]:
+    """1-based data rows that a map selects of `count`."""
+    first, last = rows or (1, count)
+    if last > count:
+        raise LogError(f"rows {first} to {last} are asked for, but there are {count} data rows",
+                       where=where,
+                       remedy="correct 'rows' in the map")
+    return np.arange(first, last + 1)
+
+
+def check_size(size: float, where: str) -> None:
+    """Refuse a file that declares more than EXPANDED_LIMIT bytes."""
+    if size > EXPANDED_LIMIT:
+        raise LogError(f"the file declares {size / 1e9:.3g} GB of data", where=where,
+                       remedy="check that it is undamaged, or split it")
+
+
+def unreadable(kind: str, where: str, error: BaseException) -> LogError:
+    """The error for a file that its library cannot read."""
+    reason = (str(error).strip().splitlines() or [type(error).__name__])[0][:120].rstrip(".")
+    return LogError(f"this is not a readable {kind} file ({reason})", where=where,
+                    remedy="export it again or name the file after its true format")

@@ -1,0 +1,205 @@
+"""What is done about the findings of a log: the actions a user may choose, and carrying them out."""
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.errors import LogError, ProblemError
+from hydroopt.logs import quality as find
+from hydroopt.logs.quality import Array, Finding, Mask
+from hydroopt.logs.table import runs
+
+ACTIONS: dict[str, tuple[str, ...]] = {
+    "nan": ("error", "drop", "interpolate"),
+    "non-monotonic": ("error", "drop"),
+    "duplicate": ("error", "first", "mean"),
+    "saturated": ("keep", "drop", "error"),
+    "stuck": ("keep", "drop", "error"),
+    "spike": ("keep", "drop", "interpolate", "error"),
+    "irregular": ("keep", "error"),
+    "gap": ("split", "keep", "error"),
+}
+"""Actions by kind of finding; the first is the default."""
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Time t (N,) [s], channels (N,) [SI], data row (N,) of each sample, and what was found so far.
+
+    Of a piece of a longer log only findings in the rows `told`, first and last, are told (none where the last comes
+    before the first), and `whole` are the extremes of the log's channels.
+    """
+
+    t: Array
+    channels: dict[str, Array]
+    sample: NDArray[np.int64]
+    findings: tuple[Finding, ...] = ()
+    told: tuple[int, int] | None = None
+    whole: Mapping[str, tuple[float, float]] | None = None
+
+    def keep(self, mask: Mask) -> "Samples":
+        """The samples in `mask` (N,)."""
+        return replace(self, t=self.t[mask], channels={k: x[mask] for k, x in self.channels.items()},
+                       sample=self.sample[mask])
+
+
+def choose(treatment: Mapping[str, str] | None) -> dict[str, str]:
+    """The action for each kind of finding, defaults filled in.
+
+    Raises:
+        ProblemError: unknown kind or action.
+    """
+    chosen = {kind: actions[0] for kind, actions in ACTIONS.items()}
+    for kind, action in (treatment or {}).items():
+        if kind not in ACTIONS:
+            raise ProblemError(f"'{kind}' is no kind of finding", where="treatment",
+                               remedy=f"use one of {', '.join(ACTIONS)}")
+        if action not in ACTIONS[kind]:
+            raise ProblemError(f"'{action}' is no treatment of '{kind}'", where="treatment",
+                               remedy=f"use one of {', '.join(ACTIONS[kind])}")
+        chosen[kind] = action
+    return chosen
+
+
+def treat(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, tuple[float, float]],
+          where: str) -> tuple[Samples, NDArray[np.int64]]:
+    """Find and treat, in this order: NaN, time order, repeated stamps, outliers, sampling.
+
+    Returns the samples left and the stretch (N,) each belongs to.
+
+    Raises:
+        LogError: a kind whose action is "error" was found, or too little is left.
+    """
+    silent = samples.told is not None and samples.told[0] > samples.told[1]
+    idle = silent and all(chosen[kind] != "drop" for kind in ("saturated", "stuck", "spike"))
+    for step in (_not_a_number, _order, _repeats, *(() if idle else (_outliers,))):
+        samples = step(samples, chosen, limits, where)
+        if samples.t.size < 2:
+            raise LogError(f"only {samples.t.size} of the samples would be left", where=where,
+                           remedy="choose other treatments or record the log again")
+    return _sampling(samples, chosen, where)
+
+
+def _note(
+    samples: Samples, kind: str, channel: str, mask: Mask, text: str, chosen: Mapping[str, str], where: str
+) -> Samples:
+    """Add a finding, or raise where the action is "error"."""
+    action = chosen[kind]
+    if samples.told and action != "error":
+        mask = mask & (samples.sample >= samples.told[0]) & (samples.sample <= samples.told[1])
+        if not mask.any():
+            return samples
+    found = find.finding(kind, channel, mask, samples.sample, text)
+    if action == "error":
+        others = [f"--treat {kind}={a}" for a in ACTIONS[kind] if a != "error"]
+        among = f"of rows {samples.sample[0]} to {samples.sample[-1]}" if samples.told else "in all"
+        raise LogError(f"{found.text} ({found.count} {among})", where=where,
+                       remedy=f"choose {' or '.join(others)}, or mend the file")
+    if action != "keep":
+        done = {"drop": "dropped", "interpolate": "interpolated", "first": "first one kept",
+                "mean": "averaged", "split": "split there"}[action]
+        found = replace(found, text=f"{found.text}; {done}")
+    return replace(samples, findings=(*samples.findings, found))
+
+
+def _not_a_number(samples: Samples, chosen: Mapping[str, str], limits: object, where: str) -> Samples:
+    bad = {name: ~np.isfinite(x) for name, x in {"t": samples.t, **samples.channels}.items()}
+    bad = {name: mask for name, mask in bad.items() if mask.any()}
+    for name, mask in bad.items():
+        samples = _note(samples, "nan", name, mask, "hold no finite number", chosen, where)
+    if chosen["nan"] == "drop" and bad:
+        return samples.keep(~np.logical_or.reduce(list(bad.values())))
+    if "t" in bad:
+        raise LogError(f"t: samples {runs(samples.sample[bad['t']])} have no time, which cannot be "
+                       "interpolated", where=where, remedy="choose --treat nan=drop or mend the file")
+    for name, mask in bad.items():
+        samples = _bridge(samples, name, mask, where)
+    return samples
+
+
+def _bridge(samples: Samples, name: str, mask: Mask, where: str) -> Samples:
+    """Linear in time over the masked samples; never beyond the outermost good ones."""
+    good = np.flatnonzero(~mask)
+    if good.size < 2 or mask[0] or mask[-1]:
+        raise LogError(f"{name}: samples at the very start or end cannot be interpolated", where=where,
+                       remedy="choose 'drop' instead, or trim the log with 'rows = [first, last]' in a map")
+    order = good[np.argsort(samples.t[good], kind="stable")]
+    x = samples.channels[name].copy()
+    x[mask] = np.interp(samples.t[mask], samples.t[order], x[order])
+    return replace(samples, channels={**samples.channels, name: x})
+
+
+def _order(samples: Samples, chosen: Mapping[str, str], limits: object, where: str) -> Samples:
+    mask = find.out_of_order(samples.t)
+    if not mask.any():
+        return samples
+    samples = _note(samples, "non-monotonic", "t", mask, "are out of the order of time", chosen, where)
+    if 2 * np.count_nonzero(mask) > mask.size:
+        raise LogError("more than half of the samples are out of the order of time", where=where,
+                       remedy="select a good stretch with 'rows = [first, last]' in a map, or mend the times")
+    return samples.keep(~mask)
+
+
+def _repeats(samples: Samples, chosen: Mapping[str, str], limits: object, where: str) -> Samples:
+    mask = find.repeated(samples.t)
+    if not mask.any():
+        return samples
+    samples = _note(samples, "duplicate", "t", mask, "repeat the time stamp before", chosen, where)
+    if chosen["duplicate"] == "mean":
+        group = np.cumsum(~mask) - 1
+        count = np.bincount(group)
+        means = {k: (np.bincount(group, x) / count)[group] for k, x in samples.channels.items()}
+        samples = replace(samples, channels=means)
+    return samples.keep(~mask)
+
+
+def _outliers(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, tuple[float, float]],
+              where: str) -> Samples:
+    """Saturation, standstill, spikes: each sample counts once. Commands (`.u`) may rest and jump."""
+    sensed = {name: x for name, x in samples.channels.items() if not name.endswith(".u")}
+    none = np.zeros(samples.t.size, bool)
+    whole = samples.whole or {}
+    clipped = {name: find.saturated(x, limits.get(name), name in sensed, whole.get(name))
+               for name, x in samples.channels.items()}
+    level = {name: mask & ~clipped[name] for name, mask in find.stuck(sensed, samples.whole).items()}
+    spiky = {name: find.spikes(x) & ~clipped[name] & ~level[name] for name, x in sensed.items()}
+    texts: tuple[tuple[str, dict[str, Mask], Callable[[str, Mask], str]], ...] = (
+        ("saturated", clipped, lambda name, mask: "sit at or beyond the limit of the range"),
+        ("stuck", level, lambda name, mask: "rest at one value while other channels move"),
+        ("spike", spiky, _worst(samples)))
+    drop = none
+    for kind, masks, text in texts:
+        for name, mask in masks.items():
+            if not mask.any():
+                continue
+            samples = _note(samples, kind, name, mask, text(name, mask), chosen, where)
+            if chosen[kind] == "drop":
+                drop = drop | mask
+            elif chosen[kind] == "interpolate":
+                samples = _bridge(samples, name, mask, where)
+    return samples.keep(~drop) if drop.any() else samples
+
+
+def _worst(samples: Samples) -> Callable[[str, Mask], str]:
+    def text(name: str, mask: Mask) -> str:
+        x = samples.channels[name]
+        off = np.abs(x - np.interp(samples.t, samples.t[~mask], x[~mask]))
+        worst = int(np.argmax(np.where(mask, off, -1.0)))
+        return f"stand off their neighbours (worst at sample {samples.sample[worst]})"
+    return text
+
+
+def _sampling(samples: Samples, chosen: Mapping[str, str], where: str) -> tuple[Samples, NDArray[np.int64]]:
+    after_gap, uneven = find.gaps(samples.t), find.jitter(samples.t)
+    step = float(np.median(np.diff(samples.t)))
+    if after_gap.any():
+        longest = float(np.max(np.diff(samples.t)))
+        samples = _note(samples, "gap", "t", after_gap, f"follow a gap (longest {longest:.4g} s, usual step "
+                        f"{step:.4g} s)", chosen, where)
+    if uneven.any():
+        samples = _note(samples, "irregular", "t", uneven, "come off the usual step of "
+                        f"{step:.4g} s by more than 10 %", chosen, where)
+    split = after_gap if chosen["gap"] == "split" else np.zeros(samples.t.size, bool)
+    return samples, np.cumsum(split)

@@ -1,0 +1,81 @@
+"""What closes a machine's chain for kinematic calibration: calibrator, fixtures, distances, stages (chapter 3)."""
+
+from __future__ import annotations
+
+from typing import Self
+
+from pydantic import Field, model_validator
+
+from hydroopt.machine.components import Link
+from hydroopt.machine.quantity import Angle, ImpossibleError, Length, Lengths, Name, Noun
+
+
+class Calibrator(Noun):
+    """A sensed linkage from the far end of a machine's link to a ball that sits in a fixture (Section 3.5.1).
+
+    Its links follow each other as those of the machine do, the first one on `parent`. `tip` is the ball's centre (3,)
+    [m] in the frame at the far end of the last link. Without links of its own it is a rigid tool with a ball.
+    """
+
+    parent: Name
+    links: tuple[Link, ...] = ()
+    tip: Lengths = (0.0, 0.0, 0.0)
+
+    @model_validator(mode="after")
+    def _serial(self) -> Self:
+        before = self.parent
+        for link in self.links:
+            if link.parent != before:
+                raise ImpossibleError(f"link '{link.name}' hangs on '{link.parent}', not on '{before}'",
+                                      "list a calibrator's links in their order, each on the one before")
+            before = link.name
+        return self
+
+
+class Fixture(Noun):
+    """A passive ball joint at rest in the base frame (the task of Section 3.3.2): `position` (3,) [m].
+
+    `play` [m] is the standard deviation, in each direction, of the ball's centre in its socket. A fixture that `moves`
+    stands at another place in every stage, and `position` is only a first guess of all of them.
+    """
+
+    name: Name
+    position: Lengths
+    play: Length = Field(0.0, ge=0)
+    moves: bool = False
+
+
+class Tracker(Noun):
+    """An instrument that tracks the tip: where it stands in the base frame (3,) [m], and its roll, pitch, yaw [rad]."""
+
+    position: Lengths = (0.0, 0.0, 0.0)
+    orientation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+
+
+class Distance(Noun):
+    """A known distance [m] between two fixtures: what gives a closed chain its scale (Section 3.6.4)."""
+
+    name: Name
+    between: tuple[Name, Name]
+    length: Length = Field(gt=0)
+
+
+class Stage(Noun):
+    """Poses measured one after another: which joints move unsensed, and about where the others are locked [rad].
+
+    A locked joint keeps its unknown angle through the stages that follow until one of them moves it. Leaking cylinders
+    let it drift evenly during a stage, by an angle whose standard deviation is `drift` [rad]. Joints whose readings a
+    log gives are sensed and need not be named.
+    """
+
+    name: Name
+    moves: tuple[Name, ...] = ()
+    locked: dict[Name, Angle] = Field(default_factory=dict)
+    drift: Angle = Field(0.0, ge=0)
+
+    @model_validator(mode="after")
+    def _one_state(self) -> Self:
+        both = sorted(set(self.moves) & set(self.locked))
+        if both:
+            raise ImpossibleError(f"'{both[0]}' both moves and is locked", "name it once")
+        return self

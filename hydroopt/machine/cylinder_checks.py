@@ -1,0 +1,124 @@
+"""Whether the cylinders of a machine can do their work over the whole range of their joints."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import NamedTuple
+
+import casadi as ca
+import numpy as np
+
+from hydroopt.machine.components import Cylinder, GasCylinder
+from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.quantity import ImpossibleError
+from hydroopt.spatial.inertia import Array
+from hydroopt.spatial.poses import Triangle
+
+
+def check(machine: Machine) -> None:
+    """Check every cylinder over the range of the joints it moves.
+
+    The triangle must close, the stroke must cover the range, and the lever arm must keep its sign. For a cylinder on
+    one revolute joint this is exact; any other is checked on a grid of its joints. The volume of a gas cylinder must
+    stay positive and its pins apart, also checked on a grid.
+
+    Raises:
+        ImpossibleError: names the cylinder, the place and the remedy.
+    """
+    geometry = Geometry(machine)
+    for cylinder in machine.cylinders:
+        found = geometry.triangle(cylinder)
+        if found is None:
+            _check_on_grid(geometry, cylinder)
+            continue
+        joint, sides = found
+        _lever_arm_keeps_sign(cylinder, joint, float(sides.offset), *machine.link(joint).joint.range)
+        _stroke_suffices(cylinder, joint, sides, *machine.link(joint).joint.range)
+    for gas in machine.gas_cylinders:
+        _gas_has_room(geometry, gas)
+
+
+class _Grid(NamedTuple):
+    """Lengths [m] and lever arms on the last joint (N,) of a cylinder over its joints; `place` words a sample's."""
+
+    lengths: Array
+    arms: Array
+    place: Callable[[int], str]
+
+
+def _on_grid(geometry: Geometry, cylinder: Cylinder | GasCylinder) -> _Grid:
+    machine = geometry.machine
+    joints = machine.joints_between(cylinder.barrel.link, cylinder.rod.link)
+    q = ca.SX.sym("q", len(joints))
+    at = {joint: q[k] for k, joint in enumerate(joints)}
+    length = ca.norm_2(geometry.pin(cylinder, "rod", at) - geometry.pin(cylinder, "barrel", at))
+    function = ca.Function("length", [q], [length, ca.jacobian(length, q)[-1]])
+    points = 721 if len(joints) == 1 else 25
+    grid = np.meshgrid(*[np.linspace(*machine.link(joint).joint.range, points) for joint in joints], indexing="ij")
+    states = np.stack([values.ravel() for values in grid])
+    lengths, arms = (np.asarray(values).ravel() for values in function(states))
+
+    def place(sample: int) -> str:
+        slides = [machine.link(joint).joint.type == "prismatic" for joint in joints]
+        return ", ".join(f"{joint} = {value:.3f} m" if slide else f"{joint} = {np.degrees(value):.1f} deg"
+                         for joint, value, slide in zip(joints, states[:, sample], slides, strict=True))
+
+    return _Grid(lengths, arms, place)
+
+
+def _gas_has_room(geometry: Geometry, gas: GasCylinder) -> None:
+    lengths, _, place = _on_grid(geometry, gas)
+    if (closed := np.flatnonzero(lengths < 1e-9)).size:
+        raise ImpossibleError(f"the pins of '{gas.name}' meet at {place(int(closed[0]))}, where its force has no "
+                              "direction", "correct its pins or narrow the joints' limits")
+    volumes = gas.gas_volume(lengths)
+    smallest = int(np.argmin(volumes))
+    if not volumes[smallest] > 0:
+        raise ImpossibleError(
+            f"the gas of '{gas.name}' would have a volume of {1e3 * volumes[smallest]:.3f} l at {place(smallest)}",
+            "correct its volume, area, reference length or pins, or narrow the joints' limits")
+
+
+def _check_on_grid(geometry: Geometry, cylinder: Cylinder) -> None:
+    lengths, arms, place = _on_grid(geometry, cylinder)
+    beyond = np.flatnonzero((lengths < cylinder.dead_length - 1e-9)
+                            | (lengths > cylinder.dead_length + cylinder.stroke + 1e-9))
+    if beyond.size:
+        raise ImpossibleError(
+            f"'{cylinder.name}' would be {lengths[beyond[0]]:.3f} m long at {place(int(beyond[0]))} but can only be "
+            f"{cylinder.dead_length:.3f} to {cylinder.dead_length + cylinder.stroke:.3f} m",
+            "correct dead length, stroke, pins or the joints' limits")
+    turned = np.flatnonzero(arms * arms[0] <= 0)
+    if turned.size:
+        raise ImpossibleError(
+            f"'{cylinder.name}' has a dead point near {place(int(turned[0]))}, where its lever arm on "
+            f"{geometry.machine.axis_of(cylinder)} changes sign", "correct its pins or narrow the joints' limits")
+
+
+def _lever_arm_keeps_sign(cylinder: Cylinder, joint: str, offset: float, lower: float, upper: float) -> None:
+    # the lever arm fixed·moving·sin(θ + offset)/length is zero where the pins and the axis lie in one line; a passive
+    # gas cylinder may pass such a point (a counterbalance works on both sides of it), an actuator may not
+    first = np.ceil((lower + offset) / np.pi)
+    dead = first * np.pi - offset
+    if dead <= upper:
+        raise ImpossibleError(
+            f"'{cylinder.name}' has a dead point at {joint} = {np.degrees(dead):.2f} deg, inside the joint's range "
+            f"{np.degrees(lower):.1f} to {np.degrees(upper):.1f} deg", "correct its pins or narrow the joint's limits")
+
+
+def _stroke_suffices(cylinder: Cylinder, joint: str, sides: Triangle, lower: float, upper: float) -> None:
+    fixed, moving, offset, lateral = (float(v) for v in sides)
+    shortest, longest = (np.hypot(fixed + sign * moving, lateral) for sign in (-1, 1))
+    retracted, extended = cylinder.dead_length, cylinder.dead_length + cylinder.stroke
+    if retracted > longest or extended < shortest:
+        raise ImpossibleError(
+            f"the triangle of '{cylinder.name}' is open at every {joint}: its pins can be {shortest:.3f} to "
+            f"{longest:.3f} m apart, the cylinder {retracted:.3f} to {extended:.3f} m long",
+            "correct its pins, dead length or stroke")
+    for angle in (lower, upper):
+        length = np.sqrt(fixed**2 + moving**2 + lateral**2 - 2 * fixed * moving * np.cos(angle + offset))
+        if not retracted - 1e-9 <= length <= extended + 1e-9:
+            raise ImpossibleError(
+                f"'{cylinder.name}' would be {length:.3f} m long at {joint} = {np.degrees(angle):.1f} deg but can only "
+                f"be {retracted:.3f} to {extended:.3f} m", "correct dead length, stroke, pins or the joint's limits")

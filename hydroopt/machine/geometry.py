@@ -1,0 +1,129 @@
+"""Where a machine's parts sit on one another: its geometric numbers by name, as floats or as symbols."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import NamedTuple
+
+import casadi as ca
+
+from hydroopt.machine.components import Cylinder, GasCylinder, Link
+from hydroopt.machine.machine import BASE, Machine
+from hydroopt.spatial.poses import Pose, Triangle, identity, joint_pose, link_pose, triangle
+
+DENAVIT_HARTENBERG = {"theta": "rad", "d": "m", "a": "m", "alpha": "rad", "beta": "rad"}
+_POINT = ("x", "y", "z")
+_TURN = ("roll", "pitch", "yaw")
+
+
+class Number(NamedTuple):
+    """One number of the machine file: name, unit, value, the key of its note, and its place if that is a vector."""
+
+    name: str
+    unit: str
+    value: float
+    path: str
+    axis: int | None = None
+
+
+class Geometry:
+    """Links and pins of a machine and of its calibrator.
+
+    Attributes:
+        links: all links, the calibrator's last.
+        numbers: all numbers of the geometry as the machine file states them.
+        value: what is reckoned with, by name: the file's numbers where no symbol replaces them.
+
+    Joint variables are given as a mapping from the names of joints; a joint left out stands at zero.
+    """
+
+    def __init__(self, machine: Machine, symbols: Mapping[str, ca.SX] | None = None) -> None:
+        self.machine = machine
+        self.links = (*machine.links, *(machine.calibrator.links if machine.calibrator else ()))
+        self.numbers = _numbers(machine, self.links)
+        self.value: dict[str, ca.SX | float] = {number.name: number.value for number in self.numbers}
+        self.value |= symbols or {}
+        self._link = {link.name: link for link in self.links}
+
+    def point(self, name: str) -> ca.SX:
+        """Coordinates (3,) [m] of a named point: ``boom_cylinder.rod``, ``tip``, ``tracker``."""
+        return ca.vertcat(*(self.value[f"{name}.{axis}"] for axis in _POINT))
+
+    def turn(self, name: str) -> tuple[ca.SX, ca.SX, ca.SX]:
+        """Roll, pitch and yaw [rad] of a named frame: ``tracker``."""
+        roll, pitch, yaw = (self.value[f"{name}.{axis}"] for axis in _TURN)
+        return roll, pitch, yaw
+
+    def far_end(self, link: str) -> Pose:
+        """Frame at a link's far end, seen from its P_i; that of the base is the base frame."""
+        if link == BASE:
+            return identity()
+        return link_pose(*(self.value[f"{link}.{key}"] for key in ("a", "alpha", "beta")))
+
+    def joint(self, link: str, variable: ca.SX | float) -> Pose:
+        """A link's P_i seen from the far end of its parent."""
+        theta, d = self.value[f"{link}.theta"], self.value[f"{link}.d"]
+        if self._link[link].joint.type == "prismatic":
+            return joint_pose(theta, d + variable)
+        return joint_pose(theta + variable, d)
+
+    def seen_from(self, viewer: str, link: str, q: Mapping[str, ca.SX]) -> Pose:
+        """Pose of a link's P_i seen from the *far end* of another, or from the base; only joints between them enter."""
+        chains = self._ancestry(viewer), self._ancestry(link)
+        shared = next(name for name in chains[0] if name in chains[1])
+        own = self._down(chains[1][: chains[1].index(shared)], q)
+        if link == shared:
+            own = self.far_end(link).inverse()
+        if viewer == shared:
+            return own
+        return (self._down(chains[0][: chains[0].index(shared)], q) @ self.far_end(viewer)).inverse() @ own
+
+    def triangle(self, cylinder: Cylinder | GasCylinder) -> tuple[str, Triangle] | None:
+        """Joint and triangle of a cylinder that spans one revolute joint; None for any other cylinder."""
+        between = self.machine.joints_between(cylinder.barrel.link, cylinder.rod.link)
+        if len(between) != 1 or self._link[between[0]].joint.type != "revolute":
+            return None
+        pins = {name: self.pin(cylinder, name, {}) for name in ("barrel", "rod")}
+        moving = "barrel" if between[0] in self._ancestry(cylinder.barrel.link) else "rod"
+        fixed = "rod" if moving == "barrel" else "barrel"
+        return between[0], triangle(pins[fixed], pins[moving])
+
+    def pin(self, cylinder: Cylinder | GasCylinder, end: str, q: Mapping[str, ca.SX]) -> ca.SX:
+        """A pin (3,) [m] in the axis frame of the joint that orients the cylinder: the far end of the link before."""
+        before = self._link[self.machine.axis_of(cylinder)].parent
+        return self.seen_from(before, getattr(cylinder, end).link, q).point(self.point(f"{cylinder.name}.{end}"))
+
+    def _down(self, chain: tuple[str, ...], q: Mapping[str, ca.SX]) -> Pose:
+        pose: Pose | None = None
+        for name in reversed(chain):
+            step = self.joint(name, q.get(name, 0.0))
+            pose = step if pose is None else pose @ self.far_end(self._link[name].parent) @ step
+        return pose or identity()
+
+    def _ancestry(self, name: str) -> tuple[str, ...]:
+        chain = [name]
+        while chain[-1] != BASE:
+            chain.append(self._link[chain[-1]].parent)
+        return tuple(chain)
+
+
+def _numbers(machine: Machine, links: tuple[Link, ...]) -> tuple[Number, ...]:
+    numbers = [Number(f"{link.name}.{key}", unit, getattr(link.joint, key), f"{link.name}.joint.{key}")
+               for link in links for key, unit in DENAVIT_HARTENBERG.items()]
+    numbers += [Number(f"{link.name}.compliance", "rad/(N*m)" if link.joint.type == "revolute" else "m/N",
+                       link.joint.compliance, f"{link.name}.joint.compliance")
+                for link in links if link.joint.compliance is not None and link.joint.type != "locked"]
+    vectors: list[tuple[str, tuple[float, ...], str, tuple[str, ...], str]] = []
+    if machine.calibrator:
+        vectors.append(("tip", machine.calibrator.tip, "calibrator.tip", _POINT, "m"))
+    if machine.tracker:
+        vectors += [("tracker", machine.tracker.position, "tracker.position", _POINT, "m"),
+                    ("tracker", machine.tracker.orientation, "tracker.orientation", _TURN, "rad")]
+    for cylinder in machine.all_cylinders:
+        vectors += [(f"{cylinder.name}.{end}", getattr(cylinder, end).pin, f"{cylinder.name}.{end}.pin", _POINT, "m")
+                    for end in ("barrel", "rod")]
+        if isinstance(cylinder, Cylinder):
+            numbers.append(Number(f"{cylinder.name}.dead_length", "m", cylinder.dead_length,
+                                  f"{cylinder.name}.dead_length"))
+    return (*numbers, *(Number(f"{owner}.{axis}", unit, vector[k], path, k)
+                        for owner, vector, path, axes, unit in vectors for k, axis in enumerate(axes)))

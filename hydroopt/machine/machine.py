@@ -1,0 +1,340 @@
+"""A machine: its parts, and the invariants that hold between them."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Collection, Iterator, Mapping
+from typing import Any, Self
+
+from pydantic import Field, ModelWrapValidatorHandler, model_validator
+
+from hydroopt.machine.calibration_chain import Calibrator, Distance, Fixture, Stage, Tracker
+from hydroopt.machine.components import Cylinder, Drive, GasCylinder, Link, Motor, Note, Sensor
+from hydroopt.machine.environment import Footprint, Obstacle, Pump, Workspace
+from hydroopt.machine.mass_statements import Identical, TotalMass
+from hydroopt.machine.quantity import Acceleration, Angle, ImpossibleError, Length, Name, Noun, Rate
+from hydroopt.machine.valves import Circuit, Oil
+from hydroopt.units import same_kind
+
+BASE = "base"
+"""Name of the machine's chassis, the root of the tree; it does not move."""
+
+
+class Machine(Noun):
+    """A manipulator: a tree of links on the base, their actuators, and the sensors.
+
+    `orientation` is roll, pitch, yaw of the base frame in a world whose z points up. Above the frequency `bandwidth`
+    the links no longer move as rigid bodies driven by their actuators: measured motion is smoothed at least that much.
+    `ground` is the height of the ground in the base frame [m], along z: the ground is as tilted as the base on it.
+    """
+
+    name: Name
+    parameter_set: str = ""
+    description: str = ""
+    gravity: Acceleration = Field(9.80665, ge=0)
+    orientation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+    bandwidth: Rate | None = Field(None, gt=0)
+    links: tuple[Link, ...] = Field(min_length=1)
+    cylinders: tuple[Cylinder, ...] = ()
+    motors: tuple[Motor, ...] = ()
+    drives: tuple[Drive, ...] = ()
+    gas_cylinders: tuple[GasCylinder, ...] = ()
+    sensors: tuple[Sensor, ...] = ()
+    calibrator: Calibrator | None = None
+    fixtures: tuple[Fixture, ...] = ()
+    distances: tuple[Distance, ...] = ()
+    tracker: Tracker | None = None
+    stages: tuple[Stage, ...] = ()
+    pump: Pump | None = None
+    oil: Oil | None = None
+    ground: Length | None = None
+    workspace: Workspace | None = None
+    obstacles: tuple[Obstacle, ...] = ()
+    footprint: Footprint | None = None
+    total_masses: tuple[TotalMass, ...] = ()
+    identical: tuple[Identical, ...] = ()
+    notes: dict[str, Note] = Field(default_factory=dict)
+
+    @model_validator(mode="after")
+    def _invariants(self) -> Self:
+        self._names()
+        self._tree()
+        self._actuation()
+        self._chain()
+        self._channels()
+        self._site()
+        self._masses()
+        return self
+
+    @model_validator(mode="wrap")
+    @classmethod
+    def _units_fit(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+        # whether a joint turns or slides is known here only, and the unit of a text before it became a number
+        machine = handler(data)
+        for place, text, si in machine._stated_units(data) if isinstance(data, Mapping) else ():
+            if isinstance(text, str) and not same_kind(unit := text.strip().partition(" ")[2].strip(), si):
+                raise ImpossibleError(f"'{unit}' is not a unit of the kind '{si}', which its joint or valve calls for",
+                                      f"use '{si}' or another unit of that kind", place)
+        return machine
+
+    def _stated_units(self, data: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
+        """Place, statement and proper SI unit of each number whose unit depends on whether a joint turns or slides."""
+        frictions = [(f"links[{link.name}].joint.friction", link.name, _under(raw, "joint", "friction"))
+                     for link, raw in zip(self.links, data["links"], strict=True)]
+        frictions += [(f"{kind}[{part.name}].friction", part.joint, _under(raw, "friction"))
+                      for kind in ("motors", "drives")
+                      for part, raw in zip(getattr(self, kind), data.get(kind, ()), strict=True)]
+        for place, joint, raw in frictions:
+            for key, si in self.friction_units(joint).items():
+                yield f"{place}.{key}", _under(raw, key), si
+        for k, (sensor, raw) in enumerate(zip(self.sensors, data.get("sensors", ()), strict=True)):
+            for key in ("accuracy", "resolution"):
+                yield f"sensors[{k}].{key}", _under(raw, key), self.channel_units[sensor.channels[0]]
+
+    def _names(self) -> None:
+        extra = self.calibrator.links if self.calibrator else ()
+        kinds = (self.links, extra, self.cylinders, self.motors, self.drives, self.gas_cylinders, self.fixtures,
+                 self.distances, self.stages, self.obstacles, self.total_masses, self.identical)
+        taken = {BASE: "the chassis"} | ({"pump": "the supply"} if self.pump else {})
+        count = Counter([*taken, *(part.name for kind in kinds for part in kind)])
+        for name, times in count.items():
+            if times > 1:
+                raise ImpossibleError(f"the name '{name}' is {taken.get(name, f'used {times} times')}",
+                                      "give each part a name of its own")
+
+    def _tree(self) -> None:
+        known = {BASE, *(link.name for link in self.links)}
+        for link in self.links:
+            if link.parent not in known:
+                raise ImpossibleError(f"link '{link.name}' hangs on '{link.parent}', which does not exist",
+                                      f"name '{BASE}' or another link as its parent")
+        placed = {BASE}
+        for link in self.links:
+            if link.parent not in placed:
+                raise ImpossibleError(f"link '{link.name}' comes before its parent '{link.parent}' or hangs on itself "
+                                      "in a circle", "list every parent before its children")
+            placed.add(link.name)
+
+    def _actuation(self) -> None:
+        links = {link.name for link in self.links}
+        driven: Counter[str] = Counter()
+        for cylinder in self.all_cylinders:
+            for end, attachment in (("barrel", cylinder.barrel), ("rod", cylinder.rod)):
+                if attachment.link not in links | {BASE}:
+                    raise ImpossibleError(f"the {end} of '{cylinder.name}' is pinned to '{attachment.link}', which "
+                                          "does not exist", "name a link or the base")
+            between = self.joints_between(cylinder.barrel.link, cylinder.rod.link)
+            if not between:
+                raise ImpossibleError(f"no moving joint lies between the two ends of '{cylinder.name}'",
+                                      "pin its ends to links that move relative to each other")
+            if isinstance(cylinder, Cylinder):
+                driven.update(between)
+        rotary: tuple[Motor | Drive, ...] = (*self.motors, *self.drives)
+        for actuator in rotary:
+            if actuator.joint not in self.joints:
+                raise ImpossibleError(f"'{actuator.name}' drives '{actuator.joint}', which is not a moving joint",
+                                      "name the link whose joint it drives")
+            driven[actuator.joint] += 1
+        for joint in self.joints:
+            if not driven[joint]:
+                raise ImpossibleError(f"nothing drives the joint '{joint}'", "add its actuator or make it locked")
+        mains: dict[str, str] = {}
+        for each in self.actuators:
+            joint = self._main_joint(each)
+            if joint in mains:
+                raise ImpossibleError(f"the joint '{joint}' is driven by both '{mains[joint]}' and '{each.name}'",
+                                      "keep one of them")
+            mains[joint] = each.name
+        if len(self.actuators) != len(self.joints):
+            raise ImpossibleError(f"{len(self.actuators)} actuators drive {len(self.joints)} moving joints",
+                                  "give every moving joint one actuator")
+
+    def _chain(self) -> None:
+        if self.calibrator and self.calibrator.parent not in {link.name for link in self.links}:
+            raise ImpossibleError(f"the calibrator hangs on '{self.calibrator.parent}', which does not exist",
+                                  "name the link that carries it", "calibrator.parent")
+        if (self.fixtures or self.tracker) and not self.calibrator:
+            raise ImpossibleError("nothing holds the ball or the target that fixtures and trackers speak of",
+                                  "state a calibrator, if need be with a tip only")
+        for distance in self.distances:
+            for name in distance.between:
+                if name not in {fixture.name for fixture in self.fixtures}:
+                    raise ImpossibleError(f"'{distance.name}' begins or ends at '{name}', which is no fixture",
+                                          "name two fixtures")
+            if distance.between[0] == distance.between[1]:
+                raise ImpossibleError(f"'{distance.name}' begins and ends at the same fixture", "name two fixtures")
+        joints = {link.name for link in self.chain if link.joint.type != "locked"} | set(self.joints)
+        for stage in self.stages:
+            for name in (*stage.moves, *stage.locked):
+                if name not in joints:
+                    raise ImpossibleError(f"stage '{stage.name}' speaks of '{name}', which is not a moving joint",
+                                          f"use {', '.join(sorted(joints))}")
+
+    def _channels(self) -> None:
+        known = self.channel_units
+        for sensor in self.sensors:
+            for channel in sensor.channels:
+                if channel not in known:
+                    raise ImpossibleError(f"a sensor reads '{channel}', which this machine does not have",
+                                          f"use one of {', '.join(known)}")
+            if len(units := {known[channel] for channel in sensor.channels}) > 1:
+                raise ImpossibleError(f"one sensor reads {', '.join(sensor.channels)}, which are in "
+                                      f"{' and '.join(sorted(units))}",
+                                      "state one sensor for joints that turn and one for joints that slide")
+        twice = [c for c, n in Counter(c for s in self.sensors for c in s.channels).items() if n > 1]
+        if twice:
+            raise ImpossibleError(f"the channel '{twice[0]}' has two sensors", "keep one of them")
+
+    def _site(self) -> None:
+        if self.circuits and self.oil is None:
+            raise ImpossibleError(f"what oil feeds {', '.join(self.circuits)} is not said",
+                                  "state 'oil' with its 'bulk_modulus'", "oil")
+        for obstacle in self.obstacles:
+            if obstacle.link not in {BASE, *(link.name for link in self.links)}:
+                raise ImpossibleError(f"the obstacle '{obstacle.name}' hangs on '{obstacle.link}', which does not "
+                                      "exist", "name a link or the base")
+        if self.footprint and self.ground is None:
+            raise ImpossibleError("the machine has a footprint, but at what height it stands is not said",
+                                  "state 'ground', the height of the ground in the base frame")
+
+    def _masses(self) -> None:
+        bodies = {link.name for link in self.links if link.body} | {
+            f"{c.name}.{end}" for c in self.cylinders for end in ("barrel", "rod") if getattr(c, end).body}
+        rubs = {a.name: (type(a), {key for key, value in a.friction if value is not None and key != "offset"})
+                for a in self.actuators}
+        stated: list[tuple[str, str, tuple[str, ...], Collection[str], str]] = [
+            *(("total_masses", s.name, s.bodies, bodies, "bodies") for s in self.total_masses),
+            *(("identical", s.name, s.bodies, bodies, "bodies") for s in self.identical),
+            *(("identical", s.name, s.friction, rubs, "friction") for s in self.identical)]
+        for kind, name, owners, known, key in stated:
+            place = f"{kind}[{name}].{key}"
+            for owner in owners:
+                if owner not in known:
+                    what = "a body that the machine states" if key == "bodies" else "an actuator"
+                    raise ImpossibleError(f"'{owner}' is not {what}", f"use some of {', '.join(sorted(known))}", place)
+                if owners.count(owner) > 1:
+                    raise ImpossibleError(f"'{owner}' is named twice", "name it once", place)
+        for one in self.identical:
+            if any(rubs[name] != rubs[one.friction[0]] for name in one.friction):
+                raise ImpossibleError(f"{', '.join(one.friction)} do not state the same terms of friction",
+                                      "name actuators of one kind, and state the same terms of each",
+                                      f"identical[{one.name}].friction")
+        for total in self.total_masses:
+            note = self.notes.get(f"{total.name}.value", Note())
+            if note.lower is not None or note.upper is not None:
+                raise ImpossibleError("a total mass takes no bounds", "state a value with its sigma",
+                                      f"total_masses[{total.name}]")
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the moving joints (those of their links), in the order of the joint vector q."""
+        return tuple(link.name for link in self.links if link.joint.type != "locked")
+
+    @property
+    def chain(self) -> tuple[Link, ...]:
+        """Links from the base to the tip that carries the ball: those of the machine, then the calibrator's."""
+        if self.calibrator is None:
+            return ()
+        own = (self.link(name) for name in reversed(self.ancestry(self.calibrator.parent)))
+        return (*own, *self.calibrator.links)
+
+    @property
+    def actuators(self) -> tuple[Cylinder | Motor | Drive, ...]:
+        """The actuators in the order of the joints they drive: the order of measured forces."""
+        found: tuple[Cylinder | Motor | Drive, ...] = (*self.cylinders, *self.motors, *self.drives)
+        return tuple(sorted(found, key=lambda actuator: self.joints.index(self._main_joint(actuator))))
+
+    @property
+    def sealed(self) -> tuple[str, ...]:
+        """Names of the cylinders whose friction depends on their pressures."""
+        return tuple(cylinder.name for cylinder in self.cylinders if cylinder.friction.seal is not None)
+
+    @property
+    def circuits(self) -> dict[str, Circuit]:
+        """Valves, hoses and leaks of the actuators that state them, by the actuator's name."""
+        found = {a.name: a.circuit for a in self.actuators if not isinstance(a, Drive)}
+        return {name: circuit for name, circuit in found.items() if circuit is not None}
+
+    @property
+    def all_cylinders(self) -> tuple[Cylinder | GasCylinder, ...]:
+        """Hydraulic and gas-charged cylinders."""
+        return (*self.cylinders, *self.gas_cylinders)
+
+    def _main_joint(self, actuator: Cylinder | Motor | Drive) -> str:
+        # of several joints between a cylinder's ends, the last is what it is there for
+        return self.axis_of(actuator) if isinstance(actuator, Cylinder) else actuator.joint
+
+    def link(self, name: str) -> Link:
+        """The link of this name."""
+        return next(link for link in self.links if link.name == name)
+
+    def ancestry(self, name: str) -> tuple[str, ...]:
+        """Links from the one named down to the base, the base left out."""
+        chain: list[str] = []
+        while name != BASE:
+            chain.append(name)
+            name = self.link(name).parent
+        return tuple(chain)
+
+    def joints_between(self, one: str, other: str) -> tuple[str, ...]:
+        """Moving joints on the way between two links, in the order of q."""
+        apart = set(self.ancestry(one)) ^ set(self.ancestry(other))
+        return tuple(joint for joint in self.joints if joint in apart)
+
+    def axis_of(self, cylinder: Cylinder | GasCylinder) -> str:
+        """The joint whose axis orients the cylinder's bodies: the last moving one between its ends."""
+        return self.joints_between(cylinder.barrel.link, cylinder.rod.link)[-1]
+
+    def effort_units(self, joint: str) -> tuple[str, str]:
+        """SI units of a joint's effort (torque, or force where it slides) and of its viscous coefficient."""
+        return ("N", "N*s/m") if self.link(joint).joint.type == "prismatic" else ("N*m", "N*m*s/rad")
+
+    def friction_units(self, joint: str) -> dict[str, str]:
+        """SI units of what a joint, motor or drive may state as friction, by key."""
+        effort, viscosity = self.effort_units(joint)
+        speed = "m/s" if self.link(joint).joint.type == "prismatic" else "rad/s"
+        return (dict.fromkeys(("offset", "coulomb", "coulomb_reverse", "stribeck"), effort)
+                | dict.fromkeys(("viscous", "viscous_reverse"), viscosity)
+                | dict.fromkeys(("stribeck_speed", "dead_zone"), speed))
+
+    @property
+    def channel_units(self) -> dict[str, str]:
+        """Every channel that a log of this machine may have, with its SI unit."""
+        units: dict[str, str] = {}
+        for joint in self.joints:
+            prismatic = self.link(joint).joint.type == "prismatic"
+            units[f"{joint}.q"] = "m" if prismatic else "rad"
+            units[f"{joint}.qd"] = "m/s" if prismatic else "rad/s"
+            units[f"{joint}.qdd"] = "m/s^2" if prismatic else "rad/s^2"
+            units[f"{joint}.tau"] = self.effort_units(joint)[0]
+        for cylinder in self.cylinders:
+            units |= {f"{cylinder.name}.length": "m", f"{cylinder.name}.p_head": "Pa",
+                      f"{cylinder.name}.p_rod": "Pa", f"{cylinder.name}.force": "N"}
+        for motor in self.motors:
+            units |= {f"{motor.name}.p_a": "Pa", f"{motor.name}.p_b": "Pa"}
+        units |= {f"{name}.u": circuit.valve.command for name, circuit in self.circuits.items()}
+        if self.pump:
+            units |= {"pump.p_supply": "Pa", "pump.p_tank": "Pa"}
+        for link in self.chain:
+            if link.joint.type != "locked":
+                units[f"{link.name}.q"] = "m" if link.joint.type == "prismatic" else "rad"
+            units[f"{link.name}.distance"] = "m"
+        return units | (dict.fromkeys(("tip.x", "tip.y", "tip.z"), "m") if self.tracker else {})
+
+    @property
+    def sha256(self) -> str:
+        """Digest of the description, the same however its file is laid out."""
+        return hashlib.sha256(json.dumps(self.model_dump(mode="json"), sort_keys=True).encode()).hexdigest()
+
+    def sensor(self, channel: str) -> Sensor | None:
+        """The sensor that reads a channel, if the file states one."""
+        return next((s for s in self.sensors if channel in s.channels), None)
+
+
+def _under(node: Any, *steps: str) -> Any:
+    """What a part states under its keys, be it a table or already an object; None where it does not."""
+    for step in steps:
+        node = node.get(step) if isinstance(node, Mapping) else getattr(node, step, None)
+    return node

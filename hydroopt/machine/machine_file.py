@@ -1,0 +1,342 @@
+"""Machine files: ``models/*.toml`` to `Machine` and back.
+
+A number is a string with its unit, or a table ``{value = "27.8 deg", sigma = "0.5 deg", source = "Table 2"}`` that
+adds its confidence (``sigma`` absolute or in %), bounds (``lower``, ``upper``) and source.
+"""
+
+from __future__ import annotations
+
+import math
+import tomllib
+from collections.abc import Mapping, Sequence
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+import tomlkit
+from pydantic import BaseModel, ValidationError
+
+from hydroopt.errors import MachineError
+from hydroopt.machine import cylinder_checks
+from hydroopt.machine.components import Cylinder, Joint, JointFriction, Note, Sensor, TorqueFriction
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.quantity import ImpossibleError, Noun, Quantity
+from hydroopt.machine.valves import Valve
+from hydroopt.units import UnitError, spread_to_si, to_si
+
+_NOTE_KEYS = {"value", "sigma", "lower", "upper", "source"}
+
+
+def bundled() -> tuple[str, ...]:
+    """Names of the machines that come with hydroopt."""
+    return tuple(sorted(file.stem for file in _models().glob("*.toml")))
+
+
+def _models() -> Path:
+    """Where the bundled machine files are: inside an installed package, or at the top level of a checkout."""
+    package = Path(__file__).parents[1]
+    return package / "models" if (package / "models").is_dir() else package.parent / "models"
+
+
+def load_machine(machine: str | Path, *, parameter_set: str | None = None) -> Machine:
+    """Read a machine: the name of a bundled one, or the path of a ``.toml`` or ``.urdf`` file.
+
+    Args:
+        machine: name or path.
+        parameter_set: which of the file's sets of inertial parameters; by default the one the file names. A URDF file
+            has none; of one that branches, `hydroopt.machine.urdf.read_urdf` reads the chain to a `tip`.
+
+    Raises:
+        MachineError: the file is missing, malformed, incomplete, contradictory or geometrically impossible.
+    """
+    name = str(machine)
+    if name in bundled():
+        return read_machine((_models() / f"{name}.toml").read_text("utf-8"), where=name, parameter_set=parameter_set)
+    path = Path(machine)
+    if path.suffix == ".urdf":
+        from hydroopt.machine.urdf import read_urdf  # noqa: PLC0415 (most machines need no XML)
+
+        if parameter_set is not None:
+            raise MachineError(f"there is no parameter set '{parameter_set}'", where=name,
+                               remedy="leave it out: a URDF file states its bodies once")
+        return read_urdf(path)
+    if path.suffix != ".toml":
+        raise MachineError("this is neither a bundled machine nor a .toml or .urdf file", where=name,
+                           remedy=f"name a .toml or .urdf file or one of {', '.join(bundled())}")
+    try:
+        text = path.read_text("utf-8-sig")
+    except UnicodeDecodeError:
+        raise MachineError("the file is not text", where=name, remedy="give a TOML file in UTF-8") from None
+    except OSError as error:
+        raise MachineError(f"cannot be read ({error.strerror})", where=name, remedy="check the path") from None
+    return read_machine(text, where=name, parameter_set=parameter_set)
+
+
+def read_machine(text: str, *, where: str = "machine", parameter_set: str | None = None) -> Machine:
+    """Machine from the text of a machine file; `where` names it in errors.
+
+    Raises:
+        MachineError: see `load_machine`.
+    """
+    if "\0" in text:
+        raise MachineError("the file is not text", where=where, remedy="give a TOML file in UTF-8")
+    try:
+        data: dict[str, Any] = tomllib.loads(text)
+    except (ValueError, RecursionError) as error:  # a ValueError is bad TOML or a number of a thousand digits
+        raise MachineError(f"is not valid TOML ({error})", where=where, remedy="correct that line") from None
+    if not data:
+        raise MachineError("the file is empty", where=where, remedy="describe a machine in it")
+    if "notes" in data:
+        raise MachineError("this key is unknown", where=f"{where}: notes", remedy="remove it")
+    moved = _choose_parameter_set(data, parameter_set, where)
+    notes: dict[str, Note] = {}
+    try:
+        data = _strip_notes(data, "", "", notes)
+        before: Any = "base"
+        for link in links if isinstance(links := data.get("links"), list) else []:
+            if isinstance(link, dict):  # in a serial chain the parent need not be said
+                before = link.setdefault("parent", before) and link.get("name")
+        calibrator = data.get("calibrator")
+        if isinstance(calibrator, dict):
+            before = calibrator.get("parent")
+            for link in more if isinstance(more := calibrator.get("links"), list) else []:
+                if isinstance(link, dict):
+                    before = link.setdefault("parent", before) and link.get("name")
+        machine = Machine.model_validate(data | {"notes": notes}, context={"from_file": True})
+        cylinder_checks.check(machine)
+    except ValidationError as error:
+        what, place, remedy = _in_plain_words(error, data)
+        raise MachineError(what, where=_at(where, place, moved), remedy=remedy) from None
+    except UnitError as error:
+        raise MachineError(error.what, where=_at(where, error.where, moved), remedy=error.remedy) from None
+    except ImpossibleError as error:
+        raise MachineError(error.what, where=_at(where, error.key, moved), remedy=error.remedy) from None
+    return machine
+
+
+def _choose_parameter_set(data: dict[str, Any], wanted: str | None, where: str) -> dict[str, str]:
+    """Put the chosen bodies in their places; returns which place of the machine stands where in the file."""
+    sets, default = data.pop("parameter_sets", {}), data.pop("default_parameter_set", None)
+    chosen = wanted or default
+    if chosen is None:
+        return {}
+    if not isinstance(sets, dict) or str(chosen) not in sets:
+        have = ", ".join(sets) if isinstance(sets, dict) and sets else "none"
+        raise MachineError(f"there is no parameter set '{chosen}'", where=where, remedy=f"the file has: {have}")
+    data["parameter_set"] = chosen
+    parts = [(kind, part) for kind in ("links", "cylinders") if isinstance(data.get(kind), list)
+             for part in data[kind] if isinstance(part, dict)]
+    moved = {}
+    for name, stated in _table(sets[chosen], f"{where}: parameter_sets.{chosen}").items():
+        there = f"parameter_sets.{chosen}.{name}"
+        found = [(kind, part) for kind, part in parts if part.get("name") == name]
+        if not found:
+            raise MachineError(f"parameter set '{chosen}' speaks of '{name}', which does not exist", where=where,
+                               remedy="name a link or a cylinder")
+        if len(found) > 1:
+            raise MachineError(f"the name '{name}' is used {len(found)} times", where=where,
+                               remedy="give each part a name of its own")
+        kind, part = found[0]
+        _table(stated, f"{where}: {there}")
+        if kind == "links":
+            part["body"] = stated
+            moved[f"links[{name}].body"] = there
+            continue
+        for end, body in stated.items():
+            if end not in ("barrel", "rod"):
+                raise MachineError("this key is unknown", where=f"{where}: {there}.{end}",
+                                   remedy="give the bodies of 'barrel' and 'rod'")
+            if isinstance(part.get(end), dict):
+                part[end]["body"] = body
+                moved[f"cylinders[{name}].{end}.body"] = f"{there}.{end}"
+    return moved
+
+
+def _table(node: Any, where: str) -> dict[str, Any]:
+    if not isinstance(node, dict):
+        raise MachineError(f"must be a table, not {node!r:.60}", where=where, remedy="state it key by key")
+    return node
+
+
+def _at(where: str, place: str, moved: Mapping[str, str]) -> str:
+    """File and key as the file has them."""
+    for inside, there in moved.items():
+        if place == inside or place.startswith(f"{inside}."):
+            place = there + place[len(inside):]
+    return f"{where}: {place}" if place else where
+
+
+def _strip_notes(node: Any, path: str, place: str, notes: dict[str, Note]) -> Any:
+    """The same tree with plain values; what was said about them goes to `notes` under their dotted path.
+
+    `place` is where the node stands in the file, for error messages.
+    """
+    if isinstance(node, dict) and {"name", "value"} <= node.keys() and not isinstance(node["value"], dict):
+        said = {key: node[key] for key in sorted(_NOTE_KEYS & node.keys())}  # a part whose one number it is
+        node = {key: value for key, value in node.items() if key not in said} | {"value": said}
+    elif isinstance(node, dict) and "value" in node and "name" not in node:
+        notes[path] = _note(node, place)
+        return node["value"]
+    if isinstance(node, dict):
+        return {key: _strip_notes(value, f"{path}.{key}".lstrip("."), f"{place}.{key}".lstrip("."), notes)
+                for key, value in node.items()}
+    if isinstance(node, list):
+        # parts are addressed by their names, which are unique over the machine
+        names = [item["name"] if isinstance(item, dict) and "name" in item else None for item in node]
+        return [_strip_notes(item, f"{path}.{k}" if name is None else str(name),
+                             f"{place}[{k if name is None else name}]", notes)
+                for k, (name, item) in enumerate(zip(names, node, strict=True))]
+    return node
+
+
+def _note(node: Mapping[str, Any], place: str) -> Note:
+    value = node["value"]
+    like = str(value[0] if isinstance(value, list) and value else value)
+    said: dict[str, Any] = {"source": node.get("source", "")}
+    for key in node:
+        if key not in _NOTE_KEYS:
+            raise ImpossibleError("this key is unknown",
+                                  f"beside 'value', use {', '.join(sorted(_NOTE_KEYS - {'value'}))}", f"{place}.{key}")
+    for key in ("lower", "upper"):
+        if key in node:
+            said[key] = spread_to_si(str(node[key]), like, where=f"{place}.{key}")
+    if said.get("lower", -math.inf) >= said.get("upper", math.inf):
+        raise ImpossibleError(f"the lower bound {node['lower']} is not below the upper one, {node['upper']}",
+                              "exchange or correct them", place)
+    sigma = str(node.get("sigma", "")).strip()
+    if sigma.endswith("%"):
+        percent = f"{sigma.removesuffix('%').strip()} %"
+        said |= {"sigma": to_si(percent, "1", where=f"{place}.sigma"), "relative": True}
+    elif sigma:
+        said["sigma"] = spread_to_si(sigma, like, where=f"{place}.sigma")
+    if not 0 < said.get("sigma", 1.0) < math.inf:
+        raise ImpossibleError(f"a confidence must be positive and finite, not {sigma}", "correct it or leave it out",
+                              f"{place}.sigma")
+    if not isinstance(said["source"], str):
+        raise ImpossibleError("this must be text", "put it in quotation marks", f"{place}.source")
+    return Note(**said)
+
+
+def _in_plain_words(error: ValidationError, data: dict[str, Any]) -> tuple[str, str, str]:
+    """What, place and remedy of the first mistake, an unknown key before all: it often is the one that is missing."""
+    mistakes = error.errors()
+    first = next((m for m in mistakes if m["type"] == "extra_forbidden"), mistakes[0])
+    place = ""
+    node: Any = data
+    above: Any = data
+    for step in first["loc"]:
+        above = node
+        node = node[step] if isinstance(node, list | dict) and step in (  # type: ignore[index]
+            node if isinstance(node, dict) else range(len(node))) else None
+        if isinstance(step, int):
+            called = node.get("name") if isinstance(node, dict) else None
+            place += f"[{step if called is None else called}]"
+        else:
+            place += f".{step}" if place else str(step)
+    kind, context = first["type"], first.get("ctx", {})
+    impossible = context.get("error")
+    if isinstance(impossible, ImpossibleError):
+        return impossible.what, f"{place}.{impossible.key}".strip("."), impossible.remedy
+    if kind == "missing" and isinstance(first["loc"][-1], int):
+        wanted = 1 + max(int(m["loc"][-1]) for m in mistakes if m["loc"][:-1] == first["loc"][:-1])
+        return f"there are {len(above)} values instead of {wanted}", place.rpartition("[")[0], "state them all"
+    if kind == "too_long":
+        return f"there are {len(node)} values instead of {context['max_length']}", place, "remove those beyond"
+    if kind == "too_short":
+        return "the list is empty", place, "state at least one"
+    if kind == "missing":
+        return "this key is missing", place, "add it"
+    if kind == "extra_forbidden":
+        known = sorted({key for noun in Noun.__subclasses__() for key in noun.model_fields})
+        if first["loc"][-1] in known:
+            return "this key has no meaning here", place, "remove it"
+        like = get_close_matches(str(first["loc"][-1]), known, 1, 0.75)
+        better = f"write '{like[0]}'" if like else "correct its spelling"
+        return "this key is unknown", place, f"{better} or remove it"
+    said = str(node if isinstance(node, bool | int | float | str) else first["input"])
+    said = said.lower() if isinstance(node, bool) else said
+    return f"{_must(kind, context, first['msg'], first['input'])}, not '{said:.60}'", place, "correct it"
+
+
+def _must(kind: str, context: Mapping[str, Any], message: str, value: Any) -> str:
+    """A rule that pydantic found broken, in plain words."""
+    if kind == "finite_number" or (isinstance(value, float) and not math.isfinite(value)):
+        return "must be a finite number"
+    for start, words in {"greater_than_equal": "at least {ge:g}", "greater_than": "greater than {gt:g}",
+                         "less_than_equal": "at most {le:g}", "less_than": "less than {lt:g}", "literal": "{expected}",
+                         "int_": "a whole number", "float_": "a number", "string_pattern":
+                         "made of letters, digits and _, a letter first", "string_": "text in quotation marks",
+                         "tuple_": "a list in brackets", "model_": "a table of keys"}.items():
+        if kind.startswith(start):
+            return f"must be {words.format(**context)}"
+    return message[:1].lower() + message[1:]
+
+
+def dump_machine(machine: Machine) -> str:
+    """Text of a machine file (SI units) that `read_machine` turns into an equal machine."""
+    return tomlkit.dumps(_plain(machine, "", machine))
+
+
+def _plain(node: BaseModel, path: str, machine: Machine) -> dict[str, Any]:
+    table: dict[str, Any] = {}
+    for key, field in type(node).model_fields.items():
+        value = getattr(node, key)
+        at = f"{path}.{key}".lstrip(".")
+        usual = not field.is_required() and value == field.get_default(call_default_factory=True)
+        if key == "notes" or value is None or (usual and at not in machine.notes):
+            continue
+        if isinstance(value, BaseModel):
+            table[key] = _plain(value, at, machine)
+        elif isinstance(value, dict):
+            unit = _unit(node, key, machine, "")
+            table[key] = {name: _noted(_with_unit(item, unit), machine.notes.get(f"{at}.{name}"), unit)
+                          for name, item in value.items()}
+        elif isinstance(value, tuple) and value and isinstance(value[0], BaseModel):
+            table[key] = [_plain(item, getattr(item, "name", f"{at}.{k}"), machine) for k, item in enumerate(value)]
+        else:
+            unit = _unit(node, key, machine, path.partition(".")[0])
+            table[key] = _noted(_with_unit(value, unit), machine.notes.get(at), unit)
+    return table
+
+
+def _unit(node: BaseModel, key: str, machine: Machine, owner: str) -> str | None:
+    """SI unit of a field: from its annotation, or from the kind of the joint or channel it belongs to.
+
+    `owner` is the name of the part that the field belongs to.
+    """
+    if isinstance(node, JointFriction | TorqueFriction):
+        driven = {part.name: part.joint for part in machine.actuators if not isinstance(part, Cylinder)}
+        return machine.friction_units(driven.get(owner, owner))[key]
+    if isinstance(node, Sensor) and key in ("accuracy", "resolution"):
+        return machine.channel_units[node.channels[0]]
+    if isinstance(node, Joint) and key in ("lower", "upper", "max_speed", "max_acceleration"):
+        base = "m" if node.type == "prismatic" else "rad"
+        return base + {"max_speed": "/s", "max_acceleration": "/s^2"}.get(key, "")
+    if isinstance(node, Valve) and key in ("neutral", "full", "dead_band", "dead_band_reverse"):
+        return node.command
+    field = type(node).model_fields[key]
+    marks = [*field.metadata, *_nested_metadata(field.annotation)]
+    return next((mark.si for mark in marks if isinstance(mark, Quantity)), None)
+
+
+def _nested_metadata(annotation: Any) -> Sequence[Any]:
+    inner = [m for argument in getattr(annotation, "__args__", ()) for m in _nested_metadata(argument)]
+    return [*getattr(annotation, "__metadata__", ()), *inner]
+
+
+def _with_unit(value: Any, unit: str | None) -> Any:
+    if isinstance(value, tuple):
+        return [_with_unit(item, unit) for item in value]
+    if unit is None or isinstance(value, str):
+        return value
+    return f"{value!r} {unit}" if unit != "1" else value
+
+
+def _noted(value: Any, note: Note | None, unit: str | None) -> Any:
+    if note is None:
+        return value
+    table: dict[str, Any] = {"value": value}
+    if note.sigma is not None:
+        table["sigma"] = f"{100 * note.sigma!r} %" if note.relative else _with_unit(note.sigma, unit)
+    table |= {key: _with_unit(getattr(note, key), unit) for key in ("lower", "upper") if getattr(note, key) is not None}
+    return table | ({"source": note.source} if note.source else {})

@@ -1,0 +1,121 @@
+"""What a machine file may state of masses beyond their numbers: shapes that bound bodies, their sum, their likeness."""
+
+from __future__ import annotations
+
+from typing import Self
+
+import numpy as np
+from pydantic import Field, model_validator
+
+from hydroopt.machine.quantity import ImpossibleError, Length, Lengths, Mass, Name, Noun, refuse_inverted
+from hydroopt.spatial.inertia import Array
+
+
+class Box(Noun):
+    """All points between the corners `lower` and `upper` (3,) [m], with edges along the axes of the body's frame."""
+
+    lower: Lengths
+    upper: Lengths
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        refuse_inverted("box", self.lower, self.upper)
+        return self
+
+
+class Ellipsoid(Noun):
+    """All points about `centre` (3,) [m] within `semi_axes` (3,) [m] along the axes of the body's frame."""
+
+    centre: Lengths
+    semi_axes: Lengths
+
+    @model_validator(mode="after")
+    def _extended(self) -> Self:
+        if min(self.semi_axes) <= 0:
+            raise ImpossibleError("a semi-axis is not above zero", "state half of what the body extends along each "
+                                  "axis", "semi_axes")
+        return self
+
+
+class Tube(Noun):
+    """All points within `radius` [m] of the x axis of the body's frame, from x = `start` to x = `end` [m]."""
+
+    radius: Length = Field(gt=0)
+    start: Length
+    end: Length
+
+    @model_validator(mode="after")
+    def _ordered(self) -> Self:
+        if not self.start < self.end:
+            raise ImpossibleError(f"the cylinder's start, {self.start:.6g} m, is not below its end, {self.end:.6g} m",
+                                  "exchange or correct them")
+        return self
+
+
+class Shape(Noun):
+    """Where a body's mass is: within a box, an ellipsoid or a cylinder along x, in the frame of the body's numbers."""
+
+    box: Box | None = None
+    ellipsoid: Ellipsoid | None = None
+    cylinder: Tube | None = None
+
+    @model_validator(mode="after")
+    def _one(self) -> Self:
+        if (self.box, self.ellipsoid, self.cylinder).count(None) != 2:
+            raise ImpossibleError("a shape is one of a box, an ellipsoid and a cylinder",
+                                  "give exactly one of 'box', 'ellipsoid' and 'cylinder'")
+        return self
+
+    @property
+    def faces(self) -> Array:
+        """(f, 4) rows a with ``a·[x; 1] ≥ 0`` inside: the distance from each flat face, the opposite one's being 1."""
+        if self.box:
+            lower, upper = np.array(self.box.lower), np.array(self.box.upper)
+            normals = np.diag(1 / (upper - lower))
+            return np.block([[normals, -normals @ lower[:, None]], [-normals, normals @ upper[:, None]]])
+        if self.cylinder:
+            start, end = self.cylinder.start, self.cylinder.end
+            return np.array([[1.0, 0, 0, -start], [-1.0, 0, 0, end]]) / (end - start)
+        return np.empty((0, 4))
+
+    @property
+    def ball(self) -> Array | None:
+        """(3, 4) matrix B with ``‖B·[x; 1]‖ ≤ 1`` inside: the round part, if there is one."""
+        if self.ellipsoid:
+            normals = np.diag(1 / np.array(self.ellipsoid.semi_axes))
+            return np.column_stack([normals, -normals @ self.ellipsoid.centre])
+        if self.cylinder:
+            return np.diag([0.0, 1, 1, 0])[:3] / self.cylinder.radius
+        return None
+
+    def depth(self, point: Array) -> float:
+        """How far a point (3,) lies inside, as a part of the shape's size; negative outside."""
+        at = np.append(point, 1.0)
+        round_part = [] if self.ball is None else [1 - float(np.linalg.norm(self.ball @ at))]
+        return float(min([*(self.faces @ at), *round_part]))
+
+
+class TotalMass(Noun):
+    """The mass of several bodies together, as of a weighbridge; with a confidence it is a prior, without it exact."""
+
+    name: Name
+    bodies: tuple[str, ...] = Field(min_length=1)
+    value: Mass = Field(gt=0)
+
+
+class Identical(Noun):
+    """Parts built alike: `bodies` of equal inertial parameters, and actuators of equal `friction`."""
+
+    name: Name
+    bodies: tuple[str, ...] = ()
+    friction: tuple[str, ...] = ()
+
+    @model_validator(mode="after")
+    def _several(self) -> Self:
+        if not (self.bodies or self.friction):
+            raise ImpossibleError("nothing is said to be alike", "name two or more bodies, or actuators under "
+                                  "'friction'", "bodies")
+        for key, owners in (("bodies", self.bodies), ("friction", self.friction)):
+            if len(owners) == 1:
+                raise ImpossibleError(f"'{owners[0]}' alone is not like anything", "name two or more", key)
+        return self

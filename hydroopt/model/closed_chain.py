@@ -1,0 +1,196 @@
+"""Closed chains: tip in its fixture, cylinder lengths and taped distances as functions of geometry and angles.
+
+Every number of the machine file that states a confidence is a parameter; all others are taken as exact.
+"""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import casadi as ca
+import numpy as np
+
+from hydroopt.kernels.native import Runner
+from hydroopt.machine.components import Cylinder, Link
+from hydroopt.machine.geometry import Geometry, Number
+from hydroopt.machine.machine import BASE, Machine
+from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.spatial.inertia import Array
+from hydroopt.spatial.poses import Pose, identity, roll_pitch_yaw
+
+TINY = 1e-9
+"""Length [m] that keeps a distance differentiable at zero."""
+
+
+class KinematicModel:
+    """Geometry of a machine with its calibrator, for the calibration of chapter 3.
+
+    Attributes:
+        machine: what is modelled.
+        links: all links, the calibrator's last; `joints` are the moving ones, in the order of q (n,) [rad, m].
+        parameters: the geometry g (p,) that is not taken as exact, with its priors; `paths` says for every number under
+            which key of the machine file it stands, and where in a vector.
+        tip: casadi.Function (g, q) -> ball's centre (3,) [m] in the base frame (Eq. 3.17).
+        closure: (g, q, fixture (3,)) -> tip − fixture (3,) [m]: the loop's residual where all joints are known.
+        far_ends: (g, q) -> far ends of the chain's links (3, number of links) [m] in the base frame.
+        axes: (g, q) -> directions of the joints' axes (3, n) in the base frame.
+        strokes: (g, q) -> strokes of the cylinders and distances of their pins (c,) [m] (Eq. 3.26 in space).
+        lengths: (g, q) -> readings of the cylinders' length transducers (c,) [m] (Eq. 3.26 in space).
+        observed: (g, q, fixture (3,)) -> all of the above that a pose table can hold, (m,), see `channels`.
+    """
+
+    def __init__(self, machine: Machine) -> None:
+        self.machine = machine
+        stated = Geometry(machine)
+        self.links = stated.links
+        self.joints = tuple(link.name for link in self.links if link.joint.type != "locked")
+        self.parameters = _parameters(machine, stated.numbers)
+        self.paths = {number.name: (number.path, number.axis) for number in stated.numbers}
+        g, q, fixture = (ca.SX.sym("g", len(self.parameters)), ca.SX.sym("q", len(self.joints)),
+                         ca.SX.sym("fixture", 3))
+        self.geometry = Geometry(machine, {name: g[k] for k, name in enumerate(self.parameters.names)})
+        loaded = self._loaded(q)
+        poses = self._poses(loaded)
+        chain = [link.name for link in machine.chain]
+        ends = [poses[name] @ self.geometry.far_end(name) for name in chain]
+        tip = ends[-1].point(self.geometry.point("tip")) if machine.calibrator else ca.SX(3, 1)
+        ends_of = ca.horzcat(*(end.origin for end in ends)) if ends else ca.SX(3, 0)
+        distances = ca.vertcat(*(self._pin_distance(cylinder, loaded) for cylinder in machine.cylinders))
+        # a transducer reads the stroke; what it is added to is the nominal dead length
+        dead = [self.geometry.value[f"{cylinder.name}.dead_length"] for cylinder in machine.cylinders]
+        self.strokes = ca.Function("strokes", [g, q], [distances - ca.vertcat(*dead), distances], ["g", "q"],
+                                   ["stroke", "distance"])
+        lengths = distances + ca.vertcat(*(c.dead_length - d for c, d in zip(machine.cylinders, dead, strict=True)))
+        # the last far end may lie in the fixture, where a plain norm has no derivative
+        taped = ca.vertcat(*(ca.sqrt(ca.sumsqr(end.origin - fixture) + TINY**2) for end in ends))
+        self.tip = ca.Function("tip", [g, q], [tip], ["g", "q"], ["tip"])
+        self.closure = ca.Function("closure", [g, q, fixture], [tip - fixture], ["g", "q", "fixture"], ["gap"])
+        self.far_ends = ca.Function("far_ends", [g, q], [ends_of], ["g", "q"], ["ends"])
+        self.lengths = ca.Function("lengths", [g, q], [lengths], ["g", "q"], ["lengths"])
+        tracked = self._tracked(tip)
+        self.observed = ca.Function("observed", [g, q, fixture], [ca.vertcat(tip - fixture, lengths, tracked, taped)],
+                                    ["g", "q", "fixture"], ["observed"])
+        frames = {name: self._before(poses, name) for name in self.joints}
+        self.axes = ca.Function("axes", [g, q], [ca.horzcat(*(frame.rotation[:, 2] for frame in frames.values()))],
+                                ["g", "q"], ["axes"])
+        self._axis_frame = frames
+        self._symbols = g, q, tip
+        self._runner = Runner()
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """Names of the rows (m,) of `observed`; the first three are the loop's residual."""
+        machine = self.machine
+        return ("gap.x", "gap.y", "gap.z", *(f"{c.name}.length" for c in machine.cylinders),
+                "tip.x", "tip.y", "tip.z", *(f"{link.name}.distance" for link in machine.chain))
+
+    @cached_property
+    def observed_jacobians(self) -> ca.Function:
+        """(g, q, fixture) -> `observed` (m,) and its Jacobians by g (m, p) and q (m, n)."""
+        g, q = self._symbols[:2]
+        fixture = ca.SX.sym("fixture", 3)
+        rows = self.observed(g, q, fixture)
+        return ca.Function("observed_jacobians", [g, q, fixture], [rows, ca.jacobian(rows, g), ca.jacobian(rows, q)],
+                           ["g", "q", "fixture"], ["observed", "by_g", "by_q"])
+
+    @cached_property
+    def observed_by_angles(self) -> ca.Function:
+        """(g, q, fixture) -> `observed` (m,) and its Jacobian by q (m, n)."""
+        g, q = self._symbols[:2]
+        fixture = ca.SX.sym("fixture", 3)
+        rows = self.observed(g, q, fixture)
+        return ca.Function("observed_by_angles", [g, q, fixture], [rows, ca.jacobian(rows, q)],
+                           ["g", "q", "fixture"], ["observed", "by_q"])
+
+    @cached_property
+    def closure_jacobian(self) -> ca.Function:
+        """(g, q, fixture) -> `closure` (3,) and its Jacobian by q (3, n)."""
+        g, q = self._symbols[:2]
+        fixture = ca.SX.sym("fixture", 3)
+        gap = self.closure(g, q, fixture)
+        return ca.Function("closure_jacobian", [g, q, fixture], [gap, ca.jacobian(gap, q)],
+                           ["g", "q", "fixture"], ["gap", "by_q"])
+
+    def seen_from(self, joint: str) -> ca.Function:
+        """(g, q) -> tip (3,) [m] in the frame at the far end of the link before a joint, the frame of Eq. 3.22.
+
+        With the joint at zero this is the vector s of Eq. 3.24, for a revolute joint with d added to its z.
+        """
+        g, q, tip = self._symbols
+        frame = self._axis_frame[joint]
+        return ca.Function(f"tip_from_{joint}", [g, q], [frame.rotation.T @ (tip - frame.origin)], ["g", "q"], ["p"])
+
+    def over(self, function: ca.Function, *columns: Array) -> list[Array]:
+        """Evaluate a function at N poses, see `Runner.over`."""
+        return self._runner.over(function, *columns)
+
+    def _loaded(self, q: ca.SX) -> ca.SX:
+        """Joint vector after every joint has given way under gravity by its compliance."""
+        value = self.geometry.value
+        if not any(f"{link.name}.compliance" in value for link in self.links):
+            return q
+        torque = _gravity_torque(self.machine, self.links, self._poses(q), q)
+        return q + ca.vertcat(*(value.get(f"{name}.compliance", 0.0) for name in self.joints)) * torque
+
+    def _poses(self, q: ca.SX) -> dict[str, Pose]:
+        """Frames P_i of all links in the base frame."""
+        poses, variables = {BASE: identity()}, self._named(q)
+        for link in self.links:
+            own = self.geometry.joint(link.name, variables.get(link.name, 0.0))
+            poses[link.name] = poses[link.parent] @ self.geometry.far_end(link.parent) @ own
+        return poses
+
+    def _named(self, q: ca.SX) -> dict[str, ca.SX]:
+        return {joint: q[k] for k, joint in enumerate(self.joints)}
+
+    def _before(self, poses: dict[str, Pose], joint: str) -> Pose:
+        parent = next(link.parent for link in self.links if link.name == joint)
+        return poses[parent] @ self.geometry.far_end(parent)
+
+    def _pin_distance(self, cylinder: Cylinder, q: ca.SX) -> ca.SX:
+        pins = [self.geometry.pin(cylinder, end, self._named(q)) for end in ("barrel", "rod")]
+        return ca.norm_2(pins[1] - pins[0])
+
+    def _tracked(self, tip: ca.SX) -> ca.SX:
+        if self.machine.tracker is None:
+            return tip
+        turn = roll_pitch_yaw(self.geometry.turn("tracker"))
+        return turn.T @ (tip - self.geometry.point("tracker"))
+
+
+def _gravity_torque(machine: Machine, links: tuple[Link, ...], poses: dict[str, Pose], q: ca.SX) -> ca.SX:
+    """Generalised force of gravity (n,) [N·m, N] on the joints: −∂U/∂q, from the nominal masses of all links."""
+    turn = roll_pitch_yaw(machine.orientation)
+    potential = ca.SX(0)
+    for link in links:
+        if link.body is not None and link.body.m > 0:
+            centre = ca.DM(link.body.phi[1:4] / link.body.phi[0])
+            potential += link.body.m * machine.gravity * (turn @ poses[link.name].point(centre))[2]
+    return -ca.gradient(potential, q)
+
+
+def _parameters(machine: Machine, numbers: tuple[Number, ...]) -> ParameterSet:
+    """The numbers that state a confidence, with Gaussian priors about their nominal values."""
+    free, sigmas = [], []
+    unseen = {gas.name for gas in machine.gas_cylinders}  # nothing measures their length
+    for number in numbers:
+        if number.name.partition(".")[0] in unseen:
+            continue
+        note = machine.notes.get(number.path)
+        beside = [other.value for other in numbers if other.path == number.path]
+        sigma = None if note is None else note.spread(*beside)
+        if sigma:
+            free.append(number)
+            sigmas.append(sigma)
+    scale = np.array(sigmas)
+    # what gravity bends gives way, and never the other way
+    least = [0.0 if number.name.endswith((".compliance", ".dead_length")) else -np.inf for number in free]
+    lower = np.array([_bound(machine, number.path, "lower", low) for number, low in zip(free, least, strict=True)])
+    upper = np.array([_bound(machine, number.path, "upper", np.inf) for number in free])
+    return ParameterSet(tuple(number.name for number in free), tuple(number.unit for number in free),
+                        np.array([number.value for number in free]), lower, upper, scale, np.diag(1 / scale**2))
+
+
+def _bound(machine: Machine, path: str, key: str, default: float) -> float:
+    stated = getattr(machine.notes[path], key)
+    return default if stated is None else float(stated)

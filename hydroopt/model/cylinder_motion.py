@@ -1,0 +1,90 @@
+"""How barrels and rods move: carried by two pins, turning about neither's own accord (Section 4.3.3)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import casadi as ca
+
+from hydroopt.machine.components import Cylinder, GasCylinder
+from hydroopt.machine.geometry import Geometry
+from hydroopt.model.kinematics import STILL, UP, Coordinates, Motion
+from hydroopt.spatial.poses import Pose
+
+
+class CylinderMotion(NamedTuple):
+    """Length, its rates, and the two bodies of a cylinder.
+
+    `barrel_turn` and `rod_turn` [rad/s] are the rates at which the pins turn about the bodies' z axes, relative to
+    the links that carry them.
+    """
+
+    length: ca.SX
+    speed: ca.SX
+    acceleration: ca.SX
+    barrel: Motion
+    rod: Motion
+    barrel_turn: ca.SX
+    rod_turn: ca.SX
+
+
+def cylinder_motion(geometry: Geometry, cylinder: Cylinder | GasCylinder, links: dict[str, Motion],
+                    at: Coordinates) -> CylinderMotion:
+    """Motion of a cylinder between its pins, reckoned in the axis frame of the joint that orients it.
+
+    Seen from there only the joints between the pins move the cylinder; the frame's own motion is added last. With
+    d = l·x from pin to pin, y·ḋ = l·ω_z and z·ḋ = −l·ω_y; the axis stays in the plane of x and z, which gives ω_x.
+    """
+    machine = geometry.machine
+    driven = machine.axis_of(cylinder)
+    before = machine.link(driven).parent
+    q = {joint: at.q[k] for k, joint in enumerate(machine.joints)}
+    pins = [geometry.pin(cylinder, end, q) for end in ("barrel", "rod")]
+    speeds = [_rate(pin, at) for pin in pins]
+    accelerations = [_rate(speed, at) for speed in speeds]
+    d, dd, ddd = (rod - barrel for barrel, rod in (pins, speeds, accelerations))
+    length = ca.norm_2(d)
+    x = d / length
+    # the axis of the driven joint, made perpendicular to the centre line: in a planar triangle it is so already; a
+    # cylinder may lie along the axis of a sliding joint, whose x axis serves instead
+    axis = UP
+    if machine.link(driven).joint.type == "prismatic":
+        axis = ca.SX(geometry.joint(driven, 0.0).rotation[:, 0])
+    along = ca.dot(axis, x)
+    across = 1.0 if along.is_zero() else ca.sqrt(1 - along**2)
+    y = ca.cross(axis, x) / across
+    z = (axis - along * x) / across
+    speed = ca.dot(x, dd)
+    turn_y, turn_z = -ca.dot(z, dd) / length, ca.dot(y, dd) / length
+    lean = along / across
+    turn_x = lean * turn_z
+    rate_z = (ca.dot(y, ddd) - 2 * speed * turn_z) / length - turn_x * turn_y
+    rate_y = turn_x * turn_z - (2 * speed * turn_y + ca.dot(z, ddd)) / length
+    rate_x = lean * rate_z - turn_y * turn_z / across**2
+    acceleration = ca.dot(x, ddd) + length * (turn_y**2 + turn_z**2)
+    frame, turn = links[before].fixed(geometry.far_end(before)), ca.horzcat(x, y, z)
+    rotation, rotation_rate = ca.vertcat(turn_x, turn_y, turn_z), ca.vertcat(rate_x, rate_y, rate_z)
+    bodies = [frame.carry(Pose(turn, pins[k]), turn.T @ speeds[k], turn.T @ accelerations[k], rotation, rotation_rate)
+              for k in (0, 1)]
+    pin_turns = [turn_z - ca.dot(z, _rotation(geometry, before, end.link, q, at))
+                 for end in (cylinder.barrel, cylinder.rod)]
+    return CylinderMotion(length, speed, acceleration, *bodies, *pin_turns)
+
+
+def _rotation(geometry: Geometry, viewer: str, link: str, q: dict[str, ca.SX], at: Coordinates) -> ca.SX:
+    """Rotation rate (3,) [rad/s] of a link relative to the far end of another, written there."""
+    machine = geometry.machine
+    total = STILL
+    for joint in machine.joints_between(viewer, link):
+        if machine.link(joint).joint.type == "revolute":
+            axis = geometry.seen_from(viewer, joint, q).rotation[:, 2]
+            sign = 1 if joint in machine.ancestry(link) else -1
+            total = total + sign * axis * at.qd[machine.joints.index(joint)]
+    return total
+
+
+def _rate(expression: ca.SX, at: Coordinates) -> ca.SX:
+    """Time derivative of an expression in q and q̇."""
+    flat = ca.vec(expression)
+    rate = ca.jtimes(flat, ca.vertcat(at.q, at.qd), ca.vertcat(at.qd, at.qdd))
+    return ca.reshape(rate, expression.shape)

@@ -1,0 +1,214 @@
+"""`Model`: every symbolic product of a machine as a named casadi.Function that can be called, derived or embedded."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cached_property, partial
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.errors import ProblemError
+from hydroopt.kernels.expression_graph import program
+from hydroopt.kernels.native import Runner
+from hydroopt.machine.components import Cylinder, Drive, Motor
+from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.machine import Machine
+from hydroopt.model import lagrange
+from hydroopt.model.kinematics import coordinates
+from hydroopt.model.regressor import Dynamics
+from hydroopt.parameters import dynamic as dynamic_parameters
+from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.spatial.inertia import Array
+from hydroopt.spatial.poses import triangle_angle, triangle_length
+
+
+class Model:
+    """A machine's kinematics and dynamics; n joints, as many actuators, p dynamic parameters.
+
+    `actuator_inertia` tells the complete model (with barrels and rods) from the thesis's reduced one. All functions
+    take and return columns in SI; joint vectors are in the order of ``machine.joints``, actuator forces in that of
+    ``machine.actuators``, parameters in that of ``model.parameters``.
+    """
+
+    def __init__(self, machine: Machine, *, actuator_inertia: bool = True) -> None:
+        self.machine = machine
+        self.actuator_inertia = actuator_inertia
+        self.at = coordinates(machine)
+        self.geometry = Geometry(machine)
+        self.dynamics = Dynamics(self.geometry, self.at)
+        self._runner = Runner()
+
+    def __reduce__(self) -> tuple[object, ...]:
+        return partial(Model, actuator_inertia=self.actuator_inertia), (self.machine,)
+
+    @cached_property
+    def parameters(self) -> ParameterSet:
+        """Names, units, nominal values, bounds and prior of ψ (p,)."""
+        return dynamic_parameters.parameter_set(self.machine, actuator_inertia=self.actuator_inertia)
+
+    @cached_property
+    def forward_kinematics(self) -> ca.Function:
+        """q (n,) → pose (4, 4) of every link's far end in the base frame, one output a link (Eq. 3.14)."""
+        ends = {}
+        for link in self.machine.links:
+            pose = self.dynamics.links[link.name].pose @ self.geometry.far_end(link.name)
+            ends[link.name] = ca.vertcat(ca.horzcat(pose.rotation, pose.origin), ca.DM([[0, 0, 0, 1]]))
+        return _dense("forward_kinematics", [self.at.q], list(ends.values()), ["q"], list(ends))
+
+    @cached_property
+    def cylinder_kinematics(self) -> ca.Function:
+        """(q, qd, qdd) → length, speed, acceleration (c,) and lever arm ∂length/∂q with its time derivative (c, n)."""
+        motions = [self.dynamics.cylinders[c.name] for c in self.machine.all_cylinders]
+        length, speed, acceleration = (ca.vertcat(*[getattr(m, key) for m in motions])
+                                       for key in ("length", "speed", "acceleration"))
+        lever_arm = ca.jacobian(length, self.at.q) if motions else ca.SX(0, len(self.machine.joints))
+        rate = ca.reshape(ca.jtimes(ca.vec(lever_arm), self.at.q, self.at.qd), lever_arm.shape)
+        return _dense("cylinder_kinematics", [*self.at], [length, speed, acceleration, lever_arm, rate],
+                           ["q", "qd", "qdd"], ["length", "speed", "acceleration", "lever_arm", "lever_arm_rate"])
+
+    @cached_property
+    def triangles(self) -> Mapping[str, tuple[ca.Function, ca.Function]]:
+        """For every cylinder on one revolute joint: angle → length and length → angle (Eq. 3.26, 3.27).
+
+        The second takes the branch on which the lever arm has the sign that it has over the joint's range, and gives
+        NaN for a length at which the triangle is open.
+        """
+        pairs = {}
+        for cylinder in self.machine.cylinders:
+            found = self.geometry.triangle(cylinder)
+            if found is None:
+                continue
+            joint, sides = found
+            middle = sum(self.machine.link(joint).joint.range) / 2
+            branch = int(np.sign(np.sin(middle + float(sides.offset))))
+            angle, length = ca.SX.sym("angle"), ca.SX.sym("length")
+            pairs[cylinder.name] = (
+                _dense("triangle_length", [angle], [triangle_length(sides, angle)], ["angle"], ["length"]),
+                _dense("triangle_angle", [length], [triangle_angle(sides, length, branch, middle)],
+                            ["length"], ["angle"]))
+        return pairs
+
+    @property
+    def linear(self) -> bool:
+        """Whether forces are linear in all parameters: no actuator has a Stribeck speed."""
+        return not any(name.endswith(f".{dynamic_parameters.SPEED}") for name in self.parameters.names)
+
+    @property
+    def needs_pressure(self) -> bool:
+        """Whether forces depend on pressures: a cylinder's file states the friction of its seals."""
+        return bool(self.machine.sealed)
+
+    def refuse_seals(self, where: str) -> None:
+        """Refuse a machine whose forces depend on pressures, where there are none.
+
+        Raises:
+            ProblemError: names the cylinders.
+        """
+        if self.needs_pressure:
+            raise ProblemError(f"the friction of the seals of {', '.join(self.machine.sealed)} depends on pressures, "
+                               "which are not an input here", where=where,
+                               remedy="remove 'seal' from the machine file")
+
+    @cached_property
+    def _state(self) -> dict[str, ca.SX]:
+        """What forces depend on: q, qd, qdd, and the pressures if they do on these."""
+        return self.at._asdict() | ({"pressure": self.dynamics.pressure} if self.needs_pressure else {})
+
+    @cached_property
+    def regressor(self) -> ca.Function:
+        """(q, qd, qdd[, pressure]) → K (n, p), actuator forces per parameter (Eq. 4.55).
+
+        `pressure` (n,) [Pa] is an input where the model `needs_pressure`: p_head + p_rod of each cylinder, 0 for other
+        actuators. Of a model that is not `linear` K is the derivative of the forces at the nominal parameters.
+        """
+        K = self.dynamics.regressor(actuator_inertia=self.actuator_inertia)
+        return _dense("regressor", [*self._state.values()], [K], [*self._state], ["K"])
+
+    @cached_property
+    def regressor_pattern(self) -> NDArray[np.bool_]:
+        """Which entries (n, p) of the regressor are not zero whatever the motion, and the point of linearisation."""
+        made = program(self.regressor if self.linear else self.linearised)
+        return np.array([made.number(entry) != 0.0 for entry in made.outputs[0].entries]).reshape(
+            self.regressor.size_out(0))
+
+    @cached_property
+    def inverse_dynamics(self) -> ca.Function:
+        """(q, qd, qdd[, pressure], psi) → measured actuator forces (n,) [N or N·m] (Eq. 4.56)."""
+        given = self._state | {"psi": ca.SX.sym("psi", len(self.parameters))}
+        force = self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
+        return _dense("inverse_dynamics", [*given.values()], [force], [*given], ["force"])
+
+    @cached_property
+    def linearised(self) -> ca.Function:
+        """(q, qd, qdd[, pressure], psi) → K (n, p), the derivative of the forces by ψ there, and the forces (n,)."""
+        given = self._state | {"psi": ca.SX.sym("psi", len(self.parameters))}
+        K = self.dynamics.regressor(given["psi"], actuator_inertia=self.actuator_inertia)
+        force = self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
+        return _dense("linearised", [*given.values()], [K, force], [*given], ["K", "force"])
+
+    @cached_property
+    def force_by_motion(self) -> ca.Function:
+        """(q, qd, qdd[, pressure], psi) → derivatives (n, n) of forces by q, qd, qdd, dry friction's steps aside."""
+        given = self._state | {"psi": ca.SX.sym("psi", len(self.parameters))}
+        force = self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
+        return _dense("force_by_motion", [*given.values()], [ca.jacobian(force, x) for x in self.at],
+                      [*given], ["by_q", "by_qd", "by_qdd"])
+
+    @cached_property
+    def lagrange_forces(self) -> ca.Function:
+        """(q, qd, qdd, psi) → the part of the actuator forces due to bodies, from their energies."""
+        psi = ca.SX.sym("psi", len(self.parameters))
+        total = ca.SX.zeros(len(self.machine.joints))
+        for owner in dynamic_parameters.bodies(self.machine, actuator_inertia=self.actuator_inertia):
+            first = self.parameters.index(f"{owner}.m")
+            total += lagrange.joint_forces(self.dynamics, owner, psi[first:first + 10])
+        return _dense("lagrange_forces", [*self.at, psi], [self.dynamics.at_actuators(total)],
+                           ["q", "qd", "qdd", "psi"], ["force"])
+
+    @cached_property
+    def residual(self) -> ca.Function:
+        """(q, qd, qdd[, pressure], force, psi) → measured minus predicted actuator forces (n,)."""
+        psi, force = ca.SX.sym("psi", len(self.parameters)), ca.SX.sym("force", len(self.machine.actuators))
+        predicted = self.inverse_dynamics(*self._state.values(), psi)
+        return _dense("residual", [*self._state.values(), force, psi], [force - predicted],
+                           [*self._state, "force", "psi"], ["residual"])
+
+    @cached_property
+    def residual_jacobian(self) -> ca.Function:
+        """Jacobians of `residual` with respect to all of its inputs."""
+        return self.residual.jacobian()
+
+    @property
+    def force_units(self) -> tuple[str, ...]:
+        """Unit of each actuator's force."""
+        machine = self.machine
+        return tuple("N" if isinstance(a, Cylinder) or machine.link(j).joint.type == "prismatic" else "N*m"
+                     for a, j in zip(machine.actuators, machine.joints, strict=True))
+
+    @cached_property
+    def force_from_pressure(self) -> Mapping[str, Mapping[str, float]]:
+        """For every actuator the factor [N/Pa, N·m/Pa or 1] of each channel its force is made of (Eq. 4.33, 4.61)."""
+        factors: dict[str, Mapping[str, float]] = {}
+        for joint, actuator in zip(self.machine.joints, self.machine.actuators, strict=True):
+            if isinstance(actuator, Cylinder):
+                head, rod = actuator.areas
+                factors[actuator.name] = {f"{actuator.name}.p_head": head, f"{actuator.name}.p_rod": -rod}
+            elif isinstance(actuator, Motor):
+                ratio = actuator.torque_per_pressure * actuator.gear
+                factors[actuator.name] = {f"{actuator.name}.p_a": ratio, f"{actuator.name}.p_b": -ratio}
+            else:
+                assert isinstance(actuator, Drive)
+                factors[actuator.name] = {f"{joint}.tau": 1.0}
+        return factors
+
+    def over(self, function: ca.Function, *columns: Array, out: list[Array] | None = None) -> list[Array]:
+        """Evaluate a function at N samples, see `Runner.over`."""
+        return self._runner.over(function, *columns, out=out)
+
+
+def _dense(name: str, inputs: list[ca.SX], outputs: list[ca.SX], input_names: list[str],
+           output_names: list[str]) -> ca.Function:
+    """A function of few operations whose outputs are full matrices, so that their layout is that of every machine's."""
+    return program(ca.Function(name, inputs, outputs, input_names, output_names)).function()

@@ -1,0 +1,1 @@
+"""Parameter vectors of a machine: names, units, nominal values, bounds and priors."""

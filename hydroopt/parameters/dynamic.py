@@ -1,0 +1,210 @@
+"""The dynamic parameters of a machine: their order, nominal values, bounds and prior (Eq. 4.53, 4.54)."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hydroopt.machine.components import Body, Cylinder, Drive, Motor, Note
+from hydroopt.machine.machine import Machine
+from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.spatial import inertia
+from hydroopt.spatial.inertia import Array
+
+SPEED = "v_stribeck"
+"""What parameters in which forces are not linear are called, after the dot."""
+SPEED_RANGE = 20.0
+"""Factor by which a Stribeck speed may be off where the file states no bounds: beyond, it is another effect."""
+LEAST = 1e-6
+"""What is positive by nature is at least this part of its typical size, whatever lower bound the file states."""
+_CYLINDER_UNITS = (dict.fromkeys(("offset", "coulomb", "coulomb_reverse", "stribeck"), "N")
+                   | dict.fromkeys(("viscous", "viscous_reverse"), "N*s/m") | {"stribeck_speed": "m/s"})
+DEFAULT_CONFIDENCE = 1.0
+"""Prior σ of a body's numbers when the file states none, as a part of their size."""
+
+
+class Owned(NamedTuple):
+    """A body with the name of its owner and the path of its entry in the machine file."""
+
+    body: Body
+    path: str
+
+
+class Scalar(NamedTuple):
+    """A parameter that is not inertial: nominal value, unit, file path, bounds by nature, and a typical size."""
+
+    value: float
+    unit: str
+    path: str
+    lower: float = 0.0
+    upper: float = np.inf
+    size: float = 1.0
+
+
+def bodies(machine: Machine, *, actuator_inertia: bool = True) -> dict[str, Owned]:
+    """Bodies that the machine states, by owner: ``boom``, ``boom_cylinder.rod``, ``boom_cylinder.barrel``.
+
+    Each link is followed by the rod and barrel of the cylinder that drives its joint (Eq. 4.54).
+    """
+    found: dict[str, Owned] = {}
+    for link in machine.links:
+        if link.body is not None:
+            found[link.name] = Owned(link.body, f"{link.name}.body")
+        driver = _driver(machine, link.name)
+        if actuator_inertia and isinstance(driver, Cylinder):
+            for end, attachment in (("rod", driver.rod), ("barrel", driver.barrel)):
+                if attachment.body is not None:
+                    found[f"{driver.name}.{end}"] = Owned(attachment.body, f"{driver.name}.{end}.body")
+    return found
+
+
+def carried(machine: Machine, *, actuator_inertia: bool = True) -> dict[str, tuple[str, ...]]:
+    """Owners of the bodies that make up each link: its own, and the ends of cylinders that are pinned to it."""
+    found = bodies(machine, actuator_inertia=actuator_inertia)
+    ends = [(f"{cylinder.name}.{end}", attachment.link) for cylinder in machine.cylinders
+            for end, attachment in (("barrel", cylinder.barrel), ("rod", cylinder.rod))]
+    made = {link.name: tuple(owner for owner in (link.name, *(end for end, pinned in ends if pinned == link.name))
+                             if owner in found) for link in machine.links}
+    return {link: owners for link, owners in made.items() if owners}
+
+
+def scalars(machine: Machine, joint: str) -> dict[str, Scalar]:
+    """Friction, offset and rotor parameters of one moving joint and its actuator, in the order of Eq. 4.53, 4.54."""
+    units = machine.friction_units(joint)
+    own = machine.link(joint).joint.friction
+    found = {f"{joint}.tau_{key}": Scalar(value, units[key], f"{joint}.joint.friction.{key}")
+             for key in ("coulomb", "viscous") if (value := getattr(own, key)) is not None}
+    driver = _driver(machine, joint)
+    assert driver is not None
+    prefix, at = f"{driver.name}.{'f' if isinstance(driver, Cylinder) else 'tau'}", f"{driver.name}.friction"
+    if isinstance(driver, Cylinder):
+        units = _CYLINDER_UNITS
+    for key in ("offset", "coulomb", "coulomb_reverse", "viscous", "viscous_reverse", "stribeck"):
+        if (value := getattr(driver.friction, key)) is not None:
+            found[f"{prefix}_{key}"] = Scalar(value, units[key], f"{at}.{key}", -np.inf if key == "offset" else 0.0)
+    if (speed := driver.friction.stribeck_speed) is not None:
+        found[f"{driver.name}.{SPEED}"] = Scalar(speed, units["stribeck_speed"], f"{at}.stribeck_speed",
+                                                 speed / SPEED_RANGE, speed * SPEED_RANGE, speed)
+    if isinstance(driver, Cylinder):
+        if (seal := driver.friction.seal) is not None:
+            found[f"{prefix}_seal"] = Scalar(seal, "m^2", f"{at}.seal", 0.0, driver.areas[1], 0.01 * driver.areas[0])
+        for end in ("barrel", "rod"):
+            if (value := getattr(driver.friction, f"{end}_pin")) is not None:
+                found[f"{driver.name}.n_{end}"] = Scalar(value, "N*m", f"{at}.{end}_pin")
+    elif isinstance(driver, Drive) and driver.rotor_inertia is not None:
+        found[f"{driver.name}.rotor_inertia"] = Scalar(driver.rotor_inertia, "kg*m^2", f"{driver.name}.rotor_inertia")
+    return found
+
+
+def passive_scalars(machine: Machine) -> dict[str, Scalar]:
+    """The pressures of gas-charged cylinders."""
+    return {f"{gas.name}.precharge": Scalar(gas.precharge, "Pa", f"{gas.name}.precharge")
+            for gas in machine.gas_cylinders}
+
+
+def parameter_set(machine: Machine, *, actuator_inertia: bool = True) -> ParameterSet:
+    """All dynamic parameters ψ of a machine, joint after joint (Eq. 4.55).
+
+    Args:
+        machine: where nominal values and confidences come from.
+        actuator_inertia: whether barrels and rods belong to the model (the thesis's complete model).
+    """
+    found = bodies(machine, actuator_inertia=actuator_inertia)
+    names: list[str] = []
+    units: list[str] = []
+    blocks: list[tuple[Array, Array, Array, Array, Array]] = []  # nominal, lower, upper, size, information
+    for link in machine.links:
+        driver = _driver(machine, link.name)
+        owners = [link.name, *([f"{driver.name}.rod", f"{driver.name}.barrel"] if driver else [])]
+        for owner in owners:
+            if owner in found:
+                names += [f"{owner}.{element}" for element in inertia.NAMES]
+                units += inertia.UNITS
+                blocks.append(_body_block(found[owner], machine.notes))
+        if link.name in machine.joints:
+            for name, scalar in scalars(machine, link.name).items():
+                names.append(name)
+                units.append(scalar.unit)
+                blocks.append(scalar_block(scalar, machine.notes))
+    for name, scalar in passive_scalars(machine).items():
+        names.append(name)
+        units.append(scalar.unit)
+        blocks.append(scalar_block(scalar, machine.notes))
+    nominal, lower, upper, size = (np.concatenate([np.zeros(0), *(block[k] for block in blocks)]) for k in range(4))
+    information = np.zeros((len(names), len(names)))
+    start = 0
+    for block in blocks:
+        stop = start + len(block[0])
+        information[start:stop, start:stop] = block[4]
+        start = stop
+    known = np.diag(information) > 0
+    sigma = np.sqrt(np.diag(np.linalg.inv(information + np.diag(~known * 1.0))))
+    scale = np.where(known, sigma, np.maximum(np.abs(nominal), size))
+    return ParameterSet(tuple(names), tuple(units), nominal, lower, upper, scale, information)
+
+
+def _driver(machine: Machine, joint: str) -> Cylinder | Motor | Drive | None:
+    return machine.actuators[machine.joints.index(joint)] if joint in machine.joints else None
+
+
+def _body_block(owned: Owned, notes: dict[str, Note]) -> tuple[Array, Array, Array, Array, Array]:
+    phi = owned.body.phi
+    lower: Array = np.full(10, -np.inf)
+    upper: Array = np.full(10, np.inf)
+    note = notes.get(f"{owned.path}.m", Note())
+    lower[0] = note.lower if note.lower is not None else 0.0
+    if note.upper is not None:
+        upper[0] = note.upper
+    covariance = _body_covariance(owned, notes)
+    information = np.zeros((10, 10)) if covariance is None else np.asarray(np.linalg.inv(covariance), dtype=float)
+    return phi, lower, upper, np.ones(10), information
+
+
+def _body_covariance(owned: Owned, notes: dict[str, Note]) -> Array | None:
+    """Covariance (10, 10) of φ from the confidences of the numbers as the file states them."""
+    body = owned.body
+    if body.m == 0:
+        return None
+    by_com = body.com is not None
+    first = np.array(body.com if by_com else body.mc)
+    second = np.array(body.inertia_com if by_com else body.inertia)
+    # the size of the body stands in for the size of a number that happens to be zero
+    trace = second[0] + second[3] + second[5]
+    length = max(float(np.linalg.norm(first)) / (1.0 if by_com else body.m),
+                 float(np.sqrt(max(trace, 0.0) / (2 * body.m))), 1e-3)
+    keys = ("m", "com", "inertia_com") if by_com else ("m", "mc", "inertia")
+    sizes = (body.m, length * (1.0 if by_com else body.m), body.m * length**2)
+    values = (np.array([body.m]), first, second)
+    sigmas = [_sigma(notes.get(f"{owned.path}.{key}"), value, size)
+              for key, value, size in zip(keys, values, sizes, strict=True)]
+    stated = np.concatenate([np.full(len(value), sigma) for value, sigma in zip(values, sigmas, strict=True)])
+    if not by_com:
+        return np.diag(stated**2)
+    jacobian = np.empty((10, 10))
+    at, step = np.concatenate(values).astype(complex), 1e-30
+    for k in range(10):  # a complex step is exact for these polynomials
+        moved = at.copy()
+        moved[k] += 1j * step
+        jacobian[:, k] = inertia.from_centre_of_mass(moved[0], moved[1:4], moved[4:]).imag / step
+    return jacobian @ np.diag(stated**2) @ jacobian.T
+
+
+def _sigma(note: Note | None, value: Array, size: float) -> float:
+    largest = float(np.max(np.abs(value))) or size
+    if note is None or note.sigma is None:
+        return DEFAULT_CONFIDENCE * max(largest, size)
+    return note.sigma * largest if note.relative else note.sigma
+
+
+def scalar_block(scalar: Scalar, notes: dict[str, Note]) -> tuple[Array, Array, Array, Array, Array]:
+    """Nominal value, bounds, size and information, (1,) and (1, 1), of a parameter and what is noted of it."""
+    note = notes.get(scalar.path, Note())
+    low = scalar.lower if note.lower is None else note.lower
+    if scalar.lower > 0:  # forces divide by it
+        low = max(low, LEAST * scalar.size)
+    high = scalar.upper if note.upper is None else note.upper
+    information = 0.0
+    if note.sigma is not None:
+        information = 1 / (note.sigma * (abs(scalar.value) or scalar.size) if note.relative else note.sigma) ** 2
+    return (*np.array([[scalar.value], [low], [high], [scalar.size]]), np.array([[information]]))

@@ -1,0 +1,161 @@
+"""One self-contained HTML page from an estimate: what is in doubt, fit, figures, parameters, data and treatment."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from markupsafe import Markup
+
+from hydroopt.estimation.dynamic.estimate import Estimate
+from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.estimation.dynamic.friction_choice import FrictionChoice
+from hydroopt.estimation.dynamic.streamed_experiment import Recording
+from hydroopt.estimation.inference.fit import Fit
+from hydroopt.model.plant import Plant
+from hydroopt.report import figures, side_view
+from hydroopt.report.hydraulics import over_workspace
+from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
+from hydroopt.report.page import page
+
+METHODS = {
+    "sdp": "least squares with priors, bounds and physically possible bodies (semidefinite program)",
+    "qp": "least squares with priors and bounds (quadratic program)",
+    "nlp": "least squares with priors, bounds, physically possible bodies and free constraints (IPOPT)",
+    "wls": "weighted least squares on base parameters", "ridge": "ridge regression",
+    "tsvd": "truncated singular values",
+}
+"""Methods in words."""
+
+
+class Parameter(NamedTuple):
+    """One line of the parameter table."""
+
+    name: str
+    element: str
+    unit: str
+    numbers: Row
+    bound: str
+    identifiability: str
+    alone: bool
+    beside: bool
+
+
+class Group(NamedTuple):
+    """The parameters of one owner; `eigenvalue` of its pseudo-inertia, "" for what is no body.
+
+    `partial` tells that some of its parameters have no value, so that what predicts need not be a body.
+    """
+
+    owner: str
+    eigenvalue: str
+    impossible: bool
+    partial: bool
+    parameters: list[Parameter]
+
+
+def render(estimate: Estimate, doubts: Sequence[str], friction: FrictionChoice | None = None) -> str:
+    """The report as one HTML page that needs nothing else.
+
+    Args:
+        estimate: what to report.
+        doubts: what a reader should know before trusting it, in plain words.
+        friction: how its friction terms were chosen, if they were.
+    """
+    problem = estimate.problem
+    return page("identification.html").render(
+        machine=problem.model.machine, estimate=estimate, doubts=list(doubts), method=METHODS.get(estimate.method, ""),
+        failed=estimate.status != "ok", fit=_fit(estimate), friction=friction,
+        friction_rows=[(c, plain(c.training), f"{plain(c.held_out)} ± {plain(c.std, 2)}")
+                       for c in (friction.candidates if friction else ())],
+        weights=_weights(estimate), groups=_groups(estimate),
+        base=_base(estimate), totals=_totals(estimate), hydraulics=_hydraulics(estimate), figures=_figures(estimate),
+        condition=plain(estimate.seen.condition_number, 3),
+        counts={c: sum(p.identifiability == c for g in _groups(estimate) for p in g.parameters)
+                for c in ("full", "combination", "not excited", "none")},
+        confounded=[(c.name, plain(c.inflation, 3), ", ".join(c.partners)) for c in estimate.confounded],
+        logs=[_log("training", e) for e in problem.experiments] + [_log("validation", e) for e in problem.validation],
+        constraints=problem.constraint_names, priors=[f"{p.name}: {plain(p.value, 5)} ± {plain(p.sigma, 2)}"
+                                                      for p in (*problem.stated_priors, *problem.priors)],
+        fixed=[f"{name} = {plain(value, 5)}" for name, value in problem.fixed.items()])
+
+
+def _figures(estimate: Estimate) -> dict[str, Markup]:
+    drawn = {"forces": figures.forces(estimate), "residuals": figures.residuals(estimate),
+             "side-view": side_view.side_view(estimate), "changes": figures.parameters(estimate)}
+    return {name: Markup(figures.svg(figure, name)) for name, figure in drawn.items() if figure is not None}
+
+
+def _fit(estimate: Estimate) -> list[dict[str, Any]]:
+    """Rows of the fit table: channel, unit, and the cells of training and validation."""
+    sets = [estimate.fit.get(name, {}) for name in ("train", "validation")]
+    channels = list(dict.fromkeys(channel for table in sets for channel in table
+                                  if channel != "all" or len(table) > 2))
+    return [{"channel": channel, "unit": unit_text(next(t[channel].unit for t in sets if channel in t)),
+             "cells": [_cells(table.get(channel)) for table in sets]} for channel in channels]
+
+
+def _cells(fit: Fit | None) -> tuple[str, str, str, bool]:
+    """RMS, VAF, relative error, and whether the mean of the signal would have predicted better."""
+    if fit is None:
+        return NONE, NONE, NONE, False
+    return plain(fit.rms), percent(fit.vaf), percent(fit.relative), fit.vaf < 0
+
+
+def _weights(estimate: Estimate) -> list[tuple[str, str, str, str]]:
+    """Actuator, σ of its residual with unit, and correlation time in samples."""
+    return [(a.name, plain(s), unit_text(unit), plain(t, 3)) for a, s, unit, t in
+            zip(estimate.problem.model.machine.actuators, estimate.sigma, estimate.problem.model.force_units,
+                estimate.correlation_time, strict=True)]
+
+
+def _groups(estimate: Estimate) -> list[Group]:
+    parameters, groups = estimate.problem.parameters, dict[str, list[Parameter]]()
+    for k, name in enumerate(parameters.names):
+        owner, _, element = name.rpartition(".")
+        low, high = (float(x) for x in estimate.ci95[k])
+        value = float(estimate.value[k])
+        groups.setdefault(owner, []).append(Parameter(
+            name, element, unit_text(parameters.units[k]),
+            quantity(value, float(estimate.std[k]), (low, high), float(parameters.nominal[k])), estimate.bound[k],
+            estimate.identifiability(k), math.isnan(low) and not math.isnan(value), value < low or value > high))
+    least = estimate.consistency
+    return [Group(owner, plain(least[owner], 3) if owner in least else "", least.get(owner, 0.0) < 0,
+                  any(row.numbers.value == NONE for row in rows), rows)
+            for owner, rows in groups.items()]
+
+
+def _base(estimate: Estimate) -> list[tuple[str, str, Row]]:
+    seen, units = estimate.seen, estimate.problem.parameters.units
+    # a sign stays on the line of its term
+    return [(seen.expression(i).replace("+ ", "+\u00a0").replace("− ", "−\u00a0"), unit_text(units[seen.basis[i]]),
+             quantity(float(v), float(s)))
+            for i, (v, s) in enumerate(zip(estimate.base_value, estimate.base_std, strict=True))]
+
+
+def _totals(estimate: Estimate) -> list[tuple[str, str, Row]]:
+    """Links of several bodies, with what these are and their mass together."""
+    parameters = estimate.problem.parameters
+    return [(total.link, ", ".join(total.bodies), quantity(
+        total.value, total.std, (total.low, total.high),
+        float(np.sum(parameters.nominal[parameters.select(f"{owner}.m" for owner in total.bodies)]))))
+        for total in estimate.total_masses if len(total.bodies) > 1]
+
+
+def _hydraulics(estimate: Estimate) -> dict[str, Any] | None:
+    """How every joint answers its valve with what was identified, where the machine file tells enough of its oil."""
+    model, machine = estimate.problem.model, estimate.problem.model.machine
+    fed = all(actuator.name in machine.circuits for actuator in machine.actuators)
+    if not fed or min(estimate.consistency.values(), default=0.0) < 0:
+        return None
+    plant = Plant(model)
+    return over_workspace(plant, estimate.psi, plant.parameters.nominal)
+
+
+def _log(role: str, data: Experiment | Recording) -> dict[str, Any]:
+    log = data.log
+    return {"role": role, "name": log.name, "path": log.path, "samples": log.size, "taken": data.taken,
+            "duration": plain(log.duration), "rows": f"{log.rows[0]} to {log.rows[1]}",
+            "sha256": log.sha256, "findings": [f.text for f in log.findings], "notes": data.notes}

@@ -1,0 +1,67 @@
+"""What there is to know of a machine before any log: geometry over its range, parameters, what can be told."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from hydroopt.estimation.inference import identifiability
+from hydroopt.estimation.kinematic.mobility import mobility
+from hydroopt.machine.machine import Machine
+from hydroopt.model.model import Model
+from hydroopt.parameters import hydraulic as hydraulic_parameters
+from hydroopt.parameters.parameter_set import ParameterSet
+
+
+def machine_facts(machine: Machine) -> dict[str, Any]:
+    """Joints, cylinders, channels, sensors, parameters, identifiability and mobility, ready for JSON."""
+    model = Model(machine)
+    found = identifiability.structural(model)
+    cylinders = [_cylinder_facts(model, k) for k in range(len(machine.cylinders))]
+    parameters = [row | {"identifiability": category}
+                  for row, category in zip(_parameter_facts(model.parameters), found.category, strict=True)]
+    sensors = [{"channel": channel, "unit": machine.channel_units[channel], "std": sensor.std, "rate_hz": sensor.rate}
+               for sensor in machine.sensors for channel in sensor.channels]
+    motion = mobility(machine)
+    return {"machine": {"name": machine.name, "parameter_set": machine.parameter_set, "sha256": machine.sha256,
+                         "description": machine.description},
+             "joints": [_joint_facts(machine, name) for name in machine.joints], "cylinders": cylinders,
+             "channels": machine.channel_units, "sensors": sensors, "parameters": parameters,
+             "hydraulic_parameters": _parameter_facts(hydraulic_parameters.parameter_set(machine)),
+             "identifiability": {"rank": found.rank, "full": found.count("full"),
+                                 "combination": found.count("combination"), "none": found.count("none")},
+            "calibration": motion.as_dict() | {"lines": motion.lines()}}
+
+
+def _parameter_facts(parameters: ParameterSet) -> list[dict[str, Any]]:
+    known = parameters.information.diagonal() > 0
+    return [{"name": name, "unit": unit, "nominal": float(value), "prior_std": float(scale) if prior else None}
+            for name, unit, value, scale, prior in zip(
+                parameters.names, parameters.units, parameters.nominal, parameters.scale, known, strict=True)]
+
+
+def _joint_facts(machine: Machine, name: str) -> dict[str, Any]:
+    joint = machine.link(name).joint
+    turn = joint.type == "revolute"
+    unit, factor = ("deg", 180 / math.pi) if turn else ("m", 1.0)
+    actuator = machine.actuators[machine.joints.index(name)].name
+    return {"joint": name, "type": joint.type, "actuator": actuator, "unit": unit,
+            "lower": round(factor * (joint.lower or 0.0), 4), "upper": round(factor * (joint.upper or 0.0), 4)}
+
+
+def _cylinder_facts(model: Model, k: int) -> dict[str, Any]:
+    """Areas, and length and lever arm over the range of the joint that the cylinder moves, others at mid-range."""
+    machine = model.machine
+    cylinder = machine.cylinders[k]
+    joint = machine.axis_of(cylinder)
+    q = np.tile([sum(machine.link(name).joint.range) / 2 for name in machine.joints], (181, 1))
+    q[:, machine.joints.index(joint)] = np.linspace(*machine.link(joint).joint.range, 181)
+    length, _, _, lever, _ = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)
+    lengths, arms = length[:, k, 0], lever[:, k, machine.joints.index(joint)]
+    head, rod = cylinder.areas
+    return {"cylinder": cylinder.name, "joint": joint, "head_area_cm2": round(1e4 * head, 3),
+            "rod_area_cm2": round(1e4 * rod, 3), "length_min_m": round(float(lengths.min()), 4),
+            "length_max_m": round(float(lengths.max()), 4), "lever_arm_min_m": round(float(arms.min()), 4),
+            "lever_arm_max_m": round(float(arms.max()), 4)}

@@ -1,0 +1,291 @@
+"""The machine from the side: links, joints, cylinders and centres of mass in the vertical plane it mainly moves in."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import NamedTuple
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from hydroopt.estimation.dynamic.estimate import Estimate
+from hydroopt.machine.components import Cylinder, GasCylinder, Link
+from hydroopt.machine.machine import BASE, Machine
+from hydroopt.model.model import Model
+from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE, STYLE, WIDTH
+from hydroopt.spatial import inertia
+from hydroopt.spatial.inertia import Array
+from hydroopt.spatial.poses import Pose, roll_pitch_yaw
+
+UP = np.array([0.0, 0.0, 1.0])
+ROOM = (9.4, 5.6)
+"""Largest width and height of the drawing [in]."""
+
+
+class Plane(NamedTuple):
+    """A vertical plane by its horizontal direction in the world.
+
+    `zeroed` joints turn the whole plane and stand at zero; `moving` ones move the machine within it.
+    """
+
+    across: Array
+    zeroed: tuple[int, ...]
+    moving: tuple[int, ...]
+
+
+class Scene(NamedTuple):
+    """One pose, every point (2,) [m] in the plane: joints' start and end by link, pins by cylinder."""
+
+    start: dict[str, Array]
+    axis: dict[str, Array]
+    end: dict[str, Array]
+    mass: dict[str, Array]
+    barrel: dict[str, Array]
+    rod: dict[str, Array]
+    length: dict[str, float]
+
+
+def side_view(estimate: Estimate) -> Figure:
+    """The machine at the mean pose of the training motion, with faint poses at the extremes that its joints reached."""
+    model = estimate.problem.model
+    q = np.concatenate([e.shown.motion.q for e in estimate.problem.experiments])
+    plane = _plane(model, np.mean(q, axis=0))
+    at = [int(f(q[:, k])) for k in plane.moving for f in (np.argmin, np.argmax)]
+    poses = np.vstack([np.mean(q, axis=0), q[list(dict.fromkeys(at))]])
+    poses[:, list(plane.zeroed)] = 0.0
+    scenes = _scenes(model, poses, plane)
+    corners = np.array([p for s in scenes for part in s[:-1] for p in part.values()] + [np.zeros(2)])
+    low, high = corners.min(axis=0), corners.max(axis=0)
+    size = float(np.max(high - low))
+    low, high = low - 0.07 * size, high + 0.07 * size
+    scale = min(ROOM[0] / (high[0] - low[0]), ROOM[1] / (high[1] - low[1]))
+    width, height = (high - low) * scale
+    with matplotlib.rc_context(STYLE):
+        figure = Figure(figsize=(WIDTH, height + 0.9))
+        left = (WIDTH - width) / 2
+        ax = figure.add_axes((left / WIDTH, 0.45 / (height + 0.9), width / WIDTH, height / (height + 0.9)))
+        ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal", ylabel="height [m]",
+               xlabel="reach in the plane of the drawing [m]")
+        ax.grid(visible=True)
+        _ground(ax, 0.05 * size)
+        for scene in scenes[1:]:
+            _draw(ax, model.machine, scene, faint=True)
+        _draw(ax, model.machine, scenes[0], faint=False)
+        _labels(ax, model.machine, scenes[0], scale * 72, (low, high))
+        if model.machine.gravity:
+            _gravity(ax)
+        figure.legend(handles=_handles(model.machine), loc="upper left", ncols=6, borderaxespad=0.2,
+                      bbox_to_anchor=(max(0.01, (left - 0.1) / WIDTH), 1.0))
+    return figure
+
+
+def _plane(model: Model, mean: Array) -> Plane:
+    """The vertical plane perpendicular to the horizontal axis that most joints share.
+
+    Joints before the first of those turn the whole plane and stand at zero.
+    """
+    machine = model.machine
+    axes = {joint: pose[0, :3, 2] for joint, pose in _frames(model, np.zeros((1, len(machine.joints)))).items()}
+    revolute = [j for j in machine.joints if machine.link(j).joint.type == "revolute" and abs(axes[j] @ UP) < 0.7]
+    alike = [[j for j in revolute if abs(axes[j] @ axes[other]) > 0.999] for other in revolute]
+    group = max(alike, key=len, default=[])
+    before = [j for j in machine.ancestry(group[0])[1:] if j in machine.joints] if group else []
+    zeroed = tuple(machine.joints.index(j) for j in before)
+    sliding = [j for j in machine.joints if machine.link(j).joint.type == "prismatic" and j not in before]
+    moving = tuple(machine.joints.index(j) for j in (*group, *sliding)) or tuple(range(len(machine.joints)))
+    pose = np.array(mean)
+    pose[list(zeroed)] = 0.0
+    frames = _frames(model, pose[None])
+    reach = np.mean([f[0, :3, 3] for f in _ends(model, pose[None]).values()], axis=0) * [1, 1, 0]
+    if group:
+        across = np.cross(UP, frames[group[0]][0, :3, 2])
+    else:
+        across = reach if np.linalg.norm(reach) > 1e-6 else np.array([1.0, 0.0, 0.0])
+    across = across / np.linalg.norm(across)
+    return Plane(across * (1.0 if across @ reach >= 0 else -1.0), zeroed, moving)
+
+
+def _ends(model: Model, poses: Array) -> dict[str, Array]:
+    """Pose in the world (k, 4, 4) of every link's far end at the joint positions (k, n)."""
+    world = np.eye(4)
+    world[:3, :3] = np.asarray(roll_pitch_yaw(model.machine.orientation))
+    ends = model.over(model.forward_kinematics, poses)
+    return {link.name: world @ end for link, end in zip(model.machine.links, ends, strict=True)}
+
+
+def _frames(model: Model, poses: Array) -> dict[str, Array]:
+    """Pose in the world (k, 4, 4) of every link's frame P_i."""
+    return {name: end @ np.linalg.inv(_matrix(model.geometry.far_end(name)))
+            for name, end in _ends(model, poses).items()}
+
+
+def _matrix(pose: Pose) -> Array:
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = np.asarray(pose.rotation), np.asarray(pose.origin).ravel()
+    return matrix
+
+
+def _scenes(model: Model, poses: Array, plane: Plane) -> list[Scene]:
+    machine = model.machine
+    look = np.array([plane.across, UP])
+    frames, ends = _frames(model, poses), _ends(model, poses)
+    base = np.tile(np.eye(4), (len(poses), 1, 1))
+    base[:, :3, :3] = np.asarray(roll_pitch_yaw(machine.orientation))
+    frames[BASE] = ends[BASE] = base
+    scenes = []
+    for i in range(len(poses)):
+        def place(link: str, point: Sequence[float], i: int = i) -> Array:
+            return np.asarray(frames[link][i, :3, :3] @ np.asarray(point) + frames[link][i, :3, 3])
+        mass = {}
+        for link in machine.links:
+            centre = None if link.body is None else inertia.centre_of_mass(link.body.phi)
+            if centre is not None:
+                mass[link.name] = look @ place(link.name, centre.tolist())
+        pins = {c.name: [place(end.link, end.pin) for end in (c.barrel, c.rod)] for c in _cylinders(machine)}
+        scenes.append(Scene(
+            {link.name: look @ ends[link.parent][i, :3, 3] for link in machine.links},
+            {link.name: look @ frames[link.name][i, :3, 3] for link in machine.links},
+            {link.name: look @ ends[link.name][i, :3, 3] for link in machine.links}, mass,
+            {name: look @ pin[0] for name, pin in pins.items()}, {name: look @ pin[1] for name, pin in pins.items()},
+            {name: float(np.linalg.norm(pin[1] - pin[0])) for name, pin in pins.items()}))
+    return scenes
+
+
+def _cylinders(machine: Machine) -> tuple[Cylinder | GasCylinder, ...]:
+    return (*machine.cylinders, *machine.gas_cylinders)
+
+
+def _outline(machine: Machine, scene: Scene, link: Link) -> Array:
+    """Convex outline (k, 2) of the points that a link joins: its joint, its far end and the pins on it."""
+    points = [scene.start[link.name], scene.axis[link.name], scene.end[link.name]]
+    for cylinder in _cylinders(machine):
+        points += [pins[cylinder.name] for end, pins in ((cylinder.barrel, scene.barrel), (cylinder.rod, scene.rod))
+                   if end.link == link.name]
+    points += [scene.start[child.name] for child in machine.links if child.parent == link.name]
+    return _hull(np.array(points))
+
+
+def _hull(points: Array) -> Array:
+    """Convex hull (k, 2) of points in the plane, counter-clockwise (Andrew's monotone chain)."""
+    ordered = np.unique(np.round(points, 9), axis=0)
+    if len(ordered) < 3:
+        return ordered
+    chains = []
+    for sequence in (ordered, ordered[::-1]):
+        chain: list[Array] = []
+        for p in sequence:
+            while len(chain) > 1 and _turn(chain[-2], chain[-1], p) <= 0:
+                chain.pop()
+            chain.append(p)
+        chains += chain[:-1]
+    return np.array(chains)
+
+
+def _turn(a: Array, b: Array, c: Array) -> float:
+    return float((b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0]))
+
+
+def _draw(ax: Axes, machine: Machine, scene: Scene, *, faint: bool) -> None:
+    alpha, order = (0.16, 2.0) if faint else (1.0, 3.0)
+    for link in machine.links:
+        outline = _outline(machine, scene, link)
+        if len(outline) > 2:
+            ax.fill(*outline.T, facecolor="#cfd8e1", edgecolor="#5c6b7a", lw=0.5 if faint else 1.0, joinstyle="round",
+                    alpha=0.16 if faint else 0.55, zorder=order)
+        chain = np.array([scene.start[link.name], scene.axis[link.name], scene.end[link.name]])
+        ax.plot(*chain.T, color=INK, lw=1.4 if faint else 2.6, alpha=alpha, zorder=order + 0.1, solid_capstyle="round")
+        if link.name in scene.mass and not faint:
+            if float(np.ptp(outline, axis=0).max(initial=0.0)) < 1e-6:
+                ax.plot(*np.array([scene.axis[link.name], scene.mass[link.name]]).T, color=GREY, lw=1.0, ls=(0, (3, 2)),
+                        zorder=order)
+            ax.plot(*scene.mass[link.name], marker="o", ms=6, mfc="white", mec=ORANGE, mew=1.2, zorder=order + 1)
+            ax.plot(*scene.mass[link.name], marker="+", ms=6, mec=ORANGE, mew=0.9, zorder=order + 1)
+    for cylinder in _cylinders(machine):
+        barrel, rod = scene.barrel[cylinder.name], scene.rod[cylinder.name]
+        colour = BLUE if isinstance(cylinder, Cylinder) else GREEN
+        # a barrel is a little shorter than the retracted cylinder; of a gas cylinder a length of reference is known
+        body = 0.9 * cylinder.dead_length if isinstance(cylinder, Cylinder) else 0.6 * cylinder.reference_length
+        neck = barrel + (rod - barrel) * min(0.95, body / scene.length[cylinder.name])
+        ax.plot(*np.array([barrel, rod]).T, color=colour, lw=1.2 if faint else 2.2, alpha=alpha, zorder=order + 0.3)
+        if not faint:
+            ax.plot(*np.array([barrel, neck]).T, color=colour, lw=6.5, zorder=order + 0.4, solid_capstyle="butt")
+            ax.plot(*np.array([barrel, rod]).T, ls="none", marker="o", ms=4.2, mfc="white", mec=colour, mew=1.2,
+                    zorder=order + 0.6)
+    if not faint:
+        joints = np.array([scene.axis[j] for j in machine.joints])
+        ax.plot(*joints.T, ls="none", marker="o", ms=6.5, mfc="white", mec=INK, mew=1.6, zorder=order + 0.7)
+
+
+def _ground(ax: Axes, size: float) -> None:
+    """The sign of what stands fast, at the base frame's origin."""
+    ax.plot([-size, size], [0, 0], color=INK, lw=1.4, zorder=2.5)
+    for x in np.linspace(-size, 0.75 * size, 8):
+        ax.plot([x, x - 0.3 * size], [0, -0.35 * size], color=INK, lw=0.6, zorder=2.5)
+
+
+def _gravity(ax: Axes) -> None:
+    ax.annotate("", xy=(0.975, 0.80), xytext=(0.975, 0.93), xycoords="axes fraction",
+                arrowprops={"arrowstyle": "-|>", "color": INK, "lw": 1.2, "shrinkA": 0, "shrinkB": 0})
+    ax.text(0.968, 0.865, "g", transform=ax.transAxes, ha="right", va="center", style="italic", fontsize=10)
+
+
+def _handles(machine: Machine) -> list[Line2D]:
+    handles = [Line2D([], [], ls="none", marker="o", ms=6, mfc="white", mec=INK, mew=1.6, label="joint")]
+    if machine.cylinders:
+        handles.append(Line2D([], [], color=BLUE, lw=4, label="cylinder"))
+    if machine.gas_cylinders:
+        handles.append(Line2D([], [], color=GREEN, lw=4, label="gas cylinder"))
+    if any(link.body for link in machine.links):
+        handles.append(Line2D([], [], ls="none", marker="o", ms=6, mfc="white", mec=ORANGE, mew=1.2,
+                              label="nominal centre of mass"))
+    return [*handles, Line2D([], [], color=INK, lw=2.6, label="mean pose of the training data"),
+            Line2D([], [], color=INK, lw=1.6, alpha=0.25, label="poses at its joints' extremes")]
+
+
+def _labels(ax: Axes, machine: Machine, scene: Scene, points: float, limits: tuple[Array, Array]) -> None:
+    """Names beside joints, cylinders and bodies, each where it covers least; `points` is the drawing's scale [pt/m]."""
+    taken = [scene.axis[j] for j in machine.joints] + list(scene.mass.values())
+    for link in machine.links:
+        chain = (scene.start[link.name], scene.axis[link.name], scene.end[link.name])
+        taken += [a + t * (b - a) for a, b in pairwise(chain) for t in np.linspace(0, 1, 25)]
+    for name in scene.rod:
+        taken += [scene.barrel[name] + t * (scene.rod[name] - scene.barrel[name]) for t in np.linspace(0, 1, 25)]
+    busy = np.array(taken) * points
+    wanted: list[tuple[str, Array, str]] = []
+    for joint in machine.joints:
+        for i, (text, at, colour) in enumerate(wanted):
+            if np.linalg.norm(at - scene.axis[joint]) * points < 8:
+                wanted[i] = (f"{text}, {joint}", at, colour)
+                break
+        else:
+            wanted.append((joint, scene.axis[joint], INK))
+    wanted += [(c.name, (scene.barrel[c.name] + scene.rod[c.name]) / 2, BLUE if isinstance(c, Cylinder) else GREEN)
+               for c in _cylinders(machine)]
+    wanted += [(link.name, scene.mass[link.name], ORANGE) for link in machine.links
+               if link.name in scene.mass and link.name not in machine.joints]
+    boxes: list[tuple[Array, Array]] = []
+    for text, at, colour in wanted:
+        half = np.array([2.4 * len(text) + 2, 5.5])
+        best = min(_places(at * points, half), key=lambda c: _cover(c, half, busy, boxes, at * points, limits, points))
+        boxes.append((best, half))
+        x, y = (float(v) / points for v in best)
+        ax.text(x, y, text, ha="center", va="center", fontsize=8, color=colour, zorder=6, weight="bold",
+                bbox={"facecolor": "white", "edgecolor": "none", "alpha": 0.75, "pad": 0.8})
+
+
+def _places(at: Array, half: Array) -> list[Array]:
+    angles = np.linspace(0, 2 * np.pi, 16, endpoint=False)
+    return [at + np.array([np.cos(a), np.sin(a)]) * (half + gap) for gap in (7, 13, 20, 30) for a in angles]
+
+
+def _cover(centre: Array, half: Array, busy: Array, boxes: list[tuple[Array, Array]], at: Array,
+           limits: tuple[Array, Array], points: float) -> float:
+    """How bad a place is for a label: what it covers, how far it is, whether it leaves the drawing."""
+    hidden = float(np.sum(np.all(np.abs(busy - centre) < half + 2, axis=1)))
+    clash = sum(bool(np.all(np.abs(other - centre) < half + size)) for other, size in boxes)
+    outside = bool(np.any(centre - half < limits[0] * points) or np.any(centre + half > limits[1] * points))
+    return hidden + 30 * clash + 50 * outside + 0.06 * float(np.linalg.norm(np.maximum(np.abs(centre - at) - half, 0)))

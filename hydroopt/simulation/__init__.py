@@ -1,0 +1,1 @@
+"""Simulated trajectories, logs, poses and driven valves."""

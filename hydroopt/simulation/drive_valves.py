@@ -1,0 +1,126 @@
+"""Logs of machines driven by their valves: commands and supply in, what the sensors would record out."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydroopt.errors import ProblemError
+from hydroopt.logs import sensors
+from hydroopt.logs.log import Log
+from hydroopt.machine.components import Cylinder
+from hydroopt.model.plant import Plant
+from hydroopt.simulation.simulate import Trajectory
+from hydroopt.spatial.inertia import Array
+
+ACCURACY = 1e-9
+"""Relative error of the simulation's steps: well below what sensors show, and what identification leaves of its own."""
+
+
+def commands_for(plant: Plant, motion: Trajectory, psi: Array | None = None, theta: Array | None = None) -> Array:
+    """Commands (N, n) that would hold the speeds of a motion if each were steady, in the unit of each valve.
+
+    Args:
+        plant: the machine.
+        motion: what it should do, roughly.
+        psi, theta: its dynamic and hydraulic parameters; the nominal ones if None.
+
+    Raises:
+        ProblemError: the supply cannot move the machine so, or the file states no supply pressure.
+    """
+    psi, theta = _numbers(plant, psi, theta)
+    return np.array([plant.steady(q, qd, psi, theta).u for q, qd in zip(motion.q, motion.qd, strict=True)])
+
+
+def drive(plant: Plant, t: Array, commands: Array, start: Array, *, supply: Array | None = None,
+          psi: Array | None = None, theta: Array | None = None, noise: bool = True, seed: int = 0,
+          name: str = "driven") -> Log:
+    """The log that the sensors of a machine driven by its valves would record.
+
+    Args:
+        plant: the machine.
+        t: (N,) times [s], evenly spaced; between them commands and supply keep their values.
+        commands: (N, n) in the unit of each valve.
+        start: (nx,) states at the beginning, or (n,) the posture in which the machine stands still.
+        supply: (2,) or (N, 2) pressures of supply and tank [Pa]; as the machine file states if None.
+        psi, theta: true dynamic and hydraulic parameters; the nominal ones if None.
+        noise: whether sensors err and quantise as the machine file states. Commands do not err.
+        seed: of the errors.
+        name: of the log.
+
+    Raises:
+        ProblemError: times are uneven, no supply pressure is known, or the machine leaves what it can reach.
+    """
+    step = float(t[1] - t[0])
+    if not np.allclose(np.diff(t), step, rtol=1e-6):
+        raise ProblemError("the times are not evenly spaced", where="drive", remedy="give commands at a steady rate")
+    psi, theta = _numbers(plant, psi, theta)
+    given = np.broadcast_to(plant.supply if supply is None else supply, (len(t), 2))
+    n = len(plant.inputs)
+    if len(start) == n:
+        start = plant.steady(start, np.zeros(n), psi, theta, given[0]).x
+    late = np.column_stack([arrived(t, commands[:, k], each.valve.delay) for k, each in enumerate(plant.actuators)])
+    along = plant.integrator(step, psi, theta, tolerance=ACCURACY).mapaccum(len(t) - 1)
+    try:
+        after = along(start, late[:-1].T, given[:-1].T)
+    except RuntimeError:
+        raise ProblemError("the simulation came to no end", where=name,
+                           remedy="give commands that keep the machine within its range") from None
+    states = np.vstack([start, np.asarray(after).T])
+    _refuse_far(plant, t, states, name)
+    channels = _seen(plant, states, late, given, psi, theta)
+    rng = np.random.default_rng(seed)
+    for channel in channels if noise else ():
+        sensor = plant.machine.sensor(channel)
+        if sensor is not None:
+            channels[channel] = sensors.measure(channels[channel], sensor.accuracy, sensor.resolution, rng,
+                                                sensor.distribution)
+    channels |= {channel: commands[:, k] for k, channel in enumerate(plant.inputs)}
+    units = plant.machine.channel_units
+    return Log(name, t, channels, units={channel: units[channel] for channel in channels})
+
+
+def random_numbers(plant: Plant, seed: int) -> Array:
+    """Hydraulic parameters θ (h,) drawn from the machine file's confidences, within their bounds."""
+    known, rng = plant.parameters, np.random.default_rng(seed)
+    theta = known.nominal.copy()
+    for k in np.flatnonzero(np.diag(known.information) > 0):
+        while True:
+            theta[k] = known.nominal[k] + known.scale[k] * rng.standard_normal()
+            if known.lower[k] <= theta[k] <= known.upper[k]:
+                break
+    return theta
+
+
+def _refuse_far(plant: Plant, t: Array, states: Array, name: str) -> None:
+    for k, joint in enumerate(plant.machine.joints):
+        lower, upper = plant.machine.link(joint).joint.range
+        beyond = np.flatnonzero(~((states[:, k] >= lower) & (states[:, k] <= upper)))
+        if beyond.size:
+            raise ProblemError(f"the commands drive {joint} out of its range after {t[beyond[0]] - t[0]:.2f} s",
+                               where=name, remedy="give others, for a shorter time, or begin elsewhere")
+
+
+def arrived(t: Array, command: Array, delay: float) -> Array:
+    """The command (N,) that acts at each time (N,) when it is late by `delay` [s]; at first the first one."""
+    return command[np.maximum(np.searchsorted(t, t - delay + 1e-9, side="right") - 1, 0)]
+
+
+def _numbers(plant: Plant, psi: Array | None, theta: Array | None) -> tuple[Array, Array]:
+    return (plant.model.parameters.nominal if psi is None else psi,
+            plant.parameters.nominal if theta is None else theta)
+
+
+def _seen(plant: Plant, states: Array, u: Array, supply: Array, psi: Array, theta: Array) -> dict[str, Array]:
+    """True values (N,) of all channels but the commands."""
+    machine, count = plant.machine, len(states)
+    found = plant.seen.map(count)(states.T, u.T, supply.T, np.tile(psi[:, None], count), np.tile(theta[:, None], count))
+    seen = {name: np.asarray(values).reshape(len(np.asarray(values)), count, -1)
+            for name, values in zip(plant.seen.name_out(), found, strict=True)}
+    channels = {f"{joint}.q": seen["q"][k, :, 0] for k, joint in enumerate(machine.joints)}
+    for k, each in enumerate(plant.actuators):
+        if isinstance(each.actuator, Cylinder):
+            channels[f"{each.actuator.name}.length"] = seen["length"][k, :, 0]
+        channels |= {name: seen["pressure"][k, :, side] for side, name in enumerate(each.chambers)}
+    if machine.pump:
+        channels |= {"pump.p_supply": seen["p_supply"][0, :, 0], "pump.p_tank": supply[:, 1].copy()}
+    return channels

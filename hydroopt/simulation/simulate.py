@@ -1,0 +1,199 @@
+"""Logs of machines that do not exist yet: truth, motion and sensors in, a `Log` out."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydroopt.errors import IdentifiabilityError, ProblemError
+from hydroopt.logs import sensors
+from hydroopt.logs.log import Log
+from hydroopt.machine.components import Cylinder, Motor
+from hydroopt.machine.machine import Machine
+from hydroopt.model.model import Model
+from hydroopt.parameters.dynamic import SPEED, bodies
+from hydroopt.spatial import inertia
+from hydroopt.spatial.inertia import Array
+
+USED = 0.9
+"""Part of the tightest limit of a joint that a random motion uses."""
+
+BACK_PRESSURE = 5e5
+"""Pressure [Pa] in the chamber that a simulated actuator does not push with."""
+
+
+@dataclass(frozen=True, eq=False)
+class Trajectory:
+    """Joint positions, velocities and accelerations (N, n) at the times t (N,), in SI."""
+
+    t: Array
+    q: Array
+    qd: Array
+    qdd: Array
+
+
+def random_trajectory(model: Model, *, duration: float, rate: float, seed: int, harmonics: int = 5,
+                      slowest: float = 0.02, fastest: float = 0.3) -> Trajectory:
+    """A smooth motion of all joints within 90 % of the machine's limits, periodic over its duration.
+
+    Each joint moves about the middle of its range by sines of random phase at multiples of 1/duration, drawn between
+    `slowest` and `fastest` [Hz] (or the nearest that there are); amplitudes are the largest that position, speed and
+    acceleration limits admit. A joint that may turn by more than half a turn keeps within ±60 degrees of its middle.
+
+    Raises:
+        ProblemError: duration or rate is not positive, or the log would not fit in memory.
+    """
+    if not (duration > 0 and rate > 0 and duration * rate >= 2):
+        raise ProblemError(f"a motion of {duration} s at {rate} Hz has no samples", where="simulate",
+                           remedy="give a positive duration and rate")
+    if duration * rate > 1e7:
+        raise ProblemError(f"{duration * rate:.1e} samples do not fit in memory", where="simulate",
+                           remedy="shorten the duration or lower the rate")
+    rng = np.random.default_rng(seed)
+    multiples = np.arange(1, max(1, int(fastest * duration)) + 1)
+    multiples = multiples[multiples >= min(slowest * duration, multiples[-1])]
+    harmonics = min(harmonics, len(multiples))
+    t = np.arange(round(duration * rate)) / rate
+    fine = np.linspace(0, duration, 40 * int(multiples[-1]))  # on which crests between the samples are seen
+    n = len(model.machine.joints)
+    q, qd, qdd = (np.empty((len(t), n)) for _ in range(3))
+    for k, name in enumerate(model.machine.joints):
+        joint = model.machine.link(name).joint
+        lower, upper = joint.range
+        omega = 2 * np.pi / duration * np.sort(rng.choice(multiples, harmonics, replace=False))
+        phase, size = rng.uniform(0, 2 * np.pi, harmonics), rng.uniform(0.3, 1.0, harmonics) / omega
+        room = min((upper - lower) / 2, np.pi / 3) if joint.type == "revolute" else (upper - lower) / 2
+        limits = (room, joint.max_speed or np.inf, joint.max_acceleration or np.inf)
+        crests = (np.max(np.abs(values)) for values in _sines(fine, omega, phase, size))
+        scale = USED * min(limit / crest for limit, crest in zip(limits, crests, strict=True))
+        q[:, k], qd[:, k], qdd[:, k] = _sines(t, omega, phase, scale * size)
+        q[:, k] += (upper + lower) / 2
+    return Trajectory(t, q, qd, qdd)
+
+
+def _sines(t: Array, omega: Array, phase: Array, size: Array) -> tuple[Array, Array, Array]:
+    """A sum of sines with its first and second derivative, (N,) each."""
+    angle = np.outer(t, omega) + phase
+    return np.sin(angle) @ size, np.cos(angle) @ (size * omega), -np.sin(angle) @ (size * omega**2)
+
+
+def sampling_rate(machine: Machine) -> float:
+    """The highest rate [Hz] that the file states for a joint's sensor, or 50."""
+    sensors = [machine.sensor(f"{joint}.q") for joint in machine.joints]
+    return max((sensor.rate for sensor in sensors if sensor and sensor.rate), default=50.0)
+
+
+def random_truth(model: Model, seed: int, *, tries: int = 20000) -> Array:
+    """Parameters ψ (p,) drawn from the machine file's confidences, with bodies that can exist.
+
+    Raises:
+        IdentifiabilityError: a body's confidences leave practically no possible body.
+        ProblemError: the file states shapes, symmetries, total masses or identical parts, which draws would not heed.
+    """
+    machine = model.machine
+    stated = [*(one.name for one in machine.total_masses), *(one.name for one in machine.identical),
+              *(f"the shape or symmetry of {owner}" for owner, owned in bodies(machine).items()
+                if owned.body.shape is not None or owned.body.symmetric)]
+    if stated:
+        raise ProblemError(f"random truths do not heed what the file states: {', '.join(stated)}", where=machine.name,
+                           remedy="draw them from a file without these statements")
+    rng = np.random.default_rng(seed)
+    parameters = model.parameters
+    psi = parameters.nominal.copy()
+    k = 0
+    while k < len(parameters):
+        body = parameters.names[k].endswith(".m")
+        block = slice(k, k + (10 if body else 1))
+        information = parameters.information[block, block]
+        k = block.stop
+        if not np.any(information):
+            continue
+        root = np.linalg.cholesky(np.linalg.inv(information))
+        draws = parameters.nominal[block] + rng.standard_normal((tries if body else 200, len(root))) @ root.T
+        good = draws[np.all((draws >= parameters.lower[block]) & (draws <= parameters.upper[block]), axis=1)]
+        first = next((draw for draw in good if not body or inertia.smallest_eigenvalue(draw) > 0), None)
+        if first is None:
+            raise IdentifiabilityError(f"no possible body within the confidences of '{parameters.names[block.start]}'",
+                                       where=model.machine.name, remedy="correct its inertia or widen its sigma")
+        psi[block] = first
+    return psi
+
+
+def forces(model: Model, motion: Trajectory, psi: Array) -> Array:
+    """Noise-free actuator forces (N, n) of a motion with the parameters ψ.
+
+    The friction of seals depends on pressures and these on the force, which is so found for both at once.
+    """
+    state = (motion.q, motion.qd, motion.qdd)
+    if not model.needs_pressure:
+        return model.over(model.inverse_dynamics, *state, psi)[0][:, :, 0]
+    still = np.zeros_like(motion.q)
+    force = model.over(model.inverse_dynamics, *state, still, psi)[0][:, :, 0]
+    # Stribeck speeds stay: there is no force, but one divides by them
+    seals = np.where([name.endswith((".f_seal", f".{SPEED}")) for name in model.parameters.names], psi, 0.0)
+    share = model.over(model.inverse_dynamics, *state, still + 1.0, seals)[0][:, :, 0]
+    for k, actuator in enumerate(model.machine.actuators):
+        if actuator.name in model.machine.sealed and isinstance(actuator, Cylinder):
+            if not seals[model.parameters.index(f"{actuator.name}.f_seal")] < actuator.areas[1]:
+                raise ProblemError(f"the seals of {actuator.name} would hold it against any pressure", where="simulate",
+                                   remedy=f"keep its seal below the rod side's area of {actuator.areas[1]:.4g} m^2")
+            force[:, k] = _sealed(force[:, k], share[:, k], *actuator.areas)
+    return force
+
+
+def _sealed(without: Array, share: Array, head: float, rod: float) -> Array:
+    """Force f (N,) of a cylinder whose seals add `share` times the sum p_head + p_rod that goes with f itself.
+
+    That sum, as `_chambers` makes it, has slope 1/head above the force of two chambers at back pressure and slope
+    −1/rod below, so that on either side of it f solves a linear equation; which one, its sign there tells.
+    """
+    level = (head - rod) * BACK_PRESSURE
+    beyond = without + share * 2 * BACK_PRESSURE - level
+    return np.asarray(level + beyond / (1 - share * np.where(beyond > 0, 1 / head, -1 / rod)))
+
+
+def simulate(model: Model, motion: Trajectory, psi: Array | None = None, *, noise: bool = True, seed: int = 0,
+             name: str = "simulated") -> Log:
+    """The log that the machine's sensors would record.
+
+    Args:
+        model: the machine.
+        motion: what it does.
+        psi: its true parameters (p,); the nominal ones if None.
+        noise: whether sensors err and quantise as the machine file states.
+        seed: of the errors.
+        name: of the log.
+    """
+    psi = model.parameters.nominal if psi is None else psi
+    rng = np.random.default_rng(seed)
+    machine = model.machine
+    force = forces(model, motion, psi)
+    channels = {f"{joint}.q": motion.q[:, k] for k, joint in enumerate(machine.joints)}
+    for k, (joint, actuator) in enumerate(zip(machine.joints, machine.actuators, strict=True)):
+        if isinstance(actuator, Cylinder):
+            head, rod = actuator.areas
+            channels |= _chambers(force[:, k], head, rod, f"{actuator.name}.p_head", f"{actuator.name}.p_rod")
+        elif isinstance(actuator, Motor):
+            ratio = actuator.torque_per_pressure * actuator.gear
+            channels |= _chambers(force[:, k], ratio, ratio, f"{actuator.name}.p_a", f"{actuator.name}.p_b")
+        else:
+            channels[f"{joint}.tau"] = force[:, k]
+    if machine.cylinders:
+        lengths = model.over(model.cylinder_kinematics, motion.q, motion.qd, motion.qdd)[0][:, :, 0]
+        channels |= {f"{c.name}.length": lengths[:, k] for k, c in enumerate(machine.cylinders)}
+    if noise:
+        for channel in channels:
+            sensor = machine.sensor(channel)
+            if sensor is not None:
+                channels[channel] = sensors.measure(channels[channel], sensor.accuracy, sensor.resolution, rng,
+                                                    sensor.distribution)
+    return Log(name, motion.t, channels, units={c: machine.channel_units[c] for c in channels})
+
+
+def _chambers(force: Array, area: float, other_area: float, pushing: str, pulling: str) -> dict[str, Array]:
+    """Chamber pressures that make a force, the one not pushing at back pressure."""
+    forward = force + other_area * BACK_PRESSURE > area * BACK_PRESSURE
+    p = np.where(forward, (force + other_area * BACK_PRESSURE) / area, BACK_PRESSURE)
+    q = np.where(forward, BACK_PRESSURE, (area * BACK_PRESSURE - force) / other_area)
+    return {pushing: p, pulling: q}

@@ -1,0 +1,52 @@
+"""The one verb: from a problem of any kind to its answer."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, overload
+
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.dynamic.estimate import Estimate
+from hydroopt.estimation.dynamic.identify import identify
+from hydroopt.estimation.dynamic.problem import IdentificationProblem
+from hydroopt.estimation.hydraulic.estimate import HydraulicEstimate, identify_hydraulics
+from hydroopt.estimation.hydraulic.problem import HydraulicProblem
+from hydroopt.estimation.kinematic.calibration import Calibration, calibrate
+from hydroopt.estimation.kinematic.problem import CalibrationProblem
+from hydroopt.excitation.motion.design import design
+from hydroopt.excitation.motion.excitation import Excitation
+from hydroopt.excitation.motion.problem import ExcitationProblem
+
+
+@overload
+def solve(problem: IdentificationProblem, method: str = ..., **options: Any) -> Estimate: ...
+@overload
+def solve(problem: CalibrationProblem, method: str = ..., **options: Any) -> Calibration: ...
+@overload
+def solve(problem: HydraulicProblem, **options: Any) -> HydraulicEstimate: ...
+@overload
+def solve(problem: ExcitationProblem, **options: Any) -> Excitation: ...
+
+
+def solve(problem: Any, *arguments: Any, **options: Any) -> Any:
+    """Solve a problem; the problem itself is not changed.
+
+    Args:
+        problem: identification, kinematic calibration, valves and oil, or experiment design.
+        arguments: a method, where the problem has several.
+        options: of `hydroopt.estimation.dynamic.identify.identify`,
+        `hydroopt.estimation.kinematic.calibration.calibrate`,
+            `hydroopt.estimation.hydraulic.estimate.identify_hydraulics` or `hydroopt.excitation.motion.design.design`.
+
+    Raises:
+        ProblemError: this is no problem that hydroopt can solve, or what the solver of its kind says.
+        SolverError, IdentifiabilityError: as the solver of its kind says.
+    """
+    solvers: dict[type, Callable[..., Any]] = {
+        IdentificationProblem: identify, CalibrationProblem: calibrate, HydraulicProblem: identify_hydraulics,
+        ExcitationProblem: design}
+    for kind, solver in solvers.items():
+        if isinstance(problem, kind):
+            return solver(problem, *arguments, **options)
+    raise ProblemError(f"a {type(problem).__name__} cannot be solved", where="solve",
+                       remedy=f"give one of {', '.join(kind.__name__ for kind in solvers)}")

@@ -1,0 +1,1 @@
+"""Poses, twists and spatial inertia; the one order of inertial parameters."""

@@ -1,0 +1,33 @@
+"""Triangles against the sums of squares that they stand for."""
+
+import numpy as np
+
+from hydroopt.estimation.dynamic.folding import Triangles
+from hydroopt.model.model import Model
+from hydroopt.simulation.simulate import random_trajectory
+
+
+def test_triangles_keep_sums_and_squares_of_all_rows(cat215b: Model) -> None:
+    motion = random_trajectory(cat215b, duration=33.0, rate=20.0, seed=1)
+    rng = np.random.default_rng(1)
+    K = cat215b.over(cat215b.regressor, motion.q, motion.qd, motion.qdd)[0]
+    force, taken = 1e4 * rng.standard_normal(K.shape[:2]), rng.random(K.shape[:2]) < 0.7
+    taken[40:90, 1] = False
+    one, other = Triangles(cat215b), Triangles(cat215b)
+    for some, rows in ((one, slice(0, 40)), (one, slice(40, 90)), (other, slice(90, 300)), (other, slice(300, None))):
+        some.fold(K[rows], force[rows], taken[rows])
+    one.add(other)
+    np.testing.assert_array_equal(one.samples, taken.sum(axis=0))
+    for psi in (cat215b.parameters.nominal, cat215b.parameters.scale * rng.standard_normal(K.shape[2])):
+        left = np.where(taken, K @ psi - force, 0.0)
+        v = np.append(psi, -1.0)
+        np.testing.assert_allclose(one.squares(v), np.sum(left**2, axis=0), rtol=1e-10)
+        np.testing.assert_allclose(np.sum((one.full @ v) ** 2, axis=1), np.sum(left**2, axis=0), rtol=1e-10)
+        np.testing.assert_allclose(one.sums @ v, left.sum(axis=0), rtol=1e-8)
+    assert np.all(np.tril(one.full, -1) == 0)
+
+
+def test_the_pattern_misses_no_entry(cat215b: Model) -> None:
+    motion = random_trajectory(cat215b, duration=33.0, rate=20.0, seed=2)
+    K = cat215b.over(cat215b.regressor, motion.q, motion.qd, motion.qdd)[0]
+    np.testing.assert_array_equal(np.any(K != 0, axis=0), cat215b.regressor_pattern)

@@ -1,0 +1,180 @@
+"""The sampler against posteriors that are known exactly."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from scipy.stats import truncnorm, wishart
+
+from hydroopt.estimation.dynamic.identify import identify
+from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
+from hydroopt.estimation.inference.posterior import _pivots, sample
+from hydroopt.logs.log import Log
+from hydroopt.logs.smoothing import Fourier
+from hydroopt.model.model import Model
+
+NAMES = ("drive.tau_offset", "drive.tau_coulomb", "drive.tau_viscous", "drive.rotor_inertia")
+
+
+def pooled(problem: IdentificationProblem, R: np.ndarray, mean: np.ndarray, *, consistent: bool = False,
+           runs: int = 24) -> np.ndarray:
+    """Samples (s, p) of the posterior of ``‖R·(ψ − mean)‖²``, from several seeds."""
+    start = np.maximum(mean, problem.parameters.lower)
+    drawn = [sample(problem, R, R @ mean, start, consistent=consistent, seed=seed) for seed in range(runs)]
+    return np.concatenate([posterior.samples for posterior in drawn if posterior is not None])
+
+
+@pytest.fixture(scope="module")
+def free_wheel(wheel: Model) -> IdentificationProblem:
+    assert wheel.parameters.names == NAMES
+    return IdentificationProblem(wheel, ())
+
+
+def test_gaussian_where_no_constraint_is_near(free_wheel: IdentificationProblem) -> None:
+    rng = np.random.default_rng(0)
+    R = rng.standard_normal((4, 4)) + 2 * np.eye(4)
+    mean = np.array([-3.0, 30.0, 40.0, 50.0])
+    samples = pooled(free_wheel, R, mean)
+    covariance = np.linalg.inv(R.T @ R)
+    std = np.sqrt(np.diag(covariance))
+    np.testing.assert_allclose(samples.mean(axis=0), mean, atol=0.05 * std.max())
+    np.testing.assert_allclose(samples.std(axis=0), std, rtol=0.04)
+    np.testing.assert_allclose(np.cov(samples.T) / np.outer(std, std), covariance / np.outer(std, std), atol=0.05)
+    posterior = sample(free_wheel, R, R @ mean, mean, consistent=False, seed=0)
+    assert posterior is not None
+    np.testing.assert_allclose(
+        posterior.interval()[1], mean[:, None] + 1.96 * std[:, None] * [-1, 1], atol=0.25 * std.max()
+    )
+
+
+def test_priors_sharpen_what_data_say(one_body: Callable[..., IdentificationProblem]) -> None:
+    problem = one_body(np.array([500.0, 0, 0, 0, 90, 0, 0, 90, 0, 90]), (2.0, 1.0, 0.5))
+    rng = np.random.default_rng(1)
+    R = rng.standard_normal((10, 10)) * 0.3
+    H = R.T @ R + np.diag(1 / np.repeat([2.0, 1.0, 0.5], (1, 3, 6)) ** 2)
+    samples = pooled(problem, R, problem.parameters.nominal, consistent=True)
+    np.testing.assert_allclose(samples.std(axis=0), np.sqrt(np.diag(np.linalg.inv(H))), rtol=0.05)
+
+
+@pytest.mark.parametrize("mean", [1.0, 0.0, -1.5])
+def test_truncated_normal_where_a_friction_meets_its_bound(free_wheel: IdentificationProblem, mean: float) -> None:
+    # correlated with the offset, so that the cut shifts the offset too
+    std = np.array([2.0, 1.0, 1.0, 1.0])
+    correlation = np.eye(4)
+    correlation[0, 1] = correlation[1, 0] = 0.6
+    R = np.linalg.cholesky(np.linalg.inv(correlation * np.outer(std, std))).T
+    samples = pooled(free_wheel, R, np.array([10.0, mean, 30.0, 30.0]), runs=12)
+    exact = truncnorm(-mean, np.inf, loc=mean, scale=1.0)
+    for probability in (0.025, 0.25, 0.5, 0.75, 0.975):
+        assert exact.cdf(np.quantile(samples[:, 1], probability)) == pytest.approx(probability, abs=0.025)
+    assert samples[:, 1].std() == pytest.approx(exact.std(), rel=0.06)
+    assert samples[:, 0].mean() == pytest.approx(10 + 0.6 * 2 * (exact.mean() - mean), abs=0.12)
+    assert np.all(samples[:, 1] >= 0)
+
+
+def test_body_at_the_edge_of_existence(one_body: Callable[..., IdentificationProblem]) -> None:
+    """Rejection sampling: draw from the Gaussian, keep the bodies that can exist."""
+    problem = one_body(np.array([2.0, 1.5, 0, 0, 1, 0, 0, 2, 0, 2]), (0.5, 0.3, 0.5))
+    std = np.repeat([0.5, 0.3, 0.5], (1, 3, 6))
+    draws = problem.parameters.nominal + np.random.default_rng(3).standard_normal((200_000, 10)) * std
+    J = np.zeros((len(draws), 4, 4))
+    inertia = draws[:, [4, 5, 6, 5, 7, 8, 6, 8, 9]].reshape(-1, 3, 3)
+    J[:, :3, :3] = 0.5 * np.trace(inertia, axis1=1, axis2=2)[:, None, None] * np.eye(3) - inertia
+    J[:, :3, 3] = J[:, 3, :3] = draws[:, 1:4]
+    J[:, 3, 3] = draws[:, 0]
+    kept = draws[np.linalg.eigvalsh(J)[:, 0] > 0]
+    assert 500 < len(kept) < 0.5 * len(draws)
+    start = kept[0]
+    drawn = [sample(problem, np.zeros((10, 10)), np.zeros(10), start, consistent=True, seed=seed) for seed in range(12)]
+    samples = np.concatenate([posterior.samples for posterior in drawn if posterior is not None])
+    np.testing.assert_allclose(samples.mean(axis=0), kept.mean(axis=0), atol=0.12 * std.max())
+    np.testing.assert_allclose(samples.std(axis=0), kept.std(axis=0), rtol=0.1)
+
+
+def test_positive_definite_is_what_eigenvalues_say() -> None:
+    rng = np.random.default_rng(4)
+    good = wishart(4, np.eye(4)).rvs(2000, random_state=rng)
+    odd = rng.standard_normal((2000, 4, 4))
+    flat = good - np.linalg.eigvalsh(good)[:, :1, None] * np.eye(4) * rng.choice([0.9, 1.1], (2000, 1, 1))
+    matrices = np.concatenate([good, odd + odd.swapaxes(1, 2), flat, np.zeros((1, 4, 4)), -np.eye(4)[None]])
+    upper = np.triu_indices(4)
+    expected = np.linalg.eigvalsh(matrices)[:, 0] > 0
+    assert 0.2 < expected.mean() < 0.8
+    np.testing.assert_array_equal(np.all(_pivots(matrices[:, upper[0], upper[1]].T) > 0, axis=0), expected)
+
+
+def test_samples_stay_on_a_linear_equality_and_inside_inequalities(free_wheel: IdentificationProblem) -> None:
+    held = (free_wheel.subject_to("sum", lambda p: p["drive.tau_coulomb"] + 2 * p["drive.tau_viscous"] == 12)
+            .subject_to("order", lambda p: p["drive.tau_coulomb"] >= p["drive.tau_viscous"])
+            .fix("drive.rotor_inertia", 7.0))
+    mean = np.array([0.0, 4.5, 3.75, 7.0])
+    samples = pooled(held, np.eye(4), mean)
+    np.testing.assert_allclose(samples[:, 1] + 2 * samples[:, 2], 12, rtol=1e-9)
+    assert np.all(samples[:, 1] >= samples[:, 2])
+    np.testing.assert_allclose(samples[:, 3], 7.0, rtol=1e-9)
+    # coulomb along the line from 4 on: (c − 4.5)² + ((12 − c)/2 − 3.75)² = 1.25·(c − 4.5)²
+    scale = 1 / np.sqrt(1.25)
+    exact = truncnorm(-0.5 / scale, np.inf, loc=4.5, scale=scale)
+    assert np.mean(samples[:, 1]) == pytest.approx(exact.mean(), abs=0.05)
+    assert np.std(samples[:, 1]) == pytest.approx(exact.std(), rel=0.06)
+    assert np.std(samples[:, 0]) == pytest.approx(1.0, rel=0.05)
+
+
+def test_fixed_parameter_has_no_spread_and_a_curved_equality_no_intervals(noisy: IdentificationProblem) -> None:
+    fixed = identify(noisy.fix("boom.m", 1700.0))
+    k = noisy.parameters.index("boom.m")
+    assert fixed.std[k] == pytest.approx(0, abs=1e-6)
+    assert np.nanmax(fixed.std) > 0
+    curved = identify(noisy.subject_to("product", lambda p: p["boom.m"] * p["stick.m"] == 1.2e6), "nlp")
+    assert np.all(np.isnan(curved.std))
+    assert np.all(np.isnan(curved.ci95))
+    assert np.all(np.isnan(curved.base_std))
+    assert any("no intervals" in note for note in curved.notes)
+
+
+def test_seed_decides(free_wheel: IdentificationProblem) -> None:
+    mean = np.ones(4)
+    one, same, other = (sample(free_wheel, np.eye(4), mean, mean, consistent=False, seed=seed) for seed in (3, 3, 4))
+    assert one is not None
+    assert same is not None
+    assert other is not None
+    np.testing.assert_array_equal(one.samples, same.samples)
+    assert not np.any(one.samples == other.samples)
+
+
+def test_a_whole_identification_at_a_bound(wheel: Model) -> None:
+    """Friction that is really zero: value and interval are those of the truncated posterior of ordinary regression."""
+    rng = np.random.default_rng(11)
+    t = np.arange(0, 40, 0.02)
+    omega = 2 * np.pi * 0.25
+    q, qd, qdd = np.sin(omega * t), omega * np.cos(omega * t), -(omega**2) * np.sin(omega * t)
+    columns = np.column_stack([np.ones_like(t), np.sign(qd), qd, qdd])
+    noise = rng.standard_normal(t.size)
+    noise -= columns @ np.linalg.lstsq(columns, noise, rcond=None)[0]  # so that the estimate before the cut is known
+    psi = np.array([0.5, -0.03, 3.0, 2.0])
+    log = Log("wheel", t, {"wheel.q": q, "wheel.tau": columns @ psi + noise})
+    problem = identification_problem(wheel.machine, [log], smoothing=Fourier(period=40.0, harmonics=12))
+    rows = problem.experiments[0].moving[:, 0]
+    estimates = [identify(problem, "qp", seed=seed) for seed in range(6)]
+    estimate = estimates[0]
+    unbounded = np.linalg.lstsq(columns[rows], (columns @ psi + noise)[rows], rcond=None)[0][1]
+    sigma = (
+        np.sqrt(estimate.correlation_time[0] * np.linalg.inv(columns[rows].T @ columns[rows])[1, 1]) * estimate.sigma[0]
+    )
+    exact = truncnorm(-unbounded / sigma, np.inf, loc=unbounded, scale=sigma)
+    k = NAMES.index("drive.tau_coulomb")
+    assert np.mean([e.std[k] for e in estimates]) == pytest.approx(exact.std(), rel=0.06)
+    low, high = np.mean([e.ci95[k] for e in estimates], axis=0)
+    np.testing.assert_allclose(exact.cdf([low, high]), [0.025, 0.975], atol=0.01)
+
+
+def test_an_active_inequality_keeps_its_intervals(noisy: IdentificationProblem) -> None:
+    """A half-space that cuts off the most probable point is sampled up to its edge."""
+    free = identify(noisy, "sdp")
+    limit = free["boom.m"] + free["stick.m"] - 300
+    cut = identify(noisy.subject_to("light", lambda p: p["boom.m"] + p["stick.m"] <= limit), "sdp")
+    assert "light" in cut.active
+    assert np.isfinite(cut.std[cut.problem.parameters.index("boom.m")])
+    assert cut["boom.m"] + cut["stick.m"] < limit

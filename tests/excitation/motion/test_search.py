@@ -1,0 +1,195 @@
+"""The search for a motion: exact derivatives, the same motion twice, and what cannot be kept is named."""
+
+from __future__ import annotations
+
+import pickle
+import time
+
+import numpy as np
+import pytest
+
+from hydroopt import Model, load_machine
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.inference.identifiability import structural
+from hydroopt.excitation.criteria import CRITERIA, Information, presumed_noise, question
+from hydroopt.excitation.motion.basis import Basis, Fourier, Spline
+from hydroopt.excitation.motion.design import design, drawn, excitation_problem, rest
+from hydroopt.excitation.motion.limits import Limits, margins
+from hydroopt.excitation.motion.problem import ExcitationProblem
+from hydroopt.excitation.motion.sqp import sequential_quadratic_programming
+from hydroopt.machine.environment import Obstacle, Pump, Workspace
+from hydroopt.machine.machine import Machine
+from hydroopt.simulation.simulate import random_trajectory
+
+CAT, LIFT = load_machine("cat215b"), load_machine("patu655_lift")
+SHORT, SWINGING = Spline(5.0, 4), Fourier(6.0, 2, blend=1.0)
+
+
+def program(machine: Machine, basis: Basis = SHORT, criterion: str = "D", resting: dict[str, float] | None = None,
+            rate: float = 20.0) -> ExcitationProblem:
+    model = Model(machine)
+    asked = question(model, presumed_noise(model))
+    return ExcitationProblem(Information(model, asked, criterion), Limits(model, margins(model)), basis, rate, resting)
+
+
+def somewhere(of: ExcitationProblem, seed: int = 0) -> np.ndarray:
+    """Variables of a motion about the middle of the joints' ranges."""
+    middle = of.posture(of.mean)
+    return middle + 0.1 * np.random.default_rng(seed).standard_normal(len(middle))
+
+
+@pytest.mark.parametrize("resting", [None, {"boom": -0.3}], ids=["all move", "one rests"])
+@pytest.mark.parametrize("basis", [SHORT, SWINGING], ids=["spline", "series"])
+def test_derivatives_are_those_of_finite_differences(basis: Basis, resting: dict[str, float] | None) -> None:
+    """Of criterion and limits by the variables, in a random direction."""
+    of = program(CAT, basis, resting=resting)
+    x = somewhere(of)
+    step, h = np.random.default_rng(1).standard_normal(len(x)), 1e-5
+    value, gradient = of.objective(x)
+    assert value == pytest.approx(of.value(x), rel=1e-12)
+    slope = (of.value(x + h * step) - of.value(x - h * step)) / (2 * h)
+    assert gradient @ step == pytest.approx(slope, rel=1e-4, abs=1e-6)
+    change = (of.constraints(x + h * step) - of.constraints(x - h * step)) / (2 * h)
+    slopes = of.slopes(x)
+    size = np.max(np.abs(change), axis=0) + 1e-9  # what a resting joint limits does not change
+    assert np.max(np.abs(of.pushed(slopes, step) - change) / size) < 1e-6
+    weights = np.random.default_rng(2).standard_normal(change.shape) / size
+    assert of.pulled(slopes, weights) @ step == pytest.approx(np.sum(weights * change), rel=1e-5)
+    taken = np.random.default_rng(3).uniform(size=change.shape) < 0.05
+    assert np.max(np.abs(of.jacobian(slopes, taken) @ step - change[taken]) / (taken * size)[taken]) < 1e-6
+
+
+@pytest.mark.parametrize("bayesian", [False, True])
+def test_value_is_that_of_sums_over_samples(bayesian: bool) -> None:
+    """Information by the regressor of every sample, with the file's priors of the base parameters if they count."""
+    model = Model(LIFT)
+    seen, scale = structural(model), model.parameters.scale
+    asked = question(model, presumed_noise(model), bayesian=bayesian)
+    motion = random_trajectory(model, duration=10, rate=20, seed=2)
+    information = np.zeros((len(seen.basis), len(seen.basis)))
+    for q, qd, qdd in zip(motion.q, motion.qd, motion.qdd, strict=True):
+        rows = np.asarray(model.regressor(q, qd, qdd))[:, list(seen.basis)] / presumed_noise(model)[:, None]
+        information += rows.T @ rows
+    if bayesian:  # this file says something of every parameter
+        information += np.linalg.inv(seen.grouping @ np.linalg.inv(model.parameters.information) @ seen.grouping.T)
+    scaled = information * np.outer(scale[list(seen.basis)], scale[list(seen.basis)])
+    values = np.linalg.eigvalsh(np.linalg.inv(scaled))
+    expected = {"D": np.mean(np.log(values)), "A": np.sum(values), "E": np.log(values[-1]),
+                "condition": np.log(values[-1] / values[0]) / 2}
+    for criterion in CRITERIA:
+        of = Information(model, asked, criterion)
+        found = of.of(of.factor(motion.q, motion.qd, motion.qdd, 1.0))[0]
+        assert found == pytest.approx(expected[criterion], rel=1e-5, abs=1e-5)
+
+
+def test_same_seed_gives_the_same_motion() -> None:
+    one, other = (design(program(LIFT, SWINGING), starts=1, seed=3, seconds=60) for _ in range(2))
+    np.testing.assert_array_equal(one.coefficients, other.coefficients)
+    assert one.value == other.value
+    assert not one.stopped
+
+
+def test_more_starts_are_never_worse() -> None:
+    of = program(LIFT, SWINGING)
+    values = [design(of, starts=starts, seconds=60).value for starts in (1, 2, 4)]
+    assert values[0] >= values[1] >= values[2]
+
+
+@pytest.mark.parametrize("criterion", CRITERIA)
+def test_motion_tells_more_than_random_ones(criterion: str) -> None:
+    """Than random series within all limits, each as wide as they admit."""
+    of = program(LIFT, SWINGING, criterion)
+    found, rng = design(of, starts=2, seconds=60), np.random.default_rng(5)
+    middle, others = of.posture(of.mean), []
+    for _ in range(30):
+        wave = rng.standard_normal(len(middle))
+        for part in 0.9 ** np.arange(60):
+            if of.excess(middle + part * wave, of.fine) <= 0:
+                others.append(of.value(middle + part * wave))
+                break
+    assert len(others) == 30
+    assert found.value < min(others)
+
+
+def test_program_travels_between_processes() -> None:
+    for of in (program(CAT, SWINGING, "A", {"swing": 0.1}), program(LIFT, SHORT, "E")):
+        again, x = pickle.loads(pickle.dumps(of)), somewhere(of)
+        assert again.value(x) == of.value(x)
+        np.testing.assert_array_equal(again.objective(x)[1], of.objective(x)[1])
+        np.testing.assert_array_equal(again.constraints(x), of.constraints(x))
+        np.testing.assert_array_equal(again.coefficients(x), of.coefficients(x))
+        assert [row.name for row in again.limits.rows] == [row.name for row in of.limits.rows]
+        assert (again.basis, again.rate, again.resting) == (of.basis, of.rate, of.resting)
+
+
+def relieved(bar: float) -> Machine:
+    """The excavator with another relief valve of its boom."""
+    return CAT.model_copy(update={"cylinders": tuple(
+        each.model_copy(update={"relief_pressure": bar * 1e5}) if each.name == "boom_cylinder" else each
+        for each in CAT.cylinders)})
+
+
+def ball(centre: tuple[float, float, float], radius: float) -> tuple[Obstacle, ...]:
+    return (Obstacle(name="shed", link="base", centre=centre, radius=radius),)
+
+
+NOWHERE = Workspace(lower=(5.0, -1.0, -1.0), upper=(7.0, 1.0, 1.0))
+IMPOSSIBLE = {
+    "a ball around everything": ({"obstacles": ball((0.0, 0.0, 0.0), 30.0)}, "distance to shed cannot be kept in any"),
+    "ground above everything": ({"ground": 20.0}, "boom above ground, stick above ground cannot be kept in any"),
+    "relief below what holds the boom": (dict(relieved(20.0)), "boom_cylinder p_head.* cannot be kept in any"),
+    "a ball that fills the workspace": (
+        {"obstacles": ball((6.0, 0.0, 0.0), 3.0), "workspace": NOWHERE},
+        "workspace along x, .*distance to shed cannot be kept together in any"),
+    "nowhere": ({"workspace": Workspace(lower=(-1.0, -1.0, 30.0), upper=(1.0, 1.0, 31.0))},
+                "workspace along z cannot be kept in any")}
+
+
+@pytest.mark.parametrize("kind", IMPOSSIBLE)
+def test_limits_in_conflict_are_named(kind: str) -> None:
+    changes, named = IMPOSSIBLE[kind]
+    machine = CAT.model_copy(update={key: changes[key] for key in changes if key in (
+        "obstacles", "ground", "workspace", "cylinders")})
+    with pytest.raises(ProblemError, match=named) as caught:
+        design(program(machine), starts=1, seconds=2.0)
+    assert "machine file" in caught.value.remedy
+    assert "tipping" not in caught.value.what
+
+
+def test_posture_of_a_joint_that_rests_may_be_what_cannot_be_kept() -> None:
+    """With the boom raised, the tip is never low enough; by itself either can be kept."""
+    high = CAT.model_copy(update={"workspace": Workspace(lower=(-9.0, -9.0, -9.0), upper=(9.0, 9.0, -1.0))})
+    design(program(high), starts=1, seconds=1.0)
+    with pytest.raises(ProblemError, match=r"workspace along z .*posture of joints that rest"):
+        design(program(high, resting={"boom": CAT.link("boom").joint.range[0]}), starts=1, seconds=1.0)
+
+
+@pytest.mark.parametrize("litres", [60.0, 0.6])
+def test_small_pump_leaves_a_small_motion(litres: float) -> None:
+    flow = litres / 60e3
+    found = design(program(CAT.model_copy(update={"pump": Pump(max_flow=flow)})), starts=1, seconds=2.0)
+    model, path = found.program.information.model, found.trajectory
+    speed = model.over(model.cylinder_kinematics, path.q, path.qd, path.qdd)[1][:, :, 0]
+    motor = CAT.motors[0]
+    drawn = abs(path.qd[:, 0]) * motor.torque_per_pressure * motor.gear + sum(
+        np.where(speed[:, k] > 0, each.areas[0], -each.areas[1]) * speed[:, k]
+        for k, each in enumerate(CAT.cylinders))
+    assert 0.3 * flow < np.max(drawn) <= flow * (1 + 1e-9)
+    assert min(use.room for use in found.limits) >= 0
+
+
+def test_nothing_to_try_is_refused() -> None:
+    for options in ({"starts": 0}, {"processes": 0}, {"seconds": 0.0}, {"seconds": float("nan")}):
+        with pytest.raises(ProblemError, match="nothing is to be tried"):
+            design(program(LIFT), **options)
+
+
+@pytest.mark.parametrize("end", [0, 1])
+def test_joint_that_rests_at_the_end_of_its_range_is_no_hindrance(end: int) -> None:
+    """Room is left only where something moves; else no start would ever be improved."""
+    asked = excitation_problem(CAT, Spline(8.0, 5), resting={"stick": CAT.link("stick").joint.range[end]})
+    still = rest(asked, np.random.default_rng(0))
+    start = drawn(asked, still, np.random.default_rng(1))
+    found = sequential_quadratic_programming(asked, start, 0.002, time.monotonic() + 60, lambda: False, lambda _: None)
+    assert asked.value(found) < asked.value(start) - 0.1
+    assert asked.excess(found, asked.grid) <= 0

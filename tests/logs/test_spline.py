@@ -1,0 +1,62 @@
+"""The smoothing spline's parts against SciPy's splines, and pieces of a motion against the whole."""
+
+import numpy as np
+import pytest
+from scipy.interpolate import BSpline
+
+from hydroopt.logs import spline, streamed_smoothing
+from hydroopt.logs.smoothing import SmoothingSpline, condition
+from hydroopt.logs.spline import Basis, Grid
+
+T = 3.0 + np.arange(901) / 50
+NOISE = 2e-3
+
+
+def uneven(t: np.ndarray) -> np.ndarray:
+    return t + np.random.default_rng(1).uniform(-4e-3, 4e-3, t.size)
+
+
+@pytest.mark.parametrize("order", range(4))
+def test_splines_are_those_of_scipy(order: int) -> None:
+    basis = Basis(uneven(T), Grid.of(uneven(T)))
+    knots = np.arange(-5.0, basis.intervals + 6.0)
+    coefficients = np.random.default_rng(2).standard_normal(basis.intervals + 5)
+    expected = BSpline(knots, coefficients, 5).derivative(order)(basis.x) if order else BSpline(knots, coefficients, 5)(
+        basis.x)
+    np.testing.assert_allclose(basis.derivative(basis.x, order) @ coefficients, expected, rtol=0, atol=1e-10)
+
+
+def test_penalty_is_the_integral_of_the_third_derivative_squared() -> None:
+    basis = Basis(T[:41], Grid.of(T[:41]))
+    c = np.random.default_rng(3).standard_normal(basis.intervals + 5)
+    third = BSpline(np.arange(-5.0, basis.intervals + 6.0), c, 5).derivative(3)
+    x = np.linspace(0, basis.intervals, 200 * basis.intervals + 1)
+    said = sum((1 + (k > 0)) * np.sum(basis.penalty[k, : len(c) - k] * c[: len(c) - k] * c[k:]) for k in range(6))
+    assert said == pytest.approx(np.trapezoid(third(x) ** 2, x), rel=1e-4)
+
+
+@pytest.mark.parametrize("even", [True, False])
+def test_pieces_are_smoothed_as_the_whole(even: bool) -> None:
+    t = T if even else uneven(T)
+    rng = np.random.default_rng(4)
+    q = np.column_stack([np.sin(2 * t), 0.3 * np.cos(3 * t)]) + NOISE * rng.standard_normal((t.size, 2))
+    whole = condition(t, q, noise=NOISE)
+    chosen = streamed_smoothing.choose([(t, q)], Grid.of(t), SmoothingSpline(), np.full(2, NOISE), ["a", "b"], "log")
+    np.testing.assert_allclose(chosen.bandwidth, whole.bandwidth, rtol=1e-9)
+    margin = int(np.ceil(50 * chosen.margin)) + 1
+    assert margin < 400
+    for first, last in ((0, 100), (400, 500), (500, 800), (800, 901)):
+        window = slice(max(0, first - margin), min(last + margin, t.size))
+        core = (np.arange(t.size)[window] >= first) & (np.arange(t.size)[window] < last)
+        part = chosen.motion(t[window], q[window], np.zeros(core.size, int), core, "log")
+        for one, other in ((part.q, whole.q), (part.qd, whole.qd), (part.qdd, whole.qdd)):
+            np.testing.assert_allclose(one[core], other[first:last], rtol=0, atol=1e-9 * np.max(np.abs(other)))
+        np.testing.assert_array_equal(part.interior[core], whole.interior[first:last])
+
+
+def test_one_weight_for_several_pieces_lies_among_their_own() -> None:
+    rng = np.random.default_rng(5)
+    pieces = [(t, np.sin(w * t) + NOISE * rng.standard_normal(t.size)) for t, w in ((T[:400], 1.0), (T[450:], 4.0))]
+    own = [spline.fit(t, y, NOISE).weight for t, y in pieces]
+    bases, log_weight = spline.choose(pieces, Grid.of(T), NOISE)
+    assert own[1] < 10.0**log_weight * bases[0].spacing**5 < own[0]

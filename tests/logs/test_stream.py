@@ -1,0 +1,122 @@
+"""A log that is read in pieces against the same log in memory."""
+
+from pathlib import Path
+
+import numpy as np
+import pyarrow as pa
+import pytest
+from pyarrow import parquet
+
+from hydroopt.errors import LogError, ProblemError
+from hydroopt.logs import stream as streaming
+from hydroopt.logs.log import Log, read_log
+from hydroopt.logs.stream import LogStream, open_log, stream
+
+ROWS = 5000
+RNG = np.random.default_rng(1)
+T = 7.0 + np.arange(ROWS) / 50
+
+
+def columns() -> dict[str, np.ndarray]:
+    return {"t [s]": T.copy(), "boom.q [deg]": 40 * np.sin(0.7 * T) + 0.05 * RNG.standard_normal(ROWS),
+            "boom_cylinder.p_head [bar]": 90 + 30 * np.cos(0.9 * T) + RNG.standard_normal(ROWS), "note": np.ones(ROWS)}
+
+
+def write(path: Path, data: dict[str, np.ndarray], group: int | None = None) -> Path:
+    parquet.write_table(pa.table(data), path, row_group_size=group)
+    return path
+
+
+@pytest.mark.parametrize("group", [700, None])
+def test_ranges_hold_what_the_whole_log_holds(
+        tmp_path: Path, group: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("hydroopt.logs.readers.BATCH", 300)
+    path = write(tmp_path / "log.parquet", columns(), group)
+    whole = read_log(path)
+    ranges = [(1, 10), (5, 2000), (1990, 2001), (4000, 5000), (5000, 5000)]
+    for (first, last), part in zip(ranges, stream(path).read(ranges), strict=True):
+        np.testing.assert_array_equal(part.sample, np.arange(first, last + 1))
+        np.testing.assert_array_equal(part.t, whole.t[first - 1 : last])
+        for name, x in whole.channels.items():
+            np.testing.assert_array_equal(part.channels[name], x[first - 1 : last])
+
+
+def test_a_stream_knows_of_itself_what_a_log_does(tmp_path: Path) -> None:
+    path = write(tmp_path / "log.parquet", columns())
+    whole, pieces = read_log(path), stream(path, piece=800)
+    for one, other in zip((whole, *whole.split(0.7)), (pieces, *pieces.split(0.7)), strict=True):
+        assert (one.name, one.path, one.sha256, one.size, one.rows, dict(one.units)) == (
+            other.name, other.path, other.sha256, other.size, other.rows, dict(other.units))
+        assert other.duration == pytest.approx(one.duration)
+    assert [f.text for f in pieces.findings] == ["foreign columns left out: note"]
+
+
+def found(path: Path, **how: object) -> dict[tuple[str, str], tuple[int, int, int]]:
+    """Rows (first, last, count) of what a log in pieces shows, by kind and channel."""
+    log, rows = stream(path, piece=800, **how), {}  # type: ignore[arg-type]
+    for samples, core in log.windows((60, 60)):
+        for one in log.treated(samples, core).findings:
+            a, b, count = rows.get((one.kind, one.channel), (one.first, one.last, 0))
+            rows[one.kind, one.channel] = min(a, one.first), max(b, one.last), count + one.count
+    return rows
+
+
+def test_findings_carry_the_rows_of_the_file(tmp_path: Path) -> None:
+    data = columns()
+    for row in (800, 801, 2400, 4321):  # the first ones on both sides of a border
+        data["boom_cylinder.p_head [bar]"][row - 1] += 60.0
+    data["t [s]"][2999:] += 1.0
+    data["boom.q [deg]"][3500:3600] = data["boom.q [deg]"][3500]
+    path = write(tmp_path / "log.parquet", data)
+    whole = {(f.kind, f.channel): (f.first, f.last, f.count) for f in read_log(path).findings if f.kind != "ignored"}
+    assert set(whole) == {("spike", "boom_cylinder.p_head"), ("gap", "t"), ("stuck", "boom.q")}
+    assert found(path) == whole
+
+
+def test_what_rests_through_a_piece_is_not_stuck_if_it_moves_later(tmp_path: Path) -> None:
+    data = columns()
+    data["boom.q [deg]"] = np.where(T - T[0] < 40, 12.0, 12.0 + 8 * (1 - np.cos(0.3 * (T - T[0] - 40))))
+    path = write(tmp_path / "log.parquet", data)
+    assert found(path) == {} == {f.kind: f for f in read_log(path).findings if f.kind != "ignored"}
+
+
+@pytest.mark.parametrize("row", [1, 1600, 1601, 2777, 5000])
+def test_a_bad_row_is_named(tmp_path: Path, row: int) -> None:
+    data = columns()
+    data["boom.q [deg]"][row - 1] = np.nan
+    with pytest.raises(LogError, match=rf"boom\.q: sample {row} holds no finite number.*--treat nan=drop"):
+        found(write(tmp_path / "log.parquet", data))
+    kept = found(tmp_path / "log.parquet", treatment={"nan": "drop"})
+    assert kept["nan", "boom.q"] == (row, row, 1)
+
+
+def test_the_sample_follows_what_moves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(streaming, "BLOCK", 50)
+    monkeypatch.setattr(streaming, "BLOCKS", 4)
+    data = columns()
+    data["boom.q [deg]"] = np.interp(np.arange(ROWS), [2000, 2200], [3.0, 43.0])
+    sample = stream(write(tmp_path / "log.parquet", data), piece=800).sample(["boom.q"])
+    np.testing.assert_array_equal(sample.sample, np.arange(2001, 2201))
+
+
+@pytest.mark.parametrize(("treatment", "word"), [({"nan": "interpolate"}, "nan"), ({"non-monotonic": "drop"}, "mono")])
+def test_treatments_that_need_the_whole_are_refused(tmp_path: Path, treatment: dict[str, str], word: str) -> None:
+    with pytest.raises(ProblemError, match=f"in pieces.*{word}"):
+        stream(write(tmp_path / "log.parquet", columns()), treatment=treatment)
+
+
+def test_text_beyond_memory_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (tmp_path / "log.csv").write_text("t [s],boom.q [rad]\n" + "0,1\n" * 1000)
+    monkeypatch.setattr("hydroopt.logs.table._memory", lambda: 30_000.0)
+    with pytest.raises(LogError, match=r"takes about .* of memory.*convert it to Parquet, which is read in pieces"):
+        read_log(tmp_path / "log.csv")
+
+
+def test_only_long_parquet_files_are_read_in_pieces(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    path = write(tmp_path / "log.parquet", columns())
+    assert isinstance(open_log(path), Log)
+    monkeypatch.setattr(streaming, "STREAMED", ROWS - 1)
+    assert isinstance(open_log(path), LogStream)
+    (tmp_path / "bad.parquet").write_bytes(b"PAR1 and nothing more")
+    with pytest.raises(LogError, match="not a readable Parquet file"):
+        open_log(tmp_path / "bad.parquet")
