@@ -2,8 +2,10 @@ PYTHON ?= python3
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+# the workers fill the cores
+PYTEST := OMP_NUM_THREADS=1 $(BIN)/pytest
 
-.PHONY: demo test lint studies bench wheel clean
+.PHONY: demo test test-all lint studies bench wheel clean
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -18,8 +20,12 @@ demo: $(READY)
 	$(BIN)/hydroopt identify cat215b out/cat215b/run1/log.csv --validate out/cat215b/run2/log.csv -o out/cat215b
 	@echo "open out/kr300/report.html and out/cat215b/report.html"
 
+# lint, types and every test that is not marked slow
 test: $(READY) lint
-	OMP_NUM_THREADS=1 $(BIN)/pytest  # the workers fill the cores
+	$(PYTEST)
+
+test-all: $(READY) lint
+	$(PYTEST) -m ''
 
 lint: $(READY)
 	$(BIN)/ruff check
@@ -31,8 +37,10 @@ studies: $(READY)
 bench: $(READY)
 	$(BIN)/python -m studies.bench
 
+# the sdist, and the wheel built from it
 wheel: $(READY)
-	$(BIN)/python -m build --wheel
+	rm -rf dist
+	$(BIN)/python -m build
 
 clean:
 	rm -rf $(VENV) out build dist *.egg-info

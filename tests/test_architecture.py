@@ -10,7 +10,7 @@ from pathlib import Path
 PACKAGE = Path(__file__).parents[1] / "hydroopt"
 
 ROOMS = (
-    ("errors", "interrupt"),
+    ("errors", "interrupt", "versions"),
     ("files", "units"),
     ("spatial",),
     ("kernels",),

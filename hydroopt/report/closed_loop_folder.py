@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -20,8 +19,9 @@ from hydroopt.errors import ProblemError
 from hydroopt.files import write_files
 from hydroopt.logs.table import write_columns
 from hydroopt.report import closed_loop
-from hydroopt.report.record import SCHEMA, machine_entry, now, number, table, versions
+from hydroopt.report.record import SCHEMA, machine_entry, now, number, table
 from hydroopt.spatial.inertia import Array
+from hydroopt.versions import versions
 
 FILES = ("control.json", "report.html", "tracking.csv", "margins.csv", "runs.csv")
 """Files that the next comparison replaces."""
@@ -48,7 +48,7 @@ def save(comparison: Comparison, directory: str | Path, *, origin: Origin, asked
     machine = setting.plant.machine
     content = {
         "schema": SCHEMA, "machine": machine_entry(machine), "origin": origin.text, "created": now(),
-        "versions": versions() | {"control": metadata.version("control")}, **asked, "rate": setting.rate,
+        "versions": versions("control"), **asked, "rate": setting.rate,
         "truth_text": setting.true.text,
         "gains": [{"actuator": each.actuator.name, "position": float(comparison.gains.position[k]),
                    "force": float(comparison.gains.force[k]), "integral_time": float(comparison.gains.integral_time[k]),

@@ -22,7 +22,8 @@ from hydroopt.machine.machine import Machine
 from hydroopt.report.figures import BLUE, GREY, ORANGE, STYLE, WIDTH, svg
 from hydroopt.report.numbers import NONE, plain, quantity, unit_text
 from hydroopt.report.page import page
-from hydroopt.report.record import SCHEMA, flat, machine_entry, now, number, table, versions
+from hydroopt.report.record import SCHEMA, flat, machine_entry, now, number, table
+from hydroopt.versions import versions
 
 FILES = ("comparison.json", "report.html", "comparison.csv")
 """Files of a comparison, which the next one replaces."""

@@ -43,7 +43,7 @@ from hydroopt.report.record import machine_entry as _machine
 from hydroopt.report.record import now as _now
 from hydroopt.report.record import number as _number
 from hydroopt.report.record import table as _csv
-from hydroopt.report.record import versions as _versions
+from hydroopt.versions import versions
 
 EXCITATION = ("excitation.json", "report.html", "trajectory.csv", "trajectory.parquet")
 """Files of a motion to drive, which the next one replaces."""
@@ -146,7 +146,7 @@ def save_excitation(excitation: Excitation, expectation: Expectation, directory:
     program, path, where = excitation.program, excitation.trajectory, Path(directory)
     machine, said = program.information.model.machine, excitation_doubts(excitation, expectation)
     code = Code(machine, origin, routines=["excitation"], course=Course(excitation.function, program.basis.duration))
-    content = {"schema": SCHEMA, "machine": _machine(machine), "created": _now(), "versions": _versions(),
+    content = {"schema": SCHEMA, "machine": _machine(machine), "created": _now(), "versions": versions(),
                **asked, **_excitation(excitation, expectation), "doubts": list(said), "wall_s": _number(wall_s)}
     page = excitation_page.render(excitation, expectation, said)
     refuse_directory(where)
@@ -318,7 +318,7 @@ def _origin(problem: IdentificationProblem | CalibrationProblem, method: str) ->
     inputs = ([_input(e, "train") for e in problem.experiments] + [_input(e, "validation") for e in problem.validation]
               if isinstance(problem, IdentificationProblem) else _tables(problem))
     return {"schema": SCHEMA, "machine": _machine(problem.model.machine), "created": _now(), "inputs": inputs,
-            "method": method, "versions": _versions()}
+            "method": method, "versions": versions()}
 
 
 def _input(data: Experiment | Recording, role: str) -> dict[str, Any]:

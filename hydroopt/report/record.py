@@ -4,10 +4,8 @@ from __future__ import annotations
 
 import csv
 import io
-import platform
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
-from importlib import metadata
 from typing import Any
 
 import numpy as np
@@ -26,12 +24,6 @@ def machine_entry(machine: Machine) -> dict[str, Any]:
 def now() -> str:
     """The time, in UTC."""
     return datetime.now(UTC).isoformat(timespec="seconds")
-
-
-def versions() -> dict[str, str]:
-    """Versions of everything that had a part in a result."""
-    packages = ("hydroopt", "casadi", "clarabel", "cvxpy", "numpy", "scipy")
-    return {"python": platform.python_version()} | {p: metadata.version(p) for p in packages}
 
 
 def flat(row: Mapping[str, Any]) -> dict[str, Any]:

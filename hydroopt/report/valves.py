@@ -24,7 +24,8 @@ from hydroopt.report.folder import forget
 from hydroopt.report.hydraulics import over_workspace
 from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
 from hydroopt.report.page import page
-from hydroopt.report.record import SCHEMA, flat, machine_entry, now, number, table, versions
+from hydroopt.report.record import SCHEMA, flat, machine_entry, now, number, table
+from hydroopt.versions import versions
 
 METHOD = "multiple shooting"
 PRINTED = {"rad": ("deg", 180 / np.pi), "m": ("mm", 1e3), "Pa": ("bar", 1e-5)}

@@ -4,23 +4,20 @@ from __future__ import annotations
 
 import hashlib
 import json
-import platform
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from importlib import metadata
 from typing import Any
 
 import numpy as np
+
+from hydroopt.versions import versions
 
 Value = float | int | str | None
 """What a cell takes and gives: a number, a word, or nothing where there is no number."""
 Values = Mapping[str, Value]
 Outcome = Mapping[str, Any]
 """Of one cell: ``{"result": {...}}``, or ``{"error": sentence}``."""
-
-PACKAGES = ("hydroopt", "casadi", "clarabel", "cvxpy", "numpy", "scipy")
-"""What decides the last bits of a result, beside the settings and the processor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -52,11 +49,6 @@ class Study:
     def digest(self) -> str:
         """Of the identity."""
         return hashlib.sha256(json.dumps(self.identity, sort_keys=True).encode()).hexdigest()
-
-
-def versions() -> dict[str, str]:
-    """Of Python and of the packages that decide the last bits."""
-    return {"python": platform.python_version()} | {name: metadata.version(name) for name in PACKAGES}
 
 
 def seeds(seed: int, count: int) -> list[int]:

@@ -22,7 +22,8 @@ from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import HydrooptError, ProblemError, SolverError
 from hydroopt.interrupt import deaf, noted
-from hydroopt.study.study import Outcome, Study, Values, versions
+from hydroopt.study.study import Outcome, Study, Values
+from hydroopt.versions import versions
 
 PATIENCE, JOINING, PAUSE = 5.0, 60.0, 0.2
 """Seconds until a scheduler must answer, until one of its workers must be there, and between looks at what else is."""
