@@ -18,12 +18,12 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
-from hydroopt.estimation.inference.fit import Fit
 from hydroopt.estimation.kinematic.calibration import Calibration
 from hydroopt.estimation.kinematic.diagnostics import CORRELATED, Appraisal, Chain, Residuals
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, LIGHT, ORANGE, SHADE, STYLE, WIDTH, Change, changes, svg
 from hydroopt.report.numbers import NONE, Row, plain, quantity, unit_text
 from hydroopt.report.page import page
+from hydroopt.results.fit import Fit
 from hydroopt.spatial.inertia import Array
 
 METHODS = {

@@ -22,7 +22,6 @@ from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.friction_choice import FrictionChoice
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.streamed_experiment import Recording
-from hydroopt.estimation.inference.fit import Fit
 from hydroopt.estimation.kinematic.calibration import Calibration
 from hydroopt.estimation.kinematic.diagnostics import Appraisal
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
@@ -43,6 +42,7 @@ from hydroopt.report.record import machine_entry as _machine
 from hydroopt.report.record import now as _now
 from hydroopt.report.record import number as _number
 from hydroopt.report.record import table as _csv
+from hydroopt.results.fit import Fit
 from hydroopt.versions import versions
 
 EXCITATION = ("excitation.json", "report.html", "trajectory.csv", "trajectory.parquet")

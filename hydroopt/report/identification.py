@@ -13,12 +13,12 @@ from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.friction_choice import FrictionChoice
 from hydroopt.estimation.dynamic.streamed_experiment import Recording
-from hydroopt.estimation.inference.fit import Fit
 from hydroopt.model.plant import Plant
 from hydroopt.report import figures, side_view
 from hydroopt.report.hydraulics import over_workspace
 from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
 from hydroopt.report.page import page
+from hydroopt.results.fit import Fit
 
 METHODS = {
     "sdp": "least squares with priors, bounds and physically possible bodies (semidefinite program)",

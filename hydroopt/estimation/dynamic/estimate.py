@@ -14,10 +14,10 @@ from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.regressor_qr import predict
 from hydroopt.estimation.dynamic.streamed_experiment import Recording
 from hydroopt.estimation.dynamic.weighted_residuals import Evidence
-from hydroopt.estimation.inference.fit import Fit
 from hydroopt.estimation.inference.identifiability import Confounded, Identifiability
 from hydroopt.estimation.inference.posterior import Posterior
 from hydroopt.parameters.dynamic import bodies, carried
+from hydroopt.results.fit import Fit
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 

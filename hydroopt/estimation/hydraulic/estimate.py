@@ -13,11 +13,11 @@ from hydroopt.estimation.hydraulic import shooting
 from hydroopt.estimation.hydraulic.dynamics import Record
 from hydroopt.estimation.hydraulic.problem import HydraulicProblem
 from hydroopt.estimation.hydraulic.shooting import ShootingEstimate
-from hydroopt.estimation.inference.fit import Fit
 from hydroopt.machine.components import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.parameters import dynamic as dynamic_parameters
 from hydroopt.parameters import hydraulic as hydraulic_parameters
+from hydroopt.results.fit import Fit
 from hydroopt.spatial.inertia import Array
 
 SETTLED = 1.0

@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.estimation.inference.fit import Fit
 from hydroopt.estimation.kinematic import joint, link_by_link
 from hydroopt.estimation.kinematic.column_checks import refuse_misread
 from hydroopt.estimation.kinematic.observability import Linearised, Observability, linearise, observability
@@ -19,6 +18,7 @@ from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibratio
 from hydroopt.estimation.kinematic.suspects import Suspect, diagnose
 from hydroopt.machine.components import Note
 from hydroopt.machine.machine import Machine
+from hydroopt.results.fit import Fit
 from hydroopt.spatial.inertia import Array
 
 CalibrationMethod = Literal["joint", "hierarchical"]

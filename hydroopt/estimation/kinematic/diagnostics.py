@@ -12,7 +12,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import HydrooptError
-from hydroopt.estimation.inference.fit import Fit
 from hydroopt.estimation.kinematic.calibration import (
     Calibration,
     fit_of,
@@ -29,6 +28,7 @@ from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import BASE
 from hydroopt.machine.machine_file import dump_machine, read_machine
 from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.results.fit import Fit
 from hydroopt.simulation import postures
 from hydroopt.spatial.inertia import Array
 

@@ -1,0 +1,218 @@
+"""What `solve` returns, whatever the job: an answer with status, diagnostics, parameters, and a folder it fits into."""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from enum import StrEnum
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hydroopt.results import store
+from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.fit import Fit
+from hydroopt.results.parameter_table import ParameterTable
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+class Status(StrEnum):
+    """Whether an answer can be believed: `OK`, `SUSPECT` (converged, but something contradicts it), or `FAILED`."""
+
+    OK = "ok"
+    SUSPECT = "suspect"
+    FAILED = "failed"
+
+
+class Answer(ABC):
+    """An answer of any job; `hydroopt.load` gives back what `save` wrote.
+
+    Each job's class adds what only it knows; what is said here, all can say.
+    """
+
+    job: store.Job
+    """Which job it answers."""
+
+    @property
+    @abstractmethod
+    def machine_name(self) -> str:
+        """Name of the machine that it is about."""
+
+    @property
+    @abstractmethod
+    def machine_sha256(self) -> str:
+        """Digest of that machine's description."""
+
+    @property
+    @abstractmethod
+    def method(self) -> str:
+        """How it was computed."""
+
+    @property
+    @abstractmethod
+    def status(self) -> Status:
+        """Whether it can be believed."""
+
+    @property
+    @abstractmethod
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """What to know before trusting it, the gravest first."""
+
+    @property
+    @abstractmethod
+    def parameters(self) -> ParameterTable:
+        """The parameters by name, with priors, values, intervals and identifiability."""
+
+    @property
+    @abstractmethod
+    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
+        """How closely data are followed, by data set (``train``, ``validation``) and channel; empty for a design."""
+
+    @property
+    @abstractmethod
+    def inputs(self) -> tuple[Mapping[str, Any], ...]:
+        """The files it is from: path, sha256, samples, role."""
+
+    @abstractmethod
+    def details(self) -> Mapping[str, Any]:
+        """What the JSON file says beyond what all answers say; numbers that do not exist are None."""
+
+    @abstractmethod
+    def files(self) -> Mapping[str, str]:
+        """Text files beside the JSON file, by name: tables, and the calibrated machine where there is one."""
+
+    def __getitem__(self, name: str) -> float:
+        """Value [SI] of a parameter; NaN where it is not identifiable."""
+        value = self.parameters[name].value
+        return float("nan") if value is None else value
+
+    def __repr__(self) -> str:
+        return (f"<{self.job} of {self.machine_name} by {self.method}: {self.status}, "
+                f"{len(self.parameters)} parameters, {len(self.diagnostics)} diagnostics>")
+
+    def __str__(self) -> str:
+        lines = [f"{self.machine_name} by {self.method}: {self.status}"]
+        lines += [f"  {data:<10} {channel:<24} {fit}" for data, table in self.fit.items()
+                  for channel, fit in table.items()]
+        return "\n".join(lines)
+
+    def to_frame(self) -> pd.DataFrame:
+        """The table of parameters as a pandas DataFrame indexed by name."""
+        return self.parameters.to_frame()
+
+    def save(self, directory: str | Path, *, pages: Mapping[str, str] | None = None,
+             wall_s: float = float("nan")) -> None:
+        """Write everything that the answer knows into a directory, whole or not at all; an earlier answer there goes.
+
+        Args:
+            directory: created if need be.
+            pages: further files by name, such as the report (`hydroopt.report`).
+            wall_s: how long the job took [s].
+
+        Raises:
+            ProblemError: the directory cannot be written.
+        """
+        store.write(directory, self.job, self.content(wall_s=wall_s), {**self.files(), **(pages or {})})
+
+    def content(self, *, wall_s: float = float("nan")) -> dict[str, Any]:
+        """The content of the JSON file."""
+        return store.header(self.job, self.machine_name, self.machine_sha256, self.method, self.inputs) | {
+            "status": str(self.status), "diagnostics": [each.as_dict() for each in self.diagnostics],
+            "parameters": [each.as_dict() for each in self.parameters.rows],
+            "fit": {data: {channel: fit.as_dict() for channel, fit in table.items()}
+                    for data, table in self.fit.items()},
+            **self.details(), "wall_s": store.number(wall_s)}
+
+
+class SavedAnswer(Answer):
+    """An answer that was loaded: what its folder says.
+
+    Attributes:
+        directory: where it is from.
+        saved: the whole content of its JSON file.
+    """
+
+    def __init__(self, directory: Path, saved: Mapping[str, Any]) -> None:
+        self.directory, self.saved, self.job = directory, saved, store.Job(saved["job"])
+        self._status = Status(saved["status"])
+        self._diagnostics = tuple(Diagnostic.from_dict(entry) for entry in saved.get("diagnostics", ()))
+        self._parameters = ParameterTable.from_dicts(saved.get("parameters", ()))
+        self._fit = {data: {channel: Fit.from_dict(entry) for channel, entry in table.items()}
+                     for data, table in saved.get("fit", {}).items()}
+
+    @property
+    def machine_name(self) -> str:
+        """Name of the machine that it is about."""
+        return str(self.saved["machine"]["name"])
+
+    @property
+    def machine_sha256(self) -> str:
+        """Digest of that machine's description."""
+        return str(self.saved["machine"]["sha256"])
+
+    @property
+    def method(self) -> str:
+        """How it was computed."""
+        return str(self.saved["method"])
+
+    @property
+    def status(self) -> Status:
+        """Whether it can be believed."""
+        return self._status
+
+    @property
+    def reason(self) -> str:
+        """Why it failed; empty if it did not."""
+        return str(self.saved.get("reason", ""))
+
+    @property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """What to know before trusting it, the gravest first."""
+        return self._diagnostics
+
+    @property
+    def parameters(self) -> ParameterTable:
+        """The parameters by name, with priors, values, intervals and identifiability."""
+        return self._parameters
+
+    @property
+    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
+        """How closely data are followed, by data set and channel."""
+        return self._fit
+
+    @property
+    def inputs(self) -> tuple[Mapping[str, Any], ...]:
+        """The files it is from."""
+        return tuple(self.saved["inputs"])
+
+    @property
+    def machine_file(self) -> Path | None:
+        """The calibrated machine beside it; None where none was written."""
+        file = self.directory / f"{self.machine_name}.toml"
+        return file if file.is_file() else None
+
+    def details(self) -> Mapping[str, Any]:
+        """What the JSON file says beyond what all answers say."""
+        return {key: value for key, value in self.saved.items() if key not in store.COMMON}
+
+    def files(self) -> Mapping[str, str]:
+        """The text files beside the JSON file."""
+        return store.text_files(self.directory, self.job, self.machine_name)
+
+
+def load(directory: str | Path) -> SavedAnswer:
+    """The answer that a command or `Answer.save` left in a directory.
+
+    Args:
+        directory: its folder.
+
+    Raises:
+        ProblemError: there is no answer, or it is damaged or of another version.
+    """
+    folder = Path(directory)
+    content = store.read(folder)
+    try:
+        return SavedAnswer(folder, content)
+    except (KeyError, ValueError, TypeError, AttributeError):
+        raise store.not_an_answer(folder) from None

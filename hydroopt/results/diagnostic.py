@@ -1,0 +1,73 @@
+"""A diagnostic: one thing that a reader should know before trusting an answer, as a typed value."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any
+
+from hydroopt.results.wording import WORDS, Kind, filled
+
+NAMED = 8
+"""How many names of a list are written out."""
+
+
+@dataclass(frozen=True)
+class Diagnostic:
+    """One finding about an answer.
+
+    Code decides by `kind`, `subject` and `evidence`; text and remedy are written from them in `results/wording.py` and
+    are never searched.
+
+    Attributes:
+        kind: what was found.
+        subject: names of the parameters, bodies, actuators, logs or poses that it is about.
+        evidence: the numbers (SI, or as the key says) and words that show it.
+
+    Example:
+        >>> from hydroopt.results.wording import Kind
+        >>> d = Diagnostic(Kind.WORSE_THAN_ZERO, ("boom_cylinder",), {"relative": 1.31})
+        >>> print(d)
+        The forces of boom_cylinder in the validation logs are predicted worse than by zero (131 % error).
+    """
+
+    kind: Kind
+    subject: tuple[str, ...] = ()
+    evidence: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def text(self) -> str:
+        """What was found, as one or two sentences."""
+        return filled(WORDS[self.kind].text, listed(self.subject), self.evidence)
+
+    @property
+    def remedy(self) -> str:
+        """What to do about it; empty where nothing can be done."""
+        return filled(WORDS[self.kind].remedy, listed(self.subject), self.evidence)
+
+    def __str__(self) -> str:
+        return f"{self.text} {self.remedy}".strip()
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry of a JSON file; `from_dict` reads it."""
+        return {"kind": str(self.kind), "subject": list(self.subject), "evidence": dict(self.evidence),
+                "text": self.text, "remedy": self.remedy}
+
+    @classmethod
+    def from_dict(cls, entry: Mapping[str, Any]) -> Diagnostic:
+        """The diagnostic that `as_dict` wrote.
+
+        Raises:
+            ValueError, KeyError: this is not such an entry.
+        """
+        return cls(Kind(entry["kind"]), tuple(entry["subject"]), dict(entry["evidence"]))
+
+
+def listed(names: Sequence[str], most: int = NAMED) -> str:
+    """Names with commas in between, at most so many."""
+    return ", ".join(names[:most]) + (f" and {len(names) - most} more" if len(names) > most else "")
+
+
+def of_kind(diagnostics: Iterable[Diagnostic], *kinds: Kind) -> tuple[Diagnostic, ...]:
+    """Those of some kinds."""
+    return tuple(diagnostic for diagnostic in diagnostics if diagnostic.kind in kinds)

@@ -1,0 +1,151 @@
+"""The parameters of an answer as a table by name."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import asdict, dataclass, fields
+from functools import cached_property
+from typing import TYPE_CHECKING, Any
+
+from hydroopt.errors import ProblemError
+from hydroopt.results.tables import csv_text, number
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+
+@dataclass(frozen=True)
+class ParameterRow:
+    """One parameter of an answer, in SI; None where a number does not exist.
+
+    Attributes:
+        name: its address, e.g. ``boom.m``.
+        kind: what it is, e.g. ``mass``.
+        unit: SI.
+        nominal: value in the machine file; `prior_std` its standard deviation there.
+        value: the estimate, `std` its standard deviation and `ci95` its 95 % interval; None where the parameter is not
+            identifiable.
+        bound: name of the bound or constraint that holds it.
+        identifiability: ``full``, ``combination``, ``not excited``, ``none`` or ``fixed``.
+    """
+
+    name: str
+    kind: str
+    unit: str
+    nominal: float | None = None
+    prior_std: float | None = None
+    value: float | None = None
+    std: float | None = None
+    ci95: tuple[float, float] | None = None
+    bound: str | None = None
+    identifiability: str = "full"
+
+    @property
+    def information_from_data(self) -> float | None:
+        """Part of the information that is from data, 1 − (std/prior_std)²: 0 where the prior alone speaks."""
+        if self.std is None:
+            return None
+        if self.prior_std is None:
+            return 1.0
+        return max(0.0, 1.0 - (self.std / self.prior_std) ** 2) if self.prior_std else 0.0
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry of a JSON file."""
+        entry = asdict(self)
+        entry["ci95"] = list(self.ci95) if self.ci95 else None
+        return entry | {"information_from_data": self.information_from_data}
+
+    @classmethod
+    def from_dict(cls, entry: Mapping[str, Any]) -> ParameterRow:
+        """The row that `as_dict` wrote.
+
+        Raises:
+            ValueError, KeyError, TypeError: this is not such an entry.
+        """
+        values = {field.name: entry[field.name] for field in fields(cls)}
+        low_high = values["ci95"]
+        return cls(**values | {"ci95": None if low_high is None else (float(low_high[0]), float(low_high[1]))})
+
+
+def row(name: str, kind: str, unit: str, *, nominal: float = math.nan, prior_std: float = math.nan,
+        value: float = math.nan, std: float = math.nan, ci95: Sequence[float] = (math.nan, math.nan),
+        bound: str = "", identifiability: str = "full") -> ParameterRow:
+    """A row from numbers as estimators have them: NaN and "" become None."""
+    low, high = (float(limit) for limit in ci95)
+    return ParameterRow(name, str(kind), unit, number(nominal), number(prior_std), number(value), number(std),
+                        (low, high) if math.isfinite(low) and math.isfinite(high) else None, bound or None,
+                        identifiability)
+
+
+class ParameterTable(Mapping[str, ParameterRow]):
+    """Parameters by name, in their order.
+
+    Example:
+        >>> table = ParameterTable([row("boom.m", "mass", "kg", nominal=1830.0, value=1790.0, std=12.0)])
+        >>> table["boom.m"].value
+        1790.0
+        >>> table
+        ParameterTable of 1 parameter, 1 estimated
+    """
+
+    def __init__(self, rows: Sequence[ParameterRow]) -> None:
+        self.rows = tuple(rows)
+
+    @classmethod
+    def from_dicts(cls, entries: Sequence[Mapping[str, Any]]) -> ParameterTable:
+        """The table of a JSON file.
+
+        Raises:
+            ValueError, KeyError, TypeError: these are not such entries.
+        """
+        return cls([ParameterRow.from_dict(entry) for entry in entries])
+
+    @cached_property
+    def _by_name(self) -> dict[str, ParameterRow]:
+        return {each.name: each for each in self.rows}
+
+    def __getitem__(self, name: str) -> ParameterRow:
+        try:
+            return self._by_name[name]
+        except KeyError:
+            from difflib import get_close_matches  # noqa: PLC0415 (only for the sentence)
+
+            close = get_close_matches(name, list(self._by_name), n=3) or list(self._by_name)[:3]
+            raise ProblemError("no parameter has this name", where=f"parameter '{name}'",
+                               remedy=f"did you mean {' or '.join(close)}") from None
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._by_name
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._by_name)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, ParameterTable) and self.rows == other.rows
+
+    def __hash__(self) -> int:
+        return hash(self.rows)
+
+    def __repr__(self) -> str:
+        estimated = sum(each.value is not None for each in self.rows)
+        return f"ParameterTable of {len(self)} parameter{'s' * (len(self) != 1)}, {estimated} estimated"
+
+    def to_csv(self) -> str:
+        """Text of a CSV file: one row a parameter, the interval as `low` and `high`."""
+        return csv_text([self._flat(each) for each in self.rows])
+
+    def to_frame(self) -> pd.DataFrame:
+        """A pandas DataFrame indexed by name, with the columns of the CSV file; NaN where a number does not exist."""
+        import pandas as pd  # noqa: PLC0415 (pandas takes a second to import)
+
+        return pd.DataFrame([self._flat(each) for each in self.rows]).set_index("name")
+
+    @staticmethod
+    def _flat(each: ParameterRow) -> dict[str, Any]:
+        entry = each.as_dict()
+        low, high = entry.pop("ci95") or (None, None)
+        return entry | {"low": low, "high": high}

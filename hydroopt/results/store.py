@@ -1,0 +1,127 @@
+"""The folder of an answer: the only reader and writer of estimate.json and its like."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+from collections.abc import Mapping, Sequence
+from datetime import UTC, datetime
+from enum import StrEnum
+from pathlib import Path
+from typing import Any
+
+from hydroopt.errors import HydrooptError, ProblemError
+from hydroopt.files import write_files
+from hydroopt.results.tables import number
+from hydroopt.versions import versions
+
+SCHEMA = 2
+"""Version of the JSON files; it changes when a key changes its meaning or goes."""
+
+
+class Job(StrEnum):
+    """The jobs that leave an answer; the value stands in JSON files."""
+
+    IDENTIFICATION = "identification"
+    CALIBRATION = "kinematic calibration"
+    HYDRAULICS = "identification of valves and oil"
+    EXCITATION = "excitation"
+    POSE_PLAN = "pose plan"
+
+
+FILES = {Job.IDENTIFICATION: "estimate.json", Job.CALIBRATION: "estimate.json", Job.HYDRAULICS: "estimate.json",
+         Job.EXCITATION: "excitation.json", Job.POSE_PLAN: "plan.json"}
+"""The JSON file of each job."""
+TABLES = ("report.html", "parameters.csv", "base_parameters.csv", "fit.csv", "residuals.csv", "free_run.csv",
+          "information.csv", "trajectory.csv", "trajectory.parquet", "poses.csv", "sheet.txt")
+"""Other files of answers, which the next answer in the same directory replaces."""
+COMMON = ("schema", "job", "machine", "created", "inputs", "method", "versions", "status", "diagnostics", "parameters",
+          "fit", "wall_s")
+"""Keys of the JSON file that all answers have."""
+
+
+def header(job: Job, machine_name: str, machine_sha256: str, method: str,
+           inputs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
+    """What every JSON file says first: schema, job, machine, date, inputs, method and versions."""
+    return {"schema": SCHEMA, "job": str(job), "machine": {"name": machine_name, "sha256": machine_sha256},
+            "created": datetime.now(UTC).isoformat(timespec="seconds"), "inputs": [dict(each) for each in inputs],
+            "method": method, "versions": versions()}
+
+
+def write(directory: str | Path, job: Job, content: Mapping[str, Any], files: Mapping[str, str]) -> None:
+    """Write an answer, its JSON file last; what an earlier answer left in the directory goes.
+
+    Raises:
+        ProblemError: the directory cannot be written.
+    """
+    text = json.dumps(content, indent=1, allow_nan=False)
+    forget(directory, content["machine"]["name"])
+    write_files(directory, {**files, FILES[job]: text})
+
+
+def write_failure(directory: str | Path, job: Job, machine_name: str, machine_sha256: str, method: str,
+                  inputs: Sequence[Mapping[str, Any]], error: HydrooptError) -> None:
+    """Write a JSON file that says why there is no answer, and nothing else.
+
+    Raises:
+        ProblemError: the directory cannot be written.
+    """
+    content = header(job, machine_name, machine_sha256, method, inputs) | {"status": "failed", "reason": str(error)}
+    write(directory, job, content, {})
+
+
+def forget(directory: str | Path, machine_name: str) -> None:
+    """Remove an earlier answer from a directory, so that none of it is taken for part of the next."""
+    for name in (*dict.fromkeys(FILES.values()), *TABLES, f"{machine_name}.toml"):
+        with contextlib.suppress(OSError):  # it is not there, or is a directory, which writing will report
+            (Path(directory) / name).unlink()
+
+
+def text_files(directory: Path, job: Job, machine_name: str) -> dict[str, str]:
+    """The files that stand beside an answer's JSON file."""
+    names = [name for name in (*TABLES, f"{machine_name}.toml") if name.endswith((".csv", ".txt", ".toml", ".html"))]
+    return {name: (directory / name).read_text(encoding="utf-8") for name in names if (directory / name).is_file()}
+
+
+def json_file(directory: Path) -> Path:
+    """The JSON file of the answer in a directory.
+
+    Raises:
+        ProblemError: there is none.
+    """
+    for name in dict.fromkeys(FILES.values()):
+        if (directory / name).is_file():
+            return directory / name
+    raise ProblemError("this folder holds no estimate", where=str(directory),
+                       remedy="name the folder that a hydroopt command wrote")
+
+
+def read(directory: Path) -> dict[str, Any]:
+    """The content of an answer's JSON file, checked for what all answers have.
+
+    Raises:
+        ProblemError: there is none, it is damaged, or another version of hydroopt wrote it.
+    """
+    file = json_file(directory)
+    try:
+        content = json.loads(file.read_bytes())
+        schema = content["schema"]
+        known = {"job", "status"} <= content.keys() and {"name", "sha256"} <= content["machine"].keys()
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        raise not_an_answer(directory) from None
+    if schema != SCHEMA:
+        raise ProblemError(f"its schema is {schema!r}, and this version of hydroopt reads {SCHEMA}", where=str(file),
+                           remedy="run the command again with this version")
+    if not known:
+        raise not_an_answer(directory)
+    return dict(content)
+
+
+def not_an_answer(directory: Path) -> ProblemError:
+    """The error of a JSON file that is not an answer of hydroopt."""
+    return ProblemError("hydroopt did not write this file, or it is damaged", where=str(json_file(directory)),
+                        remedy="run the command again")
+
+
+__all__ = ["COMMON", "FILES", "SCHEMA", "Job", "forget", "header", "json_file", "not_an_answer", "number", "read",
+           "text_files", "write", "write_failure"]

@@ -1,0 +1,52 @@
+"""The kinds of diagnostics and the words of each: the one place where a diagnostic becomes text."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from enum import StrEnum
+from string import Formatter
+from typing import Any, NamedTuple
+
+
+class _Percent(Formatter):
+    """A format such as ``.0f %`` writes a part as a percentage."""
+
+    def format_field(self, value: Any, format_spec: str) -> str:
+        if format_spec.endswith(" %"):
+            return f"{100 * value:{format_spec.removesuffix(' %')}} %"
+        return str(super().format_field(value, format_spec))
+
+
+def filled(template: str, subject: str, evidence: Mapping[str, Any]) -> str:
+    """A template with a diagnostic's subject and evidence; ``{relative:.0f %}`` writes 0.25 as "25 %"."""
+    return _Percent().vformat(template, (), {**evidence, "subject": subject})
+
+
+class Words(NamedTuple):
+    """Templates for `filled`: what was found, and what to do about it."""
+
+    text: str
+    remedy: str = ""
+
+
+class Kind(StrEnum):
+    """What a diagnostic is about; the value stands in JSON files."""
+
+    # of any job
+    NO_VALIDATION = "no validation data"
+    FINDING = "finding in the data"
+    NOTE = "note"
+
+    # identification of bodies and friction
+    WORSE_THAN_ZERO = "unseen forces predicted worse than by zero"
+
+
+WORDS: dict[Kind, Words] = {
+    Kind.NO_VALIDATION: Words(
+        "No log was held out, so the prediction of unseen data is not known.",
+        "Give --validate or --holdout."),
+    Kind.FINDING: Words("{subject}: {text}"),
+    Kind.NOTE: Words("{text}"),
+    Kind.WORSE_THAN_ZERO: Words(
+        "The forces of {subject} in the validation logs are predicted worse than by zero ({relative:.0f %} error)."),
+}

@@ -1,0 +1,96 @@
+"""An answer is saved, loaded, refused when damaged, and says the same afterwards."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from hydroopt.errors import ProblemError
+from hydroopt.results import store
+from hydroopt.results.answer import Answer, Status, load
+from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.fit import Fit
+from hydroopt.results.parameter_table import ParameterTable, row
+from hydroopt.results.wording import WORDS, Kind
+
+
+class Example(Answer):
+    """The least that a job has to say."""
+
+    job = store.Job.IDENTIFICATION
+    machine_name, machine_sha256, method, status = "crane", "ab" * 32, "sdp", Status.SUSPECT
+    diagnostics = (Diagnostic(Kind.WORSE_THAN_ZERO, ("lift_cylinder",), {"relative": 1.31}),)
+    parameters = ParameterTable([
+        row("lift.m", "mass", "kg", nominal=120.0, prior_std=12.0, value=125.0, std=3.0, ci95=(119.1, 130.9)),
+        row("lift.mc_z", "first moment", "kg*m", nominal=0.0, identifiability="none")])
+    fit: Mapping[str, Mapping[str, Fit]] = {"train": {"lift_cylinder": Fit(210.0, 0.98, 0.05, "N")}}
+    inputs = ({"path": "log.csv", "sha256": None, "samples": 10, "role": "train"},)
+
+    def details(self) -> Mapping[str, Any]:
+        return {"seed": 3}
+
+    def files(self) -> Mapping[str, str]:
+        return {"parameters.csv": self.parameters.to_csv()}
+
+
+def test_what_is_loaded_says_the_same(tmp_path: Path) -> None:
+    answer = Example()
+    answer.save(tmp_path, wall_s=1.5)
+    loaded = load(tmp_path)
+    assert repr(loaded) == repr(answer)
+    assert str(loaded) == str(answer)
+    assert loaded.parameters == answer.parameters
+    assert loaded.diagnostics == answer.diagnostics
+    assert loaded.status is Status.SUSPECT
+    assert loaded.fit == answer.fit
+    assert loaded.details() == answer.details()
+    assert loaded["lift.m"] == 125.0
+    loaded.save(tmp_path / "again", wall_s=1.5)
+    first, second = (json.loads((folder / "estimate.json").read_text()) for folder in (tmp_path, tmp_path / "again"))
+    assert {**first, "created": ""} == {**second, "created": ""}
+    assert (tmp_path / "again" / "parameters.csv").read_text() == (tmp_path / "parameters.csv").read_text()
+
+
+def test_the_next_answer_leaves_nothing_of_the_one_before(tmp_path: Path) -> None:
+    (tmp_path / "excitation.json").write_text("{}")
+    (tmp_path / "crane.toml").write_text("")
+    (tmp_path / "mine.txt").write_text("kept")
+    Example().save(tmp_path)
+    assert {file.name for file in tmp_path.iterdir()} == {"estimate.json", "parameters.csv", "mine.txt"}
+
+
+@pytest.mark.parametrize(("text", "what"), [
+    ("", "damaged"), ("[]", "damaged"), ("{}", "damaged"), ("[" * 100_000, "damaged"),
+    ('{"schema": 1, "machine": {}}', "its schema is 1"), ('{"schema": 2, "machine": {}}', "damaged"),
+    ('{"schema": 2, "job": "x", "status": "ok", "machine": {"name": "a", "sha256": "b"}}', "damaged")])
+def test_damage_is_refused_in_a_sentence(tmp_path: Path, text: str, what: str) -> None:
+    (tmp_path / "estimate.json").write_text(text)
+    with pytest.raises(ProblemError, match=what) as caught:
+        load(tmp_path)
+    assert "estimate.json" in str(caught.value)
+
+
+def test_an_empty_folder_and_an_unknown_parameter_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ProblemError, match="holds no estimate"):
+        load(tmp_path)
+    with pytest.raises(ProblemError, match=r"did you mean lift\.m"):
+        Example()["lift.n"]
+
+
+def test_information_from_data_is_the_part_that_the_prior_does_not_explain() -> None:
+    told = row("a", "mass", "kg", prior_std=2.0, std=1.0)
+    assert told.information_from_data == 0.75
+    assert row("a", "mass", "kg", std=1.0).information_from_data == 1.0
+    assert row("a", "mass", "kg", prior_std=2.0, std=2.5).information_from_data == 0.0
+    assert row("a", "mass", "kg", prior_std=2.0).information_from_data is None
+
+
+def test_every_kind_has_words_and_is_found_by_kind() -> None:
+    assert set(WORDS) == set(Kind)
+    found = Example.diagnostics
+    assert of_kind(found, Kind.WORSE_THAN_ZERO) == found
+    assert not of_kind(found, Kind.NO_VALIDATION)
