@@ -10,7 +10,6 @@ from typing import Annotated, Any
 import typer
 
 from hydroopt.cli.options import AsJson, Directory, MapFile, ParameterSetName, Quiet, progress
-from hydroopt.cli.simulate import followed
 from hydroopt.codegen import parameter_source as codegen_origin
 from hydroopt.control.comparison import FEEDFORWARD, LQG, PI, Comparison, Setting, compare, rate_of
 from hydroopt.control.model_variants import COMPLETE, Knowledge, nominal_of, reduced, truth
@@ -21,6 +20,7 @@ from hydroopt.machine.machine_file import bundled
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.report import closed_loop_folder as folder
+from hydroopt.simulation.reference_motion import reference_motion
 
 KINDS = (PI, FEEDFORWARD, LQG)
 
@@ -68,7 +68,7 @@ def control(
     model = Model(described)
     plant = Plant(model)
     _ = plant.supply  # a machine without a supply pressure is refused before anything takes time
-    motion = followed(described, read_log(trajectory, mapping=map_file))
+    motion = reference_motion(described, read_log(trajectory, mapping=map_file))
     with progress(f"closing the loop on {described.name}", quiet) as say:
         complete = Knowledge(COMPLETE, origin.text, model, model.parameters.nominal)
         estimated = machine not in bundled() and Path(machine).is_dir()

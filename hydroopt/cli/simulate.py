@@ -13,17 +13,16 @@ import numpy as np
 import typer
 
 from hydroopt.cli.options import Directory, MachineName, MapFile, ParameterSetName, Quiet, progress
-from hydroopt.errors import LogError, ProblemError
+from hydroopt.errors import ProblemError
 from hydroopt.files import write_files
 from hydroopt.logs.log import Log, read_log
 from hydroopt.logs.readings import reading
-from hydroopt.logs.smoothing import SmoothingSpline, condition
-from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.simulation import drive_valves
 from hydroopt.simulation import simulate as synthetic
+from hydroopt.simulation.reference_motion import reference_motion
 from hydroopt.spatial.inertia import Array
 
 HALVED = 6
@@ -78,14 +77,14 @@ def simulate(
                 tries = [lambda: _commands(plant, read_log(commands, mapping=map_file))]
             else:
                 path = (_random(model, duration, rate, seed) if motion is None
-                        else followed(described, read_log(motion, mapping=map_file)))
+                        else reference_motion(described, read_log(motion, mapping=map_file)))
                 sizes = 0.5 ** np.arange(1 if motion is not None else HALVED + 1)
                 tries = [partial(_driving, plant, path, psi, theta, float(size)) for size in sizes]
             log = _first_possible(tries, lambda given: drive_valves.drive(
                 plant, *given, psi=psi, theta=theta, noise=noise, seed=seed, name=described.name))
         else:
             path = (_random(model, duration, rate, seed) if motion is None
-                    else followed(described, read_log(motion, mapping=map_file)))
+                    else reference_motion(described, read_log(motion, mapping=map_file)))
             log = synthetic.simulate(model, path, psi, noise=noise, seed=seed, name=described.name)
     write_files(output, {})  # the directory
     file = output / ("log.parquet" if parquet else "log.csv")
@@ -133,20 +132,3 @@ def _commands(plant: Plant, log: Log) -> Given:
     begin = [reading(machine, log, f"{joint}.q")[0] if f"{joint}.q" in log.channels
              else np.mean(machine.link(joint).joint.range) for joint in machine.joints]
     return log.t, u, np.array(begin)
-
-
-def followed(machine: Machine, log: Log) -> synthetic.Trajectory:
-    """The motion of a log's joint positions.
-
-    Raises:
-        LogError: a joint's positions are missing, or leave its range.
-    """
-    positions = np.column_stack([reading(machine, log, f"{joint}.q") for joint in machine.joints])
-    for k, joint in enumerate(machine.joints):
-        lower, upper = machine.link(joint).joint.range
-        beyond = np.flatnonzero((positions[:, k] < lower) | (positions[:, k] > upper))
-        if beyond.size:
-            raise LogError(f"{joint}.q leaves the joint's range at sample {log.sample[beyond[0]]}", where=log.path,
-                           remedy="correct the motion or the joint's limits")
-    smooth = condition(log.t, positions, log.segment, SmoothingSpline(bandwidth=machine.bandwidth), where=log.path)
-    return synthetic.Trajectory(smooth.t, smooth.q, smooth.qd, smooth.qdd)

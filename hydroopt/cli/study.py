@@ -25,13 +25,13 @@ from hydroopt.cli.options import (
     reliefs,
     treatment_of,
 )
-from hydroopt.cli.simulate import followed
 from hydroopt.errors import ProblemError, StoppedError
 from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.logs.log import read_log
 from hydroopt.logs.poses import read_pose_files
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.report import study as report
+from hydroopt.simulation.reference_motion import reference_motion
 from hydroopt.study import bootstrap, montecarlo, multistart
 from hydroopt.study.run import run
 from hydroopt.study.study import Study
@@ -112,7 +112,7 @@ def study(
             log = read_log(motion, mapping=map_file) if motion else None
             prepared = montecarlo.montecarlo(
                 described, cells=cells, seed=seed, method=method_of(method or "sdp"),
-                motion=followed(described, log) if log else None, motion_sha256=log.sha256 if log else "",
+                motion=reference_motion(described, log) if log else None, motion_sha256=log.sha256 if log else "",
                 vary=_varied(vary or ()), duration=montecarlo.DURATION if duration is None else duration, rate=rate)
         try:
             table = run(prepared, output, scheduler=scheduler, workers=workers or os.cpu_count() or 1, say=say)

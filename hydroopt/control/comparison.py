@@ -13,7 +13,7 @@ from scipy.stats import qmc
 
 from hydroopt.control.cascade import Cascade, Gains
 from hydroopt.control.closed_loop import Run, simulate
-from hydroopt.control.feasibility import refuse_flow, refuse_opening, refuse_unstable
+from hydroopt.control.feasibility import refuse_flow, refuse_opening, refuse_unstable, steady_speeds
 from hydroopt.control.lqg import Lqg, design, reading_noise
 from hydroopt.control.model_variants import COMPLETE, TRUE, Knowledge
 from hydroopt.control.reference import Demands, Reference
@@ -128,7 +128,7 @@ class Setting:
     def points(self, psi: Array, theta: Array) -> tuple[list[Point], list[Point]]:
         """Points of the motion, and all over the workspace, of a machine with parameters ψ and θ.
 
-        Everywhere joints move at least at the part `SHARE` of their greatest speeds: a shut valve closes no loop.
+        Everywhere joints move at least at the part `SHARE` of their greatest speeds, see `steady_speeds`.
 
         Raises:
             ProblemError: the supply cannot move the machine at a point of the motion.
@@ -140,8 +140,8 @@ class Setting:
         path = self.reference.at(moments)
         way = []
         for t, q, qd in zip(moments, path.q, path.qd, strict=True):
-            way.append(point(self.plant, f"motion at {t:.1f} s", q,
-                             np.where(np.abs(qd) < least, np.where(qd < 0, -least, least), qd), psi, theta))
+            speeds = steady_speeds(self.plant, q, qd, least)
+            way.append(point(self.plant, f"motion at {t:.1f} s", q, speeds, psi, theta))
         n, space = len(least), list[Point]()
         for k, share in enumerate(qmc.Halton(2 * n, scramble=False).random(WORKSPACE + 1)[1:]):
             direction = np.where(share[n:] < 0.5, -1.0, 1.0)

@@ -1,10 +1,11 @@
-"""What is refused before a motion or a loop is simulated."""
+"""What pump and valves can sustain, and what is refused before a motion or a loop is simulated."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.optimize import brentq
 
 from hydroopt.control.reference import Demand
 from hydroopt.control.sampled import Margin
@@ -14,6 +15,35 @@ from hydroopt.model.plant import Plant
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array
 
+SPARE = 0.02
+"""Part of the pump's flow that a steady motion leaves to leaks."""
+
+
+def flow_demand(plant: Plant, q: Array, qd: Array) -> Array:
+    """Flow (N,) [m³/s] that growing chambers take in states (N, n) of the joints."""
+    areas = np.array([each.areas for each in plant.actuators])
+    speed = plant.model.over(plant.actuator_motion, q, qd)[1][:, :, 0]
+    return np.asarray(np.sum(np.where(speed > 0, areas[:, 0], areas[:, 1]) * np.abs(speed), axis=1))
+
+
+def steady_speeds(plant: Plant, q: Array, qd: Array, least: Array) -> Array:
+    """Joint speeds (n,) near `qd`, none slower than `least` (n,), that the pump sustains in a posture `q` (n,).
+
+    A slow joint is raised to its least speed, since a shut valve closes no loop. If all joints together then take more
+    than the pump gives, the faster ones are slowed in proportion.
+    """
+    most = plant.machine.pump.max_flow if plant.machine.pump else None
+
+    def slowed(part: float) -> Array:
+        return np.where(qd < 0, -1.0, 1.0) * np.maximum(part * np.abs(qd), least)
+
+    def beyond(part: float) -> float:
+        return float(flow_demand(plant, q[None], slowed(part)[None])[0]) - (1 - SPARE) * (most or np.inf)
+
+    if beyond(1.0) <= 0:
+        return slowed(1.0)
+    return slowed(float(brentq(beyond, 0.0, 1.0)) if beyond(0.0) < 0 else 0.0)
+
 
 def refuse_flow(plant: Plant, motion: Trajectory) -> None:
     """Refuse a motion for which the pump is too small: growing chambers take what they sweep.
@@ -21,11 +51,7 @@ def refuse_flow(plant: Plant, motion: Trajectory) -> None:
     Raises:
         ProblemError: tells the time, what is demanded and what there is.
     """
-    machine, t = plant.machine, motion.t
-    areas = np.array([each.areas for each in plant.actuators])
-    speed = plant.model.over(plant.actuator_motion, motion.q, motion.qd)[1][:, :, 0]
-    drawn = np.where(speed > 0, areas[:, 0], areas[:, 1]) * np.abs(speed)
-    total = np.sum(drawn, axis=1)
+    machine, t, total = plant.machine, motion.t, flow_demand(plant, motion.q, motion.qd)
     k, most = int(np.argmax(total)), machine.pump.max_flow if machine.pump else None
     if most is not None and total[k] > most:
         raise ProblemError(
