@@ -6,7 +6,8 @@ import numpy as np
 
 from hydroopt import Problem
 from hydroopt.estimation.dynamic.regressor_qr import compress
-from hydroopt.estimation.inference.least_squares import RANK_TOLERANCE, truncated_svd
+from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
+from hydroopt.estimation.inference.least_squares import truncated_svd
 from hydroopt.spatial import inertia
 
 FULL, COMBINATION, NONE = "‡", "†", "*"

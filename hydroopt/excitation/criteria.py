@@ -13,7 +13,12 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.errors import IdentifiabilityError, ProblemError
-from hydroopt.estimation.inference.identifiability import Identifiability, random_states, structural
+from hydroopt.estimation.inference.identifiability import (
+    ROUNDING_TOLERANCE,
+    Identifiability,
+    random_states,
+    structural,
+)
 from hydroopt.kernels.expression_graph import program
 from hydroopt.logs.readings import force_noise
 from hydroopt.model.model import Model
@@ -22,8 +27,6 @@ from hydroopt.spatial.inertia import NAMES, Array
 CRITERIA = ("D", "A", "E", "condition")
 SLOW = 0.02
 """Speed [rad/s, m/s] over which Coulomb friction turns round where derivatives are taken: a sign has none."""
-UNSEEN = 1e-12
-"""Part of the greatest singular value that the least one is taken for if it is even less."""
 FAINT = 1e-5
 """What is known of every scaled parameter before: practically nothing, but no motion is infinitely bad."""
 
@@ -137,7 +140,7 @@ def judged(criterion: str, factor: Array, focus: Array) -> tuple[float, Array]:
     if criterion == "condition":
         if not s[0] > 0:
             return np.inf, np.zeros_like(factor)
-        least = max(s[-1], UNSEEN * s[0])
+        least = max(s[-1], ROUNDING_TOLERANCE * s[0])
         first, last = axes[0] / s[0], axes[-1] / least
         return float(np.log(s[0] / least)), (np.outer(first, first) - np.outer(last, last)) / 2
     root = axes.T / s  # covariance = root·rootᵀ

@@ -21,7 +21,7 @@ from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.friction_choice import FrictionChoice
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
-from hydroopt.estimation.dynamic.streamed_experiment import Recording
+from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment
 from hydroopt.estimation.kinematic.calibration import Calibration
 from hydroopt.estimation.kinematic.diagnostics import Appraisal
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
@@ -76,7 +76,8 @@ def save(estimate: Estimate, directory: str | Path, *, wall_s: float = float("na
              "parameters.csv": _csv([_flat(row) for row in content["parameters"]]),
              "base_parameters.csv": _csv(content["base_parameters"]), "fit.csv": _fit_csv(content["fit"]),
              stored_information.INFORMATION: stored_information.as_csv(
-                 estimate.problem.model.machine, estimate.problem.parameters.names, estimate.evidence.triangles)}
+                 estimate.problem.model.machine, estimate.problem.parameters.names,
+                 estimate.weighted_residuals.triangles)}
     with contextlib.suppress(ProblemError):  # the doubts and the report say which body cannot exist
         files[machine_file] = dump_machine(calibrated_machine(estimate))
     forget(directory, machine_file)
@@ -242,7 +243,7 @@ def as_dict(estimate: Estimate, wall_s: float = float("nan")) -> dict[str, Any]:
                                     "samples": int(samples)}
                     for actuator, sigma, unit, time, samples in zip(
                         model.machine.actuators, estimate.sigma, model.force_units, estimate.correlation_time,
-                        estimate.evidence.samples, strict=True)},
+                        estimate.weighted_residuals.samples, strict=True)},
         "active_constraints": list(estimate.active), "doubts": list(doubts(estimate)), "notes": list(estimate.notes),
         "seed": estimate.seed, "wall_s": _number(wall_s)}
 
@@ -321,7 +322,7 @@ def _origin(problem: IdentificationProblem | CalibrationProblem, method: str) ->
             "method": method, "versions": versions()}
 
 
-def _input(data: Experiment | Recording, role: str) -> dict[str, Any]:
+def _input(data: Experiment | StreamedExperiment, role: str) -> dict[str, Any]:
     log = data.log
     return {"path": log.path or log.name, "sha256": log.sha256 or None, "samples": log.size, "role": role,
             "first_sample": log.rows[0], "last_sample": log.rows[1],

@@ -12,7 +12,7 @@ from markupsafe import Markup
 from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.friction_choice import FrictionChoice
-from hydroopt.estimation.dynamic.streamed_experiment import Recording
+from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment
 from hydroopt.model.plant import Plant
 from hydroopt.report import figures, side_view
 from hydroopt.report.hydraulics import over_workspace
@@ -154,7 +154,7 @@ def _hydraulics(estimate: Estimate) -> dict[str, Any] | None:
     return over_workspace(plant, estimate.psi, plant.parameters.nominal)
 
 
-def _log(role: str, data: Experiment | Recording) -> dict[str, Any]:
+def _log(role: str, data: Experiment | StreamedExperiment) -> dict[str, Any]:
     log = data.log
     return {"role": role, "name": log.name, "path": log.path, "samples": log.size, "taken": data.taken,
             "duration": plain(log.duration), "rows": f"{log.rows[0]} to {log.rows[1]}",

@@ -8,7 +8,8 @@ from matplotlib.figure import Figure
 
 from hydroopt import Machine, Model, Problem, identification_problem, load_machine, random_trajectory, simulate, solve
 from hydroopt.estimation.dynamic.experiment import Experiment
-from hydroopt.estimation.inference.least_squares import RANK_TOLERANCE, truncated_svd
+from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
+from hydroopt.estimation.inference.least_squares import truncated_svd
 from hydroopt.logs.readings import force_noise
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE
 from hydroopt.simulation.simulate import Trajectory, forces

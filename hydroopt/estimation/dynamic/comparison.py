@@ -21,8 +21,8 @@ from hydroopt.estimation.dynamic.stored_information import Session
 from hydroopt.estimation.inference import posterior as uncertainty
 from hydroopt.estimation.inference import sdp
 from hydroopt.estimation.inference.constraints import Constraint, Named
-from hydroopt.estimation.inference.gaussian import gaussian
-from hydroopt.estimation.inference.least_squares import RANK_TOLERANCE
+from hydroopt.estimation.inference.gaussian import gaussian_posterior
+from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import NAMES, Array
@@ -72,7 +72,7 @@ class Comparison(IdentificationProblem):
             A, b = self._rows_at(x, before, after)
             if not self.gains:
                 return A, b
-            last, x = x, gaussian(self, *folded(A, b)).offset
+            last, x = x, gaussian_posterior(self, *folded(A, b)).offset
             if np.all(np.abs(x - last) < 1e-9 * self.unknowns.scale):
                 return A, b
         raise SolverError("the gains of the force readings did not settle", where=self.where,
@@ -272,7 +272,7 @@ def settle(problem: Comparison, A: Array, b: Array, *, intervals: bool, seed: in
         SolverError: no trustworthy answer.
     """
     R, r = folded(A, b)
-    found = sdp.semidefinite_program(problem, gaussian(problem, R, r), consistent=problem.consistent)
+    found = sdp.semidefinite_program(problem, gaussian_posterior(problem, R, r), consistent=problem.consistent)
     if not intervals:
         return Solution(found.psi, None, found.active, ())
     posterior = uncertainty.sample(problem, R, r, found.psi, consistent=problem.consistent, seed=seed)

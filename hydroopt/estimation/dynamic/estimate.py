@@ -12,8 +12,8 @@ import numpy as np
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.regressor_qr import predict
-from hydroopt.estimation.dynamic.streamed_experiment import Recording
-from hydroopt.estimation.dynamic.weighted_residuals import Evidence
+from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment
+from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals
 from hydroopt.estimation.inference.identifiability import Confounded, Identifiability
 from hydroopt.estimation.inference.posterior import Posterior
 from hydroopt.parameters.dynamic import bodies, carried
@@ -47,7 +47,7 @@ class Estimate:
         active: names of all constraints that hold the most probable parameters.
         structure: identifiability under ideal motion; `seen` under the motion of the training data.
         base_value, base_std: (r,) of the base parameters of `seen`.
-        evidence: what the data said, as the estimator was told: weights and the information on ψ.
+        weighted_residuals: the weights of the residuals, and the information about ψ that they carry.
         confounded: parameters the motion cannot tell apart, though the model could.
         notes: what was done, in plain words.
         posterior: samples of the parameters, where intervals were sampled.
@@ -65,7 +65,7 @@ class Estimate:
     seen: Identifiability
     base_value: Array
     base_std: Array
-    evidence: Evidence
+    weighted_residuals: WeightedResiduals
     confounded: tuple[Confounded, ...]
     notes: tuple[str, ...]
     seed: int = 0
@@ -75,12 +75,12 @@ class Estimate:
     @property
     def sigma(self) -> Array:
         """Weights used (n,): standard deviation of each actuator's residual."""
-        return self.evidence.sigma
+        return self.weighted_residuals.sigma
 
     @property
     def correlation_time(self) -> Array:
         """How many samples in a row the residuals of each actuator repeat themselves (n,); 1 is white noise."""
-        return self.evidence.correlation_time
+        return self.weighted_residuals.correlation_time
 
     @cached_property
     def total_masses(self) -> tuple[TotalMass, ...]:
@@ -118,8 +118,8 @@ class Estimate:
         sets = {"train": self.problem.experiments, "validation": self.problem.validation}
         return {name: self._fit(data, self.predictions[name]) for name, data in sets.items() if data}
 
-    def _fit(self, data: tuple[Experiment | Recording, ...], predicted: list[Array]) -> dict[str, Fit]:
-        moments = sum((e.moments(self.psi) if isinstance(e, Recording) else _moments(e, p)
+    def _fit(self, data: tuple[Experiment | StreamedExperiment, ...], predicted: list[Array]) -> dict[str, Fit]:
+        moments = sum((e.moments(self.psi) if isinstance(e, StreamedExperiment) else _moments(e, p)
                        for e, p in zip(data, predicted, strict=True)), np.zeros((5, len(self.sigma))))
         units = self.problem.model.force_units
         table = {actuator.name: _fit_of(moments[:, k], units[k])

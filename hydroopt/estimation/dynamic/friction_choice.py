@@ -19,8 +19,8 @@ from hydroopt.estimation.dynamic.identify import Method, identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.dynamic.regressor_qr import compress
 from hydroopt.estimation.dynamic.streamed_experiment import in_memory, logs_in_memory
-from hydroopt.estimation.inference.identifiability import random_states
-from hydroopt.estimation.inference.least_squares import RANK_TOLERANCE, base_least_squares
+from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, random_states
+from hydroopt.estimation.inference.least_squares import base_least_squares
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.logs.stream import LogStream

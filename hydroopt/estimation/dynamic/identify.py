@@ -10,13 +10,12 @@ from threadpoolctl import threadpool_limits
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
-from hydroopt.estimation.dynamic.weighted_residuals import Evidence, gather, misfit
+from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals, misfit, weighted_residuals
 from hydroopt.estimation.inference import identifiability, nlp, sdp
 from hydroopt.estimation.inference import least_squares as linear
 from hydroopt.estimation.inference import posterior as uncertainty
-from hydroopt.estimation.inference.gaussian import gaussian
-from hydroopt.estimation.inference.identifiability import Identifiability
-from hydroopt.estimation.inference.least_squares import RANK_TOLERANCE
+from hydroopt.estimation.inference.gaussian import gaussian_posterior
+from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, Identifiability
 from hydroopt.estimation.inference.solvers import Certificate
 from hydroopt.parameters.dynamic import SPEED
 from hydroopt.spatial.inertia import Array
@@ -121,10 +120,10 @@ def _solve(problem: IdentificationProblem, method: Method, tolerance: float, rid
 
 def _misfit(estimate: Estimate, psi: Array) -> float:
     """What an estimate's method minimises, weighted as it was, at ψ (p,) and without linearisation."""
-    evidence, total = estimate.evidence, 0.0
+    weighted, total = estimate.weighted_residuals, 0.0
     if estimate.method not in _LINEAR:
-        total += evidence.problem.prior_misfit(psi)
-    return total + misfit(evidence, psi)
+        total += weighted.problem.prior_misfit(psi)
+    return total + misfit(weighted, psi)
 
 
 def _solve_at(problem: IdentificationProblem, point: Array, method: Method, tolerance: float, ridge: float | None,
@@ -137,19 +136,19 @@ def _solve_at(problem: IdentificationProblem, point: Array, method: Method, tole
         psi, _, seen = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
         return linear.nearest(problem.parameters, seen, psi)
 
-    def constrained(R: Array, r: Array) -> sdp.Solution:
-        belief = gaussian(problem, R, r)
-        return (nlp.interior_point(problem, belief) if method == "nlp"
-                else sdp.semidefinite_program(problem, belief, consistent=method == "sdp" and problem.consistent))
+    def constrained(R: Array, r: Array) -> sdp.Optimum:
+        posterior = gaussian_posterior(problem, R, r)
+        return (nlp.interior_point(problem, posterior) if method == "nlp"
+                else sdp.semidefinite_program(problem, posterior, consistent=method == "sdp" and problem.consistent))
 
-    evidence = gather(problem, tolerance, least_squares if method in _LINEAR else lambda R, r: constrained(R, r).psi,
-                      point)
-    psi, _, seen = linear.base_least_squares(evidence.R, evidence.r, problem.parameters.names, tolerance)
-    _trust(evidence.R, evidence.r, psi, seen, where)
+    weighted = weighted_residuals(
+        problem, tolerance, least_squares if method in _LINEAR else lambda R, r: constrained(R, r).psi, point)
+    psi, _, seen = linear.base_least_squares(weighted.R, weighted.r, problem.parameters.names, tolerance)
+    _trust(weighted.R, weighted.r, psi, seen, where)
     if method in _LINEAR:
-        return _linear_estimate(evidence, method, tolerance, ridge)
-    solution = constrained(evidence.R, evidence.r)
-    return _constrained_estimate(evidence, method, solution, seen, tolerance, intervals, seed)
+        return _linear_estimate(weighted, method, tolerance, ridge)
+    solution = constrained(weighted.R, weighted.r)
+    return _constrained_estimate(weighted, method, solution, seen, tolerance, intervals, seed)
 
 
 def _trust(R: Array, r: Array, psi: Array, seen: Identifiability, where: str) -> None:
@@ -166,8 +165,8 @@ def _trust(R: Array, r: Array, psi: Array, seen: Identifiability, where: str) ->
                           remedy="raise the tolerance above rounding errors, e.g. to 1e-9")
 
 
-def _linear_estimate(evidence: Evidence, method: str, tolerance: float, ridge: float | None) -> Estimate:
-    problem, R, r = evidence.problem, evidence.R, evidence.r
+def _linear_estimate(weighted: WeightedResiduals, method: str, tolerance: float, ridge: float | None) -> Estimate:
+    problem, R, r = weighted.problem, weighted.R, weighted.r
     names = problem.parameters.names
     psi, covariance, seen = linear.base_least_squares(R, r, names, tolerance)
     value, std = linear.individual_values(psi, covariance, seen)
@@ -175,7 +174,7 @@ def _linear_estimate(evidence: Evidence, method: str, tolerance: float, ridge: f
     base_std = np.sqrt(np.diag(covariance))
     note = "standard deviations of weighted least squares on base parameters"
     if method == "ridge":
-        psi, strength = linear.ridge(R, r, ridge, rows=evidence.rows, rest=evidence.rest)
+        psi, strength = linear.ridge(R, r, ridge, rows=weighted.rows, rest=weighted.rest)
         note = f"ridge strength {strength:.3g}; a shrunk estimate is biased, so that it has no honest interval"
     elif method == "tsvd":
         psi, kept = linear.truncated_svd(R, r, tolerance)
@@ -184,12 +183,12 @@ def _linear_estimate(evidence: Evidence, method: str, tolerance: float, ridge: f
         value = np.where(np.array(seen.category) == identifiability.FULL, psi, np.nan)
         std, base_std = np.full_like(std, np.nan), np.full_like(base_std, np.nan)
     ci = value[:, None] + 1.959964 * std[:, None] * np.array([-1, 1])
-    return _assemble(evidence, method, psi, value, std, ci, (), seen, base_std, (note,), 0)
+    return _assemble(weighted, method, psi, value, std, ci, (), seen, base_std, (note,), 0)
 
 
-def _constrained_estimate(evidence: Evidence, method: str, solution: sdp.Solution, seen: Identifiability,
+def _constrained_estimate(weighted: WeightedResiduals, method: str, solution: sdp.Optimum, seen: Identifiability,
                           tolerance: float, intervals: bool, seed: int) -> Estimate:
-    problem, R, r = evidence.problem, evidence.R, evidence.r
+    problem, R, r = weighted.problem, weighted.R, weighted.r
     p = len(problem.parameters)
     psi, std, ci = solution.psi, np.full(p, np.nan), np.full((p, 2), np.nan)
     base_std = np.full(seen.rank, np.nan)
@@ -215,7 +214,7 @@ def _constrained_estimate(evidence: Evidence, method: str, solution: sdp.Solutio
     untold = np.array(told.category) != identifiability.FULL
     value = psi.copy()
     value[untold | unseen], std[untold | unseen], ci[untold | unseen] = np.nan, np.nan, np.nan
-    return _assemble(evidence, method, psi, value, std, ci, solution.active, seen, base_std, (note,), seed, posterior)
+    return _assemble(weighted, method, psi, value, std, ci, solution.active, seen, base_std, (note,), seed, posterior)
 
 
 def _nominal_where_unseen(problem: IdentificationProblem, seen: Identifiability, psi: Array) -> Array:
@@ -235,15 +234,15 @@ def _nominal_where_unseen(problem: IdentificationProblem, seen: Identifiability,
     return psi
 
 
-def _assemble(evidence: Evidence, method: str, psi: Array, value: Array, std: Array, ci: Array,
+def _assemble(weighted: WeightedResiduals, method: str, psi: Array, value: Array, std: Array, ci: Array,
               active: tuple[str, ...], seen: Identifiability, base_std: Array, notes: tuple[str, ...],
               seed: int, posterior: uncertainty.Posterior | None = None) -> Estimate:
-    problem = evidence.problem_at(psi)
+    problem = weighted.problem_at(psi)
     bound = [""] * len(problem.parameters)
     for condition in reversed(problem.requirements(consistent=True)):  # of several that hold, the first is named
         for k in np.flatnonzero(np.any(condition.rows, axis=0)) if condition.name in active else ():
             bound[k] = condition.name
     return Estimate(
         problem, method, psi, value, std, ci, tuple(bound), active, identifiability.structural(problem.model), seen,
-        seen.grouping @ psi, base_std, evidence, identifiability.confounded(evidence.R, seen),
-        (*notes, *evidence.notes), seed, posterior)
+        seen.grouping @ psi, base_std, weighted, identifiability.confounded(weighted.R, seen),
+        (*notes, *weighted.notes), seed, posterior)

@@ -13,7 +13,7 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.experiment import Experiment, experiment
 from hydroopt.estimation.dynamic.instruments import instrument
-from hydroopt.estimation.dynamic.streamed_experiment import Recording, in_memory, recording
+from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment, in_memory, streamed_experiment
 from hydroopt.estimation.inference import conditions as physics
 from hydroopt.estimation.inference.conditions import Condition, ScaledBody
 from hydroopt.estimation.inference.constraints import Constraint, Expression, Named, Prior
@@ -54,8 +54,8 @@ class IdentificationProblem:
     """
 
     model: Model
-    experiments: tuple[Experiment | Recording, ...]
-    validation: tuple[Experiment | Recording, ...] = ()
+    experiments: tuple[Experiment | StreamedExperiment, ...]
+    validation: tuple[Experiment | StreamedExperiment, ...] = ()
     force_std: Array = field(default_factory=lambda: np.empty(0))
     reweight: bool = True
     constraints: tuple[Constraint, ...] = ()
@@ -357,6 +357,6 @@ def identification_problem(machine: Machine | Model, logs: Sequence[Log | LogStr
     if not logs:
         raise ProblemError("there is no log to learn from", where="identification", remedy="give at least one")
     model = machine if isinstance(machine, Model) else Model(machine, actuator_inertia=actuator_inertia)
-    train, held_out = ([experiment(model, log, smoothing) if isinstance(log, Log) else recording(model, log, smoothing)
-                        for log in some] for some in (logs, validation))
+    train, held_out = ([experiment(model, log, smoothing) if isinstance(log, Log) else
+                        streamed_experiment(model, log, smoothing) for log in some] for some in (logs, validation))
     return IdentificationProblem(model, tuple(train), tuple(held_out), force_noise(model, logs[0]))

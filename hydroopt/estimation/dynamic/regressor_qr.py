@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.folding import ROWS, Triangles
-from hydroopt.estimation.dynamic.streamed_experiment import Recording
+from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment
 from hydroopt.estimation.inference.identifiability import analyse
 from hydroopt.logs.smoothing import Motion
 from hydroopt.model.model import Model
@@ -62,8 +62,8 @@ def equations(model: Model, data: Experiment, psi: Array | None, rows: slice | N
     return made, data.force[rows] - made[1][:, :, 0] + made[0] @ psi
 
 
-def compress(model: Model, experiments: Sequence[Experiment | Recording], weights: Sequence[Array] | None = None, *,
-             psi: Array | None = None) -> Compressed:
+def compress(model: Model, experiments: Sequence[Experiment | StreamedExperiment],
+             weights: Sequence[Array] | None = None, *, psi: Array | None = None) -> Compressed:
     """Fold experiments, linearised at `psi`, into triangles; `weights` (N, n) for each multiply squared residuals."""
     held = [data for data in experiments if isinstance(data, Experiment)]
     folded = Triangles(model)
@@ -74,7 +74,7 @@ def compress(model: Model, experiments: Sequence[Experiment | Recording], weight
             root = np.sqrt(weights[which][rows])
             folded.fold(K * root[:, :, None], force * root, held[which].moving[rows])
     for data in experiments:
-        if isinstance(data, Recording):
+        if isinstance(data, StreamedExperiment):
             folded.add(data.folded)
     return Compressed(folded.full, folded.samples)
 

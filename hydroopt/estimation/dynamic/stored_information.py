@@ -14,9 +14,9 @@ import numpy as np
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.problem import identification_problem
-from hydroopt.estimation.dynamic.weighted_residuals import gather
-from hydroopt.estimation.inference.gaussian import gaussian
-from hydroopt.estimation.inference.least_squares import RANK_TOLERANCE
+from hydroopt.estimation.dynamic.weighted_residuals import weighted_residuals
+from hydroopt.estimation.inference.gaussian import gaussian_posterior
+from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import Machine
@@ -35,7 +35,8 @@ class Session:
 
     Attributes:
         triangles: one per actuator, weighted by the standard deviation σ (n,) and the correlation time τ (n,) of its
-            residual, so that their rows are independent and of variance 1; or one of all actuators, see `Evidence`.
+            residual, so that their rows are independent and of variance 1; or one of all
+            actuators, see `WeightedResiduals`.
         sigma: (n,) σ [N or N·m].
         times: (n,) τ in samples.
         samples: (n,) that took part.
@@ -73,11 +74,11 @@ def session(model: Model, given: Sequence[Log] | str | Path, smoothing: Smoothin
     if isinstance(given, str | Path):
         return _read(model, Path(given))
     problem = identification_problem(model.machine, given, smoothing=smoothing)
-    evidence = gather(problem, RANK_TOLERANCE, lambda R, r: gaussian(problem, R, r).offset,
+    weighted = weighted_residuals(problem, RANK_TOLERANCE, lambda R, r: gaussian_posterior(problem, R, r).offset,
                       model.parameters.nominal)
     inputs = [{"path": log.path or log.name, "sha256": log.sha256 or None, "samples": len(log.t),
                "first_sample": int(log.sample[0]), "last_sample": int(log.sample[-1])} for log in given]
-    return Session(evidence.triangles, evidence.sigma, evidence.correlation_time, evidence.samples, tuple(inputs))
+    return Session(weighted.triangles, weighted.sigma, weighted.correlation_time, weighted.samples, tuple(inputs))
 
 
 def refuse_repetition(before: Session, after: Session) -> None:

@@ -60,7 +60,7 @@ class Totals:
 
 
 @dataclass(frozen=True, eq=False)
-class Recording:
+class StreamedExperiment:
     """As an `Experiment`, but of a log that is read in pieces, whenever something is asked of it.
 
     One smoothing weight for each joint serves all pieces. It, and how slow counts as standing still, are chosen by a
@@ -240,7 +240,7 @@ class Recording:
         return sums
 
 
-def recording(model: Model, stream: LogStream, smoothing: Smoothing | None = None) -> Recording:
+def streamed_experiment(model: Model, stream: LogStream, smoothing: Smoothing | None = None) -> StreamedExperiment:
     """Make a log ready that is read in pieces; nothing is read yet.
 
     Raises:
@@ -257,10 +257,10 @@ def recording(model: Model, stream: LogStream, smoothing: Smoothing | None = Non
         raise whole(stream, what)
     for channel in sorted(set.union(*channels_used(model, stream)) - set(stream.channels)):
         raise missing(channel, stream.channels, stream.path)
-    return Recording(model, stream, smoothing)
+    return StreamedExperiment(model, stream, smoothing)
 
 
-def in_memory(experiments: Iterable[Experiment | Recording], what: str) -> tuple[Experiment, ...]:
+def in_memory(experiments: Iterable[Experiment | StreamedExperiment], what: str) -> tuple[Experiment, ...]:
     """The experiments, if all of them are in memory.
 
     Raises:
@@ -268,7 +268,7 @@ def in_memory(experiments: Iterable[Experiment | Recording], what: str) -> tuple
     """
     held = []
     for data in experiments:
-        if isinstance(data, Recording):
+        if isinstance(data, StreamedExperiment):
             raise whole(data.stream, what)
         held.append(data)
     return tuple(held)

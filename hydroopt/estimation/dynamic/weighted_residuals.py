@@ -19,10 +19,10 @@ from hydroopt.estimation.dynamic.regressor_qr import (
     predict,
     whitened,
 )
-from hydroopt.estimation.dynamic.streamed_experiment import Recording, in_memory
+from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment, in_memory
 from hydroopt.estimation.inference import least_squares
 from hydroopt.estimation.inference.correlation import correlation_time
-from hydroopt.estimation.inference.gaussian import gaussian
+from hydroopt.estimation.inference.gaussian import gaussian_posterior
 from hydroopt.spatial.inertia import Array
 
 HUBER = 1.345
@@ -32,7 +32,7 @@ MostProbable = Callable[[Array, Array], Array]
 
 
 @dataclass(frozen=True, eq=False)
-class Evidence:
+class WeightedResiduals:
     """``‖R·ψ − r‖² + rest``, the weighted sum of squared residuals, and how these were weighted.
 
     Attributes:
@@ -84,8 +84,8 @@ class Evidence:
         return tuple(said)
 
 
-def gather(problem: IdentificationProblem, tolerance: float, most_probable: MostProbable,
-           point: Array | None = None) -> Evidence:
+def weighted_residuals(problem: IdentificationProblem, tolerance: float, most_probable: MostProbable,
+           point: Array | None = None) -> WeightedResiduals:
     """Weigh residuals and condense them.
 
     Args:
@@ -133,22 +133,22 @@ def gather(problem: IdentificationProblem, tolerance: float, most_probable: Most
     apart = not (problem.fitted_motion or problem.instruments or problem.correlated)
     triangles = (data.triangles / wide[:, None, None] if apart
                  else np.block([[R, r[:, None]], [np.zeros((1, len(r))), np.full((1, 1), np.sqrt(rest))]])[None])
-    return Evidence(problem, R, r, rest, data.samples, triangles, sigma, correlation, times, fit)
+    return WeightedResiduals(problem, R, r, rest, data.samples, triangles, sigma, correlation, times, fit)
 
 
-def misfit(evidence: Evidence, psi: Array) -> float:
-    """The loss of all residuals of forces at ψ (p,), weighted as the evidence is but without linearisation."""
-    problem, total = evidence.problem, 0.0
-    wide = evidence.sigma * np.sqrt(evidence.correlation_time)
+def misfit(weighted: WeightedResiduals, psi: Array) -> float:
+    """The loss of all residuals of forces at ψ (p,), weighted in the same way but without linearisation."""
+    problem, total = weighted.problem, 0.0
+    wide = weighted.sigma * np.sqrt(weighted.correlation_time)
     for residual, data in zip(_residuals(problem, psi), _held(problem), strict=True):
         taken = data.inside[:, None] & data.moving
         if problem.loss == "squares":
-            total += float(np.sum(whitened(residual[:, :, None], taken, _covariance(evidence.correlation, wide)) ** 2))
+            total += float(np.sum(whitened(residual[:, :, None], taken, _covariance(weighted.correlation, wide)) ** 2))
             continue
-        u = np.abs(np.where(taken, residual, 0.0)) / evidence.sigma
+        u = np.abs(np.where(taken, residual, 0.0)) / weighted.sigma
         loss = np.where(u < HUBER, u**2, 2 * HUBER * u - HUBER**2) if problem.loss == "huber" else (
             5 * np.log1p(u**2 / 4))
-        total += float(np.sum(loss / evidence.correlation_time))
+        total += float(np.sum(loss / weighted.correlation_time))
     return total
 
 
@@ -186,7 +186,7 @@ def _robust(problem: IdentificationProblem, data: Compressed, sigma: Array, poin
     psi = np.full(len(problem.parameters), np.inf)
     for _ in range(20):
         R, r, _ = data.weighted(sigma)
-        before, psi = psi, gaussian(problem, R, r).offset
+        before, psi = psi, gaussian_posterior(problem, R, r).offset
         residuals = _residuals(problem, psi)
         if problem.reweight:
             taken = np.concatenate(_taken(problem, residuals))
@@ -248,7 +248,7 @@ def _correlation_times(problem: IdentificationProblem, psi: Array) -> Array:
     """Correlation time of each actuator's residuals (n,), in samples; the logs weigh by their lengths."""
     times, weights = [], []
     for data in problem.experiments:
-        if isinstance(data, Recording):
+        if isinstance(data, StreamedExperiment):
             times.append(data.correlation_times(psi).tolist())
             weights.append(np.maximum(data.folded.samples, 1e-9))
             continue

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.estimation.hydraulic.dynamics import Dynamics, Record, ShootingProblem
+from hydroopt.estimation.inference.identifiability import PREDICTED_TOLERANCE, significant
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import measured_angles, reading
 from hydroopt.logs.smoothing import SmoothingSpline, condition
@@ -35,8 +36,6 @@ LONGEST = 0.01
 a standard deviation."""
 RANDOM = 200
 """States at which forces are looked at to tell what of bodies they show."""
-SHOWN = 1e-9
-"""Singular value, relative to the largest, of what counts as shown."""
 AT_WORST = 3.0
 """How many of its σ a dead band may be smaller than stated, before a command counts as never leaving it."""
 
@@ -193,7 +192,7 @@ def _shown(model: Model) -> Array:
     extra = [np.zeros((RANDOM, len(lower)))] if model.needs_pressure else []
     K = model.over(model.regressor, *states, *extra)[0].reshape(-1, len(parameters))[:, bodies]
     _, size, directions = np.linalg.svd(K @ root, full_matrices=False)
-    slope = np.zeros((len(parameters), int(np.sum(size > SHOWN * size[0]))))
+    slope = np.zeros((len(parameters), int(np.sum(significant(size, PREDICTED_TOLERANCE)))))
     slope[bodies] = root @ directions[: slope.shape[1]].T
     return slope
 

@@ -24,6 +24,7 @@ from hydroopt.estimation.hydraulic.collocation import Linearised, Program
 from hydroopt.estimation.hydraulic.dynamics import POINTS, Record, ShootingProblem, free_run
 from hydroopt.estimation.inference import solvers
 from hydroopt.estimation.inference.correlation import correlation_time
+from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE, significant
 from hydroopt.spatial.inertia import Array
 
 PATIENCE, NEAR = 60, 0.1
@@ -33,8 +34,6 @@ ASTRAY = 3.0
 """How many times the stated errors must be exceeded for another start to be tried."""
 ROUGHLY = 1e-6
 """Error of the steps of a simulation to start from."""
-TRACE = 1e-12
-"""Singular value, relative to the largest, up to which first states leave no trace in the readings."""
 UNKNOWN = 0.5
 """Part of the prior's information below which the data's counts as telling less than the prior."""
 SHARE = 0.3
@@ -231,7 +230,7 @@ class ShootingEstimate:
 def _without(columns: Array, rows: Array) -> Array:
     """Rows (m, ·) less what columns (m, f) can explain; columns that leave no trace explain nothing."""
     basis, size, _ = np.linalg.svd(columns, full_matrices=False)
-    basis = basis[:, size > TRACE * size.max(initial=0.0)]
+    basis = basis[:, significant(size, ROUNDING_TOLERANCE)]
     return np.asarray(rows - basis @ (basis.T @ rows))
 
 

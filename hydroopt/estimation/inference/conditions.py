@@ -46,13 +46,13 @@ class Condition:
     rows: Array
     right: Array
 
-    def at(self, psi: Array) -> Array:
+    def evaluate(self, psi: Array) -> Array:
         """The values (k,) that are to be zero, non-negative, or a matrix."""
         return self.rows @ psi - self.right
 
     def margin(self, psi: Array) -> float:
         """How far ψ is inside: the smallest value or eigenvalue, or minus the largest deviation from zero."""
-        value = self.at(psi)
+        value = self.evaluate(psi)
         if self.kind == "zero":
             return -float(np.max(np.abs(value), initial=0.0))
         return float(np.min(value if self.kind == "nonnegative" else np.linalg.eigvalsh(square(value)), initial=np.inf))

@@ -17,7 +17,7 @@ WIDEST = 1e6
 
 
 @dataclass(frozen=True, eq=False)
-class Gaussian:
+class GaussianPosterior:
     """ψ = offset + slope·z with independent standard normal z (k,); the constrained estimate minimises ‖z‖².
 
     The columns of `slope` (p, k) are the principal axes, from what the data know best to what only the priors know, so
@@ -32,7 +32,7 @@ class Gaussian:
     root: Array
     right: Array
 
-    def on(self, conditions: Sequence[Condition]) -> Gaussian | None:
+    def conditioned_on(self, conditions: Sequence[Condition]) -> GaussianPosterior | None:
         """The Gaussian where those conditions hold that are equalities; None if these contradict each other.
 
         They may repeat themselves.
@@ -44,7 +44,7 @@ class Gaussian:
         if not exact:
             return self
         E = np.vstack([c.rows for c in exact]) @ self.slope
-        e = -np.concatenate([c.at(self.offset) for c in exact])
+        e = -np.concatenate([c.evaluate(self.offset) for c in exact])
         size = np.maximum(np.linalg.norm(E, axis=1), 1e-300)
         E, e = E / size[:, None], e / size
         U, s, Vt = np.linalg.svd(E, full_matrices=True)
@@ -57,11 +57,11 @@ class Gaussian:
             raise ProblemError("every parameter is held, and nothing is left to identify", where=exact[-1].name,
                                remedy="hold fewer")
         free = Vt[rank:].T
-        return Gaussian(self.offset + self.slope @ nearest, self.slope @ free, self.root @ free,
+        return GaussianPosterior(self.offset + self.slope @ nearest, self.slope @ free, self.root @ free,
                         self.right - self.root @ nearest)
 
 
-def gaussian(problem: InferenceProblem, R: Array, r: Array) -> Gaussian:
+def gaussian_posterior(problem: InferenceProblem, R: Array, r: Array) -> GaussianPosterior:
     """The Gaussian ``exp(−½‖R·ψ − r‖²)`` times the priors."""
     nominal, scale = problem.parameters.nominal, problem.parameters.scale
     p = len(nominal)
@@ -78,4 +78,4 @@ def gaussian(problem: InferenceProblem, R: Array, r: Array) -> Gaussian:
         A, b = stacked(*problem.square_rows)
         triangle = np.asarray(np.linalg.qr(np.column_stack([A @ slope, b - A @ mean]), mode="r"))
         root, rest = triangle[:p, :p], triangle[:p, p]
-    return Gaussian(nominal + scale * mean, scale[:, None] * slope, root, rest)
+    return GaussianPosterior(nominal + scale * mean, scale[:, None] * slope, root, rest)

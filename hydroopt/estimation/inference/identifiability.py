@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import svd
 
 from hydroopt.model.model import Model
@@ -13,6 +14,26 @@ from hydroopt.spatial.inertia import Array
 
 FULL, COMBINATION, NONE = "full", "combination", "none"
 """A parameter is identifiable alone, only together with others, or not at all."""
+
+RANK_TOLERANCE = 1e-7
+"""Singular value of a measured regressor with columns of unit length, relative to the largest, below which its
+direction is not identifiable."""
+
+STRUCTURAL_TOLERANCE = 1e-8
+"""The same of a regressor without measurement errors: at random states, or of instruments."""
+
+PREDICTED_TOLERANCE = 1e-9
+"""The same of rows that are predicted or linearised about exact states, and whose columns have priors as units."""
+
+INFORMATION_TOLERANCE = 1e-10
+"""Eigenvalue of a normalised information matrix, a squared singular value, relative to the largest, below which its
+direction is not identifiable."""
+
+ROUNDING_TOLERANCE = 1e-12
+"""Singular value or column length, relative to the largest, that is a rounding error."""
+
+NULL_SHARE = 1e-6
+"""Part of a parameter's unit vector in the null space below which it is identifiable alone."""
 
 PRESSURES = (1e6, 4e7)
 """Range of the sum of a cylinder's two pressures [Pa] under ideal motion."""
@@ -49,7 +70,18 @@ class Identifiability:
         return " ".join(terms)
 
 
-def analyse(regressor: Array, names: Sequence[str], *, tolerance: float = 1e-8) -> Identifiability:
+def significant(values: Array, tolerance: float) -> NDArray[np.bool_]:
+    """Which singular values or eigenvalues (k,) count: those above `tolerance` times the largest.
+
+    Every rank decision is this one; the tolerances that it takes stand above.
+
+    >>> significant(np.array([5.0, 1e-3, 1e-9]), RANK_TOLERANCE)
+    array([ True,  True, False])
+    """
+    return np.asarray(values > tolerance * np.max(values, initial=0.0))
+
+
+def analyse(regressor: Array, names: Sequence[str], *, tolerance: float = STRUCTURAL_TOLERANCE) -> Identifiability:
     """Rank and base parameters of a regressor.
 
     Args:
@@ -60,11 +92,11 @@ def analyse(regressor: Array, names: Sequence[str], *, tolerance: float = 1e-8) 
     """
     R: Array = np.asarray(np.linalg.qr(regressor, mode="r") if regressor.shape[0] > regressor.shape[1] else regressor)
     lengths = np.linalg.norm(R, axis=0)
-    present = np.flatnonzero(lengths > 1e-12 * max(lengths.max(initial=0.0), 1e-300))
+    present = np.flatnonzero(significant(lengths, ROUNDING_TOLERANCE))
     scaled = R[:, present] / lengths[present]
     singular = np.linalg.svd(scaled, compute_uv=False)
     cut = tolerance * (singular[0] if singular.size else 1.0)
-    rank = int(np.sum(singular > cut))
+    rank = int(np.sum(significant(singular, tolerance)))
     chosen = _first_independent(scaled, rank, cut)
     dependent = [k for k in range(len(present)) if k not in chosen]
     grouping = np.zeros((rank, len(names)))
@@ -74,7 +106,7 @@ def analyse(regressor: Array, names: Sequence[str], *, tolerance: float = 1e-8) 
         weights = np.linalg.lstsq(scaled[:, chosen], scaled[:, dependent], rcond=None)[0]
         weights[np.abs(weights) < max(tolerance, 1e-9)] = 0.0
         grouping[:, present[dependent]] = weights * lengths[present[dependent]] / lengths[basis][:, None]
-    alone = np.abs(_null_space(scaled, rank)).max(axis=1, initial=0.0) < 1e-6
+    alone = np.abs(_null_space(scaled, rank)).max(axis=1, initial=0.0) < NULL_SHARE
     category = np.full(len(names), NONE, dtype=object)
     category[present] = np.where(alone, FULL, COMBINATION)
     condition = float(singular[0] / singular[rank - 1]) if rank else float("inf")
@@ -109,7 +141,8 @@ def _null_space(scaled: Array, rank: int) -> Array:
     return np.asarray(svd(scaled, lapack_driver="gesvd")[2][rank:].T)
 
 
-def structural(model: Model, *, samples: int = 400, seed: int = 0, tolerance: float = 1e-8) -> Identifiability:
+def structural(model: Model, *, samples: int = 400, seed: int = 0,
+               tolerance: float = STRUCTURAL_TOLERANCE) -> Identifiability:
     """Identifiability of a model under ideal motion: random joint states within limits, no noise (Section 4.4.2)."""
     rng = np.random.default_rng(seed)
     states: tuple[Array, ...] = random_states(model, samples, rng)

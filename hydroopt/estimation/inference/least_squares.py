@@ -5,12 +5,9 @@ from __future__ import annotations
 import numpy as np
 from scipy.linalg import svd
 
-from hydroopt.estimation.inference.identifiability import Identifiability, analyse
+from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, Identifiability, analyse, significant
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
-
-RANK_TOLERANCE = 1e-7
-"""Default part of the largest singular value of the scaled regressor below which a direction counts as unseen."""
 
 
 def base_least_squares(R: Array, r: Array, names: tuple[str, ...],
@@ -80,5 +77,5 @@ def truncated_svd(R: Array, r: Array, tolerance: float) -> tuple[Array, int]:
     lengths = np.linalg.norm(R, axis=0)
     lengths[lengths == 0] = 1.0
     U, s, Vt = svd(R / lengths, full_matrices=False, lapack_driver="gesvd")
-    kept = s > tolerance * s[0]
+    kept = significant(s, tolerance)
     return Vt[kept].T @ ((U.T @ r)[kept] / s[kept]) / lengths, int(kept.sum())

@@ -9,13 +9,13 @@ from hydroopt.errors import SolverError
 from hydroopt.estimation.inference import sdp, solvers
 from hydroopt.estimation.inference.conditions import MARGIN, UPPER, square
 from hydroopt.estimation.inference.constraints import Named, as_casadi
-from hydroopt.estimation.inference.gaussian import Gaussian
+from hydroopt.estimation.inference.gaussian import GaussianPosterior
 from hydroopt.estimation.inference.problem import InferenceProblem
-from hydroopt.estimation.inference.sdp import Solution
+from hydroopt.estimation.inference.sdp import Optimum
 from hydroopt.spatial.inertia import Array
 
 
-def interior_point(problem: InferenceProblem, belief: Gaussian) -> Solution:
+def interior_point(problem: InferenceProblem, posterior: GaussianPosterior) -> Optimum:
     """The most probable ψ; matrices stay positive definite because they are Cholesky products.
 
     Raises:
@@ -23,18 +23,18 @@ def interior_point(problem: InferenceProblem, belief: Gaussian) -> Solution:
             other, and the smallest contradicting set is named.
         SolverError: IPOPT failed or its answer failed our check.
     """
-    parameters, whole = problem.parameters, belief
+    parameters, unconstrained = problem.parameters, posterior
     where = problem.where
     conditions = problem.requirements(consistent=problem.consistent)
-    left = whole.on(conditions)
+    left = unconstrained.conditioned_on(conditions)
     if left is None:
-        sdp.refuse_contradiction(problem, whole, consistent=problem.consistent)
+        sdp.refuse_contradiction(problem, unconstrained, consistent=problem.consistent)
         raise SolverError("the equalities contradict each other", where=where, remedy="drop or loosen one of them")
-    belief = left
-    z = ca.SX.sym("z", belief.slope.shape[1])
-    psi = ca.DM(belief.offset) + ca.DM(belief.slope) @ z
-    begin = np.linalg.lstsq(belief.slope / parameters.scale[:, None],
-                            (parameters.nominal - belief.offset) / parameters.scale, rcond=None)[0]
+    posterior = left
+    z = ca.SX.sym("z", posterior.slope.shape[1])
+    psi = ca.DM(posterior.offset) + ca.DM(posterior.slope) @ z
+    begin = np.linalg.lstsq(posterior.slope / parameters.scale[:, None],
+                            (parameters.nominal - posterior.offset) / parameters.scale, rcond=None)[0]
     free = np.full(z.numel(), np.inf)
     unknowns, lows, highs, start = [z], [-free], [free], [begin]
     relations: list[ca.SX] = []
@@ -44,7 +44,7 @@ def interior_point(problem: InferenceProblem, belief: Gaussian) -> Solution:
     for condition in conditions:
         if condition.kind == "zero":
             continue
-        value = ca.DM(condition.at(belief.offset)) + ca.DM(condition.rows @ belief.slope) @ z
+        value = ca.DM(condition.evaluate(posterior.offset)) + ca.DM(condition.rows @ posterior.slope) @ z
         if condition.kind == "semidefinite":
             L, factor = _factor(len(factors))
             value -= (L @ L.T + MARGIN * ca.DM.eye(4))[(UPPER[1] * 4 + UPPER[0]).tolist()]
@@ -52,7 +52,7 @@ def interior_point(problem: InferenceProblem, belief: Gaussian) -> Solution:
             unknowns.append(factor)
             lows.append(np.where(UPPER[0] == UPPER[1], 0.0, -np.inf))
             highs.append(np.full(10, np.inf))
-            start.append(_cholesky(square(condition.at(parameters.nominal))).T[UPPER])
+            start.append(_cholesky(square(condition.evaluate(parameters.nominal))).T[UPPER])
         else:
             names += [(condition.name, len(bounds) + k) for k in range(value.numel())]
         relations.append(value)
@@ -63,7 +63,7 @@ def interior_point(problem: InferenceProblem, belief: Gaussian) -> Solution:
         names.append((constraint.name, len(bounds)))
         relations.append(difference)
         bounds.append((0.0, 0.0) if equal else (-np.inf, 0.0))
-    cost = ca.sumsqr(ca.DM(belief.root) @ z - ca.DM(belief.right))
+    cost = ca.sumsqr(ca.DM(posterior.root) @ z - ca.DM(posterior.right))
     for body in problem.bodies if problem.distance == "log-det" else ():
         L = factors[body.consistency]
         cost += body.weight * (ca.sumsqr(L) - 2 * ca.sum1(ca.log(ca.diag(L))) - 4)
@@ -74,14 +74,14 @@ def interior_point(problem: InferenceProblem, belief: Gaussian) -> Solution:
         answer = solvers.solve_nlp(nlp, np.concatenate(start), np.concatenate(lows), np.concatenate(highs),
                                    g_lower, g_upper, where, names)
     except SolverError:
-        sdp.refuse_contradiction(problem, whole, consistent=problem.consistent)
+        sdp.refuse_contradiction(problem, unconstrained, consistent=problem.consistent)
         raise
-    solution = belief.offset + belief.slope @ answer[: z.numel()]
+    solution = posterior.offset + posterior.slope @ answer[: z.numel()]
     at = np.asarray(ca.Function("g", [nlp["x"]], [g])(answer)).ravel()
     held = {c.name for c in conditions if c.kind == "zero"} | {name for name, k in names if abs(at[k]) < 1e-6}
     held |= {c.name for c in conditions if c.kind == "semidefinite" and c.margin(solution) < 1e-4}
     every = sdp.names_of(problem, consistent=problem.consistent)
-    return Solution(solution, tuple(name for name in every if name in held))
+    return Optimum(solution, tuple(name for name in every if name in held))
 
 
 def _factor(k: int) -> tuple[ca.SX, ca.SX]:

@@ -21,7 +21,7 @@ from hydroopt.estimation.inference import conditions as physics
 from hydroopt.estimation.inference import sdp
 from hydroopt.estimation.inference.conditions import MARGIN, UPPER, Condition
 from hydroopt.estimation.inference.constraints import Named, as_casadi
-from hydroopt.estimation.inference.gaussian import Gaussian, gaussian
+from hydroopt.estimation.inference.gaussian import GaussianPosterior, gaussian_posterior
 from hydroopt.estimation.inference.problem import InferenceProblem
 from hydroopt.spatial.inertia import Array
 
@@ -65,34 +65,36 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
         seed: of the random numbers.
     """
     conditions = problem.requirements(consistent=consistent)
-    wishes = _wishes(problem)
-    if wishes is None:
+    user = _user_constraints(problem)
+    if user is None:
         return None
-    belief = gaussian(problem, R, r).on([*conditions, *wishes.equalities])
-    if belief is None:
+    gaussian = gaussian_posterior(problem, R, r).conditioned_on([*conditions, *user.equalities])
+    if gaussian is None:
         return None
-    limits = _Limits(problem, belief, wishes, conditions)
+    inequalities = _Inequalities(problem, gaussian, user, conditions)
     scale = problem.parameters.scale
     # the start in the Gaussian's coordinates; what leaves the equalities is dropped
-    begin = np.linalg.lstsq(belief.slope / scale[:, None], (psi - belief.offset) / scale, rcond=None)[0].astype(float)
+    slope, target = gaussian.slope / scale[:, None], (psi - gaussian.offset) / scale
+    start = np.linalg.lstsq(slope, target, rcond=None)[0].astype(float)
     for distance in (1e-1, 1e-2, 1e-3):
-        inner = sdp.inner_point(problem, belief, begin, consistent=consistent, margin=1e-3 * distance)
+        inner = sdp.inner_point(problem, gaussian, start, consistent=consistent, margin=1e-3 * distance)
         if inner is None:
             continue
-        state = np.tile(wishes.inwards(inner, belief, distance)[:, None], CHAINS)
-        reach = limits.of(state)
-        height = limits.height(reach, lambda: state)  # noqa: B023 - called at once
-        if np.all(height > -np.inf):
+        state = np.tile(user.inwards(inner, gaussian, distance)[:, None], CHAINS)
+        slack = inequalities.slack(state)
+        log_density = inequalities.log_density(slack, lambda: state)  # noqa: B023 - called at once
+        if np.all(log_density > -np.inf):
             break
     else:
         return None
     rng = np.random.default_rng(seed)
 
     def sweep() -> None:
-        nonlocal state, reach, height
+        nonlocal state, slack, log_density
         order = rng.permutation(len(state))
         for first in range(0, len(order), BLOCK):
-            state, reach, height = _elliptical_step(state, reach, height, order[first : first + BLOCK], limits, rng)
+            block = order[first : first + BLOCK]
+            state, slack, log_density = _elliptical_step(state, slack, log_density, block, inequalities, rng)
 
     settled = False
     for _ in range(ROUNDS):
@@ -109,24 +111,24 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
     for step in range(SWEEPS):
         sweep()
         if step % KEEP_EVERY == 0:
-            kept.append(belief.offset + (belief.slope @ state).T)
+            kept.append(gaussian.offset + (gaussian.slope @ state).T)
     samples = np.concatenate(kept)
-    mean = (samples.mean(axis=0) - belief.offset) / scale
-    centre = np.linalg.lstsq(belief.slope / scale[:, None], mean[:, None], rcond=None)[0]
-    possible = bool(limits.height(limits.of(centre), lambda: centre)[0] > -np.inf)
+    mean = (samples.mean(axis=0) - gaussian.offset) / scale
+    centre = np.linalg.lstsq(gaussian.slope / scale[:, None], mean[:, None], rcond=None)[0]
+    possible = bool(inequalities.log_density(inequalities.slack(centre), lambda: centre)[0] > -np.inf)
     bent = "Gaussian posterior" if problem.distance == "gaussian" else "posterior with log-det distances"
     note = (f"intervals from the {bent} cut off by bounds and constraints: {len(samples)} samples by "
             "elliptical slice sampling" + ("" if settled else ", WHICH HAD NOT SETTLED: do not rely on them"))
     return Posterior(samples, samples.mean(axis=0) if possible else None, note)
 
 
-class _Limits:
+class _Inequalities:
     """All inequalities as functions of the Gaussian's coordinates z; a column each chain.
 
-    The linear ones and the entries of matrices are kept as numbers (m, c) that a step updates cheaply.
+    Their slack (m, c), of the linear ones and of the entries of matrices, is updated cheaply by each step.
     """
 
-    def __init__(self, problem: InferenceProblem, belief: Gaussian, wishes: _Wishes,
+    def __init__(self, problem: InferenceProblem, gaussian: GaussianPosterior, user: _UserConstraints,
                  conditions: Sequence[Condition]) -> None:
         matrices = [c for c in conditions if c.kind == "semidefinite"]
         linear = [c for c in conditions if c.kind == "nonnegative"]
@@ -142,33 +144,34 @@ class _Limits:
         rows = np.vstack([np.zeros((0, p)), *(c.rows for c in matrices)])[order]
         right = np.concatenate([np.zeros(0), *(c.right + MARGIN / 2 * (UPPER[0] == UPPER[1]) for c in matrices)])[order]
         gradient = np.vstack([rows, *(c.rows for c in linear)])
-        self.slope = gradient @ belief.slope
-        self.start = gradient @ belief.offset - np.concatenate([right, *(c.right for c in linear)])
-        self._wishes = wishes
-        self._belief = belief
+        self.slope = gradient @ gaussian.slope
+        self.start = gradient @ gaussian.offset - np.concatenate([right, *(c.right for c in linear)])
+        self._user = user
+        self._gaussian = gaussian
 
-    def of(self, state: Array) -> Array:
-        """The linear functions (m, c) at the states z (k, c)."""
+    def slack(self, state: Array) -> Array:
+        """The linear functions (m, c) of the states z (k, c)."""
         return np.asarray(self.start[:, None] + self.slope @ state)
 
-    def height(self, reach: Array, state: Callable[[], Array]) -> Array:
-        """Logarithm (c,) of the posterior's density relative to the Gaussian's, −∞ where a limit does not hold.
+    def log_density(self, slack: Array, state: Callable[[], Array]) -> Array:
+        """Logarithm (c,) of the posterior's density relative to the Gaussian's, −∞ where an inequality does not hold.
 
-        It is zero inside but for log-det distances, and needs the states only if the user has limits of his own.
+        It is zero inside but for log-det distances; it needs the states only for the user's own inequalities.
         """
-        good: Mask = np.all(reach[10 * self._matrices :] >= 0, axis=0)
-        bend = np.zeros(len(good))
+        good: Mask = np.all(slack[10 * self._matrices :] >= 0, axis=0)
+        correction = np.zeros(len(good))
         if self._matrices:
-            entries = reach[: 10 * self._matrices].reshape(10, self._matrices, -1)
+            entries = slack[: 10 * self._matrices].reshape(10, self._matrices, -1)
             pivots = _pivots(entries)
             good &= np.all(pivots > 0, axis=(0, 1))
             if self._distant.size:
-                bend[good] = self._bend(entries[:, self._distant][..., good], pivots[:, self._distant][..., good])
-        if self._wishes.inequality is not None:
-            good[good] = self._wishes.hold(self._belief.offset + (self._belief.slope @ state()[:, good]).T)
-        return np.where(good, bend, -np.inf)
+                correction[good] = self._log_det_correction(*(part[:, self._distant][..., good]
+                                                              for part in (entries, pivots)))
+        if self._user.inequality is not None:
+            good[good] = self._user.satisfied(self._gaussian.offset + (self._gaussian.slope @ state()[:, good]).T)
+        return np.where(good, correction, -np.inf)
 
-    def _bend(self, entries: Array, pivots: Array) -> Array:
+    def _log_det_correction(self, entries: Array, pivots: Array) -> Array:
         """What log-det distances of the matrices W (10, b, c) weigh beyond the Gaussian that stands in for them."""
         diagonal = UPPER[0] == UPPER[1]
         mean = self._spread[:, None]
@@ -177,16 +180,16 @@ class _Limits:
         return np.asarray(self._weights @ (square / mean / 4 - distance / 2))
 
 
-def _elliptical_step(state: Array, reach: Array, height: Array, block: NDArray[np.intp], limits: _Limits,
-                     rng: np.random.Generator) -> tuple[Array, Array, Array]:
-    """Move a block of coordinates of all chains along random ellipses, shrunk until they are high enough.
+def _elliptical_step(state: Array, slack: Array, log_density: Array, block: NDArray[np.intp],
+                     inequalities: _Inequalities, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+    """Move a block of coordinates of all chains along random ellipses, shrunk until the density is high enough.
 
     A chain that found no place after `TRIES` stays: every number of rejected places is as likely on the way back, so
     that stopping early keeps the distribution, and the slowest chain does not hold up the others.
     """
     chains = state.shape[1]
     other = rng.standard_normal((len(block), chains))
-    # how the bracket shrinks does not depend on the limits: all places to try are known beforehand
+    # how the bracket shrinks does not depend on the inequalities: all places to try are known beforehand
     angles = np.empty((TRIES, chains))
     angles[0] = rng.uniform(0, 2 * np.pi, chains)
     high = angles[0]
@@ -194,23 +197,23 @@ def _elliptical_step(state: Array, reach: Array, height: Array, block: NDArray[n
     for k in range(1, TRIES):
         angles[k] = rng.uniform(low, high)
         low, high = np.where(angles[k] < 0, angles[k], low), np.where(angles[k] < 0, high, angles[k])
-    state, reach, height = state.copy(), reach.copy(), height.copy()
-    floor = height - rng.exponential(size=chains)
+    state, slack, log_density = state.copy(), slack.copy(), log_density.copy()
+    threshold = log_density - rng.exponential(size=chains)
     waiting = np.arange(chains)
     for tries in (angles[:1], angles[1:]):  # most chains are done after one
-        at, here = tries[:, waiting], state[np.ix_(block, waiting)]
-        step = here[:, None] * (np.cos(at) - 1) + other[:, waiting][:, None] * np.sin(at)
+        angle, current = tries[:, waiting], state[np.ix_(block, waiting)]
+        step = current[:, None] * (np.cos(angle) - 1) + other[:, waiting][:, None] * np.sin(angle)
         flat = step.reshape(len(block), -1)
-        linear = np.tile(reach[:, waiting], len(tries)) + limits.slope[:, block] @ flat
-        new = limits.height(linear, partial(_stepped, state, np.tile(waiting, len(tries)), block, flat))
-        good = new.reshape(at.shape) > floor[waiting]
+        linear = np.tile(slack[:, waiting], len(tries)) + inequalities.slope[:, block] @ flat
+        new = inequalities.log_density(linear, partial(_stepped, state, np.tile(waiting, len(tries)), block, flat))
+        good = new.reshape(angle.shape) > threshold[waiting]
         found = np.flatnonzero(good.any(axis=0))
         pick = np.argmax(good[:, found], axis=0) * len(waiting) + found  # the first good one
         state[np.ix_(block, waiting[found])] += flat[:, pick]
-        reach[:, waiting[found]] = linear[:, pick]
-        height[waiting[found]] = new[pick]
+        slack[:, waiting[found]] = linear[:, pick]
+        log_density[waiting[found]] = new[pick]
         waiting = np.delete(waiting, found)
-    return state, reach, height
+    return state, slack, log_density
 
 
 def _stepped(state: Array, chains: NDArray[np.intp], block: NDArray[np.intp], step: Array) -> Array:
@@ -232,33 +235,33 @@ def _pivots(upper: Array) -> Array:
 
 
 @dataclass(frozen=True)
-class _Wishes:
-    """The user's equalities, and his inequalities ``g(ψ) ≤ 0`` with their slopes, if any."""
+class _UserConstraints:
+    """The user's equalities, and inequalities ``g(ψ) ≤ 0`` with their slopes, if any."""
 
     equalities: tuple[Condition, ...]
     inequality: ca.Function | None
     slopes: ca.Function | None
 
-    def hold(self, psi: Array) -> Mask:
+    def satisfied(self, psi: Array) -> Mask:
         """Whether all inequalities hold (s,) at ψ (s, p)."""
         if self.inequality is None or not len(psi):
             return np.ones(len(psi), dtype=bool)
         return np.asarray(np.all(np.asarray(self.inequality(psi.T)) <= 0, axis=0))
 
-    def inwards(self, z: Array, belief: Gaussian, distance: float) -> Array:
+    def inwards(self, z: Array, gaussian: GaussianPosterior, distance: float) -> Array:
         """z (k,) moved until every inequality is `distance` standard deviations from its edge, to first order."""
         if self.inequality is None or self.slopes is None:
             return z
         for i in range(self.inequality.size1_out(0)):
-            psi = belief.offset + belief.slope @ z
-            slope = belief.slope.T @ np.asarray(self.slopes(psi))[i]
+            psi = gaussian.offset + gaussian.slope @ z
+            slope = gaussian.slope.T @ np.asarray(self.slopes(psi))[i]
             size = float(np.linalg.norm(slope)) or 1.0
             excess = float(np.asarray(self.inequality(psi)).ravel()[i]) / size + distance
             z = z - max(excess, 0.0) * slope / size
         return z
 
 
-def _wishes(problem: InferenceProblem) -> _Wishes | None:
+def _user_constraints(problem: InferenceProblem) -> _UserConstraints | None:
     """The user's constraints in a form that can be sampled.
 
     None if one cannot be: a nonlinear equality, or a relation that only cvxpy understands.
@@ -283,7 +286,7 @@ def _wishes(problem: InferenceProblem) -> _Wishes | None:
         equalities.append(physics.equal(constraint.name, parameters, np.asarray(ca.DM(at_zero[0])).ravel(),
                                         -float(at_zero[1])))
     if not insides:
-        return _Wishes(tuple(equalities), None, None)
+        return _UserConstraints(tuple(equalities), None, None)
     g = ca.vertcat(*insides)
-    return _Wishes(tuple(equalities), ca.Function("inequality", [psi], [g]),
+    return _UserConstraints(tuple(equalities), ca.Function("inequality", [psi], [g]),
                    ca.Function("slopes", [psi], [ca.densify(ca.jacobian(g, psi))]))

@@ -13,7 +13,7 @@ from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.inference import solvers
 from hydroopt.estimation.inference.conditions import MARGIN, Condition, square
 from hydroopt.estimation.inference.constraints import Named, no_relation
-from hydroopt.estimation.inference.gaussian import Gaussian
+from hydroopt.estimation.inference.gaussian import GaussianPosterior
 from hydroopt.estimation.inference.problem import InferenceProblem
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
@@ -22,14 +22,14 @@ NamedConstraints = list[tuple[str, list[Any]]]
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class Optimum:
     """ψ (p,) and the names of the constraints that hold it back."""
 
     psi: Array
     active: tuple[str, ...]
 
 
-def semidefinite_program(problem: InferenceProblem, belief: Gaussian, *, consistent: bool) -> Solution:
+def semidefinite_program(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool) -> Optimum:
     """The most probable ψ under bounds, constraints and, if asked, physical consistency.
 
     Raises:
@@ -37,33 +37,33 @@ def semidefinite_program(problem: InferenceProblem, belief: Gaussian, *, consist
         SolverError: the solver's answer is not to be trusted.
     """
     where = problem.where
-    whole, left = belief, belief.on(problem.requirements(consistent=consistent))
+    unconstrained, left = posterior, posterior.conditioned_on(problem.requirements(consistent=consistent))
     if left is None:
-        raise _contradiction(problem, whole, consistent=consistent)
-    belief, z = left, cp.Variable(left.slope.shape[1])
-    named = constraints_of(problem, belief, z, consistent=consistent)
+        raise _contradiction(problem, unconstrained, consistent=consistent)
+    posterior, z = left, cp.Variable(left.slope.shape[1])
+    named = constraints_of(problem, posterior, z, consistent=consistent)
     everything = [c for _, group in named for c in group]
     names = names_of(problem, consistent=consistent)
     held = {c.name for c in problem.requirements(consistent=consistent) if c.kind == "zero"}
     z.value = np.zeros(z.shape)
     if not _distant(problem) and all(np.all(c.violation() <= 0) for c in everything):
         # the least possible ‖z‖, without a solver's rounding
-        return Solution(belief.offset, tuple(name for name in names if name in held))
+        return Optimum(posterior.offset, tuple(name for name in names if name in held))
     cost = cp.sum_squares(z) if not _distant(problem) else (
-        cp.sum_squares(belief.root @ z - belief.right) + sum(_distances(problem, belief, z)))
+        cp.sum_squares(posterior.root @ z - posterior.right) + sum(_distances(problem, posterior, z)))
     program = cp.Problem(cp.Minimize(cost), everything)
     if not solvers.solve_convex(program, where):
-        raise _contradiction(problem, whole, consistent=consistent)
+        raise _contradiction(problem, unconstrained, consistent=consistent)
     value = np.asarray(z.value, dtype=float)
-    psi = belief.offset + belief.slope @ value
-    solvers.certify_convex(z, _gradient(problem, belief, value), everything).trust(where)
+    psi = posterior.offset + posterior.slope @ value
+    solvers.certify_convex(z, _gradient(problem, posterior, value), everything).trust(where)
     for body in problem.bodies if consistent else ():
         smallest = np.linalg.eigvalsh(body.pseudo_inertia(psi[body.columns]))[0]
         if smallest <= 0:
             raise SolverError(f"the body '{body.owner}' came out impossible (eigenvalue {smallest:.1e})", where=where,
                               remedy="widen its prior or the constraints on it")
     held |= {name for name, group in named if _is_active(group)}
-    return Solution(psi, tuple(name for name in names if name in held))
+    return Optimum(psi, tuple(name for name in names if name in held))
 
 
 def names_of(problem: InferenceProblem, *, consistent: bool) -> tuple[str, ...]:
@@ -72,14 +72,14 @@ def names_of(problem: InferenceProblem, *, consistent: bool) -> tuple[str, ...]:
     return tuple(dict.fromkeys([c.name for c in conditions] + [c.name for c in problem.constraints]))
 
 
-def constraints_of(problem: InferenceProblem, belief: Gaussian, z: cp.Variable, *, consistent: bool,
+def constraints_of(problem: InferenceProblem, posterior: GaussianPosterior, z: cp.Variable, *, consistent: bool,
                    without: Collection[str] = ()) -> NamedConstraints:
     """Constraints by name but some, in terms of the Gaussian's coordinates z, which hold equalities by themselves."""
     named: dict[str, list[Any]] = {}
     for condition in problem.requirements(consistent=consistent):
         if condition.kind != "zero" and condition.name not in without:
-            named.setdefault(condition.name, []).append(_constraint(condition, belief, z))
-    view = Named(problem.parameters, lambda k: belief.offset[k] + belief.slope[k] @ z)
+            named.setdefault(condition.name, []).append(_constraint(condition, posterior, z))
+    view = Named(problem.parameters, lambda k: posterior.offset[k] + posterior.slope[k] @ z)
     for constraint in problem.constraints:
         if constraint.name in without:
             continue
@@ -90,29 +90,29 @@ def constraints_of(problem: InferenceProblem, belief: Gaussian, z: cp.Variable, 
     return list(named.items())
 
 
-def refuse_contradiction(problem: InferenceProblem, belief: Gaussian, *, consistent: bool) -> None:
+def refuse_contradiction(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool) -> None:
     """Name what cannot hold together, for a solver that could not; nothing if a constraint is not convex.
 
     Raises:
         ProblemError: constraints contradict each other; the smallest contradicting set is named.
     """
     try:
-        named = constraints_of(problem, belief, cp.Variable(belief.slope.shape[1]), consistent=consistent)
+        named = constraints_of(problem, posterior, cp.Variable(posterior.slope.shape[1]), consistent=consistent)
     except ProblemError:  # one that only CasADi understands
         return
     convex = all(c.is_dcp() for _, group in named for c in group)
-    if convex and not _compatible(problem, belief, consistent=consistent):
-        raise _contradiction(problem, belief, consistent=consistent)
+    if convex and not _compatible(problem, posterior, consistent=consistent):
+        raise _contradiction(problem, posterior, consistent=consistent)
 
 
-def inner_point(problem: InferenceProblem, belief: Gaussian, z: Array, *, consistent: bool,
+def inner_point(problem: InferenceProblem, posterior: GaussianPosterior, z: Array, *, consistent: bool,
                 margin: float) -> Array | None:
     """The point (k,) nearest to z that fulfils every inequality and matrix with a margin; None if none is found.
 
     The user's own constraints are not asked.
     """
     moved = cp.Variable(len(z))
-    inequalities = [_constraint(condition, belief, moved, margin)
+    inequalities = [_constraint(condition, posterior, moved, margin)
                     for condition in problem.requirements(consistent=consistent) if condition.kind != "zero"]
     program = cp.Problem(cp.Minimize(cp.sum_squares(moved - z)), inequalities)
     try:
@@ -122,8 +122,8 @@ def inner_point(problem: InferenceProblem, belief: Gaussian, z: Array, *, consis
     return np.asarray(moved.value, dtype=float) if found else None
 
 
-def _constraint(condition: Condition, belief: Gaussian, z: cp.Variable, margin: float = 0.0) -> Any:
-    at_mean, slope = condition.at(belief.offset), condition.rows @ belief.slope
+def _constraint(condition: Condition, posterior: GaussianPosterior, z: cp.Variable, margin: float = 0.0) -> Any:
+    at_mean, slope = condition.evaluate(posterior.offset), condition.rows @ posterior.slope
     if condition.kind == "semidefinite":
         return _matrix(at_mean, slope, z) - (MARGIN + margin) * np.eye(4) >> 0
     return slope @ z >= margin - at_mean
@@ -140,21 +140,21 @@ def _distant(problem: InferenceProblem) -> bool:
     return problem.distance == "log-det"
 
 
-def _distances(problem: InferenceProblem, belief: Gaussian, z: cp.Variable) -> list[Any]:
+def _distances(problem: InferenceProblem, posterior: GaussianPosterior, z: cp.Variable) -> list[Any]:
     found = []
     for body in problem.bodies:
-        W = _matrix(body.basis @ belief.offset[body.columns], body.basis @ belief.slope[body.columns], z)
+        W = _matrix(body.basis @ posterior.offset[body.columns], body.basis @ posterior.slope[body.columns], z)
         found.append(body.weight * (cp.trace(W) - cp.log_det(W) - 4))
     return found
 
 
-def _gradient(problem: InferenceProblem, belief: Gaussian, z: Array) -> Array:
+def _gradient(problem: InferenceProblem, posterior: GaussianPosterior, z: Array) -> Array:
     """Gradient (k,) of the cost, for a check that does not ask cvxpy."""
-    gradient: Array = 2 * belief.root.T @ (belief.root @ z - belief.right)
+    gradient: Array = 2 * posterior.root.T @ (posterior.root @ z - posterior.right)
     for body in problem.bodies if _distant(problem) else ():
-        J = inertia.pseudo_inertia((belief.offset + belief.slope @ z)[body.columns])
+        J = inertia.pseudo_inertia((posterior.offset + posterior.slope @ z)[body.columns])
         along = body.scaling.T @ body.scaling - np.linalg.inv(J)
-        gradient += body.weight * belief.slope[body.columns].T @ np.einsum("kij,ji", inertia.PSEUDO_BASIS, along)
+        gradient += body.weight * posterior.slope[body.columns].T @ np.einsum("kij,ji", inertia.PSEUDO_BASIS, along)
     return gradient
 
 
@@ -162,9 +162,9 @@ def _is_active(group: Sequence[Any]) -> bool:
     return any(np.max(np.abs(np.asarray(c.dual_value, dtype=float))) > 1e-6 for c in group)
 
 
-def _compatible(problem: InferenceProblem, belief: Gaussian, *, consistent: bool,
+def _compatible(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool,
                 without: Collection[str] = ()) -> bool:
-    left = belief.on([c for c in problem.requirements(consistent=consistent) if c.name not in without])
+    left = posterior.conditioned_on([c for c in problem.requirements(consistent=consistent) if c.name not in without])
     if left is None:
         return False
     z = cp.Variable(left.slope.shape[1])
@@ -173,11 +173,11 @@ def _compatible(problem: InferenceProblem, belief: Gaussian, *, consistent: bool
     return solvers.solve_convex(program, problem.where)
 
 
-def _contradiction(problem: InferenceProblem, belief: Gaussian, *, consistent: bool) -> ProblemError:
+def _contradiction(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool) -> ProblemError:
     """A smallest set of constraints that cannot hold together: leave out one after the other what is not needed."""
     names, without = names_of(problem, consistent=consistent), set[str]()
     for name in names:
-        if not _compatible(problem, belief, consistent=consistent, without=without | {name}):
+        if not _compatible(problem, posterior, consistent=consistent, without=without | {name}):
             without.add(name)
     return ProblemError(f"these cannot hold together: {'; '.join(n for n in names if n not in without)}",
                         where=problem.where, remedy="drop or loosen one of them")

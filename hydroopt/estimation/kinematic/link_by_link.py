@@ -22,6 +22,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
+from hydroopt.estimation.inference.identifiability import PREDICTED_TOLERANCE, significant
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.spatial.inertia import Array
 
@@ -35,8 +36,6 @@ STEPS = 100
 """Iterations after which a part p counts as converged."""
 STIFFEST = 1e6
 """Damping, relative to the largest singular value squared, at which a step that still climbs is given up."""
-UNSEEN = 1e-9
-"""Singular value, relative to the largest, below which a combination of parameters is not identified."""
 TOUCHED = 1e-6
 """Part of a parameter's unit vector in the unseen space from which on it counts as not identified."""
 EXACT_WEIGHT = 100.0
@@ -252,7 +251,7 @@ def _minimise(rows: Rows, x: Array, unknown: NDArray[np.intp], scale: Array) -> 
             break
         p, rank = p / 10, len(s)
     _, s, vt = np.linalg.svd(jacobian[:, unknown] * scale[unknown])
-    unseen = vt[int(np.sum(s > UNSEEN * s.max(initial=0.0))) :]
+    unseen = vt[int(np.sum(significant(s, PREDICTED_TOLERANCE))) :]
     identified = unknown[np.linalg.norm(unseen, axis=0) < TOUCHED]
     return x, identified, iterations, float(np.sqrt(square / len(residual)))
 

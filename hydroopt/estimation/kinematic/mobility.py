@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from hydroopt.errors import ProblemError
+from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
 from hydroopt.estimation.kinematic.observability import Linearised, linearise, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.logs.poses import joined
@@ -25,8 +26,6 @@ from hydroopt.spatial.inertia import Array
 
 BALL = 3
 """Freedoms of a ball joint, none of them sensed."""
-RANK = 1e-7
-"""Singular value or column, relative to the largest, that counts as zero."""
 PLAY = 1e-3
 """Standard deviation [m] that every row is given at least: where too few joints are sensed nothing else weighs it."""
 TRIES = 20
@@ -224,7 +223,7 @@ class _Visit:
     def rank(self, joints: Sequence[int], rows: Sequence[int]) -> int:
         """Number of independent directions in which some joints change some rows, in general postures."""
         part = self.by_q[np.ix_(range(len(self.q)), rows, joints)]
-        return int(np.linalg.matrix_rank(part, rtol=RANK).max()) if part.size else 0
+        return int(np.linalg.matrix_rank(part, rtol=RANK_TOLERANCE).max()) if part.size else 0
 
     @property
     def rank_mobility(self) -> int | None:
@@ -274,7 +273,7 @@ class _Visit:
         q[:, joints] = self._random(30, np.random.default_rng(0))[:, joints]
         tip = self.model.over(self.model.tip, self.model.parameters.nominal, q)[0][:, :, 0]
         size = np.linalg.svd(tip - tip.mean(axis=0), compute_uv=False)
-        return bool(size[2] <= RANK * size[0])
+        return bool(size[2] <= RANK_TOLERANCE * size[0])
 
 
 class _Survey:
@@ -328,14 +327,15 @@ class _Survey:
         rows = np.vstack([self.linear.jacobian.reshape(-1, len(own)), self.linear.shared])
         trace = rows @ grown
         trace = trace - rows[:, follow] @ np.linalg.lstsq(rows[:, follow], trace, rcond=None)[0]
-        return bool(np.linalg.norm(trace) > RANK * np.linalg.norm(np.abs(rows) @ np.abs(grown)))
+        return bool(np.linalg.norm(trace) > RANK_TOLERANCE * np.linalg.norm(np.abs(rows) @ np.abs(grown)))
 
 
 def _told(problem: CalibrationProblem, linear: Linearised, hidden: Collection[str] = ()) -> Told:
     """What is told; parameters that are `hidden` are free but named only where they obscure a single one."""
     # what projections leave of a column that should vanish is rounding, and would count as a trace
     size = np.sqrt(np.sum(linear.jacobian**2, axis=(0, 1))) * problem.parameters.scale
-    seen = observability(problem, replace(linear, jacobian=np.where(size > RANK * size.max(), linear.jacobian, 0.0)))
+    significant = np.where(size > RANK_TOLERANCE * size.max(), linear.jacobian, 0.0)
+    seen = observability(problem, replace(linear, jacobian=significant))
     full, none = (tuple(name for name, category in zip(seen.names, seen.category, strict=True)
                         if category == wanted and name not in hidden) for wanted in ("full", "none"))
     shown = [tuple(name for name in group if name not in hidden) for group in seen.combinations]

@@ -14,12 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
+from hydroopt.estimation.inference.identifiability import INFORMATION_TOLERANCE, significant
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.spatial.inertia import Array
 
-UNSEEN = 1e-10
-"""Eigenvalue of the normalised information, relative to the largest, below which a combination is not identifiable."""
 ROUNDING = 1e-7
 """Size of a scaled column, relative to the largest, that is rounding only."""
 SHARE = 1e-5
@@ -127,7 +126,7 @@ class Observability:
     def unseen(self) -> Array:
         """(f, k) orthonormal directions, in units of `scale`, that leave no trace in the data."""
         size, values, vectors = self._normalised
-        away = vectors[:, values < UNSEEN * max(values[-1], 1e-300)] / (size * self.scale)[:, None]
+        away = vectors[:, ~significant(values, INFORMATION_TOLERANCE)] / (size * self.scale)[:, None]
         return np.linalg.qr(away)[0] if away.shape[1] else away
 
     @cached_property
@@ -157,7 +156,7 @@ class Observability:
         total = self.information + self.prior
         size = np.sqrt(np.maximum(np.diag(total), 1e-300))
         values, vectors = np.linalg.eigh(total / np.outer(size, size))
-        good = values > UNSEEN * values[-1]
+        good = significant(values, INFORMATION_TOLERANCE)
         half = vectors[:, good] / np.sqrt(values[good]) / size[:, None]
         covariance: Array = half @ half.T
         lost = np.linalg.norm(vectors[:, ~good], axis=1) > SHARE

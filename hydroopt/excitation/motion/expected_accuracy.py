@@ -19,7 +19,7 @@ from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.estimation.dynamic.regressor_qr import compress
 from hydroopt.estimation.dynamic.streamed_experiment import in_memory
-from hydroopt.estimation.inference.identifiability import Identifiability
+from hydroopt.estimation.inference.identifiability import PREDICTED_TOLERANCE, Identifiability, significant
 from hydroopt.excitation.criteria import presumed_noise
 from hydroopt.logs import spline
 from hydroopt.logs.log import Log
@@ -29,9 +29,6 @@ from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import Trajectory, simulate
 from hydroopt.spatial.inertia import Array
-
-UNSEEN = 1e-9
-"""Part of the greatest singular value of the scaled regressor below which a direction counts as unseen."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,7 +119,7 @@ class _Told:
         self.unit = np.where(lengths > 0, lengths, 1.0)
         _, s, self.axes = np.linalg.svd(np.linalg.qr(root / self.unit, mode="r"), full_matrices=True)
         self.seen = np.zeros(len(self.axes), dtype=bool)
-        self.seen[:len(s)] = s > UNSEEN * s[0]
+        self.seen[:len(s)] = significant(s, PREDICTED_TOLERANCE)
         self.size = s[self.seen[:len(s)]]
         self.blind = (lengths == 0) | (np.max(np.abs(self.axes[~self.seen]), axis=0, initial=0.0) > 1e-6)
 

@@ -16,7 +16,7 @@ from hydroopt.estimation.dynamic import fitted_motion
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.dynamic.regressor_qr import compress_instrumented, compress_jointly
-from hydroopt.estimation.dynamic.weighted_residuals import gather
+from hydroopt.estimation.dynamic.weighted_residuals import weighted_residuals
 from hydroopt.estimation.inference.least_squares import base_least_squares
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Butterworth, SmoothingSpline
@@ -157,9 +157,10 @@ def test_correlation_of_channels_is_found(cat215b: Model, cat_truth: np.ndarray,
     mixed = rng.standard_normal((3, len(noisy.experiments[0].force), 2))
     common = [replace(e, force=e.force + 2000 * np.outer(mixed[0, :, k], [0.3, 1.0, -1.0]))
               for k, e in enumerate(noisy.experiments)]
-    evidence = gather(replace(noisy, experiments=tuple(common)).with_correlated_channels(), 1e-7, lambda R, r: r)
-    assert evidence.correlation[1, 2] < -0.3
-    assert np.all(np.linalg.eigvalsh(evidence.correlation) > 0)
+    correlated = replace(noisy, experiments=tuple(common)).with_correlated_channels()
+    weighted = weighted_residuals(correlated, 1e-7, lambda R, r: r)
+    assert weighted.correlation[1, 2] < -0.3
+    assert np.all(np.linalg.eigvalsh(weighted.correlation) > 0)
 
 
 @pytest.mark.parametrize("way", ["instruments", "correlated"])

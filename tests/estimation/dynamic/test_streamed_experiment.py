@@ -16,7 +16,7 @@ from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.friction_choice import friction_problem
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
-from hydroopt.estimation.dynamic.streamed_experiment import Recording, recording
+from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment, streamed_experiment
 from hydroopt.logs import stream as streaming
 from hydroopt.logs.log import Log, read_log
 from hydroopt.logs.smoothing import Fourier
@@ -92,14 +92,14 @@ def test_borders_leave_no_trace_in_a_log_with_gaps_and_losses(
 
 
 @pytest.fixture(scope="module")
-def totals(cat215b: Model, path: Path) -> Recording:
-    made = recording(cat215b, stream(path, piece=BORDER))
-    return Recording(cat215b, made.stream, made.smoothing, workers=1)
+def totals(cat215b: Model, path: Path) -> StreamedExperiment:
+    made = streamed_experiment(cat215b, stream(path, piece=BORDER))
+    return StreamedExperiment(cat215b, made.stream, made.smoothing, workers=1)
 
 
 @pytest.mark.parametrize("workers", [2, 5])
-def test_workers_change_no_bit(cat215b: Model, totals: Recording, workers: int) -> None:
-    other = Recording(cat215b, totals.stream, totals.smoothing, workers)
+def test_workers_change_no_bit(cat215b: Model, totals: StreamedExperiment, workers: int) -> None:
+    other = StreamedExperiment(cat215b, totals.stream, totals.smoothing, workers)
     for one, two in ((totals.totals.moved, other.totals.moved), (totals.totals.still, other.totals.still)):
         np.testing.assert_array_equal(one.full, two.full)
         np.testing.assert_array_equal(one.sums, two.sums)
@@ -115,7 +115,7 @@ def test_memory_does_not_grow_with_the_log(cat215b: Model, log: Log, tmp_path: P
     for copies in (2, 8):
         t = np.arange(copies * log.size) / 50
         Log("long", t, {name: np.tile(x, copies) for name, x in log.channels.items()}).write(tmp_path / "log.parquet")
-        data = recording(cat215b, stream(tmp_path / "log.parquet", piece=2000))
+        data = streamed_experiment(cat215b, stream(tmp_path / "log.parquet", piece=2000))
         tracemalloc.start()
         assert data.taken > 0.9 * t.size
         assert np.all(data.correlation_times(cat215b.parameters.nominal) >= 1)

@@ -17,15 +17,15 @@ from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.regressor_qr import compress
 from hydroopt.estimation.inference import nlp, sdp, solvers
-from hydroopt.estimation.inference.gaussian import Gaussian, gaussian
+from hydroopt.estimation.inference.gaussian import GaussianPosterior, gaussian_posterior
 from hydroopt.spatial import inertia
 
 OneBody = Callable[..., IdentificationProblem]
 
 
-def prior_only(problem: IdentificationProblem) -> Gaussian:
+def prior_only(problem: IdentificationProblem) -> GaussianPosterior:
     p = len(problem.parameters)
-    return gaussian(problem, np.zeros((p, p)), np.zeros(p))
+    return gaussian_posterior(problem, np.zeros((p, p)), np.zeros(p))
 
 
 @pytest.fixture(scope="module")
@@ -52,9 +52,9 @@ def test_quadratic_program_without_active_constraints_is_the_bayesian_update(noi
     information, nominal = noisy.parameters.information, noisy.parameters.nominal
     expected = nominal + np.linalg.solve(R.T @ R + information + 1e-12 * np.diag(1 / noisy.parameters.scale**2),
                                          R.T @ (r - R @ nominal))
-    belief = gaussian(free, R, r)
-    np.testing.assert_allclose(belief.offset / noisy.parameters.scale, expected / noisy.parameters.scale, atol=1e-6)
-    H = np.linalg.inv(belief.slope @ belief.slope.T)
+    posterior = gaussian_posterior(free, R, r)
+    np.testing.assert_allclose(posterior.offset / noisy.parameters.scale, expected / noisy.parameters.scale, atol=1e-6)
+    H = np.linalg.inv(posterior.slope @ posterior.slope.T)
     np.testing.assert_allclose(H, R.T @ R + information, atol=1e-6 * np.max(np.abs(H)))
 
 
@@ -161,9 +161,9 @@ def test_priors_pull_by_name_and_by_expression(noisy: IdentificationProblem) -> 
 def test_a_prior_weighs_as_much_as_its_sigma_says(one_body: OneBody) -> None:
     # 10 ± 1 of the file and 16 ± 2 of the user meet at (10 + 16/4)/(1 + 1/4), with 1/σ² = 1 + 1/4
     problem = one_body(np.array([10.0, 0, 0, 0, 1, 0, 0, 1, 0, 1])).with_prior("scale", "arm.m", value=16.0, sigma=2.0)
-    belief = prior_only(problem)
-    assert belief.offset[0] == pytest.approx(11.2, abs=1e-6)
-    assert np.sum(belief.slope[0] ** 2) == pytest.approx(0.8, abs=1e-6)
+    posterior = prior_only(problem)
+    assert posterior.offset[0] == pytest.approx(11.2, abs=1e-6)
+    assert np.sum(posterior.slope[0] ** 2) == pytest.approx(0.8, abs=1e-6)
 
 
 def test_solving_changes_nothing(noisy: IdentificationProblem) -> None:
@@ -259,9 +259,9 @@ def test_names_of_constraints_are_taken_once(noisy: IdentificationProblem) -> No
 
 def test_certificate_refuses_what_is_not_the_minimum(one_body: OneBody) -> None:
     problem = one_body(np.array([50.0, 0, 0, 0, 1, 0, 0, 1, 0, 3]))
-    belief = prior_only(problem)
+    posterior = prior_only(problem)
     z = cp.Variable(10)
-    everything = [c for _, group in sdp.constraints_of(problem, belief, z, consistent=True) for c in group]
+    everything = [c for _, group in sdp.constraints_of(problem, posterior, z, consistent=True) for c in group]
     assert solvers.solve_convex(cp.Problem(cp.Minimize(cp.sum_squares(z)), everything), "test")
     minimum = np.array(z.value)
     solvers.certify_convex(z, 2 * minimum, everything).trust("test")
