@@ -13,6 +13,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.machine.components import Cylinder
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.kinematics import coordinates
 from hydroopt.model.model import Model
@@ -315,8 +316,7 @@ def _inverse_dynamics(own: Interface) -> Routine:
 
 
 def _gravity_forces(own: Interface) -> Routine:
-    names = own.complete.parameters.names
-    offsets = [k for k, name in enumerate(names) if name.endswith("_offset")]
+    offsets = own.complete.parameters.places(ParameterKind.FORCE_OFFSET)
     still = ca.substitute(_predicted(own), ca.vertcat(own.at.qd, own.at.qdd), ca.DM.zeros(2 * len(own.machine.joints)))
     psi = own.inputs["psi"]
     kept = ca.SX(psi)

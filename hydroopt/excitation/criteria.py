@@ -22,7 +22,7 @@ from hydroopt.estimation.inference.identifiability import (
 from hydroopt.kernels.expression_graph import program
 from hydroopt.logs.readings import force_noise
 from hydroopt.model.model import Model
-from hydroopt.spatial.inertia import NAMES, Array
+from hydroopt.spatial.inertia import Array
 
 CRITERIA = ("D", "A", "E", "condition")
 SLOW = 0.02
@@ -102,7 +102,9 @@ def question(model: Model, sigma: Array, *, focus: Sequence[str] = (), bayesian:
 def _focused(model: Model, seen: Identifiability, focus: Sequence[str]) -> tuple[int, ...]:
     places: list[int] = []
     for name in focus:
-        own = [k for k, p in enumerate(model.parameters.names) if _meant(model, name, p)]
+        last = model.machine.links[-1].name  # a payload becomes part of it
+        own = (list(range(len(model.parameters)))[model.parameters.bodies.get(last, slice(0))] if name == "payload"
+               else model.parameters.matching(name))
         if not own:
             raise ProblemError(f"no parameter is called '{name}' or begins with it", where="focus",
                                remedy=f"use payload, friction, a part such as {model.machine.links[-1].name} or a "
@@ -153,15 +155,6 @@ def judged(criterion: str, factor: Array, focus: Array) -> tuple[float, Array]:
         return float(2 * np.log(inner[0])), -np.outer(worst, worst)
     whitened = (turn / inner[:, None]) @ rows
     return float(2 * np.mean(np.log(inner))), -whitened.T @ whitened / len(focus)
-
-
-def _meant(model: Model, name: str, parameter: str) -> bool:
-    owner, _, element = parameter.rpartition(".")
-    if name == "payload":  # it becomes part of the last link
-        return owner == model.machine.links[-1].name and element in NAMES
-    if name == "friction":
-        return element not in NAMES and not element.endswith("_offset")
-    return parameter == name or parameter.startswith(f"{name}.")
 
 
 class Information:

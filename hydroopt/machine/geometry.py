@@ -9,6 +9,7 @@ import casadi as ca
 
 from hydroopt.machine.components import Cylinder, GasCylinder, Link
 from hydroopt.machine.machine import BASE, Machine
+from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.spatial.poses import Pose, Triangle, identity, joint_pose, link_pose, triangle
 
 DENAVIT_HARTENBERG = {"theta": "rad", "d": "m", "a": "m", "alpha": "rad", "beta": "rad"}
@@ -17,9 +18,11 @@ _TURN = ("roll", "pitch", "yaw")
 
 
 class Number(NamedTuple):
-    """One number of the machine file: name, unit, value, the key of its note, and its place if that is a vector."""
+    """One number of the machine file: name, kind, unit, value, the key of its note, and its place if that is a vector.
+    """
 
     name: str
+    kind: ParameterKind
     unit: str
     value: float
     path: str
@@ -108,22 +111,25 @@ class Geometry:
 
 
 def _numbers(machine: Machine, links: tuple[Link, ...]) -> tuple[Number, ...]:
-    numbers = [Number(f"{link.name}.{key}", unit, getattr(link.joint, key), f"{link.name}.joint.{key}")
+    numbers = [Number(f"{link.name}.{key}", ParameterKind.ANGLE if unit == "rad" else ParameterKind.LENGTH, unit,
+                      getattr(link.joint, key), f"{link.name}.joint.{key}")
                for link in links for key, unit in DENAVIT_HARTENBERG.items()]
-    numbers += [Number(f"{link.name}.compliance", "rad/(N*m)" if link.joint.type == "revolute" else "m/N",
+    numbers += [Number(f"{link.name}.compliance", ParameterKind.COMPLIANCE,
+                       "rad/(N*m)" if link.joint.type == "revolute" else "m/N",
                        link.joint.compliance, f"{link.name}.joint.compliance")
                 for link in links if link.joint.compliance is not None and link.joint.type != "locked"]
-    vectors: list[tuple[str, tuple[float, ...], str, tuple[str, ...], str]] = []
+    point, turn = (ParameterKind.POSITION, "m", _POINT), (ParameterKind.ORIENTATION, "rad", _TURN)
+    vectors = []
     if machine.calibrator:
-        vectors.append(("tip", machine.calibrator.tip, "calibrator.tip", _POINT, "m"))
+        vectors.append(("tip", machine.calibrator.tip, "calibrator.tip", *point))
     if machine.tracker:
-        vectors += [("tracker", machine.tracker.position, "tracker.position", _POINT, "m"),
-                    ("tracker", machine.tracker.orientation, "tracker.orientation", _TURN, "rad")]
+        vectors += [("tracker", machine.tracker.position, "tracker.position", *point),
+                    ("tracker", machine.tracker.orientation, "tracker.orientation", *turn)]
     for cylinder in machine.all_cylinders:
-        vectors += [(f"{cylinder.name}.{end}", getattr(cylinder, end).pin, f"{cylinder.name}.{end}.pin", _POINT, "m")
+        vectors += [(f"{cylinder.name}.{end}", getattr(cylinder, end).pin, f"{cylinder.name}.{end}.pin", *point)
                     for end in ("barrel", "rod")]
         if isinstance(cylinder, Cylinder):
-            numbers.append(Number(f"{cylinder.name}.dead_length", "m", cylinder.dead_length,
+            numbers.append(Number(f"{cylinder.name}.dead_length", ParameterKind.DEAD_LENGTH, "m", cylinder.dead_length,
                                   f"{cylinder.name}.dead_length"))
-    return (*numbers, *(Number(f"{owner}.{axis}", unit, vector[k], path, k)
-                        for owner, vector, path, axes, unit in vectors for k, axis in enumerate(axes)))
+    return (*numbers, *(Number(f"{owner}.{axis}", kind, unit, vector[k], path, k)
+                        for owner, vector, path, kind, unit, axes in vectors for k, axis in enumerate(axes)))

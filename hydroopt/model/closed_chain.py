@@ -14,7 +14,7 @@ from hydroopt.kernels.native import Runner
 from hydroopt.machine.components import Cylinder, Link
 from hydroopt.machine.geometry import Geometry, Number
 from hydroopt.machine.machine import BASE, Machine
-from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array
 from hydroopt.spatial.poses import Pose, identity, roll_pitch_yaw
 
@@ -184,11 +184,13 @@ def _parameters(machine: Machine, numbers: tuple[Number, ...]) -> ParameterSet:
             sigmas.append(sigma)
     scale = np.array(sigmas)
     # what gravity bends gives way, and never the other way
-    least = [0.0 if number.name.endswith((".compliance", ".dead_length")) else -np.inf for number in free]
+    positive = (ParameterKind.COMPLIANCE, ParameterKind.DEAD_LENGTH)
+    least = [0.0 if number.kind in positive else -np.inf for number in free]
     lower = np.array([_bound(machine, number.path, "lower", low) for number, low in zip(free, least, strict=True)])
     upper = np.array([_bound(machine, number.path, "upper", np.inf) for number in free])
-    return ParameterSet(tuple(number.name for number in free), tuple(number.unit for number in free),
-                        np.array([number.value for number in free]), lower, upper, scale, np.diag(1 / scale**2))
+    return ParameterSet(tuple(number.name for number in free), tuple(number.kind for number in free),
+                        tuple(number.unit for number in free), np.array([number.value for number in free]),
+                        lower, upper, scale, np.diag(1 / scale**2))
 
 
 def _bound(machine: Machine, path: str, key: str, default: float) -> float:

@@ -7,7 +7,6 @@ from collections.abc import Callable
 import casadi as ca
 
 from hydroopt.machine.components import Cylinder, Drive, Motor
-from hydroopt.parameters.dynamic import SPEED
 
 
 def sign_of(speed: ca.SX, dead_zone: float | None) -> ca.SX:
@@ -41,10 +40,10 @@ def friction_terms(actuator: Cylinder | Motor | Drive, speed: ca.SX, pressure: c
         size = ca.fabs(speed)
         terms |= {f"{kind}_viscous": (speed + size) / 2, f"{kind}_viscous_reverse": (speed - size) / 2}
     if stated.stribeck is not None:
-        force, scale = value(f"{kind}_stribeck"), value(f"{name}.{SPEED}")
+        force, scale = value(f"{kind}_stribeck"), value(f"{name}.v_stribeck")
         part = (speed / scale) ** 2
         fading = sign * ca.exp(-part)
-        terms |= {f"{kind}_stribeck": fading, f"{name}.{SPEED}": 2 * force * fading * part / scale}
+        terms |= {f"{kind}_stribeck": fading, f"{name}.v_stribeck": 2 * force * fading * part / scale}
     if isinstance(actuator, Cylinder) and actuator.friction.seal is not None:
         terms[f"{kind}_seal"] = sign * pressure
     return terms

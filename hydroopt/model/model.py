@@ -19,7 +19,7 @@ from hydroopt.model import lagrange
 from hydroopt.model.kinematics import coordinates
 from hydroopt.model.regressor import Dynamics
 from hydroopt.parameters import dynamic as dynamic_parameters
-from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array
 from hydroopt.spatial.poses import triangle_angle, triangle_length
 
@@ -93,7 +93,7 @@ class Model:
     @property
     def linear(self) -> bool:
         """Whether forces are linear in all parameters: no actuator has a Stribeck speed."""
-        return not any(name.endswith(f".{dynamic_parameters.SPEED}") for name in self.parameters.names)
+        return ParameterKind.STRIBECK_SPEED not in self.parameters.kinds
 
     @property
     def needs_pressure(self) -> bool:
@@ -162,8 +162,7 @@ class Model:
         psi = ca.SX.sym("psi", len(self.parameters))
         total = ca.SX.zeros(len(self.machine.joints))
         for owner in dynamic_parameters.bodies(self.machine, actuator_inertia=self.actuator_inertia):
-            first = self.parameters.index(f"{owner}.m")
-            total += lagrange.joint_forces(self.dynamics, owner, psi[first:first + 10])
+            total += lagrange.joint_forces(self.dynamics, owner, psi[self.parameters.bodies[owner]])
         return _dense("lagrange_forces", [*self.at, psi], [self.dynamics.at_actuators(total)],
                            ["q", "qd", "qdd", "psi"], ["force"])
 

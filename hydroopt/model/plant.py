@@ -24,7 +24,7 @@ from hydroopt.model.hydraulics import (
 )
 from hydroopt.model.model import Model
 from hydroopt.parameters import hydraulic as hydraulic_parameters
-from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array
 
 CREEP = 1e-3
@@ -184,7 +184,7 @@ class Plant:
         """The inverse dynamics with rounded dry friction and without offsets of transducers."""
         smooth = program(self.model.inverse_dynamics).function(lambda speed: ca.tanh(speed / CREEP))
         given = [ca.SX.sym(name, *smooth.size_in(name)) for name in smooth.name_in()]
-        acting = ca.DM([not name.endswith("_offset") for name in self.model.parameters.names])
+        acting = ca.DM([kind is not ParameterKind.FORCE_OFFSET for kind in self.model.parameters.kinds])
         return ca.Function("forces", given, [smooth(*given[:-1], given[-1] * acting)], smooth.name_in(), ["force"])
 
     def _demand(self, q: ca.SX, qd: ca.SX, qdd: ca.SX, pressure: ca.SX, psi: ca.SX) -> ca.SX:

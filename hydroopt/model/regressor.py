@@ -15,8 +15,8 @@ from hydroopt.machine.machine import Machine
 from hydroopt.model.cylinder_motion import CylinderMotion, cylinder_motion
 from hydroopt.model.friction import friction_terms
 from hydroopt.model.kinematics import Coordinates, Motion, link_motions
-from hydroopt.parameters.dynamic import SPEED, bodies, parameter_set
-from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.parameters.dynamic import bodies, parameter_set
+from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial import inertia
 from hydroopt.spatial.poses import skew
 
@@ -112,11 +112,12 @@ class Dynamics:
         place = parameters.positions
         total = ca.SX.zeros(len(self.machine.joints))
         for owner in bodies(self.machine, actuator_inertia=actuator_inertia):
-            phi = psi[place[f"{owner}.m"]:place[f"{owner}.m"] + len(inertia.NAMES)]
+            phi = psi[parameters.bodies[owner]]
             total += self._allowed(owner).T @ (body_regressor(self.body_motion(owner)) @ phi)
         total = self.at_actuators(total)
         for name, column in (self._friction_columns(parameters, psi) | self._gas_columns()).items():
-            if name in place and not name.endswith(f".{SPEED}"):  # which is in the Stribeck force's column already
+            # a Stribeck speed acts in the column of its force already
+            if name in place and parameters.kind(name) is not ParameterKind.STRIBECK_SPEED:
                 total += column * psi[place[name]]
         return total
 

@@ -8,18 +8,21 @@ import numpy as np
 
 from hydroopt.machine.components import Body, Cylinder, Drive, Motor, Note
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 
-SPEED = "v_stribeck"
-"""What parameters in which forces are not linear are called, after the dot."""
 SPEED_RANGE = 20.0
 """Factor by which a Stribeck speed may be off where the file states no bounds: beyond, it is another effect."""
 LEAST = 1e-6
 """What is positive by nature is at least this part of its typical size, whatever lower bound the file states."""
 _CYLINDER_UNITS = (dict.fromkeys(("offset", "coulomb", "coulomb_reverse", "stribeck"), "N")
                    | dict.fromkeys(("viscous", "viscous_reverse"), "N*s/m") | {"stribeck_speed": "m/s"})
+_FRICTION_KINDS = {"offset": ParameterKind.FORCE_OFFSET, "coulomb": ParameterKind.COULOMB_FRICTION,
+                   "coulomb_reverse": ParameterKind.COULOMB_FRICTION, "viscous": ParameterKind.VISCOUS_FRICTION,
+                   "viscous_reverse": ParameterKind.VISCOUS_FRICTION, "stribeck": ParameterKind.STRIBECK_FRICTION}
+"""Terms of an actuator's friction by their keys in the machine file, in the order of Eq. 4.53, 4.54."""
 DEFAULT_CONFIDENCE = 1.0
 """Prior σ of a body's numbers when the file states none, as a part of their size."""
 
@@ -32,8 +35,9 @@ class Owned(NamedTuple):
 
 
 class Scalar(NamedTuple):
-    """A parameter that is not inertial: nominal value, unit, file path, bounds by nature, and a typical size."""
+    """A parameter of no body: kind, nominal value, unit, file path, bounds by nature, and a typical size."""
 
+    kind: ParameterKind
     value: float
     unit: str
     path: str
@@ -73,33 +77,37 @@ def scalars(machine: Machine, joint: str) -> dict[str, Scalar]:
     """Friction, offset and rotor parameters of one moving joint and its actuator, in the order of Eq. 4.53, 4.54."""
     units = machine.friction_units(joint)
     own = machine.link(joint).joint.friction
-    found = {f"{joint}.tau_{key}": Scalar(value, units[key], f"{joint}.joint.friction.{key}")
+    found = {f"{joint}.tau_{key}": Scalar(_FRICTION_KINDS[key], value, units[key], f"{joint}.joint.friction.{key}")
              for key in ("coulomb", "viscous") if (value := getattr(own, key)) is not None}
     driver = _driver(machine, joint)
     assert driver is not None
     prefix, at = f"{driver.name}.{'f' if isinstance(driver, Cylinder) else 'tau'}", f"{driver.name}.friction"
     if isinstance(driver, Cylinder):
         units = _CYLINDER_UNITS
-    for key in ("offset", "coulomb", "coulomb_reverse", "viscous", "viscous_reverse", "stribeck"):
+    for key, kind in _FRICTION_KINDS.items():
         if (value := getattr(driver.friction, key)) is not None:
-            found[f"{prefix}_{key}"] = Scalar(value, units[key], f"{at}.{key}", -np.inf if key == "offset" else 0.0)
+            found[f"{prefix}_{key}"] = Scalar(kind, value, units[key], f"{at}.{key}",
+                                              -np.inf if kind is ParameterKind.FORCE_OFFSET else 0.0)
     if (speed := driver.friction.stribeck_speed) is not None:
-        found[f"{driver.name}.{SPEED}"] = Scalar(speed, units["stribeck_speed"], f"{at}.stribeck_speed",
-                                                 speed / SPEED_RANGE, speed * SPEED_RANGE, speed)
+        found[f"{driver.name}.v_stribeck"] = Scalar(
+            ParameterKind.STRIBECK_SPEED, speed, units["stribeck_speed"], f"{at}.stribeck_speed",
+            speed / SPEED_RANGE, speed * SPEED_RANGE, speed)
     if isinstance(driver, Cylinder):
         if (seal := driver.friction.seal) is not None:
-            found[f"{prefix}_seal"] = Scalar(seal, "m^2", f"{at}.seal", 0.0, driver.areas[1], 0.01 * driver.areas[0])
+            found[f"{prefix}_seal"] = Scalar(ParameterKind.SEAL_FRICTION, seal, "m^2", f"{at}.seal",
+                                             0.0, driver.areas[1], 0.01 * driver.areas[0])
         for end in ("barrel", "rod"):
             if (value := getattr(driver.friction, f"{end}_pin")) is not None:
-                found[f"{driver.name}.n_{end}"] = Scalar(value, "N*m", f"{at}.{end}_pin")
+                found[f"{driver.name}.n_{end}"] = Scalar(ParameterKind.PIN_FRICTION, value, "N*m", f"{at}.{end}_pin")
     elif isinstance(driver, Drive) and driver.rotor_inertia is not None:
-        found[f"{driver.name}.rotor_inertia"] = Scalar(driver.rotor_inertia, "kg*m^2", f"{driver.name}.rotor_inertia")
+        found[f"{driver.name}.rotor_inertia"] = Scalar(ParameterKind.ROTOR_INERTIA, driver.rotor_inertia, "kg*m^2",
+                                                       f"{driver.name}.rotor_inertia")
     return found
 
 
 def passive_scalars(machine: Machine) -> dict[str, Scalar]:
     """The pressures of gas-charged cylinders."""
-    return {f"{gas.name}.precharge": Scalar(gas.precharge, "Pa", f"{gas.name}.precharge")
+    return {f"{gas.name}.precharge": Scalar(ParameterKind.GAS_PRESSURE, gas.precharge, "Pa", f"{gas.name}.precharge")
             for gas in machine.gas_cylinders}
 
 
@@ -112,6 +120,7 @@ def parameter_set(machine: Machine, *, actuator_inertia: bool = True) -> Paramet
     """
     found = bodies(machine, actuator_inertia=actuator_inertia)
     names: list[str] = []
+    kinds: list[ParameterKind] = []
     units: list[str] = []
     blocks: list[tuple[Array, Array, Array, Array, Array]] = []  # nominal, lower, upper, size, information
     for link in machine.links:
@@ -120,15 +129,18 @@ def parameter_set(machine: Machine, *, actuator_inertia: bool = True) -> Paramet
         for owner in owners:
             if owner in found:
                 names += [f"{owner}.{element}" for element in inertia.NAMES]
+                kinds += INERTIAL_KINDS
                 units += inertia.UNITS
                 blocks.append(_body_block(found[owner], machine.notes))
         if link.name in machine.joints:
             for name, scalar in scalars(machine, link.name).items():
                 names.append(name)
+                kinds.append(scalar.kind)
                 units.append(scalar.unit)
                 blocks.append(scalar_block(scalar, machine.notes))
     for name, scalar in passive_scalars(machine).items():
         names.append(name)
+        kinds.append(scalar.kind)
         units.append(scalar.unit)
         blocks.append(scalar_block(scalar, machine.notes))
     nominal, lower, upper, size = (np.concatenate([np.zeros(0), *(block[k] for block in blocks)]) for k in range(4))
@@ -141,7 +153,7 @@ def parameter_set(machine: Machine, *, actuator_inertia: bool = True) -> Paramet
     known = np.diag(information) > 0
     sigma = np.sqrt(np.diag(np.linalg.inv(information + np.diag(~known * 1.0))))
     scale = np.where(known, sigma, np.maximum(np.abs(nominal), size))
-    return ParameterSet(tuple(names), tuple(units), nominal, lower, upper, scale, information)
+    return ParameterSet(tuple(names), tuple(kinds), tuple(units), nominal, lower, upper, scale, information)
 
 
 def _driver(machine: Machine, joint: str) -> Cylinder | Motor | Drive | None:

@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
 
 from hydroopt.errors import ProblemError
+from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.spatial.inertia import Array
+
+__all__ = ["GROUPS", "ParameterKind", "ParameterSet"]
+
+GROUPS: Mapping[str, Callable[[ParameterKind], bool]] = {
+    "friction": lambda kind: kind.is_friction, "offset": lambda kind: kind is ParameterKind.FORCE_OFFSET}
+"""Words that stand for all parameters of some kinds, wherever a user names parameters."""
 
 
 @dataclass(frozen=True, eq=False)
 class ParameterSet:
-    """Names with unit, nominal value, bounds and prior, all in SI, each array of shape (p,).
+    """Names with kind, unit, nominal value, bounds and prior, all in SI, each array of shape (p,).
 
     The prior is Gaussian about the nominal values; `information` (p, p) is the inverse of its covariance, with
     zeros where nothing is known. `scale` is a typical size, positive, that makes different units comparable.
+    The ten inertial parameters of a body follow one another in the order of Eq. 4.12.
     """
 
     names: tuple[str, ...]
+    kinds: tuple[ParameterKind, ...]
     units: tuple[str, ...]
     nominal: Array
     lower: Array
@@ -34,6 +43,41 @@ class ParameterSet:
     def positions(self) -> dict[str, int]:
         """Name to position."""
         return {name: k for k, name in enumerate(self.names)}
+
+    @cached_property
+    def bodies(self) -> dict[str, slice]:
+        """Owner of each body to the positions of its ten inertial parameters."""
+        return {self.owner(name): slice(k, k + len(INERTIAL_KINDS))
+                for k, (name, kind) in enumerate(zip(self.names, self.kinds, strict=True))
+                if kind is ParameterKind.MASS}
+
+    def kind(self, name: str) -> ParameterKind:
+        """Kind of the parameter of this name.
+
+        Raises:
+            ProblemError: see `index`.
+        """
+        return self.kinds[self.index(name)]
+
+    def owner(self, name: str) -> str:
+        """Part of the machine that a parameter belongs to: ``boom_cylinder.rod`` of ``boom_cylinder.rod.mc_x``.
+
+        Raises:
+            ProblemError: see `index`.
+        """
+        if self.kind(name) in (ParameterKind.LOCKED_ANGLE, ParameterKind.DRIFT):  # boom.locked.stage
+            return name.partition(".")[0]
+        return name.rpartition(".")[0]
+
+    def places(self, *kinds: ParameterKind) -> list[int]:
+        """Positions of all parameters of these kinds."""
+        return [k for k, kind in enumerate(self.kinds) if kind in kinds]
+
+    def matching(self, word: str) -> list[int]:
+        """Positions of what a user's word stands for: a group of kinds (`GROUPS`), a part, or one parameter."""
+        if word in GROUPS:
+            return [k for k, kind in enumerate(self.kinds) if GROUPS[word](kind)]
+        return [k for k, name in enumerate(self.names) if name == word or name.startswith(f"{word}.")]
 
     def index(self, name: str) -> int:
         """Position of a name.

@@ -12,7 +12,8 @@ from hydroopt.logs.log import Log
 from hydroopt.machine.components import Cylinder, Motor
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
-from hydroopt.parameters.dynamic import SPEED, bodies
+from hydroopt.parameters.dynamic import bodies
+from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 
@@ -101,12 +102,12 @@ def random_truth(model: Model, seed: int, *, tries: int = 20000) -> Array:
     rng = np.random.default_rng(seed)
     parameters = model.parameters
     psi = parameters.nominal.copy()
-    k = 0
-    while k < len(parameters):
-        body = parameters.names[k].endswith(".m")
-        block = slice(k, k + (10 if body else 1))
+    whole = {block.start: block for block in parameters.bodies.values()}
+    for k, kind in enumerate(parameters.kinds):
+        body, block = k in whole, whole.get(k, slice(k, k + 1))
         information = parameters.information[block, block]
-        k = block.stop
+        if kind.is_inertial and not body:
+            continue
         if not np.any(information):
             continue
         root = np.linalg.cholesky(np.linalg.inv(information))
@@ -131,7 +132,8 @@ def forces(model: Model, motion: Trajectory, psi: Array) -> Array:
     still = np.zeros_like(motion.q)
     force = model.over(model.inverse_dynamics, *state, still, psi)[0][:, :, 0]
     # Stribeck speeds stay: there is no force, but one divides by them
-    seals = np.where([name.endswith((".f_seal", f".{SPEED}")) for name in model.parameters.names], psi, 0.0)
+    seals = np.where([kind in (ParameterKind.SEAL_FRICTION, ParameterKind.STRIBECK_SPEED)
+                      for kind in model.parameters.kinds], psi, 0.0)
     share = model.over(model.inverse_dynamics, *state, still + 1.0, seals)[0][:, :, 0]
     for k, actuator in enumerate(model.machine.actuators):
         if actuator.name in model.machine.sealed and isinstance(actuator, Cylinder):

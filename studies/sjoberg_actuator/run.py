@@ -11,7 +11,7 @@ from hydroopt.estimation.hydraulic.dynamics import Dynamics, Record, ShootingPro
 from hydroopt.estimation.hydraulic.shooting import ShootingEstimate, multiple_shooting
 from hydroopt.estimation.inference.correlation import correlation_time
 from hydroopt.model.hydraulics import hinge, orifice
-from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from studies.show import look, save, table
 
 DATA = Path(__file__).parents[2] / "data" / "sjoberg_hydraulic_actuator" / "actuator.mat"
@@ -97,7 +97,8 @@ def identified(samples: Record, starts: int = 1) -> ShootingEstimate:
     """The numbers most probable for readings of p and x, by the best of several starts a factor of about 1.3 apart."""
     units, *columns = zip(*NUMBERS.values(), strict=True)
     start, lower, upper = np.array(columns)
-    parameters = ParameterSet(tuple(NUMBERS), units, start, lower, upper, start, np.zeros((len(start),) * 2))
+    parameters = ParameterSet(tuple(NUMBERS), (ParameterKind.COEFFICIENT,) * len(start), units, start, lower, upper,
+                              start, np.zeros((len(start),) * 2))
     problem = ShootingProblem(actuator(), parameters, SIGMA, (samples,), "hydraulic crane")
     factors = np.exp(0.3 * np.random.default_rng(0).standard_normal((starts, len(start))))
     factors[0] = 1.0

@@ -18,11 +18,8 @@ from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
-from hydroopt.parameters.parameter_set import ParameterSet
-from hydroopt.spatial.inertia import NAMES, Array
-
-KINDS = ("friction", "offset")
-"""Kinds of parameters that may be asked for by one word."""
+from hydroopt.parameters.parameter_set import GROUPS, ParameterSet
+from hydroopt.spatial.inertia import Array
 
 POWER = 0.95
 """Probability with which the smallest detectable change is seen."""
@@ -146,8 +143,8 @@ def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: S
 
 
 def _usual(parameters: ParameterSet) -> list[str]:
-    """The kinds that a machine has parameters of."""
-    found = [kind for kind in KINDS if any(_meant(kind, name) for name in parameters.names)]
+    """The groups of kinds that a machine has parameters of."""
+    found = [group for group in GROUPS if parameters.matching(group)]
     if not found:
         raise ProblemError("the machine file states neither friction nor offsets, which could have changed",
                            where="parts", remedy="state them in the machine file, or name other parameters")
@@ -160,26 +157,16 @@ def named_parts(parameters: ParameterSet, parts: Iterable[str]) -> tuple[str, ..
     Raises:
         ProblemError: nothing is called so.
     """
-    chosen: set[str] = set()
+    chosen: set[int] = set()
     for part in parts:
-        own = {name for name in parameters.names if _meant(part, name)}
+        own = parameters.matching(part)
         if not own:
-            owners = dict.fromkeys(name.rpartition(".")[0] for name in parameters.names)
+            owners = dict.fromkeys(map(parameters.owner, parameters.names))
             close = get_close_matches(part, [*owners, *parameters.names], n=3) or parameters.names[:2]
             raise ProblemError(f"no parameter is called '{part}' or belongs to it", where="parts",
                                remedy=f"did you mean {' or '.join(close)}")
-        chosen |= own
-    return tuple(name for name in parameters.names if name in chosen)
-
-
-def _meant(part: str, name: str) -> bool:
-    element = name.rpartition(".")[2]
-    offset = element.endswith("_offset")
-    if part == "offset":
-        return offset
-    if part == "friction":
-        return not offset and element not in (*NAMES, "rotor_inertia", "precharge")
-    return name == part or name.startswith(f"{part}.")
+        chosen.update(own)
+    return tuple(parameters.names[k] for k in sorted(chosen))
 
 
 def holm(p_values: Array) -> Array:

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, partial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,12 +20,13 @@ from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.stored_information import Session
 from hydroopt.estimation.inference import posterior as uncertainty
 from hydroopt.estimation.inference import sdp
+from hydroopt.estimation.inference.conditions import ScaledBody
 from hydroopt.estimation.inference.constraints import Constraint, Named
 from hydroopt.estimation.inference.gaussian import gaussian_posterior
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterSet
-from hydroopt.spatial.inertia import NAMES, Array
+from hydroopt.spatial.inertia import Array
 
 AFTER = "after."
 """What the name of a parameter's second value begins with."""
@@ -45,6 +46,7 @@ class Comparison(IdentificationProblem):
         change: (P, c) what a change δ (c,) does to x.
         labels: (c,) names of the changes.
         gains: (n,) places in x of the relative errors of the actuators' force readings; none if they are exact.
+        unconstrained: owners of bodies that need not be physically consistent; a mass is never negative.
     """
 
     unknowns: ParameterSet = field(kw_only=True)
@@ -53,11 +55,17 @@ class Comparison(IdentificationProblem):
     change: Array = field(kw_only=True)
     labels: tuple[str, ...] = field(kw_only=True)
     gains: tuple[int, ...] = field(default=(), kw_only=True)
+    unconstrained: tuple[str, ...] = field(default=(), kw_only=True)
 
     @property
     def parameters(self) -> ParameterSet:
         """The unknowns x."""
         return self.unknowns
+
+    @cached_property
+    def bodies(self) -> tuple[ScaledBody, ...]:
+        """Those that must be physically consistent."""
+        return tuple(body for body in super().bodies if body.owner not in self.unconstrained)
 
     def rows(self, before: Session, after: Session) -> tuple[Array, Array]:
         """A (m, P) and b (m,) with ``‖A·x − b‖²`` the weighted squares of both sessions' residuals.
@@ -106,6 +114,7 @@ def joined(*sets: ParameterSet) -> ParameterSet:
     nominal, lower, upper, scale = (np.concatenate([getattr(one, key) for one in sets])
                                     for key in ("nominal", "lower", "upper", "scale"))
     return ParameterSet(tuple(name for one in sets for name in one.names),
+                        tuple(kind for one in sets for kind in one.kinds),
                         tuple(unit for one in sets for unit in one.units), nominal, lower, upper, scale, information)
 
 
@@ -114,17 +123,17 @@ def stated_twice(parameters: ParameterSet, names: Collection[str]) -> list[int]:
 
     Where one of a body's may change, the whole body is stated twice, so that it can exist both times.
     """
-    owners = {name.rpartition(".")[0] for name in names if name.rpartition(".")[2] in NAMES}
-    return [k for k, name in enumerate(parameters.names) if name in names
-            or (name.rpartition(".")[0] in owners and name.rpartition(".")[2] in NAMES)]
+    owners = {parameters.owner(name) for name in names if parameters.kind(name).is_inertial}
+    return [k for k, (name, kind) in enumerate(zip(parameters.names, parameters.kinds, strict=True))
+            if name in names or (kind.is_inertial and parameters.owner(name) in owners)]
 
 
 def copied(parameters: ParameterSet, places: Sequence[int]) -> ParameterSet:
     """The second values of parameters, about which nothing is known but their bounds."""
     at = list(places)
-    return ParameterSet(tuple(AFTER + parameters.names[k] for k in at), tuple(parameters.units[k] for k in at),
-                        parameters.nominal[at], parameters.lower[at], parameters.upper[at], parameters.scale[at],
-                        np.zeros((len(at), len(at))))
+    return ParameterSet(tuple(AFTER + parameters.names[k] for k in at), tuple(parameters.kinds[k] for k in at),
+                        tuple(parameters.units[k] for k in at), parameters.nominal[at], parameters.lower[at],
+                        parameters.upper[at], parameters.scale[at], np.zeros((len(at), len(at))))
 
 
 def comparison(model: Model, names: Sequence[str]) -> Comparison:

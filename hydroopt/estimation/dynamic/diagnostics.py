@@ -12,21 +12,18 @@ from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.inference.identifiability import NONE, Confounded
 from hydroopt.logs.readings import force_noise
 from hydroopt.parameters.dynamic import bodies
+from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 
-_KINDS = {f"{kind}_{key}": text for kind in ("f", "tau") for key, text in {
-    "coulomb": "Coulomb friction", "coulomb_reverse": "Coulomb friction", "viscous": "viscous friction",
-    "viscous_reverse": "viscous friction", "stribeck": "Stribeck friction"}.items()}
-_KINDS |= {"f_offset": "force offset", "tau_offset": "torque offset", "v_stribeck": "Stribeck friction",
-          "f_seal": "friction of seals", "n_barrel": "friction of the barrel's pin",
-          "n_rod": "friction of the rod's pin",
-          "precharge": "gas pressure", "rotor_inertia": "rotor inertia", "m": "gravity", "mc_x": "gravity",
-          "mc_y": "gravity", "mc_z": "gravity"}
+_EFFECTS = {ParameterKind.MASS: "gravity", ParameterKind.FIRST_MOMENT: "gravity",
+            ParameterKind.MOMENT_OF_INERTIA: "inertia", ParameterKind.STRIBECK_SPEED: "Stribeck friction"}
+"""What parameters of a kind cause, where that is not the name of the kind."""
 
 
 def doubts(estimate: Estimate) -> tuple[str, ...]:
     """Sentences, the gravest first; none if nothing is in doubt."""
-    said = (*_prediction(estimate), *_impossible(estimate), *_noise(estimate), *_confounded(estimate.confounded),
-            *_unseen(estimate), *_held(estimate), *_sampling(estimate), *_confidences(estimate), *_heavy(estimate),
+    said = (*_prediction(estimate), *_impossible(estimate), *_noise(estimate),
+            *_confounded(estimate.problem.parameters, estimate.confounded), *_unseen(estimate),
+            *_held(estimate), *_sampling(estimate), *_confidences(estimate), *_heavy(estimate),
             *_findings(estimate))
     return tuple(dict.fromkeys(said))
 
@@ -65,7 +62,7 @@ def _impossible(estimate: Estimate) -> list[str]:
     return []
 
 
-def _confounded(found: Sequence[Confounded]) -> list[str]:
+def _confounded(parameters: ParameterSet, found: Sequence[Confounded]) -> list[str]:
     """One sentence for each set of parameters that stand in for one another, the smallest sets first."""
     groups: list[set[str]] = []
     for one in found:
@@ -76,8 +73,8 @@ def _confounded(found: Sequence[Confounded]) -> list[str]:
         groups.append(joined)
     said = []
     for group in sorted(groups, key=len):
-        kinds = sorted({_KINDS.get(name.rpartition(".")[2], "inertia") for name in group})
-        subject = kinds[0] if len(kinds) == 1 else f"{', '.join(kinds[:-1])} and {kinds[-1]}"
+        effects = sorted({_EFFECTS.get(kind := parameters.kind(name), kind.value) for name in group})
+        subject = effects[0] if len(effects) == 1 else f"{', '.join(effects[:-1])} and {effects[-1]}"
         worst = max(one.inflation for one in found if one.name in group)
         said.append(f"Not separable in this motion: {subject} ({_some(sorted(group), 6)}), whose variances are up to "
                     f"10^{np.log10(worst):.0f} times what they would be if the others were known.")

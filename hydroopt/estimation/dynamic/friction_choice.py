@@ -27,7 +27,7 @@ from hydroopt.logs.stream import LogStream
 from hydroopt.machine.components import Cylinder, Drive, Motor, Note
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
-from hydroopt.parameters.dynamic import SPEED
+from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.spatial.inertia import Array
 
 TERMS = ("coulomb", "viscous", "stribeck", "reverse", "seal", "dead_zone")
@@ -224,9 +224,7 @@ def friction_problem(machine: Machine, logs: Sequence[Log | LogStream], validati
 def _best_start(problem: IdentificationProblem) -> dict[str, float]:
     """Factors, by actuator, by which Stribeck speeds fit the training data best."""
     parameters, actuators = problem.parameters, problem.model.machine.actuators
-    kinds = [("f" if isinstance(actuator, Cylinder) else "tau") for actuator in actuators]
-    heights = parameters.select(f"{a.name}.{kind}_stribeck" for a, kind in zip(actuators, kinds, strict=True))
-    at = parameters.select(f"{actuator.name}.{SPEED}" for actuator in actuators)
+    heights, at = (parameters.places(kind) for kind in (ParameterKind.STRIBECK_FRICTION, ParameterKind.STRIBECK_SPEED))
     squares = []
     for part in TRIED:
         point = parameters.nominal.copy()
@@ -301,11 +299,11 @@ def choose_friction(machine: Machine, logs: Sequence[Log | LogStream], validatio
 
 def _size(problem: IdentificationProblem, terms: str) -> tuple[int, int]:
     """How many parameters the friction of actuators has, and how many terms."""
+    parameters = problem.parameters
     owners = {actuator.name for actuator in problem.model.machine.actuators}
-    elements = [element.partition("_") for owner, _, element in (
-        name.rpartition(".") for name in problem.parameters.names) if owner in owners]
-    dry_or_viscous = {"coulomb", "coulomb_reverse", "viscous", "viscous_reverse", "stribeck", "seal"}
-    return sum(kind in ("f", "tau", "v") and key in dry_or_viscous for kind, _, key in elements), len(terms_of(terms))
+    of_actuators = [kind for name, kind in zip(parameters.names, parameters.kinds, strict=True)
+                    if kind.is_friction and kind is not ParameterKind.PIN_FRICTION and parameters.owner(name) in owners]
+    return len(of_actuators), len(terms_of(terms))
 
 
 def _judged(fitted: Mapping[str, Estimate], failed: Mapping[str, str],

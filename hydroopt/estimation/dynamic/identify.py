@@ -17,7 +17,7 @@ from hydroopt.estimation.inference import posterior as uncertainty
 from hydroopt.estimation.inference.gaussian import gaussian_posterior
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, Identifiability
 from hydroopt.estimation.inference.solvers import Certificate
-from hydroopt.parameters.dynamic import SPEED
+from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.spatial.inertia import Array
 
 Method = Literal["sdp", "qp", "nlp", "wls", "ridge", "tsvd"]
@@ -83,11 +83,11 @@ def _solve(problem: IdentificationProblem, method: Method, tolerance: float, rid
     parameters = problem.parameters
     if problem.model.linear:
         return _solve_at(problem, parameters.nominal, method, tolerance, ridge, intervals, seed)
-    speeds = np.array([name.endswith(f".{SPEED}") for name in parameters.names])
-    bent = speeds | np.array([name.endswith("_stribeck") for name in parameters.names])
+    speeds = np.array([kind is ParameterKind.STRIBECK_SPEED for kind in parameters.kinds])
+    bent = speeds | np.array([kind is ParameterKind.STRIBECK_FRICTION for kind in parameters.kinds])
     owners = [actuator.name for actuator in problem.model.machine.actuators]
-    heights = {parameters.index(name): owners.index(name.rpartition(".")[0])
-               for name in np.array(parameters.names)[bent & ~speeds]}
+    heights = {k: owners.index(parameters.owner(parameters.names[k]))
+               for k in parameters.places(ParameterKind.STRIBECK_FRICTION)}
     point, faint = parameters.nominal.copy(), np.full(len(owners), np.inf)
     for _ in range(STEPS):
         for k, actuator in heights.items():  # so that nothing depends on the speed where there is next to no force
@@ -226,11 +226,11 @@ def _nominal_where_unseen(problem: IdentificationProblem, seen: Identifiability,
         return psi
     spoken = np.abs(np.vstack([np.zeros((0, len(psi))), *(c.rows for c in problem.conditions)])) > 0
     psi = psi.copy()
-    for k, name in enumerate(problem.parameters.names):
-        body = np.isin(np.arange(len(psi)), range(k, k + 10))
+    for columns in problem.parameters.bodies.values():
+        body = np.isin(np.arange(len(psi)), range(columns.start, columns.stop))
         with_others = spoken[:, body].any(axis=1) & spoken[:, ~body].any(axis=1)
-        if name.endswith(".m") and set(seen.category[k : k + 10]) == {identifiability.NONE} and not with_others.any():
-            psi[k : k + 10] = problem.parameters.nominal[k : k + 10]
+        if set(seen.category[columns]) == {identifiability.NONE} and not with_others.any():
+            psi[columns] = problem.parameters.nominal[columns]
     return psi
 
 

@@ -26,6 +26,7 @@ from hydroopt.estimation.dynamic.stored_information import Session, refuse_repet
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import BASE, Machine
+from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.parameter_set import ParameterSet
@@ -147,7 +148,9 @@ def payload(machine: Machine, unloaded: Sequence[Log] | str | Path, loaded: Sequ
         A, b = problem.rows(first, second)
         test = wald(problem, A, b, readings)
         possible = settle(problem, A, b, intervals=False, seed=seed).x
-        found = settle(_any_inertia(problem), A, b, intervals=True, seed=seed)
+        # Most loads are small, at the edge of physical consistency: samples on one side of the edge only would lie too
+        # far from it, and intervals would not hold. Every mass and centre of mass has a consistent body.
+        found = settle(replace(problem, unconstrained=(LOAD,)), A, b, intervals=True, seed=seed)
     return _payload(problem, carrier, test, found, possible, first, second)
 
 
@@ -172,9 +175,8 @@ def _carried(model: Model, link: str) -> Array:
     if holder != link:
         pose = model.geometry.far_end(holder) @ model.geometry.seen_from(holder, link, {})
         at[:3, :3], at[:3, 3] = ca.evalf(ca.SX(pose.rotation)).full(), ca.evalf(ca.SX(pose.origin)).full().ravel()
-    place = model.parameters.index(f"{holder}.m")
     columns = np.zeros((len(model.parameters), 10))
-    columns[place : place + 10] = np.stack([inertia.from_pseudo_inertia(at @ one @ at.T)
+    columns[model.parameters.bodies[holder]] = np.stack([inertia.from_pseudo_inertia(at @ one @ at.T)
                                             for one in inertia.PSEUDO_BASIS]).T
     return columns
 
@@ -201,25 +203,15 @@ def _load(machine: Machine, mass: float) -> ParameterSet:
     nominal = scale * np.array([1, 0, 0, 0, 1, 0, 0, 1, 0, 1])
     lower = np.array([0.0, *[-np.inf] * 9])
     wide = scale * np.array([10.0, *[1.0] * 9])
-    return ParameterSet(tuple(f"{LOAD}.{name}" for name in inertia.NAMES), inertia.UNITS, nominal, lower,
-                        np.full(10, np.inf), scale, np.diag(1 / wide**2))
-
-
-def _any_inertia(problem: Comparison) -> Comparison:
-    """The problem without the condition that the load's moments of inertia suit its mass and centre.
-
-    Every mass and centre of mass has a body that suits. Most loads are small, at the edge of what is possible: samples
-    that may only lie on one side of the edge would put them too far from it, and intervals would not hold.
-    """
-    names = tuple(f"{name}ass" if name == f"{LOAD}.m" else name for name in problem.unknowns.names)
-    return replace(problem, unknowns=replace(problem.unknowns, names=names))
+    return ParameterSet(tuple(f"{LOAD}.{name}" for name in inertia.NAMES), INERTIAL_KINDS, inertia.UNITS, nominal,
+                        lower, np.full(10, np.inf), scale, np.diag(1 / wide**2))
 
 
 def _gains(model: Model, gain: float) -> ParameterSet:
     names = tuple(f"{actuator.name}.gain" for actuator in model.machine.actuators) if gain else ()
     n = len(names)
-    return ParameterSet(names, ("1",) * n, np.zeros(n), np.full(n, -np.inf), np.full(n, np.inf), np.full(n, gain),
-                        np.eye(n) / (gain or 1.0) ** 2)
+    return ParameterSet(names, (ParameterKind.FORCE_GAIN,) * n, ("1",) * n, np.zeros(n), np.full(n, -np.inf),
+                        np.full(n, np.inf), np.full(n, gain), np.eye(n) / (gain or 1.0) ** 2)
 
 
 def _payload(problem: Comparison, link: str, test: Wald, found: Solution, possible: Array,

@@ -255,7 +255,7 @@ class IdentificationProblem:
     def requirements(self, *, consistent: bool) -> tuple[Condition, ...]:
         """All conditions on ψ but the user's own functions: bounds, possible bodies if asked, and `conditions`."""
         p = len(self.parameters)
-        return (*physics.bounds(self.parameters, self.fixed, consistent=consistent),
+        return (*physics.bounds(self.parameters, self.fixed, self.bodies if consistent else ()),
                 *(physics.consistency(body, p) for body in self.bodies if consistent or self.distance == "log-det"),
                 *self.conditions)
 

@@ -24,9 +24,8 @@ from hydroopt.machine.machine import Machine
 from hydroopt.model.hydraulics import displaced
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
-from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.simulation.drive_valves import arrived
-from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 
 SUPPLY = ("pump.p_supply", "pump.p_tank")
@@ -168,11 +167,11 @@ def hydraulic_problem(machine: Machine, logs: Sequence[Log], validation: Sequenc
 
 
 def _identified(plant: Plant) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Positions of what states a confidence: friction among ψ, and the hydraulics' numbers."""
+    """Positions of what states a confidence: friction and gas pressures among ψ, and the hydraulics' numbers."""
     dynamic, hydraulic = plant.model.parameters, plant.parameters
-    friction = [k for k, name in enumerate(dynamic.names) if dynamic.information[k, k] > 0
-                and name.rpartition(".")[2] not in inertia.NAMES and not name.endswith("_offset")]
-    return np.array(friction, dtype=np.intp), np.flatnonzero(np.diag(hydraulic.information) > 0)
+    free = [k for k, kind in enumerate(dynamic.kinds) if dynamic.information[k, k] > 0
+            and (kind.is_friction or kind is ParameterKind.GAS_PRESSURE)]
+    return np.array(free, dtype=np.intp), np.flatnonzero(np.diag(hydraulic.information) > 0)
 
 
 def _shown(model: Model) -> Array:
@@ -181,7 +180,7 @@ def _shown(model: Model) -> Array:
     In units of the priors' standard deviations the row space of the regressor; nothing is learned across it.
     """
     parameters, machine = model.parameters, model.machine
-    bodies = np.flatnonzero([name.rpartition(".")[2] in inertia.NAMES for name in parameters.names])
+    bodies = np.flatnonzero([kind.is_inertial for kind in parameters.kinds])
     information = parameters.information[np.ix_(bodies, bodies)]
     unknown = np.diag(information) == 0
     values, vectors = np.linalg.eigh(information + np.diag(unknown * 1.0))
@@ -200,13 +199,14 @@ def _shown(model: Model) -> Array:
 def _joined(plant: Plant, psi: NDArray[np.intp], theta: NDArray[np.intp], bodies: int) -> ParameterSet:
     parts = [(plant.model.parameters, psi), (plant.parameters, theta)]
     names = [one.names[k] for one, at in parts for k in at] + [f"bodies.{k + 1}" for k in range(bodies)]
+    kinds = [one.kinds[k] for one, at in parts for k in at] + [ParameterKind.BODY_DIRECTION] * bodies
     units = [one.units[k] for one, at in parts for k in at] + ["1"] * bodies
 
     def numbers(key: str, rest: float) -> Array:
         return np.concatenate([*(getattr(one, key)[at] for one, at in parts), np.full(bodies, rest)])
 
     information = np.concatenate([*(np.diag(one.information)[at] for one, at in parts), np.ones(bodies)])
-    return ParameterSet(tuple(names), tuple(units), numbers("nominal", 0.0), numbers("lower", -np.inf),
+    return ParameterSet(tuple(names), tuple(kinds), tuple(units), numbers("nominal", 0.0), numbers("lower", -np.inf),
                         numbers("upper", np.inf), numbers("scale", 1.0), np.diag(information))
 
 

@@ -16,7 +16,7 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.mass_statements import Shape
-from hydroopt.parameters.dynamic import SPEED, bodies
+from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
@@ -26,11 +26,6 @@ UPPER = np.triu_indices(4)
 
 MARGIN = 1e-7
 """Smallest eigenvalue allowed to a semidefinite condition: keeps bodies strictly possible despite rounding."""
-
-FRICTION = (*(f"{kind}_{term}" for kind in ("f", "tau") for term in
-              ("coulomb", "coulomb_reverse", "viscous", "viscous_reverse", "stribeck", "seal")),
-            SPEED, "n_barrel", "n_rod")
-"""Elements that identical actuators share; an offset belongs to a sensor."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,13 +118,11 @@ def scaled_bodies(parameters: ParameterSet, *, distances: bool = False) -> tuple
         ProblemError: there is no log-det distance to a nominal body that could not exist, or is flat.
     """
     found = []
-    for k, name in enumerate(parameters.names):
-        if not name.endswith(".m"):
-            continue
-        owner, phi = name.removesuffix(".m"), parameters.nominal[k : k + 10]
+    for owner, columns in parameters.bodies.items():
+        phi = parameters.nominal[columns]
         mass = max(phi[0], 1e-3)
         second = max(np.trace(inertia.pseudo_inertia(phi)[:3, :3]) / 3, 1e-6 * mass)
-        body = ScaledBody(owner, slice(k, k + 10), np.diag([*[1 / np.sqrt(second)] * 3, 1 / np.sqrt(mass)]))
+        body = ScaledBody(owner, columns, np.diag([*[1 / np.sqrt(second)] * 3, 1 / np.sqrt(mass)]))
         if distances:
             nominal = body.pseudo_inertia(phi)
             if np.linalg.eigvalsh(nominal)[0] < 1e-6:
@@ -137,13 +130,18 @@ def scaled_bodies(parameters: ParameterSet, *, distances: bool = False) -> tuple
                                    "a log-det distance to it", where=f"body '{owner}'",
                                    remedy="correct its inertia, or keep the distance 'gaussian'")
             whiten = np.asarray(np.linalg.inv(np.linalg.cholesky(nominal)) @ body.scaling)
-            body = ScaledBody(owner, body.columns, whiten, 0.5 * (phi[0] / parameters.scale[k]) ** 2)
+            body = ScaledBody(owner, body.columns, whiten, 0.5 * (phi[0] / parameters.scale[columns.start]) ** 2)
         found.append(body)
     return tuple(found)
 
 
-def bounds(parameters: ParameterSet, fixed: Mapping[str, float], *, consistent: bool) -> list[Condition]:
-    """Lower and upper bounds of single parameters, and those that are held."""
+def bounds(parameters: ParameterSet, fixed: Mapping[str, float],
+           consistent: Sequence[ScaledBody] = ()) -> list[Condition]:
+    """Lower and upper bounds of single parameters, and those that are held.
+
+    The mass of a body that must be physically consistent is positive anyway.
+    """
+    masses = {body.columns.start for body in consistent}
     found = []
     for k, name in enumerate(parameters.names):
         size = parameters.scale[k]
@@ -152,8 +150,7 @@ def bounds(parameters: ParameterSet, fixed: Mapping[str, float], *, consistent: 
             found.append(Condition(f"{name} fixed", "zero", row, np.array([fixed[name] / size])))
             continue
         low, high = parameters.lower[k], parameters.upper[k]
-        # a body's mass is positive anyway where bodies must be possible
-        if np.isfinite(low) and not (consistent and name.endswith(".m") and low == 0):
+        if np.isfinite(low) and not (k in masses and low == 0):
             found.append(Condition(f"lower bound of {name}", "nonnegative", row, np.array([low / size])))
         if np.isfinite(high):
             found.append(Condition(f"upper bound of {name}", "nonnegative", -row, np.array([-high / size])))
@@ -186,16 +183,22 @@ def likeness(parameters: ParameterSet, name: str, owners: Sequence[str]) -> Cond
     Raises:
         ProblemError: fewer than two owners, an unknown one, or some with other parameters than the rest.
     """
-    positions = parameters.positions  # what rubs in a link's joint is no part of its body
-    own = [[element for element in (inertia.NAMES if f"{owner}.m" in positions else FRICTION)
-            if f"{owner}.{element}" in positions] for owner in owners]
-    if len(set(owners)) < 2 or not all(own) or any(one != own[0] for one in own):
+    own = [_shared(parameters, owner) for owner in owners]
+    elements = [[name.removeprefix(f"{owner}.") for name in names] for owner, names in zip(owners, own, strict=True)]
+    if len(set(owners)) < 2 or not all(own) or any(one != elements[0] for one in elements):
         raise ProblemError(f"{', '.join(owners) or 'nothing'} cannot be identical", where=f"'{name}'",
                            remedy="name two or more bodies, or actuators with the same terms of friction")
     unit = np.eye(len(parameters))
-    return _zero(name, parameters, np.array([
-        unit[parameters.index(f"{one}.{element}")] - unit[parameters.index(f"{other}.{element}")]
-        for one, other in pairwise(owners) for element in own[0]]))
+    return _zero(name, parameters, np.array([unit[parameters.index(one)] - unit[parameters.index(other)]
+                                             for pair in pairwise(own) for one, other in zip(*pair, strict=True)]))
+
+
+def _shared(parameters: ParameterSet, owner: str) -> list[str]:
+    """Parameters that identical owners share: a body's ten, an actuator's friction; an offset belongs to a sensor."""
+    if owner in parameters.bodies:  # friction in a link's joint is no part of its body
+        return list(parameters.names[parameters.bodies[owner]])
+    return [name for name, kind in zip(parameters.names, parameters.kinds, strict=True)
+            if kind.is_friction and parameters.owner(name) == owner]
 
 
 def total_mass(parameters: ParameterSet, name: str, owners: Sequence[str]) -> Array:
@@ -224,7 +227,7 @@ def inside(parameters: ParameterSet, owner: str, shape: Shape) -> tuple[Conditio
     (all pairs of its faces: three slabs and twelve edges) and a cylinder (its round part and its slab) they are
     necessary only: no density inside is ruled out, but some parameters pass that none has.
     """
-    start = parameters.index(f"{owner}.m")
+    start = parameters.bodies[owner].start
     p, mass = len(parameters), max(parameters.nominal[start], 1e-3)
     J = np.zeros((4, 4, p))  # pseudo-inertia for each parameter: the integral of [x; 1]·[x; 1]ᵀ
     J[:, :, start : start + 10] = inertia.PSEUDO_BASIS.transpose(1, 2, 0) / mass
@@ -257,7 +260,7 @@ def stated(machine: Machine, parameters: ParameterSet, *, actuator_inertia: bool
         found += inside(parameters, owner, owned.body.shape) if owned.body.shape else ()
         found += [symmetry(parameters, owner, plane) for plane in dict.fromkeys(owned.body.symmetric)]
     for one in machine.identical:
-        rubbing = [name for name in one.friction if any(f"{name}.{term}" in parameters.positions for term in FRICTION)]
+        rubbing = [name for name in one.friction if _shared(parameters, name)]
         for owners in ([owner for owner in one.bodies if owner in modelled], rubbing):
             found += [likeness(parameters, one.name, owners)] if len(owners) > 1 else []
     for total in machine.total_masses:
@@ -272,9 +275,7 @@ def _zero(name: str, parameters: ParameterSet, rows: Array, right: Array | None 
 
 
 def _body(parameters: ParameterSet, owner: str, name: str) -> int:
-    try:
-        return parameters.index(f"{owner}.m")
-    except ProblemError:
-        known = ", ".join(n.removesuffix(".m") for n in parameters.names if n.endswith(".m"))
+    if owner not in parameters.bodies:
         raise ProblemError(f"'{owner}' is no body of this model", where=f"'{name}'",
-                           remedy=f"name one of {known}") from None
+                           remedy=f"name one of {', '.join(parameters.bodies)}")
+    return int(parameters.bodies[owner].start)

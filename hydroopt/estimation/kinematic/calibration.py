@@ -18,6 +18,7 @@ from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibratio
 from hydroopt.estimation.kinematic.suspects import Suspect, diagnose
 from hydroopt.machine.components import Note
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.results.fit import Fit
 from hydroopt.spatial.inertia import Array
 
@@ -169,7 +170,8 @@ def solvable(problem: CalibrationProblem, method: str) -> CalibrationProblem:
         raise ProblemError(f"'{method}' is no method of kinematic calibration", where="--method",
                            remedy=f"use {' or '.join(METHODS)}")
     if method == "hierarchical":  # which knows no drift, as in the thesis
-        problem = problem.fixing(**{name: 0.0 for name in problem.parameters.names if ".drift." in name})
+        drifts = problem.parameters.places(ParameterKind.DRIFT)
+        problem = problem.fixing(**{problem.parameters.names[k]: 0.0 for k in drifts})
     if not np.any(problem.free):
         raise ProblemError("no number of the geometry states a confidence, so that nothing is calibrated",
                            where=f"machine '{problem.model.machine.name}'",

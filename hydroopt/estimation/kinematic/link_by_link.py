@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference.identifiability import PREDICTED_TOLERANCE, significant
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
+from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.spatial.inertia import Array
 
 FIRST, LAST = 5e-2, 5e-11
@@ -269,8 +270,8 @@ def _refuse(problem: CalibrationProblem) -> None:
     if problem.loss != "squares":
         raise ProblemError(f"the link-by-link method knows least squares only, not the loss '{problem.loss}'",
                            where=where, remedy=f"{other} or the loss 'squares'")
-    for name in problem.parameters.names:
-        if ".drift." in name and problem.fixed.get(name) != 0:
+    for name, kind in zip(problem.parameters.names, problem.parameters.kinds, strict=True):
+        if kind is ParameterKind.DRIFT and problem.fixed.get(name) != 0:
             raise ProblemError("the link-by-link method takes locked joints as still and cannot estimate their drift",
                                where=f"parameter '{name}'", remedy=f"{other}, or hold the parameter at 0")
     kinds = {link.name: link.joint.type for link in model.links}

@@ -18,7 +18,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
-from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array
 
 EXACT = 1e-6
@@ -90,7 +90,7 @@ class CalibrationProblem:
     @property
     def known(self) -> Array:
         """(P,) root of the information that counts beside the data: of drifts always, of the rest as `priors` says."""
-        counts = [self.priors or ".drift." in name for name in self.parameters.names]
+        counts = [self.priors or kind is ParameterKind.DRIFT for kind in self.parameters.kinds]
         return np.asarray(np.sqrt(np.diag(self.parameters.information)) * counts)
 
     @property
@@ -200,6 +200,7 @@ class _Extra:
     """A parameter that the poses add; without a scale it is exact, without a sigma nothing is known before."""
 
     name: str
+    kind: ParameterKind
     unit: str
     nominal: float
     sigma: float | None
@@ -263,14 +264,15 @@ class _Builder:
                 note = self.machine.notes.get(f"{name}.position")
                 sigma = None if note is None else note.spread(*fixture.position)
                 for axis, value in zip("xyz", fixture.position, strict=True):
-                    self._add(f"{owner}.{axis}", "m", value, None if fixture.moves else sigma,
+                    self._add(f"{owner}.{axis}", ParameterKind.POSITION, "m", value, None if fixture.moves else sigma,
                               1e-3 if fixture.moves else sigma)
             self.fixture[row] = [self.names[f"{owner}.{axis}"] for axis in "xyz"]
         self.present[:, :3] = self.fixture >= 0
 
-    def _add(self, name: str, unit: str, value: float, sigma: float | None, scale: float | None) -> int:
+    def _add(self, name: str, kind: ParameterKind, unit: str, value: float, sigma: float | None,
+             scale: float | None) -> int:
         self.names[name] = len(self.model.parameters) + len(self.extra)
-        self.extra.append(_Extra(name, unit, value, sigma, scale))
+        self.extra.append(_Extra(name, kind, unit, value, sigma, scale))
         return self.names[name]
 
     def _joints(self) -> None:
@@ -304,14 +306,14 @@ class _Builder:
                 if joint not in holding:
                     note = self.machine.notes.get(f"{name}.locked.{joint}")
                     sigma = None if note is None else note.spread(stage.locked[joint])
-                    holding[joint] = self._add(f"{joint}.locked.{name}", "rad", stage.locked[joint], sigma,
-                                               sigma or np.radians(10.0))
+                    holding[joint] = self._add(f"{joint}.locked.{name}", ParameterKind.LOCKED_ANGLE, "rad",
+                                               stage.locked[joint], sigma, sigma or np.radians(10.0))
                     slips[joint] = []
                 self.reading[blind, k] = 0.0
                 self.triplets += [(int(row) * n + k, holding[joint], 1.0) for row in blind]
                 self.triplets += [(int(row) * n + k, slip, 1.0) for row in blind for slip in slips[joint]]
                 if stage.drift > 0:
-                    slip = self._add(f"{joint}.drift.{name}", "rad", 0.0, stage.drift, stage.drift)
+                    slip = self._add(f"{joint}.drift.{name}", ParameterKind.DRIFT, "rad", 0.0, stage.drift, stage.drift)
                     self.triplets += [(int(row) * n + k, slip, float(progress[i]))
                                       for i, row in enumerate(rows) if not self.sensed[row, k]]
                     slips[joint].append(slip)
@@ -342,7 +344,8 @@ class _Builder:
         information = [*np.diag(own.information), *(1 / e.sigma**2 if e.sigma else 0.0 for e in extra)]
         free = np.full(len(extra), np.inf)
         return ParameterSet(
-            (*own.names, *(e.name for e in extra)), (*own.units, *(e.unit for e in extra)),
+            (*own.names, *(e.name for e in extra)), (*own.kinds, *(e.kind for e in extra)),
+            (*own.units, *(e.unit for e in extra)),
             np.array([*own.nominal, *(e.nominal for e in extra)]), np.concatenate([own.lower, -free]),
             np.concatenate([own.upper, free]), np.array([*own.scale, *(e.scale or 1.0 for e in extra)]),
             np.diag(information))

@@ -20,7 +20,7 @@ from hydroopt.model.model import Model
 from hydroopt.model.regressor import body_regressor
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.simulation.simulate import BACK_PRESSURE
-from hydroopt.spatial.inertia import NAMES, Array
+from hydroopt.spatial.inertia import Array
 
 
 class Row(NamedTuple):
@@ -177,13 +177,12 @@ class Limits:
         machine, dynamics = self.model.machine, self.model.dynamics
         if machine.footprint is None or machine.ground is None:
             return
-        psi, place = self.model.parameters.nominal, self.model.parameters.positions
+        psi, columns = self.model.parameters.nominal, self.model.parameters.bodies
         owners = tuple(bodies(machine, actuator_inertia=self.model.actuator_inertia))
         force, moment = ca.SX(3, 1), ca.SX(3, 1)
         for owner in owners:
             motion = dynamics.body_motion(owner)
-            first = place[f"{owner}.m"]
-            wrench = body_regressor(motion) @ ca.DM(psi[first:first + len(NAMES)])
+            wrench = body_regressor(motion) @ ca.DM(psi[columns[owner]])
             own = motion.pose.rotation @ wrench[:3]
             force += own
             moment += motion.pose.rotation @ wrench[3:] + ca.cross(motion.pose.origin, own)
@@ -191,7 +190,7 @@ class Limits:
         force += weight
         moment += ca.cross(ca.DM(machine.footprint.com), weight)
         corners = [np.array([*corner, machine.ground]) for corner in machine.footprint.corners]
-        total = machine.gravity * (machine.footprint.mass + sum(psi[place[f"{owner}.m"]] for owner in owners)) or 1.0
+        total = machine.gravity * (machine.footprint.mass + sum(psi[columns[owner].start] for owner in owners)) or 1.0
         for k, corner in enumerate(corners):
             edge = corners[(k + 1) % len(corners)] - corner
             # about each edge the ground's push must turn inwards, or the machine leaves the ground

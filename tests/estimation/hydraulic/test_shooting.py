@@ -9,7 +9,7 @@ import pytest
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.hydraulic.dynamics import WIDEST, Dynamics, Record, ShootingProblem, free_run
 from hydroopt.estimation.hydraulic.shooting import multiple_shooting
-from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 
 RNG = np.random.default_rng(0)
 
@@ -17,8 +17,8 @@ RNG = np.random.default_rng(0)
 def parameter_set(names, start, *, lower=0.0, sigma=None):
     start = np.asarray(start, float)
     information = np.zeros((len(start),) * 2) if sigma is None else np.diag(1 / np.asarray(sigma) ** 2)
-    return ParameterSet(tuple(names), ("1",) * len(start), start, np.full(len(start), lower),
-                        np.full(len(start), np.inf), np.abs(start), information)
+    return ParameterSet(tuple(names), (ParameterKind.COEFFICIENT,) * len(start), ("1",) * len(start), start,
+                        np.full(len(start), lower), np.full(len(start), np.inf), np.abs(start), information)
 
 
 def cylinder():
@@ -80,7 +80,7 @@ def test_collocation_keeps_its_order():
         t = np.array([0.0, 0.6])
         record = Record(t, np.zeros((2, 1)), np.array([[1.0, 0.0], [np.nan, np.nan]]), np.array([[1.0, 0.0]] * 2),
                         steps=steps, initial_sigma=np.full(2, 1e-6))
-        fixed = ParameterSet(("w",), ("1",), np.ones(1), np.ones(1), np.ones(1), np.ones(1), np.eye(1))
+        fixed = ParameterSet(("w",), (ParameterKind.COEFFICIENT,), ("1",), *[np.ones(1)] * 4, np.eye(1))
         end = multiple_shooting(ShootingProblem(oscillator, fixed, np.full(2, 1e-6), (record,))).at.points[0][-1]
         fine = Record(np.linspace(0, 0.6, 60), np.zeros((60, 1)), np.zeros((60, 2)), np.zeros((60, 2)))
         errors.append(np.abs(end - free_run(oscillator, fine, np.array([1.0, 0.0]), np.ones(1))[0][-1]).max())

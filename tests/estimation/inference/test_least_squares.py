@@ -7,7 +7,7 @@ import pytest
 
 from hydroopt.estimation.inference import least_squares
 from hydroopt.estimation.inference.identifiability import analyse
-from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 
 # NIST Statistical Reference Datasets, Longley (1967): employment y and six regressors that are nearly collinear
 LONGLEY = np.array([
@@ -106,7 +106,8 @@ def test_nearest_keeps_the_base_parameters_and_no_other_point_is_nearer(dependen
     rng = np.random.default_rng(8)
     nominal, scale = rng.standard_normal(9), rng.uniform(0.5, 2.0, 9)
     parameters = ParameterSet(
-        NAMES, ("1",) * 9, nominal, np.full(9, -np.inf), np.full(9, np.inf), scale, np.zeros((9, 9))
+        NAMES, (ParameterKind.COEFFICIENT,) * 9, ("1",) * 9, nominal, np.full(9, -np.inf), np.full(9, np.inf), scale,
+        np.zeros((9, 9))
     )
     found = analyse(K, NAMES)
     psi = np.linalg.lstsq(K, f, rcond=None)[0]
