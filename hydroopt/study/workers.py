@@ -21,7 +21,7 @@ from distributed import Client, Future, KilledWorker, LocalCluster, Worker, Work
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import HydrooptError, ProblemError, SolverError
-from hydroopt.interrupt import deaf, noted
+from hydroopt.interrupt import blocked, deferred
 from hydroopt.study.study import Outcome, Study, Values
 from hydroopt.versions import versions
 
@@ -96,7 +96,7 @@ def _client(scheduler: str | None, workers: int) -> Iterator[Client]:
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     with dask.config.set(CONFIG):
         if scheduler is None:
-            with deaf():  # Ctrl-C is for this process alone
+            with blocked():  # Ctrl-C is for this process alone
                 cluster = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, memory_limit=0,
                                        dashboard_address=None, silence_logs=logging.CRITICAL + 1)
             with cluster, Client(cluster, set_as_default=False) as client:
@@ -147,9 +147,10 @@ def _finished(client: Client, study: Study, name: str, indices: Sequence[int],
     for future in futures:
         future.add_done_callback(queue.put)
     del futures
-    with noted() as check:
+    with deferred() as interrupted:
         while waiting:
-            check()
+            if interrupted():
+                raise KeyboardInterrupt
             try:
                 future = queue.get(timeout=PAUSE)
             except Empty:

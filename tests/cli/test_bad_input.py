@@ -4,16 +4,18 @@ import re
 import subprocess
 import sys
 
-import bad_actuator_cases
-import bad_compare_cases
-import bad_control_cases
-import bad_excite_cases
-import bad_hydraulics_cases
-import bad_input_cases
-import bad_study_cases
 import pytest
-from cli.bad_input_cases import DIGGER, GOOD_LOG, identify, show
 
+from fixtures import (
+    bad_actuator_cases,
+    bad_compare_cases,
+    bad_control_cases,
+    bad_excite_cases,
+    bad_hydraulics_cases,
+    bad_input_cases,
+    bad_study_cases,
+)
+from fixtures.bad_input_cases import DIGGER, GOOD_LOG, identify, show
 from hydroopt import cli
 
 CASES = (bad_input_cases.CASES | bad_excite_cases.CASES | bad_compare_cases.CASES | bad_study_cases.CASES

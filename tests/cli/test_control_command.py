@@ -11,8 +11,8 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from cli.bad_control_cases import path
 
+from fixtures.bad_control_cases import path
 from hydroopt import cli, load_machine
 from hydroopt.logs.log import read_log
 

@@ -63,8 +63,7 @@ def test_the_same_command_again_computes_nothing(montecarlo: tuple[Path, str]) -
 def terminal(tmp_path: Path) -> Iterator[tuple[object, Path]]:
     if sys.platform == "win32":
         pytest.skip("no terminal to press Ctrl-C in")
-    sys.path.insert(0, str(Path(__file__).parents[1]))
-    from terminal import Terminal
+    from fixtures.terminal import Terminal
 
     running = Terminal("study", "montecarlo", *QUICK, "--cells", "2000", "--workers", "1", "-o", str(tmp_path / "out"))
     yield running, tmp_path / "out"

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from functools import cache
 
-import library
 import pytest
-from library import Library
+
+from fixtures import library
+from fixtures.library import Library
 
 
 @pytest.fixture(scope="session")

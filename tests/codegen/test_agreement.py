@@ -17,11 +17,11 @@ from collections.abc import Iterator
 from functools import cache, cached_property
 
 import casadi as ca
-import library
 import numpy as np
 import pytest
-from library import OK, OPEN_TRIANGLE, OUT_OF_STROKE, SUBJECTS, Library, held, over
 
+from fixtures import library
+from fixtures.library import OK, OPEN_TRIANGLE, OUT_OF_STROKE, SUBJECTS, Library, held, over
 from hydroopt.codegen.folder import STATUSES
 from hydroopt.codegen.routines import ROUTINES
 from hydroopt.machine.components import Cylinder

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import library
 import numpy as np
 import pytest
-from library import OK, Library, held
 
+from fixtures import library
+from fixtures.library import OK, Library, held
 from hydroopt.errors import ProblemError
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine

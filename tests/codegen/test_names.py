@@ -9,8 +9,8 @@ from pathlib import Path
 
 import pytest
 import tomlkit
-from library import run
 
+from fixtures.library import run
 from hydroopt import cli
 from hydroopt.codegen import folder
 

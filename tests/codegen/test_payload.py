@@ -10,11 +10,11 @@ from __future__ import annotations
 from functools import cache
 from typing import NamedTuple
 
-import library
 import numpy as np
 import pytest
-from library import OK, OUT_OF_STROKE, Library, held, over
 
+from fixtures import library
+from fixtures.library import OK, OUT_OF_STROKE, Library, held, over
 from hydroopt.model.model import Model
 
 Array = np.ndarray

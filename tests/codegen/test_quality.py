@@ -12,12 +12,12 @@ from collections.abc import Callable, Sequence
 from functools import cache
 from pathlib import Path
 
-import library
 import numpy as np
 import pytest
-from fuzz import INPUTS, MODES, driver
-from library import OK, OUT_OF_STROKE, run, sources, write
 
+from fixtures import library
+from fixtures.fuzz import INPUTS, MODES, driver
+from fixtures.library import OK, OUT_OF_STROKE, run, sources, write
 from hydroopt.codegen.folder import STATUSES, Code
 from hydroopt.codegen.parameter_source import read
 from hydroopt.codegen.routines import ROUTINES

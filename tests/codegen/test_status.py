@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import library
 import numpy as np
 import pytest
-from library import (
+
+from fixtures import library
+from fixtures.library import (
     CONSTANTS,
     DEAD_POINT,
     NO_GAS_VOLUME,
@@ -21,7 +22,6 @@ from library import (
     held,
     over,
 )
-
 from hydroopt.codegen import self_test
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine

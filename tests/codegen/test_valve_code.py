@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from library import NO_SUPPLY, OK, Library, held, machine, over, subject
 from numpy.testing import assert_allclose
 
+from fixtures.library import NO_SUPPLY, OK, Library, held, machine, over, subject
 from hydroopt.control.valve_inversion import RAMP, Valves
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant

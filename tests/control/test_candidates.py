@@ -7,9 +7,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from cli.bad_control_cases import PATU
 from numpy.testing import assert_allclose
 
+from fixtures.bad_control_cases import PATU
 from hydroopt import Model, ProblemError, load_machine, random_trajectory, read_machine
 from hydroopt.control.closed_loop import Sensors
 from hydroopt.control.comparison import FEEDFORWARD, LQG, PI, Comparison, Outcome, Setting, compare

@@ -7,18 +7,14 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
+from fixtures.periodic import PERIOD, PERIODIC
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.logs.log import Log
-from hydroopt.logs.smoothing import Fourier
 from hydroopt.machine.components import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import random_trajectory, random_truth, simulate
-
-PERIOD = 33.28
-PERIODIC = Fourier(period=PERIOD, harmonics=20)
-"""Exact for `random_trajectory`, which repeats itself after its duration."""
 
 Logs = Callable[..., list[Log]]
 

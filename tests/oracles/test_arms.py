@@ -5,7 +5,8 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 import pytest
-from subjects import forces, model, relative_error, states
+
+from oracles.subjects import forces, model, relative_error, states
 
 
 class Arm(NamedTuple):

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-from pinocchio_tree import PinocchioTree
-from subjects import SUBJECTS, forces, model, random_bodies, relative_error, states
 
 from hydroopt.machine.components import Cylinder
+from oracles.pinocchio_tree import PinocchioTree
+from oracles.subjects import SUBJECTS, forces, model, random_bodies, relative_error, states
 
 
 @pytest.mark.parametrize("name", SUBJECTS)

@@ -2,7 +2,8 @@
 
 import numpy as np
 import pytest
-from subjects import SUBJECTS, forces, model, random_bodies, relative_error, states
+
+from oracles.subjects import SUBJECTS, forces, model, random_bodies, relative_error, states
 
 
 @pytest.mark.parametrize("complete", [True, False])

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from mujoco_tree import MujocoTree
-from subjects import forces, model, random_bodies, relative_error, states
+
+from oracles.mujoco_tree import MujocoTree
+from oracles.subjects import forces, model, random_bodies, relative_error, states
 
 
 @pytest.mark.parametrize(("name", "complete"), [("kr300", True), ("cat215b", False), ("cat215b", True)])

@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
-from pinocchio_tree import PinocchioTree
-from subjects import forces, model, random_bodies, relative_error, states
+
+from oracles.pinocchio_tree import PinocchioTree
+from oracles.subjects import forces, model, random_bodies, relative_error, states
 
 
 @pytest.mark.parametrize("name", ["cat215b", "kr300", "patu655_lift", "made_up"])

@@ -3,13 +3,13 @@
 import casadi as ca
 import numpy as np
 import pytest
-from mujoco_tree import MujocoTree
-from pinocchio_tree import PinocchioTree
 from scipy.integrate import simpson
-from subjects import model, random_bodies
 
 from hydroopt.machine.components import Cylinder
 from hydroopt.model.plant import CREEP, Plant
+from oracles.mujoco_tree import MujocoTree
+from oracles.pinocchio_tree import PinocchioTree
+from oracles.subjects import model, random_bodies
 
 STEP = 1e-3
 

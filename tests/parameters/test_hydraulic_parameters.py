@@ -1,9 +1,9 @@
 """The parameters of valves, hoses, leaks and oil: names and units, bounds, and their way through machine files."""
 
 import numpy as np
-from bad_hydraulics_cases import FED
-from bad_input_cases import edited
 
+from fixtures.bad_hydraulics_cases import FED
+from fixtures.bad_input_cases import edited
 from hydroopt.machine.machine_file import dump_machine, read_machine
 from hydroopt.parameters.hydraulic import parameter_set
 

@@ -18,18 +18,16 @@ import psutil
 import pytest
 from threadpoolctl import threadpool_limits
 
+from fixtures import quick
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.study.directory import Directory
 from hydroopt.study.run import run, span
 from hydroopt.study.study import Study, seeds
 from hydroopt.study.table import Table
 
-sys.path.insert(0, str(Path(__file__).parent))
-import quick
-
 PATIENCE = 60.0
 """Time [s] that nothing here takes."""
-HERE = {**os.environ, "PYTHONPATH": os.pathsep.join([str(Path(__file__).parents[2]), str(Path(__file__).parent)])}
+HERE = {**os.environ, "PYTHONPATH": os.pathsep.join(map(str, Path(__file__).parents[1:3]))}
 
 
 def alone(study: Study) -> str:

@@ -7,13 +7,10 @@ is touched in between, drawn towards a posture of rest until none is: a motion t
 
 from __future__ import annotations
 
-import signal
-import threading
 import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
 from multiprocessing import get_context
 from multiprocessing.queues import Queue
 from multiprocessing.synchronize import Event
@@ -28,7 +25,7 @@ from hydroopt.excitation.motion.excitation import Excitation
 from hydroopt.excitation.motion.limits import Limits, margins
 from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.excitation.motion.sqp import sequential_quadratic_programming
-from hydroopt.interrupt import deaf
+from hydroopt.interrupt import blocked, deferred, ignore
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import sampling_rate
@@ -105,7 +102,7 @@ def design(program: ExcitationProblem, *, starts: int = 16, seed: int = 0, secon
         say(f"start {start + 1} of {starts}: {criterion} = {value:.4g}, best {best:.4g}")
 
     processes, end = min(processes, starts), time.time() + seconds
-    with _interruptible() as interrupted:
+    with deferred() as interrupted:
         if processes == 1:
             for start in range(starts):
                 found.append(_attempt(program, still, (seed, start), end, interrupted, heard))
@@ -157,7 +154,7 @@ class _Worker:
 
     @classmethod
     def begin(cls, program: ExcitationProblem, rest: Array, stop: Event, tell: Queue[tuple[int, float]]) -> None:
-        signal.signal(signal.SIGINT, signal.SIG_IGN)  # the parent says when to stop
+        ignore()
         cls.program, cls.rest, cls.stop, cls.tell = program, rest, stop, tell
 
     @classmethod
@@ -171,7 +168,7 @@ def _in_parallel(program: ExcitationProblem, rest: Array, seed: int, starts: int
     stop, told = context.Event(), context.Queue()
     try:
         with ProcessPoolExecutor(processes, context, _Worker.begin, (program, rest, stop, told)) as pool:
-            with deaf():
+            with blocked():
                 attempts = [pool.submit(_Worker.attempt, (seed, start), end) for start in range(starts)]
             running = set(attempts)
             while running:
@@ -268,17 +265,3 @@ def drawn(program: ExcitationProblem, rest: Array, rng: np.random.Generator) -> 
         total[:, k] = np.reshape(
             shrunk(program, rest + alone.ravel(), rest, rough=True) - rest, shape)[:, k]
     return shrunk(program, rest + total.ravel(), rest)
-
-
-@contextmanager
-def _interruptible() -> Iterator[Callable[[], bool]]:
-    """Ctrl-C becomes something that can be asked for; elsewhere than in the main thread nothing changes."""
-    pressed = threading.Event()
-    if threading.current_thread() is not threading.main_thread():
-        yield pressed.is_set
-        return
-    before = signal.signal(signal.SIGINT, lambda *_: pressed.set())
-    try:
-        yield pressed.is_set
-    finally:
-        signal.signal(signal.SIGINT, before)

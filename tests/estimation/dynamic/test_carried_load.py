@@ -2,16 +2,11 @@
 
 from __future__ import annotations
 
-import sys
-from pathlib import Path
-
 import numpy as np
 import pytest
 
-sys.path.insert(0, str(Path(__file__).parent))
-from conftest import PERIODIC as CAT_PERIODIC
-from two_sessions import GRIPPING, PERIODIC, PLANAR, SPATIAL, TORQUE_NOISE, recorded, with_load
-
+from fixtures.periodic import PERIODIC as CAT_PERIODIC
+from fixtures.two_sessions import GRIPPING, PERIODIC, PLANAR, SPATIAL, TORQUE_NOISE, recorded, with_load
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.payload import payload
 from hydroopt.machine.machine import Machine

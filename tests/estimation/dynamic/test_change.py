@@ -3,18 +3,14 @@
 from __future__ import annotations
 
 import functools
-import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy import stats
 
-sys.path.insert(0, str(Path(__file__).parent))
-from conftest import PERIODIC as CAT_PERIODIC
-from two_sessions import PERIOD, PERIODIC, PLANAR, RATE, SPATIAL, TORQUE_NOISE, recorded
-
+from fixtures.periodic import PERIODIC as CAT_PERIODIC
+from fixtures.two_sessions import PERIOD, PERIODIC, PLANAR, RATE, SPATIAL, TORQUE_NOISE, recorded
 from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.estimation.dynamic.change import detect_change, detectable, holm, named_parts
 from hydroopt.estimation.dynamic.comparison import comparison, wald

@@ -12,8 +12,7 @@ import pytest
 if sys.platform == "win32":
     pytest.skip("no terminal to press Ctrl-C in", allow_module_level=True)
 
-sys.path.insert(0, str(Path(__file__).parents[2]))
-from terminal import Terminal
+from fixtures.terminal import Terminal
 
 LONG = ("--duration", "8", "--harmonics", "2", "--seconds", "600", "--starts", "2000")
 
