@@ -1,4 +1,4 @@
-"""The command `hydroopt`: show, simulate, identify, compare, calibrate, excite, control, study, codegen."""
+"""The command `hydroopt`, and how its subcommands end."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from hydroopt.cli.compare import compare
 from hydroopt.cli.control import control
 from hydroopt.cli.excite import excite
 from hydroopt.cli.identify import identify
+from hydroopt.cli.identify_valves import identify_valves
 from hydroopt.cli.show import show
 from hydroopt.cli.simulate import simulate
 from hydroopt.cli.study import study
@@ -20,7 +21,7 @@ from hydroopt.errors import HydrooptError
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help=(
     "Calibrate hydraulically actuated manipulators: a machine file and logs in, a model with error bars out."))
-for command in (show, simulate, identify, compare, calibrate, excite, control, study, codegen):
+for command in (show, simulate, identify, identify_valves, compare, calibrate, excite, control, study, codegen):
     app.command()(command)
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]

@@ -10,7 +10,6 @@ from typing import Annotated
 
 import typer
 
-from hydroopt.cli.identify_valves import OTHERS, identify_valves
 from hydroopt.cli.options import (
     AsJson,
     Bandwidth,
@@ -24,7 +23,6 @@ from hydroopt.cli.options import (
     distance_of,
     loss_of,
     progress,
-    refuse_idle,
     reliefs,
     smoothing_of,
     treatment_of,
@@ -42,7 +40,6 @@ from hydroopt.solving import solve
 
 
 def identify(
-    context: typer.Context,
     machine: MachineName,
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs to learn from (.csv, .parquet, .mat).")],
     output: Directory,
@@ -71,10 +68,6 @@ def identify(
     friction: Annotated[str | None, typer.Option(help=(
         f"Friction terms of all actuators instead of the file's: {', '.join(TERMS)} joined by +, or none. 'auto', or "
         "several sets separated by commas: the one that predicts held-out data best with the fewest terms."))] = None,
-    hydraulics: Annotated[bool, typer.Option("--hydraulics", help=(
-        "Identify valves, oil and friction instead, from commands, motion, pressures and supply."))] = False,
-    bodies: Annotated[bool, typer.Option("--bodies", help=(
-        "With --hydraulics: masses and inertias, too, as far as forces show them."))] = False,
     reduced: Annotated[bool, typer.Option("--reduced", help="Leave out the inertia of barrels and rods.")] = False,
     seed: Annotated[int, typer.Option(help="Of the sampling of intervals.", min=0)] = 0,
     parameter_set: ParameterSetName = None,
@@ -84,13 +77,6 @@ def identify(
     """Identify masses, inertias, friction and offsets: DIR gets estimate.json, report.html, the calibrated machine."""
     began = time.perf_counter()
     described = load_machine(machine, parameter_set=parameter_set)
-    if hydraulics:
-        refuse_idle(context, OTHERS, "this says nothing to the identification of valves and oil",
-                    "leave it out, or --hydraulics")
-        identify_valves(described, logs, output, validate or (), holdout, map_file=map_file,
-                            treatment=treatment_of(treat), bodies=bodies, quiet=quiet, as_json=as_json)
-        return
-    refuse_idle(context, ("bodies",), "masses and inertias are identified anyhow", "leave it out, or add --hydraulics")
     chosen = method_of(method)
     if ridge is not None and chosen != "ridge":
         raise ProblemError(f"the method '{method}' takes no strength", where="--ridge",

@@ -1,39 +1,59 @@
-"""`hydroopt identify --hydraulics`: valves, oil and friction from commands, motion and pressures."""
+"""`hydroopt identify-valves`: valves, oil and friction from commands, motion and pressures."""
 
 from __future__ import annotations
 
 import json
 import time
-from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import typer
 
-from hydroopt.cli.options import progress, reliefs
+from hydroopt.cli.options import (
+    AsJson,
+    Directory,
+    MachineName,
+    MapFile,
+    ParameterSetName,
+    Quiet,
+    Treat,
+    progress,
+    reliefs,
+    treatment_of,
+)
 from hydroopt.errors import SolverError
 from hydroopt.estimation.hydraulic.estimate import identify_hydraulics
 from hydroopt.estimation.hydraulic.problem import hydraulic_problem
 from hydroopt.logs.log import read_log
-from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import load_machine
 from hydroopt.report import valves
 
-OTHERS = ("method", "loss", "distance", "smoothing", "bandwidth", "motion", "instruments", "correlated", "tolerance",
-          "ridge", "friction", "reduced", "seed")
-"""Options of `identify` that mean nothing here."""
 
-
-def identify_valves(machine: Machine, logs: Sequence[Path], output: Path, validate: Sequence[Path],
-                        holdout: float, *, map_file: Path | None, treatment: dict[str, str], bodies: bool, quiet: bool,
-                        as_json: bool) -> None:
+def identify_valves(
+    machine: MachineName,
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Training logs (.csv, .parquet, .mat).")],
+    output: Directory,
+    validate: Annotated[list[Path] | None, typer.Option(help="Validation log; repeatable.")] = None,
+    holdout: Annotated[float, typer.Option(help="Part of the end of every log that is held out for validation.",
+                                           min=0.0, max=0.9)] = 0.0,
+    map_file: MapFile = None,
+    treat: Treat = None,
+    bodies: Annotated[bool, typer.Option("--bodies", help=(
+        "Masses and inertias, too, as far as the forces identify them."))] = False,
+    parameter_set: ParameterSetName = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
     """Identify valves, oil and friction: DIR gets estimate.json, report.html, free runs and the calibrated machine."""
-    began, limits = time.perf_counter(), reliefs(machine)
+    began, described = time.perf_counter(), load_machine(machine, parameter_set=parameter_set)
+    treatment, limits = treatment_of(treat), reliefs(described)
     train = [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in logs]
-    held_out = [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in validate]
+    held_out = [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in validate or ()]
     if holdout:
         pairs = [log.split(1 - holdout) for log in train]
         train, held_out = [pair[0] for pair in pairs], held_out + [pair[1] for pair in pairs]
-    problem = hydraulic_problem(machine, train, held_out, bodies=bodies)
-    with progress(f"identifying the valves of {machine.name}", quiet):
+    problem = hydraulic_problem(described, train, held_out, bodies=bodies)
+    with progress(f"identifying the valves of {described.name}", quiet):
         try:
             estimate = identify_hydraulics(problem)
             content = valves.save(estimate, output, wall_s=time.perf_counter() - began)

@@ -11,6 +11,7 @@ from hydroopt.control.reference import Demand
 from hydroopt.control.sampled import Margin
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
+from hydroopt.model.flow_demand import TOLERANCE, demanded_flow
 from hydroopt.model.plant import Plant
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array
@@ -21,9 +22,7 @@ SPARE = 0.02
 
 def flow_demand(plant: Plant, q: Array, qd: Array) -> Array:
     """Flow (N,) [m³/s] that growing chambers take in states (N, n) of the joints."""
-    areas = np.array([each.areas for each in plant.actuators])
-    speed = plant.model.over(plant.actuator_motion, q, qd)[1][:, :, 0]
-    return np.asarray(np.sum(np.where(speed > 0, areas[:, 0], areas[:, 1]) * np.abs(speed), axis=1))
+    return demanded_flow(plant.machine, plant.model.over(plant.actuator_motion, q, qd)[1][:, :, 0])
 
 
 def steady_speeds(plant: Plant, q: Array, qd: Array, least: Array) -> Array:
@@ -46,14 +45,14 @@ def steady_speeds(plant: Plant, q: Array, qd: Array, least: Array) -> Array:
 
 
 def refuse_flow(plant: Plant, motion: Trajectory) -> None:
-    """Refuse a motion for which the pump is too small: growing chambers take what they sweep.
+    """Refuse a motion that demands more flow than the pump gives.
 
     Raises:
-        ProblemError: tells the time, what is demanded and what there is.
+        ProblemError: the demand exceeds the pump's flow by more than `TOLERANCE`; the sentence states time and flows.
     """
     machine, t, total = plant.machine, motion.t, flow_demand(plant, motion.q, motion.qd)
     k, most = int(np.argmax(total)), machine.pump.max_flow if machine.pump else None
-    if most is not None and total[k] > most:
+    if most is not None and total[k] > most * (1 + TOLERANCE):
         raise ProblemError(
             f"at {t[k]:.2f} s the motion demands {total[k] * 6e4:.0f} L/min of a pump that gives "
             f"{most * 6e4:.0f} L/min", where="--trajectory",

@@ -13,6 +13,7 @@ import casadi as ca
 
 from hydroopt.machine.components import Cylinder, Motor
 from hydroopt.machine.valves import Circuit, Oil, Valve
+from hydroopt.model.flow_demand import chamber_areas, chamber_flows
 
 AMBIENT = 101325.0
 """Absolute pressure [Pa] above which all others are counted."""
@@ -112,10 +113,7 @@ class ActuatorHydraulics:
 
     def __init__(self, actuator: Cylinder | Motor, circuit: Circuit, oil: Oil) -> None:
         self.actuator, self.circuit, self.oil, self.valve = actuator, circuit, oil, circuit.valve
-        if isinstance(actuator, Cylinder):
-            self.areas = actuator.areas
-        else:
-            self.areas = (actuator.torque_per_pressure * actuator.gear,) * 2
+        self.areas = chamber_areas(actuator)
         self.spool_states = 2 if self.valve.natural_frequency is not None else 0
         """How many states the spool has."""
 
@@ -180,7 +178,7 @@ class ActuatorHydraulics:
         rates = []
         for port, pressure, into, volume, swept in zip(
                 "ab", (p_a, p_b), (flows.into_a, flows.into_b), self.volumes(length),
-                (self.areas[0] * speed, -self.areas[1] * speed), strict=True):
+                chamber_flows(self.actuator, speed), strict=True):
             hose = value(f"volume_{port}")
             air = "oil.air" if getattr(self.circuit, f"air_{port}") is None else f"air_{port}"
             capacity = (volume + hose) * compressibility(self.oil, pressure, value, air)

@@ -31,7 +31,7 @@ def table(path: Path) -> list[dict[str, str]]:
 def left(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("valves")
     run("simulate", CRANE, "--driven", "--duration", "5", "--seed", "3", "-o", str(folder / "log"), "--quiet")
-    run("identify", CRANE, str(folder / "log" / "log.csv"), "--hydraulics", "--holdout", "0.3", "-o",
+    run("identify-valves", CRANE, str(folder / "log" / "log.csv"), "--holdout", "0.3", "-o",
         str(folder / "out"), "--quiet")
     return folder
 

@@ -15,6 +15,7 @@ import numpy as np
 from hydroopt.estimation.inference.identifiability import random_states
 from hydroopt.machine.components import Cylinder, Motor
 from hydroopt.machine.machine import BASE
+from hydroopt.model.flow_demand import chamber_areas, chamber_flows
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.model import Model
 from hydroopt.model.regressor import body_regressor
@@ -117,18 +118,11 @@ class Limits:
         machine = self.model.machine
         if machine.pump is None or machine.pump.max_flow is None:
             return
-        # an actuator draws what its growing chamber takes, whichever grows: the greatest of all combinations counts,
-        # two to the power of the actuators, since a maximum has no derivative
-        draws = []
-        for k, actuator in enumerate(machine.actuators):
-            speed = self.model.dynamics.rates[k]
-            if isinstance(actuator, Cylinder):
-                head, rod = actuator.areas
-                draws.append((head * speed, -rod * speed))
-            elif isinstance(actuator, Motor):
-                size = actuator.torque_per_pressure * actuator.gear
-                draws.append((size * speed, -size * speed))
-        for chosen in itertools.product(*draws) if draws else ():
+        # each actuator demands what its growing chamber takes; the greatest sum of all combinations counts, two to the
+        # power of the actuators, since a maximum has no derivative
+        demands = [chamber_flows(actuator, self.model.dynamics.rates[k])
+                   for k, actuator in enumerate(machine.actuators) if isinstance(actuator, Cylinder | Motor)]
+        for chosen in itertools.product(*demands) if demands else ():
             self._add("pump flow", "m^3/s", sum(chosen[1:], chosen[0]), upper=machine.pump.max_flow)
 
     def _efforts(self) -> None:
@@ -137,10 +131,9 @@ class Limits:
         for k, actuator in enumerate(model.machine.actuators):
             margin = float(self.margin[k])
             if isinstance(actuator, Cylinder):
-                areas, chambers = actuator.areas, ("p_head", "p_rod")
+                areas, chambers = chamber_areas(actuator), ("p_head", "p_rod")
             elif isinstance(actuator, Motor):
-                size = abs(actuator.torque_per_pressure) * actuator.gear
-                areas, chambers = (size, size), ("p_a", "p_b")
+                areas, chambers = chamber_areas(actuator), ("p_a", "p_b")
             elif actuator.max_torque is not None:
                 most = actuator.max_torque
                 self._add(f"{actuator.name} torque", model.force_units[k], force[k], margin - most, most - margin, most)

@@ -1,0 +1,48 @@
+"""The flow that a motion demands of the pump: every actuator draws what its growing chamber sweeps."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from hydroopt.machine.components import Cylinder, Motor
+from hydroopt.machine.machine import Machine
+from hydroopt.spatial.inertia import Array
+
+TOLERANCE = 1e-3
+"""Part of the pump's flow by which a motion that is to be followed may exceed it: what interpolation between the
+samples of a designed motion adds."""
+
+
+def chamber_areas(actuator: Cylinder | Motor) -> tuple[float, float]:
+    """What the piston of chambers a and b displaces per metre, or a motor per radian of its joint [m², m³/rad].
+
+    Chamber a is a cylinder's head side or a motor's side a.
+
+    >>> from hydroopt.machine.machine_file import load_machine
+    >>> [f"{area:.4f}" for area in chamber_areas(load_machine("cat215b").cylinders[0])]
+    ['0.0205', '0.0129']
+    """
+    if isinstance(actuator, Cylinder):
+        return actuator.areas
+    return (actuator.torque_per_pressure * actuator.gear,) * 2
+
+
+def chamber_flows(actuator: Cylinder | Motor, speed: Any) -> tuple[Any, Any]:
+    """Flows [m³/s] that chambers a and b take at a speed [m/s or rad/s]: numbers, arrays or symbols."""
+    a, b = chamber_areas(actuator)
+    return a * speed, -b * speed
+
+
+def demanded_flow(machine: Machine, speed: Array) -> Array:
+    """Flow (N,) [m³/s] that the actuators demand of the pump at speeds (N, n) [m/s or rad/s].
+
+    Example:
+        >>> from hydroopt.machine.machine_file import load_machine
+        >>> machine = load_machine("cat215b")
+        >>> (6e4 * demanded_flow(machine, np.array([[0.0, 0.1, 0.0]]))).round(1)
+        array([123.1])
+    """
+    hydraulic = [(k, each) for k, each in enumerate(machine.actuators) if isinstance(each, Cylinder | Motor)]
+    return np.asarray(sum(np.maximum(*chamber_flows(each, speed[:, k])) for k, each in hydraulic))
