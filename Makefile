@@ -5,7 +5,7 @@ READY := $(VENV)/.ready
 # the workers fill the cores
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/pytest
 
-.PHONY: demo test test-all lint studies bench wheel clean
+.PHONY: demo test test-all lint studies studies-quick bench wheel clean
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -33,6 +33,9 @@ lint: $(READY)
 
 studies: $(READY)
 	$(BIN)/python -m studies
+
+studies-quick: $(READY)
+	$(BIN)/python -m studies --quick
 
 bench: $(READY)
 	$(BIN)/python -m studies.bench

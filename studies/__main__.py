@@ -1,61 +1,104 @@
-"""Run studies and hold their results against their expected.json.
+"""Run studies, hold their results against their expected.json, and write one table of them all.
 
 A quantity with an ``expected_failure`` is checked like the others, but that it falls short, for this reason, fails
 nothing.
 """
 
+import argparse
 import json
+import operator
 import runpy
 import sys
 import time
+import traceback
+from collections.abc import Iterator
 from pathlib import Path
+from typing import NamedTuple
+
+from studies.show import OUT
 
 HERE = Path(__file__).parent
+QUICK = ("kr300", "identifiability", "complete_against_reduced", "mukca_panda_2", "patu_lift", "panda_gaz2019")
+"""Studies that ``--quick`` runs: the main claims on real data, in a few minutes."""
+SIGNS = {"max": "≤", "min": "≥", "equals": "="}
+WITHIN = {"max": operator.le, "min": operator.ge, "equals": operator.eq}
+HOLDS, FAILS = "holds", "**fails**"
 
 
-def verdicts(results: dict, expected: dict) -> list[tuple[str, bool, str]]:
-    """For every expected quantity: its name, whether it holds, and the comparison in words."""
-    found = []
-    for name, limits in expected.items():
-        value = results.get(name)
-        text, holds = f"{value}", value is not None
-        for kind, bound in limits.items():
-            if kind == "max":
-                good, sign = holds and value <= bound, "≤"
-            elif kind == "min":
-                good, sign = holds and value >= bound, "≥"
-            elif kind == "equals":
-                good, sign = holds and value == bound, "="
-            else:
-                continue  # "why" and the like explain
-            text, holds = f"{text} {sign} {bound}", good
-        found.append((name, holds, text))
-    return found
+class Row(NamedTuple):
+    """One line of the table."""
+
+    study: str
+    quantity: str
+    value: object
+    bound: str
+    verdict: str
+    seconds: float
 
 
-def main(names: list[str]) -> int:
-    """Exit code: the number of studies that failed."""
-    failed = 0
-    for folder in sorted(path.parent for path in HERE.glob("*/run.py")):
-        if names and folder.name not in names:
-            continue
-        began = time.perf_counter()
+def checked(value: object, limits: dict) -> tuple[str, str]:
+    """The bounds of a quantity in words, and the verdict on its value; None is within no bound.
+
+    >>> checked(0.3, {"max": 0.2, "min": 0.1})
+    ('≤ 0.2, ≥ 0.1', '**fails**')
+    """
+    bounds = {kind: limits[kind] for kind in SIGNS if kind in limits}
+    good = value is not None and all(WITHIN[kind](value, bound) for kind, bound in bounds.items())
+    text = ", ".join(f"{SIGNS[kind]} {bound}" for kind, bound in bounds.items())
+    if good:
+        return text, HOLDS
+    return text, f"expected failure: {limits['expected_failure']}" if "expected_failure" in limits else FAILS
+
+
+def rows(folder: Path) -> Iterator[Row]:
+    """Run one study: its quantities with bounds first, then those without."""
+    began = time.perf_counter()
+    try:
         results = runpy.run_path(str(folder / "run.py"))["run"]()
-        if results is None:
-            print(f"{folder.name}: skipped, a data set or a tool that it needs is not at hand")
-            continue
-        expected = json.loads((folder / "expected.json").read_text())
-        table = verdicts(results, expected)
-        short = {name: why for name, limits in expected.items() if (why := limits.get("expected_failure"))}
-        failed += not all(holds or name in short for name, holds, _ in table)
-        print(f"{folder.name} ({time.perf_counter() - began:.0f} s)")
-        for name, holds, text in table:
-            said = "ok  " if holds else "short" if name in short else "FAIL"
-            print(f"  {said} {name}: {text}" + (f" ({short[name]})" if said == "short" else ""))
-        for name in sorted(results.keys() - {name for name, _, _ in table}):
-            print(f"       {name}: {results[name]}")
-    return failed
+    except Exception as error:  # a study that breaks does not keep the others from running
+        traceback.print_exc()
+        yield Row(folder.name, "all", None, "", f"{FAILS}: {type(error).__name__}", time.perf_counter() - began)
+        return
+    seconds = time.perf_counter() - began
+    if results is None:
+        yield Row(folder.name, "all", None, "", "skipped: a data set or a tool that it needs is missing", seconds)
+        return
+    expected = json.loads((folder / "expected.json").read_text("utf-8"))
+    for name, limits in expected.items():
+        yield Row(folder.name, name, results.get(name), *checked(results.get(name), limits), seconds)
+    for name in sorted(results.keys() - expected.keys()):
+        yield Row(folder.name, name, results[name], "", "", seconds)
+
+
+def markdown(found: list[Row]) -> str:
+    """The table; the seconds of a study stand in its first line."""
+    lines = ["| study | quantity | value | bound | verdict | seconds |", "|---|---|---|---|---|---|"]
+    for k, row in enumerate(found):
+        seconds = f"{row.seconds:.0f}" if k == 0 or found[k - 1].study != row.study else ""
+        value = "" if row.value is None else row.value
+        lines.append(f"| {row.study} | {row.quantity} | {value} | {row.bound} | {row.verdict} | {seconds} |")
+    return "\n".join(lines) + "\n"
+
+
+def main() -> int:
+    """Exit code: the number of studies that failed."""
+    parser = argparse.ArgumentParser(prog="python -m studies", description=__doc__.partition("\n")[0])
+    there = [path.parent.name for path in sorted(HERE.glob("*/run.py"))]
+    parser.add_argument("names", nargs="*", metavar="NAME", help=f"studies to run, all by default: {', '.join(there)}")
+    parser.add_argument("--quick", action="store_true", help=f"run only {', '.join(QUICK)}")
+    options = parser.parse_args()
+    if unknown := set(options.names) - set(there):
+        parser.error(f"there is no study {', '.join(sorted(unknown))}")
+    found: list[Row] = []
+    for name in options.names or (QUICK if options.quick else there):
+        print(f"== {name}", flush=True)
+        found += rows(HERE / name)
+    text = markdown(found)
+    OUT.mkdir(parents=True, exist_ok=True)
+    (OUT / "table.md").write_text(text, "utf-8")
+    print(f"\n{text}\n{OUT / 'table.md'}")
+    return len({row.study for row in found if row.verdict.startswith(FAILS)})
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())
