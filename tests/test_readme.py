@@ -1,16 +1,21 @@
 """What the README shows must run as it stands."""
 
+import os
 import re
+import shlex
 import shutil
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 import pytest
 import typer
+from typer.core import TyperGroup
 
 import hydroopt
 from hydroopt.cli import app
+from hydroopt.report.machine_facts import machine_facts
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text("utf-8")
@@ -32,10 +37,17 @@ def test_python_in_the_readme_runs_and_is_short(tmp_path: Path) -> None:
     assert "residual" in done.stdout
 
 
-def test_machine_file_in_the_readme_is_valid() -> None:
+def test_gravity_loads_the_boom_of_the_machine_file_in_the_readme() -> None:
+    """Level, by moments about the joint: 125 kg at 1.1 m on a lever arm of 0.304 m."""
     machine = hydroopt.read_machine(block("toml"))
     assert machine.joints == ("lift",)
-    names = hydroopt.Model(machine).parameters.names
+    model = hydroopt.Model(machine)
+    names = model.parameters.names
+    held = model.inverse_dynamics(0, 0, 0, model.parameters.nominal)
+    assert float(held) == pytest.approx(125 * 9.81 * 1.1 / 0.304, rel=2e-3)
+    assert "4.4 kN" in README
+    facts = {row["name"]: row["identifiability"] for row in machine_facts(machine)["parameters"]}
+    assert facts["lift.mc_x"] == "full"
     assert [n for n in names if n.startswith("lift_cylinder")] == ["lift_cylinder.f_coulomb", "lift_cylinder.f_viscous"]
 
 
@@ -57,18 +69,59 @@ int main(void)
     assert subprocess.run(["./main"], cwd=tmp_path, check=False).returncode == 0
 
 
-COMMANDS = re.findall(r"^    hydroopt (.*?)(?:\s+#.*)?$", README, re.MULTILINE)
-PARSER = typer.main.get_command(app)
+def commands() -> list[str]:
+    """What a reader types after the installation, in the order of the README."""
+    lines = re.findall(r"^    ((?:hydroopt|make -C) .*?|# .*)$", README, re.MULTILINE)
+    return [line if line.startswith("#") else re.split(r"\s+# ", line)[0] for line in lines]
 
 
-@pytest.mark.parametrize("command", COMMANDS)
-def test_commands_in_the_readme_parse(command: str) -> None:
-    name, *arguments = command.split()
-    with PARSER.make_context("hydroopt", [name]) as context:
-        assert isinstance(PARSER, typer.core.TyperGroup)
-        subcommand = PARSER.get_command(context, name)
-        assert subcommand is not None
-        subcommand.make_context(name, arguments, parent=context)
+def test_commands_in_the_readme_parse() -> None:
+    group = typer.main.get_command(app)
+    assert isinstance(group, TyperGroup)
+    with group.make_context("hydroopt", ["show"]) as context:
+        for line in commands():
+            program, *words = shlex.split(line, comments=True) or [""]
+            command = group
+            if program == "hydroopt":
+                while isinstance(command, TyperGroup):
+                    command = command.get_command(context, words.pop(0))
+                    assert command is not None, line
+                command.make_context(line, words, parent=context)
+
+
+def test_commands_that_need_a_checkout_say_so() -> None:
+    lines = commands()
+    needy = [k for k, line in enumerate(lines) if "data/" in line]
+    assert needy
+    assert all("in a checkout" in lines[k - 1] for k in needy)
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
+def test_commands_in_the_readme_run_in_an_empty_directory(tmp_path: Path) -> None:
+    program = tmp_path / "bin" / "hydroopt"
+    program.parent.mkdir()
+    program.write_text(f'#!/bin/sh\nexec {shlex.quote(sys.executable)} -m hydroopt "$@"\n')
+    program.chmod(0o755)
+    environment = os.environ | {"PATH": f"{program.parent}{os.pathsep}{os.environ['PATH']}", "PYTHONPATH": str(ROOT)}
+    place = tmp_path / "empty"
+    place.mkdir()
+    (place / "crane.toml").write_text(block("toml"))
+    data = place / "data"
+    for line in commands():
+        if line.startswith("#"):
+            data.symlink_to(ROOT / "data")
+            continue
+        done = subprocess.run(line, shell=True, cwd=place, env=environment, capture_output=True, text=True, check=False)
+        assert done.returncode == 0, f"{line}\n{done.stdout}\n{done.stderr}"
+        data.unlink(missing_ok=True)
+
+
+def test_readme_names_the_distribution() -> None:
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
+    assert f"`{project['name']}`" in README
+    assert "pip install hydroopt\n" not in README
+    assert f"dist/{project['name'].replace('-', '_')}-*.whl" in README
 
 
 def test_study_table_names_every_study() -> None:
