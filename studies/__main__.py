@@ -37,11 +37,7 @@ class Row(NamedTuple):
 
 
 def checked(value: object, limits: dict) -> tuple[str, str]:
-    """The bounds of a quantity in words, and the verdict on its value; None is within no bound.
-
-    >>> checked(0.3, {"max": 0.2, "min": 0.1})
-    ('≤ 0.2, ≥ 0.1', '**fails**')
-    """
+    """The bounds of a quantity in words, and the verdict on its value; None is within no bound."""
     bounds = {kind: limits[kind] for kind in SIGNS if kind in limits}
     good = value is not None and all(WITHIN[kind](value, bound) for kind, bound in bounds.items())
     text = ", ".join(f"{SIGNS[kind]} {bound}" for kind, bound in bounds.items())

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 
 import numpy as np
 
-from hydroopt import Problem
+from hydroopt import IdentificationProblem
 from hydroopt.estimation.dynamic.regressor_qr import compress
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
 from hydroopt.estimation.inference.least_squares import truncated_svd
@@ -153,7 +153,7 @@ SENSOR_ERROR = (1400.0, 5700.0, 4200.0)
 """Largest error of the measured force at ±25 psi (Section 4.4.3), as in `RMS`."""
 
 
-def identified(problem: Problem, names: Iterable[str]) -> np.ndarray:
+def identified(problem: IdentificationProblem, names: Iterable[str]) -> np.ndarray:
     """ψ (p,) as the thesis finds it: truncated singular values of some columns of K (Eq. 4.60), the others at zero.
 
     Rows are not weighted, as in Eq. 4.58, so that newtons count as much as newton metres.

@@ -4,9 +4,9 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hydroopt import (
+    IdentificationProblem,
     Machine,
     Model,
-    Problem,
     identification_problem,
     load_machine,
     random_trajectory,
@@ -68,7 +68,7 @@ def window(model: Model, seed: int, samples: int) -> Trajectory:
     return Trajectory(motion.t[:samples], motion.q[:samples], motion.qd[:samples], motion.qdd[:samples])
 
 
-def identified(problem: Problem, kind: str, motion: Trajectory, exact: np.ndarray) -> dict[str, dict]:
+def identified(problem: IdentificationProblem, kind: str, motion: Trajectory, exact: np.ndarray) -> dict[str, dict]:
     """Nominal, the thesis's way, base parameters and the default method, judged on the unseen run without its ends.
 
     Measured forces are predicted from the measured angles, as on a real machine, noise-free ones from the true motion.

@@ -6,7 +6,16 @@ from itertools import product
 import numpy as np
 from matplotlib.figure import Figure
 
-from hydroopt import Machine, Model, Problem, identification_problem, load_machine, random_trajectory, simulate, solve
+from hydroopt import (
+    IdentificationProblem,
+    Machine,
+    Model,
+    identification_problem,
+    load_machine,
+    random_trajectory,
+    simulate,
+    solve,
+)
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
 from hydroopt.estimation.inference.least_squares import truncated_svd
@@ -119,7 +128,8 @@ def ours(case: Case, model: str, accuracy: int, seed: int) -> list[tuple[str, di
               for how, estimate in estimates.items())]
 
 
-def simulated(case: Case, known: Machine, model: str, accuracy: int, seed: int) -> tuple[Problem, Trajectory]:
+def simulated(case: Case, known: Machine, model: str, accuracy: int,
+              seed: int) -> tuple[IdentificationProblem, Trajectory]:
     """A complete machine's log of 1664 samples as a problem of the machine as it is known, and its true motion."""
     motion = random_trajectory(case.model, duration=33.28, rate=50, seed=100 + seed)
     log = simulate(case.equipped[accuracy], motion, case.truth, seed=seed)
