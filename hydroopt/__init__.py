@@ -13,6 +13,8 @@ from hydroopt.estimation.hydraulic.problem import HydraulicProblem, hydraulic_pr
 from hydroopt.estimation.kinematic.calibration import Calibration, calibrate
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.excitation.motion.design import design, excitation_problem
+from hydroopt.excitation.poses.plan import PosePlan
+from hydroopt.excitation.poses.problem import PoseProblem, pose_problem
 from hydroopt.logs.log import Log, read_log
 from hydroopt.logs.poses import Poses, read_pose_files, read_poses
 from hydroopt.logs.smoothing import Butterworth, Fourier, SmoothingSpline
@@ -49,6 +51,8 @@ __all__ = [
     "Model",
     "Payload",
     "Plant",
+    "PosePlan",
+    "PoseProblem",
     "Poses",
     "ProblemError",
     "SmoothingSpline",
@@ -71,6 +75,7 @@ __all__ = [
     "load_machine",
     "open_log",
     "payload",
+    "pose_problem",
     "random_trajectory",
     "random_truth",
     "read_log",

@@ -16,6 +16,9 @@ from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.excitation.motion.design import design
 from hydroopt.excitation.motion.excitation import Excitation
 from hydroopt.excitation.motion.problem import ExcitationProblem
+from hydroopt.excitation.poses.exchange import fedorov_exchange
+from hydroopt.excitation.poses.plan import PosePlan
+from hydroopt.excitation.poses.problem import PoseProblem
 
 
 @overload
@@ -26,17 +29,20 @@ def solve(problem: CalibrationProblem, method: str = ..., **options: Any) -> Cal
 def solve(problem: HydraulicProblem, **options: Any) -> HydraulicEstimate: ...
 @overload
 def solve(problem: ExcitationProblem, **options: Any) -> Excitation: ...
+@overload
+def solve(problem: PoseProblem, **options: Any) -> PosePlan: ...
 
 
 def solve(problem: Any, *arguments: Any, **options: Any) -> Any:
     """Solve a problem; the problem itself is not changed.
 
     Args:
-        problem: identification, kinematic calibration, valves and oil, or experiment design.
+        problem: identification, kinematic calibration, valves and oil, or the design of a motion or of poses.
         arguments: a method, where the problem has several.
         options: of `hydroopt.estimation.dynamic.identify.identify`,
         `hydroopt.estimation.kinematic.calibration.calibrate`,
-            `hydroopt.estimation.hydraulic.estimate.identify_hydraulics` or `hydroopt.excitation.motion.design.design`.
+            `hydroopt.estimation.hydraulic.estimate.identify_hydraulics`, `hydroopt.excitation.motion.design.design` or
+            `hydroopt.excitation.poses.exchange.fedorov_exchange`.
 
     Raises:
         ProblemError: this is no problem that hydroopt can solve, or what the solver of its kind says.
@@ -44,7 +50,7 @@ def solve(problem: Any, *arguments: Any, **options: Any) -> Any:
     """
     solvers: dict[type, Callable[..., Any]] = {
         IdentificationProblem: identify, CalibrationProblem: calibrate, HydraulicProblem: identify_hydraulics,
-        ExcitationProblem: design}
+        ExcitationProblem: design, PoseProblem: fedorov_exchange}
     for kind, solver in solvers.items():
         if isinstance(problem, kind):
             return solver(problem, *arguments, **options)

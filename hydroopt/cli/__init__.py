@@ -14,6 +14,7 @@ from hydroopt.cli.control import control
 from hydroopt.cli.excite import excite
 from hydroopt.cli.identify import identify
 from hydroopt.cli.identify_valves import identify_valves
+from hydroopt.cli.plan_poses import plan_poses
 from hydroopt.cli.show import show
 from hydroopt.cli.simulate import simulate
 from hydroopt.cli.study import study
@@ -21,7 +22,8 @@ from hydroopt.errors import HydrooptError
 
 app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help=(
     "Calibrate hydraulically actuated manipulators: a machine file and logs in, a model with error bars out."))
-for command in (show, simulate, identify, identify_valves, compare, calibrate, excite, control, study, codegen):
+for command in (show, simulate, identify, identify_valves, compare, calibrate, plan_poses, excite, control, study,
+                codegen):
     app.command()(command)
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]

@@ -11,16 +11,15 @@ from typing import Annotated
 import numpy as np
 import typer
 
-from hydroopt.cli.options import AsJson, Directory, MachineName, MapFile, Quiet, loss_of, progress
+from hydroopt.cli.options import AsJson, Directory, MachineName, MapFile, Quiet, loss_of, parameter_values, progress
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.kinematic.calibration import METHODS
 from hydroopt.estimation.kinematic.calibration import calibrate as solve_calibration
 from hydroopt.estimation.kinematic.diagnostics import leavable
-from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
+from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.logs.poses import Poses, joined, read_pose_files
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.report import folder
-from hydroopt.units import to_si
 
 
 def calibrate(
@@ -51,7 +50,7 @@ def calibrate(
         poses, held_out = _held_out(read_pose_files(logs, mapping=map_file), holdout_stage or (),
                                     read_pose_files(validate, mapping=map_file) if validate else None)
         problem = calibration_problem(described, poses, held_out, priors=not no_priors).with_loss(chosen_loss)
-        problem = fixed(problem, fix or ())
+        problem = problem.fixing(**parameter_values(fix or (), problem.parameters))
         what = f"calibrating {described.name}, {int(problem.free.sum())} parameters from "
         before = None
         try:
@@ -87,18 +86,3 @@ def _held_out(poses: Poses, stages: Sequence[str], extra: Poses | None) -> tuple
         raise ProblemError("no pose is left to learn from", where="--holdout-stage", remedy="hold out fewer stages")
     parts = [*([poses.select(aside)] if stages else ()), *([extra] if extra else ())]
     return poses.select(~aside), joined(parts) if parts else None
-
-
-def fixed(problem: CalibrationProblem, stated: Sequence[str]) -> CalibrationProblem:
-    """The problem with parameters held at what options NAME=VALUE say.
-
-    Raises:
-        ProblemError: one is not stated so, or there is no such parameter.
-    """
-    values = {}
-    for text in stated:
-        name, found, value = (part.strip() for part in text.partition("="))
-        if not found:
-            raise ProblemError(f"'{text}' is not NAME=VALUE", where="--fix", remedy="write e.g. --fix 'ball.y=0 m'")
-        values[name] = to_si(value, problem.parameters.units[problem.parameters.index(name)], where=f"--fix {name}")
-    return problem.fixing(**values)

@@ -1,4 +1,4 @@
-"""`hydroopt excite`: what to measure, as a motion to drive or as poses."""
+"""`hydroopt excite`: the motion to drive for a dynamic identification."""
 
 from __future__ import annotations
 
@@ -20,26 +20,19 @@ from hydroopt.excitation.motion.basis import Basis, Fourier, Spline
 from hydroopt.excitation.motion.design import design, excitation_problem
 from hydroopt.excitation.motion.excitation import Excitation
 from hydroopt.excitation.motion.expected_accuracy import expected, measured
-from hydroopt.excitation.poses.plan import plan_poses
-from hydroopt.files import write_files
 from hydroopt.logs.stream import open_log
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.machine_file import load_machine
 from hydroopt.report import folder
 from hydroopt.units import to_si
 
 TIGHT = 0.02
 """Part of a limit's range that is no room."""
-BOTH = {"machine", "output", "poses", "criterion", "focus", "priors", "seed", "quiet", "as_json"}
-"""Options that have a meaning for poses, too."""
 
 
 def excite(
     context: typer.Context,
     machine: MachineName,
     output: Directory,
-    poses: Annotated[int | None, typer.Option(
-        help="Plan poses of a kinematic calibration instead, so many in each stage.", min=1)] = None,
     log: Annotated[list[Path] | None, typer.Option(
         help="Log already measured, to which the motion is to add; repeatable.")] = None,
     map_file: MapFile = None,
@@ -64,21 +57,16 @@ def excite(
     processes: Annotated[int | None, typer.Option(help="At the same time; as many as there are cores if not given.",
                                                   min=1)] = None,
     seconds: Annotated[float, typer.Option(help="After which the best motion so far is taken.", min=1.0)] = 50.0,
-    seed: Annotated[int, typer.Option(help="Of the starts, or of the postures to choose from.", min=0)] = 0,
+    seed: Annotated[int, typer.Option(help="Of the starts.", min=0)] = 0,
     parquet: Annotated[bool, typer.Option("--parquet", help="Write Parquet instead of CSV.")] = False,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Design the motion, or plan the poses, that tell most: DIR gets them, what to expect, and for a motion C code.
+    """Design the motion with the most information: DIR gets it, the accuracy to expect, and C code.
 
     Ctrl-C ends the search and keeps the best motion so far.
     """
-    if poses is not None:
-        refuse_idle(context, {option.name or "" for option in context.command.params} - BOTH,
-                "poses are planned one by one, without a motion between them", "leave it out, or --poses")
-        _plan(machine, output, poses, criterion, focus or (), priors=priors, seed=seed, quiet=quiet, as_json=as_json)
-        return
     began = time.perf_counter()
     if pieces is not None:
         refuse_idle(context, ("period", "harmonics", "blend"), "a spline has none", "leave it out, or --pieces")
@@ -123,25 +111,6 @@ def _tell(found: Excitation, content: dict[str, Any], output: Path) -> None:
     for doubt in content["doubts"]:
         typer.echo(f"  ! {doubt}")
     typer.echo(f"{output / 'report.html'}")
-
-
-def _plan(machine: str, output: Path, poses: int, criterion: str | None, focus: Sequence[str], *, priors: bool,
-          seed: int, quiet: bool, as_json: bool) -> None:
-    described = load_machine(machine)
-    with progress(f"choosing poses for {described.name}", quiet):
-        plan = plan_poses(described, poses, criterion=criterion, focus=focus, priors=priors, seed=seed)
-    content = {"machine": {"name": described.name, "sha256": described.sha256}, "poses": len(plan.q), "seed": seed,
-               "expected": [{"name": name, "unit": unit, "std": float(std) if math.isfinite(std) else None}
-                            for name, unit, std in zip(plan.names, plan.units, plan.std, strict=True)],
-               "condition_number": plan.condition_number, "log_det": plan.log_det,
-               "noise_amplification_index": plan.noise_amplification_index}
-    write_files(output, {"sheet.txt": plan.sheet()})
-    plan.write(output / "poses.csv")
-    write_files(output, {"plan.json": json.dumps(content, indent=1, allow_nan=False)})
-    if as_json:
-        typer.echo(json.dumps(content, indent=1))
-    elif not quiet:
-        typer.echo(plan.sheet())
 
 
 def _basis(duration: float, period: float | None, harmonics: int, blend: float, pieces: int | None) -> Basis:

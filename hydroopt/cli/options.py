@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator
+from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Annotated
@@ -17,6 +17,8 @@ from hydroopt.estimation.inference.problem import Distance
 from hydroopt.logs.smoothing import Butterworth, Fourier, Smoothing, SmoothingSpline
 from hydroopt.machine.components import Cylinder, Motor
 from hydroopt.machine.machine import Machine
+from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.units import to_si
 
 MachineName = Annotated[str, typer.Argument(
     metavar="MACHINE", help="A bundled machine's name or a .toml or .urdf file.")]
@@ -107,3 +109,18 @@ def smoothing_of(text: str, bandwidth: float | None, machine: Machine) -> Smooth
         pass
     raise ProblemError(f"'{text}' is no way to smooth", where="--smoothing",
                        remedy="use spline, spline:cv, fourier:PERIOD:HARMONICS or butterworth:HZ")
+
+
+def parameter_values(stated: Sequence[str], parameters: ParameterSet) -> dict[str, float]:
+    """Values [SI] of parameters that --fix NAME=VALUE holds.
+
+    Raises:
+        ProblemError: one has another form, or there is no such parameter.
+    """
+    values = {}
+    for text in stated:
+        name, found, value = (part.strip() for part in text.partition("="))
+        if not found:
+            raise ProblemError(f"'{text}' is not NAME=VALUE", where="--fix", remedy="write e.g. --fix 'ball.y=0 m'")
+        values[name] = to_si(value, parameters.units[parameters.index(name)], where=f"--fix {name}")
+    return values

@@ -10,7 +10,6 @@ from typing import Annotated, Any
 
 import typer
 
-from hydroopt.cli.calibrate import fixed
 from hydroopt.cli.identify import method_of
 from hydroopt.cli.options import (
     AsJson,
@@ -20,6 +19,7 @@ from hydroopt.cli.options import (
     ParameterSetName,
     Quiet,
     Treat,
+    parameter_values,
     progress,
     refuse_idle,
     reliefs,
@@ -103,7 +103,8 @@ def study(
             prepared = bootstrap.bootstrap(described, read, cells=cells, seed=seed, method=method_of(method or "sdp"))
         elif kind == "multistart":
             poses = read_pose_files(_some(logs), mapping=map_file)
-            held = fixed(calibration_problem(described, poses), fix or ()).fixed
+            problem = calibration_problem(described, poses)
+            held = problem.fixing(**parameter_values(fix or (), problem.parameters)).fixed
             prepared = multistart.multistart(described, poses, cells=cells, seed=seed, method=method or "joint",
                                              fixed=held)
         else:

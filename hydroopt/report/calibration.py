@@ -68,7 +68,7 @@ def render(appraisal: Appraisal) -> str:
                 for kind in ("full", "combination", "none", "fixed")},
         tables=_tables(appraisal), left_out=appraisal.left_out, combinations=appraisal.combinations,
         point=appraisal.workspace.point, stages=len(set(problem.poses.stage)),
-        rank=len(c.seen.names) - c.seen.unseen.shape[1],
+        rank=c.seen.rank,
         condition=plain(c.seen.condition_number, 3), amplification=plain(c.seen.noise_amplification_index, 3),
         scale=plain(c.noise_scale, 3), share=_share(appraisal),
         fixed=[f"{name} = {_printed(value, problem.parameters.units[problem.parameters.index(name)])}"

@@ -251,7 +251,7 @@ def as_dict(estimate: Estimate, wall_s: float = float("nan")) -> dict[str, Any]:
 def calibration_as_dict(appraisal: Appraisal, wall_s: float = float("nan")) -> dict[str, Any]:
     """The content of a calibration's estimate.json; numbers that do not exist are null."""
     c, seen = appraisal.calibration, appraisal.calibration.seen
-    rank = len(seen.names) - seen.unseen.shape[1]
+    rank = seen.rank
     std = 1e3 * appraisal.workspace.std[np.isfinite(appraisal.workspace.std)]
     return _origin(c.problem if appraisal.before is None else appraisal.before.problem, c.method) | {
         "status": c.status, "parameters": [_calibrated(c, k) for k in range(len(c.theta))], "base_parameters": [],

@@ -40,6 +40,9 @@ class Kind(StrEnum):
     # identification of bodies and friction
     WORSE_THAN_ZERO = "unseen forces predicted worse than by zero"
 
+    # kinematic calibration and pose planning
+    NOT_IDENTIFIED_BY_POSES = "not identified by poses"
+
 
 WORDS: dict[Kind, Words] = {
     Kind.NO_VALIDATION: Words(
@@ -49,4 +52,7 @@ WORDS: dict[Kind, Words] = {
     Kind.NOTE: Words("{text}"),
     Kind.WORSE_THAN_ZERO: Words(
         "The forces of {subject} in the validation logs are predicted worse than by zero ({relative:.0f %} error)."),
+    Kind.NOT_IDENTIFIED_BY_POSES: Words(
+        "These poses do not identify {subject}.",
+        "Fix them, add priors, or add poses and sensors that depend on them."),
 }

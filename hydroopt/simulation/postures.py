@@ -1,8 +1,8 @@
-"""Postures in which a chain is closed: found at random, along a sweep, and recorded as a pose table would be."""
+"""Postures in which a chain is closed: random ones, those along a sweep, and the pose tables of their readings."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,9 +29,9 @@ def close(model: KinematicModel, geometry: Array, q: Array, free: Sequence[int],
     Args:
         model: geometry.
         geometry: (p,) its parameters.
-        q: (N, n) joint vectors to begin with [rad, m].
+        q: (N, n) initial joint vectors [rad, m].
         free: positions of the joints that may turn.
-        fixture: (3,) or (N, 3) where the tip shall be [m].
+        fixture: (3,) or (N, 3) position of the fixture [m].
 
     Returns:
         (N, n) joint vectors and (N,) whether the chain closes.
@@ -63,9 +63,65 @@ def sensed_joints(model: KinematicModel) -> list[int]:
     return [k for k, joint in enumerate(model.joints) if joint in own and model.machine.sensor(f"{joint}.q")]
 
 
+def read_joints(model: KinematicModel, stage: Stage | None = None) -> list[int]:
+    """Positions of the joints that are read, by the machine file.
+
+    Those of the calibrator that have a sensor, and of the machine those that the stage does not name; all with a sensor
+    where the calibrator has none or the machine has no stages.
+    """
+    sensed = [k for k, joint in enumerate(model.joints) if model.machine.sensor(f"{joint}.q")]
+    own = sensed_joints(model)
+    if not own or not model.machine.stages:
+        return sensed
+    if stage is None:
+        return own
+    named = {*stage.moves, *stage.locked}
+    return [k for k in sensed if k in own or model.joints[k] not in named]
+
+
+def closed_postures(model: KinematicModel, count: int, rng: np.random.Generator, *, geometry: Array,
+                    turning: Sequence[int], within_limits: Sequence[int], locked: Mapping[str, float],
+                    fixture: Array | None, batch: int, give_up: Callable[[int, int], bool],
+                    within_strokes: bool = False) -> tuple[Array, int]:
+    """Random closed postures (K, n) [rad, m], K ≤ count, uniform over the joints' limits before they are closed.
+
+    Args:
+        model: geometry; `geometry` (p,) its values.
+        count: how many at most.
+        rng: random generator.
+        turning: positions of the joints that close the chain.
+        within_limits: positions of the joints that must be within their limits when it is closed.
+        locked: angles [rad] of joints at rest.
+        fixture: (3,) where the tip is held [m]; None for an open chain.
+        batch: postures tried at once.
+        give_up: whether to stop, by the number of postures found and tried.
+        within_strokes: whether the cylinders' lengths must be within their strokes.
+
+    Returns:
+        The postures and how many were tried.
+    """
+    low, high = limits(model)
+    dead, stroke = (np.array([getattr(each, key) for each in model.machine.cylinders])
+                    for key in ("dead_length", "stroke"))
+    found, tried = np.zeros((0, len(low))), 0
+    while len(found) < count and not (tried and give_up(len(found), tried)):
+        q = rng.uniform(low, high, (batch, len(low)))
+        for joint, angle in locked.items():
+            q[:, model.joints.index(joint)] = angle
+        usable = np.ones(batch, dtype=bool)
+        if fixture is not None:
+            q, usable = close(model, geometry, q, turning, fixture)
+        usable &= np.all(((q >= low) & (q <= high))[:, list(within_limits)], axis=1)
+        if within_strokes:
+            lengths = model.over(model.lengths, geometry, q)[0][:, :, 0]
+            usable &= np.all((lengths >= dead) & (lengths <= dead + stroke), axis=1)
+        found, tried = np.concatenate([found, q[usable]]), tried + batch
+    return found[:count], tried
+
+
 def random_postures(model: KinematicModel, stage: Stage, count: int, *, geometry: Array, fixture: Array,
                     locked: dict[str, float] | None = None, seed: int = 0) -> Array:
-    """Closed postures (count, n) of a stage, spread over the limits of moving and sensed joints.
+    """Closed postures (count, n) of a stage, spread over the limits of moving and measured joints.
 
     Args:
         model: geometry; `geometry` (p,) its values.
@@ -78,38 +134,22 @@ def random_postures(model: KinematicModel, stage: Stage, count: int, *, geometry
     Raises:
         ProblemError: hardly any posture closes within the limits.
     """
-    rng = np.random.default_rng(seed)
-    low, high = limits(model)
-    free = sensed_joints(model)
-    held = dict(stage.locked) | (locked or {})
-    found: list[Array] = []
-    tried = 0
-    while sum(map(len, found)) < count:
-        if tried >= 100 * count + 1000:
-            raise ProblemError(f"only {sum(map(len, found))} of {tried} postures close within the joints' limits",
-                               where=f"stage '{stage.name}'",
-                               remedy="move the fixture, widen the calibrator's limits or lock the joints elsewhere")
-        q = rng.uniform(low, high, (2 * count, len(low)))
-        for name, angle in held.items():
-            q[:, model.joints.index(name)] = angle
-        q, closed = close(model, geometry, q, free, fixture)
-        inside = np.all((q >= low) & (q <= high), axis=1, where=_mask(len(low), [
-            *free, *(model.joints.index(name) for name in stage.moves)]))
-        found.append(q[closed & inside])
-        tried += len(q)
-    postures: Array = np.concatenate(found)[:count]
-    return postures
-
-
-def _mask(size: int, where: Sequence[int]) -> NDArray[np.bool_]:
-    mask = np.zeros(size, dtype=bool)
-    mask[list(where)] = True
-    return mask
+    turning = sensed_joints(model)
+    found, tried = closed_postures(
+        model, count, np.random.default_rng(seed), geometry=geometry, turning=turning, fixture=fixture,
+        within_limits=[*turning, *(model.joints.index(name) for name in stage.moves)],
+        locked=dict(stage.locked) | (locked or {}), batch=2 * count,
+        give_up=lambda found, tried: tried >= 100 * count + 1000)
+    if len(found) < count:
+        raise ProblemError(f"only {len(found)} of {tried} postures close within the joints' limits",
+                           where=f"stage '{stage.name}'",
+                           remedy="move the fixture, widen the calibrator's limits or lock the joints elsewhere")
+    return found
 
 
 def sweep(model: KinematicModel, stage: Stage, path: Array, *, geometry: Array, fixture: Array,
           locked: dict[str, float] | None = None) -> Array:
-    """Closed postures (N, n) along a path (N, number of moving joints) [rad], the calibrator following by itself.
+    """Closed postures (N, n) along a path (N, number of moving joints) [rad]; the calibrator follows.
 
     Raises:
         ProblemError: the chain opens on the way.
@@ -120,7 +160,7 @@ def sweep(model: KinematicModel, stage: Stage, path: Array, *, geometry: Array, 
     for name, angle in (dict(stage.locked) | (locked or {})).items():
         q[model.joints.index(name)] = angle
     q[free] = (low + high)[free] / 2
-    postures = []
+    found = []
     for k, target in enumerate(np.atleast_2d(path)):
         q = q.copy()
         q[moving] = target
@@ -129,27 +169,25 @@ def sweep(model: KinematicModel, stage: Stage, path: Array, *, geometry: Array, 
             raise ProblemError(f"the chain opens at step {k + 1} of the sweep", where=f"stage '{stage.name}'",
                                remedy="shorten the sweep or move the fixture")
         q = closed[0]
-        postures.append(q)
-    return np.array(postures)
+        found.append(q)
+    return np.array(found)
 
 
 def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Sequence[str], *, geometry: Array,
            channels: Sequence[str] | None = None, seed: int | None = 0, name: str = "simulated") -> Poses:
-    """The pose table that the machine's sensors would write at joint vectors.
+    """The pose table that the machine's sensors would record at joint vectors.
 
     Args:
         model: geometry; `geometry` (p,) its values.
         q: (N, n) [rad, m].
         stage: N labels.
         fixture: N labels.
-        channels: what is read; by default the joints of the calibrator that have a sensor, or all that have one where
-            there is no other.
+        channels: what is read; by default the joints of `read_joints`.
         seed: of the sensors' noise; None for readings without any.
         name: of the table.
     """
     if channels is None:
-        free = sensed_joints(model) or [k for k, j in enumerate(model.joints) if model.machine.sensor(f"{j}.q")]
-        channels = [f"{model.joints[k]}.q" for k in free]
+        channels = [f"{model.joints[k]}.q" for k in read_joints(model)]
     known = {each.name: each.position for each in model.machine.fixtures}
     rows = model.over(model.observed, geometry, q, np.array([known.get(label, np.zeros(3)) for label in fixture]))[0]
     true = {f"{joint}.q": q[:, k] for k, joint in enumerate(model.joints)}

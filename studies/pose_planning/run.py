@@ -5,8 +5,8 @@ import time
 
 import numpy as np
 
-from hydroopt import load_machine
-from hydroopt.excitation.poses.plan import expected_uncertainty, plan_poses
+from hydroopt import load_machine, solve
+from hydroopt.excitation.poses.problem import expected_uncertainty, pose_problem
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures
 
@@ -58,11 +58,11 @@ def run() -> dict:
         fixed = {"ball.y": 0.0} | {name: float(value) for name, value in zip(
             model.parameters.names, model.parameters.nominal, strict=True) if "cylinder" in name}
         began = time.perf_counter()
-        plan = plan_poses(machine, POSES, fixed=fixed)
+        plan = solve(pose_problem(machine, POSES, fixed=fixed))
         took = time.perf_counter() - began
         labels = plan.stage, plan.fixture
         std = {"planned": dict(zip(plan.names, plan.std, strict=True))}
-        within = plan_poses(narrowed(machine), POSES, fixed=fixed).q
+        within = solve(pose_problem(narrowed(machine), POSES, fixed=fixed)).q
         for way, q in (("sweep", sweeps(model)), ("random", random(model)), ("within", within)):
             seen = expected_uncertainty(machine, q, *labels, fixed=fixed)
             std[way] = dict(zip(seen.names, seen.std, strict=True))

@@ -387,25 +387,3 @@ def test_processes_side_by_side_find_the_same(tmp_path: Path) -> None:
     assert found[0]["value"] == pytest.approx(found[1]["value"], abs=1e-9)
     for joint, coefficients in found[0]["coefficients"].items():
         np.testing.assert_allclose(coefficients, found[1]["coefficients"][joint], rtol=0, atol=1e-6)
-
-
-# poses
-
-def test_poses_are_planned_by_a_criterion_too(tmp_path: Path) -> None:
-    printed = excite("cat215b", "--poses", "4", "--criterion", "E", "--seed", "3", "-o", tmp_path)
-    assert {file.name for file in tmp_path.iterdir()} == {"sheet.txt", "poses.csv", "plan.json"}
-    assert printed.strip() == (tmp_path / "sheet.txt").read_text("utf-8").strip()
-    said = json.loads((tmp_path / "plan.json").read_text("utf-8"))
-    assert said["poses"] == 12, "four in each of three stages"
-    assert said["seed"] == 3
-
-
-@pytest.mark.parametrize("option", [
-    ("--duration", "8"), ("--period", "6"), ("--harmonics", "3"), ("--blend", "1"), ("--pieces", "5"),
-    ("--rest", "swing=0 deg"), ("--rate", "20"), ("--starts", "1"), ("--processes", "1"), ("--seconds", "5"),
-    ("--parquet",), ("--log", "log.csv"), ("--map", "map.toml"), ("--set", "consistent")], ids=lambda option: option[0])
-def test_options_of_motions_are_refused_with_poses(option: tuple[str, ...], tmp_path: Path) -> None:
-    done = CliRunner().invoke(app, ["excite", "cat215b", "--poses", "5", *option, "-o", str(tmp_path / "out")])
-    assert isinstance(done.exception, ProblemError)
-    assert str(done.exception).startswith(f"{option[0]}: "), done.exception
-    assert not (tmp_path / "out").exists()

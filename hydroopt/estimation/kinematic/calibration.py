@@ -235,8 +235,8 @@ def _cost(problem: CalibrationProblem, theta: Array, q: Array) -> float:
 def _uniqueness(seen: Observability, answers: list[tuple[float, Array, Array]], failed: int,
                 free: NDArray[np.bool_]) -> str:
     """What several starts showed, in plain words."""
-    if seen.unseen.shape[1] and not np.any(seen.prior):
-        return f"not unique: {seen.unseen.shape[1]} combinations leave no trace in the data"
+    if seen.null_space.shape[1] and not np.any(seen.prior):
+        return f"not unique: {seen.null_space.shape[1]} combinations leave no trace in the data"
     if len(answers) + failed == 1:
         return "not examined: solved from one start"
     std = np.where(np.isfinite(seen.std), seen.std, np.inf)

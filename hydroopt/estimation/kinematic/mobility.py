@@ -175,11 +175,11 @@ class _Visit:
 
     def __init__(self, model: KinematicModel, stage: Stage, count: int, rng: np.random.Generator) -> None:
         self.model, self.stage, self.fixtures = model, stage, model.machine.fixtures
-        machine, own = model.machine, postures.sensed_joints(model)
+        machine = model.machine
         self.chain = [model.joints.index(link.name) for link in machine.chain if link.joint.type != "locked"]
         sensed = [k for k in self.chain if machine.sensor(f"{model.joints[k]}.q")]
         moves, locked = ({model.joints.index(joint) for joint in joints} for joints in (stage.moves, stage.locked))
-        self.read = [k for k in sensed if not own or k in own or k not in moves | locked]
+        self.read = [k for k in postures.read_joints(model, stage) if k in self.chain]
         self.turning = [k for k in self.chain if k in moves or (k in sensed and k not in locked)]
         self.blind = [k for k in self.turning if k not in self.read]
         powered = {model.joints.index(joint) for joint in machine.joints} & {*self.chain}
@@ -193,7 +193,7 @@ class _Visit:
                      or (_read(machine, name) and (name in lengths or (name.startswith("tip.") and machine.tracker)
                                                    or (name.endswith(".distance") and self.fixtures)))]
         places = [np.array(fixture.position) for fixture in self.fixtures]
-        found = [self._postures(place, count, rng) for place in places] or [self._random(count, rng)]
+        found = [self._closed(place, count, rng) for place in places] or [self._random(count, rng)]
         self.q, size = np.concatenate(found), [len(q) for q in found]
         self.fixture = np.repeat([fixture.name for fixture in self.fixtures] or [""], size)
         self.lost = [fixture.name for fixture, q in zip(self.fixtures, found, strict=False) if not len(q)]
@@ -209,16 +209,14 @@ class _Visit:
             q[:, self.model.joints.index(joint)] = angle
         return q
 
-    def _postures(self, place: Array, count: int, rng: np.random.Generator) -> Array:
-        """Up to so many, closed by all joints that move, also by those that nothing reads."""
-        (low, high), tried = postures.limits(self.model), 0
-        found = np.zeros((0, len(low)))
-        while self.turning and len(found) < count and tried < TRIES * count:
-            q, closed = postures.close(self.model, self.model.parameters.nominal, self._random(2 * count, rng),
-                                       self.turning, place)
-            inside = np.all(((q >= low) & (q <= high))[:, self.turning], axis=1)
-            found, tried = np.vstack([found, q[closed & inside]]), tried + len(q)
-        return found[:count]
+    def _closed(self, place: Array, count: int, rng: np.random.Generator) -> Array:
+        """Up to so many postures, closed by all joints that move, including those that are not read."""
+        if not self.turning:
+            return np.zeros((0, len(self.model.joints)))
+        return postures.closed_postures(
+            self.model, count, rng, geometry=self.model.parameters.nominal, turning=self.turning,
+            within_limits=self.turning, locked=self.stage.locked, fixture=place, batch=2 * count,
+            give_up=lambda _, tried: tried >= TRIES * count)[0]
 
     def rank(self, joints: Sequence[int], rows: Sequence[int]) -> int:
         """Number of independent directions in which some joints change some rows, in general postures."""
@@ -340,7 +338,7 @@ def _told(problem: CalibrationProblem, linear: Linearised, hidden: Collection[st
                         if category == wanted and name not in hidden) for wanted in ("full", "none"))
     shown = [tuple(name for name in group if name not in hidden) for group in seen.combinations]
     groups = tuple(own if len(own) > 1 else group for own, group in zip(shown, seen.combinations, strict=True) if own)
-    return Told(rank=len(seen.names) - seen.unseen.shape[1], full=full, combinations=groups, none=none)
+    return Told(rank=seen.rank, full=full, combinations=groups, none=none)
 
 
 def _read(machine: Machine, *channels: str) -> bool:

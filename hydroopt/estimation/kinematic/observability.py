@@ -22,7 +22,7 @@ from hydroopt.spatial.inertia import Array
 ROUNDING = 1e-7
 """Size of a scaled column, relative to the largest, that is rounding only."""
 SHARE = 1e-5
-"""Part of a parameter's unit vector in the unseen space from which on it counts as touched by it."""
+"""Part of a parameter's unit vector in the null space from which on it counts as part of a combination."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -123,16 +123,21 @@ class Observability:
         return size, values, vectors
 
     @cached_property
-    def unseen(self) -> Array:
-        """(f, k) orthonormal directions, in units of `scale`, that leave no trace in the data."""
+    def null_space(self) -> Array:
+        """(f, k) orthonormal directions, in units of `scale`, along which the data do not change."""
         size, values, vectors = self._normalised
         away = vectors[:, ~significant(values, INFORMATION_TOLERANCE)] / (size * self.scale)[:, None]
         return np.linalg.qr(away)[0] if away.shape[1] else away
 
+    @property
+    def rank(self) -> int:
+        """Number of independent combinations that the data identify."""
+        return len(self.names) - int(self.null_space.shape[1])
+
     @cached_property
     def category(self) -> tuple[str, ...]:
         """``full``, ``combination`` or ``none`` of every parameter, from the data alone."""
-        touched = np.linalg.norm(self.unseen, axis=1) > SHARE
+        touched = np.linalg.norm(self.null_space, axis=1) > SHARE
         blank = np.diag(self.information) == 0
         return tuple("none" if b else "combination" if t else "full" for b, t in zip(blank, touched, strict=True))
 
@@ -140,7 +145,7 @@ class Observability:
     def combinations(self) -> tuple[tuple[str, ...], ...]:
         """Groups of parameters that the data show only together."""
         groups: list[set[int]] = []
-        for column in _sparse_basis(self.unseen).T:
+        for column in _sparse_basis(self.null_space).T:
             members = {int(k) for k in np.flatnonzero(np.abs(column) > SHARE)}
             if len(members) < 2:
                 continue
@@ -180,7 +185,7 @@ class Observability:
 
     @property
     def condition_number(self) -> float:
-        """Largest over smallest singular value of the scaled, whitened Jacobian, unseen directions left out."""
+        """Largest over smallest singular value of the scaled, whitened Jacobian, null space left out."""
         singular = self._singular
         return float(singular[0] / singular[-1])
 
@@ -193,7 +198,7 @@ class Observability:
     @cached_property
     def _singular(self) -> Array:
         values = np.linalg.eigvalsh(self.information * np.outer(self.scale, self.scale))[::-1]
-        return np.asarray(np.sqrt(np.maximum(values[: len(values) - self.unseen.shape[1]], 1e-300)))
+        return np.asarray(np.sqrt(np.maximum(values[: len(values) - self.null_space.shape[1]], 1e-300)))
 
 
 def _sparse_basis(space: Array) -> Array:

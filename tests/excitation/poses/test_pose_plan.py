@@ -5,15 +5,18 @@ from itertools import combinations
 import numpy as np
 import pytest
 
+import hydroopt
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic import joint
 from hydroopt.estimation.kinematic.problem import calibration_problem
-from hydroopt.excitation.poses.plan import expected_uncertainty, plan_poses
+from hydroopt.excitation.poses.exchange import fedorov_exchange
+from hydroopt.excitation.poses.problem import expected_uncertainty, pose_problem
 from hydroopt.logs.poses import read_poses
 from hydroopt.machine.calibration_chain import Tracker
 from hydroopt.machine.components import Sensor
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.results.answer import load
 from hydroopt.simulation import postures
 
 CREEPING = load_machine("cat215b")
@@ -29,6 +32,10 @@ ONE = FIXED | {name: value for name, value in GEOMETRY.items() if name.startswit
     "ball.x": FIXTURE[0], "ball.z": FIXTURE[2], "swing.locked.stick_moves": 0.0, "boom.locked.stick_moves": -0.485}
 """Leaves the stick, and the grapple's swing behind it."""
 STAGES = [stage.name for stage in CAT.stages]
+
+
+def plan_poses(machine, count, *, candidates, seed=0, **options):
+    return fedorov_exchange(pose_problem(machine, count, **options), candidates=candidates, seed=seed)
 
 
 @pytest.fixture(scope="module")
@@ -146,7 +153,7 @@ def test_same_seed_same_plan(plan):
     assert not np.array_equal(plan.q, other.q)
 
 
-def test_what_no_pose_tells_does_not_matter(plan):
+def test_what_no_pose_identifies_does_not_matter(plan):
     """The ball's y with the locked swing, and pins that no reading touches, leave the choice as it is."""
     free = plan_poses(CAT, 15, candidates=200)
     np.testing.assert_array_equal(free.q, plan.q)
@@ -155,8 +162,8 @@ def test_what_no_pose_tells_does_not_matter(plan):
     assert blind == {"ball.y", "swing.locked.stick_moves", *PINS}
     for name in ("swing.a", "boom.a", "boom.d", "ball.x"):
         assert std[name] == pytest.approx(plan.std[plan.names.index(name)], rel=1e-6)
-    assert free.condition_number > 1
-    assert free.noise_amplification_index > 0
+    assert free.observability.condition_number > 1
+    assert free.observability.noise_amplification_index > 0
 
 
 def test_focus_pays_for_its_parameters(plan):
@@ -175,7 +182,7 @@ def test_priors_count_if_wanted():
     np.testing.assert_array_equal(plan.std, seen.std)
 
 
-def test_drift_is_told_from_motion_by_driving_out_and_back(plan):
+def test_drift_is_separated_from_motion_by_driving_out_and_back(plan):
     creeping = plan_poses(CREEPING, 15, candidates=200, fixed=FIXED)
     for stage in CREEPING.stages:
         angle = creeping.q[creeping.stage == stage.name, MODEL.joints.index(stage.moves[0])]
@@ -188,7 +195,7 @@ def test_drift_is_told_from_motion_by_driving_out_and_back(plan):
     assert one_way.std[k] > 1.5 * creeping.std[k] > 1.5 * plan.std[j]
 
 
-def test_sheet_says_what_to_do(plan):
+def test_sheet_states_what_to_do(plan):
     sheet = plan.sheet()
     parts = sheet.split("\n\n")
     assert parts[1].splitlines() == ["stage 'stick_moves', fixture 'ball'",
@@ -206,7 +213,7 @@ def test_sheet_says_what_to_do(plan):
 
 
 def test_plan_can_be_read_back(plan, tmp_path):
-    plan.write(tmp_path / "plan.csv")
+    plan.poses.write(tmp_path / "plan.csv")
     poses = read_poses(tmp_path / "plan.csv")
     assert list(poses.stage) == list(plan.stage)
     assert list(poses.fixture) == list(plan.fixture)
@@ -228,25 +235,25 @@ def test_arms_that_sense_all_joints():
     tracked = panda.model_copy(update={"fixtures": (), "distances": (), "tracker": Tracker(),
                                        "sensors": (*panda.sensors, tip)})
     plan = plan_poses(tracked, 30, candidates=100)
-    assert plan.channels[-3:] == tip.channels
+    assert plan.problem.channels[-3:] == tip.channels
     assert np.isfinite(plan.std[plan.names.index("panda_joint3.a")])
 
 
 @pytest.mark.parametrize(("options", "where", "what", "remedy"), [
-    ({"count": 2}, "plan_poses", "2 poses of each stage have 12 rows for 16 parameters", "3 poses or more"),
-    ({"count": 0}, "plan_poses", "0 poses cannot be chosen", "at least one"),
-    ({"count": 51}, "plan_poses", "cannot be chosen from 50", "no more"),
+    ({"count": 2}, "pose plan", "2 poses of each stage have 12 rows for 16 parameters", "3 poses or more"),
+    ({"count": 0}, "pose plan", "0 poses cannot be planned", "at least one"),
+    ({"count": 51}, "pose plan", "cannot be chosen from 50", "more candidates"),
     ({"stages": ["arm_moves"]}, "stage 'arm_moves'", "no such stage", "stick_moves"),
     ({"focus": ["stick.b"]}, "parameter 'stick.b'", "no parameter", "stick.beta"),
     ({"focus": ["ball.y"]}, "focus 'ball.y'", "fixed", "leave it out"),
-    ({"focus": ["ball.y"], "fixed": PINS}, "focus 'ball.y'", "no pose tells it", "fix one of"),
+    ({"focus": ["ball.y"], "fixed": PINS}, "focus 'ball.y'", "no pose identifies it", "fix one of"),
     ({"fixed": {"ball.w": 0.0}}, "parameter 'ball.w'", "no parameter", "ball.x"),
     ({"machine": CAT.model_copy(update={"calibrator": None, "fixtures": ()})}, "machine 'cat215b'", "nothing holds",
      "calibrator"),
     ({"machine": CAT.model_copy(update={"sensors": ()})}, "machine 'cat215b'", "no sensor", "accuracy"),
     ({"stages": ["stick_moves"], "fixed": ONE | dict.fromkeys(
-        ("stick.a", "stick.alpha", "stick.beta", "grapple_swing.locked.stick_moves"), 0.0)}, "plan_poses",
-     "no parameter is left", "fix fewer"),
+        ("stick.a", "stick.alpha", "stick.beta", "grapple_swing.locked.stick_moves"), 0.0)}, "pose plan",
+     "no pose identifies any", "fix fewer"),
     ({"machine": with_strokes({"stroke": 0.01}, {})}, "stage 'stick_moves'", "within their limits", "strokes"),
 ])
 def test_bad_input_names_place_and_remedy(options, where, what, remedy):
@@ -255,3 +262,32 @@ def test_bad_input_names_place_and_remedy(options, where, what, remedy):
     assert caught.value.where.startswith(where)
     assert what in caught.value.what
     assert remedy in caught.value.remedy
+
+
+def test_plan_is_an_answer_that_can_be_saved_and_loaded(plan, tmp_path):
+    problem = pose_problem(CAT, 5)
+    answer = hydroopt.solve(problem, candidates=100, seed=2)
+    answer.save(tmp_path)
+    loaded = load(tmp_path)
+    assert {file.name for file in tmp_path.iterdir()} == {"plan.json", "sheet.txt", "poses.csv", "parameters.csv"}
+    assert (loaded.job, loaded.status, loaded.method) == (answer.job, "ok", "exchange, D criterion")
+    assert loaded.parameters == answer.parameters
+    assert loaded.diagnostics == answer.diagnostics
+    assert set(loaded.diagnostics[0].subject) == {"ball.y", "swing.locked.stick_moves", *PINS}
+    assert answer.parameters["boom.a"].std == answer.std[answer.names.index("boom.a")]
+    prior = CAT.notes["boom.joint.a"].spread(CAT.link("boom").joint.a)
+    assert answer.parameters["boom.a"].prior_std == pytest.approx(prior)
+    assert loaded.details() == answer.details()
+    np.testing.assert_array_equal(read_poses(tmp_path / "poses.csv").channels["yoke.q"],
+                                  answer.q[:, answer.joints.index("yoke")])
+
+
+def test_problem_prints_itself_and_has_no_program():
+    problem = pose_problem(CAT, 5, focus=("swing.a",), fixed=FIXED)
+    text = str(problem)
+    for part in ("15 poses in 3 groups", "5 postures of stage 'stick_moves', fixture 'ball'",
+                 "minimise the sum of the variances, of swing.a only", "held at 0", "in focus", "yoke.q"):
+        assert part in text
+    for program in (problem.nlp, problem.cvxpy):
+        with pytest.raises(ProblemError, match="combinatorial"):
+            program()

@@ -1,0 +1,50 @@
+"""`hydroopt plan-poses`: the poses to measure for a kinematic calibration."""
+
+from __future__ import annotations
+
+import time
+from typing import Annotated
+
+import typer
+
+from hydroopt.cli.options import AsJson, Directory, MachineName, Quiet, parameter_values, progress
+from hydroopt.excitation.criteria import CRITERIA
+from hydroopt.excitation.poses.exchange import fedorov_exchange
+from hydroopt.excitation.poses.problem import pose_problem
+from hydroopt.machine.machine_file import load_machine
+
+
+def plan_poses(
+    machine: MachineName,
+    output: Directory,
+    poses: Annotated[int, typer.Option("-n", "--poses", help="Poses of each stage at each fixture.", min=1)],
+    stage: Annotated[list[str] | None, typer.Option(help="Stage to measure; repeatable; all if not given.")] = None,
+    criterion: Annotated[str | None, typer.Option(
+        help=f"One of {', '.join(CRITERIA)}; D if not given, or A of the focus.")] = None,
+    focus: Annotated[list[str] | None, typer.Option(
+        help="Parameter to which the criterion is restricted; repeatable.")] = None,
+    priors: Annotated[bool, typer.Option("--priors", help="The file's confidences count as measurements.")] = False,
+    fix: Annotated[list[str] | None, typer.Option(
+        help="Hold a parameter, NAME=VALUE with unit, e.g. 'ball.y=0 m'; repeatable.")] = None,
+    candidates: Annotated[int, typer.Option(
+        help="Random postures of each stage and fixture to choose from.", min=1)] = 2000,
+    seed: Annotated[int, typer.Option(help="Of the random postures.", min=0)] = 0,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Plan the poses of a kinematic calibration: DIR gets sheet.txt to measure by, poses.csv and plan.json."""
+    began = time.perf_counter()
+    described = load_machine(machine)
+    with progress(f"choosing poses for {described.name}", quiet):
+        problem = pose_problem(described, poses, stages=stage or None, criterion=criterion, focus=focus or (),
+                               priors=priors)
+        if fix:
+            problem = problem.fixing(**parameter_values(fix, problem.parameters))
+        plan = fedorov_exchange(problem, candidates=candidates, seed=seed)
+    plan.save(output, wall_s=time.perf_counter() - began)
+    if as_json:
+        typer.echo((output / "plan.json").read_text("utf-8"))
+    elif not quiet:
+        typer.echo(plan.sheet())
+        for diagnostic in plan.diagnostics:
+            typer.echo(f"  ! {diagnostic}")

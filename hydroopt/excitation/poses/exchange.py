@@ -1,0 +1,205 @@
+"""The exchange algorithm of pose planning: the poses with the most information about the geometry.
+
+Of many random closed postures those are chosen that are best by one of the criteria that also serve motions: D, A or E
+of the covariance of all parameters or of those in focus, or the condition number. All stages share their parameters and
+are chosen together. Directions that no posture identifies (ball.y with the locked swing of the CAT 215B) are projected
+out. Collisions are not modelled. Section 5.3 of the thesis leaves pose planning open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.kinematic.observability import SHARE, Linearised, Observability, observability
+from hydroopt.estimation.kinematic.problem import CalibrationProblem
+from hydroopt.excitation.poses.plan import PosePlan
+from hydroopt.excitation.poses.problem import PoseGroup, PoseProblem, linearised
+from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.simulation import postures
+from hydroopt.spatial.inertia import Array
+
+FAINT = 1e-6
+"""Prior information, in units of the information of an average pose: makes every determinant positive."""
+HELPS = 1e-9
+"""Relative gain of the criterion from which on an exchange of two poses helps."""
+PROMISING = 64
+"""Candidates whose eigenvalues are computed."""
+TRIES = 30
+"""Random postures of which at least one must close within all limits."""
+BATCH = 500
+"""Random postures tried at once, at least."""
+
+
+def fedorov_exchange(problem: PoseProblem, *, candidates: int = 2000, seed: int = 0) -> PosePlan:
+    """Choose poses: a greedy start, then exchanges of single poses until none helps. No posture is chosen twice.
+
+    The exchanges are those of Fedorov (1972), in the order of Cook and Nachtsheim (1980).
+
+    Args:
+        problem: how many poses of which groups, by which criterion.
+        candidates: random postures of each group to choose from.
+        seed: of the random postures.
+
+    Raises:
+        ProblemError: no posture lies within the limits, a parameter in focus is not identifiable, or there are too few
+            poses or candidates.
+    """
+    model, groups, count = problem.model, problem.groups, problem.count
+    if count > candidates:
+        raise ProblemError(f"{count} poses cannot be chosen from {candidates} candidates", where="pose plan",
+                           remedy="ask for fewer poses or more candidates")
+    rng = np.random.default_rng(seed)
+    found = np.array([_candidates(model, group, candidates, rng) for group in groups])
+    design = _Design(*linearised(problem, np.concatenate(found), *problem.labels(candidates)), problem.criterion,
+                     problem.focus, len(groups))
+    chosen = design.best(count)
+    q, (stage, fixture) = found[chosen], problem.labels(count)
+    return PosePlan(problem, candidates, seed, stage, fixture, q, _lengths(model, q),
+                    observability(*linearised(problem, q, stage, fixture)), design.log_det(chosen))
+
+
+def _lengths(model: KinematicModel, q: Array) -> Array:
+    """(N, c) of all cylinders [m]."""
+    return model.over(model.lengths, model.parameters.nominal, q)[0][:, :, 0]
+
+
+def _candidates(model: KinematicModel, group: PoseGroup, count: int, rng: np.random.Generator) -> Array:
+    """Random closed postures (count, n) within the limits of joints and strokes, in the order of measuring.
+
+    That order is the moving joint's, else that of the first joint that is read, so that there is little driving. Where
+    locked joints drift, every second posture waits for the way back: otherwise drift and moving joint could not be
+    separated.
+    """
+    moving = [model.joints.index(joint) for joint in group.moves]
+    held = {model.joints.index(joint) for joint in group.locked}
+    turning = [k for k in postures.read_joints(model) if k not in held and k not in moving]
+    place = [np.array(each.position) for each in model.machine.fixtures if each.name == group.fixture]
+    batch = max(count, BATCH)
+    found, tried = postures.closed_postures(
+        model, count, rng, geometry=model.parameters.nominal, turning=turning, within_limits=turning + moving,
+        locked=group.locked, fixture=place[0] if place else None, within_strokes=True, batch=batch,
+        give_up=lambda found, tried: tried > 3 * batch and found * TRIES < tried)
+    if len(found) < count:
+        raise ProblemError(f"only {len(found)} of {tried} random postures close within their limits",
+                           where=f"{group}", remedy="move the fixture, widen limits and strokes, or lock joints "
+                           "elsewhere")
+    order = np.argsort(found[:, (moving + turning or [0])[0]], kind="stable")
+    return np.asarray(found[np.concatenate([order[::2], order[1::2][::-1]]) if group.drift else order])
+
+
+class _Design:
+    """The information of the candidates, in coordinates w (r,) of the identifiable directions.
+
+    They are chosen so that an average candidate has the same information in every direction.
+
+    Attributes:
+        rows: (G, C, m, r) whitened Jacobians of C candidates in each of G groups; `rank` (G,) independent rows of one.
+        prior: (r, r) information of known distances and priors, and a faint one of everything; `open` is the number of
+            directions that need poses.
+        focus: (s, r) parameters in focus by w, in units of their scales; none for the D criterion of all.
+    """
+
+    def __init__(self, problem: CalibrationProblem, linear: Linearised, criterion: str, focus: Sequence[str],
+                 groups: int) -> None:
+        self.criterion = criterion
+        free = np.flatnonzero(problem.free)
+        if not np.any(linear.jacobian[:, :, free]):
+            raise ProblemError("no pose identifies any of the free parameters", where="pose plan",
+                               remedy="fix fewer, or state the confidence of lengths and angles in the machine file")
+        data = observability(problem, linear)
+        # poses need not identify what priors determine
+        total = Observability(data.names, data.scale, data.information + data.prior, 0 * data.prior)
+        hidden = total.null_space.shape[1]
+        basis = data.scale[:, None] * np.linalg.qr(total.null_space, mode="complete")[0][:, hidden:]
+        factor = np.linalg.cholesky(basis.T @ total.information @ basis / len(linear.rank))
+        self.offset = 2 * float(np.log(np.diag(factor)).sum())
+        to_w = basis @ np.linalg.inv(factor).T
+        # only as many rows as a pose has independent ones
+        _, size, turned = np.linalg.svd(linear.jacobian[:, :, free] @ to_w, full_matrices=False)
+        rows = (size[:, :, None] * turned)[:, : linear.rank.max()]
+        shared = linear.shared[:, free] @ to_w
+        self.rows: Array = rows.reshape(groups, -1, *rows.shape[1:])
+        self.rank = linear.rank.reshape(groups, -1).max(axis=1)
+        self.prior = shared.T @ shared + FAINT * np.eye(len(factor))
+        self.open = len(factor) - (int(np.linalg.matrix_rank(shared)) if len(shared) else 0)
+        self.focus = (to_w / data.scale[:, None])[_places(problem, total, focus)]
+        if not focus and criterion != "D":
+            self.focus = np.linalg.inv(factor).T
+
+    def information(self, chosen: NDArray[np.bool_]) -> Array:
+        """(r, r) of chosen candidates (G, C) and the prior."""
+        rows = self.rows[chosen].reshape(-1, len(self.prior))
+        return np.asarray(self.prior + rows.T @ rows)
+
+    def log_det(self, chosen: NDArray[np.bool_]) -> float:
+        """Of the scaled information."""
+        return float(np.linalg.slogdet(self.information(chosen))[1]) + self.offset
+
+    def score(self, information: Array, group: int, pose: int = 0) -> Array:
+        """Criterion (C,), up to a constant, after each candidate of a group is added to an information (r, r).
+
+        It is −∞ for those that improve the worst direction little, except `pose`.
+        """
+        rows, inverse = self.rows[group], np.linalg.inv(information)
+        spread = rows @ inverse
+        core = np.eye(rows.shape[1]) + spread @ rows.transpose(0, 2, 1)
+        if not len(self.focus):
+            return np.asarray(np.linalg.slogdet(core)[1])
+        across = spread @ self.focus.T
+        covariance = self.focus @ inverse @ self.focus.T
+        after = covariance - across.transpose(0, 2, 1) @ np.linalg.solve(core, across)
+        match self.criterion:
+            case "A":
+                return np.asarray(-np.log(np.trace(after, axis1=1, axis2=2)))
+            case "D":
+                return np.asarray(-np.linalg.slogdet(after)[1])
+        # eigenvalues take long: only of those that improve the worst direction most
+        worst = np.linalg.eigh(covariance)[1][:, -1]
+        promising = np.append(np.argsort((after @ worst) @ worst)[:PROMISING], pose)
+        values = np.maximum(np.linalg.eigvalsh(after[promising]), 1e-300)
+        score = np.full(len(rows), -np.inf)
+        score[promising] = -np.log(values[:, -1] / (values[:, 0] if self.criterion == "condition" else 1.0))
+        return score
+
+    def best(self, count: int) -> NDArray[np.bool_]:
+        """The chosen candidates (G, C), `count` of each group."""
+        if count * self.rank.sum() < self.open:
+            raise ProblemError(f"{count} poses of each stage have {count * self.rank.sum()} rows for {self.open} "
+                               "parameters", where="pose plan",
+                               remedy=f"ask for {-(-self.open // self.rank.sum())} poses or more, or fix parameters")
+        chosen = np.zeros(self.rows.shape[:2], dtype=bool)
+        for _ in range(count):
+            for group, taken in enumerate(chosen):
+                score = self.score(self.information(chosen), group)
+                taken[np.argmax(np.where(taken, -np.inf, score))] = True
+        helped = True
+        while helped:
+            helped = False
+            for group, taken in enumerate(chosen):
+                for pose in np.flatnonzero(taken):
+                    taken[pose] = False
+                    score = np.where(taken, -np.inf, self.score(self.information(chosen), group, int(pose)))
+                    better = np.max(score) > score[pose] + HELPS
+                    taken[np.argmax(score) if better else pose] = True
+                    helped |= bool(better)
+        if np.linalg.eigvalsh(self.information(chosen))[0] < 2 * FAINT:
+            raise ProblemError(f"{count} poses of each stage do not identify all combinations that more poses would",
+                               where="pose plan", remedy="ask for more poses, or fix parameters")
+        return chosen
+
+
+def _places(problem: CalibrationProblem, identifiability: Observability, focus: Sequence[str]) -> list[int]:
+    """Positions of the parameters in focus among the free ones."""
+    for name in focus:
+        problem.parameters.index(name)
+        if name not in identifiability.names:
+            raise ProblemError("it is fixed", where=f"focus '{name}'", remedy="leave it out")
+        if np.linalg.norm(identifiability.null_space[identifiability.names.index(name)]) > SHARE:
+            together = next((", ".join(group) for group in identifiability.combinations if name in group), "")
+            raise ProblemError("no pose identifies it", where=f"focus '{name}'",
+                               remedy=f"fix one of {together}" if together else "leave it out")
+    return [identifiability.names.index(name) for name in focus]

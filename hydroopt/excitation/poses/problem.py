@@ -1,0 +1,244 @@
+"""Pose planning as an optimisation problem: which of many closed postures to measure."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import NamedTuple, Never
+
+import numpy as np
+
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.inference.listing import named_row, table
+from hydroopt.estimation.kinematic.observability import Linearised, Observability, linearise, observability
+from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
+from hydroopt.excitation.criteria import checked
+from hydroopt.logs.poses import Texts
+from hydroopt.machine.machine import Machine
+from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.simulation import postures
+from hydroopt.spatial.inertia import Array
+
+OBJECTIVES = {
+    "D": "the log-determinant of the covariance", "A": "the sum of the variances",
+    "E": "the largest variance of any combination",
+    "condition": "the condition number of the scaled, whitened Jacobian"}
+"""Objectives that the criteria stand for."""
+
+
+class PoseGroup(NamedTuple):
+    """Poses measured one after another: a stage (none where all joints are read) at a fixture (none with a tracker).
+
+    `moves` are the joints that move without being read, `locked` those at rest, with their angles [rad]; with `drift`
+    these creep.
+    """
+
+    stage: str
+    fixture: str
+    moves: tuple[str, ...]
+    locked: dict[str, float]
+    drift: bool
+
+    def __str__(self) -> str:
+        named = (("stage", self.stage), ("fixture", self.fixture))
+        return ", ".join(f"{kind} '{name}'" for kind, name in named if name) or "open chain"
+
+
+@dataclass(frozen=True, eq=False)
+class PoseProblem:
+    """Which poses to measure for a kinematic calibration; solving never changes it.
+
+    `hydroopt.solve(problem, seed=0, candidates=2000)` chooses them among random closed postures of each group. The
+    choice is combinatorial, so there is neither a nonlinear nor a convex program of it.
+
+    Attributes:
+        machine: states calibrator, sensors, limits, and fixtures or a tracker.
+        count: poses of each group.
+        groups: stages and fixtures, one after another.
+        criterion: ``D``, ``A``, ``E`` or ``condition``, of the covariance of the parameters in units of their scales.
+        focus: parameters to which the criterion is restricted; all if empty.
+        priors: whether the machine file's confidences count as measurements.
+        fixed: parameters that are held, with their values [SI]; the plan is made at the nominal values.
+
+    >>> import hydroopt
+    >>> problem = hydroopt.pose_problem(hydroopt.load_machine("cat215b"), 10, fixed={"ball.y": 0.0})
+    >>> print(str(problem).splitlines()[0])
+    pose plan of cat215b: 30 poses in 3 groups
+    >>> problem.nlp()
+    Traceback (most recent call last):
+    ...
+    hydroopt.errors.ProblemError: pose plan: the choice of postures is combinatorial and has no nonlinear program; \
+use hydroopt.solve.
+    """
+
+    machine: Machine
+    count: int
+    groups: tuple[PoseGroup, ...]
+    criterion: str
+    focus: tuple[str, ...] = ()
+    priors: bool = False
+    fixed: Mapping[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def model(self) -> KinematicModel:
+        """Geometry of machine and calibrator."""
+        return KinematicModel(self.machine)
+
+    @cached_property
+    def channels(self) -> tuple[str, ...]:
+        """Channels that are read in each pose."""
+        return measured_channels(self.model)
+
+    @cached_property
+    def parameters(self) -> ParameterSet:
+        """All parameters of the calibration."""
+        return self._one_pose_each.parameters
+
+    @cached_property
+    def _one_pose_each(self) -> CalibrationProblem:
+        low, high = postures.limits(self.model)
+        return calibration_of(self, np.repeat([(low + high) / 2], len(self.groups), axis=0), *self.labels(1))
+
+    def labels(self, count: int) -> tuple[Texts, Texts]:
+        """Stages and fixtures of so many poses of each group, the groups one after another."""
+        return (np.repeat([group.stage for group in self.groups], count),
+                np.repeat([group.fixture for group in self.groups], count))
+
+    def fixing(self, **values: float) -> PoseProblem:
+        """The problem with parameters held, ``fixing(**{"ball.y": 0.0})`` [SI].
+
+        Raises:
+            ProblemError: there is no such parameter.
+        """
+        self.parameters.select(values)
+        return replace(self, fixed={**self.fixed, **values})
+
+    def nlp(self) -> Never:
+        """Refused.
+
+        Raises:
+            ProblemError: always: a combinatorial choice has no nonlinear program.
+        """
+        raise ProblemError("the choice of postures is combinatorial and has no nonlinear program", where="pose plan",
+                           remedy="use hydroopt.solve")
+
+    def cvxpy(self) -> Never:
+        """Refused.
+
+        Raises:
+            ProblemError: always: a combinatorial choice is not convex.
+        """
+        raise ProblemError("the choice of postures is combinatorial and not convex", where="pose plan",
+                           remedy="use hydroopt.solve")
+
+    def __repr__(self) -> str:
+        return (f"<PoseProblem of {self.machine.name}: {self.count} poses in each of {len(self.groups)} groups, "
+                f"criterion {self.criterion}>")
+
+    def __str__(self) -> str:
+        parameters, known = self.parameters, self._one_pose_each.known
+        held = self._one_pose_each.fixed
+        rows = [named_row(name, unit, float("inf") if name in held or not root else 1 / root,
+                          f"held at {held[name]:.6g}" if name in held else "in focus" if name in self.focus else "")
+                for name, unit, root in zip(parameters.names, parameters.units, known, strict=True)]
+        what = f", of {', '.join(self.focus)} only" if self.focus else ""
+        return "\n".join([
+            f"pose plan of {self.machine.name}: {self.count * len(self.groups)} poses in {len(self.groups)} groups",
+            "variables", *(f"  {self.count} postures of {group}" for group in self.groups),
+            f"minimise {OBJECTIVES[self.criterion]}{what}",
+            "subject to", "  each posture closes its loop and is chosen once", "  limits of joints and strokes",
+            f"measured channels: {', '.join(self.channels)}",
+            "parameters", *table(("name", "unit", "prior std", ""), rows)])
+
+
+def pose_problem(machine: Machine, count: int, *, stages: Sequence[str] | None = None, criterion: str | None = None,
+                 focus: Sequence[str] = (), priors: bool = False,
+                 fixed: Mapping[str, float] | None = None) -> PoseProblem:
+    """Which poses to measure for a machine's calibration, planned about the geometry of its file.
+
+    Args:
+        machine: states calibrator, sensors, limits, and fixtures or a tracker.
+        count: poses of each stage at each fixture.
+        stages: those to measure, by default all; without stages all joints with a sensor move.
+        criterion: ``D``, ``A``, ``E`` or ``condition``, of parameters in units of their scales; by default D,
+            or A of the focus.
+        focus: parameters to which the criterion is restricted.
+        priors: whether the machine file's confidences count as measurements.
+        fixed: values [SI] of parameters that are held.
+
+    Raises:
+        ProblemError: no calibrator, no sensor, or an unknown stage, criterion or parameter.
+
+    >>> import hydroopt
+    >>> crane = hydroopt.load_machine("cat215b")
+    >>> plan = hydroopt.solve(hydroopt.pose_problem(crane, 5, fixed={"ball.y": 0.0}), candidates=50)
+    >>> len(plan.q)
+    15
+    """
+    criterion = criterion or ("A" if focus else "D")
+    checked(criterion, focus)
+    problem = PoseProblem(machine, count, _groups(machine, stages), criterion, tuple(focus), priors, dict(fixed or {}))
+    if count < 1:
+        raise ProblemError(f"{count} poses cannot be planned", where="pose plan", remedy="ask for at least one pose")
+    problem.parameters.select(problem.focus)  # refuses unknown names
+    return problem
+
+
+def expected_uncertainty(machine: Machine, q: Array, stage: Sequence[str] | Texts, fixture: Sequence[str] | Texts, *,
+                         priors: bool = False, fixed: Mapping[str, float] | None = None) -> Observability:
+    """What poses identify, before they are measured: joint vectors (N, n) [rad, m] with their N stages and fixtures.
+
+    Raises:
+        ProblemError: poses and machine do not fit together.
+    """
+    problem = PoseProblem(machine, len(q), _groups(machine, None), "D", (), priors, dict(fixed or {}))
+    return observability(*linearised(problem, np.asarray(q), stage, fixture))
+
+
+def linearised(problem: PoseProblem, q: Array, stage: Sequence[str] | Texts,
+               fixture: Sequence[str] | Texts) -> tuple[CalibrationProblem, Linearised]:
+    """The calibration problem of postures (N, n), linearised about them at the nominal geometry."""
+    calibration = calibration_of(problem, q, stage, fixture)
+    return calibration, linearise(calibration, calibration.parameters.nominal, q)
+
+
+def calibration_of(problem: PoseProblem, q: Array, stage: Sequence[str] | Texts,
+                   fixture: Sequence[str] | Texts) -> CalibrationProblem:
+    """The calibration problem that measuring postures (N, n) without noise gives."""
+    model = problem.model
+    poses = postures.record(model, q, list(map(str, stage)), list(map(str, fixture)), geometry=model.parameters.nominal,
+                            channels=problem.channels, seed=None, name="plan")
+    return calibration_problem(model.machine, poses, fixed=problem.fixed, priors=problem.priors)
+
+
+def measured_channels(model: KinematicModel) -> tuple[str, ...]:
+    """Channels that are read in each pose: joints, and the tip where a tracker sees it.
+
+    Raises:
+        ProblemError: nothing is read.
+    """
+    tips = [f"tip.{axis}" for axis in "xyz"] if model.machine.tracker else []
+    joints = [f"{model.joints[k]}.q" for k in postures.read_joints(model)]
+    channels = (*joints, *(tip for tip in tips if model.machine.sensor(tip)))
+    if not channels:
+        raise ProblemError("no sensor reads a joint or the tip", where=f"machine '{model.machine.name}'",
+                           remedy="state sensors with their accuracy in the machine file")
+    return channels
+
+
+def _groups(machine: Machine, stages: Sequence[str] | None) -> tuple[PoseGroup, ...]:
+    if machine.calibrator is None or not (machine.fixtures or machine.tracker):
+        raise ProblemError("nothing holds or tracks the machine's tip, so that poses identify nothing",
+                           where=f"machine '{machine.name}'",
+                           remedy="state a calibrator with a fixture or a tracker in the machine file")
+    known = {stage.name: stage for stage in machine.stages}
+    for name in known if stages is None else stages:
+        if name not in known:
+            raise ProblemError("the machine file has no such stage", where=f"stage '{name}'",
+                               remedy=f"use {', '.join(known)}" if known else "leave it out: all joints are read")
+    fixtures = [fixture.name for fixture in machine.fixtures] or [""]
+    return tuple(PoseGroup(stage.name, fixture, stage.moves, stage.locked, stage.drift > 0) for stage in machine.stages
+                 for fixture in fixtures if stages is None or stage.name in stages) or tuple(
+                     PoseGroup("", fixture, (), {}, False) for fixture in fixtures)
