@@ -3,30 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import NamedTuple
 
 import casadi as ca
 
-from hydroopt.machine.components import Cylinder, GasCylinder, Link
+from hydroopt.machine.addresses import AXES, TURNS
+from hydroopt.machine.components import Cylinder, GasCylinder
 from hydroopt.machine.machine import BASE, Machine
-from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.spatial.poses import Pose, Triangle, identity, joint_pose, link_pose, triangle
-
-DENAVIT_HARTENBERG = {"theta": "rad", "d": "m", "a": "m", "alpha": "rad", "beta": "rad"}
-_POINT = ("x", "y", "z")
-_TURN = ("roll", "pitch", "yaw")
-
-
-class Number(NamedTuple):
-    """One number of the machine file: name, kind, unit, value, the key of its note, and its place if that is a vector.
-    """
-
-    name: str
-    kind: ParameterKind
-    unit: str
-    value: float
-    path: str
-    axis: int | None = None
 
 
 class Geometry:
@@ -35,7 +18,7 @@ class Geometry:
     Attributes:
         links: all links, the calibrator's last.
         numbers: all numbers of the geometry as the machine file states them.
-        value: what is reckoned with, by name: the file's numbers where no symbol replaces them.
+        value: values by name: the file's numbers where no symbol replaces them.
 
     Joint variables are given as a mapping from the names of joints; a joint left out stands at zero.
     """
@@ -43,18 +26,18 @@ class Geometry:
     def __init__(self, machine: Machine, symbols: Mapping[str, ca.SX] | None = None) -> None:
         self.machine = machine
         self.links = (*machine.links, *(machine.calibrator.links if machine.calibrator else ()))
-        self.numbers = _numbers(machine, self.links)
+        self.numbers = machine.geometry_numbers
         self.value: dict[str, ca.SX | float] = {number.name: number.value for number in self.numbers}
         self.value |= symbols or {}
         self._link = {link.name: link for link in self.links}
 
     def point(self, name: str) -> ca.SX:
         """Coordinates (3,) [m] of a named point: ``boom_cylinder.rod``, ``tip``, ``tracker``."""
-        return ca.vertcat(*(self.value[f"{name}.{axis}"] for axis in _POINT))
+        return ca.vertcat(*(self.value[f"{name}.{axis}"] for axis in AXES))
 
     def turn(self, name: str) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Roll, pitch and yaw [rad] of a named frame: ``tracker``."""
-        roll, pitch, yaw = (self.value[f"{name}.{axis}"] for axis in _TURN)
+        roll, pitch, yaw = (self.value[f"{name}.{axis}"] for axis in TURNS)
         return roll, pitch, yaw
 
     def far_end(self, link: str) -> Pose:
@@ -108,28 +91,3 @@ class Geometry:
         while chain[-1] != BASE:
             chain.append(self._link[chain[-1]].parent)
         return tuple(chain)
-
-
-def _numbers(machine: Machine, links: tuple[Link, ...]) -> tuple[Number, ...]:
-    numbers = [Number(f"{link.name}.{key}", ParameterKind.ANGLE if unit == "rad" else ParameterKind.LENGTH, unit,
-                      getattr(link.joint, key), f"{link.name}.joint.{key}")
-               for link in links for key, unit in DENAVIT_HARTENBERG.items()]
-    numbers += [Number(f"{link.name}.compliance", ParameterKind.COMPLIANCE,
-                       "rad/(N*m)" if link.joint.type == "revolute" else "m/N",
-                       link.joint.compliance, f"{link.name}.joint.compliance")
-                for link in links if link.joint.compliance is not None and link.joint.type != "locked"]
-    point, turn = (ParameterKind.POSITION, "m", _POINT), (ParameterKind.ORIENTATION, "rad", _TURN)
-    vectors = []
-    if machine.calibrator:
-        vectors.append(("tip", machine.calibrator.tip, "calibrator.tip", *point))
-    if machine.tracker:
-        vectors += [("tracker", machine.tracker.position, "tracker.position", *point),
-                    ("tracker", machine.tracker.orientation, "tracker.orientation", *turn)]
-    for cylinder in machine.all_cylinders:
-        vectors += [(f"{cylinder.name}.{end}", getattr(cylinder, end).pin, f"{cylinder.name}.{end}.pin", *point)
-                    for end in ("barrel", "rod")]
-        if isinstance(cylinder, Cylinder):
-            numbers.append(Number(f"{cylinder.name}.dead_length", ParameterKind.DEAD_LENGTH, "m", cylinder.dead_length,
-                                  f"{cylinder.name}.dead_length"))
-    return (*numbers, *(Number(f"{owner}.{axis}", kind, unit, vector[k], path, k)
-                        for owner, vector, path, kind, unit, axes in vectors for k, axis in enumerate(axes)))

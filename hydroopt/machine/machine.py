@@ -6,10 +6,15 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
+from difflib import get_close_matches
+from itertools import chain
 from typing import Any, Self
 
-from pydantic import Field, ModelWrapValidatorHandler, model_validator
+from pydantic import Field, ModelWrapValidatorHandler, ValidationError, model_validator
 
+from hydroopt.errors import MachineError
+from hydroopt.machine import addresses
+from hydroopt.machine.addresses import Number
 from hydroopt.machine.calibration_chain import Calibrator, Distance, Fixture, Stage, Tracker
 from hydroopt.machine.components import Cylinder, Drive, GasCylinder, Link, Motor, Note, Sensor
 from hydroopt.machine.environment import Footprint, Obstacle, Pump, Workspace
@@ -322,6 +327,111 @@ class Machine(Noun):
                 units[f"{link.name}.q"] = "m" if link.joint.type == "prismatic" else "rad"
             units[f"{link.name}.distance"] = "m"
         return units | (dict.fromkeys(("tip.x", "tip.y", "tip.z"), "m") if self.tracker else {})
+
+    @property
+    def numbers(self) -> dict[str, Number]:
+        """Every number that a calibration may change, by its address: bodies, friction, gas, hydraulics, geometry.
+
+        >>> from hydroopt.machine.machine_file import load_machine
+        >>> load_machine("cat215b").numbers["boom.a"].unit
+        'm'
+        """
+        found: list[Number] = []
+        for link in self.links:
+            if link.body is not None:
+                found += addresses.body_numbers(link.name, link.body, f"{link.name}.body")
+        for cylinder in self.cylinders:
+            found += addresses.cylinder_bodies(cylinder)
+        for joint in self.joints:
+            found += self.effort_numbers(joint)
+        for gas in self.gas_cylinders:
+            found += addresses.gas_numbers(gas)
+        found += [*self.hydraulic_numbers, *self.geometry_numbers]
+        for fixture in self.fixtures:
+            found += addresses.fixture_numbers(fixture)
+        return {number.name: number for number in found}
+
+    def effort_numbers(self, joint: str) -> tuple[Number, ...]:
+        """Friction, offset and rotor of a moving joint and its actuator, in the order of Eq. 4.53, 4.54."""
+        units, actuator = self.friction_units(joint), self.actuators[self.joints.index(joint)]
+        return (*addresses.joint_friction(self.link(joint), units), *addresses.actuator_numbers(actuator, units))
+
+    @property
+    def hydraulic_numbers(self) -> tuple[Number, ...]:
+        """Numbers of the oil, then of valves, hoses and leaks, actuator by actuator."""
+        circuits = (addresses.circuit_numbers(name, circuit) for name, circuit in self.circuits.items())
+        return (*(addresses.oil_numbers(self.oil) if self.oil else ()), *chain.from_iterable(circuits))
+
+    @property
+    def geometry_numbers(self) -> tuple[Number, ...]:
+        """Numbers of links and joints, pins, tip and tracker."""
+        links = (*self.links, *(self.calibrator.links if self.calibrator else ()))
+        found = [*chain.from_iterable(map(addresses.link_geometry, links)),
+                 *chain.from_iterable(map(addresses.joint_compliance, links)),
+                 *chain.from_iterable(map(addresses.dead_length, self.cylinders))]
+        if self.calibrator:
+            found += addresses.point("tip", self.calibrator.tip, "calibrator.tip")
+        if self.tracker:
+            found += [*addresses.point("tracker", self.tracker.position, "tracker.position"),
+                      *addresses.orientation("tracker", self.tracker.orientation, "tracker.orientation")]
+        return (*found, *chain.from_iterable(map(addresses.pins, self.all_cylinders)))
+
+    def with_values(self, values: Mapping[str, float], notes: Mapping[str, Note] | None = None) -> Machine:
+        """The machine with other numbers, each under its address, and with what is known about them.
+
+        A body that gets a new inertial parameter is stated about its frame's origin from then on. The confidences of
+        its centre of mass and of its inertia about that are dropped: they are no confidences of the new numbers.
+
+        Args:
+            values: by address, in SI.
+            notes: by address. A vector has one note; of those of its components the last one counts.
+
+        Raises:
+            MachineError: an address is unknown, or no machine can have these numbers.
+
+        >>> from hydroopt.machine.machine_file import load_machine
+        >>> machine = load_machine("cat215b").with_values(
+        ...     {"boom.a": 5.2, "boom_cylinder.f_coulomb": 3000.0}, {"boom.a": Note(sigma=1e-3, source="tape measure")})
+        >>> machine.link("boom").joint.a, machine.notes["boom.joint.a"].source
+        (5.2, 'tape measure')
+        """
+        known, where = self.numbers, f"machine '{self.name}'"
+        for name in (*values, *(notes or {})):
+            if name not in known:
+                close = get_close_matches(name, known, n=3) or list(known)[:3]
+                raise MachineError(f"no number has the address '{name}'", where=where,
+                                   remedy=f"did you mean {' or '.join(close)}")
+        data = self.model_dump(exclude={"notes"})
+        dropped = addresses.rewrite(data, known, values)
+        stated = {path: note for path, note in self.notes.items() if path not in dropped}
+        stated |= {known[name].path: note for name, note in (notes or {}).items()}
+        return self._rebuilt(data, stated)
+
+    def without_bodies(self, owners: Collection[str]) -> Machine:
+        """The machine without the bodies of these links, barrels and rods, nor what is stated of them.
+
+        Raises:
+            MachineError: a total mass needs one of them.
+
+        >>> from hydroopt.machine.machine_file import load_machine
+        >>> load_machine("cat215b").without_bodies(["boom_cylinder.rod"]).cylinders[0].rod.body is None
+        True
+        """
+        data = self.model_dump(exclude={"notes"})
+        addresses.remove_bodies(data, owners)
+        return self._rebuilt(data, {path: note for path, note in self.notes.items()
+                                    if not path.startswith(tuple(f"{owner}.body." for owner in owners))})
+
+    def _rebuilt(self, data: Mapping[str, Any], notes: Mapping[str, Note]) -> Machine:
+        try:
+            return Machine.model_validate({**data, "notes": notes})
+        except ValidationError as error:
+            first, where = error.errors()[0], f"machine '{self.name}'"
+            rule = first.get("ctx", {}).get("error")
+            if isinstance(rule, ImpossibleError):
+                raise MachineError(rule.what, where=where, remedy=rule.remedy) from None
+            raise MachineError(f"{first['msg'][:1].lower()}{first['msg'][1:]}, not {first['input']!r:.40}",
+                               where=f"{where}: {'.'.join(map(str, first['loc']))}", remedy="correct it") from None
 
     @property
     def sha256(self) -> str:

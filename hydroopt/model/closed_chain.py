@@ -11,8 +11,9 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.kernels.native import Runner
+from hydroopt.machine.addresses import Number
 from hydroopt.machine.components import Cylinder, Link
-from hydroopt.machine.geometry import Geometry, Number
+from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array
@@ -28,8 +29,7 @@ class KinematicModel:
     Attributes:
         machine: what is modelled.
         links: all links, the calibrator's last; `joints` are the moving ones, in the order of q (n,) [rad, m].
-        parameters: the geometry g (p,) that is not taken as exact, with its priors; `paths` says for every number under
-            which key of the machine file it stands, and where in a vector.
+        parameters: the geometry g (p,) that is not taken as exact, with its priors.
         tip: casadi.Function (g, q) -> ball's centre (3,) [m] in the base frame (Eq. 3.17).
         closure: (g, q, fixture (3,)) -> tip − fixture (3,) [m]: the loop's residual where all joints are known.
         far_ends: (g, q) -> far ends of the chain's links (3, number of links) [m] in the base frame.
@@ -45,7 +45,6 @@ class KinematicModel:
         self.links = stated.links
         self.joints = tuple(link.name for link in self.links if link.joint.type != "locked")
         self.parameters = _parameters(machine, stated.numbers)
-        self.paths = {number.name: (number.path, number.axis) for number in stated.numbers}
         g, q, fixture = (ca.SX.sym("g", len(self.parameters)), ca.SX.sym("q", len(self.joints)),
                          ca.SX.sym("fixture", 3))
         self.geometry = Geometry(machine, {name: g[k] for k, name in enumerate(self.parameters.names)})

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hydroopt.machine.addresses import Number, gas_numbers
 from hydroopt.machine.components import Body, Cylinder, Drive, Motor, Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
@@ -17,12 +18,6 @@ SPEED_RANGE = 20.0
 """Factor by which a Stribeck speed may be off where the file states no bounds: beyond, it is another effect."""
 LEAST = 1e-6
 """What is positive by nature is at least this part of its typical size, whatever lower bound the file states."""
-_CYLINDER_UNITS = (dict.fromkeys(("offset", "coulomb", "coulomb_reverse", "stribeck"), "N")
-                   | dict.fromkeys(("viscous", "viscous_reverse"), "N*s/m") | {"stribeck_speed": "m/s"})
-_FRICTION_KINDS = {"offset": ParameterKind.FORCE_OFFSET, "coulomb": ParameterKind.COULOMB_FRICTION,
-                   "coulomb_reverse": ParameterKind.COULOMB_FRICTION, "viscous": ParameterKind.VISCOUS_FRICTION,
-                   "viscous_reverse": ParameterKind.VISCOUS_FRICTION, "stribeck": ParameterKind.STRIBECK_FRICTION}
-"""Terms of an actuator's friction by their keys in the machine file, in the order of Eq. 4.53, 4.54."""
 DEFAULT_CONFIDENCE = 1.0
 """Prior σ of a body's numbers when the file states none, as a part of their size."""
 
@@ -35,12 +30,9 @@ class Owned(NamedTuple):
 
 
 class Scalar(NamedTuple):
-    """A parameter of no body: kind, nominal value, unit, file path, bounds by nature, and a typical size."""
+    """A parameter of no body: the number, its bounds by nature, and a typical size."""
 
-    kind: ParameterKind
-    value: float
-    unit: str
-    path: str
+    number: Number
     lower: float = 0.0
     upper: float = np.inf
     size: float = 1.0
@@ -75,40 +67,23 @@ def carried(machine: Machine, *, actuator_inertia: bool = True) -> dict[str, tup
 
 def scalars(machine: Machine, joint: str) -> dict[str, Scalar]:
     """Friction, offset and rotor parameters of one moving joint and its actuator, in the order of Eq. 4.53, 4.54."""
-    units = machine.friction_units(joint)
-    own = machine.link(joint).joint.friction
-    found = {f"{joint}.tau_{key}": Scalar(_FRICTION_KINDS[key], value, units[key], f"{joint}.joint.friction.{key}")
-             for key in ("coulomb", "viscous") if (value := getattr(own, key)) is not None}
     driver = _driver(machine, joint)
-    assert driver is not None
-    prefix, at = f"{driver.name}.{'f' if isinstance(driver, Cylinder) else 'tau'}", f"{driver.name}.friction"
-    if isinstance(driver, Cylinder):
-        units = _CYLINDER_UNITS
-    for key, kind in _FRICTION_KINDS.items():
-        if (value := getattr(driver.friction, key)) is not None:
-            found[f"{prefix}_{key}"] = Scalar(kind, value, units[key], f"{at}.{key}",
-                                              -np.inf if kind is ParameterKind.FORCE_OFFSET else 0.0)
-    if (speed := driver.friction.stribeck_speed) is not None:
-        found[f"{driver.name}.v_stribeck"] = Scalar(
-            ParameterKind.STRIBECK_SPEED, speed, units["stribeck_speed"], f"{at}.stribeck_speed",
-            speed / SPEED_RANGE, speed * SPEED_RANGE, speed)
-    if isinstance(driver, Cylinder):
-        if (seal := driver.friction.seal) is not None:
-            found[f"{prefix}_seal"] = Scalar(ParameterKind.SEAL_FRICTION, seal, "m^2", f"{at}.seal",
-                                             0.0, driver.areas[1], 0.01 * driver.areas[0])
-        for end in ("barrel", "rod"):
-            if (value := getattr(driver.friction, f"{end}_pin")) is not None:
-                found[f"{driver.name}.n_{end}"] = Scalar(ParameterKind.PIN_FRICTION, value, "N*m", f"{at}.{end}_pin")
-    elif isinstance(driver, Drive) and driver.rotor_inertia is not None:
-        found[f"{driver.name}.rotor_inertia"] = Scalar(ParameterKind.ROTOR_INERTIA, driver.rotor_inertia, "kg*m^2",
-                                                       f"{driver.name}.rotor_inertia")
+    found = {}
+    for number in machine.effort_numbers(joint):
+        scalar = Scalar(number)
+        if number.kind is ParameterKind.FORCE_OFFSET:
+            scalar = Scalar(number, -np.inf)
+        elif number.kind is ParameterKind.STRIBECK_SPEED:
+            scalar = Scalar(number, number.value / SPEED_RANGE, number.value * SPEED_RANGE, number.value)
+        elif isinstance(driver, Cylinder) and number.kind is ParameterKind.SEAL_FRICTION:
+            scalar = Scalar(number, 0.0, driver.areas[1], 0.01 * driver.areas[0])
+        found[number.name] = scalar
     return found
 
 
 def passive_scalars(machine: Machine) -> dict[str, Scalar]:
     """The pressures of gas-charged cylinders."""
-    return {f"{gas.name}.precharge": Scalar(ParameterKind.GAS_PRESSURE, gas.precharge, "Pa", f"{gas.name}.precharge")
-            for gas in machine.gas_cylinders}
+    return {number.name: Scalar(number) for gas in machine.gas_cylinders for number in gas_numbers(gas)}
 
 
 def parameter_set(machine: Machine, *, actuator_inertia: bool = True) -> ParameterSet:
@@ -135,13 +110,13 @@ def parameter_set(machine: Machine, *, actuator_inertia: bool = True) -> Paramet
         if link.name in machine.joints:
             for name, scalar in scalars(machine, link.name).items():
                 names.append(name)
-                kinds.append(scalar.kind)
-                units.append(scalar.unit)
+                kinds.append(scalar.number.kind)
+                units.append(scalar.number.unit)
                 blocks.append(scalar_block(scalar, machine.notes))
     for name, scalar in passive_scalars(machine).items():
         names.append(name)
-        kinds.append(scalar.kind)
-        units.append(scalar.unit)
+        kinds.append(scalar.number.kind)
+        units.append(scalar.number.unit)
         blocks.append(scalar_block(scalar, machine.notes))
     nominal, lower, upper, size = (np.concatenate([np.zeros(0), *(block[k] for block in blocks)]) for k in range(4))
     information = np.zeros((len(names), len(names)))
@@ -211,12 +186,12 @@ def _sigma(note: Note | None, value: Array, size: float) -> float:
 
 def scalar_block(scalar: Scalar, notes: dict[str, Note]) -> tuple[Array, Array, Array, Array, Array]:
     """Nominal value, bounds, size and information, (1,) and (1, 1), of a parameter and what is noted of it."""
-    note = notes.get(scalar.path, Note())
+    note = notes.get(scalar.number.path, Note())
     low = scalar.lower if note.lower is None else note.lower
     if scalar.lower > 0:  # forces divide by it
         low = max(low, LEAST * scalar.size)
     high = scalar.upper if note.upper is None else note.upper
     information = 0.0
     if note.sigma is not None:
-        information = 1 / (note.sigma * (abs(scalar.value) or scalar.size) if note.relative else note.sigma) ** 2
-    return (*np.array([[scalar.value], [low], [high], [scalar.size]]), np.array([[information]]))
+        information = 1 / (note.sigma * (abs(scalar.number.value) or scalar.size) if note.relative else note.sigma) ** 2
+    return (*np.array([[scalar.number.value], [low], [high], [scalar.size]]), np.array([[information]]))

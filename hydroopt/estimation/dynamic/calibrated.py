@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
-from hydroopt.errors import ProblemError
+from hydroopt.errors import MachineError, ProblemError
 from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.machine.components import Note
 from hydroopt.machine.machine import Machine
@@ -37,46 +35,23 @@ def calibrated_machine(estimate: Estimate) -> Machine:
         raise ProblemError(f"{'; '.join(dict.fromkeys(broken))}: this does not hold",
                            where=f"{machine.name} by {estimate.method}", remedy="identify with method 'sdp'")
     source = f"identified by {estimate.method} from {', '.join(e.log.path or e.log.name for e in problem.experiments)}"
-    data: dict[str, Any] = machine.model_dump(exclude={"notes"})
-    notes = dict(machine.notes)
-    parts = {part["name"]: part for key in ("links", "cylinders", "motors", "drives", "gas_cylinders")
-             for part in data[key]}
     confidence = np.where(np.isfinite(estimate.std), estimate.std, prior_std(problem.parameters))
-    for owner, owned in dynamic_parameters.bodies(machine).items():
-        name, _, end = owner.partition(".")
-        holder = parts[name][end] if end else parts[name]
-        for key in ("m", "com", "mc", "inertia_com", "inertia"):
-            notes.pop(f"{owned.path}.{key}", None)
-        if f"{owner}.m" not in problem.parameters.positions:
-            holder["body"] = None
-            continue
-        k = problem.parameters.index(f"{owner}.m")
-        phi = estimate.psi[k : k + 10].tolist()
-        stated = {key: holder["body"][key] for key in ("shape", "symmetric")}
-        holder["body"] = {"m": phi[0], "mc": phi[1:4], "inertia": phi[4:], **stated}
-        for key, span in (("m", slice(k, k + 1)), ("mc", slice(k + 1, k + 4)), ("inertia", slice(k + 4, k + 10))):
-            notes[f"{owned.path}.{key}"] = _note(estimate, span, confidence, source)
-    for one in data["identical"]:
-        one["bodies"] = [owner for owner in one["bodies"] if f"{owner}.m" in problem.parameters.positions]
-    data["identical"] = [one for one in data["identical"] if one["bodies"] or one["friction"]]
-    scalars = dynamic_parameters.passive_scalars(machine)
-    for joint in machine.joints:
-        scalars |= dynamic_parameters.scalars(machine, joint)
-    for name, scalar in scalars.items():
-        k = problem.parameters.index(name)
-        first, *steps, last = scalar.path.split(".")
-        node = parts[first]
-        for step in steps:
-            node = node[step]
-        node[last] = float(estimate.psi[k])
-        before = machine.notes.get(scalar.path, Note())
-        notes[scalar.path] = _note(estimate, slice(k, k + 1), confidence, source).model_copy(
-            update={"lower": before.lower, "upper": before.upper})
+    values = dict(zip(names, estimate.psi.tolist(), strict=True))
+    notes: dict[str, Note] = {}
+    for columns in problem.parameters.bodies.values():
+        k = columns.start
+        for span in (slice(k, k + 1), slice(k + 1, k + 4), slice(k + 4, k + 10)):
+            notes |= dict.fromkeys(names[span], _note(estimate, span, confidence, source))
+    for k, (name, kind) in enumerate(zip(names, problem.parameters.kinds, strict=True)):
+        if not kind.is_inertial:
+            before = machine.notes.get(machine.numbers[name].path, Note())
+            notes[name] = _note(estimate, slice(k, k + 1), confidence, source).model_copy(
+                update={"lower": before.lower, "upper": before.upper})
     try:
-        return Machine.model_validate(data | {"notes": notes})
-    except ValueError as error:  # what no bound or constraint says, such as seals as wide as the rod side
-        said = str(error).partition("Value error, ")[2].partition("; ")[0]
-        raise ProblemError(said or "its numbers cannot be", where=f"{machine.name} by {estimate.method}",
+        left_out = dynamic_parameters.bodies(machine).keys() - problem.parameters.bodies.keys()
+        return machine.without_bodies(left_out).with_values(values, notes)
+    except MachineError as error:  # what no bound or constraint says, such as seals as wide as the rod side
+        raise ProblemError(error.what, where=f"{machine.name} by {estimate.method}",
                            remedy="state a confidence or bounds of it, or identify with method 'sdp'") from None
 
 

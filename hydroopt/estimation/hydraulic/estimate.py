@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 
@@ -15,8 +14,6 @@ from hydroopt.estimation.hydraulic.problem import HydraulicProblem
 from hydroopt.estimation.hydraulic.shooting import ShootingEstimate
 from hydroopt.machine.components import Note
 from hydroopt.machine.machine import Machine
-from hydroopt.parameters import dynamic as dynamic_parameters
-from hydroopt.parameters import hydraulic as hydraulic_parameters
 from hydroopt.results.fit import Fit
 from hydroopt.spatial.inertia import Array
 
@@ -165,37 +162,22 @@ def free_run_fit(problem: HydraulicProblem, runs: Sequence[Run]) -> dict[str, Fr
 
 def _calibrated(estimate: HydraulicEstimate) -> Machine:
     problem, machine = estimate.problem, estimate.problem.plant.machine
-    values = dict(zip(problem.parameters.names, zip(estimate.shooting.theta.tolist(), estimate.shooting.std.tolist(),
-                                                    strict=True), strict=True))
-    data: dict[str, Any] = machine.model_dump(exclude={"notes"})
-    notes = dict(machine.notes)
-    parts = {part["name"]: part for key in ("links", "cylinders", "motors") for part in data[key]}
-    parts["oil"] = data["oil"]
     source = f"identified from {', '.join(log.path or log.name for log in problem.logs)}"
-    found = hydraulic_parameters.scalars(machine)
-    for joint in machine.joints:
-        found |= dynamic_parameters.scalars(machine, joint)
-    for name in values.keys() & found.keys():
-        value, std = values[name]
-        first, *steps, last = found[name].path.split(".")
-        node = parts[first]
-        for step in steps:
-            node = node[step]
-        node[last] = value
-        before = notes.get(found[name].path, Note())
-        sigma = {"sigma": std, "relative": False} if np.isfinite(std) else {}
-        notes[found[name].path] = before.model_copy(update=sigma | {"source": source})
+    numbers, values, notes = machine.numbers, {}, {}
+    for name, value, std in zip(problem.parameters.names, estimate.shooting.theta.tolist(),
+                                estimate.shooting.std.tolist(), strict=True):
+        if name in numbers:  # directions of the bodies' parameters have no address
+            values[name] = value
+            sigma = {"sigma": std, "relative": False} if np.isfinite(std) else {}
+            notes[name] = machine.notes.get(numbers[name].path, Note()).model_copy(update=sigma | {"source": source})
     if problem.bodies.shape[1]:
+        parameters = problem.plant.model.parameters
         psi = np.asarray(problem.split(estimate.shooting.theta)[0]).ravel()
-        for owner, owned in dynamic_parameters.bodies(machine).items():
-            name, _, end = owner.partition(".")
-            holder = parts[name][end] if end else parts[name]
-            k = problem.plant.model.parameters.index(f"{owner}.m")
-            stated = {key: holder["body"][key] for key in ("shape", "symmetric")}
-            holder["body"] = {"m": psi[k], "mc": psi[k + 1 : k + 4].tolist(), "inertia": psi[k + 4 : k + 10].tolist(),
-                              **stated}
-            for key, was in (("m", "m"), ("mc", "com"), ("inertia", "inertia_com")):
-                note = notes.pop(f"{owned.path}.{was}", None) or notes.get(f"{owned.path}.{key}")
+        for owner, columns in parameters.bodies.items():
+            values |= dict(zip(parameters.names[columns], psi[columns].tolist(), strict=True))
+            for element, was in (("m", "m"), ("mc_x", "com"), ("I_xx", "inertia_com")):
+                name = f"{owner}.{element}"
+                note = machine.notes.get(f"{owner}.body.{was}") or machine.notes.get(numbers[name].path)
                 if note is not None:
-                    notes[f"{owned.path}.{key}"] = note.model_copy(update={"source": source})
-    return Machine.model_validate(data | {"notes": notes})
+                    notes[name] = note.model_copy(update={"source": source})
+    return machine.with_values(values, notes)

@@ -387,40 +387,25 @@ def _fit(error: Array, signal: Array) -> Fit:
 def _with_geometry(calibration: Calibration) -> Machine:
     problem = calibration.problem
     machine = problem.model.machine
-    data = machine.model_dump(exclude={"notes"})
-    notes = dict(machine.notes)
     source = f"calibrated by {calibration.method} from {problem.poses.name}"
+    numbers, values, notes = machine.numbers, {}, {}
+    of_paths = dict(machine.notes)
     written: dict[str, float] = {}
-    holders: dict[str, dict[str, object]] = {each["name"]: each for key in ("links", "cylinders", "fixtures")
-                                             for each in data[key]}
-    holders |= {each["name"]: each for each in (data["calibrator"] or {}).get("links", ())}
     for name, value, std in zip(problem.parameters.names, calibration.theta, calibration.std, strict=True):
-        path, axis = problem.model.paths.get(name, ("", None))
-        if name not in problem.model.paths:
-            fixture, _, axis_name = name.rpartition(".")
-            if fixture not in holders:
-                continue
-            path, axis = f"{fixture}.position", "xyz".index(axis_name)
+        if name not in numbers:  # angles of locked joints, drifts, places of fixtures that move
+            continue
         held = name in problem.fixed or calibration.at_bound[problem.parameters.index(name)]
         seen = calibration.category(name) == "full" or (calibration.category(name) == "combination"
                                                         and np.isfinite(std))
         if not (held or seen):  # an arbitrary number of an unseen combination is no result
             continue
-        node, *steps = path.split(".")
-        holder: dict[str, object] = data[node] if node in ("calibrator", "tracker") else holders[node]
-        for step in steps[:-1]:
-            holder = holder[step]  # type: ignore[assignment]
-        if axis is None:
-            holder[steps[-1]] = float(value)
-        else:
-            vector = list(holder[steps[-1]])  # type: ignore[call-overload]
-            vector[axis] = float(value)
-            holder[steps[-1]] = tuple(vector)
+        values[name] = float(value)
         if name in problem.fixed:
             continue
-        before = notes.get(path, Note())
+        path = numbers[name].path
+        before = of_paths.get(path, Note())
         if np.isfinite(std) and std > 0:
             written[path] = max(written.get(path, 0.0), float(std))
             before = before.model_copy(update={"sigma": written[path], "relative": False})
-        notes[path] = before.model_copy(update={"source": source})
-    return Machine.model_validate(data | {"notes": notes})
+        notes[name] = of_paths[path] = before.model_copy(update={"source": source})
+    return machine.with_values(values, notes)
