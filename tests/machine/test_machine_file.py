@@ -8,8 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 import tomlkit
+from hypothesis import given
+from hypothesis import strategies as st
 
 from hydroopt.errors import MachineError
+from hydroopt.machine.components import Note
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import bundled, dump_machine, load_machine, read_machine
@@ -169,6 +172,23 @@ def test_a_made_up_machine_survives_being_written(arm: Machine) -> None:
         again = read_machine(dump_machine(machine))
         assert again == machine
         assert again.notes.keys() == machine.notes.keys()
+
+
+@given(lengths=st.lists(st.floats(-1e3, 1e3).map(lambda x: x + 0.0), min_size=3, max_size=3), angle=st.floats(0, 3.2),
+       middle=st.floats(-3, 3), half=st.floats(1e-3, 3), sigma=st.floats(1e-9, 1e3),
+       mass=st.floats(1e-3, 1e6), note=st.text(st.characters(codec="utf-8", exclude_categories=["C"]), max_size=20))
+def test_any_number_survives_being_written_to_its_last_bit(
+        lengths: list[float], angle: float, middle: float, half: float, sigma: float, mass: float, note: str) -> None:
+    link = {"name": "arm", "parent": "base", "joint": {
+        "type": "revolute", "a": lengths[0], "d": lengths[1], "alpha": angle, "lower": middle - half,
+        "upper": middle + half, "friction": {"coulomb": abs(lengths[2])}}, "body": {
+            "m": mass, "mc": tuple(lengths), "inertia": (mass, 0.0, 0.0, mass, 0.0, mass)}}
+    notes = {"arm.joint.a": Note(sigma=sigma, source=note), "arm.body.m": Note(sigma=sigma)}
+    machine = Machine.model_validate({"name": "arm", "links": [link], "notes": notes,
+                                      "drives": [{"name": "drive", "joint": "arm"}]})
+    again = read_machine(dump_machine(machine))
+    assert again == machine
+    assert again.sha256 == machine.sha256
 
 
 def shuffled(node: Any) -> Any:

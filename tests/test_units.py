@@ -1,0 +1,52 @@
+"""Units: every quantity survives being written, and whatever is no quantity is refused in one sentence."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from hydroopt.units import UnitError, factor, same_kind, spread_to_si, to_si
+
+UNITS = [("mm", "m", 1e-3), ("in", "m", 0.0254), ("deg", "rad", math.pi / 180), ("rpm", "rad/s", math.pi / 30),
+         ("bar", "Pa", 1e5), ("psi", "Pa", 6894.757293168), ("L/min", "m^3/s", 1 / 60000), ("t", "kg", 1000.0),
+         ("kN*m", "N*m", 1000.0), ("cm^2", "m^2", 1e-4), ("%", "1", 0.01), ("ms", "s", 1e-3), ("m", "m", 1.0)]
+FINITE = st.floats(allow_nan=False, allow_infinity=False)
+
+
+@given(value=FINITE, unit=st.sampled_from(UNITS))
+def test_a_quantity_is_its_number_times_its_factor(value: float, unit: tuple[str, str, float]) -> None:
+    name, si, size = unit
+    assert factor(name, si) == pytest.approx(size, rel=1e-12)
+    assert to_si(f"{value!r} {name}", si, where="here") == value * factor(name, si)
+    assert to_si(f"  {value!r}   {name} ", si, where="here") == value * factor(name, si)
+
+
+@given(value=FINITE, unit=st.sampled_from(UNITS), other=st.sampled_from(UNITS))
+def test_only_quantities_of_one_kind_are_converted(value: float, unit: tuple[str, str, float],
+                                                   other: tuple[str, str, float]) -> None:
+    if unit[1] == other[1]:
+        assert same_kind(unit[0], other[1])
+    else:
+        with pytest.raises(UnitError, match="not a unit of the kind"):
+            to_si(f"{value!r} {unit[0]}", other[1], where="here")
+
+
+@given(text=st.one_of(st.text(max_size=30), st.from_regex(r"-?\d{1,3}(\.\d*)? ?[a-zA-Z*/^ ()0-9%°µ.-]{0,20}",
+                                                          fullmatch=True)), si=st.sampled_from(["m", "rad", "Pa", "1"]))
+def test_any_text_is_a_number_or_is_refused_with_its_place(text: str, si: str) -> None:
+    found: float | UnitError
+    try:
+        found = to_si(text, si, where="boom.a")
+    except UnitError as error:
+        found = error
+    assert isinstance(found, float) or (found.where == "boom.a" and found.remedy)
+
+
+@given(value=st.floats(0, 1e6), unit=st.sampled_from(UNITS))
+def test_an_uncertainty_is_of_the_kind_of_its_value(value: float, unit: tuple[str, str, float]) -> None:
+    name, si, _ = unit
+    spread = spread_to_si(f"{value!r} {name}", f"3 {name}", where="here")
+    assert spread == pytest.approx(to_si(f"{value!r} {name}", si, where="here"), rel=1e-12)
