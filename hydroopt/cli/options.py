@@ -12,7 +12,7 @@ import typer
 from rich.console import Console
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.dynamic.problem import Loss
+from hydroopt.estimation.dynamic.weighted_residuals import Loss
 from hydroopt.estimation.inference.problem import Distance
 from hydroopt.logs.smoothing import Butterworth, Fourier, Smoothing, SmoothingSpline
 from hydroopt.machine.components import Cylinder, Motor

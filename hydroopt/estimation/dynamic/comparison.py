@@ -35,7 +35,7 @@ ROUNDING = 1e-10
 """Part of the largest singular value below which a direction of the shared parameters is rounding error."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class Comparison(IdentificationProblem):
     """The unknowns x (P,) of two sessions: all ψ of the first, then what the second adds.
 

@@ -65,7 +65,7 @@ class Estimate:
     seen: Identifiability
     base_value: Array
     base_std: Array
-    weighted_residuals: WeightedResiduals
+    weighted_residuals: WeightedResiduals[IdentificationProblem]
     confounded: tuple[Confounded, ...]
     notes: tuple[str, ...]
     seed: int = 0

@@ -22,6 +22,7 @@ from hydroopt.spatial.inertia import Array
 
 Method = Literal["sdp", "qp", "nlp", "wls", "ridge", "tsvd"]
 METHODS: tuple[Method, ...] = get_args(Method)
+Weighted = WeightedResiduals[IdentificationProblem]
 _LINEAR = ("wls", "ridge", "tsvd")
 STEPS, SMALLEST = 60, 1e-6
 """Gauss-Newton steps at most, and the least part of one that is tried."""
@@ -165,7 +166,7 @@ def _trust(R: Array, r: Array, psi: Array, seen: Identifiability, where: str) ->
                           remedy="raise the tolerance above rounding errors, e.g. to 1e-9")
 
 
-def _linear_estimate(weighted: WeightedResiduals, method: str, tolerance: float, ridge: float | None) -> Estimate:
+def _linear_estimate(weighted: Weighted, method: str, tolerance: float, ridge: float | None) -> Estimate:
     problem, R, r = weighted.problem, weighted.R, weighted.r
     names = problem.parameters.names
     psi, covariance, seen = linear.base_least_squares(R, r, names, tolerance)
@@ -186,7 +187,7 @@ def _linear_estimate(weighted: WeightedResiduals, method: str, tolerance: float,
     return _assemble(weighted, method, psi, value, std, ci, (), seen, base_std, (note,), 0)
 
 
-def _constrained_estimate(weighted: WeightedResiduals, method: str, solution: sdp.Optimum, seen: Identifiability,
+def _constrained_estimate(weighted: Weighted, method: str, solution: sdp.Optimum, seen: Identifiability,
                           tolerance: float, intervals: bool, seed: int) -> Estimate:
     problem, R, r = weighted.problem, weighted.R, weighted.r
     p = len(problem.parameters)
@@ -234,7 +235,7 @@ def _nominal_where_unseen(problem: IdentificationProblem, seen: Identifiability,
     return psi
 
 
-def _assemble(weighted: WeightedResiduals, method: str, psi: Array, value: Array, std: Array, ci: Array,
+def _assemble(weighted: Weighted, method: str, psi: Array, value: Array, std: Array, ci: Array,
               active: tuple[str, ...], seen: Identifiability, base_std: Array, notes: tuple[str, ...],
               seed: int, posterior: uncertainty.Posterior | None = None) -> Estimate:
     problem = weighted.problem_at(psi)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Literal
+from typing import Self
 
 import casadi as ca
 import numpy as np
@@ -14,10 +14,15 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.experiment import Experiment, experiment
 from hydroopt.estimation.dynamic.instruments import instrument
 from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment, in_memory, streamed_experiment
+from hydroopt.estimation.dynamic.weighted_residuals import HUBER, Loss, weighted_residuals
 from hydroopt.estimation.inference import conditions as physics
+from hydroopt.estimation.inference import listing, nlp, sdp
 from hydroopt.estimation.inference.conditions import Condition, ScaledBody
 from hydroopt.estimation.inference.constraints import Constraint, Expression, Named, Prior
+from hydroopt.estimation.inference.gaussian import gaussian_posterior
+from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
 from hydroopt.estimation.inference.problem import Distance
+from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import force_noise
 from hydroopt.logs.smoothing import Motion, Smoothing
@@ -28,7 +33,10 @@ from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
 
-Loss = Literal["squares", "huber", "student_t"]
+LOSSES: Mapping[Loss, str] = {
+    "squares": "Σ (e/σ)²", "huber": f"Huber's loss of e/σ, linear beyond {HUBER:g}",
+    "student_t": "Student's t loss of e/σ with 4 degrees of freedom"}
+"""The losses as terms of the objective."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -252,12 +260,16 @@ class IdentificationProblem:
         stated = physics.stated(model.machine, self.parameters, actuator_inertia=model.actuator_inertia)
         return (*stated, *self.physics)
 
-    def requirements(self, *, consistent: bool) -> tuple[Condition, ...]:
-        """All conditions on ψ but the user's own functions: bounds, possible bodies if asked, and `conditions`."""
+    def statements(self, *, consistent: bool) -> tuple[Condition, ...]:
+        """Physically consistent bodies if asked, and `conditions`."""
         p = len(self.parameters)
-        return (*physics.bounds(self.parameters, self.fixed, self.bodies if consistent else ()),
-                *(physics.consistency(body, p) for body in self.bodies if consistent or self.distance == "log-det"),
+        return (*(physics.consistency(body, p) for body in self.bodies if consistent or self.distance == "log-det"),
                 *self.conditions)
+
+    def requirements(self, *, consistent: bool) -> tuple[Condition, ...]:
+        """All conditions on ψ but the user's own functions: bounds and `statements`."""
+        return (*physics.bounds(self.parameters, self.fixed, self.bodies if consistent else ()),
+                *self.statements(consistent=consistent))
 
     @cached_property
     def stated_priors(self) -> tuple[Prior, ...]:
@@ -289,6 +301,47 @@ class IdentificationProblem:
             information[body.columns, body.columns] = 0.0
         return self._rows(information, self.parameters.nominal)
 
+    def with_experiments(self, experiments: Sequence[Experiment | StreamedExperiment]) -> Self:
+        """With other training data."""
+        return replace(self, experiments=tuple(experiments))
+
+    def nlp(self, point: Array | None = None) -> NonlinearProgram:
+        """The problem as CasADi's nonlinear program; ``solve(problem, "nlp", intervals=False)`` has the same optimum.
+
+        Variables are the parameters ψ in SI, then Cholesky factors of the matrices that must be positive semidefinite.
+        The residuals have the weights that the solver ends with; the standard deviations in these weights are the
+        program's fixed numbers p.
+
+        Args:
+            point: (p,) parameters at which forces are linearised that are not linear in them: an estimate's, which is
+                then the optimum; the nominal ones by default.
+
+        Raises:
+            ProblemError: a constraint does not return a relation.
+            IdentifiabilityError: no joint moves.
+            SolverError: a fitted motion does not converge.
+        """
+        weighted = weighted_residuals(
+            self, RANK_TOLERANCE, lambda R, r: nlp.interior_point(self, gaussian_posterior(self, R, r)).psi, point)
+        return nlp.nonlinear_program(self, weighted.terms)
+
+    def cvxpy(self, point: Array | None = None) -> sdp.ConvexProgram:
+        """The problem as cvxpy's convex program; ``solve(problem, "sdp", intervals=False)`` has the same optimum.
+
+        Args:
+            point: as of `nlp`.
+
+        Raises:
+            ProblemError: a constraint is not convex, or constraints contradict each other.
+            IdentifiabilityError, SolverError: as of `nlp`.
+        """
+        def optimum(R: Array, r: Array) -> Array:
+            posterior = gaussian_posterior(self, R, r)
+            return sdp.semidefinite_program(self, posterior, consistent=self.consistent).psi
+
+        weighted = weighted_residuals(self, RANK_TOLERANCE, optimum, point)
+        return sdp.convex_program(self, weighted.R, weighted.r, weighted.rest)
+
     def prior_misfit(self, psi: Array) -> float:
         """The negative logarithm of all priors times two, at ψ (p,)."""
         rows, right = self.square_rows
@@ -305,26 +358,34 @@ class IdentificationProblem:
         return (np.vstack([root, *[prior.row / prior.sigma for prior in priors]]),
                 np.concatenate([root @ mean, [prior.value / prior.sigma for prior in priors]]))
 
+    def __repr__(self) -> str:
+        return (f"{type(self).__name__}({self.model.machine.name}: {len(self.parameters)} parameters, "
+                f"{_counted(len(self.experiments), 'training log')}, loss {self.loss}, "
+                f"{_counted(len(self.constraint_names), 'constraint')})")
+
     def __str__(self) -> str:
         parameters, machine = self.parameters, self.model.machine
-        used = sum(e.taken for e in self.experiments)
-        stated = int(np.sum(np.diag(parameters.information) > 0))
-        bounded = int(np.sum(np.isfinite(parameters.lower) | np.isfinite(parameters.upper)))
-        lines = [f"identification of {machine.name}: {len(parameters)} parameters, {used} samples, loss {self.loss}"]
+        samples = sum(e.taken for e in self.experiments)
+        lines = [f"{self.where}: {samples} samples in {_counted(len(self.experiments), 'training log')}",
+                 f"variables ψ ({len(parameters)})", *listing.variables(parameters, self.fixed), "minimise the sum of"]
         for actuator, std, unit in zip(machine.actuators, self.force_std, self.model.force_units, strict=True):
-            weight = f"sigma {std:.4g} {unit}" if np.isfinite(std) else "sigma unknown"
+            weight = f"σ = {listing.number(std)} {unit}" if np.isfinite(std) else "σ unknown"
             again = ", re-estimated from the residuals" if self.reweight else ""
-            lines.append(f"  residual {actuator.name}: {weight}{again}")
-        lines.append(f"  priors of the machine file on {stated} parameters, bounds on {bounded}")
-        lines += [f"  prior {p.name}: {p.value:.6g} ± {p.sigma:.3g}" for p in (*self.stated_priors, *self.priors)]
-        lines += [f"  constraint {name}" for name in self.constraint_names]
-        lines += [f"  fixed {name} = {value:.6g}" for name, value in self.fixed.items()]
-        lines += ["  physical consistency of every body"] * self.consistent
-        lines += ["  residuals of the actuators correlate"] * self.correlated
-        lines += ["  motion fitted together with the parameters"] * self.fitted_motion
+            lines.append(f"  residuals of {actuator.name}: {LOSSES[self.loss]}, e = f − K·ψ [{unit}], {weight}{again}")
+        lines += ["  residuals of the actuators correlate: their covariance weights them"] * self.correlated
+        lines += ["  motion fitted together with the parameters: (q_measured − q)²/σ²"] * self.fitted_motion
         lines += ["  instrumental variables from a second reading of the motion"] * bool(self.instruments)
+        known = int(np.sum(np.diag(parameters.information) > 0))
+        lines.append(f"  priors of the machine file: (ψ − nominal)ᵀ·Λ·(ψ − nominal) over {known} parameters")
         lines += ["  log-det distance of every body from its nominal one"] * (self.distance == "log-det")
-        return "\n".join(lines)
+        lines += [f"  {listing.prior(parameters, one)}" for one in (*self.stated_priors, *self.priors)]
+        conditions = self.statements(consistent=self.consistent)
+        return "\n".join([*lines, "subject to the bounds and", *listing.constraints(
+            parameters, conditions, self.constraints)])
+
+
+def _counted(count: int, noun: str) -> str:
+    return f"{count} {noun}{'s' * (count != 1)}"
 
 
 def _refuse_repetition(logs: Sequence[Log | LogStream]) -> None:

@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from typing import Generic, Literal, Protocol, Self, TypeVar
 
 import numpy as np
 
 from hydroopt.errors import IdentifiabilityError
 from hydroopt.estimation.dynamic import fitted_motion
 from hydroopt.estimation.dynamic.experiment import Experiment
-from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.regressor_qr import (
     Compressed,
     compress,
@@ -23,16 +23,63 @@ from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment, 
 from hydroopt.estimation.inference import least_squares
 from hydroopt.estimation.inference.correlation import correlation_time
 from hydroopt.estimation.inference.gaussian import gaussian_posterior
+from hydroopt.estimation.inference.nlp import ResidualTerm
+from hydroopt.estimation.inference.problem import InferenceProblem
+from hydroopt.logs.smoothing import Motion
+from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
+Loss = Literal["squares", "huber", "student_t"]
 HUBER = 1.345
 """Residual, in its standard deviations, beyond which Huber's loss no longer grows with the square."""
 MostProbable = Callable[[Array, Array], Array]
 """From (R, r) to the parameters ψ (p,) that an estimator takes."""
 
 
+class ResidualProblem(InferenceProblem, Protocol):
+    """What weighting residuals needs to know of a problem; its attributes are those of `IdentificationProblem`."""
+
+    @property
+    def model(self) -> Model:
+        """What predicts the forces."""
+
+    @property
+    def experiments(self) -> tuple[Experiment | StreamedExperiment, ...]:
+        """Training data."""
+
+    @property
+    def force_std(self) -> Array:
+        """(n,) standard deviation of each actuator's force reading."""
+
+    @property
+    def reweight(self) -> bool:
+        """Whether it is estimated from the residuals."""
+
+    @property
+    def loss(self) -> Loss:
+        """Of the residuals."""
+
+    @property
+    def correlated(self) -> bool:
+        """Whether the actuators' residuals may correlate."""
+
+    @property
+    def fitted_motion(self) -> bool:
+        """Whether motion and parameters are fitted together."""
+
+    @property
+    def instruments(self) -> tuple[Motion, ...]:
+        """A second motion of each experiment, if any."""
+
+    def with_experiments(self, experiments: Sequence[Experiment | StreamedExperiment]) -> Self:
+        """The same problem with other training data."""
+
+
+Problem = TypeVar("Problem", bound=ResidualProblem)
+
+
 @dataclass(frozen=True, eq=False)
-class WeightedResiduals:
+class WeightedResiduals(Generic[Problem]):
     """``‖R·ψ − r‖² + rest``, the weighted sum of squared residuals, and how these were weighted.
 
     Attributes:
@@ -47,7 +94,7 @@ class WeightedResiduals:
         fit: of motion and parameters together, where one was asked for.
     """
 
-    problem: IdentificationProblem
+    problem: Problem
     R: Array
     r: Array
     rest: float
@@ -58,9 +105,19 @@ class WeightedResiduals:
     correlation_time: Array
     fit: fitted_motion.FittedMotion | None = None
 
-    def problem_at(self, psi: Array) -> IdentificationProblem:
+    def problem_at(self, psi: Array) -> Problem:
         """The problem with the motion that is most probable with parameters ψ (p,), where motion was fitted."""
-        return replace(self.problem, experiments=self.fit.experiments(psi)) if self.fit else self.problem
+        return self.problem.with_experiments(self.fit.experiments(psi)) if self.fit else self.problem
+
+    @property
+    def terms(self) -> tuple[ResidualTerm, ...]:
+        """The weighted squares by actuator, or as one sum where the actuators' rows are mixed."""
+        model, std = self.problem.model, self.sigma * np.sqrt(self.correlation_time)
+        if len(self.triangles) < len(std):
+            return (ResidualTerm("all actuators", "1", self.triangles[0], None),)
+        actuators = zip(model.machine.actuators, model.force_units, self.triangles, std, strict=True)
+        return tuple(ResidualTerm(one.name, unit, triangle * sigma, float(sigma))
+                     for one, unit, triangle, sigma in actuators)
 
     @property
     def rows(self) -> float:
@@ -84,8 +141,8 @@ class WeightedResiduals:
         return tuple(said)
 
 
-def weighted_residuals(problem: IdentificationProblem, tolerance: float, most_probable: MostProbable,
-           point: Array | None = None) -> WeightedResiduals:
+def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostProbable,
+           point: Array | None = None) -> WeightedResiduals[Problem]:
     """Weigh residuals and condense them.
 
     Args:
@@ -116,7 +173,7 @@ def weighted_residuals(problem: IdentificationProblem, tolerance: float, most_pr
     if problem.fitted_motion:
         fit = fitted_motion.fit(model, fitted_motion.begin(model, held), _covariance(correlation, sigma),
                                 weights, psi, most_probable, where)
-        problem, psi = replace(problem, experiments=fit.experiments(fit.psi)), fit.psi
+        problem, psi = problem.with_experiments(fit.experiments(fit.psi)), fit.psi
     # residuals that repeat themselves carry less information than as many independent ones
     times = _correlation_times(problem, psi)
     wide = sigma * np.sqrt(times)
@@ -136,7 +193,7 @@ def weighted_residuals(problem: IdentificationProblem, tolerance: float, most_pr
     return WeightedResiduals(problem, R, r, rest, data.samples, triangles, sigma, correlation, times, fit)
 
 
-def misfit(weighted: WeightedResiduals, psi: Array) -> float:
+def misfit(weighted: WeightedResiduals[Problem], psi: Array) -> float:
     """The loss of all residuals of forces at ψ (p,), weighted in the same way but without linearisation."""
     problem, total = weighted.problem, 0.0
     wide = weighted.sigma * np.sqrt(weighted.correlation_time)
@@ -156,11 +213,11 @@ def _covariance(correlation: Array, sigma: Array) -> Array:
     return correlation * np.outer(sigma, sigma)
 
 
-def _least_squares(problem: IdentificationProblem, R: Array, r: Array, tolerance: float) -> Array:
+def _least_squares(problem: ResidualProblem, R: Array, r: Array, tolerance: float) -> Array:
     return least_squares.base_least_squares(R, r, problem.parameters.names, tolerance)[0]
 
 
-def _sigma(problem: IdentificationProblem, data: Compressed, tolerance: float) -> Array:
+def _sigma(problem: ResidualProblem, data: Compressed, tolerance: float) -> Array:
     """Standard deviation (n,) of each actuator's residual: stated by its sensors, then estimated from the fit."""
     size = np.linalg.norm(data.triangles[:, :, -1], axis=1) / np.sqrt(np.maximum(data.samples, 1.0))  # RMS force
     sigma = np.where(np.isfinite(problem.force_std), problem.force_std, 0.1 * size)
@@ -176,7 +233,7 @@ def _sigma(problem: IdentificationProblem, data: Compressed, tolerance: float) -
     return np.asarray(sigma)
 
 
-def _robust(problem: IdentificationProblem, data: Compressed, sigma: Array, point: Array) -> tuple[Compressed, Array,
+def _robust(problem: ResidualProblem, data: Compressed, sigma: Array, point: Array) -> tuple[Compressed, Array,
                                                                                                    list[Array]]:
     """Iteratively reweighted least squares: Huber (95 % efficient at 1.345 σ) or Student-t (4 degrees of freedom).
 
@@ -200,7 +257,7 @@ def _robust(problem: IdentificationProblem, data: Compressed, sigma: Array, poin
     return data, sigma, weights
 
 
-def _held(problem: IdentificationProblem) -> tuple[Experiment, ...]:
+def _held(problem: ResidualProblem) -> tuple[Experiment, ...]:
     """The experiments of a problem that needs all samples at once; else none.
 
     Raises:
@@ -212,17 +269,17 @@ def _held(problem: IdentificationProblem) -> tuple[Experiment, ...]:
     return next((in_memory(problem.experiments, what) for what, so in needs.items() if so), ())
 
 
-def _residuals(problem: IdentificationProblem, psi: Array) -> list[Array]:
+def _residuals(problem: ResidualProblem, psi: Array) -> list[Array]:
     return [e.force - predict(problem.model, e, psi) for e in _held(problem)]
 
 
-def _taken(problem: IdentificationProblem, residuals: Sequence[Array]) -> list[Array]:
+def _taken(problem: ResidualProblem, residuals: Sequence[Array]) -> list[Array]:
     """Residuals with NaN where they take no part."""
     return [np.where(e.inside[:, None] & e.moving, res, np.nan)
             for res, e in zip(residuals, _held(problem), strict=True)]
 
 
-def _correlation(problem: IdentificationProblem, psi: Array) -> Array:
+def _correlation(problem: ResidualProblem, psi: Array) -> Array:
     """Correlation (n, n) of the actuators' residuals with one another in one sample.
 
     Zero where fewer than 100 samples have both.
@@ -244,7 +301,7 @@ def _correlation(problem: IdentificationProblem, psi: Array) -> Array:
     return np.asarray(possible / np.outer(size, size))
 
 
-def _correlation_times(problem: IdentificationProblem, psi: Array) -> Array:
+def _correlation_times(problem: ResidualProblem, psi: Array) -> Array:
     """Correlation time of each actuator's residuals (n,), in samples; the logs weigh by their lengths."""
     times, weights = [], []
     for data in problem.experiments:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal, Protocol
 
 from hydroopt.estimation.inference.conditions import Condition, ScaledBody
@@ -47,5 +48,12 @@ class InferenceProblem(Protocol):
     def square_rows(self) -> tuple[Array, Array]:
         """The same of the priors that are squares, without the log-det distances."""
 
+    @property
+    def fixed(self) -> Mapping[str, float]:
+        """Parameters that are held at a value."""
+
+    def statements(self, *, consistent: bool) -> tuple[Condition, ...]:
+        """Linear conditions on ψ: physically consistent bodies if asked, and what machine file and user state."""
+
     def requirements(self, *, consistent: bool) -> tuple[Condition, ...]:
-        """All linear conditions on ψ: bounds, possible bodies if asked, and what else is stated."""
+        """The same with the bounds of single parameters."""

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,7 +13,7 @@ from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.inference import solvers
 from hydroopt.estimation.inference.conditions import MARGIN, Condition, square
 from hydroopt.estimation.inference.constraints import Named, no_relation
-from hydroopt.estimation.inference.gaussian import GaussianPosterior
+from hydroopt.estimation.inference.gaussian import WIDEST, GaussianPosterior, gaussian_posterior
 from hydroopt.estimation.inference.problem import InferenceProblem
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
@@ -29,6 +29,40 @@ class Optimum:
     active: tuple[str, ...]
 
 
+@dataclass(frozen=True, eq=False)
+class ConvexProgram:
+    """A problem as cvxpy's convex program, which a user extends and solves with cvxpy.
+
+    Its variables are the whitened coordinates z of the posterior, ψ = offset + slope·z, because convex solvers need
+    variables of one size; an expression of the user's own takes parameters by name, ``program["boom.m"]``.
+
+    Attributes:
+        problem: objective and constraints; equalities hold by the choice of z.
+        psi: (p,) expression of the parameters ψ in SI.
+        variables: the same by name.
+        constraints: each inequality and matrix by name.
+    """
+
+    problem: cp.Problem
+    psi: cp.Expression
+    variables: Mapping[str, cp.Expression]
+    constraints: Mapping[str, list[Any]]
+
+    def __getitem__(self, name: str) -> cp.Expression:
+        """The expression of a parameter.
+
+        Raises:
+            ProblemError: there is no such parameter.
+        """
+        if name not in self.variables:
+            raise ProblemError("no parameter has this name", where=f"parameter '{name}'",
+                               remedy=f"choose one of {', '.join(list(self.variables)[:8])}, …")
+        return self.variables[name]
+
+    def __repr__(self) -> str:
+        return f"ConvexProgram({len(self.variables)} parameters, {len(self.constraints)} constraints)"
+
+
 def semidefinite_program(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool) -> Optimum:
     """The most probable ψ under bounds, constraints and, if asked, physical consistency.
 
@@ -36,23 +70,16 @@ def semidefinite_program(problem: InferenceProblem, posterior: GaussianPosterior
         ProblemError: constraints contradict each other; the smallest contradicting set is named.
         SolverError: the solver's answer is not to be trusted.
     """
-    where = problem.where
-    unconstrained, left = posterior, posterior.conditioned_on(problem.requirements(consistent=consistent))
-    if left is None:
-        raise _contradiction(problem, unconstrained, consistent=consistent)
-    posterior, z = left, cp.Variable(left.slope.shape[1])
-    named = constraints_of(problem, posterior, z, consistent=consistent)
+    where, unconstrained = problem.where, posterior
+    posterior, z, cost, named = _program(problem, unconstrained, consistent=consistent)
     everything = [c for _, group in named for c in group]
     names = names_of(problem, consistent=consistent)
-    held = {c.name for c in problem.requirements(consistent=consistent) if c.kind == "zero"}
+    active = {c.name for c in problem.requirements(consistent=consistent) if c.kind == "zero"}
     z.value = np.zeros(z.shape)
     if not _distant(problem) and all(np.all(c.violation() <= 0) for c in everything):
         # the least possible ‖z‖, without a solver's rounding
-        return Optimum(posterior.offset, tuple(name for name in names if name in held))
-    cost = cp.sum_squares(z) if not _distant(problem) else (
-        cp.sum_squares(posterior.root @ z - posterior.right) + sum(_distances(problem, posterior, z)))
-    program = cp.Problem(cp.Minimize(cost), everything)
-    if not solvers.solve_convex(program, where):
+        return Optimum(posterior.offset, tuple(name for name in names if name in active))
+    if not solvers.solve_convex(cp.Problem(cp.Minimize(cost), everything), where):
         raise _contradiction(problem, unconstrained, consistent=consistent)
     value = np.asarray(z.value, dtype=float)
     psi = posterior.offset + posterior.slope @ value
@@ -62,8 +89,49 @@ def semidefinite_program(problem: InferenceProblem, posterior: GaussianPosterior
         if smallest <= 0:
             raise SolverError(f"the body '{body.owner}' came out impossible (eigenvalue {smallest:.1e})", where=where,
                               remedy="widen its prior or the constraints on it")
-    held |= {name for name, group in named if _is_active(group)}
-    return Optimum(psi, tuple(name for name in names if name in held))
+    active |= {name for name, group in named if _is_active(group)}
+    return Optimum(psi, tuple(name for name in names if name in active))
+
+
+def convex_program(problem: InferenceProblem, R: Array, r: Array, rest: float = 0.0) -> ConvexProgram:
+    """The program that `semidefinite_program` solves, with residuals ``‖R·ψ − r‖² + rest``.
+
+    Raises:
+        ProblemError: a constraint is not convex; or constraints contradict each other, and the smallest contradicting
+            set is named.
+    """
+    unconstrained = gaussian_posterior(problem, R, r)
+    posterior, z, cost, named = _program(problem, unconstrained, consistent=problem.consistent)
+    curved = [name for name, group in named if not all(c.is_dcp() for c in group)]
+    if curved:
+        raise ProblemError(f"not convex: {', '.join(curved)}", where=problem.where,
+                           remedy="use problem.nlp(), whose constraints need not be convex")
+    parameters, offset = problem.parameters, posterior.offset
+    squares, right = problem.square_rows
+    wide = (offset - parameters.nominal) / (WIDEST * parameters.scale)
+    # what z = 0 costs, which whitened coordinates leave out
+    rest += float(np.sum((R @ offset - r) ** 2) + np.sum((squares @ offset - right) ** 2) + np.sum(wide**2))
+    rest -= float(np.sum(posterior.right**2)) if _distant(problem) else 0.0
+    psi = posterior.offset + posterior.slope @ z
+    return ConvexProgram(cp.Problem(cp.Minimize(cost + rest), [c for _, group in named for c in group]), psi,
+                         {name: psi[k] for k, name in enumerate(parameters.names)}, dict(named))
+
+
+def _program(problem: InferenceProblem, unconstrained: GaussianPosterior, *,
+             consistent: bool) -> tuple[GaussianPosterior, cp.Variable, Any, NamedConstraints]:
+    """The posterior where equalities hold, its coordinates z, the cost, and the constraints by name.
+
+    Raises:
+        ProblemError: constraints contradict each other; the smallest contradicting set is named.
+    """
+    posterior = unconstrained.conditioned_on(problem.requirements(consistent=consistent))
+    if posterior is None:
+        raise _contradiction(problem, unconstrained, consistent=consistent)
+    z = cp.Variable(posterior.slope.shape[1], name="z")
+    named = constraints_of(problem, posterior, z, consistent=consistent)
+    cost = cp.sum_squares(z) if not _distant(problem) else (
+        cp.sum_squares(posterior.root @ z - posterior.right) + sum(_distances(problem, posterior, z)))
+    return posterior, z, cost, named
 
 
 def names_of(problem: InferenceProblem, *, consistent: bool) -> tuple[str, ...]:

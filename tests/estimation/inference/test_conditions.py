@@ -246,7 +246,7 @@ def test_statements_become_constraints_by_name(problems: tuple[IdentificationPro
     assert set(problem.constraint_names) == set(STATED)
     assert min(c.margin(truth) for c in problem.conditions) > -1e-12
     for name in STATED:
-        assert f"constraint {name}" in str(problem)
+        assert f"  {name} " in str(problem)
 
 
 @pytest.mark.parametrize("method", METHODS)
