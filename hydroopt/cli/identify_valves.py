@@ -22,11 +22,13 @@ from hydroopt.cli.options import (
     treatment_of,
 )
 from hydroopt.errors import SolverError
-from hydroopt.estimation.hydraulic.estimate import identify_hydraulics
+from hydroopt.estimation.hydraulic.estimate import METHOD
 from hydroopt.estimation.hydraulic.problem import hydraulic_problem
 from hydroopt.logs.log import read_log
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.report import valves
+from hydroopt.results import store
+from hydroopt.solving import solve
 
 
 def identify_valves(
@@ -55,15 +57,16 @@ def identify_valves(
     problem = hydraulic_problem(described, train, held_out, bodies=bodies)
     with progress(f"identifying the valves of {described.name}", quiet):
         try:
-            estimate = identify_hydraulics(problem)
-            content = valves.save(estimate, output, wall_s=time.perf_counter() - began)
+            estimate = solve(problem)
+            estimate.save(output, pages={"report.html": valves.render(estimate)}, wall_s=time.perf_counter() - began)
         except SolverError as error:
-            valves.save_failure(problem, error, output)
+            store.write_failure(output, store.Job.HYDRAULICS, described.name, described.sha256, METHOD, problem.inputs,
+                                error)
             raise
     if as_json:
-        typer.echo(json.dumps(content, indent=1))
+        typer.echo(json.dumps(store.read(output), indent=1))
     elif not quiet:
         typer.echo(str(estimate))
-        for doubt in estimate.doubts:
-            typer.echo(f"  ! {doubt}")
+        for diagnostic in estimate.diagnostics:
+            typer.echo(f"  ! {diagnostic}")
         typer.echo(f"{output / 'report.html'}")

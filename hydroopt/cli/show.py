@@ -12,13 +12,13 @@ from rich.markup import escape
 from rich.table import Table
 
 from hydroopt.cli.options import AsJson, MachineName, ParameterSetName, progress
-from hydroopt.control.workspace import sweeps
 from hydroopt.errors import ProblemError
 from hydroopt.files import write_files
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
+from hydroopt.model.workspace import sweeps
 from hydroopt.report import hydraulics as workspace
 from hydroopt.report.machine_facts import machine_facts
 from hydroopt.report.record import table as csv

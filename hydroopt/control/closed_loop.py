@@ -114,9 +114,9 @@ def simulate(demands: Demands, controller: Controller, psi: Array, theta: Array,
     rows: list[tuple[Array, ...]] = []
     controller.begin()
     for k in range(len(t)):
-        seen = plant.seen.call({"x": x, "u": late.now, "supply": plant.supply, "psi": psi, "theta": theta})
-        q, flow = (np.asarray(seen[key]).ravel() for key in ("q", "flow"))
-        pressure, p_supply = np.asarray(seen["pressure"]), float(seen["p_supply"])
+        outputs = plant.outputs.call({"x": x, "u": late.now, "supply": plant.supply, "psi": psi, "theta": theta})
+        q, flow = (np.asarray(outputs[key]).ravel() for key in ("q", "flow"))
+        pressure, p_supply = np.asarray(outputs["pressure"]), float(outputs["p_supply"])
         if np.any((q < lower - room) | (q > upper + room)):
             stopped = f"the machine hits its stops at {t[k]:.2f} s"
             break

@@ -20,9 +20,9 @@ from hydroopt.control.reference import Demands, Reference
 from hydroopt.control.sampled import Linear, Margin, Point, linearised, margins, point, sampled
 from hydroopt.control.tuning import SENSITIVITY, tuned
 from hydroopt.control.valve_inversion import Valves
-from hydroopt.control.workspace import SHARE, top_speed
 from hydroopt.errors import ProblemError
 from hydroopt.model.plant import Plant
+from hydroopt.model.workspace import SHARE, Sweep, top_speed, workspace_sweeps
 from hydroopt.simulation.simulate import Trajectory, sampling_rate
 from hydroopt.spatial.inertia import Array
 
@@ -174,6 +174,12 @@ class Comparison:
     points: tuple[Point, ...]
     outcomes: tuple[Outcome, ...]
     reference: Array
+
+    @cached_property
+    def sweeps(self) -> tuple[Sweep, ...]:
+        """Frequency, damping and gain of every joint over the workspace, by the nominal parameters."""
+        plant = self.setting.plant
+        return workspace_sweeps(plant, plant.model.parameters.nominal, self.setting.theta)
 
     @property
     def winner(self) -> Outcome:

@@ -114,9 +114,9 @@ class Lqg:
         speed = -one.feedback[:, :size] @ self._state - one.feedback[:, size:] @ self._integral
         command, opening = self.valves.command(ahead.speed[k] + speed, ahead.force_rate[k], ahead.length[k],
                                                ahead.pressure[k], reading.supply)
-        seen = np.array([*(reading.q - self.demand.q[k]), *(reading.force - self.demand.shown[k]),
+        readings = np.array([*(reading.q - self.demand.q[k]), *(reading.force - self.demand.shown[k]),
                          reading.supply[0] - one.point.supply[0]])
-        self._state = one.A @ self._state + one.B @ speed + one.filter @ (seen - one.C @ self._state)
+        self._state = one.A @ self._state + one.B @ speed + one.filter @ (readings - one.C @ self._state)
         error = reading.length - self.demand.length[k]
         self._integral += np.where(np.abs(opening) < 1, self.period * error, 0.0)
         return command

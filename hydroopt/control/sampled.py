@@ -73,10 +73,10 @@ def point(plant: Plant, name: str, q: Array, qd: Array, psi: Array, theta: Array
         ProblemError: the supply cannot move the machine so.
     """
     steady = plant.steady(q, qd, psi, theta)
-    seen = plant.seen.call({"x": steady.x, "u": steady.u, "supply": plant.supply, "psi": psi, "theta": theta})
+    outputs = plant.outputs.call({"x": steady.x, "u": steady.u, "supply": plant.supply, "psi": psi, "theta": theta})
     lever_arm = np.column_stack([np.asarray(plant.actuator_motion(q, unit)[1]).ravel() for unit in np.eye(len(q))])
-    length, speed = (np.asarray(seen[key]).ravel() for key in ("length", "speed"))
-    return Point(name, q, qd, length, speed, np.asarray(seen["pressure"]), lever_arm, plant.supply, steady)
+    length, speed = (np.asarray(outputs[key]).ravel() for key in ("length", "speed"))
+    return Point(name, q, qd, length, speed, np.asarray(outputs["pressure"]), lever_arm, plant.supply, steady)
 
 
 def linearised(plant: Plant, at: Point, psi: Array, theta: Array) -> control.StateSpace:

@@ -130,7 +130,7 @@ class Plant:
 
     @cached_property
     def _parts(self) -> dict[str, ca.SX]:
-        """Rates of all states, and what else there is to see, in the symbols."""
+        """Rates of all states, and the outputs, in the symbols."""
         x, u, given, psi, theta = self._symbols.values()
         n, at = len(self.machine.joints), dict(zip(self.states, ca.vertsplit(x), strict=True))
         q, qd = x[:n], x[n:2 * n]
@@ -216,13 +216,13 @@ class Plant:
         return self._function("rates", "rates")
 
     @cached_property
-    def seen(self) -> ca.Function:
-        """(x, u, supply, psi, theta) → what there is to see of a state.
+    def outputs(self) -> ca.Function:
+        """(x, u, supply, psi, theta) → outputs.
 
         q, qd, qdd (n,) of the joints; length, speed, spool, force (n,) and pressure (n, 2) of the actuators; their flow
         (n,) [m³/s] from the supply, and its pressure.
         """
-        return self._function("seen", *(key for key in self._parts if key != "rates"))
+        return self._function("outputs", *(key for key in self._parts if key != "rates"))
 
     @cached_property
     def jacobians(self) -> ca.Function:

@@ -38,7 +38,7 @@ def render(comparison: Comparison, doubts: Sequence[str], origin: Origin) -> str
             comparison.gains.position, comparison.gains.force, comparison.gains.integral_time,
             comparison.gains.filter_time))) for k, each in enumerate(setting.plant.actuators)],
         loops=[row for outcome in _cut(comparison) for row in _loops(comparison, outcome)],
-        hydraulics=hydraulics.over_workspace(setting.plant, setting.plant.model.parameters.nominal, setting.theta),
+        hydraulics=hydraulics.section(setting.plant, comparison.sweeps) if comparison.sweeps else None,
         figures={name: Markup(svg(figure, name)) for name, figure in drawn.items()})
 
 

@@ -11,8 +11,8 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from hydroopt.control.workspace import Sweep, sweeps
 from hydroopt.model.plant import Plant
+from hydroopt.model.workspace import Sweep
 from hydroopt.report.figures import BLUE, ORANGE, STYLE, WIDTH, svg
 from hydroopt.report.page import page
 from hydroopt.spatial.inertia import Array
@@ -88,13 +88,6 @@ def _band(ax: Any, x: Array, values: Array, colour: str) -> None:
 def section(plant: Plant, sweeps: Sequence[Sweep]) -> dict[str, Any]:
     """What the part ``hydraulics_section.html`` of a page needs."""
     return {"rows": rows(plant, sweeps), "figure": Markup(svg(figure(plant, sweeps), "hydraulics"))}
-
-
-def over_workspace(plant: Plant, psi: Array, theta: Array) -> dict[str, Any] | None:
-    """That part, for parameters ψ (p,) and θ; None where the machine file states no supply pressure."""
-    if plant.machine.pump is None or plant.machine.pump.pressure is None:
-        return None
-    return section(plant, sweeps(plant, psi, theta, positions=7, postures=2))
 
 
 def render(plant: Plant, sweeps: Sequence[Sweep]) -> str:

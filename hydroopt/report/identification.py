@@ -14,8 +14,9 @@ from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.friction_choice import FrictionChoice
 from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment
 from hydroopt.model.plant import Plant
+from hydroopt.model.workspace import workspace_sweeps
 from hydroopt.report import figures, side_view
-from hydroopt.report.hydraulics import over_workspace
+from hydroopt.report.hydraulics import section
 from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
 from hydroopt.report.page import page
 from hydroopt.results.fit import Fit
@@ -151,7 +152,8 @@ def _hydraulics(estimate: Estimate) -> dict[str, Any] | None:
     if not fed or min(estimate.consistency.values(), default=0.0) < 0:
         return None
     plant = Plant(model)
-    return over_workspace(plant, estimate.psi, plant.parameters.nominal)
+    sweeps = workspace_sweeps(plant, estimate.psi, plant.parameters.nominal)
+    return section(plant, sweeps) if sweeps else None
 
 
 def _log(role: str, data: Experiment | StreamedExperiment) -> dict[str, Any]:

@@ -67,7 +67,7 @@ def drive(plant: Plant, t: Array, commands: Array, start: Array, *, supply: Arra
                            remedy="give commands that keep the machine within its range") from None
     states = np.vstack([start, np.asarray(after).T])
     _refuse_far(plant, t, states, name)
-    channels = _seen(plant, states, late, given, psi, theta)
+    channels = _channels(plant, states, late, given, psi, theta)
     rng = np.random.default_rng(seed)
     for channel in channels if noise else ():
         sensor = plant.machine.sensor(channel)
@@ -110,17 +110,18 @@ def _numbers(plant: Plant, psi: Array | None, theta: Array | None) -> tuple[Arra
             plant.parameters.nominal if theta is None else theta)
 
 
-def _seen(plant: Plant, states: Array, u: Array, supply: Array, psi: Array, theta: Array) -> dict[str, Array]:
+def _channels(plant: Plant, states: Array, u: Array, supply: Array, psi: Array, theta: Array) -> dict[str, Array]:
     """True values (N,) of all channels but the commands."""
     machine, count = plant.machine, len(states)
-    found = plant.seen.map(count)(states.T, u.T, supply.T, np.tile(psi[:, None], count), np.tile(theta[:, None], count))
-    seen = {name: np.asarray(values).reshape(len(np.asarray(values)), count, -1)
-            for name, values in zip(plant.seen.name_out(), found, strict=True)}
-    channels = {f"{joint}.q": seen["q"][k, :, 0] for k, joint in enumerate(machine.joints)}
+    found = plant.outputs.map(count)(states.T, u.T, supply.T, np.tile(psi[:, None], count),
+                                     np.tile(theta[:, None], count))
+    outputs = {name: np.asarray(values).reshape(len(np.asarray(values)), count, -1)
+               for name, values in zip(plant.outputs.name_out(), found, strict=True)}
+    channels = {f"{joint}.q": outputs["q"][k, :, 0] for k, joint in enumerate(machine.joints)}
     for k, each in enumerate(plant.actuators):
         if isinstance(each.actuator, Cylinder):
-            channels[f"{each.actuator.name}.length"] = seen["length"][k, :, 0]
-        channels |= {name: seen["pressure"][k, :, side] for side, name in enumerate(each.chambers)}
+            channels[f"{each.actuator.name}.length"] = outputs["length"][k, :, 0]
+        channels |= {name: outputs["pressure"][k, :, side] for side, name in enumerate(each.chambers)}
     if machine.pump:
-        channels |= {"pump.p_supply": seen["p_supply"][0, :, 0], "pump.p_tank": supply[:, 1].copy()}
+        channels |= {"pump.p_supply": outputs["p_supply"][0, :, 0], "pump.p_tank": supply[:, 1].copy()}
     return channels

@@ -7,6 +7,8 @@ import numpy as np
 from hydroopt import load_machine, read_log
 from hydroopt.estimation.hydraulic.estimate import free_run_fit, identify_hydraulics
 from hydroopt.estimation.hydraulic.problem import hydraulic_problem
+from hydroopt.results.diagnostic import of_kind
+from hydroopt.results.wording import Kind
 
 HERE = Path(__file__).parent
 DATA = HERE.parents[2] / "shared" / "data" / "patu_log_crane" / "patu_measured_100Hz.csv"
@@ -22,13 +24,14 @@ def run() -> dict | None:
     half = int(np.searchsorted(log.t, (BEGINS + ENDS) / 2))
     problem = hydraulic_problem(load_machine("patu655_lift"), [log.slice(0, half)], bodies=True)
     estimate = identify_hydraulics(problem)
-    whole = estimate.run(problem.records(log)[0], estimate.shooting.at.points[0][0])
+    whole = estimate.run(problem.records(log)[0], estimate.shooting.solution.points[0][0])
     fit, found = free_run_fit(problem, [whole]), estimate.shooting
     results = {"length_largest_mm": round(1e3 * fit["lift_cylinder.length"].largest, 1),
                "p_head_of_range": round(fit["lift_cylinder.p_head"].of_range, 4),
                "p_rod_of_range": round(fit["lift_cylinder.p_rod"].of_range, 4),
-               "air_beside_volume_reported": any("volume_b and lift_cylinder.air_b show only" in doubt
-                                                 for doubt in estimate.doubts)}
+               "air_beside_volume_reported": any(
+                   {"lift_cylinder.volume_b", "lift_cylinder.air_b"} == set(each.subject) for each in of_kind(
+                       estimate.diagnostics, Kind.RATIO_OR_PRODUCT_ONLY, Kind.COMBINATION_ONLY))}
     for name in ("f_coulomb", "rated_flow", "dead_band", "leakage"):
         k = problem.parameters.index(f"lift_cylinder.{name}")
         results[f"{name}_interval"] = "{:.3g} … {:.3g} {}".format(*found.ci95[k], problem.parameters.units[k])

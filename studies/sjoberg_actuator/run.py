@@ -7,11 +7,14 @@ import numpy as np
 from matplotlib.figure import Figure
 from scipy.io import loadmat
 
+from hydroopt.estimation.hydraulic.diagnostics import parameter_diagnostics
 from hydroopt.estimation.hydraulic.dynamics import Dynamics, Record, ShootingProblem
 from hydroopt.estimation.hydraulic.shooting import ShootingEstimate, multiple_shooting
 from hydroopt.estimation.inference.correlation import correlation_time
 from hydroopt.model.hydraulics import hinge, orifice
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
+from hydroopt.results.diagnostic import of_kind
+from hydroopt.results.wording import Kind
 from studies.show import look, save, table
 
 DATA = Path(__file__).parents[2] / "data" / "sjoberg_hydraulic_actuator" / "actuator.mat"
@@ -127,11 +130,11 @@ def run() -> dict:
     u, p, x = (content[name].ravel() for name in "upx")
     first = [values[:TRAIN] for values in (u, p, x)]
     choice = identified(record(*(values[:CHOICE] for values in first)))
-    chosen = choice.free_run(record(*first), choice.at.points[0][0])[1][:, 0]
+    chosen = choice.free_run(record(*first), choice.solution.points[0][0])[1][:, 0]
 
     estimate = identified(record(*first), STARTS)
     blind = np.zeros(len(u))
-    simulated = estimate.free_run(record(u, blind, blind), estimate.at.points[0][0])[1]
+    simulated = estimate.free_run(record(u, blind, blind), estimate.solution.points[0][0])[1]
     error = simulated[:, 0] - p
     table("Parameters", ["", "value", "95 % from", "to", "unit"],
           [[name, float(value), *(["at its bound"] * 2 if held else map(float, interval)), NUMBERS[name][0]]
@@ -141,15 +144,17 @@ def run() -> dict:
     alike, one = np.ones(TRAIN, bool), np.zeros(TRAIN, int)
     needed = [float(np.sqrt(np.mean(e**2) * correlation_time(e, alike, one))) for e in
               (simulated[:TRAIN, 0] - first[1], simulated[:TRAIN, 1] - first[2] + x[0])]
+    diagnostics = parameter_diagnostics(estimate)
     with_zero = estimate.ci95[:, 0] * estimate.ci95[:, 1] < 0
     return {
         "test_rmse": rmse(error[TRAIN:]), "train_rmse": rmse(error[:TRAIN]),
         "choice_rmse": rmse(chosen[CHOICE:] - p[CHOICE:TRAIN]),
         "arx_test_rmse": rmse((arx(u, p) - p)[TRAIN:]), "test_spread_of_p": rmse(p[TRAIN:] - np.mean(p[TRAIN:])),
         "sigma_needed_over_stated": round(float(np.max(needed / SIGMA)), 3),
-        "leakage_not_told": any("leakage: the readings hold anything" in doubt for doubt in estimate.doubts),
+        "leakage_not_told": any(
+            each.subject == ("leakage",) for each in of_kind(diagnostics, Kind.LITTLE_INFORMATION)),
         "intervals_with_zero": [name for name, so in zip(NUMBERS, with_zero, strict=True) if so],
-        "doubts": list(estimate.doubts)}
+        "diagnostics": [each.text for each in diagnostics]}
 
 
 def draw(p: np.ndarray, simulated: np.ndarray) -> None:

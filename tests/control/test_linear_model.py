@@ -8,9 +8,9 @@ from typer.testing import CliRunner
 import hydroopt as ho
 from hydroopt.cli import app
 from hydroopt.control.linearisation import signal, state_space
-from hydroopt.control.workspace import mode, sweeps, top_speed
 from hydroopt.machine.machine_file import dump_machine
 from hydroopt.model.plant import Plant
+from hydroopt.model.workspace import mode, sweeps, top_speed
 
 
 @pytest.fixture(scope="module")

@@ -26,7 +26,7 @@ def test_bodies_accelerate_as_mujoco_says():
         x[:n], x[n:2 * n] = rng.uniform(ranges[:, 0], ranges[:, 1]), rng.uniform(-0.5, 0.5, n)
         pressures = [k for k, name in enumerate(plant.states) if ".p_" in name]
         x[pressures] = rng.uniform(1e5, 2e7, len(pressures))
-        seen = plant.seen(x=x, u=np.zeros(n), supply=plant.supply, psi=psi, theta=theta)
+        seen = plant.outputs(x=x, u=np.zeros(n), supply=plant.supply, psi=psi, theta=theta)
         expected = tree.actuator_forces(x[:n], x[n:2 * n], np.asarray(seen["qdd"]).ravel())
         areas = np.array([each.areas for each in plant.actuators])
         chambers = x[[k for k in pressures if not plant.states[k].startswith("pump.")]].reshape(n, 2)
@@ -52,8 +52,8 @@ def motion():
     u, x = np.array([0.3, 0.35, -0.3]), [at.x]
     for _ in range(600):
         x.append(np.asarray(step(x[-1], u, plant.supply)).ravel())
-    keys = plant.seen.name_out()
-    seen = dict(zip(keys, zip(*(map(np.asarray, plant.seen(one, u, plant.supply, psi, theta)) for one in x),
+    keys = plant.outputs.name_out()
+    seen = dict(zip(keys, zip(*(map(np.asarray, plant.outputs(one, u, plant.supply, psi, theta)) for one in x),
                                 strict=True), strict=True))
     return plant, psi, theta, friction, np.array(x), {key: np.array(value).squeeze() for key, value in seen.items()}
 

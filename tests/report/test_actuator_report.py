@@ -69,9 +69,9 @@ def test_the_machine_file_holds_the_answer(left: Path) -> None:
     assert "identified from" in note.source
 
 
-def test_the_page_shows_free_runs_and_doubts(left: Path) -> None:
+def test_the_page_shows_free_runs_and_diagnostics(left: Path) -> None:
     page = (left / "out" / "report.html").read_text()
-    for title in ("What is in doubt", "Free run", "Parameters", "Weights", "Data"):
+    for title in ("Diagnostics", "Free run", "Parameters", "Weights", "Data"):
         assert f"<h2>{title}</h2>" in page
     assert page.count('aria-label="runs"') == page.count('aria-label="changes"') == 1
     assert "jack.dead_band_reverse" in page

@@ -17,18 +17,19 @@ from numpy.typing import NDArray
 from scipy.sparse.linalg import splu
 
 from hydroopt.estimation.hydraulic.dynamics import POINTS, WIDEST, ShootingProblem
+from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.spatial.inertia import Array
 
 
 @dataclass(frozen=True, eq=False)
 class Linearised:
-    """Rows around an answer, with the states as they follow from θ and from the first states of the records.
+    """Residual rows around a solution, with the states as they follow from θ and the first states of the records.
 
     Attributes:
         theta: (p,).
         points: for each record states (K, nx) at the points of `Record.time`.
-        rows: (m,) outputs minus readings in units of σ, of these `seen`; then `known` of the priors of θ, and those
-            of first states.
+        rows: (m,) outputs minus readings in units of σ, `readings` of them; then `priors` rows of the priors of θ, and
+            those of first states.
         jacobian: (m, p + f) by θ, then by the records' f first states, in units of `Dynamics.scale`.
     """
 
@@ -36,13 +37,13 @@ class Linearised:
     points: tuple[Array, ...]
     rows: Array
     jacobian: Array
-    seen: int
-    known: int
+    readings: int
+    priors: int
 
 
 @dataclass(frozen=True, eq=False)
 class Expressions:
-    """Of the unknowns x: what must vanish, what should be small, and their derivatives.
+    """Of the unknowns x: defects, which must vanish, residual rows, whose squares are minimised, and derivatives.
 
     `curvature` is the second derivative of Σ multipliers·defects + weight·Σ rows²/2, without that of the squares.
     """
@@ -74,7 +75,7 @@ class Program:
         self.readings = np.concatenate([r.y for r in records])
         self.present = np.flatnonzero(np.isfinite(self.readings).ravel())
         self.derivative = _matrix(*self._derivative(), (self.defects, self.size))
-        self.prior, self.prior_right, self.known = self._priors()
+        self.prior, self.prior_right, self.priors = self._priors()
         self.stage, self.reading = self._functions()
 
     def _derivative(self) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
@@ -88,11 +89,11 @@ class Program:
         return np.tile(factor[power, j], len(interval)), row.ravel(), column.ravel()
 
     def _priors(self) -> tuple[ca.DM, Array, int]:
-        """Rows A and right side b of A·x − b for what is known of θ (how many) and of first states."""
+        """Rows A and right side b of the priors' residuals A·x − b: of θ (how many), then of first states."""
         parameters, dynamics = self.problem.parameters, self.problem.dynamics
         values, vectors = np.linalg.eigh(parameters.information * np.outer(parameters.scale, parameters.scale))
-        known = values > 1e-14 * max(float(values.max(initial=0.0)), 1e-300)
-        root = (np.sqrt(values[known])[:, None] * vectors[:, known].T)
+        informed = values > 1e-14 * max(float(values.max(initial=0.0)), 1e-300)
+        root = (np.sqrt(values[informed])[:, None] * vectors[:, informed].T)
         row, column = (k.ravel() for k in np.indices(root.shape))
         value, right = root.ravel(), [np.zeros(len(root))]
         for k, record in zip(self.first, self.problem.records, strict=False):
@@ -116,33 +117,57 @@ class Program:
         stages = _Mapped(f, state, z, ca.vertcat(u, span), np.column_stack([self.stage_inputs, self.span]), self.stages)
         return stages, _Mapped(h, state, z, u, self.sample_inputs, self.samples)
 
-    def at(self, x: ca.MX, weight: ca.MX, multipliers: ca.MX) -> Expressions:
-        """Everything IPOPT asks for."""
+    def expressions(self, x: ca.MX, weight: ca.MX, multipliers: ca.MX) -> Expressions:
+        """Constraints, residuals and derivatives that IPOPT needs."""
         z, states = x[: self.p], ca.reshape(x[self.p :], self.nx, int(self.first[-1]))
-        rates, rates_by_x = self.stage.at(states, z)
-        seen, seen_by_x = self.reading.at(states, z)
+        rates, rates_by_x = self.stage.evaluate(states, z)
+        outputs, outputs_by_x = self.reading.evaluate(states, z)
         index, sigma = self.present.tolist(), np.tile(self.problem.sigma, len(self.readings))
         pick = _matrix(np.ones(len(index)), np.arange(len(index)), self.present, (len(index), len(sigma)))
         right = ca.DM(self.readings.ravel()[self.present] / sigma[self.present])
-        left = pick @ seen - right
+        left = pick @ outputs - right
         curvature = (weight * self.reading.curvature(states, z, pick.T @ left)
                      - self.stage.curvature(states, z, multipliers))
         return Expressions(
             self.derivative @ x - rates, self.derivative - rates_by_x,
             ca.vertcat(left, self.prior @ x - ca.DM(self.prior_right)),
-            ca.vertcat(pick @ seen_by_x, ca.MX(self.prior)), curvature)
+            ca.vertcat(pick @ outputs_by_x, ca.MX(self.prior)), curvature)
 
-    def start(self, theta: Array, points: Sequence[Array]) -> Array:
-        """Unknowns to begin with: parameters and, record by record, states (K, nx) at all points."""
+    def initial_guess(self, theta: Array, points: Sequence[Array]) -> Array:
+        """x of parameters (p,) and, record by record, states (K, nx) at all points."""
         parameters = self.problem.parameters
         return np.concatenate([(theta - parameters.nominal) / parameters.scale,
                                (np.vstack(points) / self.problem.dynamics.scale).ravel()])
 
+    def nlp(self, theta: Array, points: Sequence[Array]) -> NonlinearProgram:
+        """The nonlinear program, with an initial guess of parameters (p,) and states (K, nx) of each record."""
+        parameters, dynamics, records = self.problem.parameters, self.problem.dynamics, self.problem.records
+        x = ca.MX.sym("x", self.size)
+        here = self.expressions(x, ca.MX(0), ca.MX.zeros(self.defects))
+        free, zero = np.full(self.size - self.p, np.inf), np.zeros(self.defects)
+        names = [*parameters.names, *(f"{state}, record {k + 1}, {t:.6g} s" for k, record in enumerate(records)
+                                      for t in record.time for state in dynamics.states)]
+        units = [f"{scale:.6g} {unit} from {nominal:.6g}" for scale, unit, nominal in zip(
+            parameters.scale, parameters.units, parameters.nominal, strict=True)]
+        units += [f"{scale:g}" for scale in dynamics.scale] * int(self.first[-1])
+        counts = np.sum(np.isfinite(self.readings), axis=0)
+        terms = [f"half the sum of squares of {count} residuals of {channel}, sigma {sigma:.4g}"
+                 for channel, count, sigma in zip(dynamics.channels, counts, self.problem.sigma, strict=True)]
+        return NonlinearProgram(
+            x=x, f=ca.sumsqr(here.rows) / 2, x_names=tuple(names), x_units=tuple(units),
+            x0=self.initial_guess(theta, points),
+            lbx=np.concatenate([(parameters.lower - parameters.nominal) / parameters.scale, -free]),
+            ubx=np.concatenate([(parameters.upper - parameters.nominal) / parameters.scale, free]),
+            g=here.defects, g_names=tuple(f"dynamics of {state}" for state in dynamics.states) * len(self.stages),
+            lbg=zero, ubg=zero, p=ca.MX.sym("p", 0), objective=(
+                *terms, f"half the sum of squares of {self.priors} residuals of the parameters' priors",
+                f"half the sum of squares of {self.prior.size1() - self.priors} residuals of the first states' priors"))
+
     def linearised(self, x: Array) -> Linearised:
-        """An answer with its rows as they change along the dynamics."""
+        """The residual rows at a solution as they change along the dynamics."""
         parameters, symbol = self.problem.parameters, ca.MX.sym("x", self.size)
-        at = self.at(symbol, ca.MX(0), ca.MX.zeros(self.defects))
-        end = ca.Function("end", [symbol], [at.rows, at.rows_by_x, at.defects_by_x])
+        here = self.expressions(symbol, ca.MX(0), ca.MX.zeros(self.defects))
+        end = ca.Function("end", [symbol], [here.rows, here.rows_by_x, here.defects_by_x])
         rows, rows_by_x, defects_by_x = end(x)
         by_x, held = rows_by_x.sparse().tocsc(), defects_by_x.sparse().tocsc()
         inner = self.p + (self.stages[:, None] * self.nx + np.arange(self.nx)).ravel()
@@ -154,7 +179,7 @@ class Program:
         points = tuple(states[a:b] for a, b in pairwise(self.first.tolist()))
         # IPOPT lets bounds give way a little
         theta = np.clip(parameters.nominal + parameters.scale * x[: self.p], parameters.lower, parameters.upper)
-        return Linearised(theta, points, np.asarray(rows).ravel(), np.asarray(jacobian), len(self.present), self.known)
+        return Linearised(theta, points, np.asarray(rows).ravel(), np.asarray(jacobian), len(self.present), self.priors)
 
 
 class _Mapped:
@@ -195,7 +220,8 @@ class _Mapped:
         gather = _matrix(np.ones(len(row)), row, column, (count * (p + nx), p + states.numel()))
         return gather.T @ (ca.MX(self.pattern, ca.vec(entries.nz[:])) @ gather)
 
-    def at(self, states: ca.MX, z: ca.MX) -> tuple[ca.MX, ca.MX]:
+    def evaluate(self, states: ca.MX, z: ca.MX) -> tuple[ca.MX, ca.MX]:
+        """Values at all points, and their derivative by x."""
         count, size = len(self.points), z.numel() + states.numel()
         value, by_state, by_theta = self.function(
             states[:, self.points.tolist()], ca.repmat(z, 1, count), self.data)

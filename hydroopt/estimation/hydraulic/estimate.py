@@ -1,35 +1,35 @@
-"""Valves, oil and friction identified: free runs, the calibrated machine, and what is in doubt."""
+"""The answer of an identification of valves, oil and friction: parameters, free runs, the calibrated machine."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from hydroopt.estimation.hydraulic import shooting
+from hydroopt.estimation.hydraulic.diagnostics import parameter_diagnostics, unexplained_channels
 from hydroopt.estimation.hydraulic.dynamics import Record
 from hydroopt.estimation.hydraulic.problem import HydraulicProblem
 from hydroopt.estimation.hydraulic.shooting import ShootingEstimate
 from hydroopt.machine.components import Note
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import dump_machine
+from hydroopt.model.workspace import Sweep, workspace_sweeps
+from hydroopt.results.answer import Answer, Status
+from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.fit import Fit
+from hydroopt.results.parameter_table import ParameterTable, row
+from hydroopt.results.store import Job
+from hydroopt.results.tables import csv_text, number
+from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
+METHOD = "multiple shooting"
 SETTLED = 1.0
-"""Seconds at the beginning of an unseen log from which its first states are estimated."""
-
-
-@dataclass(frozen=True)
-class FreeRun(Fit):
-    """How well a channel is predicted from commands and supply alone.
-
-    Besides RMS and VAF the largest error [`unit`], and the RMS as a part of the range that the channel covers.
-    """
-
-    largest: float
-    of_range: float
+"""Seconds at the beginning of a validation log from which its first states are estimated."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,31 +41,129 @@ class Run:
     outputs: Array
 
 
-@dataclass(frozen=True, eq=False)
-class HydraulicEstimate:
-    """A solved problem.
+@dataclass(frozen=True, eq=False, repr=False)
+class HydraulicEstimate(Answer):
+    """Valves, oil and friction identified from logs.
 
     Attributes:
         problem: what was solved.
-        shooting: the answer with its intervals; σ of each channel as large as what was left unexplained showed.
+        shooting: the solution with its intervals; each channel's σ is raised to what the residuals show.
+
+    Example:
+        >>> import hydroopt as ho
+        >>> plant = ho.Plant(ho.Model(ho.load_machine("patu655_lift")))
+        >>> motion = ho.random_trajectory(plant.model, duration=2, rate=50, seed=1, fastest=0.5)
+        >>> log = ho.drive(plant, motion.t, ho.commands_for(plant, motion), motion.q[0], seed=1)
+        >>> estimate = ho.solve(ho.hydraulic_problem(plant.machine, [log]))
+        >>> estimate
+        <identification of valves and oil of patu655_lift by multiple shooting: ok, 12 parameters, 3 diagnostics>
+        >>> round(1e5 * estimate["lift_cylinder.rated_flow"])
+        103
     """
+
+    job = Job.HYDRAULICS
 
     problem: HydraulicProblem
     shooting: ShootingEstimate
-    status: str = "ok"
 
-    def __getitem__(self, name: str) -> float:
-        """Value of a parameter."""
-        return self.shooting[name]
+    @property
+    def machine_name(self) -> str:
+        """Name of the machine that it is about."""
+        return self.problem.plant.machine.name
+
+    @property
+    def machine_sha256(self) -> str:
+        """Digest of that machine's description."""
+        return self.problem.plant.machine.sha256
+
+    @property
+    def method(self) -> str:
+        """How it was computed."""
+        return METHOD
+
+    @property
+    def status(self) -> Status:
+        """`SUSPECT` if the residuals of a channel exceed what its sensor explains, else `OK`."""
+        return Status.SUSPECT if of_kind(self.diagnostics, Kind.UNEXPLAINED_CHANNEL) else Status.OK
+
+    @cached_property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """Channels that the model does not explain, and parameters that the data do not determine."""
+        return (*unexplained_channels(self.problem.channels, self.misfit), *parameter_diagnostics(self.shooting))
+
+    @cached_property
+    def parameters(self) -> ParameterTable:
+        """The parameters by name, with priors, values, intervals and identifiability."""
+        found, stated = self.shooting, self.problem.parameters
+        variance = np.diag(stated.information)
+        prior_std = np.where(variance > 0, 1 / np.sqrt(np.where(variance > 0, variance, 1.0)), np.nan)
+        return ParameterTable([
+            row(name, stated.kinds[k], stated.units[k], nominal=float(stated.nominal[k]),
+                prior_std=float(prior_std[k]), value=float(found.theta[k]), std=float(found.std[k]),
+                ci95=found.ci95[k].tolist(), bound=self._bound(k), identifiability=found.category(name))
+            for k, name in enumerate(stated.names)])
+
+    def _bound(self, k: int) -> str:
+        """The active bound of a parameter."""
+        parameters, value = self.problem.parameters, self.shooting.theta[k]
+        if not self.shooting.at_bound[k]:
+            return ""
+        low = value - parameters.lower[k] < parameters.upper[k] - value
+        return (f"{parameters.names[k]} {'>=' if low else '<='} "
+                f"{parameters.lower[k] if low else parameters.upper[k]:.9g} {parameters.units[k]}")
+
+    @property
+    def inputs(self) -> tuple[Mapping[str, Any], ...]:
+        """The logs it is from."""
+        return self.problem.inputs
+
+    def details(self) -> Mapping[str, Any]:
+        """Conditioning, and the σ by which each channel was weighted."""
+        problem, found, parameters = self.problem, self.shooting, self.problem.parameters
+        units = problem.plant.machine.channel_units
+        sizes = np.linalg.eigvalsh(found.data * np.outer(parameters.scale, parameters.scale))
+        return {"base_parameters": [],
+                "conditioning": {
+                    "rank": int(np.sum(sizes > 1e-12 * sizes[-1])), "parameters": len(parameters),
+                    "condition_number": number(np.sqrt(sizes[-1] / sizes[0]) if sizes[0] > 0 else np.inf),
+                    "residual_scale": number(found.residual_scale)},
+                "physical_consistency": {},
+                "weights": {channel: {"sigma": float(sigma), "sensor_sigma": float(sensor), "unit": units[channel]}
+                            for channel, sigma, sensor in zip(problem.channels, found.problem.sigma, problem.sigma,
+                                                              strict=True)}}
+
+    def files(self) -> Mapping[str, str]:
+        """The calibrated machine, tables of parameters and fit, and the free runs, in SI.
+
+        Raises:
+            SolverError: a free run diverged.
+        """
+        return {f"{self.machine_name}.toml": dump_machine(self.machine), "parameters.csv": self.parameters.to_csv(),
+                "fit.csv": csv_text([{"data": data, "channel": channel, **fit.as_dict()}
+                                     for data, table in self.fit.items() for channel, fit in table.items()]),
+                "free_run.csv": csv_text(list(self._samples()))}
+
+    def _samples(self) -> Iterator[dict[str, Any]]:
+        """Every sample of all logs: commands, readings, and the free run."""
+        inputs = self.shooting.problem.dynamics.inputs
+        for data, runs in self.runs.items():
+            for k, run in enumerate(runs):
+                for i, t in enumerate(run.record.t):
+                    sample: dict[str, Any] = {"data": data, "stretch": k + 1, "t [s]": float(t)}
+                    sample |= {name: float(u) for name, u in zip(inputs, run.record.u[i], strict=True)}
+                    for channel, read, value in zip(self.problem.channels, run.record.y[i], run.outputs[i],
+                                                    strict=True):
+                        sample |= {channel: number(read), f"{channel} free": float(value)}
+                    yield sample
 
     @cached_property
     def runs(self) -> Mapping[str, tuple[Run, ...]]:
         """Free runs over what was fitted, ``train``, and what was held out, ``validation``."""
         records = self.shooting.problem.records
-        found = {"train": tuple(self.run(r, points[0]) for r, points in zip(records, self.shooting.at.points,
+        found = {"train": tuple(self.run(r, points[0]) for r, points in zip(records, self.shooting.solution.points,
                                                                             strict=True))}
-        unseen = [record for log in self.problem.validation for record in self.problem.records(log)]
-        return found | {"validation": tuple(self.run(r, self.first_states(r)) for r in unseen)}
+        held_out = [record for log in self.problem.validation for record in self.problem.records(log)]
+        return found | {"validation": tuple(self.run(r, self.first_states(r)) for r in held_out)}
 
     def run(self, record: Record, first: Array) -> Run:
         """The machine from first states (nx,) on, driven by a record's commands and supply.
@@ -76,7 +174,7 @@ class HydraulicEstimate:
         return Run(record, *self.shooting.free_run(record, first))
 
     def first_states(self, record: Record) -> Array:
-        """States (nx,) at the beginning of a record, from its first second and what is known of the machine.
+        """States (nx,) at the beginning of a record, estimated from its first second with the identified parameters.
 
         Raises:
             SolverError: none fits.
@@ -85,20 +183,13 @@ class HydraulicEstimate:
         short = replace(record, t=record.t[:count], u=record.u[:count], y=record.y[:count], guess=record.guess[:count])
         theta, known = self.shooting.theta, self.shooting.problem
         held = replace(known.parameters, nominal=theta, lower=theta, upper=theta)
-        first: Array = shooting.multiple_shooting(replace(known, parameters=held, records=(short,))).at.points[0][0]
-        return first
+        found = shooting.multiple_shooting(replace(known, parameters=held, records=(short,)))
+        return found.solution.points[0][0]
 
     @cached_property
-    def fit(self) -> dict[str, dict[str, FreeRun]]:
+    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
         """Free runs by data set and channel."""
         return {name: free_run_fit(self.problem, runs) for name, runs in self.runs.items() if runs}
-
-    @property
-    def doubts(self) -> tuple[str, ...]:
-        """What the data cannot tell, and where the model does not explain them, in plain words."""
-        left = [f"{channel} differs from the model by {factor:.1f} times its sensor's error"
-                for channel, factor in zip(self.problem.channels, self.misfit, strict=True) if factor > MISFIT]
-        return (*left, *self.shooting.doubts)
 
     @property
     def misfit(self) -> Array:
@@ -108,53 +199,53 @@ class HydraulicEstimate:
 
     @property
     def machine(self) -> Machine:
-        """The machine with what was identified, and its confidences; a prior for other logs.
+        """The machine with the identified values and their confidences; a prior for other logs.
 
-        Of bodies, which forces show only in combinations, the confidences stay what they were.
+        Of bodies, which forces identify only in combinations, the confidences stay what they were.
         """
         return _calibrated(self)
 
-    def __str__(self) -> str:
-        lines = [f"{self.problem.plant.machine.name}: valves, oil and friction: {self.status}"]
-        for name, table in self.fit.items():
-            for channel, fit in table.items():
-                lines.append(f"  {name:<10} {channel:<24} free run RMS {fit.rms:10.4g} {fit.unit:<4} largest "
-                             f"{fit.largest:10.4g}  {100 * fit.of_range:6.2f} % of the range  "
-                             f"VAF {100 * fit.vaf:6.2f} %")
-        return "\n".join(lines)
-
-
-MISFIT = 1.5
-"""How many times a sensor's error the residuals have to be for the model to count as not explaining them."""
+    @cached_property
+    def sweeps(self) -> tuple[Sweep, ...]:
+        """Frequency, damping and gain of every joint over the workspace; empty without a stated supply pressure."""
+        psi, theta = (np.asarray(part).ravel() for part in self.problem.split(self.shooting.theta))
+        return workspace_sweeps(self.problem.plant, psi, theta)
 
 
 def identify_hydraulics(problem: HydraulicProblem, start: Array | None = None) -> HydraulicEstimate:
     """Identify valves, oil and friction by multiple shooting.
 
-    Solved twice: the second time with each channel's σ as large as the residuals of the first show, and residuals that
-    repeat themselves counted as one, so that what the model lacks does not make intervals too narrow.
+    The problem is solved twice: the second time each channel's σ is raised to what the residuals of the first show,
+    their correlation included, so that unmodelled dynamics do not make the intervals too narrow.
+
+    Args:
+        problem: see `hydraulic_problem`.
+        start: parameters (p,) of the initial guess; nominal if None.
 
     Raises:
-        SolverError: no trustworthy answer.
+        SolverError: IPOPT failed, or its answer failed the check.
+
+    Example:
+        See `HydraulicEstimate`.
     """
     first = shooting.multiple_shooting(problem.shooting, start)
     return HydraulicEstimate(problem, shooting.multiple_shooting(first.reweighted, first))
 
 
-def free_run_fit(problem: HydraulicProblem, runs: Sequence[Run]) -> dict[str, FreeRun]:
+def free_run_fit(problem: HydraulicProblem, runs: Sequence[Run]) -> dict[str, Fit]:
     """Figures of free runs by channel."""
     read = np.concatenate([run.record.y for run in runs])
     error = np.concatenate([run.outputs for run in runs]) - read
     units = problem.plant.machine.channel_units
     table = {}
     for k, channel in enumerate(problem.channels):
-        there = np.isfinite(read[:, k])
-        if not np.any(there):
+        present = np.isfinite(read[:, k])
+        if not np.any(present):
             continue
-        y, e = read[there, k], error[there, k]
+        y, e = read[present, k], error[present, k]
         rms, spread = float(np.sqrt(np.mean(e**2))), float(np.ptp(y))
         size = float(np.sqrt(np.mean(y**2)))
-        table[channel] = FreeRun(
+        table[channel] = Fit(
             rms, float(1 - np.var(e) / np.var(y)) if spread else float("nan"), rms / size if size else float("inf"),
             units[channel], float(np.max(np.abs(e))), rms / spread if spread else float("inf"))
     return table

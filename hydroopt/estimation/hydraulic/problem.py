@@ -4,18 +4,21 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
-from typing import Any
+from typing import Any, NoReturn
 
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import IdentifiabilityError, ProblemError
+from hydroopt.estimation.hydraulic.collocation import Program
 from hydroopt.estimation.hydraulic.dynamics import Dynamics, Record, ShootingProblem
+from hydroopt.estimation.hydraulic.shooting import measured_states
 from hydroopt.estimation.inference.identifiability import PREDICTED_TOLERANCE, significant
+from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import measured_angles, reading
 from hydroopt.logs.smoothing import SmoothingSpline, condition
@@ -34,24 +37,34 @@ LONGEST = 0.01
 """Collocated interval [s] that follows spools and dry friction well enough: twice as long ones bend spools' numbers by
 a standard deviation."""
 RANDOM = 200
-"""States at which forces are looked at to tell what of bodies they show."""
+"""States at which forces are evaluated to find the identifiable directions of bodies."""
 AT_WORST = 3.0
 """How many of its σ a dead band may be smaller than stated, before a command counts as never leaving it."""
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, repr=False)
 class HydraulicProblem:
-    """What is to be identified from which logs; solving never changes it.
+    """The identification of valves, oil and friction from logs; solving does not change it.
+
+    It is a nonlinear program: `print` shows its variables, objective and constraints, `nlp` hands it on.
 
     Attributes:
         plant: the machine with its valves.
-        logs: to learn from; `validation` those held out.
-        parameters: what is identified: friction and numbers of the hydraulics that state a `sigma`, then, where bodies
-            are asked for, what forces can show of these, in standard deviations of the machine file.
+        logs: training logs; `validation` those held out.
+        parameters: friction and hydraulic parameters that state a `sigma`, then, on request, the identifiable
+            directions of the bodies, in standard deviations of the machine file.
         psi, theta: positions of the first two among the plant's dynamic and hydraulic parameters.
         bodies: (p, b) how the plant's dynamic parameters change with the last b.
-        channels: what the sensors see, as far as logs have it; `sigma` of their readings.
+        channels: measured channels that the logs hold; `sigma` (ny,) of their readings, in SI.
         steps: collocated intervals between two samples; as many as keep them below `LONGEST` if None.
+
+    Example:
+        >>> import hydroopt as ho
+        >>> plant = ho.Plant(ho.Model(ho.load_machine("patu655_lift")))
+        >>> motion = ho.random_trajectory(plant.model, duration=2, rate=50, seed=1, fastest=0.5)
+        >>> log = ho.drive(plant, motion.t, ho.commands_for(plant, motion), motion.q[0], seed=1)
+        >>> ho.hydraulic_problem(plant.machine, [log])
+        HydraulicProblem(patu655_lift: 12 parameters, 100 samples, 4 channels)
     """
 
     plant: Plant
@@ -84,10 +97,10 @@ class HydraulicProblem:
         plant, n = self.plant, len(self.plant.inputs)
         x, u, free = ca.SX.sym("x", len(plant.states)), ca.SX.sym("u", n + 2), ca.SX.sym("p", len(self.parameters))
         given = (x, u[:n], u[n:], *self.split(free))
-        seen = dict(zip(plant.seen.name_out(), plant.seen(*given), strict=True))
-        values = [_channel(plant, seen, channel) for channel in self.channels]
+        outputs = dict(zip(plant.outputs.name_out(), plant.outputs(*given), strict=True))
+        values = [_channel(plant, outputs, channel) for channel in self.channels]
         return Dynamics(ca.Function("rates", [x, u, free], [plant.rates(*given)]),
-                        ca.Function("seen", [x, u, free], [ca.vertcat(*values)]), plant.states,
+                        ca.Function("outputs", [x, u, free], [ca.vertcat(*values)]), plant.states,
                         (*plant.inputs, *SUPPLY), self.channels, plant.scale, np.array([True] * n + [False] * 2))
 
     def records(self, log: Log) -> tuple[Record, ...]:
@@ -126,6 +139,44 @@ class HydraulicProblem:
         records = tuple(record for log in self.logs for record in self.records(log))
         return ShootingProblem(self.dynamics, self.parameters, self.sigma, records, self.plant.machine.name)
 
+    @property
+    def inputs(self) -> tuple[dict[str, Any], ...]:
+        """The logs it is from: path, sha256, samples, role, rows and findings."""
+        return tuple({"path": log.path or log.name, "sha256": log.sha256 or None, "samples": log.size, "role": role,
+                      "first_sample": log.rows[0], "last_sample": log.rows[1],
+                      "findings": [finding.text for finding in log.findings]}
+                     for role, logs in (("train", self.logs), ("validation", self.validation)) for log in logs)
+
+    def nlp(self, sigma: Array | None = None) -> NonlinearProgram:
+        """The nonlinear program that is solved: maximum a posteriori, the dynamics as constraints (collocation).
+
+        Variables are the parameters and the states of all records at all points, in units of their scales, the
+        parameters from their nominal values; that guess is the initial one. `solve` computes it twice: first with the
+        sensors' σ, then with each channel's σ raised to what the residuals of the first show, correlation included
+        (``estimate.shooting.problem.sigma``).
+
+        Args:
+            sigma: (ny,) standard deviation of each channel's readings, in SI; by default the sensors'.
+        """
+        problem = self.shooting if sigma is None else replace(self.shooting, sigma=sigma)
+        return Program(problem).nlp(self.parameters.nominal, measured_states(problem))
+
+    def cvxpy(self) -> NoReturn:
+        """Refuse: the problem is not convex.
+
+        Raises:
+            ProblemError: always.
+        """
+        raise ProblemError("the identification of valves and oil is not convex, so that CVXPY cannot state it",
+                           where=f"machine '{self.plant.machine.name}'", remedy="use nlp() with IPOPT")
+
+    def __repr__(self) -> str:
+        return (f"HydraulicProblem({self.plant.machine.name}: {len(self.parameters)} parameters, "
+                f"{sum(log.size for log in self.logs)} samples, {len(self.channels)} channels)")
+
+    def __str__(self) -> str:
+        return f"{self!r}\n{self.nlp()}"
+
 
 def hydraulic_problem(machine: Machine, logs: Sequence[Log], validation: Sequence[Log] = (), *,
                      bodies: bool = False, steps: int | None = None) -> HydraulicProblem:
@@ -136,10 +187,10 @@ def hydraulic_problem(machine: Machine, logs: Sequence[Log], validation: Sequenc
 
     Args:
         machine: with a circuit for every actuator, and sensors.
-        logs: to learn from: commands, motion and pressures of all actuators.
-        validation: logs to judge by.
-        bodies: whether masses and inertias are identified, too, as far as forces show them; else they are exact, as
-            after an identification of their own.
+        logs: training logs: commands, motion and pressures of all actuators.
+        validation: validation logs.
+        bodies: whether masses and inertias are identified, too, as far as forces identify them; else they are exact,
+            as after an identification of their own.
         steps: collocated intervals between two samples; as many as keep them below `LONGEST` if None. More follow dry
             friction and the edges of valves more exactly.
 
@@ -148,22 +199,25 @@ def hydraulic_problem(machine: Machine, logs: Sequence[Log], validation: Sequenc
             nor stated.
         LogError: a command, a pressure or a motion is missing.
         IdentifiabilityError: no command leaves its dead band.
+
+    Example:
+        See `HydraulicProblem`.
     """
     plant = Plant(Model(machine))
     for log in (*logs, *validation):
         for channel in (*plant.inputs, *(c for each in plant.actuators for c in each.chambers)):
             reading(machine, log, channel)
-    _refuse_idle(plant, logs)
+    _refuse_dead_band(plant, logs)
     psi, theta = _identified(plant)
     if not len(psi) + len(theta):
-        raise ProblemError("no number of the hydraulics states a confidence, so that nothing is identified",
+        raise ProblemError("no hydraulic parameter states a confidence, so that nothing is identified",
                            where=f"machine '{machine.name}'",
-                           remedy="give a 'sigma' to the flows, dead bands, volumes and moduli that are in doubt")
-    shown = _shown(plant.model) if bodies else np.zeros((len(plant.model.parameters), 0))
+                           remedy="state a 'sigma' for the uncertain flows, dead bands, volumes and moduli")
+    identifiable = _identifiable(plant.model) if bodies else np.zeros((len(plant.model.parameters), 0))
     channels, sigma = _sensed(plant, logs)
-    parameters = _joined(plant, psi, theta, shown.shape[1])
-    return HydraulicProblem(plant, tuple(logs), tuple(validation), parameters, psi, theta, shown, channels, sigma,
-                            steps)
+    parameters = _joined(plant, psi, theta, identifiable.shape[1])
+    return HydraulicProblem(plant, tuple(logs), tuple(validation), parameters, psi, theta, identifiable, channels,
+                            sigma, steps)
 
 
 def _identified(plant: Plant) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
@@ -174,10 +228,10 @@ def _identified(plant: Plant) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     return np.array(free, dtype=np.intp), np.flatnonzero(np.diag(hydraulic.information) > 0)
 
 
-def _shown(model: Model) -> Array:
-    """(p, b) the directions of the bodies' parameters that forces show, each as long as one standard deviation.
+def _identifiable(model: Model) -> Array:
+    """(p, b) the directions of the bodies' parameters that forces identify, each one standard deviation long.
 
-    In units of the priors' standard deviations the row space of the regressor; nothing is learned across it.
+    In units of the priors' standard deviations they span the row space of the regressor.
     """
     parameters, machine = model.parameters, model.machine
     bodies = np.flatnonzero([kind.is_inertial for kind in parameters.kinds])
@@ -217,18 +271,18 @@ def _sensed(plant: Plant, logs: Sequence[Log]) -> tuple[tuple[str, ...], Array]:
         ProblemError: the file does not state a sensor.
     """
     machine = plant.machine
-    there = [channel for channel in _seen(plant) if any(channel in log.channels for log in logs)
+    measured = [channel for channel in _measurable(plant) if any(channel in log.channels for log in logs)
              and (channel != SUPPLY[0] or machine.sensor(channel))]
-    stated = {channel: sensor.std for channel in there if (sensor := machine.sensor(channel)) is not None}
-    missing = [channel for channel in there if not stated.get(channel, 0.0) > 0]
+    stated = {channel: sensor.std for channel in measured if (sensor := machine.sensor(channel)) is not None}
+    missing = [channel for channel in measured if not stated.get(channel, 0.0) > 0]
     if missing:
-        raise ProblemError(f"how well {', '.join(missing)} is measured is not said", where=f"machine '{machine.name}'",
-                           remedy="state the accuracy in [[sensors]]")
-    return tuple(there), np.array([stated[channel] for channel in there])
+        raise ProblemError(f"no accuracy is stated for {', '.join(missing)}", where=f"machine '{machine.name}'",
+                           remedy="state it in [[sensors]]")
+    return tuple(measured), np.array([stated[channel] for channel in measured])
 
 
-def _seen(plant: Plant) -> Iterator[str]:
-    """Channels that the plant can tell."""
+def _measurable(plant: Plant) -> Iterator[str]:
+    """Channels that the plant's outputs predict."""
     for joint in plant.machine.joints:
         yield f"{joint}.q"
     for each in plant.actuators:
@@ -239,15 +293,17 @@ def _seen(plant: Plant) -> Iterator[str]:
         yield SUPPLY[0]
 
 
-def _channel(plant: Plant, seen: dict[str, ca.SX], channel: str) -> ca.SX:
-    """What the plant would show in a channel."""
+def _channel(plant: Plant, outputs: dict[str, ca.SX], channel: str) -> ca.SX:
+    """The plant's output that a channel measures."""
     owner, _, key = channel.rpartition(".")
     if key == "q":
-        return seen["q"][plant.machine.joints.index(owner)]
+        return outputs["q"][plant.machine.joints.index(owner)]
     if channel == SUPPLY[0]:
-        return seen["p_supply"]
+        return outputs["p_supply"]
     k = [each.actuator.name for each in plant.actuators].index(owner)
-    return seen["length"][k] if key == "length" else seen["pressure"][k, plant.actuators[k].chambers.index(channel)]
+    if key == "length":
+        return outputs["length"][k]
+    return outputs["pressure"][k, plant.actuators[k].chambers.index(channel)]
 
 
 def _supply(plant: Plant, log: Log) -> list[Array]:
@@ -270,8 +326,8 @@ def _placed(plant: Plant, k: int, command: Array) -> Array:
     return np.asarray(ca.Function("wanted", [symbol], [wanted])(command)).ravel()
 
 
-def _refuse_idle(plant: Plant, logs: Sequence[Log]) -> None:
-    """Refuse logs in which an actuator's command stays within the dead band, at its smallest that is plausible."""
+def _refuse_dead_band(plant: Plant, logs: Sequence[Log]) -> None:
+    """Refuse logs in which an actuator's command stays within the dead band, even a plausibly small one."""
     nominal, parameters = plant.parameters.nominal, plant.parameters
     for name, each in zip(plant.inputs, plant.actuators, strict=True):
         owner, valve = each.actuator.name, each.valve

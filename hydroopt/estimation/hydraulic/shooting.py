@@ -12,7 +12,7 @@ from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -40,22 +40,36 @@ SHARE = 0.3
 """Component of a direction from which on a parameter belongs to it."""
 
 
+class WeakDirection(NamedTuple):
+    """A direction of the parameters on which the data carry little information.
+
+    Attributes:
+        direction: (p,) change of the parameters, as long as one standard deviation of their priors.
+        members: positions of the parameters that belong to it, the largest component first.
+        information: of the data on it, 1 where they tell as much as the prior.
+    """
+
+    direction: Array
+    members: NDArray[np.intp]
+    information: float
+
+
 @dataclass(frozen=True, eq=False)
 class ShootingEstimate:
     """A solved problem.
 
     Attributes:
         problem: what was solved.
-        at: parameters, states, and the rows around them.
+        solution: parameters, states, and the residual rows around them.
     """
 
     problem: ShootingProblem
-    at: Linearised
+    solution: Linearised
 
     @property
     def theta(self) -> Array:
         """(p,) most probable parameters."""
-        return self.at.theta
+        return self.solution.theta
 
     def __getitem__(self, name: str) -> float:
         """Value of a parameter."""
@@ -65,7 +79,8 @@ class ShootingEstimate:
     def data(self) -> Array:
         """(p, p) information of the readings on θ, the first states being unknown but for their priors."""
         p, parameters = len(self.theta), self.problem.parameters
-        rows = np.delete(self.at.jacobian, np.s_[self.at.seen : self.at.seen + self.at.known], axis=0)
+        first = self.solution.readings
+        rows = np.delete(self.solution.jacobian, np.s_[first : first + self.solution.priors], axis=0)
         unit = rows[:, :p] * parameters.scale
         left = _without(rows[:, p:], unit)
         return np.asarray(left.T @ left / np.outer(parameters.scale, parameters.scale))
@@ -86,16 +101,17 @@ class ShootingEstimate:
     @cached_property
     def residual_scale(self) -> float:
         """Root of the squared errors over the degrees of freedom; 1 where the stated σ are right."""
-        unit = self.at.jacobian[: self.at.seen].copy()
+        unit = self.solution.jacobian[: self.solution.readings].copy()
         unit[:, : len(self.theta)] *= self.problem.parameters.scale  # in SI, moduli beside leaks look like none
-        freedom = self.at.seen - np.linalg.matrix_rank(unit)
-        return float(np.sqrt(np.sum(self.at.rows[: self.at.seen] ** 2) / freedom)) if freedom > 0 else float("nan")
+        freedom = self.solution.readings - np.linalg.matrix_rank(unit)
+        squares = np.sum(self.solution.rows[: self.solution.readings] ** 2)
+        return float(np.sqrt(squares / freedom)) if freedom > 0 else float("nan")
 
     @cached_property
     def gradient(self) -> Array:
         """(p,) of half the squared errors by θ, the first states following: zero but where a bound holds."""
         p = len(self.theta)
-        return np.asarray(self.at.jacobian[:, :p].T @ _without(self.at.jacobian[:, p:], self.at.rows))
+        return np.asarray(self.solution.jacobian[:, :p].T @ _without(self.solution.jacobian[:, p:], self.solution.rows))
 
     @property
     def at_bound(self) -> NDArray[np.bool_]:
@@ -129,7 +145,7 @@ class ShootingEstimate:
         """For each record readings minus outputs (N, ny) in units of σ, NaN where there was no reading."""
         readings = np.concatenate([record.y for record in self.problem.records])
         left = np.full(readings.size, np.nan)
-        left[np.flatnonzero(np.isfinite(readings).ravel())] = -self.at.rows[: self.at.seen]
+        left[np.flatnonzero(np.isfinite(readings).ravel())] = -self.solution.rows[: self.solution.readings]
         ends = np.cumsum([len(record.t) for record in self.problem.records])[:-1]
         return tuple(np.split(left.reshape(readings.shape), ends))
 
@@ -166,12 +182,12 @@ class ShootingEstimate:
             if not known:
                 raise ProblemError("this record was not fitted, so that its first states are not known",
                                    where=record.name, remedy="give them")
-            first = self.at.points[known[0]][0]
+            first = self.solution.points[known[0]][0]
         return free_run(self.problem.dynamics, record, first, self.theta)
 
     @cached_property
-    def _weak(self) -> tuple[tuple[Array, NDArray[np.intp], float], ...]:
-        """Directions (p,) about which the readings tell little, who belongs to each, and how much they tell."""
+    def weak_directions(self) -> tuple[WeakDirection, ...]:
+        """Directions on which the data carry less information than `UNKNOWN`."""
         parameters = self.problem.parameters
         prior = np.sqrt(np.diag(parameters.information))
         size = np.maximum(np.abs(self.theta), parameters.scale)
@@ -181,50 +197,14 @@ class ShootingEstimate:
         for k in np.flatnonzero(values < UNKNOWN):
             weight = np.abs(vectors[:, k])
             belong = np.flatnonzero(weight > SHARE * np.max(weight))
-            found.append((vectors[:, k] * unit, belong[np.argsort(-weight[belong])], float(values[k])))
+            found.append(WeakDirection(vectors[:, k] * unit, belong[np.argsort(-weight[belong])], float(values[k])))
         return tuple(found)
 
     def category(self, name: str) -> str:
         """``full``, ``combination`` or ``none``, by the readings alone."""
         k = self.problem.parameters.index(name)
-        sizes = [len(belong) for _, belong, _ in self._weak if k in belong]
+        sizes = [len(each.members) for each in self.weak_directions if k in each.members]
         return "full" if not sizes else "none" if min(sizes) == 1 else "combination"
-
-    @property
-    def doubts(self) -> tuple[str, ...]:
-        """What the readings cannot tell, in plain words."""
-        return (*(self._words(*weak) for weak in self._weak),
-                *(self._held(int(k)) for k in np.flatnonzero(self.at_bound)))
-
-    def _held(self, k: int) -> str:
-        """What is known of a parameter that stands at a bound."""
-        parameters, (low, high) = self.problem.parameters, self.ci95[k]
-        least = self.gradient[k] > 0
-        return (f"{parameters.names[k]} stands at its {'least' if least else 'greatest'} value, "
-                f"{(parameters.lower if least else parameters.upper)[k]:.3g} {parameters.units[k]}; 95 % lie "
-                f"{'below' if least else 'above'} {high if least else low:.3g}")
-
-    def _words(self, direction: Array, belong: NDArray[np.intp], value: float) -> str:
-        """One direction about which the readings tell little."""
-        parameters = self.problem.parameters
-        names = [parameters.names[k] for k in belong]
-        informed = all(parameters.information[k, k] > 0 for k in belong)
-        decides = "the prior decides" if informed else "nothing decides"
-        if len(names) == 1:
-            k = belong[0]
-            if value < 1e-6:
-                return f"{names[0]}: the readings tell nothing of it; {decides}"
-            reach = 1.96 * abs(direction[k]) / np.sqrt(value)
-            low = max(self.theta[k] - reach, parameters.lower[k])
-            high = min(self.theta[k] + reach, parameters.upper[k])
-            return (f"{names[0]}: the readings hold anything from {low:.3g} to {high:.3g} {parameters.units[k]}; "
-                    f"{decides}")
-        if len(names) == 2 and np.all(self.theta[belong] != 0):
-            relative = direction[belong] / self.theta[belong]
-            how = "ratio" if relative[0] * relative[1] > 0 else "product"
-            if abs(abs(relative[0] / relative[1]) - 1) < SHARE:
-                return f"{' and '.join(names)} show only as a {how}; {decides} between them"
-        return f"{', '.join(names[:-1])} and {names[-1]} show only together; {decides} between them"
 
 
 def _without(columns: Array, rows: Array) -> Array:
@@ -245,14 +225,14 @@ def multiple_shooting(problem: ShootingProblem, start: Array | ShootingEstimate 
         SolverError: IPOPT failed or its answer failed our check.
     """
     if isinstance(start, ShootingEstimate):
-        return _solved(problem, start.theta, start.at.points, exact=True)
+        return _solved(problem, start.theta, start.solution.points, exact=True)
     parameters = problem.parameters
     theta = np.clip(parameters.nominal if start is None else start, parameters.lower, parameters.upper)
     if all(record.steps == 1 for record in problem.records):
         return _best(problem, theta)
     coarse = replace(problem, records=tuple(replace(record, steps=1) for record in problem.records))
     best = _best(coarse, theta)
-    finer = [r.between(points[::POINTS]) for r, points in zip(problem.records, best.at.points, strict=True)]
+    finer = [r.between(points[::POINTS]) for r, points in zip(problem.records, best.solution.points, strict=True)]
     return _solved(problem, best.theta, finer, exact=True)
 
 
@@ -263,17 +243,17 @@ def _best(problem: ShootingProblem, theta: Array) -> ShootingEstimate:
         if found.residual_scale < ASTRAY:
             return found
     except SolverError:
-        return _solved_near(problem, theta, _guessed(problem, theta))
+        return _solved_near(problem, theta, measured_states(problem))
     with suppress(SolverError):
-        other = _solved_near(problem, theta, _guessed(problem, theta))
-        return min(found, other, key=lambda one: float(np.sum(one.at.rows**2)))
+        other = _solved_near(problem, theta, measured_states(problem))
+        return min(found, other, key=lambda one: float(np.sum(one.solution.rows**2)))
     return found
 
 
 def _solved_near(problem: ShootingProblem, theta: Array, points: Sequence[Array]) -> ShootingEstimate:
     with suppress(SolverError):
         near = _solved(problem, theta, points, exact=False)
-        theta, points = near.theta, near.at.points
+        theta, points = near.theta, near.solution.points
     return _solved(problem, theta, points, exact=True)
 
 
@@ -284,30 +264,25 @@ def _simulated(problem: ShootingProblem, theta: Array) -> list[Array]:
     return [r.between(states) for r, states in found]
 
 
-def _guessed(problem: ShootingProblem, theta: Array) -> list[Array]:
-    return [r.between(r.guess) for r in problem.records]
-
-
 def _solved(problem: ShootingProblem, theta: Array, points: Sequence[Array], *, exact: bool) -> ShootingEstimate:
-    program = Program(problem)
-    parameters = problem.parameters
-    x = ca.MX.sym("x", program.size)
-    weight, multipliers, nothing = ca.MX.sym("weight"), ca.MX.sym("multipliers", program.defects), ca.MX.sym("p", 0)
-    at = program.at(x, weight, multipliers)
-    cost = ca.sumsqr(at.rows) / 2
-    hessian = weight * (at.rows_by_x.T @ at.rows_by_x) + (at.curvature if exact else 0)
+    collocation = Program(problem)
+    nlp = collocation.nlp(theta, points)
+    x, weight, multipliers = nlp.x, ca.MX.sym("weight"), ca.MX.sym("multipliers", collocation.defects)
+    here, nothing = collocation.expressions(x, weight, multipliers), ca.MX.sym("p", 0)
+    hessian = weight * (here.rows_by_x.T @ here.rows_by_x) + (here.curvature if exact else 0)
     options: dict[str, Any] = {
-        "grad_f": ca.Function("grad_f", [x, nothing], [cost, ca.densify(at.rows_by_x.T @ at.rows)],
-                              ["x", "p"], ["f", "grad_f_x"]),
-        "jac_g": ca.Function("jac_g", [x, nothing], [at.defects, at.defects_by_x], ["x", "p"], ["g", "jac_g_x"]),
+        "grad_f": ca.Function("grad_f", [x, nothing], [
+            ca.sumsqr(here.rows) / 2, ca.densify(here.rows_by_x.T @ here.rows)], ["x", "p"], ["f", "grad_f_x"]),
+        "jac_g": ca.Function("jac_g", [x, nothing], [here.defects, here.defects_by_x], ["x", "p"], ["g", "jac_g_x"]),
         "hess_lag": ca.Function("hess_lag", [x, nothing, weight, multipliers], [ca.triu(hessian)],
                                 ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"])}
     options |= ({"ipopt.max_iter": 2 * PATIENCE, "ipopt.mu_init": 1e-4} if exact else
                 {"ipopt.max_iter": PATIENCE, "ipopt.tol": NEAR, "ipopt.dual_inf_tol": NEAR})
-    free = np.full(program.size - len(parameters), np.inf)
-    lower = np.concatenate([(parameters.lower - parameters.nominal) / parameters.scale, -free])
-    upper = np.concatenate([(parameters.upper - parameters.nominal) / parameters.scale, free])
-    zero = np.zeros(program.defects)
-    nlp, where = {"x": x, "f": cost, "g": at.defects}, f"identification of {problem.name}"
-    answer = solvers.solve_nlp(nlp, program.start(theta, points), lower, upper, zero, zero, where, (), options)
-    return ShootingEstimate(problem, program.linearised(answer))
+    answer = solvers.solve_nlp(nlp.as_dict(), nlp.x0, nlp.lbx, nlp.ubx, nlp.lbg, nlp.ubg,
+                               f"identification of {problem.name}", (), options)
+    return ShootingEstimate(problem, collocation.linearised(answer))
+
+
+def measured_states(problem: ShootingProblem) -> list[Array]:
+    """Initial guess of the states (K, nx) of every record, straight between those at the samples."""
+    return [r.between(r.guess) for r in problem.records]

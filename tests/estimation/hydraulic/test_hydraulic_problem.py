@@ -6,6 +6,7 @@ import tempfile
 from dataclasses import replace
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
@@ -14,9 +15,12 @@ from hydroopt.errors import IdentifiabilityError, LogError, ProblemError
 from hydroopt.estimation.hydraulic import shooting
 from hydroopt.estimation.hydraulic.estimate import free_run_fit, identify_hydraulics
 from hydroopt.estimation.hydraulic.problem import hydraulic_problem
+from hydroopt.estimation.hydraulic.shooting import multiple_shooting
 from hydroopt.model.plant import Plant
+from hydroopt.results.answer import load
 from hydroopt.simulation.drive_valves import commands_for, drive
 from hydroopt.simulation.simulate import Trajectory
+from hydroopt.solving import solve
 
 CRANE = Path(__file__).parents[3] / "studies" / "actuator_coverage" / "crane.toml"
 
@@ -135,7 +139,7 @@ def test_free_runs_are_judged_by_what_was_read(crane, log):
     problem = hydraulic_problem(crane.machine, [log])
     record = problem.records(log)[0]
     estimate = identify_hydraulics(problem)
-    run = estimate.run(record, estimate.shooting.at.points[0][0])
+    run = estimate.run(record, estimate.shooting.solution.points[0][0])
     shifted = replace(run, outputs=record.y + np.array([0.0, 0.002, 0.0, 0.0]))
     fit = free_run_fit(problem, [shifted])["jack.length"]
     assert fit.rms == pytest.approx(0.002)
@@ -155,3 +159,43 @@ def _with(log, channel, values):
 
 def _without(log, channel):
     return replace(log, channels={name: x for name, x in log.channels.items() if name != channel})
+
+
+def test_the_problem_prints_itself_and_ipopt_finds_the_same_optimum(crane):
+    """By the program that the user gets, with derivatives by CasADi, against the first of our two solves."""
+    problem = hydraulic_problem(crane.machine, [driven(crane, swing(30, 3, 1), seed=1)])
+    text = str(problem)
+    for part in ("variables x", "jack.dead_band", "minimise f", "residuals of jack.p_head", "subject to g",
+                 "dynamics of lift.q"):
+        assert part in text
+    assert len(repr(problem)) < 100
+    program = problem.nlp()
+    assert program["oil.bulk_modulus"].numel() == 1
+    options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-9,
+               "ipopt.nlp_scaling_method": "none"}
+    answer = ca.nlpsol("by_hand", "ipopt", program.as_dict(), options)(**program.arguments())
+    first = multiple_shooting(problem.shooting)
+    objective = np.sum(first.solution.rows**2) / 2
+    assert float(answer["f"]) == pytest.approx(objective, rel=1e-9)
+    parameters = problem.parameters
+    found = parameters.nominal + parameters.scale * np.asarray(answer["x"]).ravel()[: len(parameters)]
+    np.testing.assert_allclose(found / first.theta, 1.0, rtol=1e-5)
+    louder = problem.nlp(sigma=2 * problem.sigma)
+    value = ca.Function("f", [louder.x], [louder.f])(answer["x"])
+    assert float(value) < objective / 2
+    with pytest.raises(ProblemError, match="not convex"):
+        problem.cvxpy()
+
+
+def test_an_estimate_is_loaded_as_it_was_saved(crane, log, tmp_path):
+    estimate = solve(hydraulic_problem(crane.machine, [log]))
+    estimate.save(tmp_path)
+    loaded = load(tmp_path)
+    assert repr(loaded) == repr(estimate)
+    assert str(loaded) == str(estimate)
+    assert loaded.parameters == estimate.parameters
+    assert loaded.diagnostics == estimate.diagnostics
+    assert loaded.fit == estimate.fit
+    assert loaded.details() == estimate.details()
+    assert loaded["jack.dead_band"] == estimate["jack.dead_band"] == estimate.shooting["jack.dead_band"]
+    assert load_machine(loaded.machine_file).oil.bulk_modulus == pytest.approx(loaded["oil.bulk_modulus"])

@@ -7,9 +7,12 @@ import numpy as np
 import pytest
 
 from hydroopt.errors import ProblemError
+from hydroopt.estimation.hydraulic.diagnostics import parameter_diagnostics
 from hydroopt.estimation.hydraulic.dynamics import WIDEST, Dynamics, Record, ShootingProblem, free_run
 from hydroopt.estimation.hydraulic.shooting import multiple_shooting
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
+from hydroopt.results.diagnostic import of_kind
+from hydroopt.results.wording import Kind
 
 RNG = np.random.default_rng(0)
 
@@ -62,8 +65,9 @@ def test_recovers_stiff_dynamics_simulated_by_cvodes():
     found = multiple_shooting(problem)
     np.testing.assert_allclose(found.theta, TRUTH, rtol=1e-5)
     # the line forgets how it began before the second sample
-    np.testing.assert_allclose(found.at.points[1][3::3] / dynamics.scale, states[1][1:] / dynamics.scale, atol=1e-5)
-    assert found.doubts == ()
+    np.testing.assert_allclose(found.solution.points[1][3::3] / dynamics.scale, states[1][1:] / dynamics.scale,
+                               atol=1e-5)
+    assert parameter_diagnostics(found) == ()
     simulated, outputs = found.free_run(problem.records[0])
     np.testing.assert_allclose(simulated[1:] / dynamics.scale, states[0][1:] / dynamics.scale, atol=1e-4)
     np.testing.assert_allclose(outputs, problem.records[0].y, rtol=1e-4, atol=1e-5)
@@ -81,7 +85,7 @@ def test_collocation_keeps_its_order():
         record = Record(t, np.zeros((2, 1)), np.array([[1.0, 0.0], [np.nan, np.nan]]), np.array([[1.0, 0.0]] * 2),
                         steps=steps, initial_sigma=np.full(2, 1e-6))
         fixed = ParameterSet(("w",), (ParameterKind.COEFFICIENT,), ("1",), *[np.ones(1)] * 4, np.eye(1))
-        end = multiple_shooting(ShootingProblem(oscillator, fixed, np.full(2, 1e-6), (record,))).at.points[0][-1]
+        end = multiple_shooting(ShootingProblem(oscillator, fixed, np.full(2, 1e-6), (record,))).solution.points[0][-1]
         fine = Record(np.linspace(0, 0.6, 60), np.zeros((60, 1)), np.zeros((60, 2)), np.zeros((60, 2)))
         errors.append(np.abs(end - free_run(oscillator, fine, np.array([1.0, 0.0]), np.ones(1))[0][-1]).max())
     assert errors[0] < 1e-4
@@ -95,7 +99,7 @@ def test_covariance_is_that_of_the_simulation_s_own_derivatives():
     nominal = TRUTH * 1.1
     found = multiple_shooting(ShootingProblem(dynamics, parameter_set("abcd", nominal, sigma=nominal), SIGMA,
                                               (record,)))
-    first, theta = found.at.points[0][0], found.theta
+    first, theta = found.solution.points[0][0], found.theta
     columns = []
     for k in range(4 + 4):
         size = theta[k] if k < 4 else dynamics.scale[k - 4]
@@ -135,15 +139,17 @@ def test_says_what_shows_only_as_a_ratio():
     start = parameter_set(("gain", "size", "leak"), [2.2, 0.9, 0.3], sigma=[1.0, 1.0, 1.0])
     found = multiple_shooting(ShootingProblem(first_order(), start, np.array([1e-3]), (driven([2.0, 1.0, 0.2]),)))
     assert found["gain"] / found["size"] == pytest.approx(2.0, rel=1e-3)
-    assert [doubt for doubt in found.doubts if "gain" in doubt and "size" in doubt and "only as a ratio" in doubt
-            and "the prior decides" in doubt]
+    (only,) = of_kind(parameter_diagnostics(found), Kind.RATIO_OR_PRODUCT_ONLY)
+    assert set(only.subject) == {"gain", "size"}
+    assert only.evidence["form"] == "ratio"
+    assert only.evidence["determined_by"] == "the prior"
 
 
 def test_without_priors_a_ratio_has_no_deviations():
     start = parameter_set(("gain", "size", "leak"), [2.2, 0.9, 0.3])
     found = multiple_shooting(ShootingProblem(first_order(), start, np.array([1e-3]), (driven([2.0, 1.0, 0.2]),)))
     assert np.isnan(found.std).tolist() == [True, True, False]
-    assert any("nothing decides" in doubt for doubt in found.doubts)
+    assert any(each.evidence.get("determined_by") == "nothing" for each in parameter_diagnostics(found))
 
 
 def test_a_bound_holds_and_is_named():
@@ -153,7 +159,9 @@ def test_a_bound_holds_and_is_named():
     assert np.isnan(found.std[2])
     assert found.ci95[2, 0] == 0
     assert 0 < found.ci95[2, 1] < 0.01
-    assert any("leak stands at its least value, 0 1; 95 % lie below" in doubt for doubt in found.doubts)
+    (held,) = of_kind(parameter_diagnostics(found), Kind.PARAMETER_AT_BOUND)
+    assert held.subject == ("leak",)
+    assert (held.evidence["side"], held.evidence["bound"], held.evidence["beyond"]) == ("lower", 0.0, "below")
 
 
 def test_errors_that_repeat_themselves_count_less():

@@ -96,6 +96,16 @@ def sweeps(plant: Plant, psi: Array, theta: Array, *, positions: int = 9, postur
     return found
 
 
+def workspace_sweeps(plant: Plant, psi: Array, theta: Array) -> tuple[Sweep, ...]:
+    """The sweeps that answers and their reports show, with parameters ψ (p,) and θ.
+
+    They are empty where the machine file states no supply pressure.
+    """
+    if plant.machine.pump is None or plant.machine.pump.pressure is None:
+        return ()
+    return tuple(sweeps(plant, psi, theta, positions=7, postures=2))
+
+
 def top_speed(plant: Plant, joint: str) -> float:
     """The greatest speed [rad/s or m/s] of a joint, or what its valve and the pump give it in mid-range.
 

@@ -1,0 +1,61 @@
+"""What a reader should know before trusting identified valves, oil and friction."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+
+from hydroopt.estimation.hydraulic.shooting import SHARE, ShootingEstimate, WeakDirection
+from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.wording import Kind
+from hydroopt.spatial.inertia import Array
+
+MISFIT = 1.5
+"""How many times a sensor's standard deviation the residuals must be for the model not to explain them."""
+NOTHING = 1e-6
+"""Part of the prior's information below which the data carry none."""
+
+
+def unexplained_channels(channels: Sequence[str], misfit: Array) -> Iterator[Diagnostic]:
+    """Channels whose residuals, in units (ny,) of their sensors' σ, the model does not explain."""
+    for channel, factor in zip(channels, misfit, strict=True):
+        if factor > MISFIT:
+            yield Diagnostic(Kind.UNEXPLAINED_CHANNEL, (channel,), {"factor": float(factor)})
+
+
+def parameter_diagnostics(estimate: ShootingEstimate) -> tuple[Diagnostic, ...]:
+    """Parameters that the data do not determine, and those at a bound."""
+    return (*(_weak(estimate, each) for each in estimate.weak_directions),
+            *(_at_bound(estimate, int(k)) for k in np.flatnonzero(estimate.at_bound)))
+
+
+def _weak(estimate: ShootingEstimate, weak: WeakDirection) -> Diagnostic:
+    """A direction on which the data carry little information."""
+    parameters, theta, members = estimate.problem.parameters, estimate.theta, weak.members
+    names = tuple(parameters.names[k] for k in members)
+    informed = all(parameters.information[k, k] > 0 for k in members)
+    evidence = {"information": weak.information, "determined_by": "the prior" if informed else "nothing"}
+    if len(names) == 1:
+        if weak.information < NOTHING:
+            return Diagnostic(Kind.NO_INFORMATION, names, evidence)
+        k = members[0]
+        reach = 1.96 * abs(weak.direction[k]) / np.sqrt(weak.information)
+        return Diagnostic(Kind.LITTLE_INFORMATION, names, evidence | {
+            "low": float(max(theta[k] - reach, parameters.lower[k])),
+            "high": float(min(theta[k] + reach, parameters.upper[k])), "unit": parameters.units[k]})
+    if len(names) == 2 and np.all(theta[members] != 0):
+        relative = weak.direction[members] / theta[members]
+        if abs(abs(relative[0] / relative[1]) - 1) < SHARE:
+            form = "ratio" if relative[0] * relative[1] > 0 else "product"
+            return Diagnostic(Kind.RATIO_OR_PRODUCT_ONLY, names, evidence | {"form": form})
+    return Diagnostic(Kind.COMBINATION_ONLY, names, evidence)
+
+
+def _at_bound(estimate: ShootingEstimate, k: int) -> Diagnostic:
+    """A parameter that a bound holds, with the other end of its interval."""
+    parameters, (low, high) = estimate.problem.parameters, estimate.ci95[k]
+    lower = bool(estimate.gradient[k] > 0)
+    return Diagnostic(Kind.PARAMETER_AT_BOUND, (parameters.names[k],), {
+        "side": "lower" if lower else "upper", "bound": float((parameters.lower if lower else parameters.upper)[k]),
+        "unit": parameters.units[k], "beyond": "below" if lower else "above", "limit": float(high if lower else low)})
