@@ -52,13 +52,11 @@ class HydraulicEstimate(Answer):
     Example:
         >>> import hydroopt as ho
         >>> plant = ho.Plant(ho.Model(ho.load_machine("patu655_lift")))
-        >>> motion = ho.random_trajectory(plant.model, duration=2, rate=50, seed=1, fastest=0.5)
-        >>> log = ho.drive(plant, motion.t, ho.commands_for(plant, motion), motion.q[0], seed=1)
+        >>> t = np.arange(160) / 50
+        >>> log = ho.drive(plant, t, 5.7 + np.cos(2 * t)[:, None], np.array([0.2]), seed=1)
         >>> estimate = ho.solve(ho.hydraulic_problem(plant.machine, [log]))
-        >>> estimate
-        <identification of valves and oil of patu655_lift by multiple shooting: ok, 12 parameters, 3 diagnostics>
-        >>> round(1e5 * estimate["lift_cylinder.rated_flow"])
-        103
+        >>> print(estimate.status, round(6e4 * estimate["lift_cylinder.rated_flow"]), "L/min")
+        ok 62 L/min
     """
 
     job = Job.HYDRAULICS
@@ -184,7 +182,8 @@ class HydraulicEstimate(Answer):
         theta, known = self.shooting.theta, self.shooting.problem
         held = replace(known.parameters, nominal=theta, lower=theta, upper=theta)
         found = shooting.multiple_shooting(replace(known, parameters=held, records=(short,)))
-        return found.solution.points[0][0]
+        first: Array = found.solution.points[0][0]
+        return first
 
     @cached_property
     def fit(self) -> Mapping[str, Mapping[str, Fit]]:

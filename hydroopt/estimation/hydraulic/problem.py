@@ -61,10 +61,10 @@ class HydraulicProblem:
     Example:
         >>> import hydroopt as ho
         >>> plant = ho.Plant(ho.Model(ho.load_machine("patu655_lift")))
-        >>> motion = ho.random_trajectory(plant.model, duration=2, rate=50, seed=1, fastest=0.5)
-        >>> log = ho.drive(plant, motion.t, ho.commands_for(plant, motion), motion.q[0], seed=1)
+        >>> t = np.arange(160) / 50
+        >>> log = ho.drive(plant, t, 5.7 + np.cos(2 * t)[:, None], np.array([0.2]), seed=1)
         >>> ho.hydraulic_problem(plant.machine, [log])
-        HydraulicProblem(patu655_lift: 12 parameters, 100 samples, 4 channels)
+        HydraulicProblem(patu655_lift: 9 parameters, 160 samples, 4 channels)
     """
 
     plant: Plant
