@@ -2,6 +2,7 @@
 
 import re
 import tomllib
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -44,6 +45,20 @@ def si_unit(channel: str, unit: str | None = None) -> str:
         return kind
     raise UnitError(f"'{unit}' does not suit channel '{channel}'", where="unit",
                     remedy=f"use {' or '.join(kinds)} or another unit of that kind")
+
+
+def refuse_other_units(units: Mapping[str, str], names: Iterable[str], noun: str, where: str) -> None:
+    """Refuse channels `names` that are stated in other units than SI ones.
+
+    Raises:
+        LogError: names the channel and its SI unit.
+    """
+    for name in names:
+        unit, usual = units.get(name), si_unit(name)
+        if unit and unit not in CHANNEL_UNITS[name.rpartition(".")[2]]:
+            raise LogError(f"channel '{name}' is stated in '{unit}', but a {noun} holds SI values only", where=where,
+                           remedy=f"convert it to '{usual}', or make the {noun} by "
+                                  f"from_frame(frame, units={{'{name}': '{unit}'}})")
 
 
 class ColumnMap(BaseModel):

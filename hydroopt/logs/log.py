@@ -3,17 +3,22 @@
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import HydrooptError, LogError, ProblemError
 from hydroopt.logs import quality as find
-from hydroopt.logs.column_map import LogMap, for_log, map_of_header, read_map, si_unit
+from hydroopt.logs.column_map import LogMap, for_log, map_of_header, read_map, refuse_other_units, si_unit
+from hydroopt.logs.frames import columns_of_frame, frame_of_columns
 from hydroopt.logs.quality import Finding
 from hydroopt.logs.readers import open_file
 from hydroopt.logs.table import Table, frozen, in_si, load, refuse_damage, write_columns
 from hydroopt.logs.treatment import Samples, choose, treat
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["Finding", "Log", "LogMap", "read_log", "read_map"]
 
@@ -50,7 +55,12 @@ class Log:
     units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
-        where, t = self.path or self.name, frozen(self.t, float)
+        where = self.path or self.name
+        if np.asarray(self.t).dtype.kind not in "fiu":
+            raise LogError(f"the time holds {np.asarray(self.t).dtype}, not seconds", where=where,
+                           remedy="subtract the first time and divide by numpy.timedelta64(1, 's'), or make the log by "
+                                  "Log.from_frame(frame, units={...})")
+        t = frozen(self.t, float)
         if t.ndim != 1 or t.size < 2 or not np.all(np.diff(t) > 0):
             raise LogError("times do not increase over two or more samples", where=where,
                            remedy="mend the time stamps or choose a longer stretch")
@@ -61,6 +71,7 @@ class Log:
             if x.shape != t.shape:
                 raise LogError(f"'{name}' has shape {x.shape}, the time {t.shape}", where=where,
                                remedy="give all channels the same length")
+        refuse_other_units(self.units, channels, "log", where)
         units = {name: self.units.get(name) or si_unit(name) for name in channels}
         for name, value in (("t", t), ("channels", channels), ("sample", sample), ("segment", segment),
                             ("units", units)):
@@ -125,9 +136,48 @@ class Log:
         Raises:
             LogError: another extension, or the file cannot be written.
         """
+        write_columns(path, self._columns(), "log")
+
+    def to_frame(self) -> "pd.DataFrame":
+        """A pandas DataFrame (N rows) with the columns ``t [s]`` and ``name [SI unit]``; `from_frame` reads it back.
+
+        >>> log = Log("run", [0.0, 0.02, 0.04], {"boom.q": [0.1, 0.2, 0.3]})
+        >>> log.to_frame().columns.tolist()
+        ['t [s]', 'boom.q [rad]']
+        """
+        return frame_of_columns(self._columns())
+
+    @classmethod
+    def from_frame(cls, frame: "pd.DataFrame", *, units: Mapping[str, str] | None = None, name: str = "frame",
+                   treatment: Mapping[str, str] | None = None,
+                   limits: Mapping[str, tuple[float, float]] | None = None) -> "Log":
+        """A log of a pandas DataFrame.
+
+        Args:
+            frame: columns named ``boom.q [deg]``, or ``boom.q`` with a unit in `units`; columns whose name has no dot
+                are foreign and left out. The time is a column ``t [s]``, or a column ``t`` or the index, of datetimes
+                (then t = 0 at the first row) or timedeltas, at their own resolution.
+            units: unit by name of the columns that have none in it.
+            name: short name of the log.
+            treatment, limits: as for `read_log`.
+
+        Raises:
+            LogError: a column has no unit, two units or no numbers; the time is missing or stated twice; or the data
+                are damaged as `read_log` says.
+
+        >>> import pandas as pd
+        >>> t = pd.date_range("2026-01-01", periods=3, freq="20ms")
+        >>> log = Log.from_frame(pd.DataFrame({"boom.q": [10.0, 20.0, 30.0]}, index=t), units={"boom.q": "deg"})
+        >>> log.t.tolist(), log.units["boom.q"], round(float(log.channels["boom.q"][1]), 6)
+        ([0.0, 0.02, 0.04], 'rad', 0.349066)
+        """
+        table, layout, ignored, values, si = columns_of_frame(frame, units, name)
+        return _of_table(name, table, full_layout(layout, [], name)[0], ignored, (values, si), choose(treatment),
+                         limits or {})
+
+    def _columns(self) -> dict[str, Array]:
         headers = (f"{name} [{self.units[name]}]" for name in self.channels)
-        columns = {"t [s]": self.t, **dict(zip(headers, self.channels.values(), strict=True))}
-        write_columns(path, columns, "log")
+        return {"t [s]": self.t, **dict(zip(headers, self.channels.values(), strict=True))}
 
 
 def read_log(
@@ -158,15 +208,21 @@ def read_log(
     file = open_file(kind, data, where, layout)
     layout, ignored = full_layout(layout, file.header, where)
     table = file.read(layout.keys)
-    values, units = in_si(layout, table, where)
+    made = _of_table(where, table, layout, ignored, in_si(layout, table, where), chosen, limits or {})
+    return replace(made, name=Path(path).stem, path=where, sha256=digest)
+
+
+def _of_table(where: str, table: Table, layout: LogMap, ignored: tuple[str, ...],
+              content: tuple[dict[str, Array], dict[str, str]], treatment: Mapping[str, str],
+              limits: Mapping[str, tuple[float, float]]) -> Log:
+    values, units = content
     t = values.pop("t")
     _refuse_damage(table, t, where)
     if table.rows.size < 2:
         raise LogError("there is only one data row", where=where, remedy="record at least two samples")
-    samples, segment = treat(Samples(t, values, table.rows), chosen, limits or {}, where)
+    samples, segment = treat(Samples(t, values, table.rows), treatment, limits, where)
     notes = samples.findings + left_out(layout, ignored, int(table.rows[0]), int(table.rows[-1]))
-    return Log(Path(path).stem, samples.t, samples.channels, samples.sample, segment, notes, where, digest,
-               units)
+    return Log(where, samples.t, samples.channels, samples.sample, segment, notes, units=units)
 
 
 def given_layout(mapping: LogMap | str | Path | None, where: str) -> LogMap | None:

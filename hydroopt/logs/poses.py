@@ -5,14 +5,19 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hydroopt.errors import LogError
-from hydroopt.logs.column_map import Labels, LogMap, TextColumn, map_of_header, read_map, si_unit
+from hydroopt.logs.column_map import Labels, LogMap, TextColumn, map_of_header, read_map, refuse_other_units, si_unit
+from hydroopt.logs.frames import columns_of_frame, frame_of_columns
 from hydroopt.logs.readers import open_table
-from hydroopt.logs.table import frozen, in_si, load, refuse_damage, write_columns
+from hydroopt.logs.table import Table, frozen, in_si, load, refuse_damage, write_columns
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 __all__ = ["LogMap", "Poses", "joined", "read_map", "read_pose_files", "read_poses"]
 
@@ -62,6 +67,9 @@ class Poses:
         channels = {name: frozen(x, float) for name, x in self.channels.items()}
         size = next(iter(channels.values())).size
         row = frozen(self.row if np.size(self.row) else np.arange(1, size + 1), int)
+        if np.size(self.t) and np.asarray(self.t).dtype.kind not in "fiu":
+            raise LogError(f"the time holds {np.asarray(self.t).dtype}, not seconds", where=self.name,
+                           remedy="make the table by Poses.from_frame(frame, units={...})")
         t = frozen(self.t if np.size(self.t) else np.full(size, np.nan), float)
         texts = {name: _texts(getattr(self, name), size) for name in ("stage", "fixture", "pose")}
         file = frozen(self.file if np.size(self.file) else np.full(size, ""), np.str_)
@@ -74,6 +82,7 @@ class Poses:
                 raise LogError(f"'{name}' is infinite", where=f"{file[bad[0]] or self.name}, data row {row[bad[0]]}",
                                remedy="correct the cell, or leave it empty if nothing was read")
         texts["pose"] = frozen(np.where(texts["pose"] == "", row.astype(np.str_), texts["pose"]), np.str_)
+        refuse_other_units(self.units, channels, "table of poses", self.name)
         units = {name: self.units.get(name) or si_unit(name) for name in channels}
         for name, value in {**texts, "t": t, "channels": channels, "units": units, "row": row, "file": file}.items():
             object.__setattr__(self, name, value)
@@ -98,10 +107,44 @@ class Poses:
         Raises:
             LogError: another extension, or the file cannot be written.
         """
+        write_columns(path, self._columns(), "table of poses")
+
+    def to_frame(self) -> pd.DataFrame:
+        """A pandas DataFrame (N rows) with labels, ``t [s]`` if stated, and ``name [SI unit]``.
+
+        >>> poses = Poses("run", stage=["a", "a"], channels={"boom.q": [0.1, 0.2]})
+        >>> poses.to_frame().columns.tolist()
+        ['stage', 'fixture', 'pose', 'boom.q [rad]']
+        """
+        return frame_of_columns(self._columns())
+
+    @classmethod
+    def from_frame(cls, frame: pd.DataFrame, *, units: Mapping[str, str] | None = None, name: str = "frame") -> Poses:
+        """A table of poses of a pandas DataFrame.
+
+        Args:
+            frame: columns named ``boom.q [deg]``, or ``boom.q`` with a unit in `units`, and texts ``stage``,
+                ``fixture``, ``pose``; empty cells mean "not read". A time is stated as for `Log.from_frame`.
+            units: unit by name of the columns that have none in it.
+            name: short name of the table.
+
+        Raises:
+            LogError: a column is no channel or label, has no unit, two units or no numbers.
+
+        >>> import pandas as pd
+        >>> frame = pd.DataFrame({"stage": ["low", "low"], "boom.q": [10.0, 20.0]})
+        >>> poses = Poses.from_frame(frame, units={"boom.q": "deg"})
+        >>> len(poses), poses.stage.tolist(), poses.units["boom.q"]
+        (2, ['low', 'low'], 'rad')
+        """
+        table, layout, _, values, si = columns_of_frame(frame, units, name, poses=True)
+        stage, fixture, pose = _labels(layout, table, {})
+        return cls(name, stage, fixture, pose, t=values.pop("t", np.empty(0)), channels=values, units=si)
+
+    def _columns(self) -> dict[str, NDArray[Any]]:
         time = {} if np.all(np.isnan(self.t)) else {"t [s]": self.t}
         channels = {f"{name} [{self.units[name]}]": x for name, x in self.channels.items()}
-        write_columns(path, {"stage": self.stage, "fixture": self.fixture, "pose": self.pose, **time, **channels},
-                      "table of poses")
+        return {"stage": self.stage, "fixture": self.fixture, "pose": self.pose, **time, **channels}
 
 
 def joined(parts: Sequence[Poses]) -> Poses:
@@ -150,18 +193,17 @@ def read_poses(path: str | Path, *, mapping: LogMap | str | Path | None = None) 
     file = open_table(kind, data, where, layout)
     if layout is None:
         layout, _ = map_of_header(file.header, where, poses=True)
-    labels = dict(layout.labels or Labels())
-    table = file.read(layout.keys, [label.column for label in labels.values() if isinstance(label, TextColumn)])
+    labels = [label for _, label in layout.labels or Labels()]
+    table = file.read(layout.keys, [label.column for label in labels if isinstance(label, TextColumn)])
     refuse_damage(table.damage, table.rows, where)
     values, units = in_si(layout, table, where)
     if not units:
         raise LogError("there is no channel", where=where, remedy="add columns such as 'boom.q [deg]' or 'tip.x [m]'")
     words = {"folder": Path(path).absolute().parent.name, "file": Path(path).stem}
     size = table.rows.size
-    texts = {name: np.array(table.texts[label.column] if isinstance(label, TextColumn)
-                            else [label.format(**words)] * size) for name, label in labels.items()}
-    return Poses(Path(path).stem, **texts, t=values.pop("t", np.full(size, np.nan)), channels=values, units=units,
-                 row=table.rows, file=np.full(size, where), sha256={where: digest})
+    stage, fixture, pose = _labels(layout, table, words)
+    return Poses(Path(path).stem, stage, fixture, pose, t=values.pop("t", np.full(size, np.nan)), channels=values,
+                 units=units, row=table.rows, file=np.full(size, where), sha256={where: digest})
 
 
 def read_pose_files(paths: Sequence[str | Path], *, mapping: LogMap | str | Path | None = None) -> Poses:
@@ -177,6 +219,12 @@ def read_pose_files(paths: Sequence[str | Path], *, mapping: LogMap | str | Path
             raise LogError("this file is named twice", where=str(path), remedy="name it once")
         seen.add(real)
     return joined([read_poses(path, mapping=layout) for path in paths])
+
+
+def _labels(layout: LogMap, table: Table, words: Mapping[str, str]) -> list[Texts]:
+    """Stage, fixture and pose (N,) of every row: from columns of text, or a text with words of the file's path."""
+    return [np.array(table.texts[label.column] if isinstance(label, TextColumn)
+                     else [label.format(**words)] * table.rows.size) for _, label in layout.labels or Labels()]
 
 
 def _texts(values: ArrayLike, size: int) -> Texts:

@@ -23,6 +23,7 @@ from hydroopt.estimation.inference.gaussian import gaussian_posterior
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
 from hydroopt.estimation.inference.problem import Distance
 from hydroopt.estimation.inference.program import NonlinearProgram
+from hydroopt.logs.frames import refuse_others
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import force_noise
 from hydroopt.logs.smoothing import Motion, Smoothing
@@ -414,6 +415,8 @@ def identification_problem(machine: Machine | Model, logs: Sequence[Log | LogStr
         LogError: a channel is missing or a log is too short.
         ProblemError: there is no log, or one is given twice.
     """
+    for some in (logs, validation):
+        refuse_others(some, (Log, LogStream), "log", "identification")
     _refuse_repetition([*logs, *validation])
     if not logs:
         raise ProblemError("there is no log to learn from", where="identification", remedy="give at least one")

@@ -19,6 +19,7 @@ from hydroopt.estimation.hydraulic.dynamics import Dynamics, Record, ShootingPro
 from hydroopt.estimation.hydraulic.shooting import measured_states
 from hydroopt.estimation.inference.identifiability import PREDICTED_TOLERANCE, significant
 from hydroopt.estimation.inference.program import NonlinearProgram
+from hydroopt.logs.frames import refuse_others
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import measured_angles, reading
 from hydroopt.logs.smoothing import SmoothingSpline, condition
@@ -203,6 +204,8 @@ def hydraulic_problem(machine: Machine, logs: Sequence[Log], validation: Sequenc
     Example:
         See `HydraulicProblem`.
     """
+    for some in (logs, validation):
+        refuse_others(some, (Log,), "log", "identification of valves and oil")
     plant = Plant(Model(machine))
     for log in (*logs, *validation):
         for channel in (*plant.inputs, *(c for each in plant.actuators for c in each.chambers)):

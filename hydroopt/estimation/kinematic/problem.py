@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
+from hydroopt.logs.frames import refuse_others
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
@@ -187,6 +188,7 @@ def calibration_problem(machine: Machine, poses: Poses, validation: Poses | None
     Raises:
         ProblemError: poses and machine do not fit together; the sentence names the row.
     """
+    refuse_others([poses] if validation is None else [poses, validation], (Poses,), "table of poses", "calibration")
     model = KinematicModel(machine)
     builder = _Builder(machine, model, poses)
     problem = CalibrationProblem(

@@ -1,0 +1,139 @@
+"""pandas DataFrames as tables of columns, and back: the boundary between a user's own data and SI arrays."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping, Sequence
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from hydroopt.errors import LogError
+from hydroopt.logs.column_map import Labels, LogMap, TextColumn, map_of_header, si_unit
+from hydroopt.logs.table import Array, Table, in_si
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+TICKS = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
+"""Steps per second of numpy's resolutions of time."""
+
+
+def columns_of_frame(frame: pd.DataFrame, units: Mapping[str, str] | None, where: str, *,
+                     poses: bool = False) -> tuple[Table, LogMap, tuple[str, ...], dict[str, Array], dict[str, str]]:
+    """Raw table, layout, columns left out, values (N,) in SI with the time ``t``, and the SI unit of each channel.
+
+    Args:
+        frame: columns named ``boom.q [deg]``, or ``boom.q`` with a unit in `units`. The time is a column ``t``, in
+            a unit or as datetimes or timedeltas, or an index of datetimes or timedeltas.
+        units: unit of columns without one in their name.
+        where: what errors call the frame.
+        poses: whether it is a table of poses.
+
+    Raises:
+        LogError: a column has no unit, two units or no numbers; the time is missing or stated twice.
+    """
+    import pandas as pd  # noqa: PLC0415 (import cost)
+
+    if not isinstance(frame, pd.DataFrame):
+        raise LogError(f"this is a {type(frame).__name__}, not a pandas DataFrame", where=where,
+                       remedy="give a DataFrame with columns such as 'boom.q [deg]'")
+    if not len(frame):
+        raise LogError("the frame has no rows", where=where, remedy="give at least one")
+    names = [str(name).strip() for name in frame.columns]
+    series = [frame.iloc[:, k] for k in range(len(names))]
+    moments = _moments(frame.index)
+    if moments is not None:
+        if any(_bare(name) == "t" for name in names):
+            raise LogError("the time stands both in a column and in the index", where=where,
+                           remedy="remove one, for example with frame.reset_index(drop=True)")
+        names, series = ["t", *names], [moments, *series]
+    stated, header = dict(units or {}), []
+    for k, name in enumerate(names):
+        if (moment := _moments(series[k])) is not None:
+            series[k] = moment
+            header.append(f"{_bare(name)} [s]")
+        else:
+            header.append(_header(name, stated.pop(name, None), where, poses=poses))
+    if stated:
+        raise LogError(f"units are stated for {', '.join(map(repr, stated))}, but there is no such column", where=where,
+                       remedy=f"correct the names; the columns are {', '.join(names[:20])}")
+    layout, ignored = map_of_header(header, where, poses=poses)
+    raw = {k: _numbers(series[k], names[k], where) for k in map(int, layout.keys)}  # type: ignore[arg-type]
+    texts = {label.column: ["" if pd.isna(cell) else str(cell) for cell in series[int(label.column)]]
+             for _, label in (layout.labels or Labels()) if isinstance(label, TextColumn)}
+    table = Table(dict(raw), np.arange(1, len(frame) + 1), texts=texts)  # type: ignore[arg-type]
+    values, si = in_si(layout, table, where)
+    return table, layout, ignored, values, si
+
+
+def frame_of_columns(columns: Mapping[str, Any]) -> pd.DataFrame:
+    """A DataFrame of columns (N,) by header."""
+    import pandas as pd  # noqa: PLC0415 (import cost)
+
+    return pd.DataFrame({name: np.array(column) for name, column in columns.items()})
+
+
+def refuse_others(given: object, kinds: tuple[type, ...], noun: str, where: str) -> None:
+    """Refuse what is no sequence of logs, such as a bare DataFrame.
+
+    Raises:
+        LogError: names what was given and how to make a log of it.
+    """
+    items = given if isinstance(given, Sequence) and not isinstance(given, str) else [given]
+    for item in items:
+        if not isinstance(item, kinds):
+            raise LogError(f"this is a {type(item).__name__}, not a {noun}", where=where,
+                           remedy=f"make one by {kinds[0].__name__}.from_frame(frame, units={{...}}) or by reading a "
+                                  "file")
+    if items is not given:
+        raise LogError(f"this is one {noun}, not a list", where=where, remedy=f"put the {noun} in brackets")
+
+
+def _bare(name: str) -> str:
+    return re.sub(r"\s*\[[^\[\]]*\]$", "", name)
+
+
+def _header(name: str, unit: str | None, where: str, *, poses: bool) -> str:
+    """The header `name [unit]` of a column; labels and foreign columns have no unit."""
+    if name != _bare(name):
+        if unit is not None:
+            raise LogError(f"column '{name}' has a unit in its name and '{unit}' in units", where=where,
+                           remedy="state it once")
+        return name
+    if unit is None and (name == "t" or "." in name):
+        raise LogError(f"column '{name}' has no unit", where=where,
+                       remedy=f"name it '{name} [{si_unit(name)}]' or state units={{'{name}': '{si_unit(name)}'}}")
+    return name if unit is None else f"{name} [{unit}]"
+
+
+def _numbers(series: Any, name: str, where: str) -> Array:
+    """Values (N,) of a column, missing ones NaN."""
+    import pandas as pd  # noqa: PLC0415 (import cost)
+
+    if isinstance(series, np.ndarray):
+        return series
+    if not pd.api.types.is_numeric_dtype(series.dtype) or pd.api.types.is_bool_dtype(series.dtype):
+        raise LogError(f"column '{name}' holds {series.dtype}, not numbers", where=where,
+                       remedy="convert it, for example with pandas.to_numeric")
+    return np.asarray(series.to_numpy(dtype=float, na_value=np.nan))
+
+
+def _moments(values: Any) -> Array | None:
+    """Seconds (N,) of datetimes, from the first on, or of timedeltas; None of anything else. Missing ones are NaN."""
+    import pandas as pd  # noqa: PLC0415 (import cost)
+
+    if isinstance(values, np.ndarray):
+        return values
+    dtype = values.dtype
+    if isinstance(dtype, pd.DatetimeTZDtype):
+        values = values.tz_convert("UTC").tz_localize(None) if isinstance(values, pd.Index) else (
+            values.dt.tz_convert("UTC").dt.tz_localize(None))
+    elif getattr(dtype, "kind", "") not in "mM":
+        return None
+    ticks = values.to_numpy()
+    missing = np.isnat(ticks)
+    if ticks.dtype.kind == "M":
+        ticks = ticks - ticks[~missing][:1] if np.any(~missing) else ticks - ticks
+    step = TICKS[np.datetime_data(ticks.dtype)[0]]
+    return np.where(missing, np.nan, ticks.astype(np.int64) / step)
