@@ -18,6 +18,7 @@ import pytest
 from fixtures import library
 from fixtures.fuzz import INPUTS, MODES, driver
 from fixtures.library import OK, OUT_OF_STROKE, run, sources, write
+from fixtures.tiers import tiered
 from hydroopt.codegen.folder import STATUSES, Code
 from hydroopt.codegen.parameter_source import read
 from hydroopt.codegen.routines import ROUTINES
@@ -36,6 +37,8 @@ SINGLE = {f"{name}f" for name in ("sin", "cos", "tan", "asin", "acos", "atan", "
 """What single precision may call: the last two are for a compiler to call where a struct is copied."""
 SANITIZE = ("-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
 FUZZED = (("cat215b", "double"), ("patu655_lift", "float"), ("kr300", "float"))
+QUICK = {("patu655_lift", "float"), ("patu655_lift", "double"), ("kr300", "float"), ("cat215b", "double")}
+"""Machines and precisions whose code a compiler turns out soon; the others are slow."""
 
 
 def tool(name: str) -> str:
@@ -84,9 +87,9 @@ def copied(source: Path, target: Path) -> Path:
 # warnings
 
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
-@pytest.mark.parametrize(("machine", "real"), [*((machine, "float") for machine in bundled()),
-                                               *((machine, "double") for machine in MACHINES),
-                                               ("cat215b folded", "float"), ("spatial", "double")])
+@pytest.mark.parametrize(("machine", "real"), tiered([
+    *((machine, "float") for machine in bundled()), *((machine, "double") for machine in MACHINES),
+    ("cat215b folded", "float"), ("spatial", "double")], lambda *case: case in QUICK))
 def test_compilers_do_not_warn(machine: str, real: str, compiler: str, folder) -> None:
     place = folder(machine, real)
     must([tool(compiler), *STRICT, "-fsyntax-only", *sorted(file.name for file in place.glob("*.c"))], place)
@@ -158,7 +161,7 @@ def test_doubles_are_noticed_where_there_are_some(objects) -> None:
 
 
 @pytest.mark.skipif(os.uname().machine != "x86_64", reason="this is no x86-64")
-@pytest.mark.parametrize("machine", MACHINES)
+@pytest.mark.parametrize("machine", tiered(MACHINES, lambda machine: (machine, "float") in QUICK))
 def test_single_precision_has_no_double_instruction(machine: str, objects) -> None:
     made = objects(machine, "float", tool("gcc"), OPTIMISED[machine])
     found = instructions(must([tool("objdump"), "-d", "--no-show-raw-insn", *made], Path(".")))
@@ -167,7 +170,7 @@ def test_single_precision_has_no_double_instruction(machine: str, objects) -> No
     assert undefined(must(["nm", *made], Path(".")), machine) <= SINGLE
 
 
-@pytest.mark.parametrize("machine", MACHINES)
+@pytest.mark.parametrize("machine", tiered(MACHINES, lambda machine: (machine, "float") in QUICK))
 def test_single_precision_has_no_double_instruction_on_a_controller(machine: str, objects) -> None:
     made = objects(machine, "float", tool("arm-none-eabi-gcc"), "-O1", *CORTEX_M4F)
     listed = must([tool("arm-none-eabi-objdump"), "-d", "--no-show-raw-insn", *made], Path("."))
@@ -211,8 +214,8 @@ def test_literals_of_double_precision_are_exact(machine: str, folder) -> None:
 
 # what a controller must not meet
 
-@pytest.mark.parametrize(("machine", "real"), [*((machine, "float") for machine in MACHINES),
-                                               ("patu655_lift", "double")])
+@pytest.mark.parametrize(("machine", "real"), tiered([
+    *((machine, "float") for machine in MACHINES), ("patu655_lift", "double")], lambda *case: case in QUICK))
 def test_no_state_is_kept_and_nothing_is_allocated_or_printed(machine: str, real: str, objects, folder) -> None:
     listed = must(["nm", *objects(machine, real, "gcc", OPTIMISED[machine])], Path("."))
     assert not re.findall(r"^[0-9a-f]+ [BbDdCcGgSs] \S+", listed, re.MULTILINE)
@@ -263,10 +266,11 @@ def test_misra_remarks_are_counted(folder) -> None:
 
 # the folder by itself
 
-@pytest.mark.parametrize(("machine", "real", "flags"), [
+@pytest.mark.parametrize(("machine", "real", "flags"), tiered([
     ("patu655_lift", "double", ()), ("patu655_lift", "float", ()), ("kr300", "float", ("CFLAGS=-O0",)),
     ("cat215b folded", "float", ("CFLAGS=-O0",)), ("spatial", "double", ("CFLAGS=-O0",)),
-    *((machine, real, ("CFLAGS=-O0",)) for machine in ("cat215b", "panda_mukca") for real in REALS)])
+    *((machine, real, ("CFLAGS=-O0",)) for machine in ("cat215b", "panda_mukca") for real in REALS)],
+    lambda machine, real, flags: (machine, real) in QUICK))
 def test_folder_tests_itself_by_make(machine: str, real: str, flags: tuple[str, ...], folder, tmp_path: Path) -> None:
     place = copied(folder(machine, real), tmp_path / "elsewhere")
     name = library.subject(machine, real).name
@@ -275,7 +279,8 @@ def test_folder_tests_itself_by_make(machine: str, real: str, flags: tuple[str, 
     assert {file.name for file in place.iterdir()} == {file.name for file in folder(machine, real).iterdir()}
 
 
-@pytest.mark.parametrize(("machine", "real"), [("patu655_lift", "double"), ("cat215b", "float")])
+@pytest.mark.parametrize(("machine", "real"), tiered([("patu655_lift", "double"), ("cat215b", "float")],
+                                                    lambda *case: case in QUICK))
 def test_folder_tests_itself_by_cmake(machine: str, real: str, folder, tmp_path: Path) -> None:
     place = copied(folder(machine, real), tmp_path / "elsewhere")
     tool("ctest")
@@ -336,6 +341,7 @@ def test_texts_are_the_same_however_often_they_are_made(folder) -> None:
     assert {file.name: file.read_text("utf-8") for file in folder("cat215b", "double").iterdir()} == again
 
 
+@pytest.mark.slow
 def test_texts_do_not_depend_on_the_seed_of_hashes(tmp_path: Path) -> None:
     """Through the command, and with the sizes that the compiler here tells."""
     given = ["codegen", "patu655_lift", "-o", str(tmp_path / "one"), "--quiet", "--functions", "inverse_dynamics"]
@@ -370,7 +376,7 @@ def sanitized(folder, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str
     return get
 
 
-@pytest.mark.parametrize(("machine", "real"), FUZZED)
+@pytest.mark.parametrize(("machine", "real"), tiered(FUZZED, lambda *case: case in QUICK))
 def test_sanitizers_find_nothing_in_the_self_test(machine: str, real: str, sanitized) -> None:
     assert "self-test passed" in sanitized(machine, real)["selftest"]
 
@@ -383,7 +389,7 @@ def counted(printed: str) -> dict[tuple[str, str], dict[str, int]]:
             for routine, mode, by, unknown, touched, infinite in rows}
 
 
-@pytest.mark.parametrize(("machine", "real"), FUZZED)
+@pytest.mark.parametrize(("machine", "real"), tiered(FUZZED, lambda *case: case in QUICK))
 def test_random_inputs_give_a_status_and_a_result_that_fits_it(machine: str, real: str, sanitized) -> None:
     """A status of the list; nothing is written where it says so; finite results where they may be used."""
     counts = counted(sanitized(machine, real)["fuzz"])

@@ -117,6 +117,7 @@ def test_a_given_motion_is_the_same_in_all_cells(crane: Model) -> None:
         montecarlo(crane.machine, cells=3, motion=motion, vary={"rate": [50.0]})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
 def test_blocks_keep_the_variance_of_a_mean(rho: float) -> None:
     """Of a first-order process: Σ(1 − |k|/b)·ρ^|k| over |k| < b of N⁻¹ by theory, less b/N as its mean is taken off."""
@@ -138,6 +139,7 @@ def test_block_length_is_that_of_politis_and_white() -> None:
     assert block_length(1e6, 100) == 25
 
 
+@pytest.mark.slow
 def test_scatter_of_the_bootstrap_is_that_of_new_measurements(crane: Model) -> None:
     """Of the forces alone, whose noise is white here: what a new log's noise does, the bootstrap foretells from one."""
     motion = random_trajectory(crane, duration=12.0, rate=50.0, seed=2)
@@ -159,6 +161,7 @@ def test_scatter_of_the_bootstrap_is_that_of_new_measurements(crane: Model) -> N
     np.testing.assert_allclose(stated, 1.0, atol=0.25)
 
 
+@pytest.mark.slow
 def test_starts_within_the_confidences_lead_to_one_geometry() -> None:
     machine = load_machine("cat215b")
     model = KinematicModel(machine)

@@ -70,6 +70,7 @@ def process(*arguments: str, **options: object) -> Iterator[subprocess.Popen[byt
         running.wait()
 
 
+@pytest.mark.slow
 def test_a_study_killed_at_half_goes_on_and_a_worker_killed_costs_nothing(tmp_path: Path) -> None:
     out, study, told, killed = tmp_path / "out", quick.study(40, pause=0.05), [], []
     with process(quick.__file__, str(out), "40", "0.05") as running:
@@ -98,6 +99,7 @@ def test_a_study_killed_at_half_goes_on_and_a_worker_killed_costs_nothing(tmp_pa
     assert told[-1] == "40 of 40 cells, 0 s left"
 
 
+@pytest.mark.slow
 def test_workers_of_a_scheduler_elsewhere_give_the_same_bits(tmp_path: Path) -> None:
     """They share no directory with the study, and one of them is killed."""
     study, away = quick.study(30, pause=0.05), tmp_path / "away"

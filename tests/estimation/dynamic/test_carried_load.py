@@ -76,6 +76,7 @@ def test_a_locked_link_without_a_body_carries_in_its_own_frame():
     assert [one.value for one in found.com] == pytest.approx(own, abs=1e-8)
 
 
+@pytest.mark.slow
 def test_intervals_hold_a_noisy_load():
     inside = []
     for seed in range(12):

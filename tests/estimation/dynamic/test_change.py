@@ -133,6 +133,7 @@ def wald_of(before: Session, after: Session):
     return wald(problem, *problem.rows(before, after), before.freedom + after.freedom)
 
 
+@pytest.mark.slow
 def test_false_alarms_are_as_rare_as_stated_and_intervals_hold():
     truth, rng = moved(PLANAR), np.random.default_rng(5)
     tests = [wald_of(drawn(truth, 2 * (k % 20), rng), drawn(truth, 2 * (k % 20) + 1, rng)) for k in range(600)]
@@ -144,6 +145,7 @@ def test_false_alarms_are_as_rare_as_stated_and_intervals_hold():
     assert 0.94 <= np.mean(inside) <= 0.96
 
 
+@pytest.mark.slow
 def test_the_smallest_detectable_change_is_detected_as_often_as_stated():
     name, rng = "upper_drive.tau_viscous", np.random.default_rng(6)
     place = PARTS.index(name)

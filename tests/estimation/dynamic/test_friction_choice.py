@@ -110,6 +110,7 @@ def test_robust_losses_find_stribeck_speeds_too(loss: Any) -> None:
     assert abs(robust["lift_cylinder.f_stribeck"] - 1500) < abs(plain["lift_cylinder.f_stribeck"] - 1500)
 
 
+@pytest.mark.slow
 def test_the_spread_of_stribeck_speeds_is_what_each_estimate_tells() -> None:
     machine = crane(coulomb=500.0, viscous=3000.0, stribeck=1500.0, stribeck_speed=0.03)
     k = Model(machine).parameters.index("lift_cylinder.v_stribeck")
@@ -229,6 +230,7 @@ def test_stribeck_is_chosen_where_it_is(sticking: FrictionChoice) -> None:
         estimate.psi[estimate.problem.parameters.index("lift_cylinder.f_stribeck")])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("truth", "terms"), [
     ({"viscous": 5000.0}, "viscous"), ({"coulomb": 500.0, "viscous": 2000.0, "viscous_reverse": 25000.0},
                                        "coulomb+viscous+reverse"),
@@ -251,6 +253,7 @@ def test_nothing_is_chosen_without_held_out_data() -> None:
         choose_friction(crane(), logs_of(crane(coulomb=1.0), seeds=(1,)), [])
 
 
+@pytest.mark.slow
 def test_seals_are_tried_where_pressures_were_measured() -> None:
     machine = crane(coulomb=500.0)
     logs = []

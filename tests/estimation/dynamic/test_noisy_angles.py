@@ -98,6 +98,7 @@ def errors(sensed: Model, recorded: Any) -> dict[str, np.ndarray]:
     return {name: np.array(some) for name, some in found.items()}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("better", ["instruments", "fitted"])
 def test_bias_of_the_inertia_shrinks(better: str, errors: dict[str, np.ndarray]) -> None:
     """Least squares on noisy accelerations finds too little inertia; neither of the better ways does."""
@@ -105,6 +106,7 @@ def test_bias_of_the_inertia_shrinks(better: str, errors: dict[str, np.ndarray])
     assert abs(np.mean(errors[better][:, 3])) < 0.2 * abs(np.mean(errors["filter"][:, 3]))
 
 
+@pytest.mark.slow
 def test_intervals_of_the_fitted_motion_are_honest(errors: dict[str, np.ndarray]) -> None:
     scatter = errors["fitted"] / errors["fitted std"]
     assert 0.85 < np.sqrt(np.mean(scatter**2)) < 1.15  # 240 numbers

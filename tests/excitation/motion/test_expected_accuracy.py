@@ -60,6 +60,7 @@ def identified(model: Model, motion: Trajectory, runs: int) -> tuple[tuple[int, 
     return found[0].seen.basis, found[0].seen.grouping, np.array([one.base_value for one in found])
 
 
+@pytest.mark.slow
 def test_std_is_the_scatter_of_identifications(lift: Model, motion: Trajectory, expectation: Expectation) -> None:
     basis, _, found = identified(lift, motion, 60)
     assert basis == structural(lift).basis
@@ -69,6 +70,7 @@ def test_std_is_the_scatter_of_identifications(lift: Model, motion: Trajectory, 
     assert np.all((ratio > 0.7) & (ratio < 1.4)), ratio  # 60 runs tell a standard deviation to 9 %
 
 
+@pytest.mark.slow
 def test_std_is_the_scatter_where_several_joints_move() -> None:
     """Those base parameters that the logs' own basis groups in the same way; what no log shows is not told."""
     model = Model(load_machine("cat215b"))

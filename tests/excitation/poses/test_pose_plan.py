@@ -57,6 +57,7 @@ def informed(plan, **options):
     return expected_uncertainty(plan.machine, plan.q, plan.stage, plan.fixture, **options)
 
 
+@pytest.mark.slow
 def test_plan_beats_random_choices(plan):
     assert log_det(informed(plan, fixed=FIXED)) == pytest.approx(plan.log_det, abs=1e-3)
     assert list(plan.stage) == np.repeat(STAGES, 15).tolist()
@@ -135,6 +136,7 @@ def test_std_is_that_of_finite_differences(plan):
     np.testing.assert_allclose(plan.std, np.sqrt(np.diag(np.linalg.inv(information))), rtol=1e-3)
 
 
+@pytest.mark.slow
 def test_std_is_the_scatter_of_the_joint_estimator():
     plan, errors = plan_poses(CAT, 20, candidates=200, fixed=FIXED), []
     for seed in range(30):
