@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import ctypes
-from collections.abc import Callable
 from copy import copy
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import cython_lapack
+from scipy.linalg import lapack
 
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
@@ -73,26 +71,9 @@ class Triangles:
                          for block, columns in zip(self.compact, self.columns, strict=True)])
 
 
-def _routine(name: str) -> Callable[..., None]:
-    """A LAPACK routine of SciPy's, called so that other threads run meanwhile, which `scipy.linalg.lapack` prevents."""
-    capsule = vars(cython_lapack)["__pyx_capi__"][name]
-    api, handle = ctypes.pythonapi, ctypes.py_object
-    named = ctypes.PYFUNCTYPE(ctypes.c_char_p, handle)(("PyCapsule_GetName", api))
-    pointed = ctypes.PYFUNCTYPE(ctypes.c_void_p, handle, ctypes.c_char_p)(("PyCapsule_GetPointer", api))
-    return ctypes.CFUNCTYPE(None, *[ctypes.c_void_p] * 9)(pointed(capsule, named(capsule)))
-
-
-_DGEQRT = _routine("dgeqrt")
-
-
 def _triangle(block: Array) -> Array:
     """R of the QR of a block (m, k) in Fortran's order with m ≥ k, which is written over."""
-    m, k = block.shape
-    panel = min(PANEL, k)
-    sizes = {name: ctypes.c_int(value) for name, value in (("m", m), ("k", k), ("panel", panel), ("info", 1))}
-    held = [np.empty((panel, k), order="F"), np.empty(panel * k)]
-    at = {name: ctypes.addressof(value) for name, value in sizes.items()}
-    _DGEQRT(at["m"], at["k"], at["panel"], block.ctypes.data, at["m"], held[0].ctypes.data, at["panel"],
-            held[1].ctypes.data, at["info"])
-    assert sizes["info"].value == 0
-    return np.asfortranarray(np.triu(block[:k]))
+    k = block.shape[1]
+    factored, _, info = lapack.dgeqrt(min(PANEL, k), block, overwrite_a=True)
+    assert info == 0
+    return np.asfortranarray(np.triu(factored[:k]))
