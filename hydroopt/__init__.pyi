@@ -5,12 +5,10 @@ from .errors import LogError as LogError
 from .errors import MachineError as MachineError
 from .errors import ProblemError as ProblemError
 from .errors import SolverError as SolverError
-from .estimation.dynamic.calibrated import calibrated_machine as calibrated_machine
 from .estimation.dynamic.change import Change as Change
 from .estimation.dynamic.change import detect_change as detect_change
-from .estimation.dynamic.diagnostics import doubts as doubts
 from .estimation.dynamic.estimate import Estimate as Estimate
-from .estimation.dynamic.friction_choice import FrictionChoice as FrictionChoice
+from .estimation.dynamic.friction_candidates import FrictionChoice as FrictionChoice
 from .estimation.dynamic.friction_choice import choose_friction as choose_friction
 from .estimation.dynamic.friction_choice import with_friction as with_friction
 from .estimation.dynamic.payload import Payload as Payload
@@ -48,7 +46,7 @@ from .machine.urdf import read_urdf as read_urdf
 from .model.closed_chain import KinematicModel as KinematicModel
 from .model.model import Model as Model
 from .model.plant import Plant as Plant
-from .report.folder import save as save
+from .results.answer import load as load
 from .simulation.drive_valves import commands_for as commands_for
 from .simulation.drive_valves import drive as drive
 from .simulation.simulate import random_trajectory as random_trajectory

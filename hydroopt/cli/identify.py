@@ -28,14 +28,16 @@ from hydroopt.cli.options import (
     treatment_of,
 )
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.estimation.dynamic.diagnostics import doubts
+from hydroopt.estimation.dynamic.estimate import inputs_of
 from hydroopt.estimation.dynamic.friction_choice import TERMS, choose_friction, friction_problem, terms_of
 from hydroopt.estimation.dynamic.identify import METHODS, Method
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.logs.log import read_log
 from hydroopt.logs.stream import open_log
 from hydroopt.machine.machine_file import load_machine
-from hydroopt.report import folder
+from hydroopt.report import identification
+from hydroopt.results import store
+from hydroopt.results.diagnostic import sentences
 from hydroopt.solving import solve
 
 
@@ -96,28 +98,29 @@ def identify(
 
     with progress(f"identifying {described.name}", quiet):
         stated = partial(identification_problem, described, train, held_out, actuator_inertia=full, smoothing=way)
-        choice = None
         try:
             if friction is None or len(sets) == 1:
                 problem = prepared(stated() if friction is None else friction_problem(
                     described, train, held_out, sets[0], actuator_inertia=full, smoothing=way))
                 estimate = solve(problem, chosen, tolerance=tolerance, ridge=ridge, seed=seed)
             else:
-                choice = choose_friction(described, train, held_out, sets or None, smoothing=way, actuator_inertia=full,
-                                         prepare=prepared, method=chosen, tolerance=tolerance, ridge=ridge, seed=seed)
-                estimate = choice.estimate
+                estimate = choose_friction(described, train, held_out, sets or None, smoothing=way,
+                                           actuator_inertia=full, prepare=prepared, method=chosen, tolerance=tolerance,
+                                           ridge=ridge, seed=seed)
         except SolverError as error:
-            folder.save_failure(stated(), method, error, output)
+            store.write_failure(output, store.Job.IDENTIFICATION, described.name, described.sha256, method,
+                                inputs_of(stated()), error)
             raise
-        content = folder.save(estimate, output, wall_s=time.perf_counter() - began, friction=choice)
+        wall_s = time.perf_counter() - began
+        estimate.save(output, pages={"report.html": identification.render(estimate)}, wall_s=wall_s)
     if as_json:
-        typer.echo(json.dumps(content, indent=1))
+        typer.echo(json.dumps(estimate.content(wall_s=wall_s), indent=1))
     elif not quiet:
-        if choice is not None:
-            typer.echo(f"{choice}\n{choice.rule}")
+        if estimate.friction_choice is not None:
+            typer.echo(f"{estimate.friction_choice}\n{estimate.friction_choice.rule}")
         typer.echo(str(estimate))
-        for doubt in doubts(estimate):
-            typer.echo(f"  ! {doubt}")
+        for sentence in sentences(estimate.diagnostics):
+            typer.echo(f"  ! {sentence}")
         typer.echo(f"{output / 'report.html'}")
 
 

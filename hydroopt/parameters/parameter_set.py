@@ -7,6 +7,8 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import cached_property
 
+import numpy as np
+
 from hydroopt.errors import ProblemError
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.spatial.inertia import Array
@@ -38,6 +40,11 @@ class ParameterSet:
 
     def __len__(self) -> int:
         return len(self.names)
+
+    @property
+    def prior_std(self) -> Array:
+        """Standard deviations (p,) of the priors, NaN where there is none."""
+        return np.where(np.diag(self.information) > 0, self.scale, np.nan)
 
     @cached_property
     def positions(self) -> dict[str, int]:

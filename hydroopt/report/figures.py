@@ -205,17 +205,15 @@ class Change(NamedTuple):
 
 
 def _changes(estimate: Estimate) -> list[tuple[str, list[Change]]]:
-    known = np.diag(estimate.problem.parameters.information) > 0
     groups: dict[str, list[Change]] = {}
-    for k, name in enumerate(estimate.problem.parameters.names):
-        size = float(estimate.problem.parameters.scale[k] if known[k] else estimate.std[k])
-        if not (np.isfinite(estimate.value[k]) and np.all(np.isfinite(estimate.ci95[k])) and size > 0):
+    for name, one in estimate.parameters.items():
+        size = one.prior_std or one.std
+        if one.value is None or one.nominal is None or one.ci95 is None or not size:
             continue
-        nominal = estimate.problem.parameters.nominal[k]
-        change, low, high = ((float(x) - nominal) / size for x in (estimate.value[k], *estimate.ci95[k]))
+        change, low, high = ((x - one.nominal) / size for x in (one.value, *one.ci95))
         owner, _, element = name.rpartition(".")
         groups.setdefault(owner, []).append(
-            Change(element, change, low, high, estimate.identifiability(k) == "full", bool(known[k])))
+            Change(element, change, low, high, one.identifiability == "full", one.prior_std is not None))
     return list(groups.items())
 
 

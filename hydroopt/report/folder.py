@@ -15,13 +15,6 @@ from hydroopt.codegen.parameter_source import Origin
 from hydroopt.codegen.routines import Course
 from hydroopt.errors import HydrooptError, ProblemError
 from hydroopt.estimation.dynamic import stored_information
-from hydroopt.estimation.dynamic.calibrated import calibrated_machine
-from hydroopt.estimation.dynamic.diagnostics import doubts
-from hydroopt.estimation.dynamic.estimate import Estimate
-from hydroopt.estimation.dynamic.experiment import Experiment
-from hydroopt.estimation.dynamic.friction_choice import FrictionChoice
-from hydroopt.estimation.dynamic.problem import IdentificationProblem
-from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment
 from hydroopt.estimation.kinematic.calibration import Calibration
 from hydroopt.estimation.kinematic.diagnostics import Appraisal
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
@@ -32,10 +25,8 @@ from hydroopt.excitation.motion.expected_accuracy import Expectation
 from hydroopt.files import write_files
 from hydroopt.logs.poses import Poses
 from hydroopt.logs.table import write_columns
-from hydroopt.machine.machine_file import dump_machine
 from hydroopt.report import calibration as calibration_page
 from hydroopt.report import excitation as excitation_page
-from hydroopt.report import identification
 from hydroopt.report.record import SCHEMA
 from hydroopt.report.record import flat as _flat
 from hydroopt.report.record import machine_entry as _machine
@@ -47,42 +38,6 @@ from hydroopt.versions import versions
 
 EXCITATION = ("excitation.json", "report.html", "trajectory.csv", "trajectory.parquet")
 """Files of a motion to drive, which the next one replaces."""
-
-
-def save(estimate: Estimate, directory: str | Path, *, wall_s: float = float("nan"),
-         friction: FrictionChoice | None = None) -> dict[str, Any]:
-    """Write everything about an estimate; each file appears complete or not at all, estimate.json last.
-
-    Args:
-        estimate: what to write.
-        directory: created if need be.
-        wall_s: how long it took.
-        friction: how its friction terms were chosen, if they were.
-
-    Returns:
-        The content of estimate.json.
-
-    Raises:
-        ProblemError: the directory cannot be written.
-    """
-    content = as_dict(estimate, wall_s)
-    if friction is not None:
-        content["friction_choice"] = {"rule": friction.rule, "blocks": friction.blocks, "candidates": [
-            {"friction": c.terms, "parameters": c.parameters, "training_error": _number(c.training),
-             "held_out_error": _number(c.held_out), "held_out_std": _number(c.std), "chosen": c.chosen, "why": c.why}
-            for c in friction.candidates]}
-    machine_file = f"{estimate.problem.model.machine.name}.toml"
-    files = {"report.html": identification.render(estimate, doubts(estimate), friction),
-             "parameters.csv": _csv([_flat(row) for row in content["parameters"]]),
-             "base_parameters.csv": _csv(content["base_parameters"]), "fit.csv": _fit_csv(content["fit"]),
-             stored_information.INFORMATION: stored_information.as_csv(
-                 estimate.problem.model.machine, estimate.problem.parameters.names,
-                 estimate.weighted_residuals.triangles)}
-    with contextlib.suppress(ProblemError):  # the doubts and the report say which body cannot exist
-        files[machine_file] = dump_machine(calibrated_machine(estimate))
-    forget(directory, machine_file)
-    write_files(directory, files | {"estimate.json": json.dumps(content, indent=1, allow_nan=False)})
-    return content
 
 
 def forget(directory: str | Path, machine_file: str) -> None:
@@ -201,7 +156,7 @@ def _excitation(excitation: Excitation, expectation: Expectation) -> dict[str, A
                        for k, name in enumerate(parameters.names)]}
 
 
-def save_failure(problem: IdentificationProblem | CalibrationProblem, method: str, error: HydrooptError,
+def save_failure(problem: CalibrationProblem, method: str, error: HydrooptError,
                  directory: str | Path) -> dict[str, Any]:
     """Write an estimate.json that says why there is no estimate; nothing else.
 
@@ -212,40 +167,6 @@ def save_failure(problem: IdentificationProblem | CalibrationProblem, method: st
     forget(directory, f"{problem.model.machine.name}.toml")
     write_files(directory, {"estimate.json": json.dumps(content, indent=1, allow_nan=False)})
     return content
-
-
-def as_dict(estimate: Estimate, wall_s: float = float("nan")) -> dict[str, Any]:
-    """The content of estimate.json; numbers that do not exist are null."""
-    seen, parameters = estimate.seen, estimate.problem.parameters
-    rows = [{"name": name, "unit": parameters.units[k], "nominal": float(parameters.nominal[k]),
-             "value": _number(estimate.value[k]), "std": _number(estimate.std[k]),
-             "ci95": [float(v) for v in estimate.ci95[k]] if np.all(np.isfinite(estimate.ci95[k])) else None,
-             "bound": estimate.bound[k] or None, "identifiability": estimate.identifiability(k)}
-            for k, name in enumerate(parameters.names)]
-    base = [{"expression": seen.expression(i), "unit": parameters.units[seen.basis[i]],
-             "value": _number(estimate.base_value[i]), "std": _number(estimate.base_std[i])} for i in range(seen.rank)]
-    structure, model = estimate.structure, estimate.problem.model
-    return _origin(estimate.problem, estimate.method) | {
-        "status": estimate.status, "parameters": rows, "base_parameters": base,
-        "total_masses": [{"link": total.link, "bodies": list(total.bodies), "unit": "kg", "value": _number(total.value),
-                          "std": _number(total.std),
-                          "ci95": [total.low, total.high] if np.isfinite(total.low) else None}
-                         for total in estimate.total_masses],
-        "fit": _fits(estimate.fit),
-        "conditioning": {"rank": seen.rank, "condition_number": _number(seen.condition_number),
-                         "parameters": len(estimate.problem.parameters), "structural_rank": structure.rank,
-                         "structurally_identifiable": structure.count("full"),
-                         "structurally_in_combination": structure.count("combination"),
-                         "structurally_invisible": structure.count("none")},
-        "physical_consistency": {owner: {"consistent": smallest >= 0, "min_eigenvalue": smallest}
-                                 for owner, smallest in estimate.consistency.items()},
-        "weights": {actuator.name: {"sigma": float(sigma), "unit": unit, "correlation_time": float(time),
-                                    "samples": int(samples)}
-                    for actuator, sigma, unit, time, samples in zip(
-                        model.machine.actuators, estimate.sigma, model.force_units, estimate.correlation_time,
-                        estimate.weighted_residuals.samples, strict=True)},
-        "active_constraints": list(estimate.active), "doubts": list(doubts(estimate)), "notes": list(estimate.notes),
-        "seed": estimate.seed, "wall_s": _number(wall_s)}
 
 
 def calibration_as_dict(appraisal: Appraisal, wall_s: float = float("nan")) -> dict[str, Any]:
@@ -315,18 +236,9 @@ def _residual_rows(appraisal: Appraisal) -> list[dict[str, Any]]:
     return rows
 
 
-def _origin(problem: IdentificationProblem | CalibrationProblem, method: str) -> dict[str, Any]:
-    inputs = ([_input(e, "train") for e in problem.experiments] + [_input(e, "validation") for e in problem.validation]
-              if isinstance(problem, IdentificationProblem) else _tables(problem))
-    return {"schema": SCHEMA, "machine": _machine(problem.model.machine), "created": _now(), "inputs": inputs,
+def _origin(problem: CalibrationProblem, method: str) -> dict[str, Any]:
+    return {"schema": SCHEMA, "machine": _machine(problem.model.machine), "created": _now(), "inputs": _tables(problem),
             "method": method, "versions": versions()}
-
-
-def _input(data: Experiment | StreamedExperiment, role: str) -> dict[str, Any]:
-    log = data.log
-    return {"path": log.path or log.name, "sha256": log.sha256 or None, "samples": log.size, "role": role,
-            "first_sample": log.rows[0], "last_sample": log.rows[1],
-            "findings": [f.text for f in log.findings], "notes": list(data.notes)}
 
 
 def _tables(problem: CalibrationProblem) -> list[dict[str, Any]]:

@@ -1,9 +1,8 @@
-"""One self-contained HTML page from an estimate: what is in doubt, fit, figures, parameters, data and treatment."""
+"""One self-contained HTML page from an estimate: diagnostics, fit, figures, parameters, data and treatment."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -11,14 +10,11 @@ from markupsafe import Markup
 
 from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.experiment import Experiment
-from hydroopt.estimation.dynamic.friction_choice import FrictionChoice
 from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment
-from hydroopt.model.plant import Plant
-from hydroopt.model.workspace import workspace_sweeps
 from hydroopt.report import figures, side_view
-from hydroopt.report.hydraulics import section
 from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
 from hydroopt.report.page import page
+from hydroopt.results.diagnostic import sentences
 from hydroopt.results.fit import Fit
 
 METHODS = {
@@ -45,9 +41,9 @@ class Parameter(NamedTuple):
 
 
 class Group(NamedTuple):
-    """The parameters of one owner; `eigenvalue` of its pseudo-inertia, "" for what is no body.
+    """The parameters of one owner; `eigenvalue` is the smallest of its pseudo-inertia, "" if it is not a body.
 
-    `partial` tells that some of its parameters have no value, so that what predicts need not be a body.
+    `partial`: some of its parameters have no value, so that the numbers that predict forces need not be a body.
     """
 
     owner: str
@@ -57,24 +53,17 @@ class Group(NamedTuple):
     parameters: list[Parameter]
 
 
-def render(estimate: Estimate, doubts: Sequence[str], friction: FrictionChoice | None = None) -> str:
-    """The report as one HTML page that needs nothing else.
-
-    Args:
-        estimate: what to report.
-        doubts: what a reader should know before trusting it, in plain words.
-        friction: how its friction terms were chosen, if they were.
-    """
-    problem = estimate.problem
+def render(estimate: Estimate) -> str:
+    """The report as one HTML page that needs nothing else."""
+    problem, friction, groups = estimate.problem, estimate.friction_choice, _groups(estimate)
     return page("identification.html").render(
-        machine=problem.model.machine, estimate=estimate, doubts=list(doubts), method=METHODS.get(estimate.method, ""),
-        failed=estimate.status != "ok", fit=_fit(estimate), friction=friction,
+        machine=problem.model.machine, estimate=estimate, diagnostics=sentences(estimate.diagnostics),
+        method=METHODS.get(estimate.method, ""), fit=_fit(estimate), friction=friction,
         friction_rows=[(c, plain(c.training), f"{plain(c.held_out)} ± {plain(c.std, 2)}")
                        for c in (friction.candidates if friction else ())],
-        weights=_weights(estimate), groups=_groups(estimate),
-        base=_base(estimate), totals=_totals(estimate), hydraulics=_hydraulics(estimate), figures=_figures(estimate),
-        condition=plain(estimate.seen.condition_number, 3),
-        counts={c: sum(p.identifiability == c for g in _groups(estimate) for p in g.parameters)
+        weights=_weights(estimate), groups=groups, base=_base(estimate), totals=_totals(estimate),
+        figures=_figures(estimate), condition=plain(estimate.identifiability.condition_number, 3),
+        counts={c: sum(p.identifiability == c for g in groups for p in g.parameters)
                 for c in ("full", "combination", "not excited", "none")},
         confounded=[(c.name, plain(c.inflation, 3), ", ".join(c.partners)) for c in estimate.confounded],
         logs=[_log("training", e) for e in problem.experiments] + [_log("validation", e) for e in problem.validation],
@@ -113,15 +102,14 @@ def _weights(estimate: Estimate) -> list[tuple[str, str, str, str]]:
 
 
 def _groups(estimate: Estimate) -> list[Group]:
-    parameters, groups = estimate.problem.parameters, dict[str, list[Parameter]]()
-    for k, name in enumerate(parameters.names):
+    groups: dict[str, list[Parameter]] = {}
+    for name, one in estimate.parameters.items():
         owner, _, element = name.rpartition(".")
-        low, high = (float(x) for x in estimate.ci95[k])
-        value = float(estimate.value[k])
+        low, high = one.ci95 or (math.nan, math.nan)
+        value, std, nominal = (math.nan if x is None else x for x in (one.value, one.std, one.nominal))
         groups.setdefault(owner, []).append(Parameter(
-            name, element, unit_text(parameters.units[k]),
-            quantity(value, float(estimate.std[k]), (low, high), float(parameters.nominal[k])), estimate.bound[k],
-            estimate.identifiability(k), math.isnan(low) and not math.isnan(value), value < low or value > high))
+            name, element, unit_text(one.unit), quantity(value, std, (low, high), nominal), one.bound or "",
+            one.identifiability, one.ci95 is None and one.value is not None, value < low or value > high))
     least = estimate.consistency
     return [Group(owner, plain(least[owner], 3) if owner in least else "", least.get(owner, 0.0) < 0,
                   any(row.numbers.value == NONE for row in rows), rows)
@@ -129,31 +117,19 @@ def _groups(estimate: Estimate) -> list[Group]:
 
 
 def _base(estimate: Estimate) -> list[tuple[str, str, Row]]:
-    seen, units = estimate.seen, estimate.problem.parameters.units
     # a sign stays on the line of its term
-    return [(seen.expression(i).replace("+ ", "+\u00a0").replace("− ", "−\u00a0"), unit_text(units[seen.basis[i]]),
-             quantity(float(v), float(s)))
-            for i, (v, s) in enumerate(zip(estimate.base_value, estimate.base_std, strict=True))]
+    return [(one["expression"].replace("+ ", "+\u00a0").replace("− ", "−\u00a0"), unit_text(one["unit"]),
+             quantity(float(value), float(std)))
+            for one, value, std in zip(estimate.base_parameters, estimate.base_value, estimate.base_std, strict=True)]
 
 
 def _totals(estimate: Estimate) -> list[tuple[str, str, Row]]:
-    """Links of several bodies, with what these are and their mass together."""
+    """Links with several bodies: their names and their total mass."""
     parameters = estimate.problem.parameters
     return [(total.link, ", ".join(total.bodies), quantity(
         total.value, total.std, (total.low, total.high),
         float(np.sum(parameters.nominal[parameters.select(f"{owner}.m" for owner in total.bodies)]))))
         for total in estimate.total_masses if len(total.bodies) > 1]
-
-
-def _hydraulics(estimate: Estimate) -> dict[str, Any] | None:
-    """How every joint answers its valve with what was identified, where the machine file tells enough of its oil."""
-    model, machine = estimate.problem.model, estimate.problem.model.machine
-    fed = all(actuator.name in machine.circuits for actuator in machine.actuators)
-    if not fed or min(estimate.consistency.values(), default=0.0) < 0:
-        return None
-    plant = Plant(model)
-    sweeps = workspace_sweeps(plant, estimate.psi, plant.parameters.nominal)
-    return section(plant, sweeps) if sweeps else None
 
 
 def _log(role: str, data: Experiment | StreamedExperiment) -> dict[str, Any]:

@@ -71,3 +71,10 @@ def listed(names: Sequence[str], most: int = NAMED) -> str:
 def of_kind(diagnostics: Iterable[Diagnostic], *kinds: Kind) -> tuple[Diagnostic, ...]:
     """Those of some kinds."""
     return tuple(diagnostic for diagnostic in diagnostics if diagnostic.kind in kinds)
+
+
+def sentences(diagnostics: Iterable[Diagnostic]) -> list[str]:
+    """Text and remedy of each diagnostic; a remedy that several in a row share follows the last of them."""
+    found = list(diagnostics)
+    return [each.text if after is not None and after.remedy == each.remedy else str(each)
+            for each, after in zip(found, [*found[1:], None], strict=True)] if found else []

@@ -12,6 +12,8 @@ class _Percent(Formatter):
     """A format such as ``.0f %`` writes a part as a percentage."""
 
     def format_field(self, value: Any, format_spec: str) -> str:
+        if value is None:
+            return "unknown"
         if format_spec.endswith(" %"):
             return f"{100 * value:{format_spec.removesuffix(' %')}} %"
         return str(super().format_field(value, format_spec))
@@ -46,7 +48,21 @@ class Kind(StrEnum):
     PARAMETER_AT_BOUND = "parameter at a bound"
 
     # identification of bodies and friction
-    WORSE_THAN_ZERO = "unseen forces predicted worse than by zero"
+    WORSE_THAN_ZERO = "validation forces predicted worse than by zero"
+    CONSTANT_ERROR = "validation forces off by a constant"
+    LARGE_VALIDATION_ERROR = "validation error much larger than training error"
+    SAMPLING_NOT_CONVERGED = "sampling not converged"
+    NO_INTERVALS = "no intervals"
+    INCONSISTENT_BODIES = "bodies not physically consistent"
+    NO_CALIBRATED_MACHINE = "no calibrated machine"
+    RESIDUALS_ABOVE_NOISE = "residuals above the sensors' noise"
+    CORRELATED_RESIDUALS = "correlated residuals"
+    NO_CONFIDENCE_STATED = "no confidence stated"
+    WEAK_LOG_DET = "weak log-det distance"
+    ACTIVE_CONSTRAINTS = "active constraints"
+    NOT_EXCITED = "not excited"
+    NOT_IDENTIFIABLE = "not identifiable"
+    CONFOUNDED = "not separable in this motion"
 
     # kinematic calibration and pose planning
     NOT_IDENTIFIED_BY_POSES = "not identified by poses"
@@ -74,7 +90,50 @@ WORDS: dict[Kind, Words] = {
         "{subject} is at its {side} bound, {bound:.3g} {unit}; 95 % of its probability lies {beyond} {limit:.3g} "
         "{unit}."),
     Kind.WORSE_THAN_ZERO: Words(
-        "The forces of {subject} in the validation logs are predicted worse than by zero ({relative:.0f %} error)."),
+        "The forces of {subject} in the validation logs are predicted worse than by zero ({relative:.0f %} error).",
+        "Check signs, units and clocks of these logs, and whether they are of the same machine."),
+    Kind.CONSTANT_ERROR: Words(
+        "The forces of {subject} in the validation logs are off by a constant: their mean predicts them better than "
+        "the estimate.",
+        "Check the offset of the pressure or torque readings, and whether the load differs."),
+    Kind.LARGE_VALIDATION_ERROR: Words(
+        "The validation error of {subject} is {ratio:.1f} times the training error.",
+        "The model is overfitted, or the motions differ in kind: train with more varied motion."),
+    Kind.SAMPLING_NOT_CONVERGED: Words(
+        "The sampling of the posterior did not converge: the intervals are not reliable.",
+        "State confidences of the parameters that are not separable."),
+    Kind.NO_INTERVALS: Words(
+        "There are no intervals, because a constraint cannot be sampled: it is a nonlinear equality, has no interior, "
+        "or only cvxpy understands it. Values are the most probable ones."),
+    Kind.INCONSISTENT_BODIES: Words(
+        "The bodies {subject} are not physically consistent. Together their parameters predict the forces, but no "
+        "single one is meaningful, and no calibrated machine is written.",
+        "Use the method 'sdp', which keeps bodies physically consistent."),
+    Kind.NO_CALIBRATED_MACHINE: Words(
+        "No calibrated machine is written: {reason}.", "{remedy}."),
+    Kind.RESIDUALS_ABOVE_NOISE: Words(
+        "The residuals of {subject} are {ratio:.1f} times its sensors' noise of {noise:.3g} {unit}.",
+        "Angles are noisy, or the model lacks an effect: see the figure of the residuals."),
+    Kind.CORRELATED_RESIDUALS: Words(
+        "The residuals of {subject} are correlated over {samples:.0f} samples; its intervals are widened accordingly.",
+        "The model lacks an effect, or angles are noisy."),
+    Kind.NO_CONFIDENCE_STATED: Words(
+        "The machine file states no confidence of {subject}: 100 % of their size is assumed.",
+        "State how well their masses and centres of mass are known."),
+    Kind.WEAK_LOG_DET: Words(
+        "The log-det distance of {subject} is weak: before any data the mean of the bodies is up to {growth:.0f} times "
+        "the nominal one.",
+        "State the confidence of their masses, at most 30 %."),
+    Kind.ACTIVE_CONSTRAINTS: Words("Active at the most probable parameters: {subject}."),
+    Kind.NOT_EXCITED: Words(
+        "The machine could identify {subject}, but this motion does not excite them.",
+        "Drive a motion that `hydroopt excite` designs."),
+    Kind.NOT_IDENTIFIABLE: Words("No motion of this machine identifies {subject}."),
+    Kind.CONFOUNDED: Words(
+        "Not separable in this motion: {effects} ({subject}), whose variances are up to 10^{decades} times what they "
+        "would be if the others were known.",
+        "The data determine their joint effect only, and the priors the rest: reverse the motion, vary its speed and "
+        "range, or state what is known."),
     Kind.NOT_IDENTIFIED_BY_POSES: Words(
         "These poses do not identify {subject}.",
         "Fix them, add priors, or add poses and sensors that depend on them."),

@@ -134,10 +134,11 @@ def bootstrap(machine: Machine, logs: Sequence[Log], *, cells: int, seed: int = 
     n = len(machine.actuators)
     work = Resampling(
         machine, tuple(logs), method, tuple(problem.parameters.names[k] for k in told), told,
-        tuple(problem.parameters.names[k] for k in found.seen.basis), found.psi, found.seen.grouping,
+        tuple(problem.parameters.names[k] for k in found.identifiability.basis), found.psi,
+        found.identifiability.grouping,
         np.concatenate([found.psi[told], found.base_value]), np.concatenate([found.std[told], found.base_std]),
         np.array([block_length(t, int(m)) for t, m in zip(found.correlation_time, samples, strict=True)]),
-        np.sqrt(samples / np.maximum(samples - found.seen.rank / n, 1.0)))
+        np.sqrt(samples / np.maximum(samples - found.identifiability.rank / n, 1.0)))
     settings = {"machine": machine.name, "machine_sha256": machine.sha256, "method": method, "seed": seed,
                 "logs": [{"path": log.path or log.name, "sha256": log.sha256} for log in logs]}
     return Study("bootstrap", work, tuple({"seed": own} for own in seeds(seed, cells)), settings)

@@ -25,5 +25,5 @@ def identified(path: Trajectory, seeds: range) -> list[tuple[tuple[int, ...], np
     for seed in seeds:
         log = simulate(model, path, seed=seed)
         estimate = solve(identification_problem(machine, [log]), "wls")
-        found.append((estimate.seen.basis, estimate.base_value, estimate.psi))
+        found.append((estimate.identifiability.basis, estimate.base_value, estimate.psi))
     return found

@@ -10,6 +10,7 @@ from typer.testing import CliRunner
 
 import hydroopt
 from hydroopt.cli import app
+from hydroopt.results.wording import Kind
 
 ROOT = Path(__file__).parents[2]
 KR300 = ["kr300", str(ROOT / "data/kr300/run_A.mat"), "--map", str(ROOT / "data/kr300/map.toml")]
@@ -53,14 +54,14 @@ def test_identify_leaves_a_calibrated_machine_that_predicts_the_same(kr300: tupl
 def test_identify_says_what_is_in_doubt(kr300: tuple[Path, str]) -> None:
     assert "Not separable in this motion" in kr300[1]
     assert "report.html" in kr300[1]
-    assert "What is in doubt" in (kr300[0] / "report.html").read_text()
+    assert "Diagnostics" in (kr300[0] / "report.html").read_text()
 
 
 def test_json_is_the_file(tmp_path: Path) -> None:
     printed = json.loads(run("identify", *KR300, "--method", "wls", "--json", "-o", str(tmp_path)))
     assert printed == json.loads((tmp_path / "estimate.json").read_text())
     assert not (tmp_path / "kr300.toml").exists()  # impossible bodies are not exported
-    assert any("No such body can exist" in doubt for doubt in printed["doubts"])
+    assert any(each["kind"] == Kind.INCONSISTENT_BODIES for each in printed["diagnostics"])
 
 
 def test_quiet_is_quiet(tmp_path: Path) -> None:

@@ -1,167 +1,154 @@
-"""The answer: parameters with uncertainty, fit on data seen and unseen, and what is in doubt."""
+"""The answer of an identification: what was found, whether it can be believed, and the folder it is saved in."""
 
 from __future__ import annotations
 
+import contextlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any
 
 import numpy as np
 
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.dynamic import diagnostics
+from hydroopt.estimation.dynamic.calibrated import calibrated_machine
 from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.estimation.dynamic.identification import Identification
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
-from hydroopt.estimation.dynamic.regressor_qr import predict
+from hydroopt.estimation.dynamic.stored_information import INFORMATION, information_csv
 from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment
-from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals
-from hydroopt.estimation.inference.identifiability import Confounded, Identifiability
-from hydroopt.estimation.inference.posterior import Posterior
-from hydroopt.parameters.dynamic import bodies, carried
-from hydroopt.results.fit import Fit
-from hydroopt.spatial import inertia
-from hydroopt.spatial.inertia import Array
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import dump_machine
+from hydroopt.results.answer import Answer, Status
+from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.parameter_table import ParameterTable, row
+from hydroopt.results.store import Job
+from hydroopt.results.tables import csv_text, number
 
 
-class TotalMass(NamedTuple):
-    """Mass [kg] of a link with the ends of cylinders that are pinned to it; NaN where that cannot be told."""
+@dataclass(frozen=True, eq=False, repr=False)
+class Estimate(Identification, Answer):
+    """Identified masses, inertias, friction and offsets of a machine; `hydroopt.solve` returns it.
 
-    link: str
-    bodies: tuple[str, ...]
-    value: float
-    std: float
-    low: float
-    high: float
-
-
-@dataclass(frozen=True, eq=False)
-class Estimate:
-    """A solved problem.
-
-    Attributes:
-        problem: what was solved.
-        method: how.
-        psi: (p,) parameters that predict. Where base parameters alone are known, the ones nearest to nominal with these
-            base parameters; for ridge and truncated SVD whatever these give.
-        value, std, ci95: (p,), (p,), (p, 2) per parameter, NaN where the data and the priors cannot tell.
-        bound: (p,) name of a constraint that holds the most probable value of each parameter, or "".
-        active: names of all constraints that hold the most probable parameters.
-        structure: identifiability under ideal motion; `seen` under the motion of the training data.
-        base_value, base_std: (r,) of the base parameters of `seen`.
-        weighted_residuals: the weights of the residuals, and the information about ψ that they carry.
-        confounded: parameters the motion cannot tell apart, though the model could.
-        notes: what was done, in plain words.
-        posterior: samples of the parameters, where intervals were sampled.
+    Example:
+        >>> import hydroopt as ho
+        >>> model = ho.Model(ho.load_machine("patu655_lift"))
+        >>> motions = [ho.random_trajectory(model, duration=20, rate=20, seed=k) for k in (1, 2)]
+        >>> logs = [ho.simulate(model, motion, seed=k) for k, motion in enumerate(motions)]
+        >>> estimate = ho.solve(ho.identification_problem(model, logs[:1], logs[1:]), seed=1)
+        >>> estimate
+        <identification of patu655_lift by sdp: ok, 52 parameters, 2 diagnostics>
+        >>> estimate.parameters["lift_cylinder.f_coulomb"].unit
+        'N'
+        >>> [str(diagnostic.kind) for diagnostic in estimate.diagnostics][:1]
+        ['active constraints']
     """
 
-    problem: IdentificationProblem
-    method: str
-    psi: Array
-    value: Array
-    std: Array
-    ci95: Array
-    bound: tuple[str, ...]
-    active: tuple[str, ...]
-    structure: Identifiability
-    seen: Identifiability
-    base_value: Array
-    base_std: Array
-    weighted_residuals: WeightedResiduals[IdentificationProblem]
-    confounded: tuple[Confounded, ...]
-    notes: tuple[str, ...]
-    seed: int = 0
-    posterior: Posterior | None = None
-    status: str = "ok"
+    job = Job.IDENTIFICATION
 
     @property
-    def sigma(self) -> Array:
-        """Weights used (n,): standard deviation of each actuator's residual."""
-        return self.weighted_residuals.sigma
+    def machine_name(self) -> str:
+        """Name of the machine that was identified."""
+        return self.problem.model.machine.name
 
     @property
-    def correlation_time(self) -> Array:
-        """How many samples in a row the residuals of each actuator repeat themselves (n,); 1 is white noise."""
-        return self.weighted_residuals.correlation_time
+    def machine_sha256(self) -> str:
+        """Digest of its nominal description."""
+        return self.problem.model.machine.sha256
+
+    @property
+    def method(self) -> str:
+        """How it was identified, one of `hydroopt.estimation.dynamic.identify.METHODS`."""
+        return self.algorithm
 
     @cached_property
-    def total_masses(self) -> tuple[TotalMass, ...]:
-        """Masses of the links, each with what is pinned to it, as a scale would weigh them."""
-        model, parameters = self.problem.model, self.problem.parameters
-        found = []
-        for link, owners in carried(model.machine, actuator_inertia=model.actuator_inertia).items():
-            at = parameters.select(f"{owner}.m" for owner in owners)
-            value, std, interval = float(np.sum(self.value[at])), np.nan, np.full(2, np.nan)
-            if self.posterior is not None and np.isfinite(value):
-                row = np.zeros((1, len(parameters)))
-                row[0, at] = 1.0
-                spread, limits = self.posterior.interval(row)
-                std, interval = float(spread[0]), limits[0]
-            found.append(TotalMass(link, owners, value, std, float(interval[0]), float(interval[1])))
-        return tuple(found)
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """What to know before trusting the estimate, the gravest first."""
+        return diagnostics.diagnose(self)
 
-    def __getitem__(self, name: str) -> float:
-        """Value of a parameter; NaN if it is not identifiable."""
-        return float(self.value[self.problem.parameters.index(name)])
-
-    def predict(self, data: Experiment) -> Array:
-        """Actuator forces (N, n) for the motion of an experiment."""
-        return predict(self.problem.model, data, self.psi)
+    @property
+    def status(self) -> Status:
+        """Suspect where validation data contradict the estimate or its intervals did not converge."""
+        return Status.SUSPECT if of_kind(self.diagnostics, *diagnostics.CONTRADICTIONS) else Status.OK
 
     @cached_property
-    def predictions(self) -> Mapping[str, list[Array]]:
-        """Predicted forces of what is shown of every training and validation experiment."""
-        return {"train": [self.predict(e.shown) for e in self.problem.experiments],
-                "validation": [self.predict(e.shown) for e in self.problem.validation]}
+    def machine(self) -> Machine:
+        """The calibrated machine: the nominal description with the estimate's numbers and their confidences.
+
+        Raises:
+            ProblemError: no machine can have these numbers; see `calibrated_machine`.
+        """
+        return calibrated_machine(self)
 
     @cached_property
-    def fit(self) -> dict[str, dict[str, Fit]]:
-        """Fit by data set and actuator; the entry ``all`` covers all actuators of one unit or of mixed units."""
-        sets = {"train": self.problem.experiments, "validation": self.problem.validation}
-        return {name: self._fit(data, self.predictions[name]) for name, data in sets.items() if data}
+    def parameters(self) -> ParameterTable:
+        """All dynamic parameters; `prior_std` where the method used the machine file's prior."""
+        stated, prior = self.problem.parameters, self.prior_std
+        return ParameterTable([
+            row(name, stated.kinds[k], stated.units[k], nominal=stated.nominal[k], prior_std=prior[k],
+                value=self.value[k], std=self.std[k], ci95=self.ci95[k], bound=self.bound[k],
+                identifiability=self.category(k))
+            for k, name in enumerate(stated.names)])
 
-    def _fit(self, data: tuple[Experiment | StreamedExperiment, ...], predicted: list[Array]) -> dict[str, Fit]:
-        moments = sum((e.moments(self.psi) if isinstance(e, StreamedExperiment) else _moments(e, p)
-                       for e, p in zip(data, predicted, strict=True)), np.zeros((5, len(self.sigma))))
-        units = self.problem.model.force_units
-        table = {actuator.name: _fit_of(moments[:, k], units[k])
-                 for k, actuator in enumerate(self.problem.model.machine.actuators)}
-        if len(set(units)) == 1:
-            return table | {"all": _fit_of(moments.sum(axis=1), units[0])}
-        # channels of different units are compared in units of their own noise
-        scaled = moments / np.array([0 * self.sigma + 1, self.sigma, self.sigma**2, self.sigma, self.sigma**2])
-        return table | {"all": _fit_of(scaled.sum(axis=1), "sigma")}
+    @property
+    def inputs(self) -> tuple[Mapping[str, Any], ...]:
+        """The logs it is from."""
+        return inputs_of(self.problem)
 
     @cached_property
-    def consistency(self) -> dict[str, float]:
-        """Smallest eigenvalue of each body's pseudo-inertia at ψ; negative: no such body exists."""
-        names = bodies(self.problem.model.machine, actuator_inertia=self.problem.model.actuator_inertia)
-        at = {owner: self.problem.parameters.index(f"{owner}.m") for owner in names}
-        return {owner: inertia.smallest_eigenvalue(self.psi[k : k + 10]) for owner, k in at.items()}
+    def base_parameters(self) -> tuple[Mapping[str, Any], ...]:
+        """The combinations that the training data determine: expression, unit, value and std."""
+        found, units = self.identifiability, self.problem.parameters.units
+        return tuple({"expression": found.expression(i), "unit": units[found.basis[i]],
+                      "value": number(self.base_value[i]), "std": number(self.base_std[i])} for i in range(found.rank))
 
-    def identifiability(self, k: int) -> str:
-        """``full``, ``combination``, ``none``, or ``not excited`` if only this motion is to blame."""
-        seen, possible = self.seen.category[k], self.structure.category[k]
-        return "not excited" if (possible, seen) in (("full", "combination"), ("full", "none"), ("combination", "none")
-                                                     ) else seen
+    def details(self) -> Mapping[str, Any]:
+        """Base parameters, masses of links, conditioning, physical consistency, weights and how it was computed."""
+        found, structural, model = self.identifiability, self.structural, self.problem.model
+        chosen = {} if self.friction_choice is None else {"friction_choice": self.friction_choice.as_dict()}
+        return {
+            "base_parameters": list(self.base_parameters),
+            "total_masses": [{"link": total.link, "bodies": list(total.bodies), "unit": "kg",
+                              "value": number(total.value), "std": number(total.std),
+                              "ci95": [total.low, total.high] if np.isfinite(total.low) else None}
+                             for total in self.total_masses],
+            "conditioning": {"rank": found.rank, "condition_number": number(found.condition_number),
+                             "parameters": len(self.problem.parameters), "structural_rank": structural.rank,
+                             "structurally_identifiable": structural.count("full"),
+                             "structurally_in_combination": structural.count("combination"),
+                             "structurally_not_identifiable": structural.count("none")},
+            "physical_consistency": {owner: {"consistent": smallest >= 0, "min_eigenvalue": smallest}
+                                     for owner, smallest in self.consistency.items()},
+            "weights": {actuator.name: {"sigma": float(sigma), "unit": unit, "correlation_time": float(time),
+                                        "samples": int(samples)}
+                        for actuator, sigma, unit, time, samples in zip(
+                            model.machine.actuators, self.sigma, model.force_units, self.correlation_time,
+                            self.weighted_residuals.samples, strict=True)},
+            "active_constraints": list(self.active), "intervals": str(self.intervals), "notes": list(self.notes),
+            "seed": self.seed, **chosen}
 
-    def __str__(self) -> str:
-        lines = [f"{self.problem.model.machine.name} by {self.method}: {self.status}"]
-        for name, table in self.fit.items():
-            for channel, fit in table.items():
-                lines.append(f"  {name:<10} {channel:<18} RMS {fit.rms:10.4g} {fit.unit:<5} "
-                             f"relative {100 * fit.relative:6.2f} %  VAF {100 * fit.vaf:6.2f} %")
-        return "\n".join(lines)
+    def files(self) -> Mapping[str, str]:
+        """Tables as CSV, the information that the logs carry, and the calibrated machine where it can exist."""
+        model = self.problem.model
+        files = {"parameters.csv": self.parameters.to_csv(), "base_parameters.csv": csv_text(self.base_parameters),
+                 "fit.csv": csv_text([{"data": data, "channel": channel, **fit.as_dict()}
+                                      for data, table in self.fit.items() for channel, fit in table.items()]),
+                 INFORMATION: information_csv(model.machine, self.problem.parameters.names,
+                                              self.weighted_residuals.triangles)}
+        with contextlib.suppress(ProblemError):  # a diagnostic says why
+            files[f"{self.machine_name}.toml"] = dump_machine(self.machine)
+        return files
 
 
-def _moments(data: Experiment, predicted: Array) -> Array:
-    """Sums (5, n) over the samples that take part: 1, force, force², error and error²."""
-    force = data.force[data.inside]
-    error = force - predicted[data.inside]
-    return np.array([x.sum(axis=0) for x in (np.ones_like(force), force, force**2, error, error**2)])
+def inputs_of(problem: IdentificationProblem) -> tuple[Mapping[str, Any], ...]:
+    """The logs of a problem as answers list them."""
+    return (*(_input(each, "train") for each in problem.experiments),
+            *(_input(each, "validation") for each in problem.validation))
 
 
-def _fit_of(moments: Array, unit: str) -> Fit:
-    count, force, squared, error, error_squared = moments
-    rms, size = float(np.sqrt(error_squared / count)), float(np.sqrt(squared / count))
-    spread = squared - force**2 / count
-    vaf = 1 - float((error_squared - error**2 / count) / spread) if spread > 1e-15 * squared else float("nan")
-    return Fit(rms, vaf, rms / size if size else float("inf"), unit)
+def _input(data: Experiment | StreamedExperiment, role: str) -> dict[str, Any]:
+    log = data.log
+    return {"path": log.path or log.name, "sha256": log.sha256 or None, "samples": log.size, "role": role,
+            "first_sample": log.rows[0], "last_sample": log.rows[1],
+            "findings": [finding.text for finding in log.findings], "notes": list(data.notes)}

@@ -1,13 +1,13 @@
-"""Which friction a machine's actuators have: sets of terms fitted to some logs and judged by others.
+"""Which friction a machine's actuators have: sets of terms fitted to training logs and compared on held-out logs.
 
-A fit to the data that it was learnt from improves with every term. Here each set has to predict logs that it has not
-seen, and a larger set must do so better than a smaller one by more than the standard error of the difference.
+The fit to training logs improves with every term. Here each set has to predict held-out logs, and a larger set must do
+so better than a smaller one by more than the standard error of the difference.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -15,6 +15,7 @@ import numpy as np
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.estimation.dynamic.friction_candidates import STANDARD_ERRORS, Candidate, FrictionChoice
 from hydroopt.estimation.dynamic.identify import Method, identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.dynamic.regressor_qr import compress
@@ -34,17 +35,15 @@ TERMS = ("coulomb", "viscous", "stribeck", "reverse", "seal", "dead_zone")
 """Terms by name; ``reverse`` gives Coulomb and viscous friction a value of their own for the negative direction."""
 CANDIDATES = ("none", "viscous", "coulomb", "coulomb+viscous", "coulomb+viscous+stribeck", "coulomb+viscous+reverse",
               "coulomb+viscous+seal", "coulomb+viscous+dead_zone", "coulomb+viscous+stribeck+reverse")
-"""What is tried where nothing else is asked for."""
+"""The sets that are compared by default."""
 STRIBECK_SPEED, DEAD_ZONE = 0.3, 0.05
-"""Where the file states none: Stribeck speed at first and dead zone, as parts of an actuator's RMS speed."""
+"""Where the file states none: initial Stribeck speed and dead zone, as parts of an actuator's RMS speed."""
 TRIED = (0.35, 0.7, 1.4, 2.8)
-"""Stribeck speeds to begin with, as parts of that: Gauss-Newton steps find the best one near by."""
+"""Initial Stribeck speeds, as parts of that: Gauss-Newton steps find the local optimum."""
 SLOWEST = 0.25
-"""Lower bound of a Stribeck speed as a part of that to begin with: below, it acts where nothing is told of friction."""
+"""Lower bound of a Stribeck speed as a part of the initial one: below, it acts where friction is not identifiable."""
 BLOCKS, LONG = (6, 40), 10.0
 """Least and greatest number of blocks of held-out samples, and how many correlation times long they should be."""
-BEYOND = 1.0
-"""Standard errors of the difference by which a larger set of terms must predict better than a smaller one."""
 
 
 def terms_of(text: str, machine: Machine | None = None) -> tuple[str, ...]:
@@ -60,10 +59,10 @@ def terms_of(text: str, machine: Machine | None = None) -> tuple[str, ...]:
                                remedy=f"use none, or {', '.join(TERMS)} joined by +")
     for term, others in (("reverse", ("coulomb", "viscous")), ("dead_zone", ("coulomb", "stribeck", "seal"))):
         if term in named and not set(named) & set(others):
-            raise ProblemError(f"there is nothing that '{term}' could change", where=f"friction '{text}'",
+            raise ProblemError(f"'{term}' has no term to change", where=f"friction '{text}'",
                                remedy=f"add {', '.join(others[:-1])} or {others[-1]}")
     if "seal" in named and machine is not None and not machine.cylinders:
-        raise ProblemError("the machine has no cylinders, whose seals alone feel pressure", where=f"friction '{text}'",
+        raise ProblemError("the machine has no cylinders, so that it has no seals", where=f"friction '{text}'",
                            remedy="leave out 'seal'")
     return tuple(term for term in TERMS if term in named)
 
@@ -140,63 +139,6 @@ def _typical(model: Model, motions: Sequence[tuple[Array, ...]]) -> dict[str, fl
             for actuator, square in zip(model.machine.actuators, squares, strict=True)}
 
 
-@dataclass(frozen=True)
-class Candidate:
-    """A set of terms: errors are RMS over all actuators' forces, each in units of its own residual's σ.
-
-    Attributes:
-        terms: such as ``coulomb+viscous``.
-        parameters: how many numbers it has, over all actuators.
-        training: RMS error of the training data; NaN, as the others, where it could not be fitted.
-        held_out: RMS error of held-out data; `std` its standard error.
-        chosen: whether this is the one.
-        why: it is, or is not, in words.
-    """
-
-    terms: str
-    parameters: int
-    training: float
-    held_out: float
-    std: float
-    chosen: bool
-    why: str
-
-
-@dataclass(frozen=True, eq=False)
-class FrictionChoice:
-    """Friction terms chosen by held-out prediction: all candidates, and the estimate with those chosen."""
-
-    candidates: tuple[Candidate, ...]
-    estimate: Estimate
-    blocks: int
-
-    @property
-    def terms(self) -> str:
-        """The terms chosen, such as ``coulomb+viscous``."""
-        return next(candidate.terms for candidate in self.candidates if candidate.chosen)
-
-    @property
-    def machine(self) -> Machine:
-        """The machine with the terms chosen, its values nominal."""
-        return self.estimate.problem.model.machine
-
-    @property
-    def rule(self) -> str:
-        """How it was chosen, in words."""
-        return (f"The fewest terms whose held-out error is not above the smallest one by more than {BEYOND:g} standard "
-                f"error of the difference, over {self.blocks} blocks of held-out samples. Errors are RMS over all "
-                "actuators in units of the smallest training residual. Intervals take the terms chosen for granted.")
-
-    def __str__(self) -> str:
-        width = max(len(candidate.terms) for candidate in self.candidates)
-        lines = [f"  {'friction':<{width}}  parameters  training [σ]  held-out [σ]"]
-        for c in self.candidates:
-            mark = "*" if c.chosen else " "
-            lines.append(f"{mark} {c.terms:<{width}}  {c.parameters:>10}  {c.training:>12.4f}  {c.held_out:>7.4f} ± "
-                         f"{c.std:.4f}  {c.why}")
-        return "\n".join(lines)
-
-
 def friction_problem(machine: Machine, logs: Sequence[Log | LogStream], validation: Sequence[Log | LogStream],
                      terms: str, *, smoothing: Smoothing | None = None,
                      actuator_inertia: bool = True) -> IdentificationProblem:
@@ -242,13 +184,13 @@ def choose_friction(machine: Machine, logs: Sequence[Log | LogStream], validatio
                     actuator_inertia: bool = True,
                     prepare: Callable[[IdentificationProblem], IdentificationProblem] | None = None,
                     method: Method = "sdp", tolerance: float = RANK_TOLERANCE, ridge: float | None = None,
-                    intervals: bool = True, seed: int = 0) -> FrictionChoice:
-    """Fit sets of friction terms to logs and choose the one that predicts held-out logs with the fewest of them.
+                    intervals: bool = True, seed: int = 0) -> Estimate:
+    """Fit sets of friction terms to logs and choose the one that predicts held-out logs with the fewest terms.
 
-    Held-out samples are cut into blocks longer than residuals repeat themselves; errors of two sets are compared block
-    by block. The smallest set whose mean squared error is not larger than the least one by more than the standard error
-    of that difference is chosen. That error has two parts: the scatter of the blocks, and what as many parameters as
-    the sets differ by gain by chance from the noise they were fitted to, one part in the number of independent samples
+    Held-out samples are cut into blocks longer than the residuals' correlation time; errors of two sets are compared
+    block by block. The smallest set whose mean squared error exceeds the smallest one by at most the standard error of
+    that difference is chosen. That error has two parts: the scatter of the blocks, and what the additional parameters
+    of the larger set gain by chance from the noise they were fitted to, one part in the number of independent samples
     each.
 
     Args:
@@ -259,16 +201,29 @@ def choose_friction(machine: Machine, logs: Sequence[Log | LogStream], validatio
             where all pressures were measured.
         smoothing, actuator_inertia: see `identification_problem`.
         prepare: what is done with each problem before it is solved, such as ``lambda p: p.with_loss("huber")``.
-        method, tolerance, ridge, intervals, seed: see `solve`; intervals are those of the chosen set.
+        method, tolerance, ridge, intervals, seed: see `identify`; intervals are those of the chosen set.
+
+    Returns:
+        The estimate with the chosen set; its `friction_choice` compares all sets.
 
     Raises:
         ProblemError: nothing is held out, or a set of terms has no meaning.
         LogError: a channel is missing.
-        SolverError: none of them could be fitted.
+        SolverError: none of the sets could be fitted.
+
+    Example:
+        >>> import hydroopt as ho
+        >>> model = ho.Model(ho.load_machine("patu655_lift"))
+        >>> motions = [ho.random_trajectory(model, duration=20, rate=20, seed=k) for k in (1, 2)]
+        >>> logs = [ho.simulate(model, motion, seed=k) for k, motion in enumerate(motions)]
+        >>> estimate = ho.choose_friction(model.machine, logs[:1], logs[1:], ["viscous", "coulomb+viscous"],
+        ...                               intervals=False)
+        >>> estimate.friction_choice.terms
+        'viscous'
     """
     if not validation:
-        raise ProblemError("friction terms are chosen by how they predict what they have not seen, and no log is held "
-                           "out", where="friction", remedy="give --validate or --holdout, or name one set of terms")
+        raise ProblemError("friction terms are chosen by their prediction of held-out logs, and no log is held out",
+                           where="friction", remedy="give --validate or --holdout, or name one set of terms")
     if candidates is None:
         pressed = machine.cylinders and all(
             f"{cylinder.name}.{end}" in log.channels for log in (*logs, *validation) for cylinder in machine.cylinders
@@ -294,7 +249,7 @@ def choose_friction(machine: Machine, logs: Sequence[Log | LogStream], validatio
     chosen = next(row.terms for row in rows if row.chosen)
     estimate = fitted[chosen] if not intervals else identify(problems[chosen], method, tolerance=tolerance, ridge=ridge,
                                                           seed=seed)
-    return FrictionChoice(tuple(rows), estimate, blocks)
+    return replace(estimate, friction_choice=FrictionChoice(tuple(rows), blocks))
 
 
 def _size(problem: IdentificationProblem, terms: str) -> tuple[int, int]:
@@ -328,7 +283,7 @@ def _judged(fitted: Mapping[str, Estimate], failed: Mapping[str, str],
     for name in fitted:
         mean, error = _mean_and_error(blocks[name] - blocks[best])
         apart[name] = mean, float(np.hypot(error, abs(size[name][0] - size[best][0]) / independent))
-    near = [name for name in fitted if size[name] <= size[best] and apart[name][0] <= BEYOND * apart[name][1]]
+    near = [name for name in fitted if size[name] <= size[best] and apart[name][0] <= STANDARD_ERRORS * apart[name][1]]
     chosen = min(near, key=lambda name: (size[name], float(np.mean(blocks[name]))))
     rows = []
     for name in size:

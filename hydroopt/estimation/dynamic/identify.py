@@ -9,6 +9,7 @@ from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.dynamic.estimate import Estimate
+from hydroopt.estimation.dynamic.identification import Intervals
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals, misfit, weighted_residuals
 from hydroopt.estimation.inference import identifiability, nlp, sdp
@@ -95,7 +96,7 @@ def _solve(problem: IdentificationProblem, method: Method, tolerance: float, rid
             point[k] *= abs(point[k]) > faint[actuator]
         found = _solve_at(problem, point, method, tolerance, ridge, False, seed)
         faint = FAINT * found.sigma
-        unseen = speeds & (np.array(found.seen.category) == identifiability.NONE)
+        unseen = speeds & (np.array(found.identifiability.category) == identifiability.NONE)
         target = np.where(unseen, point, np.where(speeds, np.clip(found.psi, parameters.lower, parameters.upper),
                                                   found.psi))
         step = target - point
@@ -173,7 +174,7 @@ def _linear_estimate(weighted: Weighted, method: str, tolerance: float, ridge: f
     value, std = linear.individual_values(psi, covariance, seen)
     psi = linear.nearest(problem.parameters, seen, psi)
     base_std = np.sqrt(np.diag(covariance))
-    note = "standard deviations of weighted least squares on base parameters"
+    note, source = "standard deviations of weighted least squares on base parameters", Intervals.LEAST_SQUARES
     if method == "ridge":
         psi, strength = linear.ridge(R, r, ridge, rows=weighted.rows, rest=weighted.rest)
         note = f"ridge strength {strength:.3g}; a shrunk estimate is biased, so that it has no honest interval"
@@ -181,10 +182,11 @@ def _linear_estimate(weighted: Weighted, method: str, tolerance: float, ridge: f
         psi, kept = linear.truncated_svd(R, r, tolerance)
         note = f"{kept} directions kept; those cut off are biased to zero, so that there is no honest interval"
     if method != "wls":
+        source = Intervals.BIASED
         value = np.where(np.array(seen.category) == identifiability.FULL, psi, np.nan)
         std, base_std = np.full_like(std, np.nan), np.full_like(base_std, np.nan)
     ci = value[:, None] + 1.959964 * std[:, None] * np.array([-1, 1])
-    return _assemble(weighted, method, psi, value, std, ci, (), seen, base_std, (note,), 0)
+    return _assemble(weighted, method, psi, value, std, ci, (), seen, base_std, (note,), source, 0)
 
 
 def _constrained_estimate(weighted: Weighted, method: str, solution: sdp.Optimum, seen: Identifiability,
@@ -193,14 +195,15 @@ def _constrained_estimate(weighted: Weighted, method: str, solution: sdp.Optimum
     p = len(problem.parameters)
     psi, std, ci = solution.psi, np.full(p, np.nan), np.full((p, 2), np.nan)
     base_std = np.full(seen.rank, np.nan)
-    note, posterior = "intervals were not asked for", None
+    note, source, posterior = "intervals were not requested", Intervals.NOT_REQUESTED, None
     if intervals:
         posterior = uncertainty.sample(problem, R, r, solution.psi,
                                        consistent=method != "qp" and problem.consistent, seed=seed)
         if posterior is None:
-            note = ("no intervals: a constraint cannot be sampled (a nonlinear equality, one without an inside, or one "
-                    "that only cvxpy understands); values are the most probable ones")
+            source = Intervals.NOT_SAMPLABLE
+            note = "no intervals: a constraint cannot be sampled; values are the most probable ones"
         else:
+            source = Intervals.SAMPLED
             std, ci = posterior.interval()
             base_std, _ = posterior.interval(seen.grouping)
             # the most probable point sits in a corner of the constraints, with most of what is possible to one side
@@ -215,7 +218,8 @@ def _constrained_estimate(weighted: Weighted, method: str, solution: sdp.Optimum
     untold = np.array(told.category) != identifiability.FULL
     value = psi.copy()
     value[untold | unseen], std[untold | unseen], ci[untold | unseen] = np.nan, np.nan, np.nan
-    return _assemble(weighted, method, psi, value, std, ci, solution.active, seen, base_std, (note,), seed, posterior)
+    return _assemble(weighted, method, psi, value, std, ci, solution.active, seen, base_std, (note,), source, seed,
+                     posterior)
 
 
 def _nominal_where_unseen(problem: IdentificationProblem, seen: Identifiability, psi: Array) -> Array:
@@ -237,7 +241,7 @@ def _nominal_where_unseen(problem: IdentificationProblem, seen: Identifiability,
 
 def _assemble(weighted: Weighted, method: str, psi: Array, value: Array, std: Array, ci: Array,
               active: tuple[str, ...], seen: Identifiability, base_std: Array, notes: tuple[str, ...],
-              seed: int, posterior: uncertainty.Posterior | None = None) -> Estimate:
+              intervals: Intervals, seed: int, posterior: uncertainty.Posterior | None = None) -> Estimate:
     problem = weighted.problem_at(psi)
     bound = [""] * len(problem.parameters)
     for condition in reversed(problem.requirements(consistent=True)):  # of several that hold, the first is named
@@ -246,4 +250,4 @@ def _assemble(weighted: Weighted, method: str, psi: Array, value: Array, std: Ar
     return Estimate(
         problem, method, psi, value, std, ci, tuple(bound), active, identifiability.structural(problem.model), seen,
         seen.grouping @ psi, base_std, weighted, identifiability.confounded(weighted.R, seen),
-        (*notes, *weighted.notes), seed, posterior)
+        (*notes, *weighted.notes), intervals, seed, posterior)

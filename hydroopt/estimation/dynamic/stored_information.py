@@ -95,7 +95,7 @@ def refuse_repetition(before: Session, after: Session) -> None:
                                    remedy="give another log on one side")
 
 
-def as_csv(machine: Machine, names: Sequence[str], triangles: Array) -> str:
+def information_csv(machine: Machine, names: Sequence[str], triangles: Array) -> str:
     """The content of information.csv: rows of the triangles, a column per parameter, numbers in full."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")

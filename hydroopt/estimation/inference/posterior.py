@@ -41,11 +41,13 @@ class Posterior:
     """Samples (s, p) of the parameters, their mean (p,), and how they were drawn in words.
 
     `mean` is None where the mean of possible parameters is not itself possible: constraints that are not convex.
+    `converged` tells whether the chains reached their stationary distribution.
     """
 
     samples: Array
     mean: Array | None
     note: str
+    converged: bool = True
 
     def interval(self, rows: Array | None = None) -> tuple[Array, Array]:
         """Standard deviation (k,) and 95 % interval (k, 2) of the parameters, or of linear sums of them (k, p)."""
@@ -118,8 +120,8 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
     possible = bool(inequalities.log_density(inequalities.slack(centre), lambda: centre)[0] > -np.inf)
     bent = "Gaussian posterior" if problem.distance == "gaussian" else "posterior with log-det distances"
     note = (f"intervals from the {bent} cut off by bounds and constraints: {len(samples)} samples by "
-            "elliptical slice sampling" + ("" if settled else ", WHICH HAD NOT SETTLED: do not rely on them"))
-    return Posterior(samples, samples.mean(axis=0) if possible else None, note)
+            "elliptical slice sampling" + ("" if settled else ", which did not converge"))
+    return Posterior(samples, samples.mean(axis=0) if possible else None, note, settled)
 
 
 class _Inequalities:

@@ -80,7 +80,7 @@ def test_what_the_data_did_not_show_keeps_its_confidence_and_says_so(calibrated:
     note = calibrated.notes["swing.body.m"]
     assert note.sigma == pytest.approx(nominal["swing.m"])
     assert "not identified" in note.source
-    assert "not shown by the data: swing.I_xx" in calibrated.notes["swing.body.inertia"].source
+    assert "not identified: swing.I_xx" in calibrated.notes["swing.body.inertia"].source
     held = calibrated_machine(identify(noisy.fix("boom.m", 1500.0), "sdp", intervals=False))
     assert held.notes["boom.body.m"].source == "held at a value chosen by the user"
 

@@ -10,11 +10,10 @@ import pytest
 
 from hydroopt.errors import LogError, ProblemError, SolverError
 from hydroopt.estimation.dynamic import friction_choice
-from hydroopt.estimation.dynamic.calibrated import calibrated_machine
+from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.experiment import experiment
 from hydroopt.estimation.dynamic.friction_choice import (
     CANDIDATES,
-    FrictionChoice,
     choose_friction,
     friction_problem,
     with_friction,
@@ -68,7 +67,7 @@ def test_every_term_comes_back(method: Any) -> None:
     for name, value in TRUE.items():
         k = names.index(f"lift_cylinder.{name}")
         assert estimate.psi[k] == pytest.approx(value, rel=1e-6), name
-        assert estimate.identifiability(k) == "full", name
+        assert estimate.category(k) == "full", name
 
 
 def test_the_terms_of_every_actuator_of_an_excavator_come_back() -> None:
@@ -194,39 +193,40 @@ def test_offsets_and_pins_stay() -> None:
     assert set(Model(machine).parameters.names) == kept
 
 
-def chosen(machine: Machine, *, noise: bool = True, candidates: Any = None) -> FrictionChoice:
+def chosen(machine: Machine, *, noise: bool = True, candidates: Any = None) -> Estimate:
     logs = logs_of(machine, seeds=(1, 2, 3), noise=noise, rate=50.0)
     return choose_friction(crane(), logs[:2], logs[2:], candidates, intervals=False)
 
 
 @pytest.fixture(scope="module")
-def plain() -> FrictionChoice:
+def plain() -> Estimate:
     return chosen(crane(coulomb=500.0, viscous=3000.0))
 
 
 @pytest.fixture(scope="module")
-def sticking() -> FrictionChoice:
+def sticking() -> Estimate:
     return chosen(crane(coulomb=500.0, viscous=3000.0, stribeck=800.0, stribeck_speed=0.03))
 
 
-def test_what_predicts_is_chosen_not_what_fits(plain: FrictionChoice) -> None:
-    assert plain.terms == "coulomb+viscous"
-    rows = {row.terms: row for row in plain.candidates}
+def test_what_predicts_is_chosen_not_what_fits(plain: Estimate) -> None:
+    choice = plain.friction_choice
+    assert choice.terms == "coulomb+viscous"
+    rows = {row.terms: row for row in choice.candidates}
     assert list(rows) == list(CANDIDATES)
     assert min(row.training for row in rows.values()) <= rows["coulomb+viscous"].training
     assert rows["viscous"].held_out > rows["coulomb+viscous"].held_out + 3 * rows["viscous"].std
-    assert [row.parameters for row in plain.candidates] == [0, 1, 1, 2, 4, 4, 3, 2, 6]
-    assert sum(row.chosen for row in plain.candidates) == 1
-    assert plain.estimate["lift_cylinder.f_coulomb"] == pytest.approx(500, abs=60)
+    assert [row.parameters for row in choice.candidates] == [0, 1, 1, 2, 4, 4, 3, 2, 6]
+    assert sum(row.chosen for row in choice.candidates) == 1
+    assert plain["lift_cylinder.f_coulomb"] == pytest.approx(500, abs=60)
 
 
-def test_stribeck_is_chosen_where_it_is(sticking: FrictionChoice) -> None:
-    assert sticking.terms == "coulomb+viscous+stribeck"
-    estimate = sticking.estimate
+def test_stribeck_is_chosen_where_it_is(sticking: Estimate) -> None:
+    assert sticking.friction_choice.terms == "coulomb+viscous+stribeck"
+    estimate = sticking
     assert estimate["lift_cylinder.v_stribeck"] == pytest.approx(0.03, rel=0.3)
-    assert sticking.machine.cylinders[0].friction.stribeck_speed is not None
+    assert estimate.problem.model.machine.cylinders[0].friction.stribeck_speed is not None
     # the calibrated machine has the terms chosen, with their values
-    assert calibrated_machine(estimate).cylinders[0].friction.stribeck == pytest.approx(
+    assert estimate.machine.cylinders[0].friction.stribeck == pytest.approx(
         estimate.psi[estimate.problem.parameters.index("lift_cylinder.f_stribeck")])
 
 
@@ -237,15 +237,16 @@ def test_stribeck_is_chosen_where_it_is(sticking: FrictionChoice) -> None:
     ({"coulomb": 200.0, "viscous": 3000.0, "seal": 2e-4}, "coulomb+viscous+seal")])
 def test_other_truths_are_found_too(truth: dict[str, float], terms: str) -> None:
     others = {"none", "coulomb", "viscous", "coulomb+viscous", terms}
-    assert chosen(crane(**truth), candidates=sorted(others)).terms == terms
+    assert chosen(crane(**truth), candidates=sorted(others)).friction_choice.terms == terms
 
 
-def test_the_table_says_what_was_tried_and_why(plain: FrictionChoice) -> None:
-    lines = str(plain).splitlines()
+def test_the_table_says_what_was_tried_and_why(plain: Estimate) -> None:
+    choice = plain.friction_choice
+    lines = str(choice).splitlines()
     assert len(lines) == len(CANDIDATES) + 1
     assert [line.split()[1] for line in lines if line.startswith("*")] == ["coulomb+viscous"]
-    assert all(row.why for row in plain.candidates)
-    assert f"{plain.blocks} blocks" in plain.rule
+    assert all(row.reason for row in choice.candidates)
+    assert f"{choice.blocks} blocks" in choice.rule
 
 
 def test_nothing_is_chosen_without_held_out_data() -> None:
@@ -261,7 +262,7 @@ def test_seals_are_tried_where_pressures_were_measured() -> None:
         force = log.channel("lift_cylinder.p_head") * machine.cylinders[0].areas[0] - (
             log.channel("lift_cylinder.p_rod") * machine.cylinders[0].areas[1])
         logs.append(replace(log, units={}, channels={"lift.q": log.channel("lift.q"), "lift_cylinder.force": force}))
-    choice = choose_friction(machine, logs[:1], logs[1:], intervals=False)
+    choice = choose_friction(machine, logs[:1], logs[1:], intervals=False).friction_choice
     assert [row.terms for row in choice.candidates] == [text for text in CANDIDATES if "seal" not in text]
     with pytest.raises(LogError, match=r"lift_cylinder\.p_head"):
         choose_friction(machine, logs[:1], logs[1:], ["coulomb", "coulomb+seal"], intervals=False)

@@ -12,7 +12,6 @@ from scipy.signal import lfilter
 
 from hydroopt.errors import IdentifiabilityError, LogError, ProblemError, SolverError
 from hydroopt.estimation.dynamic import regressor_qr
-from hydroopt.estimation.dynamic.diagnostics import doubts
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.identify import METHODS, identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
@@ -21,6 +20,8 @@ from hydroopt.logs.readings import force_noise
 from hydroopt.logs.smoothing import Fourier, Motion
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
+from hydroopt.results.diagnostic import of_kind
+from hydroopt.results.wording import Kind
 from hydroopt.simulation.simulate import Trajectory, random_trajectory, random_truth, simulate
 
 PERIODIC = Fourier(period=33.28, harmonics=20)
@@ -243,15 +244,15 @@ def test_a_joint_that_stands_still_is_not_excited(stiff_stick: IdentificationPro
     by_data, by_both = identify(stiff_stick, "wls"), identify(stiff_stick, "sdp")
     for name in ("stick_cylinder.f_coulomb", "stick_cylinder.n_barrel", "stick_cylinder.n_rod", "stick.tau_coulomb"):
         k = names.index(name)
-        if by_data.structure.category[k] == "none":
+        if by_data.structural.category[k] == "none":
             continue
-        assert by_data.identifiability(k) == "not excited", name
+        assert by_data.category(k) == "not excited", name
         assert np.isnan(by_data.value[k])
         assert np.isnan(by_data.std[k])
         assert np.isnan(by_both.std[k])
         assert np.all(np.isnan(by_both.ci95[k]))
-    assert by_data.identifiability(names.index("boom_cylinder.f_coulomb")) != "not excited"
-    assert any(s.startswith("This motion does not show") for s in doubts(by_data))
+    assert by_data.category(names.index("boom_cylinder.f_coulomb")) != "not excited"
+    assert of_kind(by_data.diagnostics, Kind.NOT_EXCITED)
 
 
 @pytest.mark.parametrize("noise", [False, True], ids=["perfect", "noisy"])
@@ -278,8 +279,8 @@ def test_a_slow_lift_does_not_tell_friction_from_gravity() -> None:
     estimate = identify(identification_problem(model.machine, [log]), "sdp")
     named = {name for one in estimate.confounded for name in (one.name, *one.partners)}
     assert "lift_cylinder.f_coulomb" in named
-    said = [s for s in doubts(estimate) if s.startswith("Not separable in this motion")]
-    assert any("Coulomb friction" in s and "gravity" in s for s in said)
+    effects = [found.evidence["effects"] for found in of_kind(estimate.diagnostics, Kind.CONFOUNDED)]
+    assert any("Coulomb friction" in each and "gravity" in each for each in effects)
 
 
 def test_force_noise_is_that_of_the_sensors(cat215b: Model) -> None:

@@ -171,7 +171,7 @@ def test_perfect_sensors_give_back_the_truth(way: str, exact: IdentificationProb
     problem = exact.with_instruments(exact_logs[:-1]) if way == "instruments" else exact.with_correlated_channels()
     estimate = identify(problem, "wls", **EXACT)
     assert max(fit.relative for fit in estimate.fit["validation"].values()) < 1e-9
-    base = estimate.seen.grouping @ cat_truth
+    base = estimate.identifiability.grouping @ cat_truth
     np.testing.assert_allclose(estimate.base_value, base, rtol=1e-6, atol=1e-12 * np.max(np.abs(base)))
 
 

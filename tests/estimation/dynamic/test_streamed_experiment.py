@@ -48,7 +48,7 @@ def identified(cat215b: Model, log: Log | LogStream, method: str = "wls") -> Est
 
 def apart(one: Estimate, other: Estimate) -> float:
     """Largest difference of base parameters, in standard deviations."""
-    assert one.seen.basis == other.seen.basis
+    assert one.identifiability.basis == other.identifiability.basis
     return float(np.max(np.abs(one.base_value - other.base_value) / one.base_std))
 
 

@@ -11,7 +11,7 @@ from scipy.stats import wishart
 
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
-from hydroopt.estimation.dynamic.diagnostics import doubts
+from hydroopt.estimation.dynamic.diagnostics import diagnose
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.inference import conditions as physics
@@ -25,8 +25,9 @@ from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, load_machine, read_machine
 from hydroopt.machine.mass_statements import Shape
 from hydroopt.model.model import Model
-from hydroopt.report.folder import as_dict
 from hydroopt.report.identification import render
+from hydroopt.results.diagnostic import of_kind
+from hydroopt.results.wording import Kind
 from hydroopt.spatial import inertia
 
 PHI = inertia.from_centre_of_mass(10.0, [0.5, 0.1, 0.05], [0.2, 0.02, 0.01, 1.0, 0.01, 1.1])
@@ -309,7 +310,7 @@ def test_log_det_needs_possible_bodies(problems: tuple[IdentificationProblem, Id
 
 
 def test_report_and_json_show_the_names(noisy_estimate: Any) -> None:
-    page, content = render(noisy_estimate, doubts(noisy_estimate)), as_dict(noisy_estimate)
+    page, content = render(noisy_estimate), noisy_estimate.content()
     for name in STATED:
         assert name in page
     assert {"symmetry of boom about xy", "jacks", "weighbridge"} <= set(content["active_constraints"])
@@ -585,16 +586,17 @@ def test_intervals_with_data_shape_and_symmetry_are_those_of_a_random_walk() -> 
     np.testing.assert_allclose(np.mean((walk > low) & (walk < high), axis=0), 0.95, atol=0.015)
 
 
-def test_wide_confidences_with_log_det_are_in_doubt(problems: tuple[IdentificationProblem,
-                                                                    IdentificationProblem]) -> None:
+def test_wide_confidences_with_log_det_have_a_diagnostic(problems: tuple[IdentificationProblem,
+                                                                         IdentificationProblem]) -> None:
     estimate = identify(problems[1].with_distance("log-det"), intervals=False)
-    assert not any("log-det" in doubt for doubt in doubts(estimate))
+    assert not of_kind(diagnose(estimate), Kind.WEAK_LOG_DET)
     notes = {key: note for key, note in estimate.problem.model.machine.notes.items() if not key.startswith("boom.body")}
     vague = estimate.problem.model.machine.model_copy(update={"notes": notes})
     weak = IdentificationProblem(Model(vague), estimate.problem.experiments).with_distance("log-det")
     object.__setattr__(estimate, "problem", weak)
-    (doubt,) = (doubt for doubt in doubts(estimate) if "log-det" in doubt)
-    assert doubt.startswith("The log-det distance of boom is weak: before any data the mean of its bodies is up to 11 ")
+    (found,) = of_kind(diagnose(estimate), Kind.WEAK_LOG_DET)
+    assert found.subject == ("boom",)
+    assert round(found.evidence["growth"]) == 11
 
 
 def test_a_nominal_body_that_cannot_exist_has_no_distance() -> None:

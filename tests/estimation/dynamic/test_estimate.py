@@ -1,4 +1,4 @@
-"""What an identification leaves behind: complete, strict, consistent with itself, or not there at all."""
+"""The folder of an identification: complete, strict, consistent with itself, loaded again, or not there at all."""
 
 from __future__ import annotations
 
@@ -12,20 +12,24 @@ import numpy as np
 import pytest
 
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.estimation.dynamic.estimate import Estimate
+from hydroopt.estimation.dynamic.estimate import Estimate, inputs_of
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.files import write_files
 from hydroopt.logs.log import read_log
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.machine_file import load_machine
+from hydroopt.machine.machine_file import dump_machine, load_machine, read_machine
 from hydroopt.model.model import Model
-from hydroopt.report import folder
+from hydroopt.report.identification import render
+from hydroopt.results import store
+from hydroopt.results.answer import load
+from hydroopt.results.diagnostic import of_kind
+from hydroopt.results.store import COMMON
+from hydroopt.results.wording import Kind
 from hydroopt.simulation.simulate import random_trajectory, simulate
 
-CONTRACT = {"machine", "created", "inputs", "method", "status", "parameters", "base_parameters", "fit", "conditioning",
-            "physical_consistency", "versions", "seed", "wall_s"}
-EXTRA = {"schema", "total_masses", "weights", "active_constraints", "doubts", "notes"}
+CONTRACT = {*COMMON, "base_parameters", "conditioning", "physical_consistency", "seed"}
+EXTRA = {"total_masses", "weights", "active_constraints", "intervals", "notes"}
 FILES = {"estimate.json", "report.html", "parameters.csv", "base_parameters.csv", "fit.csv", "information.csv",
          "cat215b.toml"}
 
@@ -46,7 +50,7 @@ def estimate(tmp_path_factory: pytest.TempPathFactory) -> Estimate:
 @pytest.fixture(scope="module")
 def left(estimate: Estimate, tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("run") / "new" / "folder"
-    folder.save(estimate, place, wall_s=1.5)
+    estimate.save(place, pages={"report.html": render(estimate)}, wall_s=1.5)
     return place
 
 
@@ -74,7 +78,8 @@ def test_keys_are_those_of_the_contract(content: dict[str, Any]) -> None:
     for one in content["inputs"]:
         assert set(one) >= {"path", "sha256", "samples"}
     for one in content["parameters"]:
-        assert set(one) == {"name", "unit", "nominal", "value", "std", "ci95", "bound", "identifiability"}
+        assert set(one) == {"name", "kind", "unit", "nominal", "prior_std", "value", "std", "ci95", "bound",
+                            "identifiability", "information_from_data"}
         assert one["identifiability"] in {"full", "combination", "none", "not excited"}
     for one in content["base_parameters"]:
         assert set(one) == {"expression", "unit", "value", "std"}
@@ -103,7 +108,7 @@ def test_values_are_those_of_the_estimate(content: dict[str, Any], estimate: Est
         assert (one["ci95"] is None) == bool(np.isnan(estimate.ci95[k, 0]))
         assert (one["bound"] or "") == estimate.bound[k]
     assert by_name["swing.I_xx"]["std"] is None
-    assert len(content["base_parameters"]) == content["conditioning"]["rank"] == estimate.seen.rank
+    assert len(content["base_parameters"]) == content["conditioning"]["rank"] == estimate.identifiability.rank
     error = np.concatenate([e.force[e.inside] - p[e.inside] for e, p in zip(
         estimate.problem.validation, estimate.predictions["validation"], strict=True)])
     assert content["fit"]["validation"]["boom_cylinder"]["rms"] == pytest.approx(np.sqrt(np.mean(error[:, 1] ** 2)))
@@ -132,20 +137,41 @@ def test_saving_again_replaces_and_leaves_the_estimate_alone(estimate: Estimate,
         return {file.name: file.read_bytes() for file in tmp_path.iterdir()
                 if file.name not in ("report.html", "estimate.json")}
 
-    first = folder.save(estimate, tmp_path)
-    before = tables()
-    assert folder.save(estimate, tmp_path) | {"created": ""} == first | {"created": ""}
-    assert tables() == before
+    def content() -> dict[str, Any]:
+        return json.loads((tmp_path / "estimate.json").read_text()) | {"created": ""}
+
+    estimate.save(tmp_path)
+    before, first = tables(), content()
+    estimate.save(tmp_path)
+    assert (tables(), content()) == (before, first)
     assert first["wall_s"] is None
 
 
-def test_a_failing_report_leaves_nothing(estimate: Estimate, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    def fail(*_: Any) -> str:
-        raise RuntimeError("no ink")
-    monkeypatch.setattr(folder.identification, "render", fail)
-    with pytest.raises(RuntimeError, match="no ink"):
-        folder.save(estimate, tmp_path / "run")
-    assert not list(tmp_path.rglob("*"))
+def test_what_is_loaded_says_the_same_and_saves_the_same(estimate: Estimate, left: Path, tmp_path: Path) -> None:
+    loaded = load(left)
+    for text in (repr, str):
+        assert text(loaded) == text(estimate)
+    assert len(repr(estimate)) < 120
+    for name in ("parameters", "diagnostics", "status", "fit", "method", "inputs"):
+        assert getattr(loaded, name) == getattr(estimate, name), name
+    assert loaded.details() == json.loads(json.dumps(estimate.details()))
+    assert loaded.machine_file is not None
+    assert load_machine(loaded.machine_file) == read_machine(dump_machine(estimate.machine))
+    loaded.save(tmp_path, wall_s=1.5)
+    assert {file.name for file in tmp_path.iterdir()} == FILES
+    for file in FILES - {"estimate.json"}:
+        assert (tmp_path / file).read_bytes() == (left / file).read_bytes(), file
+    first, second = (json.loads((place / "estimate.json").read_text()) for place in (left, tmp_path))
+    assert first | {"created": ""} == second | {"created": ""}
+
+
+def test_information_from_data_is_what_the_prior_lacks(estimate: Estimate) -> None:
+    rows = [one for one in estimate.parameters.rows if one.std is not None and one.prior_std]
+    assert rows
+    for one in rows:
+        assert one.information_from_data == pytest.approx(max(0.0, 1 - (one.std / one.prior_std) ** 2))
+    free = identify(estimate.problem, "wls")
+    assert {one.information_from_data for one in free.parameters.rows if one.std is not None} == {1.0}
 
 
 def test_a_disk_that_fails_in_between_leaves_nothing_half_written(
@@ -168,12 +194,13 @@ def test_a_disk_that_fails_in_between_leaves_nothing_half_written(
 def test_a_place_that_is_no_folder_is_refused(estimate: Estimate, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
     with pytest.raises(ProblemError, match=r"cannot be written.*choose another directory"):
-        folder.save(estimate, tmp_path / "file")
+        estimate.save(tmp_path / "file")
 
 
 def test_failure_is_marked(estimate: Estimate, tmp_path: Path) -> None:
     error = SolverError("it ran out of iterations", where="identification of cat215b", remedy="start elsewhere")
-    folder.save_failure(estimate.problem, "nlp", error, tmp_path)
+    store.write_failure(tmp_path, store.Job.IDENTIFICATION, "cat215b", "0" * 64, "nlp", inputs_of(estimate.problem),
+                        error)
     assert [file.name for file in tmp_path.iterdir()] == ["estimate.json"]
     said = json.loads((tmp_path / "estimate.json").read_text("utf-8"))
     assert (said["status"], said["method"], said["reason"]) == ("failed", "nlp", str(error))
@@ -183,9 +210,13 @@ def test_failure_is_marked(estimate: Estimate, tmp_path: Path) -> None:
 def test_an_impossible_machine_is_not_exported(estimate: Estimate, tmp_path: Path) -> None:
     impossible = identify(estimate.problem, "wls")
     assert min(impossible.consistency.values()) < 0
-    content = folder.save(impossible, tmp_path)
-    assert {file.name for file in tmp_path.iterdir()} == FILES - {"cat215b.toml"}
-    assert not all(one["consistent"] for one in content["physical_consistency"].values())
+    impossible.save(tmp_path)
+    assert {file.name for file in tmp_path.iterdir()} == FILES - {"cat215b.toml", "report.html"}
+    (found,) = of_kind(load(tmp_path).diagnostics, Kind.INCONSISTENT_BODIES)
+    assert found.evidence["min_eigenvalue"] == min(impossible.consistency.values())
+    assert set(found.subject) == {owner for owner, smallest in impossible.consistency.items() if smallest < 0}
+    with pytest.raises(ProblemError, match="cannot exist"):
+        _ = impossible.machine
 
 
 def test_seals_that_cannot_be_are_said_and_not_exported(tmp_path: Path) -> None:
@@ -195,8 +226,9 @@ def test_seals_that_cannot_be_are_said_and_not_exported(tmp_path: Path) -> None:
     log = simulate(model, random_trajectory(model, duration=10, rate=25, seed=1), seed=1)
     widest = model.parameters.upper[model.parameters.index("lift_cylinder.f_seal")]
     estimate = identify(identification_problem(model, [log]).fix("lift_cylinder.f_seal", widest), intervals=False)
-    content = folder.save(estimate, tmp_path)
-    assert any("No calibrated machine is written: such seals hold" in doubt for doubt in content["doubts"])
+    estimate.save(tmp_path)
+    (found,) = of_kind(estimate.diagnostics, Kind.NO_CALIBRATED_MACHINE)
+    assert found.text.startswith("No calibrated machine is written: such seals hold")
     assert not (tmp_path / "patu655_lift.toml").exists()
 
 
@@ -206,8 +238,8 @@ def test_an_earlier_result_is_not_left_beside_a_new_one(tmp_path: Path) -> None:
     model = Model(machine)
     log = simulate(model, random_trajectory(model, duration=20, rate=25, seed=1), seed=1)
     problem = identification_problem(machine, [log])
-    folder.save(identify(problem, "sdp", intervals=False), tmp_path)
+    identify(problem, "sdp", intervals=False).save(tmp_path)
     assert (tmp_path / "cat215b.toml").exists()
-    folder.save(identify(problem, "wls"), tmp_path)
+    identify(problem, "wls").save(tmp_path)
     assert not (tmp_path / "cat215b.toml").exists()
     assert json.loads((tmp_path / "estimate.json").read_text())["method"] == "wls"

@@ -1,0 +1,185 @@
+"""What an estimator found: parameters with uncertainty, and how they predict training and validation data."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from enum import StrEnum
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.estimation.dynamic.friction_candidates import FrictionChoice
+from hydroopt.estimation.dynamic.problem import IdentificationProblem
+from hydroopt.estimation.dynamic.regressor_qr import predict
+from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment
+from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals
+from hydroopt.estimation.inference.identifiability import COMBINATION, FULL, NONE, Confounded, Identifiability
+from hydroopt.estimation.inference.posterior import Posterior
+from hydroopt.parameters.dynamic import bodies, carried
+from hydroopt.results.fit import Fit
+from hydroopt.spatial import inertia
+from hydroopt.spatial.inertia import Array
+
+WITH_PRIORS = ("sdp", "qp", "nlp")
+"""Methods that use the machine file's priors, bounds and statements; the others compute from the data alone."""
+
+
+class TotalMass(NamedTuple):
+    """Mass [kg] of a link with the ends of cylinders that are pinned to it; NaN where it is not identifiable."""
+
+    link: str
+    bodies: tuple[str, ...]
+    value: float
+    std: float
+    low: float
+    high: float
+
+
+class Intervals(StrEnum):
+    """Where standard deviations and intervals come from, or why there are none."""
+
+    LEAST_SQUARES = "weighted least squares"
+    SAMPLED = "sampled posterior"
+    BIASED = "none: the method is biased"
+    NOT_REQUESTED = "none: not requested"
+    NOT_SAMPLABLE = "none: a constraint cannot be sampled"
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Identification:
+    """A solved identification problem, before anything is judged or written.
+
+    Attributes:
+        problem: what was solved.
+        algorithm: how, one of `hydroopt.estimation.dynamic.identify.METHODS`.
+        psi: (p,) parameters that predict forces. Where only base parameters are identifiable, those nearest to nominal
+            with these base parameters; for ridge and truncated SVD the solution of the method.
+        value, std, ci95: (p,), (p,), (p, 2) per parameter, NaN where it is not identifiable.
+        bound: (p,) name of a constraint that is active at the most probable value of each parameter, or "".
+        active: names of all constraints that are active at the most probable parameters.
+        structural: identifiability under ideal motion; `identifiability` with the motion of the training data.
+        base_value, base_std: (r,) of the base parameters of `identifiability`.
+        weighted_residuals: weights of the residuals, and the information about ψ that they carry.
+        confounded: base parameters that this motion can hardly separate.
+        notes: how the solution was computed, in sentences.
+        intervals: where standard deviations and intervals come from.
+        posterior: samples of the parameters, where intervals were sampled.
+        friction_choice: how its friction terms were chosen, if they were.
+    """
+
+    problem: IdentificationProblem
+    algorithm: str
+    psi: Array
+    value: Array
+    std: Array
+    ci95: Array
+    bound: tuple[str, ...]
+    active: tuple[str, ...]
+    structural: Identifiability
+    identifiability: Identifiability
+    base_value: Array
+    base_std: Array
+    weighted_residuals: WeightedResiduals[IdentificationProblem]
+    confounded: tuple[Confounded, ...]
+    notes: tuple[str, ...]
+    intervals: Intervals
+    seed: int = 0
+    posterior: Posterior | None = None
+    friction_choice: FrictionChoice | None = None
+
+    @property
+    def uses_priors(self) -> bool:
+        """Whether the method uses the machine file's priors, bounds and statements."""
+        return self.algorithm in WITH_PRIORS
+
+    @property
+    def prior_std(self) -> Array:
+        """Standard deviation (p,) of the priors that the method used, NaN where it used none."""
+        stated = self.problem.parameters.prior_std
+        return stated if self.uses_priors else np.full_like(stated, np.nan)
+
+    @property
+    def sigma(self) -> Array:
+        """Weights used (n,): standard deviation of each actuator's residual."""
+        return self.weighted_residuals.sigma
+
+    @property
+    def correlation_time(self) -> Array:
+        """Correlation time (n,) of each actuator's residuals in samples; 1 is white noise."""
+        return self.weighted_residuals.correlation_time
+
+    @cached_property
+    def total_masses(self) -> tuple[TotalMass, ...]:
+        """Masses of the links, each with what is pinned to it, as a scale would weigh them."""
+        model, parameters = self.problem.model, self.problem.parameters
+        found = []
+        for link, owners in carried(model.machine, actuator_inertia=model.actuator_inertia).items():
+            at = parameters.select(f"{owner}.m" for owner in owners)
+            value, std, interval = float(np.sum(self.value[at])), np.nan, np.full(2, np.nan)
+            if self.posterior is not None and np.isfinite(value):
+                row = np.zeros((1, len(parameters)))
+                row[0, at] = 1.0
+                spread, limits = self.posterior.interval(row)
+                std, interval = float(spread[0]), limits[0]
+            found.append(TotalMass(link, owners, value, std, float(interval[0]), float(interval[1])))
+        return tuple(found)
+
+    def predict(self, data: Experiment) -> Array:
+        """Actuator forces (N, n) for the motion of an experiment."""
+        return predict(self.problem.model, data, self.psi)
+
+    @cached_property
+    def predictions(self) -> Mapping[str, list[Array]]:
+        """Predicted forces (N, n) of the shown part of every training and validation experiment."""
+        return {"train": [self.predict(e.shown) for e in self.problem.experiments],
+                "validation": [self.predict(e.shown) for e in self.problem.validation]}
+
+    @cached_property
+    def fit(self) -> dict[str, dict[str, Fit]]:
+        """Fit by data set and actuator; the entry ``all`` covers all actuators of one unit or of mixed units."""
+        sets = {"train": self.problem.experiments, "validation": self.problem.validation}
+        return {name: self._fit(data, self.predictions[name]) for name, data in sets.items() if data}
+
+    def _fit(self, data: tuple[Experiment | StreamedExperiment, ...], predicted: list[Array]) -> dict[str, Fit]:
+        moments = sum((e.moments(self.psi) if isinstance(e, StreamedExperiment) else _moments(e, p)
+                       for e, p in zip(data, predicted, strict=True)), np.zeros((5, len(self.sigma))))
+        units = self.problem.model.force_units
+        table = {actuator.name: _fit_of(moments[:, k], units[k])
+                 for k, actuator in enumerate(self.problem.model.machine.actuators)}
+        if len(set(units)) == 1:
+            return table | {"all": _fit_of(moments.sum(axis=1), units[0])}
+        # channels of different units are compared in units of their own noise
+        scaled = moments / np.array([0 * self.sigma + 1, self.sigma, self.sigma**2, self.sigma, self.sigma**2])
+        return table | {"all": _fit_of(scaled.sum(axis=1), "sigma")}
+
+    @cached_property
+    def consistency(self) -> dict[str, float]:
+        """Smallest eigenvalue of each body's pseudo-inertia at ψ; negative: no such body exists."""
+        names = bodies(self.problem.model.machine, actuator_inertia=self.problem.model.actuator_inertia)
+        at = {owner: self.problem.parameters.index(f"{owner}.m") for owner in names}
+        return {owner: inertia.smallest_eigenvalue(self.psi[k : k + 10]) for owner, k in at.items()}
+
+    def category(self, k: int) -> str:
+        """Of parameter k: ``full``, ``combination``, ``none``, or ``not excited`` where only this motion prevents more.
+        """
+        found, possible = self.identifiability.category[k], self.structural.category[k]
+        less = (possible, found) in ((FULL, COMBINATION), (FULL, NONE), (COMBINATION, NONE))
+        return "not excited" if less else found
+
+
+def _moments(data: Experiment, predicted: Array) -> Array:
+    """Sums (5, n) over the samples that take part: 1, force, force², error and error²."""
+    force = data.force[data.inside]
+    error = force - predicted[data.inside]
+    return np.array([x.sum(axis=0) for x in (np.ones_like(force), force, force**2, error, error**2)])
+
+
+def _fit_of(moments: Array, unit: str) -> Fit:
+    count, force, squared, error, error_squared = moments
+    rms, size = float(np.sqrt(error_squared / count)), float(np.sqrt(squared / count))
+    spread = squared - force**2 / count
+    vaf = 1 - float((error_squared - error**2 / count) / spread) if spread > 1e-15 * squared else float("nan")
+    return Fit(rms, vaf, rms / size if size else float("inf"), unit)
