@@ -2,12 +2,14 @@
 
 import subprocess
 import sys
+from pathlib import Path
 
 import pytest
 
 import hydroopt
+from hydroopt import cli
 
-HEAVY = ("casadi", "cvxpy", "control", "dask", "matplotlib", "numpy", "pyarrow", "pydantic", "scipy")
+HEAVY = ("casadi", "cvxpy", "control", "dask", "matplotlib", "numpy", "pyarrow", "scipy")
 
 
 def loaded(*arguments: str) -> set[str]:
@@ -20,6 +22,17 @@ def loaded(*arguments: str) -> set[str]:
 
 def test_importing_hydroopt_imports_no_library() -> None:
     assert loaded("-c", "import hydroopt") == set()
+
+
+def test_help_imports_no_library_and_lists_every_command() -> None:
+    assert loaded("-m", "hydroopt", "--help") == set()
+    modules = {path.stem for path in Path(cli.__file__).parent.glob("[a-z]*.py")} - {"options"}
+    assert {name.replace("-", "_") for name in cli.COMMANDS} == modules
+
+
+@pytest.mark.parametrize("command", ["show", "simulate", "study montecarlo", "study sweep", "study bootstrap"])
+def test_help_of_a_command_imports_no_library(command: str) -> None:
+    assert loaded("-m", "hydroopt", *command.split(), "--help") == set()
 
 
 @pytest.mark.parametrize("name", hydroopt.__all__)

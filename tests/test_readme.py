@@ -76,17 +76,15 @@ def commands() -> list[str]:
 
 
 def test_commands_in_the_readme_parse() -> None:
-    group = typer.main.get_command(app)
-    assert isinstance(group, TyperGroup)
-    with group.make_context("hydroopt", ["show"]) as context:
-        for line in commands():
-            program, *words = shlex.split(line, comments=True) or [""]
-            command = group
-            if program == "hydroopt":
-                while isinstance(command, TyperGroup):
-                    command = command.get_command(context, words.pop(0))
-                    assert command is not None, line
-                command.make_context(line, words, parent=context)
+    for line in commands():
+        program, *words = shlex.split(line, comments=True) or [""]
+        if program == "hydroopt":
+            context = typer.main.get_command(app).make_context(program, words)
+            while isinstance(context.command, TyperGroup):
+                name, *words = words
+                command = context.command.get_command(context, name)
+                assert command is not None, line
+                context = command.make_context(name, words, parent=context)
 
 
 def test_commands_that_need_a_checkout_say_so() -> None:

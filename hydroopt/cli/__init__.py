@@ -1,41 +1,68 @@
-"""The command `hydroopt`, and how its subcommands end."""
+"""The command `hydroopt`: one module a command, imported when that command runs or shows its own help."""
 
 from __future__ import annotations
 
+import ast
 import sys
+from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import typer
+from typer.core import TyperCommand, TyperGroup
 
-from hydroopt.cli.calibrate import calibrate
-from hydroopt.cli.codegen import codegen
-from hydroopt.cli.compare import compare
-from hydroopt.cli.control import control
-from hydroopt.cli.excite import excite
-from hydroopt.cli.identify import identify
-from hydroopt.cli.identify_valves import identify_valves
-from hydroopt.cli.plan_poses import plan_poses
-from hydroopt.cli.show import show
-from hydroopt.cli.simulate import simulate
-from hydroopt.cli.study import study
 from hydroopt.errors import HydrooptError
 
-app = typer.Typer(add_completion=False, pretty_exceptions_enable=False, help=(
-    "Calibrate hydraulically actuated manipulators: a machine file and logs in, a model with error bars out."))
-for command in (show, simulate, identify, identify_valves, compare, calibrate, plan_poses, excite, control, study,
-                codegen):
-    app.command()(command)
+COMMANDS = ("show", "simulate", "identify", "identify-valves", "compare", "calibrate", "plan-poses", "excite",
+            "control", "study", "codegen")
+"""A command is the function of its name in the module of its name; the docstring of that function is its help."""
+
+
+class Deferred(TyperCommand):
+    """A command whose module has not been imported yet: the list of commands needs its name and help alone."""
+
+    def __init__(self, name: str) -> None:
+        self.key = name.replace("-", "_")
+        source = ast.parse(Path(__file__).with_name(f"{self.key}.py").read_text("utf-8"))
+        function = next(node for node in source.body if isinstance(node, ast.FunctionDef) and node.name == self.key)
+        help_text = ast.get_docstring(function) or ""
+        super().__init__(name, help=help_text, short_help=help_text.partition("\n\n")[0])
+
+    def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
+        """The context of the command itself."""
+        module = import_module(f"{__name__}.{self.key}")
+        group = getattr(module, "app", None)
+        if group is None:
+            group = typer.Typer(add_completion=False, rich_markup_mode=None)
+            group.command(self.name)(getattr(module, self.key))
+        return typer.main.get_command(group).make_context(info_name, args, parent, **extra)
+
+
+class Commands(TyperGroup):
+    """All commands, none of which is imported."""
+
+    def __init__(self, **attributes: Any) -> None:
+        super().__init__(**attributes | {"commands": {name: Deferred(name) for name in COMMANDS}})
+
+
+app = typer.Typer(cls=Commands, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+@app.callback()
+def hydroopt() -> None:
+    """Calibrate hydraulically actuated manipulators: a machine file and logs in, a model with error bars out."""
+
 
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__mro__[1]
-"""What typer raises when arguments do not fit: click's UsageError, or the one typer brings along."""
+"""What typer raises on wrong arguments: the UsageError of click, or of the copy that typer contains."""
 
 
 def main() -> None:
-    """Run the command; a user's mistake ends in one sentence and exit code 2, a failed solver in 3."""
+    """Run the command. Bad input ends in one sentence and exit code 2, a failed solver in 3."""
     code: Any = 130
     arguments = sys.argv[1:]
     try:
-        code = app(arguments or ["--help"], standalone_mode=False) or (0 if arguments else 2)
+        code = app(arguments or ["--help"], prog_name="hydroopt", standalone_mode=False) or (0 if arguments else 2)
     except HydrooptError as error:
         typer.echo(f"hydroopt: {_visible(str(error))}", err=True)
         sys.exit(error.exit_code)
@@ -44,21 +71,21 @@ def main() -> None:
         _explain(error)
     except (KeyboardInterrupt, typer.Abort):
         pass
-    if code == 130:  # typer turns an interrupt into this exit code
+    if code == 130:  # typer's exit code of an interrupt
         typer.echo("hydroopt: interrupted; no result was written", err=True)
     sys.exit(code)
 
 
 def _explain(error: Any) -> None:
-    """Print a wrong use of the command line as one sentence."""
+    """Print what is wrong with the arguments as one sentence."""
     context = error.ctx
     command = context.command_path if context else "hydroopt"
     what = " ".join(error.format_message().split()).rstrip(".?").replace(". Did you mean", ", did you mean")
     place = command.partition(" ")[2]
-    said = f"{place + ': ' if place else ''}{what[:1].lower()}{what[1:]}; see '{command} --help'."
-    typer.echo(f"hydroopt: {_visible(said)}", err=True)
+    sentence = f"{place + ': ' if place else ''}{what[:1].lower()}{what[1:]}; see '{command} --help'."
+    typer.echo(f"hydroopt: {_visible(sentence)}", err=True)
 
 
 def _visible(text: str) -> str:
-    """A sentence without what would act on a terminal: a quoted name may hold anything."""
+    """A sentence without control characters: a quoted name may contain any."""
     return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)

@@ -1,4 +1,4 @@
-"""What several commands ask for, and how they tell of progress."""
+"""Options that several commands share, and the progress display."""
 
 from __future__ import annotations
 
@@ -6,60 +6,72 @@ import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.console import Console
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.dynamic.weighted_residuals import Loss
-from hydroopt.estimation.inference.problem import Distance
-from hydroopt.logs.smoothing import Butterworth, Fourier, Smoothing, SmoothingSpline
-from hydroopt.machine.components import Cylinder, Motor
-from hydroopt.machine.machine import Machine
-from hydroopt.parameters.parameter_set import ParameterSet
-from hydroopt.units import to_si
+
+if TYPE_CHECKING:
+    from hydroopt.estimation.dynamic.weighted_residuals import Loss
+    from hydroopt.estimation.inference.problem import Distance
+    from hydroopt.logs.smoothing import Smoothing
+    from hydroopt.machine.components import Cylinder, Motor
+    from hydroopt.machine.machine import Machine
+    from hydroopt.parameters.parameter_set import ParameterSet
 
 MachineName = Annotated[str, typer.Argument(
-    metavar="MACHINE", help="A bundled machine's name or a .toml or .urdf file.")]
-ParameterSetName = Annotated[str | None, typer.Option("--set", help="Which of the file's sets of inertial parameters.")]
-Quiet = Annotated[bool, typer.Option("--quiet", help="No progress and no summary.")]
+    metavar="MACHINE", help="A bundled machine's name, or a .toml or .urdf file.")]
+ParameterSetName = Annotated[str | None, typer.Option(
+    "--set", help="Which of the machine file's sets of inertial parameters to use.")]
+Quiet = Annotated[bool, typer.Option("--quiet", help="Print no progress and no summary.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON.")]
 Directory = Annotated[Path, typer.Option("-o", "--output", help="Directory that receives everything.")]
 MapFile = Annotated[Path | None, typer.Option(
-    "--map", help="TOML file that says which column is what in foreign logs.")]
+    "--map", help="TOML file that maps the columns of foreign logs to channels and units.")]
 Treat = Annotated[list[str] | None, typer.Option(
-    help="What to do about a finding, KIND=ACTION, e.g. nan=drop, spike=interpolate, gap=keep; repeatable.")]
+    help="How to treat a finding, KIND=ACTION, e.g. nan=drop, spike=interpolate, gap=keep; repeatable.")]
 
 SmoothingText = Annotated[str, typer.Option(help=(
     "spline (weight from the stated noise), spline:cv (cross-validated), fourier:PERIOD:HARMONICS or "
     "butterworth:HZ."))]
-Bandwidth = Annotated[float | None, typer.Option(help="Highest frequency of the motion [Hz], for spline.")]
+Bandwidth = Annotated[float | None, typer.Option(
+    help="Highest frequency of the motion [Hz], for spline; that of the machine file if not given.")]
 
 
 @contextmanager
 def progress(what: str, quiet: bool) -> Iterator[Callable[[str], None]]:
-    """A spinner on a terminal's error stream while something takes its time; what is given says what goes on now."""
+    """Show a spinner with a text on a terminal's error stream; the function that is yielded replaces the text."""
+    from rich.console import Console
+
     with Console(stderr=True, quiet=quiet).status(what) as status:
         yield status.update
 
 
 def distance_of(text: str, where: str) -> Distance:
-    """The distance between bodies that an option names."""
+    """The distance between bodies that an option names.
+
+    Raises:
+        ProblemError: there is no such distance.
+    """
     if text not in ("gaussian", "log-det"):
-        raise ProblemError(f"'{text}' is no distance", where=where, remedy="use gaussian or log-det")
+        raise ProblemError(f"the distance '{text}' does not exist", where=where, remedy="use gaussian or log-det")
     return text  # type: ignore[return-value]
 
 
 def loss_of(text: str, where: str) -> Loss:
-    """The loss that an option names."""
+    """The loss that an option names.
+
+    Raises:
+        ProblemError: there is no such loss.
+    """
     if text not in ("squares", "huber", "student_t"):
-        raise ProblemError(f"'{text}' is no loss", where=where, remedy="use squares, huber or student_t")
+        raise ProblemError(f"the loss '{text}' does not exist", where=where, remedy="use squares, huber or student_t")
     return text  # type: ignore[return-value]
 
 
 def refuse_idle(context: typer.Context, options: Collection[str], why: str, remedy: str) -> None:
-    """Refuse options that would mean nothing.
+    """Refuse options that would have no effect.
 
     Raises:
         ProblemError: one of them was given.
@@ -71,7 +83,7 @@ def refuse_idle(context: typer.Context, options: Collection[str], why: str, reme
 
 
 def reliefs(machine: Machine) -> dict[str, tuple[float, float]]:
-    """Relief pressures as the upper ends of what pressure channels can show."""
+    """Ranges [Pa] of pressure channels by name: a chamber's pressure does not exceed the stated relief pressure."""
     chambers: list[tuple[Cylinder | Motor, tuple[str, str]]] = [
         *((cylinder, ("p_head", "p_rod")) for cylinder in machine.cylinders),
         *((motor, ("p_a", "p_b")) for motor in machine.motors)]
@@ -80,7 +92,11 @@ def reliefs(machine: Machine) -> dict[str, tuple[float, float]]:
 
 
 def treatment_of(stated: list[str] | None) -> dict[str, str]:
-    """What to do about findings, of KIND=ACTION texts."""
+    """Actions by kind of finding, from KIND=ACTION texts.
+
+    Raises:
+        ProblemError: a text has another form.
+    """
     pairs = {}
     for text in stated or ():
         kind, found, action = text.partition("=")
@@ -91,9 +107,16 @@ def treatment_of(stated: list[str] | None) -> dict[str, str]:
 
 
 def smoothing_of(text: str, bandwidth: float | None, machine: Machine) -> Smoothing:
-    """The way to smooth that an option names."""
+    """The smoothing that an option names.
+
+    Raises:
+        ProblemError: there is no such smoothing, or the bandwidth is not positive or has no effect.
+    """
+    from hydroopt.logs.smoothing import Butterworth, Fourier, SmoothingSpline
+
     if bandwidth is not None and not 0 < bandwidth < math.inf:
-        raise ProblemError(f"{bandwidth:g} Hz is no frequency", where="--bandwidth", remedy="give a positive one")
+        raise ProblemError(f"a bandwidth of {bandwidth:g} Hz is not positive and finite", where="--bandwidth",
+                           remedy="give a positive frequency")
     kind, *numbers = text.split(":")
     if bandwidth is not None and kind in ("fourier", "butterworth"):
         raise ProblemError(f"the smoothing '{text}' takes no bandwidth", where="--bandwidth",
@@ -107,7 +130,7 @@ def smoothing_of(text: str, bandwidth: float | None, machine: Machine) -> Smooth
             return Butterworth(float(numbers[0]))
     except ValueError:
         pass
-    raise ProblemError(f"'{text}' is no way to smooth", where="--smoothing",
+    raise ProblemError(f"the smoothing '{text}' does not exist", where="--smoothing",
                        remedy="use spline, spline:cv, fourier:PERIOD:HARMONICS or butterworth:HZ")
 
 
@@ -115,8 +138,10 @@ def parameter_values(stated: Sequence[str], parameters: ParameterSet) -> dict[st
     """Values [SI] of parameters that --fix NAME=VALUE holds.
 
     Raises:
-        ProblemError: one has another form, or there is no such parameter.
+        ProblemError: a text has another form, or there is no such parameter.
     """
+    from hydroopt.units import to_si
+
     values = {}
     for text in stated:
         name, found, value = (part.strip() for part in text.partition("="))

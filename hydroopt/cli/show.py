@@ -1,45 +1,44 @@
-"""`hydroopt show`: what there is to know of a machine before any log."""
+"""`hydroopt show`: what a machine file says, and which parameters a motion can identify."""
 
 from __future__ import annotations
 
 import json
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
-from rich.console import Console
-from rich.markup import escape
-from rich.table import Table
 
 from hydroopt.cli.options import AsJson, MachineName, ParameterSetName, progress
 from hydroopt.errors import ProblemError
-from hydroopt.files import write_files
-from hydroopt.machine.machine import Machine
-from hydroopt.machine.machine_file import load_machine
-from hydroopt.model.model import Model
-from hydroopt.model.plant import Plant
-from hydroopt.model.workspace import sweeps
-from hydroopt.report import hydraulics as workspace
-from hydroopt.report.machine_facts import machine_facts
-from hydroopt.report.record import table as csv
+
+if TYPE_CHECKING:
+    from rich.table import Table
+
+    from hydroopt.machine.machine import Machine
 
 
 def show(
     machine: MachineName,
     hydraulics: Annotated[bool, typer.Option("--hydraulics", help=(
-        "Frequency, damping and gain of every joint on its oil over the workspace."))] = False,
-    output: Annotated[Path | None, typer.Option(
-        "-o", "--output", help="Directory for hydraulics.html with figures and hydraulics.csv.")] = None,
+        "Show frequency, damping and gain of every joint on its oil over the workspace."))] = False,
+    output: Annotated[Path | None, typer.Option("-o", "--output", help=(
+        "Directory for hydraulics.html with figures and hydraulics.csv; with --hydraulics."))] = None,
     parameter_set: ParameterSetName = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show a machine: links, actuators with their geometry, sensors, and which parameters a motion can reveal."""
+    """Show a machine: joints, cylinders and their geometry, sensors, and which parameters are identifiable."""
+    from rich.console import Console
+    from rich.markup import escape
+
+    from hydroopt.machine.machine_file import load_machine
+    from hydroopt.report.machine_facts import machine_facts
+
     described = load_machine(machine, parameter_set=parameter_set)
     if hydraulics:
         _hydraulics(described, output, as_json=as_json)
         return
     if output is not None:
-        raise ProblemError("without --hydraulics nothing is written", where="--output",
+        raise ProblemError("without --hydraulics no file is written", where="--output",
                            remedy="leave it out, or add --hydraulics")
     facts = machine_facts(described)
     if as_json:
@@ -47,16 +46,16 @@ def show(
         return
     console = Console()
     console.print(f"[bold]{described.name}[/bold] {escape(described.description)}")
-    console.print(_table("Joints", facts["joints"]),
-                  _table("Cylinders", [_cylinder_row(cylinder) for cylinder in facts["cylinders"]]),
-                  _table("Sensors (standard deviation of a reading)", facts["sensors"]),
-                  _table("Parameters", facts["parameters"]))
-    if facts["hydraulic_parameters"]:
-        console.print(_table("Hydraulic parameters", facts["hydraulic_parameters"]))
-    seen = facts["identifiability"]
-    console.print(f"Of {len(facts['parameters'])} parameters a motion without noise shows {seen['full']} alone and "
-                  f"{seen['combination']} in combination ({seen['rank']} base parameters); {seen['none']} leave "
-                  "no trace.")
+    tables = {"Joints": facts["joints"], "Cylinders": [_cylinder_row(cylinder) for cylinder in facts["cylinders"]],
+              "Sensors (standard deviation of a reading)": facts["sensors"], "Parameters": facts["parameters"],
+              "Hydraulic parameters": facts["hydraulic_parameters"]}
+    for title, rows in tables.items():
+        if rows:
+            console.print(_table(title, rows))
+    counts = facts["identifiability"]
+    console.print(f"Of {len(facts['parameters'])} parameters a motion without noise identifies {counts['full']} "
+                  f"individually and {counts['combination']} in combinations ({counts['rank']} base parameters); "
+                  f"{counts['none']} have no effect on the actuator forces.")
     if lines := facts["calibration"]["lines"]:
         console.print("[bold]Kinematic calibration[/bold]")
         for line in lines:
@@ -64,6 +63,15 @@ def show(
 
 
 def _hydraulics(machine: Machine, output: Path | None, *, as_json: bool) -> None:
+    from rich.console import Console
+
+    from hydroopt.files import write_files
+    from hydroopt.model.model import Model
+    from hydroopt.model.plant import Plant
+    from hydroopt.model.workspace import sweeps
+    from hydroopt.report import hydraulics as workspace
+    from hydroopt.report.record import table as csv
+
     model = Model(machine)
     plant = Plant(model)
     with progress(f"linearising {machine.name}", as_json):
@@ -85,27 +93,30 @@ def _hydraulics(machine: Machine, output: Path | None, *, as_json: bool) -> None
 
 
 def _mode_row(row: dict[str, Any]) -> dict[str, Any]:
-    """The same for a screen: in the middle of all ranges, and from least to greatest over the workspace."""
+    """A row for the screen: the values at mid-range, with the least and greatest over the workspace."""
     def cell(key: str) -> str:
         values = (row[key], row[f"{key}_min"], row[f"{key}_max"])
         return "{} ({}…{})".format(*("—" if value is None else f"{value:.3g}" for value in values))
 
-    return {"joint": row["joint"], "at": f"{row['speed']:.3g} {row['speed_unit']}",
+    return {"joint": row["joint"], "speed": f"{row['speed']:.3g} {row['speed_unit']}",
             "frequency [Hz]": cell("frequency"), "damping": cell("damping"),
             "gain": f"{cell('gain')} {row['gain_unit']}"}
 
 
 def _cylinder_row(facts: dict[str, Any]) -> dict[str, Any]:
-    """The same for a screen, in fewer columns."""
+    """A row for the screen, in fewer columns."""
     return {"cylinder": facts["cylinder"], "joint": facts["joint"],
             "areas [cm²]": f"{facts['head_area_cm2']:.1f} / {facts['rod_area_cm2']:.1f}",
             "length [m]": f"{facts['length_min_m']:.3f} … {facts['length_max_m']:.3f}",
             "lever arm [m]": f"{facts['lever_arm_min_m']:.3f} … {facts['lever_arm_max_m']:.3f}"}
 
 
-def _table(title: str, rows: Any, *, wrap: bool = False) -> Table:
+def _table(title: str, rows: list[dict[str, Any]], *, wrap: bool = False) -> Table:
+    from rich.markup import escape
+    from rich.table import Table
+
     table = Table(title=title, title_justify="left", header_style="bold")
-    for key in rows[0] if rows else ():
+    for key in rows[0]:
         table.add_column(escape(key), no_wrap=not wrap)
     for row in rows:
         table.add_row(*[f"{v:.6g}" if isinstance(v, float) else str(v) for v in row.values()])

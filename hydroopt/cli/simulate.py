@@ -7,85 +7,93 @@ from collections.abc import Callable, Sequence
 from contextlib import suppress
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from hydroopt.cli.options import Directory, MachineName, MapFile, ParameterSetName, Quiet, progress
 from hydroopt.errors import ProblemError
-from hydroopt.files import write_files
-from hydroopt.logs.log import Log, read_log
-from hydroopt.logs.readings import reading
-from hydroopt.machine.machine_file import load_machine
-from hydroopt.model.model import Model
-from hydroopt.model.plant import Plant
-from hydroopt.simulation import drive_valves
-from hydroopt.simulation import simulate as synthetic
-from hydroopt.simulation.reference_motion import reference_motion
-from hydroopt.spatial.inertia import Array
 
-HALVED = 6
-"""How often a random motion is halved until the supply can drive it and it keeps within its range."""
-Given = tuple[Array, Array, Array]
-"""Times, commands and the posture to begin with."""
+if TYPE_CHECKING:
+    from hydroopt.logs.log import Log
+    from hydroopt.model.model import Model
+    from hydroopt.model.plant import Plant
+    from hydroopt.simulation.simulate import Trajectory
+    from hydroopt.spatial.inertia import Array
+
+DURATION = 33.28
+"""Of a random motion [s]: 1664 samples at 50 Hz."""
+HALVINGS = 6
+"""How often the amplitude of a random motion is halved until supply and joint ranges allow it."""
 
 
 def simulate(
     machine: MachineName,
     output: Directory,
     motion: Annotated[Path | None, typer.Option(
-        help="Log whose joint positions are to be followed; else random.")] = None,
+        help="Log whose joint positions the machine follows; a random motion if not given.")] = None,
     driven: Annotated[bool, typer.Option("--driven", help=(
-        "Drive the valves, open loop, by commands for that motion; the log holds commands, supply and what they do."
-        ))] = False,
+        "Drive the valves, in open loop, by commands for that motion; the log contains commands and supply, too."))
+        ] = False,
     commands: Annotated[Path | None, typer.Option(help="Log whose commands drive the valves.")] = None,
     map_file: MapFile = None,
-    duration: Annotated[float | None, typer.Option(help="Of a random motion [s]; 33.28 if not given.")] = None,
+    duration: Annotated[float | None, typer.Option(help=(
+        f"Duration of a random motion [s]; {DURATION} if not given."))] = None,
     rate: Annotated[float | None, typer.Option(help=(
-        "Samples per second of a random motion [Hz]; if not given, the highest that the file states for a joint's "
+        "Sampling rate of a random motion [Hz]; if not given, the highest that the machine file states for a joint's "
         "sensor, or 50."))] = None,
-    seed: Annotated[int, typer.Option(help="Of the random motion, the random truth and the noise.", min=0)] = 0,
-    truth: Annotated[str, typer.Option(help="'nominal', or 'random' within the file's confidences.")] = "nominal",
-    truth_seed: Annotated[int | None, typer.Option(help="Of the random truth alone, to share it by logs.",
-                                                   min=0)] = None,
-    noise: Annotated[bool, typer.Option(help="Whether sensors err as the file states.")] = True,
+    seed: Annotated[int, typer.Option(help="Seed of the random motion, the random truth and the noise.", min=0)] = 0,
+    truth: Annotated[str, typer.Option(
+        help="True parameters: 'nominal', or 'random', drawn from the priors.")] = "nominal",
+    truth_seed: Annotated[int | None, typer.Option(help=(
+        "Seed of the random truth alone, so that several logs share it."), min=0)] = None,
+    noise: Annotated[bool, typer.Option(help="Whether readings have the sensor errors that the file states.")] = True,
     parquet: Annotated[bool, typer.Option("--parquet", help="Write Parquet instead of CSV.")] = False,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate a log of a machine as its sensors would record it: DIR/log.csv and DIR/truth.json."""
+    """Simulate the log that a machine's sensors would record: DIR gets log.csv and truth.json."""
+    from hydroopt.files import write_files
+    from hydroopt.logs.log import read_log
+    from hydroopt.machine.machine_file import load_machine
+    from hydroopt.model.model import Model
+    from hydroopt.model.plant import Plant
+    from hydroopt.simulation import drive_valves
+    from hydroopt.simulation import simulate as simulation
+    from hydroopt.simulation.reference_motion import reference_motion
+
     described = load_machine(machine, parameter_set=parameter_set)
     model = Model(described)
     if motion is not None and (duration is not None or rate is not None):
         raise ProblemError("a given motion has its own duration and rate", where="--motion",
                            remedy="leave out --duration and --rate, or --motion")
     if truth not in ("nominal", "random"):
-        raise ProblemError(f"'{truth}' is no truth", where="--truth", remedy="use nominal or random")
+        raise ProblemError(f"the truth '{truth}' is neither nominal nor random", where="--truth",
+                           remedy="use nominal or random")
     if commands is not None and (driven or motion is not None or duration is not None or rate is not None):
-        raise ProblemError("given commands make a motion of their own", where="--commands",
+        raise ProblemError("given commands determine the motion", where="--commands",
                            remedy="leave out --driven, --motion, --duration and --rate")
     draw, random = seed if truth_seed is None else truth_seed, truth == "random"
     with progress("simulating", quiet):
-        psi = synthetic.random_truth(model, draw) if random else model.parameters.nominal
+        psi = simulation.random_truth(model, draw) if random else model.parameters.nominal
         named = dict(zip(model.parameters.names, psi.tolist(), strict=True))
         if driven or commands is not None:
             plant = Plant(model)
             theta = drive_valves.random_numbers(plant, draw) if random else plant.parameters.nominal
             named |= zip(plant.parameters.names, theta.tolist(), strict=True)
             if commands is not None:
-                tries = [lambda: _commands(plant, read_log(commands, mapping=map_file))]
+                tries = [partial(_commands, plant, read_log(commands, mapping=map_file))]
             else:
                 path = (_random(model, duration, rate, seed) if motion is None
                         else reference_motion(described, read_log(motion, mapping=map_file)))
-                sizes = 0.5 ** np.arange(1 if motion is not None else HALVED + 1)
-                tries = [partial(_driving, plant, path, psi, theta, float(size)) for size in sizes]
+                sizes = [0.5**k for k in range(1 if motion is not None else HALVINGS + 1)]
+                tries = [partial(_driving, plant, path, psi, theta, size) for size in sizes]
             log = _first_possible(tries, lambda given: drive_valves.drive(
                 plant, *given, psi=psi, theta=theta, noise=noise, seed=seed, name=described.name))
         else:
             path = (_random(model, duration, rate, seed) if motion is None
                     else reference_motion(described, read_log(motion, mapping=map_file)))
-            log = synthetic.simulate(model, path, psi, noise=noise, seed=seed, name=described.name)
+            log = simulation.simulate(model, path, psi, noise=noise, seed=seed, name=described.name)
     write_files(output, {})  # the directory
     file = output / ("log.parquet" if parquet else "log.csv")
     log.write(file)
@@ -96,27 +104,34 @@ def simulate(
         typer.echo(f"{file}: {len(log.t)} samples, channels {', '.join(log.channels)}")
 
 
-def _random(model: Model, duration: float | None, rate: float | None, seed: int) -> synthetic.Trajectory:
-    return synthetic.random_trajectory(model, duration=33.28 if duration is None else duration,
-                                       rate=synthetic.sampling_rate(model.machine) if rate is None else rate, seed=seed)
+def _random(model: Model, duration: float | None, rate: float | None, seed: int) -> Trajectory:
+    from hydroopt.simulation.simulate import random_trajectory, sampling_rate
+
+    return random_trajectory(model, duration=DURATION if duration is None else duration,
+                             rate=sampling_rate(model.machine) if rate is None else rate, seed=seed)
 
 
-def _driving(plant: Plant, motion: synthetic.Trajectory, psi: Array, theta: Array,
-             size: float) -> Given:
-    """Times, commands for a part of a motion about its middle, and the posture to begin with.
+def _driving(plant: Plant, motion: Trajectory, psi: Array, theta: Array, size: float) -> tuple[Array, Array, Array]:
+    """Times, commands and first posture for a motion whose amplitude about its mean is multiplied by `size`.
 
-    The commands are those of an operator who sees what the machine does: its true numbers tell them.
+    The commands are computed with the true parameters, as those of an operator who watches the machine.
     """
+    import numpy as np
+
+    from hydroopt.simulation.drive_valves import commands_for
+    from hydroopt.simulation.simulate import Trajectory
+
     middle = np.mean(motion.q, axis=0)
-    part = synthetic.Trajectory(motion.t, middle + size * (motion.q - middle), size * motion.qd, size * motion.qdd)
-    return motion.t, drive_valves.commands_for(plant, part, psi, theta), part.q[0]
+    part = Trajectory(motion.t, middle + size * (motion.q - middle), size * motion.qd, size * motion.qdd)
+    return motion.t, commands_for(plant, part, psi, theta), part.q[0]
 
 
-def _first_possible(tries: Sequence[Callable[[], Given]], drive: Callable[[Given], Log]) -> Log:
-    """The log of the first commands that supply and ranges allow.
+def _first_possible(tries: Sequence[Callable[[], tuple[Array, Array, Array]]],
+                    drive: Callable[[tuple[Array, Array, Array]], Log]) -> Log:
+    """The log of the first commands that supply and joint ranges allow.
 
     Raises:
-        ProblemError: none of them do.
+        ProblemError: they allow none.
     """
     *most, last = tries
     for each in most:
@@ -125,8 +140,12 @@ def _first_possible(tries: Sequence[Callable[[], Given]], drive: Callable[[Given
     return drive(last())
 
 
-def _commands(plant: Plant, log: Log) -> Given:
-    """Times and commands of a log, and the posture that it begins with; the middle of the ranges where it says none."""
+def _commands(plant: Plant, log: Log) -> tuple[Array, Array, Array]:
+    """Times, commands and first posture of a log; mid-range for joints whose positions it does not contain."""
+    import numpy as np
+
+    from hydroopt.logs.readings import reading
+
     machine = plant.machine
     u = np.column_stack([reading(machine, log, channel) for channel in plant.inputs])
     begin = [reading(machine, log, f"{joint}.q")[0] if f"{joint}.q" in log.channels

@@ -1,4 +1,4 @@
-"""`hydroopt study`: one computation many times over, side by side, kept cell by cell."""
+"""`hydroopt study`: a computation repeated in parallel, kept cell by cell."""
 
 from __future__ import annotations
 
@@ -6,11 +6,10 @@ import json
 import os
 from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hydroopt.cli.identify import method_of
 from hydroopt.cli.options import (
     AsJson,
     Directory,
@@ -21,121 +20,214 @@ from hydroopt.cli.options import (
     Treat,
     parameter_values,
     progress,
-    refuse_idle,
     reliefs,
     treatment_of,
 )
 from hydroopt.errors import ProblemError, StoppedError
-from hydroopt.estimation.kinematic.problem import calibration_problem
-from hydroopt.logs.log import read_log
-from hydroopt.logs.poses import read_pose_files
-from hydroopt.machine.machine_file import load_machine
-from hydroopt.report import study as report
-from hydroopt.simulation.reference_motion import reference_motion
-from hydroopt.study import bootstrap, montecarlo, multistart
-from hydroopt.study.run import run
-from hydroopt.study.study import Study
-from hydroopt.study.table import Table
 
-OWN = {"montecarlo": {"motion", "map_file", "duration", "rate"},
-       "sweep": {"motion", "map_file", "duration", "rate", "vary"},
-       "bootstrap": {"logs", "map_file", "treat"},
-       "multistart": {"logs", "map_file", "fix"}}
-"""Kinds of studies, with the options that not all of them have."""
-SUMMARIES: dict[str, Callable[[Study, Table], dict[str, Any]]] = {
-    "montecarlo": montecarlo.summary, "sweep": montecarlo.summary, "bootstrap": bootstrap.summary,
-    "multistart": multistart.summary}
+if TYPE_CHECKING:
+    from hydroopt.machine.machine import Machine
+    from hydroopt.simulation.simulate import Trajectory
+    from hydroopt.study.study import Study
+    from hydroopt.study.table import Table
+
+Cells = Annotated[int, typer.Option(help="Number of cells.", min=1)]
+Seed = Annotated[int, typer.Option(help="Seed of the study, from which every cell derives its own.", min=0)]
+MethodName = Annotated[str, typer.Option(help="Method of identification, see hydroopt identify.")]
+Motion = Annotated[Path | None, typer.Option(help=(
+    "Log whose joint positions all cells follow, such as excite's trajectory.csv; random motions if not given."))]
+Duration = Annotated[float | None, typer.Option(help="Duration of random motions [s]; 33.28 if not given.")]
+Rate = Annotated[float | None, typer.Option(help=(
+    "Sampling rate of random motions [Hz]; if not given, the highest that the machine file states for a joint's "
+    "sensor, or 50."))]
+Workers = Annotated[int | None, typer.Option(help="Processes; the number of cores if not given.", min=1)]
+Scheduler = Annotated[str | None, typer.Option(
+    help="Address of a Dask scheduler whose workers compute, e.g. tcp://host:8786.")]
+
+app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
 
-def study(
-    context: typer.Context,
-    kind: Annotated[str, typer.Argument(metavar="KIND", help=f"One of {', '.join(OWN)}.")],
+@app.callback()
+def study() -> None:
+    """Monte Carlo, sweep, bootstrap or multistart: DIR gets every cell, results.csv, summary.json and report.html.
+
+    The same command resumes an interrupted study.
+    """
+
+
+@app.command()
+def montecarlo(
     machine: MachineName,
     output: Directory,
-    logs: Annotated[list[Path] | None, typer.Argument(
-        metavar="[LOG...]", help="Logs of a bootstrap, or tables of poses of a multistart.")] = None,
-    cells: Annotated[int, typer.Option(help="How many; of a sweep at each point of its grid.", min=1)] = 100,
-    seed: Annotated[int, typer.Option(help="Of the study, from which every cell has its own.", min=0)] = 0,
-    method: Annotated[str | None, typer.Option(
-        help="As of identify, sdp if not given; for multistart as of calibrate.")] = None,
-    motion: Annotated[Path | None, typer.Option(
-        help="Log whose joint positions all cells follow, such as excite's trajectory.csv; else random ones.")] = None,
-    duration: Annotated[float | None, typer.Option(help="Of random motions [s]; 33.28 if not given.")] = None,
-    rate: Annotated[float | None, typer.Option(help=(
-        "Samples per second of random motions [Hz]; if not given, the highest that the file states for a joint's "
-        "sensor, or 50."))] = None,
-    vary: Annotated[list[str] | None, typer.Option(help=(
-        "What a sweep varies, NAME=VALUE,VALUE,... of "
-        f"{', '.join(f'{name} ({what})' for name, what in montecarlo.VARIED.items())}; several make a product."
-    ))] = None,
+    cells: Cells = 100,
+    seed: Seed = 0,
+    method: MethodName = "sdp",
+    motion: Motion = None,
     map_file: MapFile = None,
-    treat: Treat = None,
-    fix: Annotated[list[str] | None, typer.Option(
-        help="Hold a parameter of the geometry, NAME=VALUE with unit, e.g. 'ball.y=0 m'; repeatable.")] = None,
-    workers: Annotated[int | None, typer.Option(help="Processes; as many as there are cores if not given.",
-                                                min=1)] = None,
-    scheduler: Annotated[str | None, typer.Option(
-        help="Address of a Dask scheduler whose workers shall compute, e.g. tcp://host:8786.")] = None,
+    duration: Duration = None,
+    rate: Rate = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Monte Carlo, sweep, bootstrap or multistart: DIR gets every cell, results.csv, summary.json and report.html.
+    """Identify random machines from simulated logs: coverage of intervals, bias, scatter, unseen forces."""
+    prepare = _montecarlo(cells, seed, method, motion, map_file, duration, rate, {})
+    _run(machine, parameter_set, prepare, output, workers, scheduler, quiet=quiet, as_json=as_json)
 
-    The same command again goes on where it ended, whatever ended it.
-    """
-    if kind not in OWN:
-        raise ProblemError(f"'{kind}' is no kind of study", where="study", remedy=f"use one of {', '.join(OWN)}")
-    refuse_idle(context, set().union(*OWN.values()) - OWN[kind], f"a study of the kind {kind} has no use for it",
-                "leave it out")
-    if motion is None:
-        if kind in ("montecarlo", "sweep"):
-            refuse_idle(context, {"map_file"}, "there is no motion that it could explain", "leave it out, or --motion")
-    else:
-        refuse_idle(context, {"duration", "rate"}, "a given motion has its own", "leave it out, or --motion")
-    if scheduler is not None:
-        refuse_idle(context, {"workers"}, "the scheduler has its workers", "leave it out, or --scheduler")
+
+@app.command()
+def sweep(
+    machine: MachineName,
+    output: Directory,
+    vary: Annotated[list[str], typer.Option(help=(
+        "What varies, NAME=VALUE,VALUE,...: accuracy (factor on the errors of all sensors), duration [s] or rate [Hz] "
+        "of random motions; several make a grid."))],
+    cells: Annotated[int, typer.Option(help="Number of cells at each point of the grid.", min=1)] = 100,
+    seed: Seed = 0,
+    method: MethodName = "sdp",
+    motion: Motion = None,
+    map_file: MapFile = None,
+    duration: Duration = None,
+    rate: Rate = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    parameter_set: ParameterSetName = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Repeat the Monte Carlo study over a grid of sensor errors, durations and rates."""
+    prepare = _montecarlo(cells, seed, method, motion, map_file, duration, rate, _grid(vary))
+    _run(machine, parameter_set, prepare, output, workers, scheduler, quiet=quiet, as_json=as_json)
+
+
+@app.command()
+def bootstrap(
+    machine: MachineName,
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Training logs (.csv, .parquet, .mat).")],
+    output: Directory,
+    cells: Cells = 100,
+    seed: Seed = 0,
+    method: MethodName = "sdp",
+    map_file: MapFile = None,
+    treat: Treat = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    parameter_set: ParameterSetName = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Identify from resampled blocks of logs: scatter of the estimates beside their stated σ."""
+    def prepare(described: Machine) -> tuple[Study, Summary]:
+        from hydroopt.cli.identify import method_of
+        from hydroopt.logs.log import read_log
+        from hydroopt.study import bootstrap as study
+
+        limits, treatment = reliefs(described), treatment_of(treat)
+        read = [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in logs]
+        return study.bootstrap(described, read, cells=cells, seed=seed, method=method_of(method)), study.summary
+
+    _run(machine, parameter_set, prepare, output, workers, scheduler, quiet=quiet, as_json=as_json)
+
+
+@app.command()
+def multistart(
+    machine: MachineName,
+    poses: Annotated[list[Path], typer.Argument(metavar="POSES...", help="Pose tables (.csv, .parquet).")],
+    output: Directory,
+    cells: Cells = 100,
+    seed: Seed = 0,
+    method: Annotated[str, typer.Option(help="Method of calibration, see hydroopt calibrate.")] = "joint",
+    map_file: MapFile = None,
+    fix: Annotated[list[str] | None, typer.Option(
+        help="Hold a parameter of the geometry, NAME=VALUE with unit, e.g. 'ball.y=0 m'; repeatable.")] = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
+    parameter_set: ParameterSetName = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Calibrate the geometry from random initial guesses: which optima they lead to."""
+    def prepare(described: Machine) -> tuple[Study, Summary]:
+        from hydroopt.estimation.kinematic.problem import calibration_problem
+        from hydroopt.logs.poses import read_pose_files
+        from hydroopt.study import multistart as study
+
+        read = read_pose_files(poses, mapping=map_file)
+        problem = calibration_problem(described, read)
+        held = problem.fixing(**parameter_values(fix or (), problem.parameters)).fixed
+        return study.multistart(described, read, cells=cells, seed=seed, method=method, fixed=held), study.summary
+
+    _run(machine, parameter_set, prepare, output, workers, scheduler, quiet=quiet, as_json=as_json)
+
+
+Summary = Callable[["Study", "Table"], dict[str, Any]]
+"""What a kind of study makes of its table."""
+
+
+def _montecarlo(cells: int, seed: int, method: str, motion: Path | None, map_file: Path | None,
+                duration: float | None, rate: float | None,
+                grid: dict[str, list[float]]) -> Callable[[Machine], tuple[Study, Summary]]:
+    for value, option in ((duration, "--duration"), (rate, "--rate")):
+        if motion is not None and value is not None:
+            raise ProblemError("a given motion has its own duration and rate", where=option,
+                               remedy="leave it out, or --motion")
+    if map_file is not None and motion is None:
+        raise ProblemError("there is no log whose columns it could map", where="--map",
+                           remedy="leave it out, or give --motion")
+
+    def prepare(described: Machine) -> tuple[Study, Summary]:
+        from hydroopt.cli.identify import method_of
+        from hydroopt.logs.log import read_log
+        from hydroopt.simulation.reference_motion import reference_motion
+        from hydroopt.study import montecarlo as study
+
+        path: Trajectory | None = None
+        sha256 = ""
+        if motion is not None:
+            log = read_log(motion, mapping=map_file)
+            path, sha256 = reference_motion(described, log), log.sha256
+        return study.montecarlo(described, cells=cells, seed=seed, method=method_of(method), motion=path,
+                                motion_sha256=sha256, vary=grid, rate=rate,
+                                duration=study.DURATION if duration is None else duration), study.summary
+
+    return prepare
+
+
+def _run(machine: str, parameter_set: str | None, prepare: Callable[[Machine], tuple[Study, Summary]], output: Path,
+         workers: int | None, scheduler: str | None, *, quiet: bool, as_json: bool) -> None:
+    """Prepare a study, run the cells that are missing, and write the report."""
+    from hydroopt.machine.machine_file import load_machine
+    from hydroopt.report import study as report
+    from hydroopt.study.run import run
+
+    if scheduler is not None and workers is not None:
+        raise ProblemError("the scheduler has its own workers", where="--workers",
+                           remedy="leave it out, or --scheduler")
     described = load_machine(machine, parameter_set=parameter_set)
     with progress(f"preparing {described.name}", quiet) as say:
-        if kind == "bootstrap":
-            limits, treatment = reliefs(described), treatment_of(treat)
-            read = [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in _some(logs)]
-            prepared = bootstrap.bootstrap(described, read, cells=cells, seed=seed, method=method_of(method or "sdp"))
-        elif kind == "multistart":
-            poses = read_pose_files(_some(logs), mapping=map_file)
-            problem = calibration_problem(described, poses)
-            held = problem.fixing(**parameter_values(fix or (), problem.parameters)).fixed
-            prepared = multistart.multistart(described, poses, cells=cells, seed=seed, method=method or "joint",
-                                             fixed=held)
-        else:
-            if kind == "sweep" and not vary:
-                raise ProblemError("nothing is varied", where="--vary", remedy="give e.g. --vary accuracy=0.5,1,2")
-            log = read_log(motion, mapping=map_file) if motion else None
-            prepared = montecarlo.montecarlo(
-                described, cells=cells, seed=seed, method=method_of(method or "sdp"),
-                motion=reference_motion(described, log) if log else None, motion_sha256=log.sha256 if log else "",
-                vary=_varied(vary or ()), duration=montecarlo.DURATION if duration is None else duration, rate=rate)
+        prepared, summary = prepare(described)
         try:
             table = run(prepared, output, scheduler=scheduler, workers=workers or os.cpu_count() or 1, say=say)
         except KeyboardInterrupt:
             done = len(list((output / "cells").glob("*.json")))
             raise StoppedError(f"interrupted after {done} of {len(prepared.cells)} cells, which are kept",
-                               where=str(output), remedy="the same command goes on from there") from None
+                               where=str(output), remedy="run the same command again to resume") from None
         say("writing the report")
-        content = report.save(prepared, table, SUMMARIES[kind](prepared, table), output)
+        content = report.save(prepared, table, summary(prepared, table), output)
     if as_json:
         typer.echo(json.dumps(content, indent=1))
     elif not quiet:
-        _tell(content, output)
+        _print(content, output)
 
 
-def _some(logs: Sequence[Path] | None) -> Sequence[Path]:
-    if not logs:
-        raise ProblemError("there is nothing to learn from", where="LOG", remedy="name one file or more")
-    return logs
+def _grid(stated: Sequence[str]) -> dict[str, list[float]]:
+    """Values by name, from NAME=VALUE,VALUE,... texts.
 
-
-def _varied(stated: Sequence[str]) -> dict[str, list[float]]:
+    Raises:
+        ProblemError: a text has another form, or a name stands twice.
+    """
     grid: dict[str, list[float]] = {}
     for text in stated:
         name, found, values = (part.strip() for part in text.partition("="))
@@ -150,12 +242,13 @@ def _varied(stated: Sequence[str]) -> dict[str, list[float]]:
     return grid
 
 
-def _tell(content: dict[str, Any], output: Path) -> None:
+def _print(content: dict[str, Any], output: Path) -> None:
     typer.echo(f"{content['machine']['name']}: {content['study']}, {content['cells']} cells, "
                f"{content['failed']} failed")
     for point in content.get("points", ()):
         values = ", ".join(f"{key} {value:g}" for key, value in point["values"].items())
-        typer.echo(f"  {values or 'given motion'}: {_percent(point['coverage'])} of the 95 % intervals hold the truth")
+        typer.echo(f"  {values or 'given motion'}: {_percent(point['coverage'])} of the 95 % intervals contain the "
+                   "true value")
         for name, rms in point["prediction"].items():
             if rms["median"] is not None:
                 typer.echo(f"    unseen forces of {name}: RMS {rms['median']:.3g} σ in the median, "
@@ -167,7 +260,7 @@ def _tell(content: dict[str, Any], output: Path) -> None:
             typer.echo(f"  scatter over stated σ of base parameters: {ratios[len(ratios) // 2]:.3g} in the median, "
                        f"{ratios[0]:.3g} to {ratios[-1]:.3g}")
     for optimum in content.get("optima", ())[:5]:
-        typer.echo(f"  {optimum['starts']} starts lead to squared errors of {optimum['cost']:.6g}, "
+        typer.echo(f"  {optimum['starts']} starts lead to a sum of squares of {optimum['cost']:.6g}, "
                    f"{optimum['farthest_std']:.3g} σ from the best")
     typer.echo(f"{output / 'report.html'}")
 

@@ -77,7 +77,7 @@ def test_no_arguments_show_the_help(monkeypatch, capsys):
 def test_an_interrupt_says_so(monkeypatch, capsys):
     def interrupted(*_, **__):
         raise KeyboardInterrupt
-    monkeypatch.setattr(sys.modules["hydroopt.cli.show"], "load_machine", interrupted)
+    monkeypatch.setattr("hydroopt.machine.machine_file.load_machine", interrupted)
     monkeypatch.setattr(sys, "argv", ["hydroopt", "show", "cat215b"])
     with pytest.raises(SystemExit) as ended:
         cli.main()

@@ -12,6 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hydroopt.cli import app
+from hydroopt.study.montecarlo import VARIED
 
 QUICK = ("patu655_lift", "--duration", "6", "--method", "wls")
 
@@ -48,7 +49,7 @@ def test_a_study_leaves_table_summary_and_report(montecarlo: tuple[Path, str]) -
     page = (out / "report.html").read_text("utf-8")
     assert "<svg" in page
     assert "All cells gave a result" in page
-    assert "hold the truth" in said
+    assert "contain the true value" in said
 
 
 def test_the_same_command_again_computes_nothing(montecarlo: tuple[Path, str]) -> None:
@@ -57,6 +58,11 @@ def test_the_same_command_again_computes_nothing(montecarlo: tuple[Path, str]) -
     nobody = ("--scheduler", "tcp://127.0.0.1:1")
     assert run("montecarlo", *QUICK, "--cells", "5", *nobody, "--quiet", "-o", str(out)) == ""
     assert {file.name: file.stat().st_mtime_ns for file in (out / "cells").iterdir()} == before
+
+
+def test_help_names_what_a_sweep_varies() -> None:
+    said = run("sweep", "--help")
+    assert all(name in said for name in VARIED)
 
 
 @pytest.fixture
@@ -76,7 +82,7 @@ def test_ctrl_c_keeps_the_cells_and_says_how_to_go_on(terminal: tuple[object, Pa
     running.press_ctrl_c()
     assert running.ended() == 130, running.last
     kept = len(list((out / "cells").glob("*.json")))
-    assert f"interrupted after {kept} of 2000 cells, which are kept; the same command goes on" in running.last
+    assert f"interrupted after {kept} of 2000 cells, which are kept; run the same command again" in running.last
     assert kept > 0
     assert "Traceback" not in running.shown
     assert not (out / "results.csv").exists()
