@@ -7,8 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from hydroopt.errors import LogError
+from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.log import Log
-from hydroopt.logs.stream import LogStream
 from hydroopt.machine.components import Cylinder
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
@@ -30,7 +30,7 @@ def reading(machine: Machine, log: Log, channel: str) -> Array:
     return values
 
 
-def _angle_channel(model: Model, log: Log | LogStream, joint: str) -> str:
+def _angle_channel(model: Model, log: AnyLog, joint: str) -> str:
     """The channel that the angle of a joint is read from."""
     actuator = model.machine.actuators[model.machine.joints.index(joint)]
     by_length = f"{actuator.name}.length"
@@ -84,7 +84,7 @@ def angle_noise(model: Model, log: Log) -> Array:
     return np.array(stds)
 
 
-def _force_channels(model: Model, log: Log | LogStream | None, k: int) -> Mapping[str, float]:
+def _force_channels(model: Model, log: AnyLog | None, k: int) -> Mapping[str, float]:
     """The channels that an actuator's force is read from, with their factors; pressures where there is no log."""
     joint, actuator = model.machine.joints[k], model.machine.actuators[k]
     direct = f"{actuator.name}.force" if isinstance(actuator, Cylinder) else f"{joint}.tau"
@@ -101,7 +101,7 @@ def forces(model: Model, log: Log) -> Array:
                                 np.zeros(log.t.size)) for parts in factors])
 
 
-def force_noise(model: Model, log: Log | LogStream | None = None) -> Array:
+def force_noise(model: Model, log: AnyLog | None = None) -> Array:
     """Standard deviation of each actuator's force from its sensors' accuracy (n,); NaN where the file states none.
 
     The sensors are those of the channels that `log` has, as in `experiment`; those of the pressures without a log.
@@ -125,7 +125,7 @@ def pressures(model: Model, log: Log) -> Array | None:
                                 np.zeros(log.t.size)) for actuator in machine.actuators]) if pressed else None
 
 
-def channels_used(model: Model, log: Log | LogStream) -> tuple[set[str], set[str]]:
+def channels_used(model: Model, log: AnyLog) -> tuple[set[str], set[str]]:
     """The channels that angles are read from, and those that forces and pressures are."""
     parts = (*(_force_channels(model, log, k) for k in range(len(model.machine.actuators))),
              *_sealing_channels(model).values())

@@ -91,6 +91,16 @@ class LogStream:
         """From the first to the last sample [s]."""
         return self.survey.last - self.survey.first
 
+    def loaded(self, purpose: str) -> Log:
+        """Refuse what needs all samples at once.
+
+        Raises:
+            ProblemError: always.
+        """
+        raise ProblemError(f"the log is read in pieces, but {purpose} needs all of it at once", where=self.path,
+                           remedy=f"leave that out, or give {STREAMED} rows at most with 'rows = [first, last]' "
+                                  "in a map")
+
     def slice(self, start: int, stop: int) -> LogStream:
         """Rows `start` to `stop` (0-based, half open).
 

@@ -9,8 +9,7 @@ import numpy as np
 from markupsafe import Markup
 
 from hydroopt.estimation.dynamic.estimate import Estimate
-from hydroopt.estimation.dynamic.experiment import Experiment
-from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment
+from hydroopt.estimation.dynamic.experiment import AnyExperiment
 from hydroopt.report import figures, side_view
 from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
 from hydroopt.report.page import page
@@ -132,7 +131,7 @@ def _totals(estimate: Estimate) -> list[tuple[str, str, Row]]:
         for total in estimate.total_masses if len(total.bodies) > 1]
 
 
-def _log(role: str, data: Experiment | StreamedExperiment) -> dict[str, Any]:
+def _log(role: str, data: AnyExperiment) -> dict[str, Any]:
     log = data.log
     return {"role": role, "name": log.name, "path": log.path, "samples": log.size, "taken": data.taken,
             "duration": plain(log.duration), "rows": f"{log.rows[0]} to {log.rows[1]}",

@@ -21,7 +21,7 @@ from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.identify import Method, identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.dynamic.regressor_qr import predict
-from hydroopt.estimation.dynamic.streamed_experiment import in_memory
+from hydroopt.logs.any_log import in_memory
 from hydroopt.logs.log import Log
 from hydroopt.machine.machine import Machine
 from hydroopt.spatial.inertia import Array

@@ -13,11 +13,10 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic import diagnostics
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
-from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.estimation.dynamic.experiment import AnyExperiment
 from hydroopt.estimation.dynamic.identification import Identification
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.stored_information import INFORMATION, information_csv
-from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine
 from hydroopt.results.answer import Answer, Status
@@ -147,7 +146,7 @@ def inputs_of(problem: IdentificationProblem) -> tuple[Mapping[str, Any], ...]:
             *(_input(each, "validation") for each in problem.validation))
 
 
-def _input(data: Experiment | StreamedExperiment, role: str) -> dict[str, Any]:
+def _input(data: AnyExperiment, role: str) -> dict[str, Any]:
     log = data.log
     return {"path": log.path or log.name, "sha256": log.sha256 or None, "samples": log.size, "role": role,
             "first_sample": log.rows[0], "last_sample": log.rows[1],

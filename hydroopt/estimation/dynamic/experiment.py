@@ -4,10 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.estimation.dynamic.folding import ROWS, ActuatorTriangles
+from hydroopt.estimation.inference.correlation import correlation_time
+from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import angle_noise, channels_used, forces, measured_angles, pressures
 from hydroopt.logs.smoothing import Motion, Smoothing, SmoothingSpline, condition
@@ -24,9 +28,45 @@ SELDOM = 0.01
 """A joint that seems to move in less than this part of the samples stands still: noise alone does as much."""
 
 
+class AnyExperiment(Protocol):
+    """What estimation needs of an experiment, whether its samples are in memory or streamed from a file."""
+
+    @property
+    def log(self) -> AnyLog:
+        """Where it comes from."""
+
+    @property
+    def taken(self) -> int:
+        """How many samples take part."""
+
+    @property
+    def shown(self) -> Experiment:
+        """The part that figures show."""
+
+    @property
+    def notes(self) -> tuple[str, ...]:
+        """What was done to the log, in plain words."""
+
+    def loaded(self, purpose: str) -> Experiment:
+        """The experiment with all samples in memory, which `purpose` needs.
+
+        Raises:
+            ProblemError: the log is read in pieces.
+        """
+
+    def fold_into(self, triangles: ActuatorTriangles, psi: Array | None = None, weights: Array | None = None) -> None:
+        """Add the equations, linearised at `psi` (p,); `weights` (N, n) multiply squared residuals."""
+
+    def moments(self, psi: Array) -> Array:
+        """Sums (5, n) over the samples that take part: 1, force, force², error and error² of the prediction by ψ."""
+
+    def correlation_times(self, psi: Array) -> tuple[Array, Array]:
+        """Correlation time (n,) of the residuals of each actuator in samples, and how many samples it is of (n,)."""
+
+
 @dataclass(frozen=True, eq=False)
 class Experiment:
-    """Motion (N, n) and measured actuator forces (N, n) [N or N·m] of one log.
+    """Motion (N, n) and measured actuator forces (N, n) [N or N·m] of one log, all samples in memory.
 
     `inside` (N,) is False near the ends of a stretch, where derivatives of noisy angles are worse: those samples take
     no part in estimation and validation. `moving` (N, n) is False where a joint is too slow for the sign of its
@@ -36,6 +76,7 @@ class Experiment:
     depends on it and 0 for all other actuators; None where no friction does.
     """
 
+    model: Model
     log: Log
     motion: Motion
     force: Array
@@ -62,6 +103,58 @@ class Experiment:
     def shown(self) -> Experiment:
         """What figures show of it: all."""
         return self
+
+    def loaded(self, purpose: str) -> Experiment:
+        """The experiment itself; one that is read in pieces refuses."""
+        return self
+
+    def equations(self, psi: Array | None = None, rows: slice | NDArray[np.intp] = slice(None),
+                  out: list[Array] | None = None) -> tuple[list[Array], Array]:
+        """K (m, n, p), first of a list that `out` may reuse, and f (m, n) of ``K·ψ = f``.
+
+        Forces that are not linear in the parameters are linearised at `psi` (p,), by default at the nominal ones.
+        """
+        model = self.model
+        if model.linear:
+            return model.over(model.regressor, *self.inputs(rows), out=out), self.force[rows]
+        psi = model.parameters.nominal if psi is None else psi
+        made = model.over(model.linearised, *self.inputs(rows), psi, out=out)
+        return made, self.force[rows] - made[1][:, :, 0] + made[0] @ psi
+
+    def chunks(self, psi: Array | None = None) -> Iterator[tuple[NDArray[np.intp], Array, Array]]:
+        """Sample indices, K (m, n, p) and f (m, n) of samples that take part; the next chunk may overwrite K."""
+        used = np.flatnonzero(self.inside)
+        reused: list[Array] | None = None
+        for start in range(0, len(used), ROWS):
+            rows = used[start : start + ROWS]
+            reused = reused if reused is not None and len(reused[0]) == len(rows) else None
+            reused, force = self.equations(psi, rows, reused)
+            yield rows, reused[0], force
+
+    def fold_into(self, triangles: ActuatorTriangles, psi: Array | None = None, weights: Array | None = None) -> None:
+        """Add the equations, linearised at `psi`; `weights` (N, n) multiply squared residuals."""
+        for rows, K, force in self.chunks(psi):
+            if weights is None:
+                triangles.fold(K, force, self.moving[rows])
+            else:
+                root = np.sqrt(weights[rows])
+                triangles.fold(K * root[:, :, None], force * root, self.moving[rows])
+
+    def predicted(self, psi: Array) -> Array:
+        """Actuator forces (N, n) that the parameters ψ predict for the motion."""
+        return self.model.over(self.model.inverse_dynamics, *self.inputs(), psi)[0][:, :, 0]
+
+    def moments(self, psi: Array) -> Array:
+        """Sums (5, n) over the samples that take part: 1, force, force², error and error² of the prediction by ψ."""
+        force, predicted = self.force[self.inside], self.predicted(psi)[self.inside]
+        error = force - predicted
+        return np.array([x.sum(axis=0) for x in (np.ones_like(force), force, force**2, error, error**2)])
+
+    def correlation_times(self, psi: Array) -> tuple[Array, Array]:
+        """Correlation time (n,) of the residuals of each actuator in samples, and how many samples it is of (n,)."""
+        residual, used = self.force - self.predicted(psi), self.inside[:, None] & self.moving
+        times = [correlation_time(r, u, self.motion.segment) for r, u in zip(residual.T, used.T, strict=True)]
+        return np.array(times), np.sum(used, axis=0).astype(float)
 
     @property
     def notes(self) -> tuple[str, ...]:
@@ -90,7 +183,7 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
     slow, noise = slowest(angles, motion)
     moving = np.abs(motion.qd) > slow
     moving &= np.mean(moving, axis=0) > SELDOM
-    return Experiment(log, motion, forces(model, log), _dry_friction_known(model, motion, moving, noise),
+    return Experiment(model, log, motion, forces(model, log), _dry_friction_known(model, motion, moving, noise),
                       remarks(model, log, angles), pressures(model, log))
 
 

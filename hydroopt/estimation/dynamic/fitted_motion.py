@@ -22,7 +22,7 @@ from scipy.interpolate import BSpline, PPoly
 
 from hydroopt.errors import SolverError
 from hydroopt.estimation.dynamic.experiment import Experiment
-from hydroopt.estimation.dynamic.regressor_qr import equations, whitened
+from hydroopt.estimation.dynamic.regressor_qr import whitened
 from hydroopt.logs.readings import angle_noise, measured_angles
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
@@ -232,7 +232,7 @@ class ForceRows:
     def at(cls, model: Model, data: Experiment, psi: Array, covariance: Array, weights: Array | None) -> ForceRows:
         """At the experiment's motion and at ψ: ``by_motion·δ + by_psi·ψ_new = right``."""
         by_motion = np.stack(model.over(model.force_by_motion, *data.inputs(), psi), axis=2)
-        (by_psi, *_), right = equations(model, data, psi)
+        (by_psi, *_), right = data.equations(psi)
         root = np.ones_like(right) if weights is None else np.sqrt(weights)
         return cls(by_motion * root[:, :, None, None], by_psi * root[:, :, None], right * root, data.moving,
                    covariance)

@@ -15,7 +15,7 @@ ROWS, PANEL = 1024, 8
 """Rows of a block, and columns that LAPACK's recursive QR takes at a time: three times as fast as its plain QR."""
 
 
-class Triangles:
+class ActuatorTriangles:
     """Triangles T_i with ``‖T_i·[ψ; −1]‖² = Σ (K_i·ψ − f_i)²`` over the rows of actuator i.
 
     `compact` are they in those `columns` that K_i has; `samples` (n,) counts the rows, `sums` (n, p+1) adds them up.
@@ -43,14 +43,14 @@ class Triangles:
             self.compact[i] = _triangle(block)
             self.samples[i] += len(rows)
 
-    def add(self, other: Triangles) -> None:
+    def add(self, other: ActuatorTriangles) -> None:
         """Add what another has folded."""
         for i, block in enumerate(other.compact):
             self.compact[i] = _triangle(np.asfortranarray(np.vstack([self.compact[i], block])))
         self.samples += other.samples
         self.sums += other.sums
 
-    def only(self, actuators: NDArray[np.bool_]) -> Triangles:
+    def only(self, actuators: NDArray[np.bool_]) -> ActuatorTriangles:
         """Nothing but the rows of some actuators (n,)."""
         part = copy(self)
         part.compact = [block * here for block, here in zip(self.compact, actuators, strict=True)]

@@ -19,12 +19,10 @@ from hydroopt.estimation.dynamic.friction_candidates import STANDARD_ERRORS, Can
 from hydroopt.estimation.dynamic.identify import Method, identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.dynamic.regressor_qr import compress
-from hydroopt.estimation.dynamic.streamed_experiment import in_memory, logs_in_memory
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, random_states
 from hydroopt.estimation.inference.least_squares import base_least_squares
-from hydroopt.logs.log import Log
+from hydroopt.logs.any_log import AnyLog, in_memory
 from hydroopt.logs.smoothing import Smoothing
-from hydroopt.logs.stream import LogStream
 from hydroopt.machine.components import Cylinder, Drive, Motor, Note
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
@@ -139,7 +137,7 @@ def _typical(model: Model, motions: Sequence[tuple[Array, ...]]) -> dict[str, fl
             for actuator, square in zip(model.machine.actuators, squares, strict=True)}
 
 
-def friction_problem(machine: Machine, logs: Sequence[Log | LogStream], validation: Sequence[Log | LogStream],
+def friction_problem(machine: Machine, logs: Sequence[AnyLog], validation: Sequence[AnyLog],
                      terms: str, *, smoothing: Smoothing | None = None,
                      actuator_inertia: bool = True) -> IdentificationProblem:
     """The identification problem of a machine with these friction terms; see `identification_problem`.
@@ -150,7 +148,7 @@ def friction_problem(machine: Machine, logs: Sequence[Log | LogStream], validati
         ProblemError, LogError: see `with_friction` and `identification_problem`.
     """
     terms_of(terms, machine)  # before anything that takes long
-    logs, validation = (logs_in_memory(some, "a choice of friction") for some in (logs, validation))
+    logs, validation = (in_memory(some, "a choice of friction") for some in (logs, validation))
     plain = identification_problem(with_friction(machine, "none"), logs, (), smoothing=smoothing,
                                    actuator_inertia=actuator_inertia)
     speeds = _typical(plain.model, [data.inputs() for data in in_memory(plain.experiments, "a choice of friction")])
@@ -179,7 +177,7 @@ def _best_start(problem: IdentificationProblem) -> dict[str, float]:
     return {actuator.name: TRIED[k] for actuator, k in zip(actuators, best, strict=True)}
 
 
-def choose_friction(machine: Machine, logs: Sequence[Log | LogStream], validation: Sequence[Log | LogStream],
+def choose_friction(machine: Machine, logs: Sequence[AnyLog], validation: Sequence[AnyLog],
                     candidates: Sequence[str] | None = None, *, smoothing: Smoothing | None = None,
                     actuator_inertia: bool = True,
                     prepare: Callable[[IdentificationProblem], IdentificationProblem] | None = None,

@@ -10,11 +10,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment
 from hydroopt.estimation.dynamic.friction_candidates import FrictionChoice
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.regressor_qr import predict
-from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment
 from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals
 from hydroopt.estimation.inference.identifiability import COMBINATION, FULL, NONE, Confounded, Identifiability
 from hydroopt.estimation.inference.posterior import Posterior
@@ -141,11 +140,10 @@ class Identification:
     def fit(self) -> dict[str, dict[str, Fit]]:
         """Fit by data set and actuator; the entry ``all`` covers all actuators of one unit or of mixed units."""
         sets = {"train": self.problem.experiments, "validation": self.problem.validation}
-        return {name: self._fit(data, self.predictions[name]) for name, data in sets.items() if data}
+        return {name: self._fit(data) for name, data in sets.items() if data}
 
-    def _fit(self, data: tuple[Experiment | StreamedExperiment, ...], predicted: list[Array]) -> dict[str, Fit]:
-        moments = sum((e.moments(self.psi) if isinstance(e, StreamedExperiment) else _moments(e, p)
-                       for e, p in zip(data, predicted, strict=True)), np.zeros((5, len(self.sigma))))
+    def _fit(self, data: tuple[AnyExperiment, ...]) -> dict[str, Fit]:
+        moments = sum((e.moments(self.psi) for e in data), np.zeros((5, len(self.sigma))))
         units = self.problem.model.force_units
         table = {actuator.name: _fit_of(moments[:, k], units[k])
                  for k, actuator in enumerate(self.problem.model.machine.actuators)}
@@ -168,13 +166,6 @@ class Identification:
         found, possible = self.identifiability.category[k], self.structural.category[k]
         less = (possible, found) in ((FULL, COMBINATION), (FULL, NONE), (COMBINATION, NONE))
         return "not excited" if less else found
-
-
-def _moments(data: Experiment, predicted: Array) -> Array:
-    """Sums (5, n) over the samples that take part: 1, force, force², error and error²."""
-    force = data.force[data.inside]
-    error = force - predicted[data.inside]
-    return np.array([x.sum(axis=0) for x in (np.ones_like(force), force, force**2, error, error**2)])
 
 
 def _fit_of(moments: Array, unit: str) -> Fit:

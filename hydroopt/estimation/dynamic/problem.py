@@ -11,9 +11,9 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.dynamic.experiment import Experiment, experiment
+from hydroopt.estimation.dynamic.experiment import AnyExperiment
 from hydroopt.estimation.dynamic.instruments import instrument
-from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment, in_memory, streamed_experiment
+from hydroopt.estimation.dynamic.streamed_experiment import prepared
 from hydroopt.estimation.dynamic.weighted_residuals import HUBER, Loss, weighted_residuals
 from hydroopt.estimation.inference import conditions as physics
 from hydroopt.estimation.inference import listing, nlp, sdp
@@ -23,6 +23,7 @@ from hydroopt.estimation.inference.gaussian import gaussian_posterior
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
 from hydroopt.estimation.inference.problem import Distance
 from hydroopt.estimation.inference.program import NonlinearProgram
+from hydroopt.logs.any_log import AnyLog, in_memory
 from hydroopt.logs.frames import refuse_others
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import force_noise
@@ -63,8 +64,8 @@ class IdentificationProblem:
     """
 
     model: Model
-    experiments: tuple[Experiment | StreamedExperiment, ...]
-    validation: tuple[Experiment | StreamedExperiment, ...] = ()
+    experiments: tuple[AnyExperiment, ...]
+    validation: tuple[AnyExperiment, ...] = ()
     force_std: Array = field(default_factory=lambda: np.empty(0))
     reweight: bool = True
     constraints: tuple[Constraint, ...] = ()
@@ -302,7 +303,7 @@ class IdentificationProblem:
             information[body.columns, body.columns] = 0.0
         return self._rows(information, self.parameters.nominal)
 
-    def with_experiments(self, experiments: Sequence[Experiment | StreamedExperiment]) -> Self:
+    def with_experiments(self, experiments: Sequence[AnyExperiment]) -> Self:
         """With other training data."""
         return replace(self, experiments=tuple(experiments))
 
@@ -389,7 +390,7 @@ def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'s' * (count != 1)}"
 
 
-def _refuse_repetition(logs: Sequence[Log | LogStream]) -> None:
+def _refuse_repetition(logs: Sequence[AnyLog]) -> None:
     """The same samples twice would count twice, or judge an estimate by what it was fitted to."""
     for k, log in enumerate(logs):
         for other in logs[:k]:
@@ -399,8 +400,8 @@ def _refuse_repetition(logs: Sequence[Log | LogStream]) -> None:
                                    remedy="give each log once, and hold out another one or --holdout to judge by")
 
 
-def identification_problem(machine: Machine | Model, logs: Sequence[Log | LogStream],
-                           validation: Sequence[Log | LogStream] = (), *,
+def identification_problem(machine: Machine | Model, logs: Sequence[AnyLog],
+                           validation: Sequence[AnyLog] = (), *,
                            smoothing: Smoothing | None = None, actuator_inertia: bool = True) -> IdentificationProblem:
     """The dynamic identification problem of a machine and its logs.
 
@@ -421,6 +422,5 @@ def identification_problem(machine: Machine | Model, logs: Sequence[Log | LogStr
     if not logs:
         raise ProblemError("there is no log to learn from", where="identification", remedy="give at least one")
     model = machine if isinstance(machine, Model) else Model(machine, actuator_inertia=actuator_inertia)
-    train, held_out = ([experiment(model, log, smoothing) if isinstance(log, Log) else
-                        streamed_experiment(model, log, smoothing) for log in some] for some in (logs, validation))
+    train, held_out = ([prepared(log, model, smoothing) for log in some] for some in (logs, validation))
     return IdentificationProblem(model, tuple(train), tuple(held_out), force_noise(model, logs[0]))

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.estimation.dynamic.experiment import Experiment
-from hydroopt.estimation.dynamic.folding import ROWS, Triangles
-from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment
+from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment
+from hydroopt.estimation.dynamic.folding import ActuatorTriangles
 from hydroopt.estimation.inference.identifiability import analyse
 from hydroopt.logs.smoothing import Motion
 from hydroopt.model.model import Model
@@ -18,7 +17,7 @@ from hydroopt.spatial.inertia import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Compressed:
+class CompressedRegressor:
     """Triangles (n, p+1, p+1) with ``‖T_i·[ψ; −1]‖² = Σ (K_i·ψ − f_i)²`` for actuator i, over `samples[i]` rows."""
 
     triangles: Array
@@ -36,53 +35,27 @@ class Compressed:
         return R[:p, :p], R[:p, p], float(np.sum(R[p:, p] ** 2))
 
 
-def _chunks(model: Model, experiments: Sequence[Experiment],
-            psi: Array | None) -> Iterator[tuple[int, NDArray[np.intp], Array, Array]]:
-    """(experiment, sample indices, K (m, n, p), f (m, n)) of samples that take part; K is written over by the next."""
-    reused: list[Array] | None = None
-    for which, data in enumerate(experiments):
-        taken = np.flatnonzero(data.inside)
-        for start in range(0, len(taken), ROWS):
-            rows = taken[start : start + ROWS]
-            reused = reused if reused is not None and len(reused[0]) == len(rows) else None
-            reused, force = equations(model, data, psi, rows, reused)
-            yield which, rows, reused[0], force
-
-
-def equations(model: Model, data: Experiment, psi: Array | None, rows: slice | NDArray[np.intp] = slice(None),
-              out: list[Array] | None = None) -> tuple[list[Array], Array]:
-    """K (m, n, p), first of a list that `out` may reuse, and f (m, n) of ``K·ψ = f``.
-
-    Forces that are not linear in the parameters are linearised at `psi` (p,), by default at the nominal ones.
-    """
-    if model.linear:
-        return model.over(model.regressor, *data.inputs(rows), out=out), data.force[rows]
-    psi = model.parameters.nominal if psi is None else psi
-    made = model.over(model.linearised, *data.inputs(rows), psi, out=out)
-    return made, data.force[rows] - made[1][:, :, 0] + made[0] @ psi
-
-
-def compress(model: Model, experiments: Sequence[Experiment | StreamedExperiment],
-             weights: Sequence[Array] | None = None, *, psi: Array | None = None) -> Compressed:
+def compress(model: Model, experiments: Sequence[AnyExperiment], weights: Sequence[Array] | None = None, *,
+             psi: Array | None = None) -> CompressedRegressor:
     """Fold experiments, linearised at `psi`, into triangles; `weights` (N, n) for each multiply squared residuals."""
-    held = [data for data in experiments if isinstance(data, Experiment)]
-    folded = Triangles(model)
-    for which, rows, K, force in _chunks(model, held, psi):
-        if weights is None:
-            folded.fold(K, force, held[which].moving[rows])
-        else:
-            root = np.sqrt(weights[which][rows])
-            folded.fold(K * root[:, :, None], force * root, held[which].moving[rows])
-    for data in experiments:
-        if isinstance(data, StreamedExperiment):
-            folded.add(data.folded)
-    return Compressed(folded.full, folded.samples)
+    folded = ActuatorTriangles(model)
+    for k, data in enumerate(experiments):
+        data.fold_into(folded, psi, None if weights is None else weights[k])
+    return CompressedRegressor(folded.full, folded.samples)
+
+
+def _chunks(experiments: Sequence[Experiment],
+            psi: Array | None) -> Iterator[tuple[int, NDArray[np.intp], Array, Array]]:
+    """The chunks of several experiments, each with the experiment's index."""
+    for which, data in enumerate(experiments):
+        for rows, K, force in data.chunks(psi):
+            yield which, rows, K, force
 
 
 def compress_jointly(model: Model, experiments: Sequence[Experiment], covariance: Array,
                      weights: Sequence[Array] | None = None, *,
                      psi: Array | None = None) -> tuple[Array, Array, float]:
-    """R (p, p), r (p,) and the rest, as of `Compressed.weighted`, when the actuators' residuals err together.
+    """R (p, p), r (p,) and the rest, as of `CompressedRegressor.weighted`, when the actuators' residuals err together.
 
     Args:
         model, experiments, weights, psi: as of `compress`.
@@ -91,7 +64,7 @@ def compress_jointly(model: Model, experiments: Sequence[Experiment], covariance
     """
     p = len(model.parameters)
     triangle = np.zeros((p + 1, p + 1))
-    for which, rows, K, force in _chunks(model, experiments, psi):
+    for which, rows, K, force in _chunks(experiments, psi):
         block = np.concatenate([K, force[:, :, None]], axis=2)
         if weights is not None:
             block = block * np.sqrt(weights[which][rows])[:, :, None]
@@ -128,18 +101,18 @@ def compress_instrumented(model: Model, experiments: Sequence[Experiment], instr
     """
     p = len(model.parameters)
     triangle = np.zeros((2 * p + 1, 2 * p + 1))
-    for which, rows, K, force in _chunks(model, experiments, psi):
+    for which, rows, K, force in _chunks(experiments, psi):
         Z = model.over(model.regressor, *replace(experiments[which], motion=instruments[which]).inputs(rows))[0]
         block = np.concatenate([Z, K, force[:, :, None]], axis=2) / sigma[:, None]
         if weights is not None:
             block = block * np.sqrt(weights[which][rows])[:, :, None]
         triangle = _fold(triangle, block[experiments[which].moving[rows]])
-    # directions that the instruments do not see would let the noise of K in
-    seen = list(analyse(triangle[:p, :p], model.parameters.names).basis)
-    order = [*seen, *range(p, 2 * p + 1)]
+    # directions that the instruments do not excite would let the noise of K in
+    excited = list(analyse(triangle[:p, :p], model.parameters.names).basis)
+    order = [*excited, *range(p, 2 * p + 1)]
     folded: Array = np.asarray(np.linalg.qr(triangle[:, order], mode="r"))
-    on_instruments = folded[: len(seen), len(seen) :]
-    padded = np.vstack([on_instruments, np.zeros((p + 1 - len(seen), p + 1))])
+    on_instruments = folded[: len(excited), len(excited) :]
+    padded = np.vstack([on_instruments, np.zeros((p + 1 - len(excited), p + 1))])
     R: Array = np.asarray(np.linalg.qr(padded, mode="r"))
     return R[:p, :p], R[:p, p], float(R[p, p] ** 2)
 
@@ -150,5 +123,5 @@ def _fold(triangle: Array, block: Array) -> Array:
 
 
 def predict(model: Model, data: Experiment, psi: Array) -> Array:
-    """Actuator forces (N, n) that the parameters ψ predict for a measured motion."""
-    return model.over(model.inverse_dynamics, *data.inputs(), psi)[0][:, :, 0]
+    """Actuator forces (N, n) that a model with the parameters ψ predicts for a measured motion."""
+    return replace(data, model=model).predicted(psi)

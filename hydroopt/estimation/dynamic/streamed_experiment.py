@@ -5,24 +5,25 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from dataclasses import dataclass, field
-from functools import cached_property
+from dataclasses import dataclass, field, replace
+from functools import cached_property, singledispatch
 from typing import TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import LogError, ProblemError
-from hydroopt.estimation.dynamic.experiment import SELDOM, Experiment, remarks, slowest
-from hydroopt.estimation.dynamic.folding import ROWS, Triangles
+from hydroopt.estimation.dynamic.experiment import SELDOM, AnyExperiment, Experiment, experiment, remarks, slowest
+from hydroopt.estimation.dynamic.folding import ROWS, ActuatorTriangles
 from hydroopt.estimation.inference.correlation import Lagged
 from hydroopt.kernels.native import threads
 from hydroopt.logs import streamed_smoothing
+from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.log import Log, missing
 from hydroopt.logs.quality import Finding
 from hydroopt.logs.readings import angle_noise, channels_used, forces, measured_angles, pressures
 from hydroopt.logs.smoothing import Motion, Smoothing, SmoothingSpline
-from hydroopt.logs.stream import BLOCK, PIECE, STREAMED, LogStream
+from hydroopt.logs.stream import BLOCK, PIECE, LogStream
 from hydroopt.logs.streamed_smoothing import Smoother
 from hydroopt.logs.treatment import Samples
 from hydroopt.model.model import Model
@@ -45,7 +46,7 @@ class Totals:
     """
 
     def __init__(self, model: Model) -> None:
-        self.moved, self.still = Triangles(model), Triangles(model)
+        self.moved, self.still = ActuatorTriangles(model), ActuatorTriangles(model)
         self.moving = np.zeros(len(model.machine.joints))
         self.samples = self.taken = 0
         self.findings: tuple[Finding, ...] = ()
@@ -88,7 +89,7 @@ class StreamedExperiment:
                            where=where, remedy="keep every tenth sample, or state a higher --bandwidth")
         motion = chosen.motion(log.t, angles, log.segment, np.ones(log.size, bool), where)
         moving = np.abs(motion.qd) > slowest(angles, motion)[0]
-        return chosen, Experiment(log, motion, forces(model, log), moving, remarks(model, log, angles),
+        return chosen, Experiment(model, log, motion, forces(model, log), moving, remarks(model, log, angles),
                                   pressures(model, log))
 
     @property
@@ -119,7 +120,7 @@ class StreamedExperiment:
         return self.totals.moving > SELDOM * self.totals.samples
 
     @property
-    def folded(self) -> Triangles:
+    def folded(self) -> ActuatorTriangles:
         """The samples in which a joint moves."""
         return self.totals.moved.only(self.moves)
 
@@ -162,8 +163,22 @@ class StreamedExperiment:
                          sum(some.squares(last) for some in both), -sum(some.sums @ v for some in both),
                          sum(some.squares(v) for some in both)])
 
-    def correlation_times(self, psi: Array) -> Array:
-        """Correlation time (n,) of the residuals of each actuator in samples: one more pass over the log."""
+    def loaded(self, purpose: str) -> Experiment:
+        """Refuse what needs all samples at once.
+
+        Raises:
+            ProblemError: always.
+        """
+        return experiment(self.model, self.stream.loaded(purpose), self.smoothing)
+
+    def fold_into(self, triangles: ActuatorTriangles, psi: Array | None = None,
+                  weights: Array | None = None) -> None:
+        """Add the samples in which a joint moves: forces are linear in ψ, and squared residuals have no weights."""
+        assert weights is None
+        triangles.add(self.folded)
+
+    def correlation_times(self, psi: Array) -> tuple[Array, Array]:
+        """As of `Experiment`: one more pass over the log."""
         totals = self.totals
         mean = -(totals.moved.sums @ np.append(psi, -1.0)) / np.maximum(totals.moved.samples, 1.0)
         drops = "drop" in self.stream.treatment.values()  # what another channel makes drop has to drop again
@@ -174,7 +189,7 @@ class StreamedExperiment:
             for total, one in zip(sums, part, strict=True):
                 total.pairs += one.pairs
                 total.products += one.products
-        return np.array([one.time for one in sums])
+        return np.array([one.time for one in sums]), self.folded.samples
 
     @property
     def _margin(self) -> int:
@@ -202,7 +217,7 @@ class StreamedExperiment:
         rows = (log.sample >= needed[0]) & (log.sample <= needed[1])
         motion = self._sample[0].motion(log.t, measured_angles(self.model, log), log.segment, rows,
                                         f"{log.path}, rows {needed[0]} to {needed[1]}")
-        return Experiment(log, motion, forces(self.model, log), np.abs(motion.qd) > self._slow, (),
+        return Experiment(self.model, log, motion, forces(self.model, log), np.abs(motion.qd) > self._slow, (),
                           pressures(self.model, log))
 
     def _folded(self, samples: Samples, core: Rows) -> Totals:
@@ -254,44 +269,25 @@ def streamed_experiment(model: Model, stream: LogStream, smoothing: Smoothing | 
     zones = [actuator.name for actuator in model.machine.actuators if actuator.friction.dead_zone is not None]
     if zones or not model.linear:
         what = f"a dead zone in the friction of {', '.join(zones)}" if zones else "friction that is not linear"
-        raise whole(stream, what)
+        stream.loaded(what)
     for channel in sorted(set.union(*channels_used(model, stream)) - set(stream.channels)):
         raise missing(channel, stream.channels, stream.path)
     return StreamedExperiment(model, stream, smoothing)
 
 
-def in_memory(experiments: Iterable[Experiment | StreamedExperiment], what: str) -> tuple[Experiment, ...]:
-    """The experiments, if all of them are in memory.
+@singledispatch
+def prepared(log: AnyLog, model: Model, smoothing: Smoothing | None = None) -> AnyExperiment:
+    """A log made ready for dynamics: at once, or in pieces where it is read in pieces.
 
     Raises:
-        ProblemError: one is read in pieces, which `what` cannot do.
+        LogError: a channel is missing, or a log is too short.
+        ProblemError: it is no log, or it cannot be smoothed in this way.
     """
-    held = []
-    for data in experiments:
-        if isinstance(data, StreamedExperiment):
-            raise whole(data.stream, what)
-        held.append(data)
-    return tuple(held)
+    raise ProblemError(f"a {type(log).__name__} is no log", where="logs", remedy="read one by read_log or open_log")
 
 
-def logs_in_memory(logs: Iterable[Log | LogStream], what: str) -> tuple[Log, ...]:
-    """The logs, if all of them are in memory.
-
-    Raises:
-        ProblemError: one is read in pieces, which `what` cannot do.
-    """
-    held = []
-    for log in logs:
-        if isinstance(log, LogStream):
-            raise whole(log, what)
-        held.append(log)
-    return tuple(held)
-
-
-def whole(log: LogStream, what: str) -> ProblemError:
-    """The error of what cannot do with pieces of a log."""
-    return ProblemError(f"the log is read in pieces, but {what} needs all of it at once", where=log.path,
-                        remedy=f"leave that out, or give {STREAMED} rows at most with 'rows = [first, last]' in a map")
+prepared.register(Log, lambda log, model, smoothing=None: experiment(model, log, smoothing))
+prepared.register(LogStream, lambda log, model, smoothing=None: streamed_experiment(model, log, smoothing))
 
 
 def _cut(data: Experiment, start: int, stop: int) -> Experiment:
@@ -299,8 +295,8 @@ def _cut(data: Experiment, start: int, stop: int) -> Experiment:
     m, span = data.motion, slice(start, stop)
     motion = Motion(m.t[span], m.q[span], m.qd[span], m.qdd[span], m.segment[span], m.interior[span], m.bandwidth,
                     m.notes)
-    return Experiment(data.log.slice(start, stop), motion, data.force[span], data.moving[span], data.remarks,
-                      None if data.pressure is None else data.pressure[span])
+    return replace(data, log=data.log.slice(start, stop), motion=motion, force=data.force[span],
+                   moving=data.moving[span], pressure=None if data.pressure is None else data.pressure[span])
 
 
 def _joined(findings: Iterable[Finding]) -> Iterator[Finding]:

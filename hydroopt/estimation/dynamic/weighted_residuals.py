@@ -10,21 +10,19 @@ import numpy as np
 
 from hydroopt.errors import IdentifiabilityError
 from hydroopt.estimation.dynamic import fitted_motion
-from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment
 from hydroopt.estimation.dynamic.regressor_qr import (
-    Compressed,
+    CompressedRegressor,
     compress,
     compress_instrumented,
     compress_jointly,
-    predict,
     whitened,
 )
-from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment, in_memory
 from hydroopt.estimation.inference import least_squares
-from hydroopt.estimation.inference.correlation import correlation_time
 from hydroopt.estimation.inference.gaussian import gaussian_posterior
 from hydroopt.estimation.inference.nlp import ResidualTerm
 from hydroopt.estimation.inference.problem import InferenceProblem
+from hydroopt.logs.any_log import in_memory
 from hydroopt.logs.smoothing import Motion
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
@@ -44,7 +42,7 @@ class ResidualProblem(InferenceProblem, Protocol):
         """What predicts the forces."""
 
     @property
-    def experiments(self) -> tuple[Experiment | StreamedExperiment, ...]:
+    def experiments(self) -> tuple[AnyExperiment, ...]:
         """Training data."""
 
     @property
@@ -71,7 +69,7 @@ class ResidualProblem(InferenceProblem, Protocol):
     def instruments(self) -> tuple[Motion, ...]:
         """A second motion of each experiment, if any."""
 
-    def with_experiments(self, experiments: Sequence[Experiment | StreamedExperiment]) -> Self:
+    def with_experiments(self, experiments: Sequence[AnyExperiment]) -> Self:
         """The same problem with other training data."""
 
 
@@ -217,7 +215,7 @@ def _least_squares(problem: ResidualProblem, R: Array, r: Array, tolerance: floa
     return least_squares.base_least_squares(R, r, problem.parameters.names, tolerance)[0]
 
 
-def _sigma(problem: ResidualProblem, data: Compressed, tolerance: float) -> Array:
+def _sigma(problem: ResidualProblem, data: CompressedRegressor, tolerance: float) -> Array:
     """Standard deviation (n,) of each actuator's residual: stated by its sensors, then estimated from the fit."""
     size = np.linalg.norm(data.triangles[:, :, -1], axis=1) / np.sqrt(np.maximum(data.samples, 1.0))  # RMS force
     sigma = np.where(np.isfinite(problem.force_std), problem.force_std, 0.1 * size)
@@ -233,8 +231,8 @@ def _sigma(problem: ResidualProblem, data: Compressed, tolerance: float) -> Arra
     return np.asarray(sigma)
 
 
-def _robust(problem: ResidualProblem, data: Compressed, sigma: Array, point: Array) -> tuple[Compressed, Array,
-                                                                                                   list[Array]]:
+def _robust(problem: ResidualProblem, data: CompressedRegressor, sigma: Array,
+            point: Array) -> tuple[CompressedRegressor, Array, list[Array]]:
     """Iteratively reweighted least squares: Huber (95 % efficient at 1.345 σ) or Student-t (4 degrees of freedom).
 
     The residuals are those of the most probable parameters before constraints, which good data hardly move.
@@ -270,7 +268,7 @@ def _held(problem: ResidualProblem) -> tuple[Experiment, ...]:
 
 
 def _residuals(problem: ResidualProblem, psi: Array) -> list[Array]:
-    return [e.force - predict(problem.model, e, psi) for e in _held(problem)]
+    return [e.force - e.predicted(psi) for e in _held(problem)]
 
 
 def _taken(problem: ResidualProblem, residuals: Sequence[Array]) -> list[Array]:
@@ -303,13 +301,5 @@ def _correlation(problem: ResidualProblem, psi: Array) -> Array:
 
 def _correlation_times(problem: ResidualProblem, psi: Array) -> Array:
     """Correlation time of each actuator's residuals (n,), in samples; the logs weigh by their lengths."""
-    times, weights = [], []
-    for data in problem.experiments:
-        if isinstance(data, StreamedExperiment):
-            times.append(data.correlation_times(psi).tolist())
-            weights.append(np.maximum(data.folded.samples, 1e-9))
-            continue
-        residual, taken = data.force - predict(problem.model, data, psi), data.inside[:, None] & data.moving
-        times.append([correlation_time(r, t, data.motion.segment) for r, t in zip(residual.T, taken.T, strict=True)])
-        weights.append(np.maximum(np.sum(taken, axis=0), 1e-9))
-    return np.asarray(np.average(times, axis=0, weights=weights))
+    times, samples = zip(*(data.correlation_times(psi) for data in problem.experiments), strict=True)
+    return np.asarray(np.average(times, axis=0, weights=np.maximum(samples, 1e-9)))

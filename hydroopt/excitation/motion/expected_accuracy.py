@@ -18,13 +18,11 @@ import numpy as np
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.estimation.dynamic.regressor_qr import compress
-from hydroopt.estimation.dynamic.streamed_experiment import in_memory
 from hydroopt.estimation.inference.identifiability import PREDICTED_TOLERANCE, Identifiability, significant
 from hydroopt.excitation.criteria import presumed_noise
 from hydroopt.logs import spline
-from hydroopt.logs.log import Log
+from hydroopt.logs.any_log import AnyLog, in_memory
 from hydroopt.logs.readings import angle_noise, force_noise
-from hydroopt.logs.stream import LogStream
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import Trajectory, simulate
@@ -50,7 +48,7 @@ class Expectation:
     sigma: Array
 
 
-def measured(machine: Machine, logs: Sequence[Log | LogStream]) -> Array:
+def measured(machine: Machine, logs: Sequence[AnyLog]) -> Array:
     """Information (p, p) on ψ of logs already measured, by what their residuals turn out to be.
 
     Raises:
