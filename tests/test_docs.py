@@ -1,0 +1,52 @@
+"""The map of thesis equations in docs/architecture.md agrees with the docstrings."""
+
+import re
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+DOCUMENT = (ROOT / "docs/architecture.md").read_text("utf-8")
+NUMBER = r"\d\.\d+[a-z]?(?:, [a-z]\b)?"
+CITATION = re.compile(rf"\bEqs?\. ({NUMBER}(?:(?:, | and | to |–|-){NUMBER})*)")
+
+
+def equations(text: str) -> set[str]:
+    """Numbers of the thesis's equations that a text cites, ranges written out."""
+    found = set()
+    for cited in CITATION.findall(" ".join(text.split())):
+        for chapter, first, last in re.findall(r"(\d)\.(\d+)[a-z]?(?:(?: to |–|-)\d\.(\d+))?", cited):
+            found |= {f"{chapter}.{k}" for k in range(int(first), int(last or first) + 1)}
+    return found
+
+
+CITED = {str(file.relative_to(ROOT / "hydroopt")): equations(file.read_text("utf-8"))
+         for file in sorted((ROOT / "hydroopt").rglob("*.py"))}
+ROWS = {row: re.findall(r"`([^`]+)`", files)
+        for row, files in re.findall(r"^\| (Eq\. .*?) \| .*? \| (.*?) \|$", DOCUMENT, re.MULTILINE)}
+
+
+def test_equations_are_read() -> None:
+    assert equations("(Eq. 4.33, 4.61), Eqs. 3.24a, b and Eq. 4.58 to\n4.60") == {
+        "4.33", "4.61", "3.24", "4.58", "4.59", "4.60"}
+
+
+@pytest.mark.parametrize("row", ROWS)
+def test_every_file_cites_the_equations_of_its_row(row: str) -> None:
+    assert ROWS[row]
+    assert not {file for file in ROWS[row] if not CITED[file] & equations(row)}
+    assert equations(row) <= set().union(*(CITED[file] for file in ROWS[row]))
+
+
+def test_every_cited_equation_is_in_the_map() -> None:
+    missing = {equation: file for file, cited in CITED.items() for equation in cited}
+    assert not {equation: file for equation, file in missing.items() if equation not in set().union(*map(equations, ROWS))}
+
+
+@pytest.mark.parametrize("path", sorted(set(re.findall(r"`([\w/]+\.pyi?)`", DOCUMENT))))
+def test_every_file_exists(path: str) -> None:
+    assert (ROOT / "hydroopt" / path).exists() or (ROOT / path).exists()
+
+
+def test_it_fits_on_two_screens() -> None:
+    assert len(DOCUMENT.splitlines()) <= 120
