@@ -1,4 +1,4 @@
-"""The page of a study: what its cells have in common, in one figure and few tables; computes nothing."""
+"""The page of a study: its summary in one figure and a few tables."""
 
 from __future__ import annotations
 
@@ -71,12 +71,12 @@ def _word(value: Any) -> str:
 
 
 def _failures(content: Mapping[str, Any]) -> list[str]:
-    told = [one for part in content.get("points", [content]) for one in part["failures"]]
-    return [f"{len(one['cells'])} cells failed: {one['error']}" for one in told]
+    failures = [one for part in content.get("points", [content]) for one in part["failures"]]
+    return [f"{len(one['cells'])} cells failed: {one['error']}" for one in failures]
 
 
 def _trials(content: Mapping[str, Any], table: Table) -> Figure:
-    """Coverage of every parameter, and how the prediction of unseen forces is distributed."""
+    """Coverage of every parameter, and the distribution of the errors of validation forces."""
     (point,) = content["points"]
     rows = [row for row in point["parameters"] if row["coverage"] is not None]
     actuators = list(point["prediction"])
@@ -84,18 +84,18 @@ def _trials(content: Mapping[str, Any], table: Table) -> Figure:
         figure = Figure(figsize=(WIDTH, 3.4))
         left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": (1.6, 1.0)})
         if rows:
-            half = 1.96 * math.sqrt(0.95 * 0.05 / max(min(row["cells"] for row in rows), 1))
+            half = point["coverage_half_width"]
             left.axhspan(100 * (0.95 - half), min(100 * (0.95 + half), 100), color=GREEN, alpha=0.13, lw=0)
             left.axhline(95, color=GREY, lw=0.8)
             left.plot([100 * row["coverage"] for row in rows], ls="none", marker="o", ms=3.2, color=BLUE)
-        left.set(title="95 % intervals that hold the truth; shaded: what chance leaves of 95 %", ylabel="%",
+        left.set(title="coverage of 95 % intervals; shaded: 95 % within chance", ylabel="%",
                  xlabel="parameter, in the order of the table")
         for colour, name in zip(_cycle(len(actuators)), actuators, strict=True):
             values = table.column(f"{name}.rms")
             values = np.sort(values[np.isfinite(values)])
             if values.size:
                 right.step(values, np.arange(1, len(values) + 1) / len(values) * 100, color=colour, label=name)
-        right.set(title="RMS error of unseen noise-free forces", xlabel="σ of the force's sensors",
+        right.set(title="RMS error of noise-free validation forces", xlabel="σ of the force's sensors",
                   ylabel="cells up to here [%]")
         right.set_xlim(left=0)
         left.xaxis.set_major_locator(MaxNLocator(integer=True))
@@ -124,11 +124,11 @@ def _sweep(content: Mapping[str, Any], table: Table) -> Figure:
                                      for key in ("q05", "median", "q95"))
                 ax.fill_between(x, low, high, color=colour, alpha=0.15, lw=0)
                 ax.plot(x, middle, color=colour, marker="o", ms=3.5, label=label)
-                ax.set(title=name, xlabel=first, ylabel="RMS of unseen forces [σ]")
+                ax.set(title=name, xlabel=first, ylabel="RMS error of validation forces [σ]")
                 ax.set_ylim(bottom=0)
             axes[-1].plot(x, 100 * _floats(point["coverage"] for point in some), color=colour, marker="o", ms=3.5)
         axes[-1].axhline(95, color=GREY, lw=0.8)
-        axes[-1].set(title="95 % intervals that hold the truth", xlabel=first, ylabel="%")
+        axes[-1].set(title="coverage of 95 % intervals", xlabel=first, ylabel="%")
         if others:
             axes[0].legend()
         figure.subplots_adjust(left=0.06, right=0.99, top=0.9, bottom=0.15, wspace=0.25)
@@ -154,7 +154,7 @@ def _bootstrap(content: Mapping[str, Any], table: Table) -> Figure:
 
 
 def _starts(content: Mapping[str, Any], table: Table) -> Figure:
-    """Squared errors of the optima over the starts, the best first, and where the parameters end."""
+    """Squared errors of the optima over the starts, the best first, and the ranges of the parameters."""
     rows = [row for row in content["parameters"] if row["std"]]
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 3.2))
@@ -163,12 +163,12 @@ def _starts(content: Mapping[str, Any], table: Table) -> Figure:
         left.plot(costs, color=BLUE, marker="o", ms=3.2)
         left.set(title="squared errors at the optima", xlabel="start, the best first",
                  yscale="log" if costs[-1] > 10 * costs[0] > 0 else "linear")
-        for key in ("lowest", "highest"):
-            right.plot([(row[key] - row["value"]) / row["std"] for row in rows], ls="none", marker="_", color=BLUE)
+        for key in ("lowest_std", "highest_std"):
+            right.plot([row[key] for row in rows], ls="none", marker="_", color=BLUE)
         right.axhline(0, color=GREY, lw=0.8)
-        right.set(title="farthest from the best", xlabel="parameter, in the order of the table",
+        right.set(title="range about the best", xlabel="parameter, in the order of the table",
                   ylabel="standard deviations", yscale="symlog")
-        for ax in (left, right):  # powers of ten would come as unread TeX
+        for ax in (left, right):  # powers of ten would appear as TeX
             ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
             ax.yaxis.set_minor_formatter(NullFormatter())
             ax.xaxis.set_major_locator(MaxNLocator(integer=True))

@@ -1,1 +1,1 @@
-"""Studies: one computation many times over, side by side on Dask, kept cell by cell so that nothing is lost."""
+"""Studies: many independent cells of one computation, run in parallel on Dask and stored one by one."""

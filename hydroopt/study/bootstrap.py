@@ -1,9 +1,9 @@
-"""Block bootstrap: how much would an estimate scatter if the logs' residuals had come in another order?
+"""Block bootstrap: the scatter of an identification under resampled residuals.
 
-Residuals of the estimate are drawn anew in blocks long enough to keep how they repeat themselves, added to the forces
-that the estimate predicts, and identified again (Künsch 1989; circular blocks: Politis and Romano 1992). It assumes
-nothing about the residuals' distribution. What the machine file states is not drawn anew: a parameter that its
-confidences hold, rather than the data, scatters less than its σ.
+Residuals of the estimate are resampled in blocks that are long enough to keep their autocorrelation, added to the
+forces that the estimate predicts, and identified again (Künsch 1989; circular blocks: Politis and Romano 1992). The
+method assumes nothing about the residuals' distribution. The priors of the machine file are not resampled: a parameter
+that a prior determines, rather than the data, scatters less than its σ.
 """
 
 from __future__ import annotations
@@ -32,15 +32,15 @@ from hydroopt.study.table import Table
 
 @dataclass(frozen=True, eq=False)
 class Resampling:
-    """One cell: residuals drawn anew, identified again.
+    """One cell: an identification with resampled residuals.
 
     Attributes:
-        machine, logs, method: as of the estimate.
-        names: of the parameters that it gives a value, at `positions`; `base` of its base parameters.
-        psi: (p,) what it predicts with; `grouping` (r, p) its base parameters.
-        value, std: of parameters and then of base parameters.
+        machine, logs, method: inputs of the estimate.
+        names: of the parameters that have a value, at `positions`; `base` names the base parameters.
+        psi: (p,) parameters of the prediction; `grouping` (r, p) maps them to base parameters.
+        value, std: of the parameters, followed by the base parameters.
         blocks: (n,) length of the blocks of each actuator's residuals, in samples.
-        widening: (n,) by which residuals are multiplied, as the fit has made them smaller than the errors.
+        widening: (n,) factors on the residuals, which the fit has made smaller than the errors.
     """
 
     machine: Machine
@@ -60,18 +60,18 @@ class Resampling:
         """Values of the parameters and of the base parameters.
 
         Raises:
-            HydrooptError: there is no estimate.
+            HydrooptError: the identification gives no estimate.
         """
         problem, experiments, predicted = _prepared(self)
         of_blocks, of_sampling = seeds(seed, 2)
         rng = np.random.default_rng(of_blocks)
         forces = [np.array(force) for force in predicted]
         for k, (block, widening) in enumerate(zip(self.blocks, self.widening, strict=True)):
-            taken = [e.inside & e.moving[:, k] for e in experiments]
-            left = [(e.force - force)[rows, k] for e, force, rows in zip(experiments, predicted, taken,
+            used = [e.inside & e.moving[:, k] for e in experiments]
+            residuals = [(e.force - force)[rows, k] for e, force, rows in zip(experiments, predicted, used,
                                                                          strict=True)]
-            drawn = widening * redrawn(np.concatenate(left), int(block), rng)
-            for force, rows, new in zip(forces, taken, np.split(drawn, np.cumsum([len(x) for x in left])[:-1]),
+            drawn = widening * redrawn(np.concatenate(residuals), int(block), rng)
+            for force, rows, new in zip(forces, used, np.split(drawn, np.cumsum([len(x) for x in residuals])[:-1]),
                                         strict=True):
                 force[rows, k] += new
         again = replace(problem, experiments=tuple(replace(e, force=force) for e, force in
@@ -82,18 +82,21 @@ class Resampling:
 
 
 def redrawn(residual: Array, block: int, rng: np.random.Generator) -> Array:
-    """Blocks of residuals (m,), each from a random place, end joined to beginning; m of them, about their mean."""
+    """Circular blocks of residuals (m,), each from a random start: m values about the residuals' mean."""
     count = len(residual)
     starts = rng.integers(0, max(count, 1), -(-count // block))
-    at = (starts[:, None] + np.arange(block)).ravel()[:count] % max(count, 1)
-    return np.asarray((residual - residual.mean())[at] if count else residual)
+    indices = (starts[:, None] + np.arange(block)).ravel()[:count] % max(count, 1)
+    return np.asarray((residual - residual.mean())[indices] if count else residual)
 
 
 def block_length(time: float, samples: int) -> int:
-    """Samples in a block for which the error of the bootstrap's variance is smallest.
+    """Samples in a block that minimise the error of the bootstrap's variance.
 
-    That of circular blocks for a first-order process (Politis and White 2004), ``(√6·ρ/(1 − ρ²))^⅔·N^⅓``, with ρ from
-    its integrated autocorrelation time ``τ = (1 + ρ)/(1 − ρ)``.
+    For circular blocks and a first-order process (Politis and White 2004) this is ``(√6·ρ/(1 − ρ²))^⅔·N^⅓``, with ρ
+    from the integrated autocorrelation time ``τ = (1 + ρ)/(1 − ρ)``.
+
+    >>> block_length(1.0, 1000), block_length(9.0, 1000)
+    (1, 31)
 
     Args:
         time: τ in samples, see `correlation_time`.
@@ -116,27 +119,27 @@ def bootstrap(machine: Machine, logs: Sequence[Log], *, cells: int, seed: int = 
 
     Args:
         machine: nominal description.
-        logs: what is learnt from.
-        cells: how often residuals are drawn anew.
-        seed: of all.
+        logs: training logs.
+        cells: number of resamplings.
+        seed: of the study.
         method: of identification.
 
     Raises:
-        HydrooptError: there is no estimate whose residuals could be drawn.
+        HydrooptError: the logs give no estimate whose residuals could be resampled.
     """
     if cells < 1:
-        raise ProblemError(f"{cells} cells are none", where="--cells", remedy="ask for one or more")
+        raise ProblemError(f"the number of cells is {cells}", where="--cells", remedy="give at least 1")
     problem = identification_problem(machine, logs)
     found = identify(problem, method, seed=seed)
     held = in_memory(problem.experiments, "a bootstrap")
     samples = np.sum([np.sum(e.inside[:, None] & e.moving, axis=0) for e in held], axis=0)
-    told = np.flatnonzero(np.isfinite(found.value))
+    valued = np.flatnonzero(np.isfinite(found.value))
     n = len(machine.actuators)
     work = Resampling(
-        machine, tuple(logs), method, tuple(problem.parameters.names[k] for k in told), told,
+        machine, tuple(logs), method, tuple(problem.parameters.names[k] for k in valued), valued,
         tuple(problem.parameters.names[k] for k in found.identifiability.basis), found.psi,
         found.identifiability.grouping,
-        np.concatenate([found.psi[told], found.base_value]), np.concatenate([found.std[told], found.base_std]),
+        np.concatenate([found.psi[valued], found.base_value]), np.concatenate([found.std[valued], found.base_std]),
         np.array([block_length(t, int(m)) for t, m in zip(found.correlation_time, samples, strict=True)]),
         np.sqrt(samples / np.maximum(samples - found.identifiability.rank / n, 1.0)))
     settings = {"machine": machine.name, "machine_sha256": machine.sha256, "method": method, "seed": seed,
@@ -145,17 +148,17 @@ def bootstrap(machine: Machine, logs: Sequence[Log], *, cells: int, seed: int = 
 
 
 def summary(study: Study, table: Table) -> dict[str, Any]:
-    """Scatter of the refits against the σ stated, for parameters and base parameters, as JSON."""
+    """Scatter of the refits and the stated σ, for parameters and base parameters, as JSON."""
     work: Any = study.function
     problem = _prepared(work)[0]
     units = [problem.parameters.units[problem.parameters.index(name)] for name in (*work.names, *work.base)]
     rows = []
     for k, name in enumerate((*work.names, *(f"base {name}" for name in work.base))):
-        again, value, std = table.column(name), float(work.value[k]), float(work.std[k])
-        scatter = float(np.std(again, ddof=1)) if len(again) > 1 else None
+        refits, value, std = table.column(name), float(work.value[k]), float(work.std[k])
+        scatter = float(np.std(refits, ddof=1)) if len(refits) > 1 else None
         stated = std if np.isfinite(std) else None
-        rows.append({"name": name.removeprefix("base "), "unit": units[k], "value": value, "cells": len(again),
-                     "bias": float(np.mean(again)) - value, "scatter": scatter, "stated_std": stated,
+        rows.append({"name": name.removeprefix("base "), "unit": units[k], "value": value, "cells": len(refits),
+                     "bias": float(np.mean(refits)) - value, "scatter": scatter, "stated_std": stated,
                      "scatter_over_stated": scatter / stated if scatter is not None and stated else None})
     return {"cells": len(table), **failed(table),
             "block_samples": dict(zip((a.name for a in work.machine.actuators), work.blocks.tolist(), strict=True)),

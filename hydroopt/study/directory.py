@@ -1,4 +1,4 @@
-"""Where a study keeps its cells, so that it can go on after whatever ended it."""
+"""The directory in which a study stores its cells, so that a stopped run can be resumed."""
 
 from __future__ import annotations
 
@@ -17,24 +17,24 @@ IDENTITY = "study.json"
 
 
 class Directory:
-    """``study.json``, which says what the study is, and ``cells/INDEX.json``, each of which appears whole or not."""
+    """``study.json`` with the identity of the study, and ``cells/INDEX.json``; each file appears whole or not."""
 
     def __init__(self, path: str | Path, study: Study) -> None:
-        """Open or begin a study's directory.
+        """Open or create a study's directory.
 
         Raises:
-            ProblemError: another study keeps its cells there, or it cannot be written.
+            ProblemError: it holds the cells of another study, or cannot be written.
         """
         self.path, self.study = Path(path), study
         self.cells = self.path / "cells"
         refuse(self.path, study)
         write_files(self.path, {IDENTITY: json.dumps(study.identity, indent=1)})
         write_files(self.cells, {})
-        for left in self.cells.glob(".unfinished-*"):  # what a process that was killed had begun
+        for left in self.cells.glob(".unfinished-*"):  # of a process that was killed
             shutil.rmtree(left, ignore_errors=True)
 
     def read(self) -> dict[int, Outcome]:
-        """Outcomes of the cells that are finished; one that cannot be read is not."""
+        """Outcomes of the finished cells, by index; a cell that cannot be read counts as unfinished."""
         found: dict[int, Outcome] = {}
         for index, cell in enumerate(self.study.cells):
             try:
@@ -47,10 +47,10 @@ class Directory:
         return found
 
     def write(self, index: int, outcome: Outcome) -> Outcome:
-        """Keep a cell's outcome.
+        """Store a cell's outcome.
 
         Returns:
-            It, as `read` will give it.
+            The outcome as `read` will return it.
         """
         if "result" in outcome:
             outcome = {"result": {key: _value(value) for key, value in outcome["result"].items()}}
@@ -63,26 +63,27 @@ def refuse(directory: Path, study: Study) -> None:
     """Refuse a directory that holds another study.
 
     Raises:
-        ProblemError: it does; the first setting that differs is named.
+        ProblemError: the directory holds another study; the message names the first setting that differs.
     """
     where, remedy = str(directory), "choose another directory with -o"
     if directory.exists() and not directory.is_dir():
         raise ProblemError("this is a file", where=where, remedy=remedy)
     if not (directory / IDENTITY).exists():
         if (directory / "cells").exists():
-            raise ProblemError(f"there are cells, but no {IDENTITY} says of what study", where=where, remedy=remedy)
+            raise ProblemError(f"there are cells but no {IDENTITY}, so that their study is unknown", where=where,
+                               remedy=remedy)
         return
     try:
         there = json.loads((directory / IDENTITY).read_text("utf-8"))
     except (OSError, ValueError):
         there = None
     if not isinstance(there, dict):
-        raise ProblemError("this cannot be read, so that nothing tells whose cells these are",
+        raise ProblemError("the file cannot be read, so that the study of these cells is unknown",
                            where=str(directory / IDENTITY), remedy=remedy)
     different = _difference(there, study.identity)
     if different:
         raise ProblemError(f"this directory holds another study: {different}", where=where,
-                           remedy=f"give the settings that stand in its {IDENTITY}, or {remedy}")
+                           remedy=f"repeat the settings in its {IDENTITY}, or {remedy}")
 
 
 def _difference(there: Mapping[str, Any], here: Mapping[str, Any], within: str = "") -> str:
@@ -103,7 +104,7 @@ def _short(value: object) -> str:
 
 
 def _value(value: Any) -> Value:
-    """A number or a word as JSON keeps it, without loss; None for what is no number."""
+    """A number or a word as JSON stores it, without loss; None for NaN and infinity."""
     if value is None or isinstance(value, str):
         return value
     if isinstance(value, int):

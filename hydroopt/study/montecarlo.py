@@ -1,7 +1,7 @@
-"""Monte Carlo: random truths, motions and sensor errors, identified as a user would, once or over a grid of conditions.
+"""Monte Carlo: identification of random truths from random motions and sensor errors, also over a grid of conditions.
 
-A truth is drawn from the machine file's confidences, so that intervals that use the same confidences must hold it as
-often as they say, on the average over many cells.
+Each truth is drawn from the priors of the machine file, so that 95 % intervals that use the same priors must contain
+it in 95 % of many cells.
 """
 
 from __future__ import annotations
@@ -30,17 +30,17 @@ from hydroopt.study.table import Table
 DURATION = 33.28
 """Of a random motion [s]: the 1664 samples of the thesis."""
 UNSEEN = (30.0, 50.0)
-"""Duration [s] and rate [Hz] of the random motion whose forces are predicted."""
+"""Duration [s] and rate [Hz] of the validation motion whose forces are predicted."""
 VARIED = {"accuracy": "factor on the accuracy of all sensors", "duration": "of the motion [s]",
           "rate": "samples per second [Hz]"}
-"""What a sweep can vary."""
+"""Conditions that a sweep can vary."""
 
 
 @dataclass(frozen=True, eq=False)
 class Trial:
-    """One cell: a truth, a motion, a log, an estimate, and how far the two are apart.
+    """One cell: simulates a log of a random truth, identifies it, and compares the estimate with the truth.
 
-    `motion` is the same in all cells if it is given; else each has a random one.
+    All cells use `motion` if it is given; otherwise each has a random one.
     """
 
     machine: Machine
@@ -50,10 +50,10 @@ class Trial:
 
     def __call__(self, *, seed: int, accuracy: float = 1.0, duration: float = DURATION,
                  rate: float | None = None) -> Values:
-        """Truth, value, σ and whether the interval holds, per parameter; RMS of unseen forces in σ, per actuator.
+        """Truth, value, σ and whether the interval contains the truth, by parameter; validation error in σ by actuator.
 
         Raises:
-            HydrooptError: there is no estimate.
+            HydrooptError: the identification gives no estimate.
         """
         model, (of_truth, of_motion, of_noise, of_sampling) = _model(self, accuracy), seeds(seed, 4)
         truth = simulate.random_truth(model, of_truth)
@@ -77,7 +77,7 @@ class Trial:
         return result | {f"{a.name}.rms": float(x) for a, x in zip(self.machine.actuators, rms, strict=True)}
 
 
-# once in each process, as neither depends on a cell's seed
+# once in each process, because the model depends on no cell's seed
 @cache
 def _model(trial: Trial, accuracy: float) -> Model:
     sensors = [sensor.model_copy(update={"accuracy": sensor.accuracy * accuracy}) for sensor in trial.machine.sensors]
@@ -85,7 +85,7 @@ def _model(trial: Trial, accuracy: float) -> Model:
 
 
 def unseen_error(trial: Trial, truth: Array, psi: Array) -> Array:
-    """RMS (n,) of what ψ predicts wrongly of the unseen motion's forces, in σ as the file states the sensors."""
+    """RMS error (n,) of the forces that ψ predicts on the validation motion, in σ of the sensors as stated."""
     model, motion = _model(trial, 1.0), trial.unseen
     state = [motion.q, motion.qd, motion.qdd]
     if model.needs_pressure:
@@ -103,16 +103,16 @@ def montecarlo(machine: Machine, *, cells: int, seed: int = 0, method: Method = 
     """A Monte Carlo study of identification, or a sweep if something is varied.
 
     Args:
-        machine: whose confidences the truths are drawn from.
-        cells: how many, at each point of the grid.
-        seed: of all.
+        machine: its priors are the distribution of the truths.
+        cells: number of cells at each point of the grid.
+        seed: of the study.
         method: of identification.
-        motion: the same for all cells; else random ones of `duration` [s] at `rate` [Hz], by default as stated.
-        motion_sha256: what tells that motion from others.
-        vary: values of ``accuracy`` (a factor), ``duration`` [s] or ``rate`` [Hz]; several make a product.
+        motion: of all cells; otherwise each has a random one of `duration` [s] at `rate` [Hz], by default as stated.
+        motion_sha256: digest that identifies the motion.
+        vary: values of ``accuracy`` (a factor), ``duration`` [s] or ``rate`` [Hz]; several names make a product.
 
     Raises:
-        ProblemError: what cannot be varied, or values that are none.
+        ProblemError: a name cannot be varied, or its values are not different positive numbers.
     """
     grid = dict(vary or {})
     for name, values in grid.items():
@@ -122,14 +122,14 @@ def montecarlo(machine: Machine, *, cells: int, seed: int = 0, method: Method = 
             raise ProblemError(f"a given motion has its own {name}", where="--vary",
                                remedy="leave it out, or --motion")
         if not values or len(set(values)) < len(values) or not all(0 < value < np.inf for value in values):
-            raise ProblemError(f"{', '.join(f'{value:g}' for value in values) or 'nothing'} is no list of values of "
+            raise ProblemError(f"{', '.join(f'{value:g}' for value in values) or 'nothing'} cannot be the values of "
                                f"{name}", where="--vary", remedy="give different positive numbers")
     if cells < 1:
-        raise ProblemError(f"{cells} cells are none", where="--cells", remedy="ask for one or more")
+        raise ProblemError(f"the number of cells is {cells}", where="--cells", remedy="give at least 1")
     given = {} if motion is not None else {"duration": duration, "rate": rate or simulate.sampling_rate(machine)}
     points = [given | dict(zip(grid, point, strict=True)) for point in product(*grid.values())]
     for point in points:
-        if motion is None:  # what cannot be sampled is refused now
+        if motion is None:  # refuse now what cannot be sampled
             simulate.random_trajectory(Model(machine), duration=point["duration"], rate=point["rate"], seed=0)
     own = seeds(seed, cells * len(points))
     table = tuple({**point, "seed": own[k * cells + i]} for k, point in enumerate(points) for i in range(cells))
@@ -149,21 +149,24 @@ def summary(study: Study, table: Table) -> dict[str, Any]:
 def _point(trial: Any, table: Table) -> dict[str, Any]:
     model = _model(trial, 1.0)
     links = [f"{link} in all" for link in carried(model.machine)]
-    rows, covered = [], []
+    rows, covered, fewest = [], [], len(table)
     for name, unit in (*zip(model.parameters.names, model.parameters.units, strict=True), *((n, "kg") for n in links)):
         truth, value, std, inside = (table.column(f"{name}.{key}") for key in ("truth", "value", "std", "inside"))
-        told = np.isfinite(value)
-        if not np.any(told):
+        valued = np.isfinite(value)
+        if not np.any(valued):
             continue
         if name not in links:
             covered.append(inside)
-        rows.append({"name": name, "unit": unit, "cells": int(told.sum()), **spread(value[told] - truth[told],
-                     std[told]), "coverage": _mean(inside)})
-    each = np.array([_mean(cell) for cell in np.array(covered).T], dtype=float)  # of each cell
-    each = each[np.isfinite(each)]
+        if np.any(np.isfinite(inside)):
+            fewest = min(fewest, int(valued.sum()))
+        rows.append({"name": name, "unit": unit, "cells": int(valued.sum()), **spread(value[valued] - truth[valued],
+                     std[valued]), "coverage": _mean(inside)})
+    by_cell = np.array([_mean(cell) for cell in np.array(covered).T], dtype=float)
+    by_cell = by_cell[np.isfinite(by_cell)]
     return {"cells": len(table), **failed(table),
             "coverage": _mean(np.array(covered)),
-            "coverage_std_error": float(np.std(each, ddof=1) / np.sqrt(len(each))) if len(each) > 1 else None,
+            "coverage_std_error": float(np.std(by_cell, ddof=1) / np.sqrt(len(by_cell))) if len(by_cell) > 1 else None,
+            "coverage_half_width": 1.96 * float(np.sqrt(0.95 * 0.05 / max(fewest, 1))),
             "prediction": {actuator.name: quantiles(table.column(f"{actuator.name}.rms"))
                            for actuator in trial.machine.actuators},
             "parameters": rows}

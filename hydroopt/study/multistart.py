@@ -1,7 +1,7 @@
-"""Starts of a kinematic calibration at random places within the confidences: do they all lead to one geometry?
+"""Multistart: do random initial guesses of a kinematic calibration all lead to one geometry?
 
-Of all nonlinear problems here this is the one whose answer could depend on where it starts without anybody noticing: a
-design of a motion tells its criterion and needs no other, and a dynamic identification is convex.
+The calibration is the one nonlinear problem whose answer could depend on its initial guess without a sign: the design
+of a motion reports its criterion, and a dynamic identification is convex.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from hydroopt.study.table import Table
 
 @dataclass(frozen=True, eq=False)
 class Start:
-    """One cell: the optimum to which a start leads."""
+    """One cell: the optimum that a solver reaches from one initial guess."""
 
     machine: Machine
     poses: Poses
@@ -34,10 +34,10 @@ class Start:
     fixed: Mapping[str, float]
 
     def __call__(self, *, seed: int, nominal: int) -> Values:
-        """Squared errors in units of what is stated, ``cost``, and all parameters.
+        """The sum of squared errors in units of the stated σ, ``cost``, and all parameters.
 
         Raises:
-            SolverError: the start leads to none.
+            SolverError: the solver did not converge.
         """
         problem = _problem(self)
         start = problem.start if nominal else random_start(problem, np.random.default_rng(seed))
@@ -52,12 +52,12 @@ def _problem(start: Start) -> CalibrationProblem:
 
 def multistart(machine: Machine, poses: Poses, *, cells: int, seed: int = 0, method: str = "joint",
                fixed: Mapping[str, float] | None = None) -> Study:
-    """Starts of a calibration; the first is the nominal machine.
+    """A multistart study of a calibration; the first start is the nominal machine.
 
     Args:
-        machine: nominal description, whose confidences say how far away to start.
-        poses: what is learnt from.
-        cells: how many starts.
+        machine: nominal description; its priors are the distribution of the starts.
+        poses: training poses.
+        cells: number of starts.
         seed: of the starts.
         method: ``joint`` or ``hierarchical``.
         fixed: parameters held [SI].
@@ -66,9 +66,9 @@ def multistart(machine: Machine, poses: Poses, *, cells: int, seed: int = 0, met
         ProblemError: the poses cannot determine the parameters.
     """
     if cells < 1:
-        raise ProblemError(f"{cells} cells are none", where="--cells", remedy="ask for one or more")
+        raise ProblemError(f"the number of cells is {cells}", where="--cells", remedy="give at least 1")
     work = Start(machine, poses, method, fixed or {})
-    _problem(work)  # what cannot be solved is refused now
+    _problem(work)  # refuse now what cannot be solved
     settings = {"machine": machine.name, "machine_sha256": machine.sha256, "method": method, "seed": seed,
                 "fixed": dict(work.fixed), "poses": dict(poses.sha256)}
     table = tuple({"nominal": int(k == 0), "seed": own} for k, own in enumerate(seeds(seed, cells)))
@@ -78,7 +78,7 @@ def multistart(machine: Machine, poses: Poses, *, cells: int, seed: int = 0, met
 def summary(study: Study, table: Table) -> dict[str, Any]:
     """The optima that were found, the best first, and how far apart the parameters are, as JSON.
 
-    Two starts lead to the same optimum if no free parameter differs by more than a tenth of its standard deviation.
+    Two starts reach the same optimum if no free parameter differs by more than a tenth of its standard deviation.
     """
     work: Any = study.function
     problem = _problem(work)
@@ -99,5 +99,7 @@ def summary(study: Study, table: Table) -> dict[str, Any]:
     units = dict(zip(problem.parameters.names, problem.parameters.units, strict=True))
     rows = [{"name": name, "unit": units[name], "value": float(found[best, k]),
              "std": float(std[k]) if np.isfinite(std[k]) else None, "lowest": float(found[:, k].min()),
-             "highest": float(found[:, k].max())} for k, name in enumerate(names)]
+             "highest": float(found[:, k].max()),
+             "lowest_std": float((found[:, k].min() - found[best, k]) / size[k]),
+             "highest_std": float((found[:, k].max() - found[best, k]) / size[k])} for k, name in enumerate(names)]
     return {"cells": len(table), **failed(table), "optima": optima, "parameters": rows}

@@ -1,4 +1,4 @@
-"""Run a study: cells side by side, each kept when it is finished, and go on after whatever ended an earlier run."""
+"""Run a study: cells in parallel, each stored when it is finished; a run that was stopped is resumed."""
 
 from __future__ import annotations
 
@@ -18,26 +18,27 @@ def run(study: Study, directory: str | Path, *, scheduler: str | None = None, wo
         say: Callable[[str], None] = lambda _: None) -> Table:
     """Compute the cells of a study that its directory does not hold yet.
 
-    A cell that fails is kept with the sentence that says why, and so is one whose process dies again and again. Whoever
-    ends the run, the cells finished so far stay, and the next run goes on from there; what it ends with is the same bit
-    for bit, on machines of one kind.
+    A cell that fails is stored with its error, and so is one whose process dies repeatedly. However a run ends, the
+    finished cells are kept and the next run resumes from them. The final table is the same bit for bit on computers of
+    one kind.
 
     Args:
         study: what to compute.
         directory: gets ``study.json``, ``cells/INDEX.json`` and, at the end, ``results.csv``.
-        scheduler: address of a Dask scheduler whose workers shall compute, such as ``tcp://host:8786``; they need this
-            hydroopt, but no access to the directory. By default processes of this computer, and a script that calls
-            this needs the usual ``if __name__ == "__main__"``.
-        workers: how many processes, if there is no scheduler.
-        say: hears of progress.
+        scheduler: address of a Dask scheduler whose workers compute the cells, such as ``tcp://host:8786``; they need
+            this hydroopt, but no access to the directory. By default processes of this computer; then a script needs
+            the usual ``if __name__ == "__main__"``.
+        workers: number of processes, if there is no scheduler.
+        say: receives messages about progress.
 
     Raises:
-        ProblemError: the directory holds another study or cannot be written; the scheduler or its workers cannot do it.
+        ProblemError: the directory holds another study or cannot be written; the scheduler or its workers
+            cannot be used.
         SolverError: no cell succeeded, or the scheduler was lost.
     """
     if not study.cells or workers < 1:
-        raise ProblemError("there is nothing to compute, or nobody", where=f"study '{study.name}'",
-                           remedy="ask for one cell and one worker, or more")
+        raise ProblemError("a study needs at least one cell and one worker", where=f"study '{study.name}'",
+                           remedy="increase --cells or --workers")
     place = Directory(directory, study)
     outcomes = place.read()
     missing = [k for k in range(len(study.cells)) if k not in outcomes]
@@ -45,7 +46,7 @@ def run(study: Study, directory: str | Path, *, scheduler: str | None = None, wo
         from hydroopt.study.workers import computed  # noqa: PLC0415 (its libraries take a second to import)
 
         began, before = time.monotonic(), len(outcomes)
-        say(f"{len(missing)} of {len(study.cells)} cells to compute, beginning")
+        say(f"{len(missing)} of {len(study.cells)} cells to compute, starting")
         with closing(computed(study, missing, scheduler, workers, say)) as results:
             for index, outcome in results:
                 outcomes[index] = place.write(index, outcome)
@@ -56,12 +57,16 @@ def run(study: Study, directory: str | Path, *, scheduler: str | None = None, wo
     write_files(directory, {"results.csv": table.csv()})
     if not table.results:
         raise SolverError(f"no cell succeeded: {next(iter(table.failures)).rstrip('.').replace('; ', ', ')}",
-                          where=str(directory), remedy="correct that and choose another directory with -o")
+                          where=str(directory), remedy="correct the cause and choose another directory with -o")
     return table
 
 
 def span(seconds: float) -> str:
-    """A time in words."""
+    """A duration in words.
+
+    >>> span(89), span(120), span(7200)
+    ('89 s', '2 min', '2.0 h')
+    """
     if seconds < 90:
         return f"{seconds:.0f} s"
     return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -14,7 +14,7 @@ import numpy as np
 from hydroopt.versions import versions
 
 Value = float | int | str | None
-"""What a cell takes and gives: a number, a word, or nothing where there is no number."""
+"""An input or output of a cell: a number, a word, or None where there is no number."""
 Values = Mapping[str, Value]
 Outcome = Mapping[str, Any]
 """Of one cell: ``{"result": {...}}``, or ``{"error": sentence}``."""
@@ -22,14 +22,14 @@ Outcome = Mapping[str, Any]
 
 @dataclass(frozen=True, eq=False)
 class Study:
-    """What is computed in which cells.
+    """A function and the cells for which it is computed.
 
     Attributes:
         name: of the kind of study.
-        function: takes a cell's values by keyword and returns its result; it and what it holds can be pickled. The
-            result depends on nothing but these values. What all cells of a process share it may keep to itself.
+        function: takes a cell's values by keyword and returns its result; it must be picklable. The result depends on
+            these values alone. The function may cache what all cells of a process share.
         cells: values of each cell.
-        settings: all else that decides the results, as JSON would have it: digests of the machine and of logs, options.
+        settings: everything else that determines the results, as JSON: digests of the machine and of logs, options.
     """
 
     name: str
@@ -39,19 +39,23 @@ class Study:
 
     @cached_property
     def identity(self) -> dict[str, Any]:
-        """What two runs must have in common for one to go on where the other ended."""
+        """What two runs must have in common so that one can resume the other."""
         cells = hashlib.sha256(json.dumps([dict(cell) for cell in self.cells]).encode()).hexdigest()
-        said = {"study": self.name, **self.settings, "cells": len(self.cells), "cells_sha256": cells,
+        identity = {"study": self.name, **self.settings, "cells": len(self.cells), "cells_sha256": cells,
                 "versions": versions()}
-        return dict(json.loads(json.dumps(said)))
+        return dict(json.loads(json.dumps(identity)))
 
     @cached_property
     def digest(self) -> str:
-        """Of the identity."""
+        """SHA-256 of the identity."""
         return hashlib.sha256(json.dumps(self.identity, sort_keys=True).encode()).hexdigest()
 
 
 def seeds(seed: int, count: int) -> list[int]:
-    """Seeds of independent random streams, such as one for each cell; below 2^53, so that any reader keeps them."""
+    """Seeds of independent random streams, one for each cell; below 2^53, so that JSON readers keep them exactly.
+
+    >>> seeds(5, 3) == seeds(5, 10)[:3]
+    True
+    """
     return [int(np.random.SeedSequence(seed, spawn_key=(k,)).generate_state(1, np.uint64)[0] >> 11)
             for k in range(count)]

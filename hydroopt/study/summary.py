@@ -1,4 +1,4 @@
-"""What the summaries of all kinds of studies have in common."""
+"""Statistics that the summaries of all kinds of studies share."""
 
 from __future__ import annotations
 
@@ -11,13 +11,19 @@ from hydroopt.study.table import Table
 
 
 def failed(table: Table) -> dict[str, Any]:
-    """How many cells failed, and why: sentences with the numbers of their cells."""
+    """The number of cells that failed, and each error with the indices of its cells."""
     return {"failed": len(table) - len(table.results),
             "failures": [{"error": error, "cells": cells} for error, cells in table.failures.items()]}
 
 
 def spread(error: Array, std: Array) -> dict[str, float | None]:
-    """Bias and scatter of an error (N,), and the scatter over the σ stated (N,), both as root mean squares."""
+    """Bias and scatter of an error (N,), and the ratio of the scatter to the stated σ (N,).
+
+    The scatter is the standard deviation of the errors, the stated σ their root mean square.
+
+    >>> spread(np.array([1.0, 3.0]), np.array([2.0, 2.0]))["bias"]
+    2.0
+    """
     scatter = float(np.std(error, ddof=1)) if len(error) > 1 else None
     stated = float(np.sqrt(np.mean(std**2))) if np.all(np.isfinite(std)) else None
     return {"bias": float(np.mean(error)), "scatter": scatter, "stated_std": stated,

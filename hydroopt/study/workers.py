@@ -1,6 +1,6 @@
-"""Cells on Dask: processes of this computer, or the workers of a scheduler elsewhere.
+"""Cells on Dask: processes of this computer, or the workers of another scheduler.
 
-The only place that imports Dask, and itself imported only when there is something to compute.
+No other module imports Dask, and this one is imported only if there are cells to compute.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from hydroopt.study.study import Outcome, Study, Values
 from hydroopt.versions import versions
 
 PATIENCE, JOINING, PAUSE = 5.0, 60.0, 0.2
-"""Seconds until a scheduler must answer, until one of its workers must be there, and between looks at what else is."""
+"""Time limits [s] for a scheduler to answer and for a worker to join, and the interval between status checks."""
 CONFIG = {"distributed.comm.timeouts.connect": f"{PATIENCE:g}s", "distributed.scheduler.worker-saturation": 1.0,
           "distributed.scheduler.allowed-failures": 1}
-"""No worker holds cells that wait: if it dies, only the one it computes is suspected. Suspects get a second chance."""
+"""Workers do not queue cells, so that only the running cell is suspected when a worker dies; suspects are retried."""
 
 
 class _Work(WorkerPlugin):  # type: ignore[misc]
-    """The study's function in every process that computes, also in those that join later or replace one that died."""
+    """Installs the study's function in every worker, also in those that join later or replace one that died."""
 
     def __init__(self, study: Study) -> None:
         self.name, self.function, self.versions = f"hydroopt-{study.digest}", study.function, versions()
@@ -41,13 +41,13 @@ class _Work(WorkerPlugin):  # type: ignore[misc]
 
     def setup(self, worker: Worker) -> None:
         if versions() != self.versions:
-            raise RuntimeError(f"it has {versions()} instead of {self.versions}")
+            raise RuntimeError(f"the worker has {versions()} instead of {self.versions}")
         self.turn = threading.Lock()
-        os.environ["OMP_NUM_THREADS"] = "1"  # which our own kernels heed, too
+        os.environ["OMP_NUM_THREADS"] = "1"  # compiled kernels read it, too
 
     def cell(self, values: Values) -> Outcome:
         assert self.turn is not None
-        # one at a time: neither CasADi's symbols nor the limit of threads belong to a thread
+        # one cell at a time: CasADi's symbols and the limit of threads are shared by all threads
         with self.turn, threadpool_limits(limits=1):
             try:
                 return {"result": dict(self.function(**values))}
@@ -63,10 +63,10 @@ def _cell(name: str, values: Values) -> Outcome:
 
 def computed(study: Study, indices: Sequence[int], scheduler: str | None, workers: int,
              say: Callable[[str], None]) -> Generator[tuple[int, Outcome]]:
-    """Outcomes of some cells, as they are finished.
+    """Outcomes of some cells, in the order in which they finish.
 
     Raises:
-        ProblemError: there is no scheduler at the address, or its workers cannot do it.
+        ProblemError: there is no scheduler at the address, or its workers cannot be used.
         SolverError: the scheduler was lost.
     """
     with _client(scheduler, min(workers, len(indices))) as client:
@@ -79,10 +79,10 @@ def computed(study: Study, indices: Sequence[int], scheduler: str | None, worker
                     suspects.append(index)
                 else:
                     yield index, outcome
-            for index in suspects:  # alone, so that none pays for what another does to a process
+            for index in suspects:  # one by one, so that a crash affects no other cell
                 for _, outcome in _finished(client, study, work.name, [index], say):
-                    yield index, outcome or {"error": f"cell {index}: the process that computed it died again and "
-                                             "again; see whether its memory suffices."}
+                    yield index, outcome or {"error": f"cell {index}: the process that computed it died "
+                                             "repeatedly; check whether the memory suffices."}
         finally:
             if scheduler is not None and client.status == "running":
                 client.unregister_worker_plugin(work.name)
@@ -90,15 +90,17 @@ def computed(study: Study, indices: Sequence[int], scheduler: str | None, worker
 
 @contextmanager
 def _client(scheduler: str | None, workers: int) -> Iterator[Client]:
-    # what becomes of processes and connections is told by the study itself
+    # the study itself reports lost processes and connections
     for name in [*logging.root.manager.loggerDict, "asyncio"]:
         if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     with dask.config.set(CONFIG):
         if scheduler is None:
-            with blocked():  # Ctrl-C is for this process alone
+            with blocked():  # only this process receives Ctrl-C
                 cluster = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, memory_limit=0,
-                                       dashboard_address=None, silence_logs=logging.CRITICAL + 1)
+                                       dashboard_address=None, silence_logs=logging.CRITICAL + 1,
+                                       # or the scheduler would listen at port 8787, which only one study can have
+                                       scheduler_kwargs={"dashboard_address": "127.0.0.1:0"})
             with cluster, Client(cluster, set_as_default=False) as client:
                 yield client
             return
@@ -108,13 +110,13 @@ def _client(scheduler: str | None, workers: int) -> Iterator[Client]:
         except (OSError, ValueError) as error:
             raise ProblemError(f"no Dask scheduler answers at this address ({_short(error)})", where=f"--scheduler "
                                f"{scheduler}", remedy="start one with 'dask scheduler' and give the address that it "
-                               "shows, such as tcp://host:8786") from None
+                               "prints, such as tcp://host:8786") from None
         with client:
             yield client
 
 
 async def _answer(address: str) -> None:
-    """Ask for a scheduler: a client would wait for ever where something else takes the call."""
+    """Check that a scheduler listens: a client would wait forever for another kind of server."""
     async with rpc(address) as remote:
         kind = (await remote.identity())["type"]
     if kind != "Scheduler":
@@ -132,13 +134,13 @@ def _hand_out(client: Client, work: _Work, scheduler: str | None, say: Callable[
     try:
         client.register_plugin(work, name=work.name)
     except Exception as error:
-        raise ProblemError(f"a worker cannot do it ({_short(error)})", where=f"--scheduler {scheduler}",
-                           remedy="give the workers the same hydroopt with the same packages") from error
+        raise ProblemError(f"a worker cannot run the study ({_short(error)})", where=f"--scheduler {scheduler}",
+                           remedy="install the same hydroopt and the same packages for the workers") from error
 
 
 def _finished(client: Client, study: Study, name: str, indices: Sequence[int],
               say: Callable[[str], None]) -> Iterator[tuple[int, Outcome | None]]:
-    """Cells with their outcomes, None where the process that computed one died too often."""
+    """Indices of cells with their outcomes, None if the process that computed the cell died too often."""
     queue: SimpleQueue[Future] = SimpleQueue()
     keys = {f"{name}-{index}": index for index in indices}
     futures = client.map(_cell, [name] * len(indices), [study.cells[index] for index in indices], key=list(keys),
@@ -160,7 +162,7 @@ def _finished(client: Client, study: Study, name: str, indices: Sequence[int],
                     say("waiting for workers")
                 continue
             status = future.status
-            if status in ("pending", "lost"):  # its process died after it and before the outcome was fetched: once more
+            if status in ("pending", "lost"):  # the worker died before the outcome was fetched: retry
                 future.add_done_callback(queue.put)
                 continue
             if status == "cancelled":
@@ -177,7 +179,7 @@ def _finished(client: Client, study: Study, name: str, indices: Sequence[int],
 
 def _lost() -> SolverError:
     return SolverError("the connection to the scheduler was lost; finished cells are kept", where="study",
-                       remedy="see that it runs and give the same command again")
+                       remedy="check that it runs and repeat the same command")
 
 
 def _short(error: BaseException) -> str:

@@ -152,7 +152,7 @@ def test_cells_that_fail_or_kill_are_recorded_and_do_no_harm(tmp_path: Path) -> 
     table = run(quick.study(8, bad=2, deadly=5), tmp_path, workers=1)
     assert [k for k, outcome in enumerate(table.outcomes) if "error" in outcome] == [2, 5]
     assert table.outcomes[2]["error"] == "cell 2: the data show nothing; measure more."
-    assert "cell 5: the process that computed it died again and again" in table.outcomes[5]["error"]
+    assert "cell 5: the process that computed it died repeatedly" in table.outcomes[5]["error"]
     good = quick.study(8)
     for k in (0, 1, 3, 4, 6, 7):
         expected = good.function(**good.cells[k])
