@@ -106,8 +106,7 @@ def test_simulate_samples_at_the_stated_rate(tmp_path: Path) -> None:
 
 
 def test_show_holds_other_joints_at_the_middle_of_their_range() -> None:
-    from test_machine import TREE
-
+    from fixtures.tree import TREE
     from hydroopt.machine.machine import Machine
     from hydroopt.model.model import Model
     from hydroopt.report.machine_facts import _cylinder_facts

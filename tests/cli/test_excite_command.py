@@ -324,6 +324,7 @@ def judged(criterion: str, spread: Array) -> float:
                   "condition": np.log(values[-1] / values[0]) / 2}[criterion])
 
 
+@pytest.mark.slow
 def test_each_criterion_is_best_served_by_the_motion_for_it(written: Callable[..., Path]) -> None:
     made = {each: covariance(written(*SERIES, "--criterion", each))[0] for each in CRITERIA}
     for criterion in CRITERIA:

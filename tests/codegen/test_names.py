@@ -188,6 +188,7 @@ def test_ordinary_names_build(codegen) -> None:
         "crane", "CMakeLists", "Makefile", "README"}
 
 
+@pytest.mark.slow
 def test_the_command_itself_refuses(tmp_path: Path) -> None:
     (tmp_path / "machine.toml").write_text(description(link="a*/b"), encoding="utf-8")
     done = run([sys.executable, "-m", "hydroopt", "codegen", "machine.toml", "-o", "out"], tmp_path)

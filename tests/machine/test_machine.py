@@ -9,41 +9,11 @@ import numpy as np
 import pytest
 from pydantic import ValidationError
 
+from fixtures.tree import TREE, pin
 from hydroopt.machine.components import Body, Cylinder, GasCylinder, Joint, Sensor
 from hydroopt.machine.machine import Machine
 
 INCH = 0.0254
-
-
-def pin(link: str, x: float = 0.5, y: float = 0.0) -> dict[str, Any]:
-    return {"link": link, "pin": (x, y, 0.0)}
-
-
-def cylinder(name: str, barrel: str, rod: str) -> dict[str, Any]:
-    return {
-        "name": name,
-        "bore": 0.1,
-        "rod_diameter": 0.06,
-        "dead_length": 0.1,
-        "stroke": 3.0,
-        "barrel": pin(barrel, 0.3, 0.4),
-        "rod": pin(rod, 0.8),
-    }
-
-
-TREE: dict[str, Any] = {
-    "name": "tree",
-    "links": [
-        {"name": "trunk", "parent": "base", "joint": {"type": "revolute", "lower": -1, "upper": 1}},
-        {"name": "left", "parent": "trunk", "joint": {"type": "prismatic", "lower": 0, "upper": 1}},
-        {"name": "stump", "parent": "trunk", "joint": {"type": "locked"}},
-        {"name": "right", "parent": "stump", "joint": {"type": "revolute", "lower": 0.2, "upper": 1}},
-        {"name": "twig", "parent": "right", "joint": {"type": "revolute", "lower": 0.2, "upper": 1}}],
-    "motors": [{"name": "trunk_motor", "joint": "trunk", "torque_per_pressure": 1e-4}],
-    "drives": [{"name": "left_drive", "joint": "left"}],
-    "cylinders": [cylinder("twig_cylinder", "right", "twig"), cylinder("right_cylinder", "stump", "right")],
-    "sensors": [{"channels": ("trunk.q", "twig.q"), "accuracy": 0.01}, {"channels": ("left.q",), "accuracy": 0.001}],
-}
 
 
 @pytest.fixture

@@ -107,6 +107,7 @@ def test_workers_change_no_bit(cat215b: Model, totals: StreamedExperiment, worke
     np.testing.assert_array_equal(totals.correlation_times(psi), other.correlation_times(psi))
 
 
+@pytest.mark.slow
 def test_memory_does_not_grow_with_the_log(cat215b: Model, log: Log, tmp_path: Path,
                                            monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streaming, "BLOCK", 256)

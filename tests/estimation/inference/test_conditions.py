@@ -9,6 +9,7 @@ import pytest
 from scipy.optimize import minimize, nnls
 from scipy.stats import wishart
 
+from fixtures.tiers import tiered
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
 from hydroopt.estimation.dynamic.diagnostics import diagnose
@@ -168,6 +169,7 @@ def test_solvers_agree_where_shapes_hold(kind: str) -> None:
     assert set(one.active) == set(other.active)
 
 
+@pytest.mark.slow
 def test_samples_respect_a_shape_as_rejection_does() -> None:
     problem = one_body(sigma=(0.5, 0.5, 0.5), shape={"ellipsoid": {
         "centre": (0.5, 0.1, 0.0), "semi_axes": (0.7, 0.35, 0.27)}})
@@ -268,8 +270,9 @@ def test_bodies_built_alike_may_stand_on_joints_that_rub_differently(cat215b: Mo
     assert touched == {f"{owner}.{name}" for owner in ("boom", "stick") for name in inertia.NAMES}
 
 
-@pytest.mark.parametrize("method", METHODS)
-@pytest.mark.parametrize("intervals", [False, True])
+@pytest.mark.parametrize(("method", "intervals"), tiered(
+    ((method, intervals) for method in METHODS for intervals in (False, True)),
+    lambda method, intervals: method != "nlp" or not intervals))
 def test_equalities_hold_to_rounding_and_are_named(
     problems: tuple[IdentificationProblem, IdentificationProblem], method: Any, intervals: bool
 ) -> None:
@@ -519,6 +522,7 @@ def test_log_det_knows_no_frame() -> None:
     assert np.max(np.abs(np.linalg.solve(moved, gaussians[1]) - gaussians[0])) > 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("relative", [0.05, 0.2, 0.5])
 def test_samples_of_the_distance_alone_are_wishart(relative: float) -> None:
     """exp(−½κD(J‖J0)) over the ten parameters is a Wishart density: κ + 5 degrees of freedom, scale J0/κ."""
@@ -538,6 +542,7 @@ def test_samples_of_the_distance_alone_are_wishart(relative: float) -> None:
     assert sizes[0].std() == pytest.approx(sizes[1].std(), rel=0.06)
 
 
+@pytest.mark.slow
 def test_intervals_with_data_shape_and_symmetry_are_those_of_a_random_walk() -> None:
     """Plain Metropolis over the seven even parameters, with the density written out anew."""
     phi = inertia.from_centre_of_mass(10.0, [0.5, 0.1, 0.0], [0.2, 0.02, 0.0, 1.0, 0.0, 1.1])

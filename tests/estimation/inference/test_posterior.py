@@ -170,6 +170,7 @@ def test_a_whole_identification_at_a_bound(wheel: Model) -> None:
     np.testing.assert_allclose(exact.cdf([low, high]), [0.025, 0.975], atol=0.01)
 
 
+@pytest.mark.slow
 def test_an_active_inequality_keeps_its_intervals(noisy: IdentificationProblem) -> None:
     """A half-space that cuts off the most probable point is sampled up to its edge."""
     free = identify(noisy, "sdp")

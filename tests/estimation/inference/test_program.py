@@ -63,8 +63,10 @@ def constrained(noisy: IdentificationProblem) -> IdentificationProblem:
 
 
 @pytest.mark.parametrize("changed", [
-    lambda problem: problem.subject_to("product", product), lambda problem: problem.with_distance("log-det"),
-    lambda problem: problem.with_loss("huber")], ids=["user's constraint", "log-det", "huber"])
+    lambda problem: problem.subject_to("product", product),
+    pytest.param(lambda problem: problem.with_distance("log-det"), marks=pytest.mark.slow),
+    pytest.param(lambda problem: problem.with_loss("huber"), marks=pytest.mark.slow)],
+    ids=["user's constraint", "log-det", "huber"])
 def test_ipopt_by_hand_finds_the_estimate(constrained: IdentificationProblem, changed: Any) -> None:
     problem = changed(constrained)
     program = problem.nlp()

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fixtures.tiers import tiered
 from hydroopt import load_machine
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic import joint, link_by_link
@@ -161,6 +162,7 @@ def test_bound_is_the_inverse_of_the_whole_programs_information(model: Kinematic
     np.testing.assert_allclose(seen.std, np.sqrt(np.diag(covariance))[: len(free)] * scale[: len(free)], rtol=1e-5)
 
 
+@pytest.mark.slow
 def test_scatter_is_the_bound_and_intervals_hold(model: KinematicModel, machine: Machine,
                                                  closed: tuple[np.ndarray, list[str]]) -> None:
     exact = held(calibration_problem(machine, read(model, closed, None), priors=False))
@@ -552,7 +554,7 @@ def recovered(arm: CalibrationProblem, method: str) -> np.ndarray:
     return np.abs(theta[: len(arm.model.parameters)] - arm_truth(arm.model))
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", tiered(METHODS, lambda method: method != "joint"))
 def test_the_bundled_arm_comes_back(arm: CalibrationProblem, method: str) -> None:
     assert np.max(recovered(arm, method)) < 1e-8
 
