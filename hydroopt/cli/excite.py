@@ -3,30 +3,29 @@
 from __future__ import annotations
 
 import json
-import math
 import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from hydroopt.cli.options import AsJson, Directory, MachineName, MapFile, ParameterSetName, Quiet, progress, refuse_idle
-from hydroopt.codegen import parameter_source as codegen_origin
-from hydroopt.errors import IdentifiabilityError, ProblemError
+from hydroopt.codegen import parameter_source
+from hydroopt.codegen.folder import Code
+from hydroopt.codegen.routines import Course
+from hydroopt.errors import ProblemError
 from hydroopt.excitation.criteria import CRITERIA
 from hydroopt.excitation.motion.basis import Basis, Fourier, Spline
-from hydroopt.excitation.motion.design import design, excitation_problem
-from hydroopt.excitation.motion.excitation import Excitation
-from hydroopt.excitation.motion.expected_accuracy import expected, measured
+from hydroopt.excitation.motion.design import excitation_problem
+from hydroopt.files import refuse_directory
 from hydroopt.logs.stream import open_log
 from hydroopt.machine.machine import Machine
-from hydroopt.report import folder
+from hydroopt.report import excitation as report
+from hydroopt.results import store
+from hydroopt.solving import solve
 from hydroopt.units import to_si
-
-TIGHT = 0.02
-"""Part of a limit's range that is no room."""
 
 
 def excite(
@@ -50,10 +49,10 @@ def excite(
         "sensor, or 50."))] = None,
     criterion: Annotated[str | None, typer.Option(help=f"One of {', '.join(CRITERIA)}; D if not given.")] = None,
     focus: Annotated[list[str] | None, typer.Option(help=(
-        "What alone counts: a parameter, a part, payload or friction; repeatable."))] = None,
+        "Parameters that alone count: a parameter, a part, payload or friction; repeatable."))] = None,
     priors: Annotated[bool, typer.Option("--priors", help=(
-        "The file's confidences count as known (Bayesian design)."))] = False,
-    starts: Annotated[int, typer.Option(help="Random motions to begin with.", min=1)] = 16,
+        "The file's confidences count as information (Bayesian design)."))] = False,
+    starts: Annotated[int, typer.Option(help="Random motions from which the search starts.", min=1)] = 16,
     processes: Annotated[int | None, typer.Option(help="At the same time; as many as there are cores if not given.",
                                                   min=1)] = None,
     seconds: Annotated[float, typer.Option(help="After which the best motion so far is taken.", min=1.0)] = 50.0,
@@ -71,46 +70,30 @@ def excite(
     if pieces is not None:
         refuse_idle(context, ("period", "harmonics", "blend"), "a spline has none", "leave it out, or --pieces")
     if not log:
-        refuse_idle(context, ("map_file",), "there is no log that it could explain", "leave it out, or give --log")
-    folder.refuse_directory(output)
-    described, origin = codegen_origin.read(machine, parameter_set=parameter_set)
+        refuse_idle(context, ("map_file",), "there is no log that it could describe", "leave it out, or give --log")
+    refuse_directory(output, (store.FILES[store.Job.EXCITATION], "report.html", "trajectory.csv", "trajectory.parquet"))
+    described, origin = parameter_source.read(machine, parameter_set=parameter_set)
     basis, resting = _basis(duration, period, harmonics, blend, pieces), _resting(described, rest or ())
     with progress(f"preparing {described.name}", quiet) as say:
         logs = [open_log(path, mapping=map_file) for path in log or ()]
-        known = measured(described, logs) if logs else None
         problem = excitation_problem(described, basis, criterion=criterion or "D", focus=focus or (), priors=priors,
-                                     known=known, rate=rate, resting=resting)
-        found = design(problem, starts=starts, seed=seed, seconds=seconds,
-                       processes=processes or os.cpu_count() or 1, say=say)
-        say("reckoning what to expect, writing the report and the code")
-        try:
-            expectation = expected(problem.information.model, found.trajectory,
-                                   problem.information.asked.structure, known, seed=seed)
-        except IdentifiabilityError:
-            tight = ", ".join(use.name for use in found.limits if use.part < TIGHT) or "the limits together"
-            raise ProblemError(f"{tight} leave no motion that is fast enough to tell anything", where="excitation",
-                               remedy="correct these limits in the machine file, or give a longer motion") from None
-        content = folder.save_excitation(
-            found, expectation, output, origin=origin, parquet=parquet, wall_s=time.perf_counter() - began,
-            asked={"focus": list(focus or ()), "priors": priors, "seed": seed, "starts": starts,
-                   "logs": [{"path": each.path, "sha256": each.sha256} for each in logs]})
+                                     logs=logs, rate=rate, resting=resting)
+        motion = solve(problem, starts=starts, seed=seed, seconds=seconds, processes=processes or os.cpu_count() or 1,
+                       say=say)
+        say("computing the expected accuracy, writing the report and the code")
+        code = Code(described, origin, routines=["excitation"], course=Course(motion.function, basis.duration))
+        pages: dict[str, str | bytes] = {"report.html": report.render(motion)}
+        written = code.files_for(output / "c")
+        motion.save(output, pages=pages | {f"c/{name}": text for name, text in written.items()},
+                    wall_s=time.perf_counter() - began, parquet=parquet)
+        code.remove_earlier(output / "c", written)
     if as_json:
-        typer.echo(json.dumps(content, indent=1))
+        typer.echo(json.dumps(store.read(output), indent=1))
     elif not quiet:
-        _tell(found, content, output)
-
-
-def _tell(found: Excitation, content: dict[str, Any], output: Path) -> None:
-    program = found.program
-    moving = [joint for joint in program.information.model.machine.joints if joint not in program.resting]
-    typer.echo(f"{content['machine']['name']}: {program.basis.duration:g} s of {', '.join(moving)} at "
-               f"{program.rate:g} Hz, {program.information.criterion} = {found.value:.4g}, condition number "
-               f"{found.condition_number:.3g}, found in {content['wall_s']:.0f} s")
-    tight = sorted((use for use in found.limits if math.isfinite(use.part)), key=lambda use: use.part)[:3]
-    typer.echo("  least room: " + ", ".join(f"{use.name} {100 * use.part:.1f} %" for use in tight))
-    for doubt in content["doubts"]:
-        typer.echo(f"  ! {doubt}")
-    typer.echo(f"{output / 'report.html'}")
+        typer.echo(str(motion))
+        for diagnostic in motion.diagnostics:
+            typer.echo(f"  ! {diagnostic}")
+        typer.echo(f"{output / 'report.html'}")
 
 
 def _basis(duration: float, period: float | None, harmonics: int, blend: float, pieces: int | None) -> Basis:

@@ -1,4 +1,4 @@
-"""How much a motion tells: functions of the information matrix, with exact derivatives.
+"""Criteria of experiment design: functions of the information matrix, with exact derivatives.
 
 D: logarithm of the determinant of the covariance (its geometric mean counts); A: sum of the variances; E: the greatest
 variance of any combination; condition: logarithm of the condition number of the weighted regressor.
@@ -26,29 +26,35 @@ from hydroopt.spatial.inertia import Array
 
 CRITERIA = ("D", "A", "E", "condition")
 SLOW = 0.02
-"""Speed [rad/s, m/s] over which Coulomb friction turns round where derivatives are taken: a sign has none."""
+"""Speed [rad/s, m/s] over which Coulomb friction changes its sign where derivatives are taken."""
 FAINT = 1e-5
-"""What is known of every scaled parameter before: practically nothing, but no motion is infinitely bad."""
+"""Prior information on every scaled parameter, the root of it: next to none, but no criterion is infinite."""
 
 
-class Question(NamedTuple):
-    """What a motion is asked: parameters in a basis, their scales, and what is known of them before.
+class DesignParameters(NamedTuple):
+    """The base parameters that a motion is to determine, with their scales and prior information.
 
     Attributes:
-        structure: which parameters ideal motion shows; its basis is that of β = grouping @ ψ.
+        structure: identifiability by ideal motion; its basis is that of β = grouping @ ψ.
         columns: of the regressor (r,) that go with the basis.
         scale: (r,) sizes in which the parameters are measured.
         weight: (n,) inverse standard deviation of the actuators' forces.
-        known: (r, r) information before the motion, in scaled parameters: zero, or priors and earlier logs.
-        focus: places in the basis that count; all if empty.
+        prior: (r, r) information before the motion, in scaled parameters: zero, or priors and earlier logs.
+        focus: positions in the basis that count; all if empty.
+        focus_names: the parameters, parts or groups that make the focus.
+        bayesian: whether the machine file's priors are part of `prior`.
+        measured: (p, p) information on ψ of logs already measured, part of `prior`; None without logs.
     """
 
     structure: Identifiability
     columns: Array
     scale: Array
     weight: Array
-    known: Array
+    prior: Array
     focus: tuple[int, ...] = ()
+    focus_names: tuple[str, ...] = ()
+    bayesian: bool = False
+    measured: Array | None = None
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -68,38 +74,39 @@ def presumed_noise(model: Model) -> Array:
     return np.where(np.isfinite(stated), stated, 0.1 * typical)
 
 
-def question(model: Model, sigma: Array, *, focus: Sequence[str] = (), bayesian: bool = False,
-             measured: Array | None = None) -> Question:
-    """What a motion of a machine is asked: its base parameters in the fixed basis of ideal motion.
+def design_parameters(model: Model, sigma: Array, *, focus: Sequence[str] = (), bayesian: bool = False,
+                      measured: Array | None = None) -> DesignParameters:
+    """The base parameters of a machine that a motion is to determine, in the fixed basis of ideal motion.
 
     Args:
         model: whose parameters.
         sigma: (n,) standard deviation of the actuators' forces [N, N·m].
         focus: what alone counts: a parameter, a part (``stick``), ``payload`` (the body of the last link) or
             ``friction``.
-        bayesian: whether the machine file's priors count as known before.
+        bayesian: whether the machine file's priors count as information.
         measured: (p, p) information of earlier logs on ψ; that on a base parameter is the one on its column.
 
     Raises:
         ProblemError: no parameter begins with a name of `focus`.
-        IdentifiabilityError: those that do are never seen.
+        IdentifiabilityError: those that do are not identifiable by any motion.
     """
-    seen = structural(model)
-    columns = np.array(seen.basis)
+    structure = structural(model)
+    columns = np.array(structure.basis)
     parameters = model.parameters
     scale = parameters.scale[columns]
-    known: Array = np.zeros((len(columns), len(columns)))
+    prior: Array = np.zeros((len(columns), len(columns)))
     if bayesian:
-        # prior of β = G·ψ; what no number is known of tells nothing
-        prior = np.where(np.diag(parameters.information) > 0, 1.0, 0.0)
-        stated = parameters.information + np.diag((1 - prior) / (1e3 * parameters.scale) ** 2)
-        known = np.asarray(np.linalg.inv(seen.grouping @ np.linalg.inv(stated) @ seen.grouping.T))
+        # prior of β = G·ψ; a parameter without a confidence adds next to no information
+        stated = np.where(np.diag(parameters.information) > 0, 1.0, 0.0)
+        informed = parameters.information + np.diag((1 - stated) / (1e3 * parameters.scale) ** 2)
+        prior = np.asarray(np.linalg.inv(structure.grouping @ np.linalg.inv(informed) @ structure.grouping.T))
     if measured is not None:
-        known = known + measured[np.ix_(columns, columns)]
-    return Question(seen, columns, scale, 1 / sigma, known * np.outer(scale, scale), _focused(model, seen, focus))
+        prior = prior + measured[np.ix_(columns, columns)]
+    return DesignParameters(structure, columns, scale, 1 / sigma, prior * np.outer(scale, scale),
+                            _focused(model, structure, focus), tuple(focus), bayesian, measured)
 
 
-def _focused(model: Model, seen: Identifiability, focus: Sequence[str]) -> tuple[int, ...]:
+def _focused(model: Model, structure: Identifiability, focus: Sequence[str]) -> tuple[int, ...]:
     places: list[int] = []
     for name in focus:
         last = model.machine.links[-1].name  # a payload becomes part of it
@@ -109,24 +116,25 @@ def _focused(model: Model, seen: Identifiability, focus: Sequence[str]) -> tuple
             raise ProblemError(f"no parameter is called '{name}' or begins with it", where="focus",
                                remedy=f"use payload, friction, a part such as {model.machine.links[-1].name} or a "
                                       f"parameter such as {model.parameters.names[0]}")
-        touched = np.flatnonzero(np.any(seen.grouping[:, own] != 0, axis=1))
+        touched = np.flatnonzero(np.any(structure.grouping[:, own] != 0, axis=1))
         if not touched.size:
-            raise IdentifiabilityError(f"no motion shows '{name}'", where="focus", remedy="focus on another parameter")
+            raise IdentifiabilityError(f"no motion excites '{name}'", where="focus",
+                                       remedy="focus on another parameter")
         places += [int(k) for k in touched if int(k) not in places]
     return tuple(places)
 
 
 def checked(criterion: str, focus: Sequence[object]) -> None:
-    """Refuse a criterion that there is not, or that knows no focus.
+    """Refuse an unknown criterion, or a focus where the criterion takes none.
 
     Raises:
         ProblemError: which, and what to use.
     """
     if criterion not in CRITERIA:
-        raise ProblemError(f"'{criterion}' is no criterion", where="criterion",
+        raise ProblemError(f"'{criterion}' is not a criterion", where="criterion",
                            remedy=f"use one of {', '.join(CRITERIA)}")
     if criterion == "condition" and focus:
-        raise ProblemError("the condition number is that of all parameters and knows no focus", where="criterion",
+        raise ProblemError("the condition number is that of all parameters and takes no focus", where="criterion",
                            remedy="leave out the focus, or use D, A or E")
 
 
@@ -160,51 +168,52 @@ def judged(criterion: str, factor: Array, focus: Array) -> tuple[float, Array]:
 class Information:
     """The information that motions carry, and the derivative of a criterion with respect to the joints' states."""
 
-    def __init__(self, model: Model, asked: Question, criterion: str) -> None:
-        checked(criterion, asked.focus)
-        self.model, self.asked, self.criterion = model, asked, criterion
-        at, scale = model.at, asked.weight[:, None] * asked.scale
-        K = model.dynamics.regressor(actuator_inertia=model.actuator_inertia)[:, asked.columns.tolist()] * ca.DM(scale)
+    def __init__(self, model: Model, parameters: DesignParameters, criterion: str) -> None:
+        checked(criterion, parameters.focus)
+        self.model, self.parameters, self.criterion = model, parameters, criterion
+        at, scale = model.at, parameters.weight[:, None] * parameters.scale
+        columns = parameters.columns.tolist()
+        K = model.dynamics.regressor(actuator_inertia=model.actuator_inertia)[:, columns] * ca.DM(scale)
         exact = program(ca.Function("base_regressor", [*at], [K]))
         self.regressor, self.smooth = exact.function(), exact.function(lambda v: v / ca.sqrt(v**2 + SLOW**2))
         K = self.smooth(*at)
         G = ca.SX.sym("G", K.numel())
         pull = ca.dot(ca.vec(K), G)
-        values, vectors = np.linalg.eigh(asked.known)
-        # what is added to everything alike would make no motion the best conditioned one
+        values, vectors = np.linalg.eigh(parameters.prior)
+        # information added to all parameters alike would make standstill the best conditioned motion
         faint = 0.0 if criterion == "condition" else FAINT
-        self.told = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
-        self.known = np.sqrt(np.maximum(values, faint**2))[:, None] * vectors.T
+        self.prior_root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
+        self.faint_root = np.sqrt(np.maximum(values, faint**2))[:, None] * vectors.T
         self.pull = ca.Function("pull", [*at, G], [ca.vertcat(*(ca.gradient(pull, x) for x in at))])
 
     def __reduce__(self) -> tuple[type[Information], tuple[object, ...]]:
-        return Information, (self.model, self.asked, self.criterion)
+        return Information, (self.model, self.parameters, self.criterion)
 
     def factor(self, q: Array, qd: Array, qdd: Array, rate: float) -> Array:
-        """R (r, r) with RᵀR the information on the scaled parameters of states (N, n), each worth `rate` samples.
+        """R (r, r) with RᵀR the information on the scaled parameters of states (N, n), each weighted as `rate` samples.
 
         Squaring the regressor would lose half of the digits, and it is badly conditioned.
         """
         K = self.model.over(self.regressor, q, qd, qdd)[0]
-        return self._factor(self.told, K, rate)
+        return self._factor(self.prior_root, K, rate)
 
     @staticmethod
-    def _factor(known: Array, K: Array, rate: float) -> Array:
-        rows = np.vstack([known, np.sqrt(rate) * K.reshape(-1, K.shape[2])])
+    def _factor(prior_root: Array, K: Array, rate: float) -> Array:
+        rows = np.vstack([prior_root, np.sqrt(rate) * K.reshape(-1, K.shape[2])])
         return np.asarray(np.linalg.qr(rows, mode="r"))
 
     def value(self, q: Array, qd: Array, qdd: Array, rate: float) -> float:
         """The criterion."""
-        return self.of(self._factor(self.known, self.model.over(self.smooth, q, qd, qdd)[0], rate))[0]
+        return self.of(self._factor(self.faint_root, self.model.over(self.smooth, q, qd, qdd)[0], rate))[0]
 
     def value_and_slope(self, q: Array, qd: Array, qdd: Array, rate: float) -> tuple[float, Array]:
         """The criterion, and its derivative (N, 3n) by the states: q, then qd, then qdd."""
         K = self.model.over(self.smooth, q, qd, qdd)[0]
-        value, by_matrix = self.of(self._factor(self.known, K, rate))
+        value, by_matrix = self.of(self._factor(self.faint_root, K, rate))
         G = 2 * rate * (K @ by_matrix)
         columns = G.transpose(0, 2, 1).reshape(len(q), -1)  # CasADi's order, column by column
         return value, self.model.over(self.pull, q, qd, qdd, columns)[0][:, :, 0]
 
     def of(self, factor: Array) -> tuple[float, Array]:
         """The criterion of the information RᵀR, and its derivative (r, r) by that matrix."""
-        return judged(self.criterion, factor, np.eye(len(factor))[list(self.asked.focus) or slice(None)])
+        return judged(self.criterion, factor, np.eye(len(factor))[list(self.parameters.focus) or slice(None)])

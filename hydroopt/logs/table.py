@@ -1,6 +1,7 @@
 """Raw columns of a file as numbers or texts, their writing, and what all file formats have in common."""
 
 import hashlib
+import io
 import os
 import tempfile
 from collections.abc import Mapping, Sequence
@@ -125,23 +126,16 @@ def write_columns(path: str | Path, columns: Mapping[str, NDArray[Any]], what: s
     Raises:
         LogError: another extension, or the file cannot be written; the sentence calls it `what`.
     """
-    import pyarrow as pa  # noqa: PLC0415 (import cost)
-    from pyarrow import csv, parquet  # noqa: PLC0415
-
     target = Path(path)
     if target.suffix.lower() not in (".csv", ".parquet"):
         raise LogError(f"'{target.suffix}' is not a kind of {what} that can be written", where=str(path),
                        remedy="use .csv or .parquet")
-    table = pa.table({name: pa.array(column, from_pandas=True) for name, column in columns.items()})
+    content = encoded_columns(columns, parquet=target.suffix.lower() == ".parquet")
     temporary = ""
     try:
         handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
         with os.fdopen(handle, "wb") as file:
-            if target.suffix.lower() == ".parquet":
-                parquet.write_table(table, file)
-            else:
-                file.write((",".join(columns) + "\n").encode())
-                csv.write_csv(table, file, csv.WriteOptions(include_header=False))
+            file.write(content)
         os.chmod(temporary, 0o644)
         os.replace(temporary, target)
     except OSError as error:
@@ -149,6 +143,22 @@ def write_columns(path: str | Path, columns: Mapping[str, NDArray[Any]], what: s
             Path(temporary).unlink(missing_ok=True)
         raise LogError(f"the {what} cannot be written ({error.strerror})", where=str(path),
                        remedy="check the directory and its permissions") from None
+
+
+def encoded_columns(columns: Mapping[str, NDArray[Any]], *, parquet: bool = False) -> bytes:
+    """Content of a CSV or Parquet file of columns (N,) by header, NaN as an empty cell."""
+    import pyarrow as pa  # noqa: PLC0415 (import cost)
+    from pyarrow import csv  # noqa: PLC0415
+    from pyarrow import parquet as parquet_files  # noqa: PLC0415
+
+    table = pa.table({name: pa.array(column, from_pandas=True) for name, column in columns.items()})
+    file = io.BytesIO()
+    if parquet:
+        parquet_files.write_table(table, file)
+    else:
+        file.write((",".join(columns) + "\n").encode())
+        csv.write_csv(table, file, csv.WriteOptions(include_header=False))
+    return file.getvalue()
 
 
 def runs(rows: Sequence[int] | NDArray[np.int64], most: int = 4) -> str:

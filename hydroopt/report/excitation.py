@@ -14,7 +14,7 @@ from matplotlib.patches import Circle, Rectangle
 
 from hydroopt.excitation.motion.basis import Fourier
 from hydroopt.excitation.motion.excitation import Excitation, Use
-from hydroopt.excitation.motion.expected_accuracy import Expectation
+from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy
 from hydroopt.machine.machine import BASE
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, LIGHT, ORANGE, STYLE, WIDTH, svg, thin
 from hydroopt.report.numbers import NONE, percent, plain, quantity, unit_text
@@ -43,24 +43,24 @@ class Panel(NamedTuple):
     lines: list[tuple[str, Array, Use | None]]
 
 
-def render(excitation: Excitation, expectation: Expectation, doubts: Sequence[str]) -> str:
+def render(excitation: Excitation) -> str:
     """The report as one HTML page that needs nothing else."""
-    program = excitation.program
-    machine, basis = program.information.model.machine, program.basis
+    problem, accuracy = excitation.problem, excitation.accuracy
+    machine, basis = problem.machine, problem.basis
     figures = {"motion": _panels(excitation, _motion(excitation)), "efforts": _panels(excitation, _efforts(excitation)),
                "path": _path(excitation)}
     series = (f"{basis.harmonics} harmonics of {plain(basis.period)} s, {basis.repeats}×" if isinstance(basis, Fourier)
               else f"spline of {len(basis.names)} points")
-    still = ", ".join(f"{joint} at {_shown(at, machine.channel_units[f'{joint}.q'])}"
-                      for joint, at in program.resting.items())
+    still = ", ".join(f"{joint} at {_shown(position, machine.channel_units[f'{joint}.q'])}"
+                      for joint, position in problem.resting.items())
     return page("excitation.html").render(
-        machine=machine, excitation=excitation, doubts=list(doubts), series=series, still=still,
-        criterion=IN_WORDS[program.information.criterion], focus=bool(program.information.asked.focus),
+        machine=machine, excitation=excitation, diagnostics=excitation.diagnostics, series=series, still=still,
+        criterion=IN_WORDS[problem.information.criterion], focus=bool(problem.parameters.focus),
         value=plain(excitation.value), condition=plain(excitation.condition_number, 3),
-        duration=plain(basis.duration), fastest=plain(basis.fastest, 3), rate=plain(program.rate),
-        back=plain(1e-5 * BACK_PRESSURE), known=bool(np.any(program.information.asked.known)),
-        limits=[_limit(use) for use in excitation.limits], base=_base(excitation, expectation),
-        groups=_groups(excitation, expectation), sigma=_sigma(excitation, expectation),
+        duration=plain(basis.duration), fastest=plain(basis.fastest, 3), rate=plain(problem.rate),
+        back=plain(1e-5 * BACK_PRESSURE), known=bool(np.any(problem.parameters.prior)),
+        limits=[_limit(use) for use in excitation.limits], base=_base(excitation),
+        groups=_groups(excitation), sigma=_sigma(excitation, accuracy),
         figures={name: Markup(svg(figure, name)) for name, figure in figures.items() if figure is not None})
 
 
@@ -78,41 +78,39 @@ def _limit(use: Use) -> dict[str, str]:
             "room": room, "part": percent(use.part)}
 
 
-def _base(excitation: Excitation, expectation: Expectation) -> list[tuple[str, str, str, str, str]]:
+def _base(excitation: Excitation) -> list[tuple[str, str, str, str, str]]:
     """Expression, unit, nominal value, standard deviation to expect, and bias."""
-    model, structure = excitation.program.information.model, excitation.program.information.asked.structure
-    nominal = structure.grouping @ model.parameters.nominal
-    rows = []
-    for name, unit, value, std, bias in zip(excitation.names, excitation.units, nominal, expectation.base,
-                                            expectation.bias, strict=True):
+    rows, accuracy = [], excitation.accuracy
+    for name, unit, value, std, bias in zip(excitation.names, excitation.units, excitation.base_nominal, accuracy.base,
+                                            accuracy.bias, strict=True):
         shown = quantity(float(value), float(std))
         rows.append((name.replace("+ ", "+\u00a0").replace("− ", "−\u00a0"), unit_text(unit), shown.value, shown.std,
                      plain(float(bias), 2)))
     return rows
 
 
-def _groups(excitation: Excitation, expectation: Expectation) -> list[tuple[str, list[tuple[str, ...]]]]:
-    """By owner: element, unit, nominal value, standard deviation before and after, and what is left of it."""
-    parameters = excitation.program.information.model.parameters
+def _groups(excitation: Excitation) -> list[tuple[str, list[tuple[str, ...]]]]:
+    """By owner: element, unit, nominal value, standard deviation before and after, and their ratio."""
     groups: dict[str, list[tuple[str, ...]]] = {}
-    for k, name in enumerate(parameters.names):
+    for name, each in excitation.parameters.items():
         owner, _, element = name.rpartition(".")
-        before, after = float(expectation.before[k]), float(expectation.after[k])
+        nominal, before, after = (np.nan if value is None else value
+                                  for value in (each.nominal, each.prior_std, each.std))
         groups.setdefault(owner, []).append((
-            element, unit_text(parameters.units[k]), plain(float(parameters.nominal[k])), plain(before, 3),
-            plain(after, 3), percent(after / before) if np.isfinite(after) and np.isfinite(before) else NONE))
+            element, unit_text(each.unit), plain(nominal), plain(before, 3), plain(after, 3),
+            percent(after / before) if before else NONE))
     return list(groups.items())
 
 
-def _sigma(excitation: Excitation, expectation: Expectation) -> list[tuple[str, str, str]]:
-    model = excitation.program.information.model
+def _sigma(excitation: Excitation, accuracy: ExpectedAccuracy) -> list[tuple[str, str, str]]:
+    model = excitation.problem.information.model
     return [(actuator.name, plain(float(sigma), 3), unit_text(unit)) for actuator, sigma, unit in
-            zip(model.machine.actuators, expectation.sigma, model.force_units, strict=True)]
+            zip(model.machine.actuators, accuracy.sigma, model.force_units, strict=True)]
 
 
 def _motion(excitation: Excitation) -> list[Panel]:
     """Position, speed and acceleration of every joint."""
-    machine, path = excitation.program.information.model.machine, excitation.trajectory
+    machine, path = excitation.problem.machine, excitation.trajectory
     uses = {use.name: use for use in excitation.limits}
     panels = []
     for k, joint in enumerate(machine.joints):
@@ -125,7 +123,7 @@ def _motion(excitation: Excitation) -> list[Panel]:
 
 def _efforts(excitation: Excitation) -> list[Panel]:
     """Everything else that is limited, but for places."""
-    machine = excitation.program.information.model.machine
+    machine = excitation.problem.machine
     own = {f"{joint} {what}" for joint in machine.joints for what in JOINT}
     panels: dict[str, Panel] = {}
     for use in excitation.limits:
@@ -176,10 +174,7 @@ def _panels(excitation: Excitation, panels: Sequence[Panel]) -> Figure | None:
 
 def _path(excitation: Excitation) -> Figure:
     """The far end of the last link from the side and from above, with ground, workspace and obstacles."""
-    model, path = excitation.program.information.model, excitation.trajectory
-    machine = model.machine
-    poses = model.over(model.forward_kinematics, path.q)[-1]
-    tip = poses[:, :3, 3]
+    machine, tip = excitation.problem.machine, excitation.tip
     reach = np.hypot(tip[:, 0], tip[:, 1])
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, 4.4))

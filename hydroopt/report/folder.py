@@ -10,23 +10,15 @@ from typing import Any
 
 import numpy as np
 
-from hydroopt.codegen.folder import Code
-from hydroopt.codegen.parameter_source import Origin
-from hydroopt.codegen.routines import Course
-from hydroopt.errors import HydrooptError, ProblemError
+from hydroopt.errors import HydrooptError
 from hydroopt.estimation.dynamic import stored_information
 from hydroopt.estimation.kinematic.calibration import Calibration
 from hydroopt.estimation.kinematic.diagnostics import Appraisal
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.estimation.kinematic.suspects import Suspect
-from hydroopt.excitation.motion.diagnostics import doubts as excitation_doubts
-from hydroopt.excitation.motion.excitation import Excitation
-from hydroopt.excitation.motion.expected_accuracy import Expectation
 from hydroopt.files import write_files
 from hydroopt.logs.poses import Poses
-from hydroopt.logs.table import write_columns
 from hydroopt.report import calibration as calibration_page
-from hydroopt.report import excitation as excitation_page
 from hydroopt.report.record import SCHEMA
 from hydroopt.report.record import flat as _flat
 from hydroopt.report.record import machine_entry as _machine
@@ -35,9 +27,6 @@ from hydroopt.report.record import number as _number
 from hydroopt.report.record import table as _csv
 from hydroopt.results.fit import Fit
 from hydroopt.versions import versions
-
-EXCITATION = ("excitation.json", "report.html", "trajectory.csv", "trajectory.parquet")
-"""Files of a motion to drive, which the next one replaces."""
 
 
 def forget(directory: str | Path, machine_file: str) -> None:
@@ -76,84 +65,6 @@ def save_calibration(calibration: Calibration, directory: str | Path, *, wall_s:
     forget(directory, machine_file)
     write_files(directory, files | {"estimate.json": json.dumps(content, indent=1, allow_nan=False)})
     return content
-
-
-def save_excitation(excitation: Excitation, expectation: Expectation, directory: str | Path, *, origin: Origin,
-                    asked: Mapping[str, Any], parquet: bool = False, wall_s: float = float("nan")) -> dict[str, Any]:
-    """Write a motion to drive: trajectory, coefficients, report, and C for the controller in ``c/``.
-
-    Each file appears complete or not at all, excitation.json last.
-
-    Args:
-        excitation: what to write.
-        expectation: what it will tell.
-        directory: created if need be.
-        origin: what the machine was read from.
-        asked: options to be kept in excitation.json.
-        parquet: write the trajectory as Parquet instead of CSV.
-        wall_s: how long it took.
-
-    Returns:
-        The content of excitation.json.
-
-    Raises:
-        ProblemError: the directory cannot be written, or holds C that hydroopt did not generate.
-    """
-    program, path, where = excitation.program, excitation.trajectory, Path(directory)
-    machine, said = program.information.model.machine, excitation_doubts(excitation, expectation)
-    code = Code(machine, origin, routines=["excitation"], course=Course(excitation.function, program.basis.duration))
-    content = {"schema": SCHEMA, "machine": _machine(machine), "created": _now(), "versions": versions(),
-               **asked, **_excitation(excitation, expectation), "doubts": list(said), "wall_s": _number(wall_s)}
-    page = excitation_page.render(excitation, expectation, said)
-    refuse_directory(where)
-    code.write(where / "c")
-    for name in EXCITATION:
-        (where / name).unlink(missing_ok=True)
-    columns = {"t [s]": path.t}
-    for k, joint in enumerate(machine.joints):
-        unit = machine.channel_units[f"{joint}.q"]
-        columns |= {f"{joint}.q [{unit}]": path.q[:, k], f"{joint}.qd [{unit}/s]": path.qd[:, k],
-                    f"{joint}.qdd [{unit}/s^2]": path.qdd[:, k]}
-    write_columns(where / ("trajectory.parquet" if parquet else "trajectory.csv"), columns, "trajectory")
-    write_files(where, {"report.html": page, "excitation.json": json.dumps(content, indent=1, allow_nan=False)})
-    return content
-
-
-def refuse_directory(directory: Path) -> None:
-    """Refuse a directory that cannot take a motion to drive, before a long search for it.
-
-    Raises:
-        ProblemError: it is a file, or holds a directory where a file has to be.
-    """
-    if directory.exists() and not directory.is_dir():
-        raise ProblemError("this is a file", where=str(directory), remedy="choose another directory with -o")
-    for name in EXCITATION:
-        if (directory / name).is_dir():
-            raise ProblemError("this is a directory", where=str(directory / name),
-                               remedy="choose another directory with -o")
-
-
-def _excitation(excitation: Excitation, expectation: Expectation) -> dict[str, Any]:
-    """What excitation.json says of the motion and of what it will tell."""
-    program, parameters = excitation.program, excitation.program.information.model.parameters
-    basis = program.basis
-    return {
-        "criterion": program.information.criterion, "value": excitation.value,
-        "condition_number": _number(excitation.condition_number), "stopped": excitation.stopped,
-        "rate": program.rate, "duration": basis.duration, "samples": program.samples, "resting": program.resting,
-        "basis": {"kind": type(basis).__name__.lower(), **basis.as_dict()},
-        "functions": list(basis.names),
-        "coefficients": {joint: excitation.coefficients[:, k].tolist()
-                         for k, joint in enumerate(program.information.model.machine.joints)},
-        "limits": [{"name": use.name, "unit": use.unit, "lower": _number(use.lower), "lowest": use.lowest,
-                    "highest": use.highest, "upper": _number(use.upper), "room": use.room}
-                   for use in excitation.limits],
-        "base_parameters": [{"expression": name, "unit": unit, "std": _number(std), "bias": _number(bias)}
-                            for name, unit, std, bias in zip(excitation.names, excitation.units, expectation.base,
-                                                             expectation.bias, strict=True)],
-        "parameters": [{"name": name, "unit": parameters.units[k], "nominal": float(parameters.nominal[k]),
-                        "std_before": _number(expectation.before[k]), "std_after": _number(expectation.after[k])}
-                       for k, name in enumerate(parameters.names)]}
 
 
 def save_failure(problem: CalibrationProblem, method: str, error: HydrooptError,

@@ -79,8 +79,8 @@ class Answer(ABC):
         """What the JSON file says beyond what all answers say; numbers that do not exist are None."""
 
     @abstractmethod
-    def files(self) -> Mapping[str, str]:
-        """Text files beside the JSON file, by name: tables, and the calibrated machine where there is one."""
+    def files(self) -> Mapping[str, str | bytes]:
+        """Files beside the JSON file, by name: tables, and the calibrated machine where there is one."""
 
     def __getitem__(self, name: str) -> float:
         """Value [SI] of a parameter; NaN where it is not identifiable."""
@@ -101,7 +101,7 @@ class Answer(ABC):
         """The table of parameters as a pandas DataFrame indexed by name."""
         return self.parameters.to_frame()
 
-    def save(self, directory: str | Path, *, pages: Mapping[str, str] | None = None,
+    def save(self, directory: str | Path, *, pages: Mapping[str, str | bytes] | None = None,
              wall_s: float = float("nan")) -> None:
         """Write everything that the answer knows into a directory, whole or not at all; an earlier answer there goes.
 

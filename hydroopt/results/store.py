@@ -48,7 +48,8 @@ def header(job: Job, machine_name: str, machine_sha256: str, method: str,
             "method": method, "versions": versions()}
 
 
-def write(directory: str | Path, job: Job, content: Mapping[str, Any], files: Mapping[str, str]) -> None:
+def write(directory: str | Path, job: Job, content: Mapping[str, Any],
+          files: Mapping[str, str | bytes]) -> None:
     """Write an answer, its JSON file last; what an earlier answer left in the directory goes.
 
     Raises:

@@ -39,6 +39,14 @@ class Kind(StrEnum):
     FINDING = "finding in the data"
     NOTE = "note"
 
+    # design of a motion
+    SEARCH_INTERRUPTED = "search interrupted"
+    NOT_LIMITED = "not limited"
+    NO_FORCE_ACCURACY = "no accuracy of forces stated"
+    NO_ANGLE_ACCURACY = "no accuracy of angles stated"
+    SMOOTHING_BIAS = "bias by smoothing"
+    NOT_IMPROVED = "parameters not improved"
+
     # identification of valves and oil
     UNEXPLAINED_CHANNEL = "channel not explained by the model"
     NO_INFORMATION = "no information in the data"
@@ -74,6 +82,19 @@ WORDS: dict[Kind, Words] = {
         "Give --validate or --holdout."),
     Kind.FINDING: Words("{subject}: {text}"),
     Kind.NOTE: Words("{text}"),
+    Kind.SEARCH_INTERRUPTED: Words("The search was interrupted.", "A longer search may find a better motion."),
+    Kind.NOT_LIMITED: Words("The machine file does not limit {subject}.", "State what must be limited."),
+    Kind.NO_FORCE_ACCURACY: Words(
+        "The machine file states no accuracy for the force of {subject}; its noise is assumed as a tenth of a typical "
+        "force.",
+        "State the accuracy in [[sensors]]."),
+    Kind.NO_ANGLE_ACCURACY: Words(
+        "The machine file states no accuracy for the angle of {subject}; it counts as exact, so that σ will be larger.",
+        "State the accuracy in [[sensors]]."),
+    Kind.SMOOTHING_BIAS: Words(
+        "Smoothing noisy angles will bias {biased} of {of} base parameters by more than their σ.",
+        "Drive slower, or measure the angles more accurately."),
+    Kind.NOT_IMPROVED: Words("{count} of {of} parameters will stay about as uncertain as they are: {subject}."),
     Kind.UNEXPLAINED_CHANNEL: Words(
         "The residuals of {subject} are {factor:.1f} times its sensor's standard deviation; the intervals are widened.",
         "Check the accuracy of the sensor, and the parts that the machine file states or omits."),

@@ -12,7 +12,7 @@ from hydroopt.excitation.criteria import presumed_noise
 from hydroopt.excitation.motion.basis import Fourier
 from hydroopt.excitation.motion.design import design, drawn, rest
 from hydroopt.excitation.motion.excitation import Excitation
-from hydroopt.excitation.motion.expected_accuracy import expected
+from hydroopt.excitation.motion.expected_accuracy import expected_accuracy
 from hydroopt.simulation import simulate
 from studies.excitation import parts
 
@@ -51,7 +51,7 @@ def unseen_errors(model, program, found) -> dict[str, float]:
 def run() -> dict:
     """Ratios of scatter to expectation, of the designed motion to the best random one, and the time it took [s]."""
     program = excitation_problem(load_machine("cat215b"), Fourier(29.0, 10))
-    model, asked = program.information.model, program.information.asked
+    model, asked = program.information.model, program.information.parameters
     began = time.perf_counter()
     best = design(program, processes=CORES, seconds=SECONDS)
     took = time.perf_counter() - began
@@ -60,7 +60,7 @@ def run() -> dict:
         other = Excitation(program, x)
         found = shared(pool, parts.identified, best.trajectory, IDENTIFIED)
         found_by_other = shared(pool, parts.identified, other.trajectory, 20)
-    expectation = expected(model, best.trajectory, asked.structure)
+    expectation = expected_accuracy(model, best.trajectory, asked.structure)
     achieved, places = scatter(best.trajectory, asked.structure, found)
     ratio = achieved / expectation.base[places]
     # what the motion tells more of than was known before

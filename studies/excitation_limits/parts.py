@@ -117,7 +117,7 @@ def broken(model: Model, found: Excitation) -> list[str]:
             names.append(name)
 
     def reserved(actuator: Any, most: float | None, area: float) -> float | None:
-        margin = found.program.limits.margin[machine.actuators.index(actuator)]
+        margin = found.problem.limits.margin[machine.actuators.index(actuator)]
         return None if most is None else most - margin / area
 
     for k, joint in enumerate(machine.joints):

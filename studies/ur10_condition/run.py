@@ -6,7 +6,7 @@ import time
 import numpy as np
 
 from hydroopt import Model, load_machine
-from hydroopt.excitation.criteria import Information, Question, presumed_noise, question
+from hydroopt.excitation.criteria import Information, Question, design_parameters, presumed_noise
 from hydroopt.excitation.motion.basis import Fourier
 from hydroopt.excitation.motion.design import design
 from hydroopt.excitation.motion.excitation import Excitation
@@ -93,7 +93,7 @@ def run() -> dict:
     for case, published in (("own_limits", False), ("fixture_limits", True)):
         model = Model(changed(load_machine("ur10"), published=published))
         places = columns(model)
-        own = question(model, presumed_noise(model))
+        own = design_parameters(model, presumed_noise(model))
         if published:
             motion = frozen()
             results["fixture"] = round(condition(model, motion, places), 3)

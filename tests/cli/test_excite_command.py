@@ -161,7 +161,7 @@ def test_joint_that_rests_does_so_exactly(written: Callable[..., Path]) -> None:
     assert np.all(qdd[:, 0] == 0)
     assert np.all(np.ptp(q[:, 1:], axis=0) > 0.1)
     swing = next(row for row in said["parameters"] if row["name"] == "swing_motor.tau_coulomb")
-    assert swing["std_after"] == pytest.approx(swing["std_before"], rel=1e-6)
+    assert swing["std"] == pytest.approx(swing["prior_std"], rel=1e-6)
     assert "swing at 10 deg" in (directory / "report.html").read_text("utf-8")
 
 
@@ -170,8 +170,8 @@ def test_deviations_before_are_the_file_s(kind: str, written: Callable[..., Path
     model = Model(load_machine(KINDS[kind][0]))
     scale = model.parameters.scale
     covariance = np.linalg.inv(model.parameters.information * np.outer(scale, scale))
-    before, after = (np.array([row[f"std_{when}"] for row in content(written(*KINDS[kind]))["parameters"]])
-                     for when in ("before", "after"))
+    before, after = (np.array([row[std] for row in content(written(*KINDS[kind]))["parameters"]])
+                     for std in ("prior_std", "std"))
     np.testing.assert_allclose(before, scale * np.sqrt(np.diag(covariance)), rtol=1e-6)
     assert np.all(after <= before * (1 + 1e-9))
     assert np.any(after < 0.6 * before)
@@ -194,8 +194,8 @@ def test_json_is_the_file_and_summary_names_the_report(tmp_path: Path) -> None:
     assert printed == content(tmp_path / "json")
     text = excite(*SERIES, "-o", tmp_path / "text")
     assert str(tmp_path / "text/report.html") in text.replace("\n", "")
-    for doubt in printed["doubts"]:
-        assert f"! {doubt}" in text
+    for each in printed["diagnostics"]:
+        assert f"! {each['text']}" in text
 
 
 def test_nothing_is_written_where_foreign_c_lies(tmp_path: Path) -> None:
@@ -236,8 +236,8 @@ def test_report_needs_nothing_from_outside_and_shows_everything(kind: str, writt
     shown = page.replace("\u00a0", " ")
     for limit in said["limits"]:
         assert limit["name"] in shown, limit["name"]
-    for doubt in said["doubts"]:
-        assert doubt in shown
+    for each in said["diagnostics"]:
+        assert each["text"] in shown
     for name in (row["name"] for row in said["parameters"]):
         assert name.rpartition(".")[0] in shown
         assert re.search(rf"[>\s]{name.rpartition('.')[2]}[<\s]", shown)
@@ -370,11 +370,12 @@ def test_log_already_measured_is_taken_into_account(written: Callable[..., Path]
     log = tmp_path / "log.csv"
     excite(*SERIES, "--log", log, "-o", tmp_path / "out", "--quiet")
     with_log, without = content(tmp_path / "out"), content(written(*SERIES))
-    assert with_log["logs"] == [{"path": str(log), "sha256": hashlib.sha256(log.read_bytes()).hexdigest()}]
-    before, alone = (np.array([row["std_before"] for row in said["parameters"]]) for said in (with_log, without))
+    (measured,) = with_log["inputs"]
+    assert (measured["path"], measured["sha256"]) == (str(log), hashlib.sha256(log.read_bytes()).hexdigest())
+    before, alone = (np.array([row["prior_std"] for row in said["parameters"]]) for said in (with_log, without))
     assert np.all(before <= alone * (1 + 1e-9))
     assert np.any(before < 0.5 * alone)
-    after = np.array([row["std_after"] for row in with_log["parameters"]])
+    after = np.array([row["std"] for row in with_log["parameters"]])
     assert np.all(after <= before * (1 + 1e-9))
     assert with_log["value"] < without["value"]
 

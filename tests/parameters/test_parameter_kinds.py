@@ -9,7 +9,7 @@ import pytest
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.change import named_parts
-from hydroopt.excitation.criteria import presumed_noise, question
+from hydroopt.excitation.criteria import design_parameters, presumed_noise
 from hydroopt.machine.machine_file import bundled, load_machine
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.model.closed_chain import KinematicModel
@@ -69,7 +69,7 @@ def test_friction_is_the_same_to_comparison_and_excitation() -> None:
     assert {"rotor inertia", "gas pressure"} <= {str(kind) for kind in parameters.kinds}
     assert parameters.matching("friction") == expected
     assert named_parts(parameters, ["friction"]) == tuple(parameters.names[k] for k in expected)
-    asked = question(model, presumed_noise(model), focus=["friction"])
+    asked = design_parameters(model, presumed_noise(model), focus=["friction"])
     touched = np.flatnonzero(np.any(asked.structure.grouping[:, expected] != 0, axis=1))
     assert sorted(asked.focus) == touched.tolist()
     others = [k for k, kind in enumerate(parameters.kinds) if kind in (ParameterKind.ROTOR_INERTIA,

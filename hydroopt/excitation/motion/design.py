@@ -1,6 +1,6 @@
-"""The motion that tells most about a machine's parameters within all of its limits (Gautier and Khalil 1992).
+"""The motion with the most information on a machine's parameters within all of its limits (Gautier and Khalil 1992).
 
-Coefficients of the motion are the variables of a nonlinear program with exact first derivatives, which is solved from
+Coefficients of the motion are the variables of a nonlinear problem with exact first derivatives, which is solved from
 many starts, in processes side by side. What it returns is checked at the controller's rate and, if a limit
 is touched in between, drawn towards a posture of rest until none is: a motion that breaks a limit never comes out.
 """
@@ -19,13 +19,15 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.excitation.criteria import Information, presumed_noise, question
+from hydroopt.excitation.criteria import Information, design_parameters, presumed_noise
 from hydroopt.excitation.motion.basis import Basis
 from hydroopt.excitation.motion.excitation import Excitation
+from hydroopt.excitation.motion.expected_accuracy import measured_information
 from hydroopt.excitation.motion.limits import Limits, margins
 from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.excitation.motion.sqp import sequential_quadratic_programming
 from hydroopt.interrupt import blocked, deferred, ignore
+from hydroopt.logs.any_log import AnyLog
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import sampling_rate
@@ -45,39 +47,53 @@ Heard = Callable[[int, float], None]
 
 
 def excitation_problem(machine: Machine, basis: Basis, *, criterion: str = "D", focus: Sequence[str] = (),
-                       priors: bool = False, known: Array | None = None, rate: float | None = None,
+                       priors: bool = False, logs: Sequence[AnyLog] = (), rate: float | None = None,
                        resting: Mapping[str, float] | None = None) -> ExcitationProblem:
-    """What a motion of a machine is to tell, and within which limits.
+    """The design of a motion with the most information on a machine's parameters, within its limits.
 
     Args:
         machine: with all of its limits.
-        basis: functions of time of which the motion is made.
+        basis: functions of time, of which the motion is a sum: `Fourier` or `Spline`.
         criterion: ``D``, ``A``, ``E`` or ``condition``.
         focus: parameters, parts, ``payload`` or ``friction``, which alone count.
-        priors: whether the machine file's confidences count as known.
-        known: (p, p) information of logs already measured, see `expectation.measured`.
+        priors: whether the machine file's confidences count as information (Bayesian design).
+        logs: already measured, to whose information the motion adds.
         rate: samples per second of the controller; by default the highest that the file states for a joint's sensor,
             or 50.
         resting: joints that rest, and where [rad, m].
 
     Raises:
-        ProblemError: what cannot be, and what would do.
-        IdentifiabilityError: nothing tells what is in focus.
+        ProblemError: an argument is wrong; the sentence states a remedy.
+        IdentifiabilityError: no motion excites the focus.
+        LogError: a log cannot be used.
+
+    Example:
+        >>> import hydroopt as ho
+        >>> from hydroopt.excitation.motion.basis import Fourier
+        >>> problem = ho.excitation_problem(ho.load_machine("patu655_lift"), Fourier(period=6.0, harmonics=2))
+        >>> problem
+        ExcitationProblem(patu655_lift: 5 coefficients, 5 base parameters, criterion D, 10 s at 100 Hz)
+        >>> motion = ho.solve(problem, starts=1, seconds=2.0)
+        >>> motion.trajectory.q.shape
+        (1001, 1)
     """
     model = Model(machine)
     model.refuse_seals("excitation")
-    asked = question(model, presumed_noise(model), focus=focus, bayesian=priors, measured=known)
-    return ExcitationProblem(Information(model, asked, criterion), Limits(model, margins(model)), basis,
-                   sampling_rate(machine) if rate is None else rate, resting)
+    measured = measured_information(machine, logs) if logs else None
+    parameters = design_parameters(model, presumed_noise(model), focus=focus, bayesian=priors, measured=measured)
+    return ExcitationProblem(Information(model, parameters, criterion), Limits(model, margins(model)), basis,
+                             sampling_rate(machine) if rate is None else rate, resting,
+                             [{"path": log.path or log.name, "sha256": log.sha256 or None, "samples": log.size,
+                               "role": "measured before"} for log in logs])
 
 
-def design(program: ExcitationProblem, *, starts: int = 16, seed: int = 0, seconds: float = 60.0, processes: int = 1,
+def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, seconds: float = 60.0, processes: int = 1,
            say: Callable[[str], None] = lambda _: None) -> Excitation:
     """The best motion found from several starts; Ctrl-C ends the search and keeps it.
 
     Args:
-        program: what is asked, within which limits, with which functions.
-        starts: random motions to begin with.
+        problem: see `excitation_problem`.
+        starts: random motions from which the search starts.
         seed: of these.
         seconds: after which the best motion so far is taken; at least one start is begun.
         processes: how many starts go on at the same time; with more than one, a script that calls this needs the usual
@@ -90,11 +106,11 @@ def design(program: ExcitationProblem, *, starts: int = 16, seed: int = 0, secon
         KeyboardInterrupt: there was Ctrl-C before there was a motion.
     """
     if not (starts >= 1 and processes >= 1 and seconds > 0):
-        raise ProblemError("nothing is to be tried", where="excitation",
+        raise ProblemError("the search has no start, process or time", where="excitation",
                            remedy="give at least one start, one process and some seconds")
-    still = rest(program, np.random.default_rng(seed))
+    still = rest(problem, np.random.default_rng(seed))
     found: list[tuple[Array, float]] = []
-    criterion, best = program.information.criterion, np.inf
+    criterion, best = problem.information.criterion, np.inf
 
     def heard(start: int, value: float) -> None:
         nonlocal best
@@ -105,23 +121,23 @@ def design(program: ExcitationProblem, *, starts: int = 16, seed: int = 0, secon
     with deferred() as interrupted:
         if processes == 1:
             for start in range(starts):
-                found.append(_attempt(program, still, (seed, start), end, interrupted, heard))
+                found.append(_attempt(problem, still, (seed, start), end, interrupted, heard))
                 if interrupted():
                     break
         else:
-            found += _in_parallel(program, still, seed, starts, processes, end, interrupted, heard)
+            found += _in_parallel(problem, still, seed, starts, processes, end, interrupted, heard)
         stopped = interrupted()
-    moving = [each for each in found if np.max(np.abs(program.states(each[0], program.fine).qd)) > STILL]
+    moving = [each for each in found if np.max(np.abs(problem.states(each[0], problem.fine).qd)) > STILL]
     if moving:
-        return Excitation(program, min(moving, key=lambda each: each[1])[0], stopped)
+        return Excitation(problem, min(moving, key=lambda each: each[1])[0], seed, starts, stopped)
     if stopped:
         raise KeyboardInterrupt
-    raise ProblemError(f"{', '.join(_obstacles(program, still))} cannot be kept by any motion that was tried, however "
+    raise ProblemError(f"{', '.join(_obstacles(problem, still))} cannot be kept by any motion that was tried, however "
                        "small", where="excitation",
                        remedy="correct these limits in the machine file, or give more time")
 
 
-def _attempt(program: ExcitationProblem, rest: Array, seed: tuple[int, int], end: float,
+def _attempt(problem: ExcitationProblem, rest: Array, seed: tuple[int, int], end: float,
              interrupted: Callable[[], bool],
              heard: Heard) -> tuple[Array, float]:
     """The best motion that a start leads to, and its value; rest if the time, by ``time.time()``, is over."""
@@ -131,43 +147,43 @@ def _attempt(program: ExcitationProblem, rest: Array, seed: tuple[int, int], end
     # the matrices are too small to gain from threads, which only get in each other's way
     with threadpool_limits(limits=1, user_api="blas"):
         rng = np.random.default_rng(seed)
-        best = min((drawn(program, rest, rng) for _ in range(DRAWN)), key=program.value)
+        best = min((drawn(problem, rest, rng) for _ in range(DRAWN)), key=problem.value)
         x, back_off = best, BACK_OFF
         for _ in range(ROUNDS):
-            x = sequential_quadratic_programming(program, x, back_off, end, interrupted,
+            x = sequential_quadratic_programming(problem, x, back_off, end, interrupted,
                                                  lambda value: heard(seed[1], value))
-            over = program.excess(x, program.fine)
+            over = problem.excess(x, problem.fine)
             if over <= 0:
                 break
             back_off += BACK_OFF / 4 + 1.5 * over  # a limit is broken between the times at which it was kept
-        best = min(best, shrunk(program, x, rest), key=program.value)
-        return best, program.value(best)
+        best = min(best, shrunk(problem, x, rest), key=problem.value)
+        return best, problem.value(best)
 
 
 class _Worker:
     """What a process of the pool holds from its beginning."""
 
-    program: ExcitationProblem
+    problem: ExcitationProblem
     rest: Array
     stop: Event
     tell: Queue[tuple[int, float]]
 
     @classmethod
-    def begin(cls, program: ExcitationProblem, rest: Array, stop: Event, tell: Queue[tuple[int, float]]) -> None:
+    def begin(cls, problem: ExcitationProblem, rest: Array, stop: Event, tell: Queue[tuple[int, float]]) -> None:
         ignore()
-        cls.program, cls.rest, cls.stop, cls.tell = program, rest, stop, tell
+        cls.problem, cls.rest, cls.stop, cls.tell = problem, rest, stop, tell
 
     @classmethod
     def attempt(cls, seed: tuple[int, int], end: float) -> tuple[Array, float]:
-        return _attempt(cls.program, cls.rest, seed, end, cls.stop.is_set, lambda *said: cls.tell.put(said))
+        return _attempt(cls.problem, cls.rest, seed, end, cls.stop.is_set, lambda *said: cls.tell.put(said))
 
 
-def _in_parallel(program: ExcitationProblem, rest: Array, seed: int, starts: int, processes: int, end: float,
+def _in_parallel(problem: ExcitationProblem, rest: Array, seed: int, starts: int, processes: int, end: float,
                  interrupted: Callable[[], bool], heard: Heard) -> list[tuple[Array, float]]:
     context = get_context("spawn")
     stop, told = context.Event(), context.Queue()
     try:
-        with ProcessPoolExecutor(processes, context, _Worker.begin, (program, rest, stop, told)) as pool:
+        with ProcessPoolExecutor(processes, context, _Worker.begin, (problem, rest, stop, told)) as pool:
             with blocked():
                 attempts = [pool.submit(_Worker.attempt, (seed, start), end) for start in range(starts)]
             running = set(attempts)
@@ -185,16 +201,16 @@ def _in_parallel(program: ExcitationProblem, rest: Array, seed: int, starts: int
                           remedy="use fewer processes, so that memory suffices") from None
 
 
-def shrunk(program: ExcitationProblem, x: Array, rest: Array, *, rough: bool = False) -> Array:
+def shrunk(problem: ExcitationProblem, x: Array, rest: Array, *, rough: bool = False) -> Array:
     """The motion nearest to x, on the way to rest, that keeps all limits at the controller's rate and on the grid.
 
     A rough one keeps them at the few nodes, and may be a little nearer to rest.
     """
-    times = (program.nodes,) if rough else (program.fine, program.grid)
+    times = (problem.nodes,) if rough else (problem.fine, problem.grid)
 
     def keeps(part: float) -> bool:
         at = rest + part * (x - rest)
-        return bool(np.all(np.isfinite(at))) and all(program.excess(at, rows) <= 0 for rows in times)
+        return bool(np.all(np.isfinite(at))) and all(problem.excess(at, rows) <= 0 for rows in times)
 
     if keeps(1.0):
         return x
@@ -205,16 +221,16 @@ def shrunk(program: ExcitationProblem, x: Array, rest: Array, *, rough: bool = F
     return np.asarray(rest + low * (x - rest))
 
 
-def rest(program: ExcitationProblem, rng: np.random.Generator) -> Array:
+def rest(problem: ExcitationProblem, rng: np.random.Generator) -> Array:
     """The posture in which all limits are kept by the most, of many random ones and then of ever nearer ones.
 
     Raises:
         ProblemError: a limit is broken in all of them; those in conflict are named.
     """
-    limits, best = program.limits, program.mean
+    limits, best = problem.limits, problem.mean
     least = np.full(len(limits.rows), np.inf)
     for size in (1.0, 0.3, 0.1, 0.03, 0.01):
-        q, excess = _postures(program, best, size, rng)
+        q, excess = _postures(problem, best, size, rng)
         chosen = int(np.argmin(np.max(excess, axis=1)))
         best, worst, least = q[chosen], excess[chosen], np.minimum(least, np.min(excess, axis=0))
     if np.max(worst) > 0:
@@ -225,43 +241,43 @@ def rest(program: ExcitationProblem, rng: np.random.Generator) -> Array:
         what = "in any posture" if never else "together in any posture"
         raise ProblemError(f"{', '.join(never or broken | tight)} cannot be kept {what}", where="excitation",
                            remedy="correct these limits in the machine file, or the posture of joints that rest")
-    return program.posture(best)
+    return problem.posture(best)
 
 
-def _obstacles(program: ExcitationProblem, rest: Array) -> list[str]:
+def _obstacles(problem: ExcitationProblem, rest: Array) -> list[str]:
     """Names of limits that a slight random motion about rest breaks."""
     slight = rest + STILL * np.random.default_rng(0).standard_normal(len(rest))
-    values = program.limits.values(*program.states(slight, program.grid))
-    broken = np.flatnonzero(np.max(program.limits.excess(values), axis=0) > 0)
-    return list(dict.fromkeys(program.limits.rows[k].name for k in broken)) or ["all limits together"]
+    values = problem.limits.values(*problem.states(slight, problem.grid))
+    broken = np.flatnonzero(np.max(problem.limits.excess(values), axis=0) > 0)
+    return list(dict.fromkeys(problem.limits.rows[k].name for k in broken)) or ["all limits together"]
 
 
-def _postures(program: ExcitationProblem, near: Array, size: float, rng: np.random.Generator) -> tuple[Array, Array]:
+def _postures(problem: ExcitationProblem, near: Array, size: float, rng: np.random.Generator) -> tuple[Array, Array]:
     """A posture (n,) and random ones within a part of the joints' ranges, (P, n), and their excesses (P, m) at rest."""
-    joints = program.information.model.machine.joints
-    low, high = np.array([program.information.model.machine.link(joint).joint.range for joint in joints]).T
+    joints = problem.machine.joints
+    low, high = np.array([problem.machine.link(joint).joint.range for joint in joints]).T
     drawn = rng.uniform(low, high, (POSTURES, len(low)))
     q = np.vstack([near, drawn if size == 1 else np.clip(near + size * (drawn - (low + high) / 2), low, high)])
-    for joint, at in program.resting.items():
+    for joint, at in problem.resting.items():
         q[:, joints.index(joint)] = at
-    return q, program.limits.excess(program.limits.values(q, 0 * q, 0 * q))
+    return q, problem.limits.excess(problem.limits.values(q, 0 * q, 0 * q))
 
 
-def drawn(program: ExcitationProblem, rest: Array, rng: np.random.Generator) -> Array:
+def drawn(problem: ExcitationProblem, rest: Array, rng: np.random.Generator) -> Array:
     """A random motion: about a random posture every joint as far as the limits let it go by itself, then all together.
 
     `rest` is where it rests if nothing else keeps the limits.
     """
-    q, excess = _postures(program, program.mean, 1.0, rng)
+    q, excess = _postures(problem, problem.mean, 1.0, rng)
     kept = np.flatnonzero(np.max(excess, axis=1) <= 0)
-    rest = program.posture(q[rng.choice(kept)]) if kept.size else rest
-    shape = (len(program.basis.names), len(program.active))
+    rest = problem.posture(q[rng.choice(kept)]) if kept.size else rest
+    shape = (len(problem.basis.names), len(problem.active))
     wave = rng.standard_normal(shape)
-    wave -= np.outer(program.one, wave.mean(axis=0))  # the posture is its middle
+    wave -= np.outer(problem.one, wave.mean(axis=0))  # the posture is its middle
     total = np.zeros(shape)
     for k in range(shape[1]):
         alone = np.zeros(shape)
         alone[:, k] = wave[:, k]
         total[:, k] = np.reshape(
-            shrunk(program, rest + alone.ravel(), rest, rough=True) - rest, shape)[:, k]
-    return shrunk(program, rest + total.ravel(), rest)
+            shrunk(problem, rest + alone.ravel(), rest, rough=True) - rest, shape)[:, k]
+    return shrunk(problem, rest + total.ravel(), rest)

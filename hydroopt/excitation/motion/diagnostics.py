@@ -6,75 +6,67 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hydroopt.excitation.motion.excitation import Excitation
-from hydroopt.excitation.motion.expected_accuracy import Expectation
+from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy
+from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.logs.readings import force_noise
 from hydroopt.machine.components import Cylinder, Motor
+from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.wording import Kind
 
-HARDLY = 0.9
-"""A parameter whose standard deviation stays above this part of what it was before is hardly told."""
-NAMED = 4
-"""How many of a list are named."""
-
-
-def doubts(excitation: Excitation, expectation: Expectation) -> tuple[str, ...]:
-    """Reasons to hesitate, in plain words; the gravest first."""
-    return (*_search(excitation), *_unlimited(excitation), *_unstated(excitation),
-            *_biased(expectation), *_untold(excitation, expectation))
+UNIMPROVED = 0.9
+"""A parameter whose standard deviation stays above this part of what it was before is not improved."""
 
 
-def _search(excitation: Excitation) -> Iterator[str]:
-    if excitation.stopped:
-        yield "The search was interrupted; a longer one may find a better motion."
+def excitation_diagnostics(problem: ExcitationProblem, accuracy: ExpectedAccuracy, *,
+                           stopped: bool) -> tuple[Diagnostic, ...]:
+    """What the search, the machine file and the expected accuracy leave open, the gravest first."""
+    return (*_search(stopped=stopped), *_unlimited(problem), *_unstated(problem), *_biased(accuracy),
+            *_unimproved(problem, accuracy))
 
 
-def _unlimited(excitation: Excitation) -> Iterator[str]:
-    machine = excitation.program.information.model.machine
-    missing = {"the flow of the pump": machine.pump.max_flow if machine.pump else None,
-               "the height above ground": machine.ground, "where the tip may go": machine.workspace,
-               "tipping over": machine.footprint}
+def _search(*, stopped: bool) -> Iterator[Diagnostic]:
+    if stopped:
+        yield Diagnostic(Kind.SEARCH_INTERRUPTED)
+
+
+def _unlimited(problem: ExcitationProblem) -> Iterator[Diagnostic]:
+    machine = problem.machine
+    limits = {"the flow of the pump": machine.pump.max_flow if machine.pump else None,
+              "the height above ground": machine.ground, "the workspace of the tip": machine.workspace,
+              "tipping over": machine.footprint}
     hydraulic = any(isinstance(each, Cylinder | Motor) for each in machine.actuators)
-    free = [text for text, stated in missing.items()
-            if stated is None and (hydraulic or text not in ("the flow of the pump", "tipping over"))]
-    free += [f"the effort of {each.name}" for each in machine.actuators
-             if (each.relief_pressure if isinstance(each, Cylinder | Motor) else each.max_torque) is None]
+    missing = [text for text, stated in limits.items()
+               if stated is None and (hydraulic or text not in ("the flow of the pump", "tipping over"))]
+    missing += [f"the effort of {each.name}" for each in machine.actuators
+                if (each.relief_pressure if isinstance(each, Cylinder | Motor) else each.max_torque) is None]
     for joint in machine.joints:
         own = machine.link(joint).joint
-        free += [f"the {what} of {joint}" for what, value in (("speed", own.max_speed),
-                                                             ("acceleration", own.max_acceleration)) if value is None]
-    if free:
-        yield f"Not limited, because the machine file states nothing of it: {_some(free)}."
+        missing += [f"the {what} of {joint}" for what, value in (
+            ("speed", own.max_speed), ("acceleration", own.max_acceleration)) if value is None]
+    if missing:
+        yield Diagnostic(Kind.NOT_LIMITED, tuple(missing))
 
 
-def _unstated(excitation: Excitation) -> Iterator[str]:
-    model = excitation.program.information.model
-    blind = [actuator.name for actuator, std in zip(model.machine.actuators, force_noise(model), strict=True)
-             if not np.isfinite(std)]
-    if blind:
-        yield (f"The machine file states no accuracy for the force of {_some(blind)}; a tenth of a typical force is "
-               "taken for its noise.")
-    unread = [joint for joint in model.machine.joints if model.machine.sensor(f"{joint}.q") is None]
-    if unread:
-        yield (f"The machine file states no accuracy for the angle of {_some(unread)}; it counts as exact, so that σ "
-               "will be larger.")
+def _unstated(problem: ExcitationProblem) -> Iterator[Diagnostic]:
+    model = problem.information.model
+    forces = [actuator.name for actuator, std in zip(model.machine.actuators, force_noise(model), strict=True)
+              if not np.isfinite(std)]
+    if forces:
+        yield Diagnostic(Kind.NO_FORCE_ACCURACY, tuple(forces))
+    angles = [joint for joint in model.machine.joints if model.machine.sensor(f"{joint}.q") is None]
+    if angles:
+        yield Diagnostic(Kind.NO_ANGLE_ACCURACY, tuple(angles))
 
 
-def _biased(expectation: Expectation) -> Iterator[str]:
-    off = np.isfinite(expectation.base) & (expectation.bias > expectation.base)
-    if np.any(off):
-        yield (f"Smoothing noisy angles will put {int(np.sum(off))} of {len(off)} base parameters off by more than "
-               "their σ: drive slower, or read the angles more accurately.")
+def _biased(accuracy: ExpectedAccuracy) -> Iterator[Diagnostic]:
+    biased = np.isfinite(accuracy.base) & (accuracy.bias > accuracy.base)
+    if np.any(biased):
+        yield Diagnostic(Kind.SMOOTHING_BIAS, (), {"biased": int(np.sum(biased)), "of": len(biased)})
 
 
-def _untold(excitation: Excitation, expectation: Expectation) -> Iterator[str]:
-    names = excitation.program.information.model.parameters.names
-    seen = [k for k, (before, after) in enumerate(zip(expectation.before, expectation.after, strict=True))
-            if not after <= HARDLY * before]
-    if seen:
-        yield (f"{len(seen)} of {len(names)} parameters will stay about as uncertain as they are: "
-               f"{_some([names[k] for k in seen])}.")
-
-
-def _some(names: list[str]) -> str:
-    rest = len(names) - NAMED
-    return ", ".join(names) if rest <= 1 else f"{', '.join(names[:NAMED])} and {rest} more"
+def _unimproved(problem: ExcitationProblem, accuracy: ExpectedAccuracy) -> Iterator[Diagnostic]:
+    names = problem.information.model.parameters.names
+    unimproved = tuple(name for name, before, after in zip(names, accuracy.before, accuracy.after, strict=True)
+                       if not after <= UNIMPROVED * before)
+    if unimproved:
+        yield Diagnostic(Kind.NOT_IMPROVED, unimproved, {"count": len(unimproved), "of": len(names)})

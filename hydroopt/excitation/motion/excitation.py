@@ -1,17 +1,35 @@
-"""A motion that was designed: its samples, its functions of time, what it uses of the limits, what it tells."""
+"""A designed motion: its samples, its functions of time, its use of the limits, and the accuracy to expect of it."""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from hydroopt.errors import IdentifiabilityError, ProblemError
+from hydroopt.excitation.motion.diagnostics import excitation_diagnostics
+from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from hydroopt.excitation.motion.problem import ExcitationProblem, State
+from hydroopt.logs.table import encoded_columns
+from hydroopt.results import store
+from hydroopt.results.answer import Answer, Status
+from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.fit import Fit
+from hydroopt.results.parameter_table import ParameterTable, row
+from hydroopt.results.store import Job
+from hydroopt.results.tables import number
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array
+
+METHOD = "sequential quadratic programming"
+TIGHT = 0.02
+"""Part of a limit's range below which no room is left."""
 
 
 class Use(NamedTuple):
@@ -37,85 +55,211 @@ class Use(NamedTuple):
         return self.room / size if size else float("nan")
 
 
-@dataclass(frozen=True, eq=False)
-class Excitation:
-    """A motion to drive.
+@dataclass(frozen=True, eq=False, repr=False)
+class Excitation(Answer):
+    """A designed motion, what it uses of the limits, and the accuracy to expect of an identification from it.
 
     Attributes:
-        program: what was asked within which limits, with which functions of time.
-        x: its variables.
+        problem: the criterion, the limits, and the functions of time.
+        x: the coefficients, see `ExcitationProblem`.
+        seed: of the starts, and of the log that is simulated for the expected accuracy.
+        starts: random motions from which the search started.
         stopped: whether the search was interrupted.
+
+    Example:
+        See `excitation_problem`.
     """
 
-    program: ExcitationProblem
+    job = Job.EXCITATION
+
+    problem: ExcitationProblem
     x: Array
+    seed: int = 0
+    starts: int = 1
     stopped: bool = False
+
+    @property
+    def machine_name(self) -> str:
+        """Name of the machine that moves."""
+        return self.problem.machine.name
+
+    @property
+    def machine_sha256(self) -> str:
+        """Digest of that machine's description."""
+        return self.problem.machine.sha256
+
+    @property
+    def method(self) -> str:
+        """How it was computed."""
+        return METHOD
+
+    @property
+    def status(self) -> Status:
+        """`SUSPECT` if the search was interrupted, else `OK`."""
+        return Status.SUSPECT if self.stopped else Status.OK
+
+    @cached_property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """What to know before the motion is driven."""
+        return excitation_diagnostics(self.problem, self.accuracy, stopped=self.stopped)
+
+    @cached_property
+    def accuracy(self) -> ExpectedAccuracy:
+        """Standard deviations to expect of an identification from this motion.
+
+        Raises:
+            ProblemError: the limits leave no motion that is fast enough.
+        """
+        problem = self.problem
+        try:
+            return expected_accuracy(problem.information.model, self.trajectory, problem.parameters.structure,
+                                     problem.parameters.measured, seed=self.seed)
+        except IdentifiabilityError:
+            tight = ", ".join(use.name for use in self.limits if use.part < TIGHT) or "the limits together"
+            raise ProblemError(f"{tight} leave no motion that is fast enough to identify anything", where="excitation",
+                               remedy="correct these limits in the machine file, or give a longer motion") from None
+
+    @cached_property
+    def parameters(self) -> ParameterTable:
+        """All parameters: `prior_std` by file and earlier logs, `std` with this motion; no values, as none is measured.
+        """
+        stated, structure = self.problem.information.model.parameters, self.problem.parameters.structure
+        return ParameterTable([
+            row(name, stated.kinds[k], stated.units[k], nominal=float(stated.nominal[k]),
+                prior_std=float(self.accuracy.before[k]), std=float(self.accuracy.after[k]),
+                identifiability=structure.category[k]) for k, name in enumerate(stated.names)])
+
+    @property
+    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
+        """None: a design has no data."""
+        return {}
+
+    @property
+    def inputs(self) -> tuple[Mapping[str, Any], ...]:
+        """The logs already measured."""
+        return self.problem.inputs
+
+    def details(self) -> Mapping[str, Any]:
+        """Criterion, functions and coefficients, use of the limits, and the base parameters' expected accuracy."""
+        problem, basis = self.problem, self.problem.basis
+        return {
+            "criterion": problem.information.criterion, "value": self.value,
+            "condition_number": number(self.condition_number), "stopped": self.stopped,
+            "focus": list(problem.parameters.focus_names), "priors": problem.parameters.bayesian,
+            "seed": self.seed, "starts": self.starts, "rate": problem.rate, "duration": basis.duration,
+            "samples": problem.samples, "resting": problem.resting,
+            "basis": {"kind": type(basis).__name__.lower(), **basis.as_dict()}, "functions": list(basis.names),
+            "coefficients": {joint: self.coefficients[:, k].tolist() for k, joint in enumerate(problem.machine.joints)},
+            "limits": [{"name": use.name, "unit": use.unit, "lower": number(use.lower), "lowest": use.lowest,
+                        "highest": use.highest, "upper": number(use.upper), "room": use.room} for use in self.limits],
+            "base_parameters": [{"expression": name, "unit": unit, "std": number(std), "bias": number(bias)}
+                                for name, unit, std, bias in zip(self.names, self.units, self.accuracy.base,
+                                                                 self.accuracy.bias, strict=True)]}
+
+    def files(self, *, parquet: bool = False) -> Mapping[str, str | bytes]:
+        """The trajectory as CSV or Parquet: position, speed and acceleration of every joint at the controller's rate.
+        """
+        path, columns = self.trajectory, {"t [s]": self.trajectory.t}
+        for k, joint in enumerate(self.problem.machine.joints):
+            unit = self.problem.machine.channel_units[f"{joint}.q"]
+            columns |= {f"{joint}.q [{unit}]": path.q[:, k], f"{joint}.qd [{unit}/s]": path.qd[:, k],
+                        f"{joint}.qdd [{unit}/s^2]": path.qdd[:, k]}
+        return {f"trajectory.{'parquet' if parquet else 'csv'}": encoded_columns(columns, parquet=parquet)}
+
+    def save(self, directory: str | Path, *, pages: Mapping[str, str | bytes] | None = None,
+             wall_s: float = float("nan"), parquet: bool = False) -> None:
+        """As `Answer.save`, the trajectory as CSV or Parquet.
+
+        Raises:
+            ProblemError: the directory cannot be written.
+        """
+        store.write(directory, self.job, self.content(wall_s=wall_s), {**self.files(parquet=parquet), **(pages or {})})
+
+    def __str__(self) -> str:
+        problem = self.problem
+        moving = [joint for joint in problem.machine.joints if joint not in problem.resting]
+        tight = sorted((use for use in self.limits if math.isfinite(use.part)), key=lambda use: use.part)[:3]
+        return (f"{self.machine_name}: {problem.basis.duration:g} s of {', '.join(moving)} at {problem.rate:g} Hz, "
+                f"{problem.information.criterion} = {self.value:.4g}, condition number {self.condition_number:.3g}\n"
+                f"  least room: {', '.join(f'{use.name} {100 * use.part:.1f} %' for use in tight)}")
+
+    @cached_property
+    def tip(self) -> Array:
+        """Path (N, 3) [m] of the last link's far end."""
+        model = self.problem.information.model
+        return np.asarray(model.over(model.forward_kinematics, self.trajectory.q)[-1][:, :3, 3])
+
+    @property
+    def base_nominal(self) -> Array:
+        """Nominal values (r,) of the base parameters."""
+        nominal = self.problem.information.model.parameters.nominal
+        return np.asarray(self.problem.parameters.structure.grouping @ nominal)
 
     @cached_property
     def coefficients(self) -> Array:
         """(m, n) of the functions, for all joints [rad, m], those that rest included."""
-        return self.program.coefficients(self.x)
+        return self.problem.coefficients(self.x)
 
     @cached_property
     def trajectory(self) -> Trajectory:
         """Samples at the controller's rate."""
-        return Trajectory(self.program.t, *self._states)
+        return Trajectory(self.problem.t, *self._states)
 
     @cached_property
     def _states(self) -> State:
-        return self.program.states(self.x, self.program.fine)
+        return self.problem.states(self.x, self.problem.fine)
 
     @cached_property
     def function(self) -> ca.Function:
-        """Time (1, 1) [s] → q, qd and qdd (n,): what the controller reckons."""
+        """Time (1, 1) [s] → q, qd and qdd (n,): as the controller computes it."""
         t = ca.SX.sym("t")
         c = ca.DM(self.coefficients.T)
-        still = self.program.idle
-        made = [ca.densify(c @ each) for each in self.program.basis.expressions(t)]
+        still = self.problem.idle
+        made = [ca.densify(c @ each) for each in self.problem.basis.expressions(t)]
         for order, each in enumerate(made):
-            each[still] = self.program.still[still] if order == 0 else 0
+            each[still] = self.problem.resting_position[still] if order == 0 else 0
         return ca.Function("excitation", [t], made, ["t"], ["q", "qd", "qdd"])
 
     @cached_property
     def histories(self) -> dict[str, Array]:
         """What is limited (N,), by the limit's name; of limits that share a name, the greatest at each sample."""
-        limits, found = self.program.limits, dict[str, Array]()
+        limits, found = self.problem.limits, dict[str, Array]()
         values = limits.values(*self._states)
-        for k, row in enumerate(limits.rows):
-            own = np.maximum(values[:, k] * row.scale, row.floor)
-            found[row.name] = np.maximum(found[row.name], own) if row.name in found else own
+        for k, limit in enumerate(limits.rows):
+            own = np.maximum(values[:, k] * limit.scale, limit.floor)
+            found[limit.name] = np.maximum(found[limit.name], own) if limit.name in found else own
         return found
 
     @cached_property
     def limits(self) -> tuple[Use, ...]:
         """What it uses of each limit."""
-        rows = {row.name: row for row in self.program.limits.rows}
+        rows = {row.name: row for row in self.problem.limits.rows}
         return tuple(Use(name, row.unit, row.lower, float(np.min(self.histories[name])),
                          float(np.max(self.histories[name])), row.upper) for name, row in rows.items())
 
     @cached_property
     def value(self) -> float:
-        """Of the criterion, by the program's nodes."""
-        return self.program.value(self.x)
+        """Of the criterion, at the problem's nodes."""
+        return self.problem.value(self.x)
 
     @cached_property
     def factor(self) -> Array:
-        """R (r, r) with RᵀR the information of all samples and of what was known before, on scaled base parameters."""
-        return self.program.information.factor(*self._states, 1.0)
+        """R (r, r) with RᵀR the information of all samples and of the prior, on scaled base parameters."""
+        return self.problem.information.factor(*self._states, 1.0)
 
     @property
     def names(self) -> tuple[str, ...]:
         """Base parameters in words."""
-        return self.program.information.asked.names
+        return self.problem.parameters.names
 
     @property
     def units(self) -> tuple[str, ...]:
         """Their units."""
-        units = self.program.information.model.parameters.units
-        return tuple(units[k] for k in self.program.information.asked.columns)
+        units = self.problem.information.model.parameters.units
+        return tuple(units[k] for k in self.problem.parameters.columns)
 
     @property
     def condition_number(self) -> float:
-        """Of the weighted, scaled regressor, with what was known before."""
+        """Of the weighted, scaled regressor, with the prior information."""
         s = np.linalg.svd(self.factor, compute_uv=False)
         return float(s[0] / s[-1]) if s[-1] > 0 else float("inf")

@@ -1,4 +1,4 @@
-"""What a log tells of the parameters: of one already measured, and of a motion before it is driven.
+"""The information of a log already measured, and the accuracy to expect of a motion before it is driven.
 
 Angles are noisy too, and so are the speeds and accelerations that follow from them. To first order in that noise the
 residual of the actuator forces is ``ε − A·S·n``: ε the noise of the forces, n that of the angles, S the smoother, which
@@ -30,8 +30,8 @@ from hydroopt.spatial.inertia import Array
 
 
 @dataclass(frozen=True, eq=False)
-class Expectation:
-    """Standard deviations to expect of an identification; infinite where nothing is told.
+class ExpectedAccuracy:
+    """Standard deviations to expect of an identification; infinite where the data carry no information.
 
     Attributes:
         base: (r,) of the base parameters by weighted least squares on the motion alone.
@@ -48,8 +48,8 @@ class Expectation:
     sigma: Array
 
 
-def measured(machine: Machine, logs: Sequence[AnyLog]) -> Array:
-    """Information (p, p) on ψ of logs already measured, by what their residuals turn out to be.
+def measured_information(machine: Machine, logs: Sequence[AnyLog]) -> Array:
+    """Information (p, p) on ψ of logs already measured, weighted by their residuals.
 
     Raises:
         LogError: a log that cannot be used.
@@ -62,31 +62,31 @@ def measured(machine: Machine, logs: Sequence[AnyLog]) -> Array:
     return np.asarray(R.T @ R)
 
 
-def expected(model: Model, motion: Trajectory, structure: Identifiability, known: Array | None = None, *,
-             seed: int = 0) -> Expectation:
-    """What identification with smoothing splines will tell after a motion was driven.
+def expected_accuracy(model: Model, motion: Trajectory, structure: Identifiability, measured: Array | None = None, *,
+                      seed: int = 0) -> ExpectedAccuracy:
+    """The accuracy of an identification with smoothing splines from a log of a motion.
 
     The smoother's weights, the samples left out and the weights of the forces are those that one simulated log leads
     to; parameters are nominal.
 
     Args:
         model: the machine.
-        motion: what it will do.
+        motion: to be driven.
         structure: base parameters by ideal motion.
-        known: (p, p) information of logs already measured.
+        measured: (p, p) information of logs already measured.
         seed: of the simulated log.
     """
     machine, psi = model.machine, model.parameters.nominal
     log = simulate(model, motion, seed=seed, name="expected")
     problem = identification_problem(machine, [log])
     estimate, noise = identify(problem, "wls"), presumed_noise(model)
-    (data,) = in_memory(problem.experiments, "the expectation")
+    (data,) = in_memory(problem.experiments, "the expected accuracy")
     stated = np.isfinite(force_noise(model))  # else the simulated log has no noise
     sigma = np.where(stated, estimate.sigma, noise)
     weight = (data.inside[:, None] & data.moving) / (sigma**2 * np.where(stated, estimate.correlation_time, 1.0))
     scale, basis = model.parameters.scale, np.array(structure.basis)
     K = model.over(model.regressor, motion.q, motion.qd, motion.qdd)[0] * scale
-    told: Array = np.asarray(np.linalg.qr((K * np.sqrt(weight)[:, :, None]).reshape(-1, K.shape[2]), mode="r"))
+    rows: Array = np.asarray(np.linalg.qr((K * np.sqrt(weight)[:, :, None]).reshape(-1, K.shape[2]), mode="r"))
     pulled = K * weight[:, :, None]
     # what the noise of each force and of each angle adds to KᵀW·residual, a column each
     errors = [(pulled * noise[:, None]).reshape(-1, K.shape[2]).T]
@@ -95,34 +95,34 @@ def expected(model: Model, motion: Trajectory, structure: Identifiability, known
     for j, (joint, std) in enumerate(zip(machine.joints, angle_noise(model, log), strict=True)):
         if std > 0:
             smooth = spline.fit(log.t, log.channel(f"{joint}.q"), float(std), machine.bandwidth)
-            rows = [np.einsum("tia,ti->at", pulled, slope[:, :, j]) for slope in slopes]
-            errors.append(std * smooth.pull_back(rows))
+            weighted = [np.einsum("tia,ti->at", pulled, slope[:, :, j]) for slope in slopes]
+            errors.append(std * smooth.pull_back(weighted))
             taken = smooth.again(motion.q[:, j])
-            for order, (row, true) in enumerate(zip(rows, (motion.q, motion.qd, motion.qdd), strict=True)):
+            for order, (row, true) in enumerate(zip(weighted, (motion.q, motion.qd, motion.qdd), strict=True)):
                 off[:, 0] -= row @ (taken(motion.t, order) - true[:, j])
     noisy = np.hstack(errors)
-    values, axes = np.linalg.eigh((model.parameters.information + (0 if known is None else known))
+    values, axes = np.linalg.eigh((model.parameters.information + (0 if measured is None else measured))
                                   * np.outer(scale, scale))
     prior = np.sqrt(np.maximum(values, 0))[:, None] * axes.T
-    alone, both = _Told(told[:, basis]), _Told(np.vstack([told, prior]))
-    return Expectation(scale[basis] * alone.std(noisy[basis]), scale[basis] * alone.std(off[basis]),
-                       scale * _Told(prior).std(prior.T), scale * both.std(np.hstack([noisy, prior.T])), sigma)
+    alone, both = _LeastSquares(rows[:, basis]), _LeastSquares(np.vstack([rows, prior]))
+    return ExpectedAccuracy(scale[basis] * alone.std(noisy[basis]), scale[basis] * alone.std(off[basis]),
+                       scale * _LeastSquares(prior).std(prior.T), scale * both.std(np.hstack([noisy, prior.T])), sigma)
 
 
-class _Told:
-    """What rows R (·, p) of a regressor tell of p parameters."""
+class _LeastSquares:
+    """The least squares of rows R (·, p) of a regressor on p parameters."""
 
     def __init__(self, root: Array) -> None:
         lengths = np.linalg.norm(root, axis=0)
         self.unit = np.where(lengths > 0, lengths, 1.0)
         _, s, self.axes = np.linalg.svd(np.linalg.qr(root / self.unit, mode="r"), full_matrices=True)
-        self.seen = np.zeros(len(self.axes), dtype=bool)
-        self.seen[:len(s)] = significant(s, PREDICTED_TOLERANCE)
-        self.size = s[self.seen[:len(s)]]
-        self.blind = (lengths == 0) | (np.max(np.abs(self.axes[~self.seen]), axis=0, initial=0.0) > 1e-6)
+        self.present = np.zeros(len(self.axes), dtype=bool)
+        self.present[:len(s)] = significant(s, PREDICTED_TOLERANCE)
+        self.size = s[self.present[:len(s)]]
+        self.undetermined = (lengths == 0) | (np.max(np.abs(self.axes[~self.present]), axis=0, initial=0.0) > 1e-6)
 
     def std(self, errors: Array) -> Array:
-        """Sizes (p,) of ``(RᵀR)⁻¹·E·n`` with n white, for errors E (p, ·); infinite where R sees nothing."""
-        axes = self.axes[self.seen]
+        """Sizes (p,) of ``(RᵀR)⁻¹·E·n`` with n white, for errors E (p, ·); infinite where R has no rank."""
+        axes = self.axes[self.present]
         spread = axes.T @ (axes @ (errors / self.unit[:, None]) / self.size[:, None] ** 2)
-        return np.where(self.blind, np.inf, np.linalg.norm(spread, axis=1) / self.unit)
+        return np.where(self.undetermined, np.inf, np.linalg.norm(spread, axis=1) / self.unit)

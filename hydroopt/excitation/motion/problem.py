@@ -2,25 +2,32 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any, NamedTuple, NoReturn
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
-from hydroopt.excitation.criteria import Information
+from hydroopt.excitation.criteria import DesignParameters, Information
 from hydroopt.excitation.motion.basis import Basis, Rows, check
+from hydroopt.excitation.motion.criterion_function import CriterionFunction, ExcitationProgram
 from hydroopt.excitation.motion.limits import Limits
+from hydroopt.machine.machine import Machine
 from hydroopt.spatial.inertia import Array
 
 NODES, GRID = 12, 48
-"""Times in a period of the fastest wave at which the criterion is reckoned, and at which limits are kept."""
+"""Times in a period of the fastest wave at which the criterion is evaluated, and at which limits are kept."""
 
 
 FEWEST, MOST = 20, 1e6
 """Samples of a motion."""
+
+
+WIDEST = 3.0
+"""Bound of a coefficient, in halves of its joint's range."""
 
 
 class State(NamedTuple):
@@ -35,11 +42,12 @@ class ExcitationProblem:
     """The nonlinear program of a design: `x` holds the coefficients (m, active) of the joints that move.
 
     Args:
-        information: what the motion is asked, and of what machine.
-        limits: what it must keep.
+        information: the criterion, and the machine's parameters that the motion is to determine.
+        limits: of the machine.
         basis: its functions of time.
         rate: samples per second of the controller.
         resting: joints that rest, and where [rad, m].
+        inputs: the files of logs already measured: path, sha256, samples, role.
 
     Raises:
         ProblemError: the motion is faster than the valves, a resting joint is unknown or out of its range, all rest, or
@@ -47,38 +55,110 @@ class ExcitationProblem:
     """
 
     def __init__(self, information: Information, limits: Limits, basis: Basis, rate: float,
-                 resting: Mapping[str, float] | None = None) -> None:
+                 resting: Mapping[str, float] | None = None, inputs: Sequence[Mapping[str, Any]] = ()) -> None:
         check(basis, information.model.machine.bandwidth)
         self.information, self.limits, self.basis, self.rate = information, limits, basis, rate
         joints = information.model.machine.joints
-        self.resting = dict(resting or {})
+        self.resting, self.inputs = dict(resting or {}), tuple(inputs)
         self.samples = _samples(basis, rate)
-        for name, at in self.resting.items():
+        for name, position in self.resting.items():
             if name not in joints:
                 raise ProblemError(f"'{name}' is no moving joint that could rest", where="excitation",
                                    remedy=f"use {', '.join(joints)}")
             lower, upper = information.model.machine.link(name).joint.range
-            if not lower <= at <= upper:
+            if not lower <= position <= upper:
                 unit = information.model.machine.channel_units[f"{name}.q"]
-                raise ProblemError(f"joint '{name}' cannot rest at {at:.4g} {unit}: its range is {lower:.4g} to "
+                raise ProblemError(f"joint '{name}' cannot rest at {position:.4g} {unit}: its range is {lower:.4g} to "
                                    f"{upper:.4g} {unit}", where="excitation", remedy="let it rest within its range")
         self.active, self.idle = ([k for k, joint in enumerate(joints) if (joint in self.resting) == rests]
                                   for rests in (False, True))
         if not self.active:
             raise ProblemError("all joints rest", where="excitation", remedy="let one joint move")
-        self.still = np.array([self.resting.get(joint, 0.0) for joint in joints])
+        self.resting_position = np.array([self.resting.get(joint, 0.0) for joint in joints])
         waves = basis.fastest * basis.duration
         self.nodes, self.grid = (basis.rows(np.linspace(0, basis.duration, max(int(np.ceil(times * waves)) + 1, 20)))
                                  for times in (NODES, GRID))
-        self.worth = self.samples / len(self.nodes.position)
+        self.samples_per_node = self.samples / len(self.nodes.position)
         ranges = np.array([information.model.machine.link(joint).joint.range for joint in joints])
         self.size = np.diff(ranges, axis=1)[self.active, 0] / 2
-        self.mean = np.where([joint in self.resting for joint in joints], self.still, ranges.mean(axis=1))
+        self.mean = np.where([joint in self.resting for joint in joints], self.resting_position, ranges.mean(axis=1))
         # the coefficients of a function that is one throughout
         self.one = np.linalg.lstsq(self.nodes.position, np.ones(len(self.nodes.position)), rcond=None)[0]
 
     def __reduce__(self) -> tuple[type[ExcitationProblem], tuple[object, ...]]:
-        return ExcitationProblem, (self.information, self.limits, self.basis, self.rate, self.resting)
+        return ExcitationProblem, (self.information, self.limits, self.basis, self.rate, self.resting, self.inputs)
+
+    @property
+    def machine(self) -> Machine:
+        """The machine that moves."""
+        return self.information.model.machine
+
+    @property
+    def parameters(self) -> DesignParameters:
+        """The base parameters that the motion is to determine."""
+        return self.information.parameters
+
+    @property
+    def size_of_x(self) -> int:
+        """Number of coefficients."""
+        return len(self.basis.names) * len(self.active)
+
+    def nlp(self, x0: Array | None = None, back_off: float = 0.0) -> ExcitationProgram:
+        """The nonlinear program: coefficients, criterion, and all limits at the times of `grid`.
+
+        The criterion is a Python function with an exact gradient, so that IPOPT needs
+        ``{"ipopt.hessian_approximation": "limited-memory"}``; the limits are plain CasADi. Keep the program as long as
+        the solver lives.
+
+        Args:
+            x0: initial guess (k,); by default rest in the middle of the joints' ranges.
+            back_off: part of each limit's range that is left as room.
+
+        Example:
+            >>> import hydroopt as ho
+            >>> from hydroopt.excitation.motion.basis import Fourier
+            >>> problem = ho.excitation_problem(ho.load_machine("patu655_lift"), Fourier(period=6.0, harmonics=2))
+            >>> problem.nlp()["lift sin1"].shape
+            (1, 1)
+        """
+        criterion = CriterionFunction(self.value, lambda x: self.objective(x)[1], self.size_of_x)
+        limits, rows, count = self.limits, self.limits.rows, len(self.grid.position)
+        x = ca.MX.sym("x", self.size_of_x)
+        c = ca.MX(ca.DM(np.outer(self.one, self.resting_position)))
+        c[:, self.active] = ca.reshape(x, len(self.active), len(self.basis.names)).T * ca.repmat(
+            ca.DM(self.size).T, len(self.basis.names), 1)
+        g = limits.function.map(count)(*((ca.DM(part) @ c).T for part in self.grid)) / ca.repmat(
+            ca.DM(limits.scale), 1, count)
+        lower, upper = self.bounds(back_off)
+        joints, units = self.machine.joints, self.machine.channel_units
+        widest = np.full(self.size_of_x, WIDEST)
+        return ExcitationProgram(
+            x=x, f=criterion(x), g=ca.vec(g), p=ca.MX.sym("p", 0), lbx=-widest, ubx=widest, criterion=criterion,
+            x0=self.posture(self.mean) if x0 is None else np.asarray(x0, dtype=float),
+            x_names=tuple(f"{joints[k]} {name}" for name in self.basis.names for k in self.active),
+            x_units=tuple(f"{size:.6g} {units[f'{joints[k]}.q']}" for _ in self.basis.names
+                          for k, size in zip(self.active, self.size, strict=True)),
+            g_names=tuple(row.name for row in rows) * count, lbg=np.tile(lower, count), ubg=np.tile(upper, count),
+            g_units=tuple(f"{row.scale:.6g} {row.unit}" for row in rows) * count,
+            objective=(f"criterion {self.information.criterion} of the information on "
+                       f"{len(self.parameters.columns)} base parameters",))
+
+    def cvxpy(self) -> NoReturn:
+        """Refuse: the problem is not convex.
+
+        Raises:
+            ProblemError: always.
+        """
+        raise ProblemError("the design of a motion is not convex, so that CVXPY cannot state it",
+                           where=f"machine '{self.machine.name}'", remedy="use nlp() with IPOPT")
+
+    def __repr__(self) -> str:
+        return (f"ExcitationProblem({self.machine.name}: {self.size_of_x} coefficients, {len(self.parameters.columns)} "
+                f"base parameters, criterion {self.information.criterion}, {self.basis.duration:g} s at "
+                f"{self.rate:g} Hz)")
+
+    def __str__(self) -> str:
+        return f"{self!r}\n{self.nlp()}"
 
     @cached_property
     def t(self) -> Array:
@@ -92,7 +172,7 @@ class ExcitationProblem:
 
     def coefficients(self, x: Array) -> Array:
         """(m, n) of all joints."""
-        made = np.outer(self.one, self.still)
+        made = np.outer(self.one, self.resting_position)
         made[:, self.active] = np.reshape(x, (-1, len(self.active))) * self.size
         return made
 
@@ -100,7 +180,8 @@ class ExcitationProblem:
         """Joint states (N, n) at the times of some rows."""
         c = self.coefficients(x)
         found = State(*(part @ c for part in rows))
-        found.q[:, self.idle], found.qd[:, self.idle], found.qdd[:, self.idle] = self.still[self.idle], 0.0, 0.0
+        found.q[:, self.idle] = self.resting_position[self.idle]
+        found.qd[:, self.idle] = found.qdd[:, self.idle] = 0.0
         return found
 
     def posture(self, q: Array) -> Array:
@@ -109,15 +190,15 @@ class ExcitationProblem:
 
     def objective(self, x: Array) -> tuple[float, Array]:
         """Criterion and gradient."""
-        value, by_state = self.information.value_and_slope(*self.states(x, self.nodes), self.worth)
+        value, by_state = self.information.value_and_slope(*self.states(x, self.nodes), self.samples_per_node)
         return value, self._chain(by_state)
 
     def value(self, x: Array) -> float:
         """The criterion alone."""
-        return self.information.value(*self.states(x, self.nodes), self.worth)
+        return self.information.value(*self.states(x, self.nodes), self.samples_per_node)
 
     def _chain(self, by_state: Array) -> Array:
-        n = len(self.still)
+        n = len(self.resting_position)
         parts = [by_state[:, k * n:(k + 1) * n][:, self.active] for k in range(3)]
         total = sum(rows.T @ part for rows, part in zip(self.nodes, parts, strict=True))
         return np.asarray((total * self.size).ravel())
@@ -157,8 +238,7 @@ class ExcitationProblem:
     @cached_property
     def _moved(self) -> NDArray[np.bool_]:
         """Which limits (m,) the moving joints change."""
-        size = len(self.basis.names) * len(self.active)
-        x = self.posture(self.mean) + np.random.default_rng(0).uniform(-0.1, 0.1, size)
+        x = self.posture(self.mean) + np.random.default_rng(0).uniform(-0.1, 0.1, self.size_of_x)
         return np.asarray(np.any([np.any(part != 0, axis=(0, 2)) for part in self.slopes(x)], axis=0))
 
     def bounds(self, back_off: float) -> tuple[Array, Array]:

@@ -1,4 +1,4 @@
-"""Sequential quadratic programming on the program of a motion, in a trust region.
+"""Sequential quadratic programming on the design of a motion, in a trust region.
 
 Every step solves a quadratic program exactly: damped BFGS approximates the Lagrangian's Hessian, limits are linear in
 the step. Of the thousands of limits over time only those take part that the step would break, found by looking at all
@@ -15,11 +15,9 @@ import numpy as np
 import piqp
 from numpy.typing import NDArray
 
-from hydroopt.excitation.motion.problem import ExcitationProblem
+from hydroopt.excitation.motion.problem import WIDEST, ExcitationProblem
 from hydroopt.spatial.inertia import Array
 
-WIDEST = 3.0
-"""Bound of a coefficient, in halves of its joint's range."""
 LOOSE, KEPT = 0.02, 1e-3
 """By how much of its scale a limit may be broken on the way, and where a motion counts."""
 NEAR = 0.03
@@ -47,30 +45,30 @@ class Point(NamedTuple):
         return max(0.0, -float(np.min(self.below)), -float(np.min(self.above)))
 
 
-def sequential_quadratic_programming(program: ExcitationProblem, x: Array, back_off: float, end: float,
+def sequential_quadratic_programming(problem: ExcitationProblem, x: Array, back_off: float, end: float,
                                      interrupted: Callable[[], bool],
           heard: Callable[[float], None]) -> Array:
     """The best motion near a start.
 
     Args:
-        program: what is sought.
+        problem: what is sought.
         x: where to begin.
         back_off: part of every limit's range that is left.
         end: value of ``time.monotonic()`` at which to stop.
         interrupted: whether to stop at once.
         heard: hears of every better value.
     """
-    at, size = _point(program, x, back_off), FIRST
-    slopes, hessian, best = program.slopes(x), np.eye(len(x)), at
+    at, size = _point(problem, x, back_off), FIRST
+    slopes, hessian, best = problem.slopes(x), np.eye(len(x)), at
     taken = _tightest(np.minimum(at.below, at.above), NEAR)
     for _ in range(STEPS):
         if time.monotonic() > end or interrupted() or size < SMALLEST:
             break
-        step, multipliers, taken = _step(program, at, slopes, hessian, size, taken)
+        step, multipliers, taken = _step(problem, at, slopes, hessian, size, taken)
         if step is None:
             size *= 0.5
             continue
-        to = _point(program, at.x + step, back_off)
+        to = _point(problem, at.x + step, back_off)
         promised = -float(at.gradient @ step + step @ hessian @ step / 2)
         gain = at.value - to.value
         better = gain > 1e-4 * promised if promised > 0 else to.broken < at.broken
@@ -78,8 +76,8 @@ def sequential_quadratic_programming(program: ExcitationProblem, x: Array, back_
                                            or (at.broken > LOOSE and to.broken < 0.7 * at.broken))):
             size = 0.5 * min(size, float(np.max(np.abs(step))))
             continue
-        new = program.slopes(to.x)
-        bend = to.gradient - at.gradient + program.pulled(new, multipliers) - program.pulled(slopes, multipliers)
+        new = problem.slopes(to.x)
+        bend = to.gradient - at.gradient + problem.pulled(new, multipliers) - problem.pulled(slopes, multipliers)
         hessian = _updated(hessian, step, bend)
         if gain > 0.7 * promised:
             size = min(max(size, 3 * float(np.max(np.abs(step)))), LARGEST)
@@ -96,16 +94,16 @@ def sequential_quadratic_programming(program: ExcitationProblem, x: Array, back_
     return best.x
 
 
-def _point(program: ExcitationProblem, x: Array, back_off: float) -> Point:
-    value, gradient = program.objective(x)
-    values = program.constraints(x)
-    lower, upper = program.bounds(back_off)
+def _point(problem: ExcitationProblem, x: Array, back_off: float) -> Point:
+    value, gradient = problem.objective(x)
+    values = problem.constraints(x)
+    lower, upper = problem.bounds(back_off)
     below, above = values - lower, upper - values
     sound = np.isfinite(value) and np.all(np.isfinite(values))
     return Point(x, value if sound else np.inf, gradient, below, above)
 
 
-def _step(program: ExcitationProblem, at: Point, slopes: tuple[Array, Array, Array], hessian: Array, size: float,
+def _step(problem: ExcitationProblem, at: Point, slopes: tuple[Array, Array, Array], hessian: Array, size: float,
           taken: NDArray[np.bool_]) -> tuple[Array | None, Array, NDArray[np.bool_]]:
     """The best step (k,) of the quadratic model, multipliers (N, m) of the limits, and those that took part."""
     box = np.maximum(-size, -WIDEST - at.x), np.minimum(size, WIDEST - at.x)
@@ -115,12 +113,12 @@ def _step(program: ExcitationProblem, at: Point, slopes: tuple[Array, Array, Arr
         for _ in range(QUADRATIC):
             solver = piqp.DenseSolver()
             solver.settings.eps_abs = solver.settings.eps_rel = 1e-9
-            rows = (program.jacobian(slopes, taken), np.maximum(low[taken], -1e30), np.minimum(high[taken], 1e30))
+            rows = (problem.jacobian(slopes, taken), np.maximum(low[taken], -1e30), np.minimum(high[taken], 1e30))
             solver.setup(hessian, at.gradient, None, None, *(rows if np.any(taken) else (None, None, None)), *box)
             if solver.solve() != piqp.PIQP_SOLVED:
                 break
             step = np.array(solver.result.x)
-            change = program.pushed(slopes, step)
+            change = problem.pushed(slopes, step)
             broken = _tightest(np.minimum(high - change, change - low), -1e-9) & ~taken
             if not np.any(broken):
                 if np.any(taken):

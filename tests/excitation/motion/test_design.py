@@ -7,7 +7,7 @@ import pytest
 
 from hydroopt import Model, load_machine
 from hydroopt.errors import ProblemError
-from hydroopt.excitation.criteria import CRITERIA, Information, question
+from hydroopt.excitation.criteria import CRITERIA, Information, design_parameters
 from hydroopt.excitation.motion.basis import Basis, Fourier, Spline
 from hydroopt.excitation.motion.design import design
 from hydroopt.excitation.motion.limits import Limits, margins
@@ -43,10 +43,10 @@ def test_functions_are_each_others_derivatives_and_rest_at_both_ends(basis: Basi
 @pytest.mark.parametrize("asked", [{}, {"bayesian": True}, {"focus": ["stick"]}], ids=["all", "bayesian", "focus"])
 def test_derivatives_of_criteria_are_those_of_finite_differences(model: Model, criterion: str, asked: dict) -> None:
     if criterion == "condition" and "focus" in asked:
-        with pytest.raises(ProblemError, match="knows no focus"):
-            Information(model, question(model, force_noise(model), **asked), criterion)
+        with pytest.raises(ProblemError, match="takes no focus"):
+            Information(model, design_parameters(model, force_noise(model), **asked), criterion)
         return
-    information = Information(model, question(model, force_noise(model), **asked), criterion)
+    information = Information(model, design_parameters(model, force_noise(model), **asked), criterion)
     motion = random_trajectory(model, duration=20, rate=6, seed=3)
     states = np.hstack([motion.q, motion.qd, motion.qdd])
     direction = np.random.default_rng(0).standard_normal(states.shape)
@@ -60,7 +60,7 @@ def test_derivatives_of_criteria_are_those_of_finite_differences(model: Model, c
 
 
 def test_criteria_are_those_of_the_covariance(model: Model) -> None:
-    asked = question(model, force_noise(model), bayesian=True)
+    asked = design_parameters(model, force_noise(model), bayesian=True)
     motion = random_trajectory(model, duration=20, rate=6, seed=3)
     of = {name: Information(model, asked, name) for name in CRITERIA}
     factor = of["D"].factor(motion.q, motion.qd, motion.qdd, 1.0)
@@ -101,7 +101,7 @@ def test_no_motion_breaks_a_limit(model: Model, seed: int) -> None:
     machine = model.machine.model_copy(update={"pump": Pump(max_flow=float(rng.uniform(5e-4, 5e-3)))})
     narrow = Model(machine)
     basis = (Fourier(5.0, 2, blend=1.0), Spline(5.0, 4))[seed % 2]
-    program = ExcitationProblem(Information(narrow, question(narrow, force_noise(narrow)), "D"),
+    program = ExcitationProblem(Information(narrow, design_parameters(narrow, force_noise(narrow)), "D"),
                                 Limits(narrow, margins(narrow)),
                       basis, 20.0, {"swing": 0.2} if seed == 3 else None)
     found = design(program, starts=1, seed=seed, seconds=3.0)
@@ -120,11 +120,12 @@ def test_no_motion_breaks_a_limit(model: Model, seed: int) -> None:
 def test_what_no_posture_keeps_is_named(model: Model) -> None:
     def limited(machine: Machine) -> ExcitationProblem:
         own = Model(machine)
-        return ExcitationProblem(Information(own, question(own, force_noise(own)), "D"), Limits(own), BASES[1], 20.0)
+        information = Information(own, design_parameters(own, force_noise(own)), "D")
+        return ExcitationProblem(information, Limits(own), BASES[1], 20.0)
 
     nowhere = Workspace(lower=(20.0, -1.0, -1.0), upper=(21.0, 1.0, 1.0))
     with pytest.raises(ProblemError, match="workspace along x cannot be kept in any posture"):
         design(limited(model.machine.model_copy(update={"workspace": nowhere})), starts=1, seconds=1.0)
     with pytest.raises(ProblemError, match="bandwidth"):
-        ExcitationProblem(Information(model, question(model, force_noise(model)), "D"), Limits(model),
+        ExcitationProblem(Information(model, design_parameters(model, force_noise(model)), "D"), Limits(model),
                           Fourier(5.0, 20), 20.0)

@@ -9,7 +9,7 @@ from hydroopt import Model, load_machine
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.estimation.inference.identifiability import structural
-from hydroopt.excitation.motion.expected_accuracy import Expectation, expected, measured
+from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy, expected_accuracy, measured_information
 from hydroopt.logs import spline
 from hydroopt.machine.machine import Machine
 from hydroopt.simulation.simulate import Trajectory, random_trajectory, simulate
@@ -28,8 +28,8 @@ def motion(lift: Model) -> Trajectory:
 
 
 @pytest.fixture(scope="module")
-def expectation(lift: Model, motion: Trajectory) -> Expectation:
-    return expected(lift, motion, structural(lift))
+def expectation(lift: Model, motion: Trajectory) -> ExpectedAccuracy:
+    return expected_accuracy(lift, motion, structural(lift))
 
 
 @pytest.mark.parametrize("uneven", [False, True], ids=["even", "uneven"])
@@ -61,7 +61,7 @@ def identified(model: Model, motion: Trajectory, runs: int) -> tuple[tuple[int, 
 
 
 @pytest.mark.slow
-def test_std_is_the_scatter_of_identifications(lift: Model, motion: Trajectory, expectation: Expectation) -> None:
+def test_std_is_the_scatter_of_identifications(lift: Model, motion: Trajectory, expectation: ExpectedAccuracy) -> None:
     basis, _, found = identified(lift, motion, 60)
     assert basis == structural(lift).basis
     assert np.all(np.isfinite(expectation.base))
@@ -76,7 +76,7 @@ def test_std_is_the_scatter_where_several_joints_move() -> None:
     model = Model(load_machine("cat215b"))
     motion = random_trajectory(model, duration=33.28, rate=12.5, seed=1)
     structure = structural(model)
-    said = expected(model, motion, structure).base
+    said = expected_accuracy(model, motion, structure).base
     basis, grouping, found = identified(model, motion, 12)
     assert np.all(np.isinf(said[[k for k, column in enumerate(structure.basis) if column not in basis]]))
     same = [(k, basis.index(column)) for k, column in enumerate(structure.basis) if column in basis
@@ -93,18 +93,18 @@ def test_information_of_a_log_is_what_its_identification_reports(lift: Model, mo
     estimate = identify(identification_problem(lift.machine, [log]), "wls")
     basis = list(structural(lift).basis)
     assert estimate.seen.basis == tuple(basis)
-    information = measured(lift.machine, [log])
+    information = measured_information(lift.machine, [log])
     np.testing.assert_allclose(information, information.T, rtol=0, atol=1e-9 * np.max(np.abs(information)))
     scale = np.sqrt(np.diag(information)[basis])
     covariance = np.linalg.inv(information[np.ix_(basis, basis)] / np.outer(scale, scale)) / np.outer(scale, scale)
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)), estimate.base_std, rtol=1e-6)
 
 
-def test_logs_measured_before_count(lift: Model, motion: Trajectory, expectation: Expectation) -> None:
+def test_logs_measured_before_count(lift: Model, motion: Trajectory, expectation: ExpectedAccuracy) -> None:
     """What is known before is the inverse of the file's information and the logs' own together."""
     before = random_trajectory(lift, duration=20, rate=50, seed=2)
-    known = measured(lift.machine, [simulate(lift, before, seed=5)])
-    with_log = expected(lift, motion, structural(lift), known)
+    known = measured_information(lift.machine, [simulate(lift, before, seed=5)])
+    with_log = expected_accuracy(lift, motion, structural(lift), known)
     scale = lift.parameters.scale
     total = (lift.parameters.information + known) * np.outer(scale, scale)
     np.testing.assert_allclose(with_log.before, scale * np.sqrt(np.diag(np.linalg.inv(total))), rtol=1e-6)
@@ -118,13 +118,13 @@ def test_logs_measured_before_count(lift: Model, motion: Trajectory, expectation
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("rate", [5, 50])
 def test_motion_takes_nothing_away_from_what_is_known(lift: Model, seed: int, rate: float) -> None:
-    said = expected(lift, random_trajectory(lift, duration=20, rate=rate, seed=seed), structural(lift))
+    said = expected_accuracy(lift, random_trajectory(lift, duration=20, rate=rate, seed=seed), structural(lift))
     assert np.all(said.after <= said.before * (1 + 1e-9))
     assert np.any(said.after < 0.5 * said.before)
 
 
-def test_samples_that_come_faster_tell_more(lift: Model, expectation: Expectation) -> None:
-    fast = expected(lift, random_trajectory(lift, duration=20, rate=200, seed=1), structural(lift))
+def test_samples_that_come_faster_tell_more(lift: Model, expectation: ExpectedAccuracy) -> None:
+    fast = expected_accuracy(lift, random_trajectory(lift, duration=20, rate=200, seed=1), structural(lift))
     ratio = fast.base / expectation.base
     assert np.all((ratio > 0.3) & (ratio < 0.8)), ratio  # four times the samples: half the deviation
 
@@ -147,7 +147,7 @@ def test_what_nothing_tells_has_an_infinite_deviation() -> None:
     seen = ("post.I_zz", "turn.tau_coulomb", "turn.tau_viscous", "lift.tau_coulomb", "lift.tau_viscous")
     assert {names[k] for k in structure.basis} == set(seen)
     moving = random_trajectory(model, duration=20, rate=50, seed=1)
-    said = expected(model, moving, structure)
+    said = expected_accuracy(model, moving, structure)
     friction = np.array([".tau_" in name for name in names])
     np.testing.assert_array_equal(np.isinf(said.before), friction)
     assert np.all(np.isfinite(said.base))
@@ -157,7 +157,7 @@ def test_what_nothing_tells_has_an_infinite_deviation() -> None:
         assert (said.after[k] == pytest.approx(said.before[k])) == (name not in seen), name
     # one joint rests: what drives it is not told, and nothing of the other changes
     still = Trajectory(moving.t, *(part * [1.0, 0.0] for part in (moving.q, moving.qd, moving.qdd)))
-    alone = expected(model, still, structure)
+    alone = expected_accuracy(model, still, structure)
     rests = np.array([names[k].startswith("lift.") for k in structure.basis])
     np.testing.assert_array_equal(np.isinf(alone.base), rests)
     np.testing.assert_allclose(alone.base[~rests], said.base[~rests], rtol=0.25)
@@ -168,11 +168,11 @@ def test_forces_without_stated_accuracy_are_presumed_to_have_noise() -> None:
     """A part of a typical force: ten times the friction of the slide, which has no other force, is ten times that."""
     bare = Machine.model_validate(SENSED | {"sensors": SENSED["sensors"][:1]})
     model = Model(bare)
-    said = expected(model, random_trajectory(model, duration=20, rate=50, seed=1), structural(model))
+    said = expected_accuracy(model, random_trajectory(model, duration=20, rate=50, seed=1), structural(model))
     assert np.all(said.sigma > 0)
     assert np.all(np.isfinite(said.base))
     loud = Model(bare.model_copy(update={"drives": tuple(
         drive.model_copy(update={"friction": drive.friction.model_copy(update={"coulomb": 50.0, "viscous": 30.0})})
         for drive in bare.drives)}))
-    more = expected(loud, random_trajectory(loud, duration=20, rate=50, seed=1), structural(loud))
+    more = expected_accuracy(loud, random_trajectory(loud, duration=20, rate=50, seed=1), structural(loud))
     assert more.sigma[1] / said.sigma[1] == pytest.approx(10)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import json
 import pickle
 import time
+from pathlib import Path
 
+import casadi as ca
 import numpy as np
 import pytest
 
-from hydroopt import Model, load_machine
+from hydroopt import Model, load_machine, read_log, solve
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference.identifiability import structural
-from hydroopt.excitation.criteria import CRITERIA, Information, presumed_noise, question
+from hydroopt.excitation.criteria import CRITERIA, Information, design_parameters, presumed_noise
 from hydroopt.excitation.motion.basis import Basis, Fourier, Spline
 from hydroopt.excitation.motion.design import design, drawn, excitation_problem, rest
 from hydroopt.excitation.motion.limits import Limits, margins
@@ -19,6 +22,8 @@ from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.excitation.motion.sqp import sequential_quadratic_programming
 from hydroopt.machine.environment import Obstacle, Pump, Workspace
 from hydroopt.machine.machine import Machine
+from hydroopt.results.answer import load
+from hydroopt.simulation.reference_motion import reference_motion
 from hydroopt.simulation.simulate import random_trajectory
 
 CAT, LIFT = load_machine("cat215b"), load_machine("patu655_lift")
@@ -28,7 +33,7 @@ SHORT, SWINGING = Spline(5.0, 4), Fourier(6.0, 2, blend=1.0)
 def program(machine: Machine, basis: Basis = SHORT, criterion: str = "D", resting: dict[str, float] | None = None,
             rate: float = 20.0) -> ExcitationProblem:
     model = Model(machine)
-    asked = question(model, presumed_noise(model))
+    asked = design_parameters(model, presumed_noise(model))
     return ExcitationProblem(Information(model, asked, criterion), Limits(model, margins(model)), basis, rate, resting)
 
 
@@ -64,7 +69,7 @@ def test_value_is_that_of_sums_over_samples(bayesian: bool) -> None:
     """Information by the regressor of every sample, with the file's priors of the base parameters if they count."""
     model = Model(LIFT)
     seen, scale = structural(model), model.parameters.scale
-    asked = question(model, presumed_noise(model), bayesian=bayesian)
+    asked = design_parameters(model, presumed_noise(model), bayesian=bayesian)
     motion = random_trajectory(model, duration=10, rate=20, seed=2)
     information = np.zeros((len(seen.basis), len(seen.basis)))
     for q, qd, qdd in zip(motion.q, motion.qd, motion.qdd, strict=True):
@@ -168,7 +173,7 @@ def test_posture_of_a_joint_that_rests_may_be_what_cannot_be_kept() -> None:
 def test_small_pump_leaves_a_small_motion(litres: float) -> None:
     flow = litres / 60e3
     found = design(program(CAT.model_copy(update={"pump": Pump(max_flow=flow)})), starts=1, seconds=2.0)
-    model, path = found.program.information.model, found.trajectory
+    model, path = found.problem.information.model, found.trajectory
     speed = model.over(model.cylinder_kinematics, path.q, path.qd, path.qdd)[1][:, :, 0]
     motor = CAT.motors[0]
     drawn = abs(path.qd[:, 0]) * motor.torque_per_pressure * motor.gear + sum(
@@ -193,3 +198,38 @@ def test_joint_that_rests_at_the_end_of_its_range_is_no_hindrance(end: int) -> N
     found = sequential_quadratic_programming(asked, start, 0.002, time.monotonic() + 60, lambda: False, lambda _: None)
     assert asked.value(found) < asked.value(start) - 0.1
     assert asked.excess(found, asked.grid) <= 0
+
+
+def test_ipopt_by_hand_finds_no_better_motion_from_the_same_start() -> None:
+    """The program that the user gets, against our own solver's optimum, near which IPOPT starts and from afar."""
+    problem = excitation_problem(load_machine("patu655_lift"), Fourier(6.0, 2, 1, 1.0), rate=50.0)
+    start = drawn(problem, rest(problem, np.random.default_rng(0)), np.random.default_rng(1))
+    found = sequential_quadratic_programming(problem, start, 0.0, time.monotonic() + 60, lambda: False, lambda _: None)
+    program = problem.nlp(start)
+    assert program.g_names[: len(problem.limits.rows)] == tuple(row.name for row in problem.limits.rows)
+    text = str(problem)
+    assert "lift sin2" in text
+    assert "criterion D" in text
+    assert "lift_cylinder stroke" in text
+    options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-8,
+               "ipopt.hessian_approximation": "limited-memory", "ipopt.max_iter": 300}
+    answer = ca.nlpsol("by_hand", "ipopt", program.as_dict(), options)(**program.arguments())
+    x = np.asarray(answer["x"]).ravel()
+    assert float(answer["f"]) == pytest.approx(problem.value(x), abs=1e-12)
+    assert problem.excess(x, problem.grid) <= 1e-6
+    assert problem.value(x) == pytest.approx(problem.value(found), abs=1e-3)
+    with pytest.raises(ProblemError, match="not convex"):
+        problem.cvxpy()
+
+
+def test_a_design_is_loaded_as_it_was_saved(tmp_path: Path) -> None:
+    motion = solve(excitation_problem(load_machine("patu655_lift"), Fourier(6.0, 2, 1, 1.0), rate=50.0), starts=1,
+                   seconds=2.0)
+    motion.save(tmp_path)
+    loaded = load(tmp_path)
+    assert repr(loaded) == repr(motion)
+    assert loaded.diagnostics == motion.diagnostics
+    assert loaded.parameters == motion.parameters
+    assert loaded.details() == json.loads(json.dumps(motion.details()))
+    path = reference_motion(motion.problem.machine, read_log(tmp_path / "trajectory.csv"))
+    np.testing.assert_allclose(path.q, motion.trajectory.q, rtol=1e-12)
