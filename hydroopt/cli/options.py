@@ -16,7 +16,6 @@ if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.weighted_residuals import Loss
     from hydroopt.estimation.inference.problem import Distance
     from hydroopt.logs.smoothing import Smoothing
-    from hydroopt.machine.components import Cylinder, Motor
     from hydroopt.machine.machine import Machine
     from hydroopt.parameters.parameter_set import ParameterSet
 
@@ -84,11 +83,8 @@ def refuse_idle(context: typer.Context, options: Collection[str], why: str, reme
 
 def reliefs(machine: Machine) -> dict[str, tuple[float, float]]:
     """Ranges [Pa] of pressure channels by name: a chamber's pressure does not exceed the stated relief pressure."""
-    chambers: list[tuple[Cylinder | Motor, tuple[str, str]]] = [
-        *((cylinder, ("p_head", "p_rod")) for cylinder in machine.cylinders),
-        *((motor, ("p_a", "p_b")) for motor in machine.motors)]
-    return {f"{part.name}.{chamber}": (-math.inf, part.relief_pressure) for part, both in chambers
-            if part.relief_pressure is not None for chamber in both}
+    return {chamber: (-math.inf, part.relief_pressure) for part in machine.hydraulic_actuators
+            if part.relief_pressure is not None for chamber in part.chambers}
 
 
 def treatment_of(stated: list[str] | None) -> dict[str, str]:

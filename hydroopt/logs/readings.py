@@ -115,7 +115,8 @@ def force_noise(model: Model, log: AnyLog | None = None) -> Array:
 
 
 def _sealing_channels(model: Model) -> Mapping[str, tuple[str, str]]:
-    return {name: (f"{name}.p_head", f"{name}.p_rod") for name in model.machine.sealed}
+    return {cylinder.name: cylinder.chambers for cylinder in model.machine.cylinders
+            if cylinder.name in model.machine.sealed}
 
 
 def pressures(model: Model, log: Log) -> Array | None:

@@ -66,11 +66,10 @@ def joint_friction(link: Link, units: Mapping[str, str]) -> Iterator[Number]:
 def actuator_numbers(actuator: Cylinder | Motor | Drive, units: Mapping[str, str]) -> Iterator[Number]:
     """Offset, friction and rotor of an actuator; `units` of torques by key, which a cylinder does not need."""
     name, friction, path = actuator.name, actuator.friction, f"{actuator.name}.friction"
-    cylinder = isinstance(actuator, Cylinder)
-    units = _CYLINDER_UNITS if cylinder else units
+    units = _CYLINDER_UNITS if isinstance(actuator, Cylinder) else units
     for key, kind in _FRICTION_KINDS.items():
         if (value := getattr(friction, key)) is not None:
-            yield Number(f"{name}.{'f' if cylinder else 'tau'}_{key}", kind, units[key], value, f"{path}.{key}")
+            yield Number(f"{name}.{actuator.effort_symbol}_{key}", kind, units[key], value, f"{path}.{key}")
     if friction.stribeck_speed is not None:
         yield Number(f"{name}.v_stribeck", ParameterKind.STRIBECK_SPEED, units["stribeck_speed"],
                      friction.stribeck_speed, f"{path}.stribeck_speed")

@@ -14,7 +14,6 @@ from pydantic import Field, ValidationInfo, field_validator, model_validator
 
 from hydroopt.machine.mass_statements import Shape
 from hydroopt.machine.quantity import (
-    CHANNEL_UNITS,
     Angle,
     AngularCompliance,
     AngularSpeed,
@@ -33,7 +32,6 @@ from hydroopt.machine.quantity import (
     Number,
     Pressure,
     Quantity,
-    Rate,
     Six,
     Speed,
     Torque,
@@ -293,6 +291,22 @@ class Cylinder(Noun):
         return quarter * self.bore**2, quarter * (self.bore**2 - self.rod_diameter**2)
 
 
+    @property
+    def chambers(self) -> tuple[str, str]:
+        """Channels of the pressures in the head side's and the rod side's chamber."""
+        return f"{self.name}.p_head", f"{self.name}.p_rod"
+
+    @property
+    def effort_factors(self) -> dict[str, float]:
+        """Channels that the force is measured by, with the factor of each [N/Pa] (Eq. 4.33)."""
+        return _by_pressures(self)
+
+    @property
+    def effort_symbol(self) -> Literal["f"]:
+        """What the names of parameters of its force begin with, after the dot."""
+        return "f"
+
+
 class TorqueFriction(Noun):
     """Friction of a rotary actuator and the offset of its torque reading (Eq. 4.53); see `CylinderFriction`."""
 
@@ -322,6 +336,31 @@ class Motor(Noun):
     friction: TorqueFriction = TorqueFriction()
     circuit: Circuit | None = None
 
+    @property
+    def areas(self) -> tuple[float, float]:
+        """What sides a and b displace per radian of the joint [m³/rad]."""
+        return (self.torque_per_pressure * self.gear,) * 2
+
+    @property
+    def chambers(self) -> tuple[str, str]:
+        """Channels of the pressures at sides a and b."""
+        return f"{self.name}.p_a", f"{self.name}.p_b"
+
+    @property
+    def effort_factors(self) -> dict[str, float]:
+        """Channels that the torque is measured by, with the factor of each [N·m/Pa] (Eq. 4.61)."""
+        return _by_pressures(self)
+
+    @property
+    def effort_symbol(self) -> Literal["tau"]:
+        """What the names of parameters of its torque begin with, after the dot."""
+        return "tau"
+
+
+def _by_pressures(actuator: Cylinder | Motor) -> dict[str, float]:
+    (a, b), (first, second) = actuator.areas, actuator.chambers
+    return {first: a, second: -b}
+
 
 class Drive(Noun):
     """A joint driven directly by a sensed torque, as in an electric arm; torques are those on the joint's side."""
@@ -332,6 +371,16 @@ class Drive(Noun):
     max_torque: Torque | None = Field(None, gt=0)
     rotor_inertia: Inertia | None = Field(None, ge=0)
     friction: TorqueFriction = TorqueFriction()
+
+    @property
+    def effort_factors(self) -> dict[str, float]:
+        """The channel that the torque is measured by, with its factor."""
+        return {f"{self.joint}.tau": 1.0}
+
+    @property
+    def effort_symbol(self) -> Literal["tau"]:
+        """What the names of parameters of its torque begin with, after the dot."""
+        return "tau"
 
 
 class GasCylinder(Noun):
@@ -366,53 +415,3 @@ class GasCylinder(Noun):
                 raise ImpossibleError("the ends of a gas cylinder carry no body yet",
                                       "remove it or add its mass to the link it is pinned to", f"{end}.body")
         return self
-
-
-class Sensor(Noun):
-    """What a set of channels is measured with.
-
-    `accuracy` is the bound of a uniform error, or the standard deviation of a Gaussian one.
-    """
-
-    channels: tuple[str, ...] = Field(min_length=1)
-    accuracy: float = Field(ge=0, allow_inf_nan=False)
-    resolution: float = Field(0.0, ge=0, allow_inf_nan=False)
-    rate: Rate | None = Field(None, gt=0)
-    distribution: Literal["uniform", "gaussian"] = "uniform"
-
-    @model_validator(mode="before")
-    @classmethod
-    def _units(cls, data: Any, info: ValidationInfo) -> Any:
-        if not isinstance(data, Mapping) or not isinstance(data.get("channels"), list | tuple) or not data["channels"]:
-            return data
-        data = dict(data)
-        for key in ("accuracy", "resolution"):
-            if key in data:
-                data[key] = cls._reading(data[key], data["channels"], info, key)
-        return data
-
-    @staticmethod
-    def _reading(value: Any, channels: Any, info: ValidationInfo, key: str) -> Any:
-        names = [str(channel) for channel in channels]
-        kinds = {CHANNEL_UNITS.get(name.rpartition(".")[2], ()) for name in names}
-        if len(kinds) > 1 or () in kinds:
-            raise ImpossibleError(
-                f"the channels {', '.join(names)} are not of one known kind", "name channels that end alike, in one of "
-                + ", ".join(f".{suffix}" for suffix in CHANNEL_UNITS), "channels")
-        problem: ImpossibleError | None = None
-        for si in kinds.pop():
-            try:
-                return keyed(Quantity(si), value, info, key)
-            except ImpossibleError as error:
-                problem = problem or error
-        assert problem is not None
-        raise problem
-
-    @property
-    def std(self) -> float:
-        """Standard deviation of one reading, noise and quantisation together.
-
-        A uniform band ±a has variance a²/3, a quantisation step r (spread over several steps) r²/12.
-        """
-        noise = self.accuracy / math.sqrt(3) if self.distribution == "uniform" else self.accuracy
-        return math.hypot(noise, self.resolution / math.sqrt(12))

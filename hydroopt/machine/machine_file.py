@@ -18,9 +18,10 @@ from pydantic import BaseModel, ValidationError
 
 from hydroopt.errors import MachineError
 from hydroopt.machine import cylinder_checks
-from hydroopt.machine.components import Cylinder, Joint, JointFriction, Note, Sensor, TorqueFriction
+from hydroopt.machine.components import Cylinder, Joint, JointFriction, Note, TorqueFriction
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.quantity import ImpossibleError, Noun, Quantity
+from hydroopt.machine.sensor import Sensor
 from hydroopt.machine.valves import Valve
 from hydroopt.units import UnitError, spread_to_si, to_si
 

@@ -15,23 +15,9 @@ TOLERANCE = 1e-3
 samples of a designed motion adds."""
 
 
-def chamber_areas(actuator: Cylinder | Motor) -> tuple[float, float]:
-    """What the piston of chambers a and b displaces per metre, or a motor per radian of its joint [m², m³/rad].
-
-    Chamber a is a cylinder's head side or a motor's side a.
-
-    >>> from hydroopt.machine.machine_file import load_machine
-    >>> [f"{area:.4f}" for area in chamber_areas(load_machine("cat215b").cylinders[0])]
-    ['0.0205', '0.0129']
-    """
-    if isinstance(actuator, Cylinder):
-        return actuator.areas
-    return (actuator.torque_per_pressure * actuator.gear,) * 2
-
-
 def chamber_flows(actuator: Cylinder | Motor, speed: Any) -> tuple[Any, Any]:
     """Flows [m³/s] that chambers a and b take at a speed [m/s or rad/s]: numbers, arrays or symbols."""
-    a, b = chamber_areas(actuator)
+    a, b = actuator.areas
     return a * speed, -b * speed
 
 

@@ -31,7 +31,7 @@ def friction_terms(actuator: Cylinder | Motor | Drive, speed: ca.SX, pressure: c
         value: tells the values of the parameters f_stribeck and v_stribeck, at which derivatives are taken.
     """
     stated, name = actuator.friction, actuator.name
-    kind = f"{name}.{'f' if isinstance(actuator, Cylinder) else 'tau'}"
+    kind = f"{name}.{actuator.effort_symbol}"
     sign = sign_of(speed, stated.dead_zone)
     terms = {f"{kind}_offset": ca.SX(1), f"{kind}_coulomb": sign, f"{kind}_viscous": speed}
     if stated.coulomb_reverse is not None:

@@ -13,7 +13,7 @@ import casadi as ca
 
 from hydroopt.machine.components import Cylinder, Motor
 from hydroopt.machine.valves import Circuit, Oil, Valve
-from hydroopt.model.flow_demand import chamber_areas, chamber_flows
+from hydroopt.model.flow_demand import chamber_flows
 
 AMBIENT = 101325.0
 """Absolute pressure [Pa] above which all others are counted."""
@@ -113,16 +113,14 @@ class ActuatorHydraulics:
 
     def __init__(self, actuator: Cylinder | Motor, circuit: Circuit, oil: Oil) -> None:
         self.actuator, self.circuit, self.oil, self.valve = actuator, circuit, oil, circuit.valve
-        self.areas = chamber_areas(actuator)
+        self.areas = actuator.areas
         self.spool_states = 2 if self.valve.natural_frequency is not None else 0
         """How many states the spool has."""
 
     @property
     def chambers(self) -> tuple[str, str]:
         """Names of the states and log channels of both chambers' pressures."""
-        name = self.actuator.name
-        return (f"{name}.p_head", f"{name}.p_rod") if isinstance(self.actuator, Cylinder) else (
-            f"{name}.p_a", f"{name}.p_b")
+        return self.actuator.chambers
 
     def volumes(self, length: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Volumes [m³] of both chambers without hoses, at a cylinder's length; a motor's are part of its hoses."""

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hydroopt.errors import ProblemError
 from hydroopt.kernels.expression_graph import program
 from hydroopt.kernels.native import Runner
-from hydroopt.machine.components import Cylinder, Drive, Motor
+from hydroopt.machine.components import Cylinder
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.model import lagrange
@@ -189,18 +189,7 @@ class Model:
     @cached_property
     def force_from_pressure(self) -> Mapping[str, Mapping[str, float]]:
         """For every actuator the factor [N/Pa, N·m/Pa or 1] of each channel its force is made of (Eq. 4.33, 4.61)."""
-        factors: dict[str, Mapping[str, float]] = {}
-        for joint, actuator in zip(self.machine.joints, self.machine.actuators, strict=True):
-            if isinstance(actuator, Cylinder):
-                head, rod = actuator.areas
-                factors[actuator.name] = {f"{actuator.name}.p_head": head, f"{actuator.name}.p_rod": -rod}
-            elif isinstance(actuator, Motor):
-                ratio = actuator.torque_per_pressure * actuator.gear
-                factors[actuator.name] = {f"{actuator.name}.p_a": ratio, f"{actuator.name}.p_b": -ratio}
-            else:
-                assert isinstance(actuator, Drive)
-                factors[actuator.name] = {f"{joint}.tau": 1.0}
-        return factors
+        return {actuator.name: actuator.effort_factors for actuator in self.machine.actuators}
 
     def over(self, function: ca.Function, *columns: Array, out: list[Array] | None = None) -> list[Array]:
         """Evaluate a function at N samples, see `Runner.over`."""

@@ -125,12 +125,13 @@ def _efforts(excitation: Excitation) -> list[Panel]:
     """Everything else that is limited, but for places."""
     machine = excitation.problem.machine
     own = {f"{joint} {what}" for joint in machine.joints for what in JOINT}
+    chambers = {chamber for part in machine.hydraulic_actuators for chamber in part.chambers}
     panels: dict[str, Panel] = {}
     for use in excitation.limits:
         if use.name in own or any(place in use.name for place in PLACES):
             continue
         owner, _, what = use.name.rpartition(" ")
-        chamber = what in ("p_head", "p_rod", "p_a", "p_b")
+        chamber = f"{owner}.{what}" in chambers
         together, label = (f"{owner} pressures", what.removeprefix("p_")) if chamber else (use.name, "")
         if use.name.startswith("tipping"):
             together, label = "against tipping", f"edge {what}"

@@ -9,7 +9,7 @@ import numpy as np
 from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.logs import sensors
 from hydroopt.logs.log import Log
-from hydroopt.machine.components import Cylinder, Motor
+from hydroopt.machine.components import Cylinder, Drive
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import bodies
@@ -172,15 +172,11 @@ def simulate(model: Model, motion: Trajectory, psi: Array | None = None, *, nois
     machine = model.machine
     force = forces(model, motion, psi)
     channels = {f"{joint}.q": motion.q[:, k] for k, joint in enumerate(machine.joints)}
-    for k, (joint, actuator) in enumerate(zip(machine.joints, machine.actuators, strict=True)):
-        if isinstance(actuator, Cylinder):
-            head, rod = actuator.areas
-            channels |= _chambers(force[:, k], head, rod, f"{actuator.name}.p_head", f"{actuator.name}.p_rod")
-        elif isinstance(actuator, Motor):
-            ratio = actuator.torque_per_pressure * actuator.gear
-            channels |= _chambers(force[:, k], ratio, ratio, f"{actuator.name}.p_a", f"{actuator.name}.p_b")
+    for k, actuator in enumerate(machine.actuators):
+        if isinstance(actuator, Drive):
+            channels[f"{actuator.joint}.tau"] = force[:, k]
         else:
-            channels[f"{joint}.tau"] = force[:, k]
+            channels |= _chambers(force[:, k], *actuator.areas, *actuator.chambers)
     if machine.cylinders:
         lengths = model.over(model.cylinder_kinematics, motion.q, motion.qd, motion.qdd)[0][:, :, 0]
         channels |= {f"{c.name}.length": lengths[:, k] for k, c in enumerate(machine.cylinders)}

@@ -8,7 +8,8 @@ from scipy.optimize import least_squares
 
 from hydroopt import KinematicModel, Poses, calibrate, calibration_problem, read_urdf
 from hydroopt.machine.calibration_chain import Calibrator, Tracker
-from hydroopt.machine.components import Drive, Joint, Link, Note, Sensor
+from hydroopt.machine.components import Drive, Joint, Link, Note
+from hydroopt.machine.sensor import Sensor
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "hilti_flat"
 ARM = tuple(f"dsr_joint{k}" for k in range(1, 7))

@@ -9,8 +9,9 @@ from hydroopt import calibrate, calibration_problem, read_poses, read_urdf
 from hydroopt.estimation.kinematic.calibration import gaps
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.machine.calibration_chain import Calibrator, Tracker
-from hydroopt.machine.components import Note, Sensor
+from hydroopt.machine.components import Note
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.sensor import Sensor
 
 HERE = Path(__file__).parent
 DATA = HERE.parents[2] / "shared" / "data" / "talos_left_arm"

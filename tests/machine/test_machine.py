@@ -10,8 +10,9 @@ import pytest
 from pydantic import ValidationError
 
 from fixtures.tree import TREE, pin
-from hydroopt.machine.components import Body, Cylinder, GasCylinder, Joint, Sensor
+from hydroopt.machine.components import Body, Cylinder, GasCylinder, Joint
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.sensor import Sensor
 
 INCH = 0.0254
 

@@ -224,8 +224,8 @@ def choose_friction(machine: Machine, logs: Sequence[AnyLog], validation: Sequen
                            where="friction", remedy="give --validate or --holdout, or name one set of terms")
     if candidates is None:
         pressed = machine.cylinders and all(
-            f"{cylinder.name}.{end}" in log.channels for log in (*logs, *validation) for cylinder in machine.cylinders
-            for end in ("p_head", "p_rod"))
+            chamber in log.channels for log in (*logs, *validation) for cylinder in machine.cylinders
+            for chamber in cylinder.chambers)
         candidates = [text for text in CANDIDATES if pressed or "seal" not in terms_of(text)]
     names = list(dict.fromkeys("+".join(terms_of(text, machine)) or "none" for text in candidates))
     problems: dict[str, IdentificationProblem] = {}

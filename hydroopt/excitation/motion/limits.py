@@ -13,9 +13,9 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.estimation.inference.identifiability import random_states
-from hydroopt.machine.components import Cylinder, Motor
+from hydroopt.machine.components import Cylinder, Drive, Motor
 from hydroopt.machine.machine import BASE
-from hydroopt.model.flow_demand import chamber_areas, chamber_flows
+from hydroopt.model.flow_demand import chamber_flows
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.model import Model
 from hydroopt.model.regressor import body_regressor
@@ -130,22 +130,18 @@ class Limits:
         force = model.dynamics.forces(ca.DM(model.parameters.nominal), actuator_inertia=model.actuator_inertia)
         for k, actuator in enumerate(model.machine.actuators):
             margin = float(self.margin[k])
-            if isinstance(actuator, Cylinder):
-                areas, chambers = chamber_areas(actuator), ("p_head", "p_rod")
-            elif isinstance(actuator, Motor):
-                areas, chambers = chamber_areas(actuator), ("p_a", "p_b")
-            elif actuator.max_torque is not None:
-                most = actuator.max_torque
-                self._add(f"{actuator.name} torque", model.force_units[k], force[k], margin - most, most - margin, most)
-                continue
-            else:
+            if isinstance(actuator, Drive):
+                if (most := actuator.max_torque) is not None:
+                    self._add(f"{actuator.name} torque", model.force_units[k], force[k], margin - most, most - margin,
+                              most)
                 continue
             if actuator.relief_pressure is None:
                 continue
             # a chamber pushes against the back pressure in the other one
-            for chamber, area, other, sign in zip(chambers, areas, areas[::-1], (1, -1), strict=True):
+            areas = actuator.areas
+            for chamber, area, other, sign in zip(actuator.chambers, areas, areas[::-1], (1, -1), strict=True):
                 most = actuator.relief_pressure - margin / area
-                self._add(f"{actuator.name} {chamber}", "Pa", (sign * force[k] + other * BACK_PRESSURE) / area,
+                self._add(" ".join(chamber.split(".")), "Pa", (sign * force[k] + other * BACK_PRESSURE) / area,
                           upper=most if most >= BACK_PRESSURE else -np.inf,  # nothing is as low as that
                           scale=actuator.relief_pressure, floor=BACK_PRESSURE)
 

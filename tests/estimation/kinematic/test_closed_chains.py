@@ -16,9 +16,10 @@ from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.logs.poses import Poses, joined
 from hydroopt.machine.calibration_chain import Tracker
-from hydroopt.machine.components import Note, Sensor
+from hydroopt.machine.components import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, read_machine
+from hydroopt.machine.sensor import Sensor
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures
 

@@ -11,9 +11,10 @@ import pytest
 
 from hydroopt.estimation.kinematic.mobility import Mobility, grubler, mobility, obstacles
 from hydroopt.machine.calibration_chain import Calibrator, Fixture, Stage, Tracker
-from hydroopt.machine.components import Note, Sensor
+from hydroopt.machine.components import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
+from hydroopt.machine.sensor import Sensor
 
 CAT = load_machine("cat215b")
 ANGLES = tuple(sensor for sensor in CAT.sensors if sensor.channels[0].endswith(".q"))

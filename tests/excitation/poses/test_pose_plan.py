@@ -13,8 +13,8 @@ from hydroopt.excitation.poses.exchange import fedorov_exchange
 from hydroopt.excitation.poses.problem import expected_uncertainty, pose_problem
 from hydroopt.logs.poses import read_poses
 from hydroopt.machine.calibration_chain import Tracker
-from hydroopt.machine.components import Sensor
 from hydroopt.machine.machine_file import load_machine
+from hydroopt.machine.sensor import Sensor
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.results.answer import load
 from hydroopt.simulation import postures

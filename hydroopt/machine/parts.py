@@ -1,0 +1,203 @@
+"""The parts of a machine, and what follows from them: joints, actuators, channels, numbers."""
+
+from __future__ import annotations
+
+from itertools import chain
+
+from pydantic import Field
+
+from hydroopt.machine import addresses
+from hydroopt.machine.addresses import Number
+from hydroopt.machine.calibration_chain import Calibrator, Distance, Fixture, Stage, Tracker
+from hydroopt.machine.components import Cylinder, Drive, GasCylinder, Link, Motor, Note
+from hydroopt.machine.environment import Footprint, Obstacle, Pump, Workspace
+from hydroopt.machine.mass_statements import Identical, TotalMass
+from hydroopt.machine.quantity import Acceleration, Angle, Length, Name, Noun, Rate
+from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.valves import Circuit, Oil
+
+BASE = "base"
+"""Name of the machine's chassis, the root of the tree; it does not move."""
+
+
+class Parts(Noun):
+    """The parts of a machine as its file states them; `Machine` adds the invariants between them."""
+
+    name: Name
+    parameter_set: str = ""
+    description: str = ""
+    gravity: Acceleration = Field(9.80665, ge=0)
+    orientation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+    bandwidth: Rate | None = Field(None, gt=0)
+    links: tuple[Link, ...] = Field(min_length=1)
+    cylinders: tuple[Cylinder, ...] = ()
+    motors: tuple[Motor, ...] = ()
+    drives: tuple[Drive, ...] = ()
+    gas_cylinders: tuple[GasCylinder, ...] = ()
+    sensors: tuple[Sensor, ...] = ()
+    calibrator: Calibrator | None = None
+    fixtures: tuple[Fixture, ...] = ()
+    distances: tuple[Distance, ...] = ()
+    tracker: Tracker | None = None
+    stages: tuple[Stage, ...] = ()
+    pump: Pump | None = None
+    oil: Oil | None = None
+    ground: Length | None = None
+    workspace: Workspace | None = None
+    obstacles: tuple[Obstacle, ...] = ()
+    footprint: Footprint | None = None
+    total_masses: tuple[TotalMass, ...] = ()
+    identical: tuple[Identical, ...] = ()
+    notes: dict[str, Note] = Field(default_factory=dict)
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the moving joints (those of their links), in the order of the joint vector q."""
+        return tuple(link.name for link in self.links if link.joint.type != "locked")
+
+    @property
+    def chain(self) -> tuple[Link, ...]:
+        """Links from the base to the tip that carries the ball: those of the machine, then the calibrator's."""
+        if self.calibrator is None:
+            return ()
+        own = (self.link(name) for name in reversed(self.ancestry(self.calibrator.parent)))
+        return (*own, *self.calibrator.links)
+
+    @property
+    def actuators(self) -> tuple[Cylinder | Motor | Drive, ...]:
+        """The actuators in the order of the joints they drive: the order of measured forces."""
+        found: tuple[Cylinder | Motor | Drive, ...] = (*self.cylinders, *self.motors, *self.drives)
+        return tuple(sorted(found, key=lambda actuator: self.joints.index(self.main_joint(actuator))))
+
+    @property
+    def sealed(self) -> tuple[str, ...]:
+        """Names of the cylinders whose friction depends on their pressures."""
+        return tuple(cylinder.name for cylinder in self.cylinders if cylinder.friction.seal is not None)
+
+    @property
+    def circuits(self) -> dict[str, Circuit]:
+        """Valves, hoses and leaks of the actuators that state them, by the actuator's name."""
+        return {each.name: each.circuit for each in self.hydraulic_actuators if each.circuit is not None}
+
+    @property
+    def hydraulic_actuators(self) -> tuple[Cylinder | Motor, ...]:
+        """The actuators that oil drives, in the order of `actuators`."""
+        return tuple(actuator for actuator in self.actuators if not isinstance(actuator, Drive))
+
+    @property
+    def all_cylinders(self) -> tuple[Cylinder | GasCylinder, ...]:
+        """Hydraulic and gas-charged cylinders."""
+        return (*self.cylinders, *self.gas_cylinders)
+
+    def main_joint(self, actuator: Cylinder | Motor | Drive) -> str:
+        """The joint that an actuator is there to move: of several between a cylinder's ends the last one."""
+        return self.axis_of(actuator) if isinstance(actuator, Cylinder) else actuator.joint
+
+    def link(self, name: str) -> Link:
+        """The link of this name."""
+        return next(link for link in self.links if link.name == name)
+
+    def ancestry(self, name: str) -> tuple[str, ...]:
+        """Links from the one named down to the base, the base left out."""
+        chain: list[str] = []
+        while name != BASE:
+            chain.append(name)
+            name = self.link(name).parent
+        return tuple(chain)
+
+    def joints_between(self, one: str, other: str) -> tuple[str, ...]:
+        """Moving joints on the way between two links, in the order of q."""
+        apart = set(self.ancestry(one)) ^ set(self.ancestry(other))
+        return tuple(joint for joint in self.joints if joint in apart)
+
+    def axis_of(self, cylinder: Cylinder | GasCylinder) -> str:
+        """The joint whose axis orients the cylinder's bodies: the last moving one between its ends."""
+        return self.joints_between(cylinder.barrel.link, cylinder.rod.link)[-1]
+
+    def effort_units(self, joint: str) -> tuple[str, str]:
+        """SI units of a joint's effort (torque, or force where it slides) and of its viscous coefficient."""
+        return ("N", "N*s/m") if self.link(joint).joint.type == "prismatic" else ("N*m", "N*m*s/rad")
+
+    def friction_units(self, joint: str) -> dict[str, str]:
+        """SI units of what a joint, motor or drive may state as friction, by key."""
+        effort, viscosity = self.effort_units(joint)
+        speed = "m/s" if self.link(joint).joint.type == "prismatic" else "rad/s"
+        return (dict.fromkeys(("offset", "coulomb", "coulomb_reverse", "stribeck"), effort)
+                | dict.fromkeys(("viscous", "viscous_reverse"), viscosity)
+                | dict.fromkeys(("stribeck_speed", "dead_zone"), speed))
+
+    @property
+    def channel_units(self) -> dict[str, str]:
+        """Every channel that a log of this machine may have, with its SI unit."""
+        units: dict[str, str] = {}
+        for joint in self.joints:
+            prismatic = self.link(joint).joint.type == "prismatic"
+            units[f"{joint}.q"] = "m" if prismatic else "rad"
+            units[f"{joint}.qd"] = "m/s" if prismatic else "rad/s"
+            units[f"{joint}.qdd"] = "m/s^2" if prismatic else "rad/s^2"
+            units[f"{joint}.tau"] = self.effort_units(joint)[0]
+        for cylinder in self.cylinders:
+            units |= {f"{cylinder.name}.length": "m", **dict.fromkeys(cylinder.chambers, "Pa"),
+                      f"{cylinder.name}.force": "N"}
+        for motor in self.motors:
+            units |= dict.fromkeys(motor.chambers, "Pa")
+        units |= {f"{name}.u": circuit.valve.command for name, circuit in self.circuits.items()}
+        if self.pump:
+            units |= {"pump.p_supply": "Pa", "pump.p_tank": "Pa"}
+        for link in self.chain:
+            if link.joint.type != "locked":
+                units[f"{link.name}.q"] = "m" if link.joint.type == "prismatic" else "rad"
+            units[f"{link.name}.distance"] = "m"
+        return units | (dict.fromkeys(("tip.x", "tip.y", "tip.z"), "m") if self.tracker else {})
+
+    @property
+    def numbers(self) -> dict[str, Number]:
+        """Every number that a calibration may change, by its address: bodies, friction, gas, hydraulics, geometry.
+
+        >>> from hydroopt.machine.machine_file import load_machine
+        >>> load_machine("cat215b").numbers["boom.a"].unit
+        'm'
+        """
+        found: list[Number] = []
+        for link in self.links:
+            if link.body is not None:
+                found += addresses.body_numbers(link.name, link.body, f"{link.name}.body")
+        for cylinder in self.cylinders:
+            found += addresses.cylinder_bodies(cylinder)
+        for joint in self.joints:
+            found += self.effort_numbers(joint)
+        for gas in self.gas_cylinders:
+            found += addresses.gas_numbers(gas)
+        found += [*self.hydraulic_numbers, *self.geometry_numbers]
+        for fixture in self.fixtures:
+            found += addresses.fixture_numbers(fixture)
+        return {number.name: number for number in found}
+
+    def effort_numbers(self, joint: str) -> tuple[Number, ...]:
+        """Friction, offset and rotor of a moving joint and its actuator, in the order of Eq. 4.53, 4.54."""
+        units, actuator = self.friction_units(joint), self.actuators[self.joints.index(joint)]
+        return (*addresses.joint_friction(self.link(joint), units), *addresses.actuator_numbers(actuator, units))
+
+    @property
+    def hydraulic_numbers(self) -> tuple[Number, ...]:
+        """Numbers of the oil, then of valves, hoses and leaks, actuator by actuator."""
+        circuits = (addresses.circuit_numbers(name, circuit) for name, circuit in self.circuits.items())
+        return (*(addresses.oil_numbers(self.oil) if self.oil else ()), *chain.from_iterable(circuits))
+
+    @property
+    def geometry_numbers(self) -> tuple[Number, ...]:
+        """Numbers of links and joints, pins, tip and tracker."""
+        links = (*self.links, *(self.calibrator.links if self.calibrator else ()))
+        found = [*chain.from_iterable(map(addresses.link_geometry, links)),
+                 *chain.from_iterable(map(addresses.joint_compliance, links)),
+                 *chain.from_iterable(map(addresses.dead_length, self.cylinders))]
+        if self.calibrator:
+            found += addresses.point("tip", self.calibrator.tip, "calibrator.tip")
+        if self.tracker:
+            found += [*addresses.point("tracker", self.tracker.position, "tracker.position"),
+                      *addresses.orientation("tracker", self.tracker.orientation, "tracker.orientation")]
+        return (*found, *chain.from_iterable(map(addresses.pins, self.all_cylinders)))
+
+    def sensor(self, channel: str) -> Sensor | None:
+        """The sensor that reads a channel, if the file states one."""
+        return next((s for s in self.sensors if channel in s.channels), None)

@@ -1,0 +1,61 @@
+"""What channels are measured with: accuracy, resolution and rate of a sensor."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any, Literal
+
+from pydantic import Field, ValidationInfo, model_validator
+
+from hydroopt.machine.quantity import CHANNEL_UNITS, ImpossibleError, Noun, Quantity, Rate, keyed
+
+
+class Sensor(Noun):
+    """What a set of channels is measured with.
+
+    `accuracy` is the bound of a uniform error, or the standard deviation of a Gaussian one.
+    """
+
+    channels: tuple[str, ...] = Field(min_length=1)
+    accuracy: float = Field(ge=0, allow_inf_nan=False)
+    resolution: float = Field(0.0, ge=0, allow_inf_nan=False)
+    rate: Rate | None = Field(None, gt=0)
+    distribution: Literal["uniform", "gaussian"] = "uniform"
+
+    @model_validator(mode="before")
+    @classmethod
+    def _units(cls, data: Any, info: ValidationInfo) -> Any:
+        if not isinstance(data, Mapping) or not isinstance(data.get("channels"), list | tuple) or not data["channels"]:
+            return data
+        data = dict(data)
+        for key in ("accuracy", "resolution"):
+            if key in data:
+                data[key] = cls._reading(data[key], data["channels"], info, key)
+        return data
+
+    @staticmethod
+    def _reading(value: Any, channels: Any, info: ValidationInfo, key: str) -> Any:
+        names = [str(channel) for channel in channels]
+        kinds = {CHANNEL_UNITS.get(name.rpartition(".")[2], ()) for name in names}
+        if len(kinds) > 1 or () in kinds:
+            raise ImpossibleError(
+                f"the channels {', '.join(names)} are not of one known kind", "name channels that end alike, in one of "
+                + ", ".join(f".{suffix}" for suffix in CHANNEL_UNITS), "channels")
+        problem: ImpossibleError | None = None
+        for si in kinds.pop():
+            try:
+                return keyed(Quantity(si), value, info, key)
+            except ImpossibleError as error:
+                problem = problem or error
+        assert problem is not None
+        raise problem
+
+    @property
+    def std(self) -> float:
+        """Standard deviation of one reading, noise and quantisation together.
+
+        A uniform band ±a has variance a²/3, a quantisation step r (spread over several steps) r²/12.
+        """
+        noise = self.accuracy / math.sqrt(3) if self.distribution == "uniform" else self.accuracy
+        return math.hypot(noise, self.resolution / math.sqrt(12))
