@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy import stats
 
 from hydroopt.errors import IdentifiabilityError, SolverError
+from hydroopt.estimation.dynamic.folding import split, triangle
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.stored_information import Session
 from hydroopt.estimation.inference import posterior as uncertainty
@@ -155,9 +156,7 @@ def _unchanged(name: str, x: Named) -> Any:
 
 def folded(A: Array, b: Array) -> tuple[Array, Array]:
     """R (P, P) and r (P,) of ``‖R·x − r‖² = ‖A·x − b‖²`` less what no x can change."""
-    P = A.shape[1]
-    R: Array = np.asarray(np.linalg.qr(np.column_stack([A, b]), mode="r"))
-    return R[:P, :P], R[:P, P]
+    return split(triangle(np.column_stack([A, b])))[:2]
 
 
 class Wald(NamedTuple):

@@ -1,4 +1,4 @@
-"""Motion and parameters fitted together: readings of angles err as those of pressures do, and both tell the motion.
+"""Motion and parameters fitted together: angles err as pressures do, and both inform on the motion.
 
 The motion of each joint is a quintic spline q(t) = B(t)·c. With parameters ψ it is the most probable one:
 
@@ -6,8 +6,8 @@ The motion of each joint is a quintic spline q(t) = B(t)·c. With parameters ψ 
 
 Gauss-Newton steps with exact derivatives solve it. A spline's coefficients meet only their neighbours, so that an
 orthogonal sweep along time (the square-root information filter of Bierman 1977) eliminates them one by one; what is
-left is ``‖R·ψ − r‖²``, all that angles and forces together tell of the parameters, the uncertainty of the motion
-included. Whatever estimator, prior or constraint goes on from there, as it does after smoothing.
+left is ``‖R·ψ − r‖²``, the information of angles and forces about the parameters, the uncertainty of the motion
+included. Every estimator, prior and constraint applies to it as it does after smoothing.
 """
 
 from __future__ import annotations
@@ -22,6 +22,7 @@ from scipy.interpolate import BSpline, PPoly
 
 from hydroopt.errors import SolverError
 from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.estimation.dynamic.folding import split, triangle
 from hydroopt.estimation.dynamic.regressor_qr import whitened
 from hydroopt.logs.readings import angle_noise, measured_angles
 from hydroopt.model.model import Model
@@ -35,8 +36,8 @@ KNOTS_PER_PERIOD = 2.0
 STEPS = 30
 TOGETHER = 16
 """Intervals whose rows left for the parameters are folded at a time: few factorisations are faster than many."""
-STILL = 1e-4
-"""The fit stands still when a step moves the parameters by less than this part of their standard deviations."""
+CONVERGED = 1e-4
+"""The fit has converged when a step moves the parameters by less than this part of their standard deviations."""
 
 
 def _cardinal() -> Array:
@@ -60,7 +61,7 @@ def _splines(u: Array, derivative: int, spacing: float) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Stretch:
+class SplineStretch:
     """The spline over one uninterrupted stretch: samples `span`, their knot intervals, and coefficients c (k, n).
 
     `basis` are values and first and second derivatives of the six splines at each sample, `rough` the rows (3, 6) with
@@ -74,7 +75,7 @@ class Stretch:
     coefficients: Array
 
     @classmethod
-    def over(cls, t: Array, span: slice, spacing: float, joints: int) -> Stretch:
+    def over(cls, t: Array, span: slice, spacing: float, joints: int) -> SplineStretch:
         """With knots about `spacing` [s] apart."""
         times = t[span]
         count = max(1, round(float(times[-1] - times[0]) / spacing))
@@ -93,7 +94,7 @@ class Stretch:
 
 
 @dataclass(frozen=True, eq=False)
-class Sweep:
+class Elimination:
     """Eliminated coefficients of a stretch: rows that give each c from the next five and ψ, and what is left for ψ."""
 
     rows: list[Array]
@@ -121,10 +122,10 @@ class Fitted:
     angles: Array
     sigma: Array
     stiffness: Array
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[SplineStretch, ...]
 
     @classmethod
-    def begin(cls, model: Model, data: Experiment) -> Fitted:
+    def from_smoothed(cls, model: Model, data: Experiment) -> Fitted:
         """From the smoothed motion of an experiment."""
         log, motion = data.log, data.motion
         angles = measured_angles(model, log)
@@ -138,10 +139,10 @@ class Fitted:
         stiffness = np.sqrt(rate) / (2 * np.pi * fastest) ** 3 / sigma
         edges = np.flatnonzero(np.diff(motion.segment, prepend=motion.segment[0] - 1, append=motion.segment[-1] + 1))
         spacing = 1 / (KNOTS_PER_PERIOD * float(np.max(fastest)))
-        stretches = tuple(Stretch.over(log.t, slice(a, b), spacing, angles.shape[1])
+        stretches = tuple(SplineStretch.over(log.t, slice(a, b), spacing, angles.shape[1])
                           for a, b in pairwise(edges))
-        begun = cls(data, angles, sigma, stiffness, stretches)
-        return begun.moved([begun._sweep(stretch, None) for stretch in stretches], np.zeros(0))
+        start = cls(data, angles, sigma, stiffness, stretches)
+        return start.moved([start._sweep(stretch, None) for stretch in stretches], np.zeros(0))
 
     @property
     def experiment(self) -> Experiment:
@@ -154,17 +155,17 @@ class Fitted:
                          notes=(*self.data.motion.notes, note))
         return replace(self.data, motion=motion)
 
-    def moved(self, sweeps: Sequence[Sweep], psi: Array, part: float = 1.0) -> Fitted:
+    def moved(self, sweeps: Sequence[Elimination], psi: Array, part: float = 1.0) -> Fitted:
         """After `part` of the step that sweeps lead to with parameters ψ."""
         return replace(self, stretches=tuple(replace(s, coefficients=s.coefficients + part * sweep.back(psi))
                                              for s, sweep in zip(self.stretches, sweeps, strict=True)))
 
-    def sweeps(self, model: Model, psi: Array, covariance: Array, weights: Array | None) -> list[Sweep]:
+    def sweeps(self, model: Model, psi: Array, covariance: Array, weights: Array | None) -> list[Elimination]:
         """Eliminate the motion from rows linearised at ψ, whose forces err by `covariance` (n, n) over `weights`."""
-        rows = ForceRows.at(model, self.experiment, psi, covariance, weights)
+        rows = ForceRows.linearised(model, self.experiment, psi, covariance, weights)
         return [self._sweep(stretch, rows) for stretch in self.stretches]
 
-    def _sweep(self, stretch: Stretch, forces: ForceRows | None) -> Sweep:
+    def _sweep(self, stretch: SplineStretch, forces: ForceRows | None) -> Elimination:
         n, p = self.angles.shape[1], 0 if forces is None else forces.by_psi.shape[2]
         width, unit = ORDER * n, np.eye(n)
 
@@ -176,7 +177,7 @@ class Fitted:
         starts = np.searchsorted(stretch.interval, np.arange(count + 1))
         angles = self.angles[stretch.span]
         left: Array = np.zeros((0, width + p + 1))
-        triangle: Array = np.zeros((p + 1, p + 1))
+        remaining: Array = np.zeros((p + 1, p + 1))
         kept, pending = [], []
         for i in range(count):
             here, active = slice(starts[i], starts[i + 1]), stretch.coefficients[i : i + ORDER]
@@ -186,24 +187,23 @@ class Fitted:
             if forces is not None:
                 inside = slice(stretch.span.start + here.start, stretch.span.start + here.stop)
                 blocks.append(forces.of(inside, [basis[here] for basis in stretch.basis]))
-            stacked = np.vstack([*blocks, np.zeros((width, width + p + 1))])  # never fewer rows than coefficients
-            folded: Array = np.asarray(np.linalg.qr(stacked, mode="r"))
+            folded = triangle(*blocks, np.zeros((width, width + p + 1)))  # never fewer rows than coefficients
             kept.append(folded[:n])
             rest = folded[n:width]
             left = np.hstack([rest[:, n:width], np.zeros((len(rest), n)), rest[:, width:]])
             pending.append(folded[width:, width:])
             if len(pending) == TOGETHER or i == count - 1:
-                triangle = np.asarray(np.linalg.qr(np.vstack([triangle, *pending]), mode="r"))
+                remaining = triangle(remaining, *pending)
                 pending = []
-        return Sweep(kept, rest, triangle)
+        return Elimination(kept, rest, remaining)
 
 
 @dataclass(frozen=True, eq=False)
 class FittedMotion:
-    """ψ (p,), what all readings tell of it, ``‖R·ψ − r‖² + rest``, and the motion that goes with any ψ nearby."""
+    """ψ (p,), the information of all readings about it, ``‖R·ψ − r‖² + rest``, and the motion for any ψ nearby."""
 
     fitted: Sequence[Fitted]
-    sweeps: Sequence[list[Sweep]]
+    sweeps: Sequence[list[Elimination]]
     psi: Array
     R: Array
     r: Array
@@ -220,7 +220,7 @@ class FittedMotion:
 
 @dataclass(frozen=True, eq=False)
 class ForceRows:
-    """Forces of an experiment linearised in motion and parameters, (N, …); `taken` (N, n) tells which count."""
+    """Forces of an experiment linearised in motion and parameters, (N, …); `taken` (N, n) states which count."""
 
     by_motion: Array
     by_psi: Array
@@ -229,7 +229,8 @@ class ForceRows:
     covariance: Array
 
     @classmethod
-    def at(cls, model: Model, data: Experiment, psi: Array, covariance: Array, weights: Array | None) -> ForceRows:
+    def linearised(cls, model: Model, data: Experiment, psi: Array, covariance: Array,
+                   weights: Array | None) -> ForceRows:
         """At the experiment's motion and at ψ: ``by_motion·δ + by_psi·ψ_new = right``."""
         by_motion = np.stack(model.over(model.force_by_motion, *data.inputs(), psi), axis=2)
         (by_psi, *_), right = data.equations(psi)
@@ -246,9 +247,9 @@ class ForceRows:
         return whitened(block, self.taken[span], self.covariance)
 
 
-def begin(model: Model, experiments: Sequence[Experiment]) -> list[Fitted]:
+def initial_guess(model: Model, experiments: Sequence[Experiment]) -> list[Fitted]:
     """Experiments with the motion that their angles alone make most probable."""
-    return [Fitted.begin(model, data) for data in experiments]
+    return [Fitted.from_smoothed(model, data) for data in experiments]
 
 
 def fit(model: Model, fitted: Sequence[Fitted], covariance: Array, weights: Sequence[Array] | None,
@@ -257,33 +258,32 @@ def fit(model: Model, fitted: Sequence[Fitted], covariance: Array, weights: Sequ
 
     Args:
         model: whose parameters.
-        fitted: experiments, with the motion to begin with.
-        psi: (p,) parameters to begin with.
+        fitted: experiments, with the initial guess of the motion.
+        psi: (p,) initial guess of the parameters.
         covariance: (n, n) of the forces' errors in one sample.
         weights: (N, n) for each experiment, by which squared residuals of forces are multiplied.
         most_probable: from (R, r) to ψ, with whatever priors and constraints there are.
         where: for error messages.
 
     Raises:
-        SolverError: the steps do not come to rest.
+        SolverError: the steps did not converge.
     """
     part, last = 1.0, np.inf
     for _ in range(STEPS):
         sweeps = [one.sweeps(model, psi, covariance, None if weights is None else weights[k])
                   for k, one in enumerate(fitted)]
-        R, r, rest = _joined([sweep for some in sweeps for sweep in some], len(psi))
+        R, r, rest = _joined([sweep for some in sweeps for sweep in some])
         target = most_probable(R, r)
         length = float(np.linalg.norm(R @ (target - psi)))
         part = 1.0 if length < last else part / 2  # a step longer than the one before went too far
-        if length < STILL:
+        if length < CONVERGED:
             return FittedMotion(fitted, sweeps, target, R, r, rest)
         psi = psi + part * (target - psi)
         fitted = [one.moved(some, target, part) for one, some in zip(fitted, sweeps, strict=True)]
         last = length
-    raise SolverError(f"motion and parameters fitted together do not come to rest in {STEPS} steps", where=where,
+    raise SolverError(f"the fit of motion and parameters did not converge in {STEPS} steps", where=where,
                       remedy="smooth the motion instead, or state the sensors' accuracy and the machine's bandwidth")
 
 
-def _joined(sweeps: Sequence[Sweep], p: int) -> tuple[Array, Array, float]:
-    triangle: Array = np.asarray(np.linalg.qr(np.vstack([sweep.triangle for sweep in sweeps]), mode="r"))
-    return triangle[:p, :p], triangle[:p, p], float(triangle[p, p] ** 2)
+def _joined(sweeps: Sequence[Elimination]) -> tuple[Array, Array, float]:
+    return split(triangle(*(sweep.triangle for sweep in sweeps)))

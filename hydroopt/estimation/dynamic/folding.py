@@ -40,13 +40,13 @@ class ActuatorTriangles:
             block[size:, :-1] = K[rows, i][:, columns[:-1]]
             block[size:, -1] = force[rows, i]
             self.sums[i, columns] += block[size:].sum(axis=0)
-            self.compact[i] = _triangle(block)
+            self.compact[i] = _blocked_triangle(block)
             self.samples[i] += len(rows)
 
     def add(self, other: ActuatorTriangles) -> None:
         """Add what another has folded."""
         for i, block in enumerate(other.compact):
-            self.compact[i] = _triangle(np.asfortranarray(np.vstack([self.compact[i], block])))
+            self.compact[i] = _blocked_triangle(np.asfortranarray(np.vstack([self.compact[i], block])))
         self.samples += other.samples
         self.sums += other.sums
 
@@ -71,9 +71,24 @@ class ActuatorTriangles:
                          for block, columns in zip(self.compact, self.columns, strict=True)])
 
 
-def _triangle(block: Array) -> Array:
+def _blocked_triangle(block: Array) -> Array:
     """R of the QR of a block (m, k) in Fortran's order with m ≥ k, which is written over."""
     k = block.shape[1]
     factored, _, info = lapack.dgeqrt(min(PANEL, k), block, overwrite_a=True)
     assert info == 0
     return np.asfortranarray(np.triu(factored[:k]))
+
+
+def triangle(*blocks: Array) -> Array:
+    """R, upper triangular, of the blocks A (m, k) stacked: ``‖R·v‖ = ‖A·v‖`` for every v (k,).
+
+    >>> triangle(np.array([[3.0]]), np.array([[4.0]]))
+    array([[-5.]])
+    """
+    return np.asarray(np.linalg.qr(np.vstack(blocks), mode="r"))
+
+
+def split(R: Array) -> tuple[Array, Array, float]:
+    """R (p, p), r (p,) and the rest of ``‖T·[ψ; −1]‖² = ‖R·ψ − r‖² + rest`` for a triangle T (·, p+1)."""
+    p = R.shape[1] - 1
+    return R[:p, :p], R[:p, p], float(np.sum(R[p:, p] ** 2))

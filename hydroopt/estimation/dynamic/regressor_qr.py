@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment
-from hydroopt.estimation.dynamic.folding import ActuatorTriangles
+from hydroopt.estimation.dynamic.folding import ActuatorTriangles, split, triangle
 from hydroopt.estimation.inference.identifiability import analyse
 from hydroopt.logs.smoothing import Motion
 from hydroopt.model.model import Model
@@ -29,10 +29,7 @@ class CompressedRegressor:
 
     def weighted(self, sigma: Array) -> tuple[Array, Array, float]:
         """R (p, p) upper triangular, r (p,) and a rest with ``‖R·ψ − r‖² + rest`` the weighted sum of squares."""
-        p = self.triangles.shape[2] - 1
-        stacked = (self.triangles / sigma[:, None, None]).reshape(-1, p + 1)
-        R: Array = np.asarray(np.linalg.qr(stacked, mode="r"))
-        return R[:p, :p], R[:p, p], float(np.sum(R[p:, p] ** 2))
+        return split(triangle(*self.triangles / sigma[:, None, None]))
 
 
 def compress(model: Model, experiments: Sequence[AnyExperiment], weights: Sequence[Array] | None = None, *,
@@ -63,13 +60,13 @@ def compress_jointly(model: Model, experiments: Sequence[Experiment], covariance
             covariance says of the others counts.
     """
     p = len(model.parameters)
-    triangle = np.zeros((p + 1, p + 1))
+    R = np.zeros((p + 1, p + 1))
     for which, rows, K, force in _chunks(experiments, psi):
         block = np.concatenate([K, force[:, :, None]], axis=2)
         if weights is not None:
             block = block * np.sqrt(weights[which][rows])[:, :, None]
-        triangle = _fold(triangle, whitened(block, experiments[which].moving[rows], covariance))
-    return triangle[:p, :p], triangle[:p, p], float(triangle[p, p] ** 2)
+        R = triangle(R, whitened(block, experiments[which].moving[rows], covariance))
+    return split(R)
 
 
 def whitened(block: Array, taken: NDArray[np.bool_], covariance: Array) -> Array:
@@ -87,7 +84,7 @@ def whitened(block: Array, taken: NDArray[np.bool_], covariance: Array) -> Array
 def compress_instrumented(model: Model, experiments: Sequence[Experiment], instruments: Sequence[Motion],
                           sigma: Array, weights: Sequence[Array] | None = None, *,
                           psi: Array | None = None) -> tuple[Array, Array, float]:
-    """R (p, p) and r (p,) of ``Zᵀ·(f − K·ψ) ≈ 0``: least squares on what the instruments Z see of the rows.
+    """R (p, p) and r (p,) of ``Zᵀ·(f − K·ψ) ≈ 0``: least squares on the rows projected on the instruments Z.
 
     Z is the regressor of a motion whose errors are not those of the measured one (a reference, a second sensor, a
     repetition): its columns do not correlate with the noise in K, so that noisy angles no longer pull parameters to
@@ -100,26 +97,18 @@ def compress_instrumented(model: Model, experiments: Sequence[Experiment], instr
         sigma: (n,) standard deviation of each actuator's residual.
     """
     p = len(model.parameters)
-    triangle = np.zeros((2 * p + 1, 2 * p + 1))
+    R = np.zeros((2 * p + 1, 2 * p + 1))
     for which, rows, K, force in _chunks(experiments, psi):
         Z = model.over(model.regressor, *replace(experiments[which], motion=instruments[which]).inputs(rows))[0]
         block = np.concatenate([Z, K, force[:, :, None]], axis=2) / sigma[:, None]
         if weights is not None:
             block = block * np.sqrt(weights[which][rows])[:, :, None]
-        triangle = _fold(triangle, block[experiments[which].moving[rows]])
+        R = triangle(R, block[experiments[which].moving[rows]])
     # directions that the instruments do not excite would let the noise of K in
-    excited = list(analyse(triangle[:p, :p], model.parameters.names).basis)
+    excited = list(analyse(R[:p, :p], model.parameters.names).basis)
     order = [*excited, *range(p, 2 * p + 1)]
-    folded: Array = np.asarray(np.linalg.qr(triangle[:, order], mode="r"))
-    on_instruments = folded[: len(excited), len(excited) :]
-    padded = np.vstack([on_instruments, np.zeros((p + 1 - len(excited), p + 1))])
-    R: Array = np.asarray(np.linalg.qr(padded, mode="r"))
-    return R[:p, :p], R[:p, p], float(R[p, p] ** 2)
-
-
-def _fold(triangle: Array, block: Array) -> Array:
-    folded: Array = np.asarray(np.linalg.qr(np.vstack([triangle, block]), mode="r"))
-    return folded[: len(triangle)]
+    on_instruments = triangle(R[:, order])[: len(excited), len(excited) :]
+    return split(triangle(on_instruments, np.zeros((p + 1 - len(excited), p + 1))))
 
 
 def predict(model: Model, data: Experiment, psi: Array) -> Array:

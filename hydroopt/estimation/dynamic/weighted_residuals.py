@@ -169,7 +169,7 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
     correlation = _correlation(problem, psi) if problem.correlated else np.eye(len(sigma))
     fit, where = None, f"identification of {model.machine.name}"
     if problem.fitted_motion:
-        fit = fitted_motion.fit(model, fitted_motion.begin(model, held), _covariance(correlation, sigma),
+        fit = fitted_motion.fit(model, fitted_motion.initial_guess(model, held), _covariance(correlation, sigma),
                                 weights, psi, most_probable, where)
         problem, psi = problem.with_experiments(fit.experiments(fit.psi)), fit.psi
     # residuals that repeat themselves carry less information than as many independent ones
