@@ -13,8 +13,8 @@ from typer.core import TyperCommand, TyperGroup
 
 from hydroopt.errors import HydrooptError
 
-COMMANDS = ("show", "simulate", "identify", "identify-valves", "compare", "calibrate", "plan-poses", "excite",
-            "control", "study", "codegen")
+COMMANDS = ("show", "simulate", "identify", "identify-valves", "identify-payload", "compare", "calibrate",
+            "plan-poses", "excite", "control", "study", "codegen")
 """A command is the function of its name in the module of its name; the docstring of that function is its help."""
 
 

@@ -15,6 +15,7 @@ from hydroopt.errors import ProblemError
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.weighted_residuals import Loss
     from hydroopt.estimation.inference.problem import Distance
+    from hydroopt.logs.log import Log
     from hydroopt.logs.smoothing import Smoothing
     from hydroopt.machine.machine import Machine
     from hydroopt.parameters.parameter_set import ParameterSet
@@ -145,3 +146,22 @@ def parameter_values(stated: Sequence[str], parameters: ParameterSet) -> dict[st
             raise ProblemError(f"'{text}' is not NAME=VALUE", where="--fix", remedy="write e.g. --fix 'ball.y=0 m'")
         values[name] = to_si(value, parameters.units[parameters.index(name)], where=f"--fix {name}")
     return values
+
+
+def session_of(machine: Machine, paths: Sequence[Path], option: str, map_file: Path | None,
+               treat: list[str] | None) -> list[Log] | Path:
+    """The logs of a session, or the one directory that `hydroopt identify` wrote from them.
+
+    Raises:
+        ProblemError: there is a directory beside other paths.
+        LogError: a log cannot be read.
+    """
+    from hydroopt.logs.log import read_log
+
+    if not any(path.is_dir() for path in paths):
+        treatment, limits = treatment_of(treat), reliefs(machine)
+        return [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in paths]
+    if len(paths) > 1:
+        raise ProblemError("a directory stands for a whole session", where=option,
+                           remedy="give one directory, or logs only")
+    return paths[0]

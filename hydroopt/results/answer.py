@@ -60,6 +60,11 @@ class Answer(ABC):
         """What to know before trusting it, the gravest first."""
 
     @property
+    def findings(self) -> tuple[Diagnostic, ...]:
+        """The answer in sentences, where it has one: what changed, or which payload is carried."""
+        return ()
+
+    @property
     @abstractmethod
     def parameters(self) -> ParameterTable:
         """The parameters by name, with priors, values, intervals and identifiability."""
@@ -95,7 +100,7 @@ class Answer(ABC):
         lines = [f"{self.machine_name} by {self.method}: {self.status}"]
         lines += [f"  {data:<10} {channel:<24} {fit}" for data, table in self.fit.items()
                   for channel, fit in table.items()]
-        return "\n".join(lines)
+        return "\n".join([*lines, *(f"  {finding.text}" for finding in self.findings)])
 
     def to_frame(self) -> pd.DataFrame:
         """The table of parameters as a pandas DataFrame indexed by name."""
@@ -118,7 +123,8 @@ class Answer(ABC):
     def content(self, *, wall_s: float = float("nan")) -> dict[str, Any]:
         """The content of the JSON file."""
         return store.header(self.job, self.machine_name, self.machine_sha256, self.method, self.inputs) | {
-            "status": str(self.status), "diagnostics": [each.as_dict() for each in self.diagnostics],
+            "status": str(self.status), "findings": [each.as_dict() for each in self.findings],
+            "diagnostics": [each.as_dict() for each in self.diagnostics],
             "parameters": [each.as_dict() for each in self.parameters.rows],
             "fit": {data: {channel: fit.as_dict() for channel, fit in table.items()}
                     for data, table in self.fit.items()},
@@ -137,6 +143,7 @@ class SavedAnswer(Answer):
         self.directory, self.saved, self.job = directory, saved, store.Job(saved["job"])
         self._status = Status(saved["status"])
         self._diagnostics = tuple(Diagnostic.from_dict(entry) for entry in saved.get("diagnostics", ()))
+        self._findings = tuple(Diagnostic.from_dict(entry) for entry in saved.get("findings", ()))
         self._parameters = ParameterTable.from_dicts(saved.get("parameters", ()))
         self._fit = {data: {channel: Fit.from_dict(entry) for channel, entry in table.items()}
                      for data, table in saved.get("fit", {}).items()}
@@ -170,6 +177,11 @@ class SavedAnswer(Answer):
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What to know before trusting it, the gravest first."""
         return self._diagnostics
+
+    @property
+    def findings(self) -> tuple[Diagnostic, ...]:
+        """The answer in sentences, where it has one."""
+        return self._findings
 
     @property
     def parameters(self) -> ParameterTable:

@@ -27,7 +27,7 @@ class Diagnostic:
     Example:
         >>> from hydroopt.results.wording import Kind
         >>> d = Diagnostic(Kind.WORSE_THAN_ZERO, ("boom_cylinder",), {"relative": 1.31})
-        >>> print(d)
+        >>> print(d.text)
         The forces of boom_cylinder in the validation logs are predicted worse than by zero (131 % error).
     """
 

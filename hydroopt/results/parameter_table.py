@@ -9,7 +9,7 @@ from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from hydroopt.errors import ProblemError
-from hydroopt.results.tables import csv_text, number
+from hydroopt.results.tables import csv_text, number, with_limits
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -136,16 +136,11 @@ class ParameterTable(Mapping[str, ParameterRow]):
 
     def to_csv(self) -> str:
         """Text of a CSV file: one row a parameter, the interval as `low` and `high`."""
-        return csv_text([self._flat(each) for each in self.rows])
+        return csv_text([with_limits(each.as_dict()) for each in self.rows])
 
     def to_frame(self) -> pd.DataFrame:
         """A pandas DataFrame indexed by name, with the columns of the CSV file; NaN where a number does not exist."""
         import pandas as pd  # noqa: PLC0415 (pandas takes a second to import)
 
-        return pd.DataFrame([self._flat(each) for each in self.rows]).set_index("name")
+        return pd.DataFrame([with_limits(each.as_dict()) for each in self.rows]).set_index("name")
 
-    @staticmethod
-    def _flat(each: ParameterRow) -> dict[str, Any]:
-        entry = each.as_dict()
-        low, high = entry.pop("ci95") or (None, None)
-        return entry | {"low": low, "high": high}

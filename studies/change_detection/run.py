@@ -8,8 +8,8 @@ from threadpoolctl import threadpool_limits
 
 from hydroopt import Log, Model, load_machine, payload, random_trajectory, random_truth, simulate
 from hydroopt.estimation.dynamic.change import holm, named_parts
-from hydroopt.estimation.dynamic.comparison import Wald, comparison, wald
-from hydroopt.estimation.dynamic.stored_information import Session, session
+from hydroopt.estimation.dynamic.comparison import Wald, two_session_problem, wald
+from hydroopt.estimation.dynamic.stored_information import StoredInformation, stored_information
 
 PAIRS, CHANGED, LOADED = 240, 60, 20
 STEP, OF = 400.0, "boom_cylinder.f_coulomb"
@@ -36,22 +36,22 @@ def run() -> dict:
 
 def false_alarms(seeds: Iterable[int]) -> tuple[np.ndarray, np.ndarray, list[tuple[bool, bool, float]]]:
     """p-values of the joint test and the least of Holm's where nothing changed; what is seen of a change."""
-    problem, at = comparison(MODEL, NAMES), NAMES.index(OF)
+    problem, at = two_session_problem(MODEL, NAMES), NAMES.index(OF)
 
-    def tested(before: Session, after: Session) -> Wald:
-        return wald(problem, *problem.rows(before, after), before.freedom + after.freedom)
+    def tested(before: StoredInformation, after: StoredInformation) -> Wald:
+        return wald(problem, *problem.rows(before, after), before.degrees_of_freedom + after.degrees_of_freedom)
 
     together, single, changed = [], [], []
     with threadpool_limits(limits=1, user_api="blas"):
         for seed in seeds:
             truth = random_truth(MODEL, seed)
-            before = session(MODEL, [_log(truth, 2 * seed)])
-            test = tested(before, session(MODEL, [_log(truth, 2 * seed + 1)]))
+            before = stored_information(MODEL, [_log(truth, 2 * seed)])
+            test = tested(before, stored_information(MODEL, [_log(truth, 2 * seed + 1)]))
             together.append(test.p_value)
             single.append(np.nanmin(holm(test.single())))
             if seed < CHANGED:
                 truth[MODEL.parameters.index(OF)] += STEP
-                test = tested(before, session(MODEL, [_log(truth, 100_000 + seed)]))
+                test = tested(before, stored_information(MODEL, [_log(truth, 100_000 + seed)]))
                 value, std, left = (column[at] for column in test.alone)
                 changed.append((test.p_value < 0.05, left >= 0.05, (value - STEP) / std))
     return np.array(together), np.array(single), changed

@@ -1,4 +1,4 @@
-"""The folder of a comparison, and a session that is kept instead of its logs."""
+"""The folders of a comparison and of a payload, and a session that is kept instead of its logs."""
 
 from __future__ import annotations
 
@@ -16,7 +16,8 @@ from hydroopt.cli import app
 from hydroopt.errors import SolverError
 from hydroopt.estimation.dynamic.change import detect_change
 from hydroopt.estimation.dynamic.payload import payload
-from hydroopt.report.comparison import save
+from hydroopt.results.answer import load
+from hydroopt.results.wording import Kind
 
 CRANE = load_machine("patu655_lift")
 
@@ -55,7 +56,7 @@ def test_compare_leaves_json_table_and_page(made: Path, tmp_path: Path) -> None:
     printed = run("compare", "patu655_lift", "--before", str(made / "kept"), "--after", str(made / "b/log.csv"),
                   "-o", str(tmp_path))
     content = json.loads((tmp_path / "comparison.json").read_text())
-    assert (content["kind"], content["status"], content["schema"]) == ("change", "ok", 1)
+    assert (content["job"], content["status"]) == ("comparison of two sessions", "ok")
     assert content["machine"]["sha256"] == CRANE.sha256
     assert [one["name"] for one in content["differences"]] == ["lift_cylinder.f_coulomb", "lift_cylinder.f_viscous"]
     with (tmp_path / "comparison.csv").open() as file:
@@ -63,8 +64,8 @@ def test_compare_leaves_json_table_and_page(made: Path, tmp_path: Path) -> None:
     for row, one in zip(rows, content["differences"], strict=True):
         assert float(row["value"]) == one["value"]
         assert [float(row["low"]), float(row["high"])] == one["ci95"]
-        assert one["verdict"] in printed
-        assert one["verdict"] in (tmp_path / "report.html").read_text()
+        assert one["finding"] in printed
+        assert one["finding"] in (tmp_path / "report.html").read_text()
     page = (tmp_path / "report.html").read_text()
     assert "http" not in page.replace("http://www.w3.org", "")
     assert "<svg" in page
@@ -72,10 +73,11 @@ def test_compare_leaves_json_table_and_page(made: Path, tmp_path: Path) -> None:
 
 
 def test_json_is_the_file_and_what_is_not_told_is_null(made: Path, tmp_path: Path) -> None:
-    printed = json.loads(run("compare", "patu655_lift", "--before", str(made / "kept"), "--after",
-                             str(made / "b/log.csv"), "--payload", "--link", "lift", "--friction-changes", "--gain",
-                             "0.02", "--json", "-o", str(tmp_path)))
-    assert printed == json.loads((tmp_path / "comparison.json").read_text())
+    printed = json.loads(run("identify-payload", "patu655_lift", "--unloaded", str(made / "kept"), "--loaded",
+                             str(made / "b/log.csv"), "--link", "lift", "--friction-changes", "--gain", "0.02",
+                             "--json", "-o", str(tmp_path)))
+    assert printed | {"created": ""} == json.loads((tmp_path / "payload.json").read_text()) | {"created": ""}
+    assert {path.name for path in tmp_path.iterdir()} == {"payload.json", "payload.csv", "report.html"}
     numbers = {one["name"]: one for one in printed["quantities"]}
     assert numbers["m"]["value"] is None
     assert numbers["m"]["std"] is None
@@ -83,7 +85,22 @@ def test_json_is_the_file_and_what_is_not_told_is_null(made: Path, tmp_path: Pat
     assert numbers["mc_x"]["ci95"][0] < numbers["mc_x"]["value"] < numbers["mc_x"]["ci95"][1]
     assert [one["name"] for one in printed["gains"]] == ["lift_cylinder.gain"]
     assert [one["name"] for one in printed["friction"]] == ["lift_cylinder.f_coulomb", "lift_cylinder.f_viscous"]
-    assert any("The mass is not told" in note for note in printed["notes"])
+    assert Kind.LOAD_MASS_CONFOUNDED in {one["kind"] for one in printed["diagnostics"]}
+
+
+def test_what_is_loaded_says_the_same(made: Path, tmp_path: Path) -> None:
+    before, after = ([read_log(made / name / "log.csv")] for name in "ab")
+    answers = (detect_change(CRANE, before, after), payload(CRANE, before, after, link="lift"))
+    for k, answer in enumerate(answers):
+        answer.save(tmp_path / str(k))
+        loaded = load(tmp_path / str(k))
+        for text in (repr, str):
+            assert text(loaded) == text(answer)
+        for name in ("parameters", "findings", "diagnostics", "status", "inputs", "job"):
+            assert getattr(loaded, name) == getattr(answer, name), name
+        loaded.save(tmp_path / f"again{k}")
+        for file in (tmp_path / str(k)).glob("*.csv"):
+            assert (tmp_path / f"again{k}" / file.name).read_bytes() == file.read_bytes()
 
 
 def test_quiet_is_quiet(made: Path, tmp_path: Path) -> None:
@@ -95,7 +112,7 @@ def test_a_failed_solver_leaves_its_reason_only(made: Path, tmp_path: Path, monk
     def fails(*_, **__):
         raise SolverError("no answer", where="here", remedy="try again")
     logs = [read_log(made / name / "log.csv") for name in "ab"]
-    save(detect_change(CRANE, logs[:1], logs[1:], intervals=False), tmp_path)
+    detect_change(CRANE, logs[:1], logs[1:], intervals=False).save(tmp_path)
     monkeypatch.setattr(sys.modules["hydroopt.cli.compare"], "detect_change", fails)
     monkeypatch.setattr(sys, "argv", ["hydroopt", "compare", "patu655_lift", "--before", str(made / "kept"), "--after",
                                       str(made / "b/log.csv"), "-o", str(tmp_path)])

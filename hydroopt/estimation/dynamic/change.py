@@ -2,27 +2,39 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from difflib import get_close_matches
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from scipy import stats
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.dynamic.comparison import Comparison, Wald, comparison, settle, wald
-from hydroopt.estimation.dynamic.stored_information import Session, refuse_repetition, session
+from hydroopt.estimation.dynamic.comparison import TwoSessionProblem, Wald, solve_both, two_session_problem, wald
+from hydroopt.estimation.dynamic.stored_information import StoredInformation, refuse_shared_samples, stored_information
+from hydroopt.estimation.inference.posterior import Posterior
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import GROUPS, ParameterSet
+from hydroopt.results.answer import Answer, Status
+from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.fit import Fit
+from hydroopt.results.parameter_table import ParameterTable, row
+from hydroopt.results.store import Job
+from hydroopt.results.tables import csv_text, number, with_limits
+from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
+METHOD = "joint least squares"
+"""One least squares over both sessions, with an F test."""
 POWER = 0.95
-"""Probability with which the smallest detectable change is seen."""
+"""Probability of detecting the smallest detectable change."""
 
 
 @dataclass(frozen=True)
@@ -30,16 +42,17 @@ class Difference:
     """How much one parameter changed from the first session to the second, in SI.
 
     Attributes:
-        name, unit: of the parameter.
-        value, std, ci95: the change; NaN where the logs do not tell it.
+        name, kind, unit: of the parameter.
+        value, std, ci95: the change; NaN where it is not identifiable.
         p_value: of the hypothesis that it has not changed; `p_holm` is the same, corrected for the number of
-            parameters asked for (Holm 1979).
-        detectable: the change that would have been seen with a probability of 95 %.
+            parameters tested (Holm 1979).
+        detectable: the change that would have been detected with a probability of 95 %.
         changed: whether `p_holm` is below the level.
-        verdict: all that in one sentence.
+        partners: parameters whose changes cannot be separated from this one.
     """
 
     name: str
+    kind: str
     unit: str
     value: float
     std: float
@@ -48,50 +61,144 @@ class Difference:
     p_holm: float
     detectable: float
     changed: bool
-    verdict: str = ""
+    partners: tuple[str, ...] = ()
+
+    @property
+    def identifiable(self) -> bool:
+        """Whether the logs determine this change."""
+        return bool(np.isfinite(self.value))
+
+    @property
+    def finding(self) -> Diagnostic:
+        """What was found, in a sentence."""
+        if not self.identifiable:
+            kind = Kind.CHANGE_CONFOUNDED if self.partners else Kind.CHANGE_NOT_IDENTIFIABLE
+            return Diagnostic(kind, (self.name,), {"partners": ", ".join(self.partners)} if self.partners else {})
+        evidence = {"p_holm": self.p_holm, "probability": probability(self.p_holm), "unit": printed(self.unit)}
+        if self.changed:
+            return Diagnostic(Kind.PARAMETER_CHANGED, (self.name,), evidence | _amount(self.value, self.std))
+        return Diagnostic(Kind.PARAMETER_UNCHANGED, (self.name,),
+                          evidence | {"detectable": float(f"{self.detectable:.2g}")})
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry of comparison.json."""
+        return {"name": self.name, "unit": self.unit, "value": number(self.value), "std": number(self.std),
+                "ci95": list(self.ci95) if np.all(np.isfinite(self.ci95)) else None, "p_value": number(self.p_value),
+                "p_holm": number(self.p_holm), "detectable": number(self.detectable), "changed": self.changed,
+                "finding": self.finding.text}
 
 
-@dataclass(frozen=True, eq=False)
-class Change:
-    """What changed between two sessions.
+@dataclass(frozen=True, eq=False, repr=False)
+class Change(Answer):
+    """What changed between two sessions; `detect_change` returns it.
 
     Attributes:
         machine: of both.
-        differences: one for each parameter asked for.
-        statistic, rank, freedom, p_value: of the joint test that none has changed: F with `rank` (directions in which
-            the logs tell a change) and `freedom` degrees of freedom.
-        level: below which a p-value counts as evidence.
-        explanation: which parameter alone could explain what the joint test sees, in a sentence; else "".
+        differences: one for each parameter that may have changed.
+        statistic, rank, degrees_of_freedom, p_value: of the joint test that none has changed: F with `rank`
+            (identifiable directions of change) and `degrees_of_freedom`.
+        level: below which a p-value is significant.
+        single_changes: which parameter alone could explain the joint test.
         before, after: the sessions.
-        notes: what was done, in plain words.
+        posterior: samples of all unknowns; None where bounds leave no interior, or no intervals were requested.
+        sampled: whether intervals were requested.
+        notes: how it was computed, in sentences.
     """
 
     machine: Machine
     differences: tuple[Difference, ...]
     statistic: float
     rank: int
-    freedom: float
+    degrees_of_freedom: float
     p_value: float
     level: float
-    explanation: str
-    before: Session
-    after: Session
+    single_changes: tuple[Diagnostic, ...]
+    before: StoredInformation
+    after: StoredInformation
+    posterior: Posterior | None
+    sampled: bool
     notes: tuple[str, ...]
+    job = Job.CHANGE
 
-    def __getitem__(self, name: str) -> Difference:
+    def difference(self, name: str) -> Difference:
         """The difference of one parameter."""
         return next(one for one in self.differences if one.name == name)
 
     @property
-    def verdict(self) -> str:
-        """The joint test in one sentence."""
-        what = "Something has changed" if self.p_value < self.level else "No change is seen"
-        return (f"{what}: all {len(self.differences)} parameters together, F({self.rank}, {self.freedom:.0f}) = "
-                f"{self.statistic:.3g}, {probability(self.p_value)}.")
+    def machine_name(self) -> str:
+        """Name of the machine."""
+        return self.machine.name
 
-    def __str__(self) -> str:
-        said = [self.verdict, *[self.explanation] * bool(self.explanation)]
-        return "\n".join([*said, *(f"  {one.verdict}" for one in self.differences)])
+    @property
+    def machine_sha256(self) -> str:
+        """Digest of its nominal description."""
+        return self.machine.sha256
+
+    @property
+    def method(self) -> str:
+        """One least squares over both sessions, with an F test."""
+        return METHOD
+
+    @property
+    def status(self) -> Status:
+        """Suspect where the sampling of intervals did not converge."""
+        return Status.SUSPECT if of_kind(self.diagnostics, Kind.SAMPLING_NOT_CONVERGED) else Status.OK
+
+    @cached_property
+    def findings(self) -> tuple[Diagnostic, ...]:
+        """The joint test, what explains it, and each parameter."""
+        kind = Kind.CHANGE_DETECTED if self.p_value < self.level else Kind.NO_CHANGE_DETECTED
+        joint = Diagnostic(kind, (), {
+            "count": len(self.differences), "rank": self.rank, "degrees_of_freedom": self.degrees_of_freedom,
+            "statistic": self.statistic, "p_value": self.p_value, "probability": probability(self.p_value)})
+        return (joint, *self.single_changes, *(one.finding for one in self.differences if one.identifiable))
+
+    @cached_property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """What the intervals assume, and which changes the logs do not identify."""
+        return (*of_sampling(self.posterior, requested=self.sampled),
+                *(one.finding for one in self.differences if not one.identifiable))
+
+    @cached_property
+    def parameters(self) -> ParameterTable:
+        """The changes by name of the parameter."""
+        return ParameterTable([row(one.name, one.kind, one.unit, value=one.value, std=one.std, ci95=one.ci95,
+                                   identifiability="full" if one.identifiable else "none")
+                               for one in self.differences])
+
+    @property
+    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
+        """Empty: two sessions are compared, not predicted."""
+        return {}
+
+    @property
+    def inputs(self) -> tuple[Mapping[str, Any], ...]:
+        """The logs of both sessions."""
+        return (*({**log, "role": "before"} for log in self.before.inputs),
+                *({**log, "role": "after"} for log in self.after.inputs))
+
+    def details(self) -> Mapping[str, Any]:
+        """Level, joint test, weights of both sessions and each difference."""
+        return {"level": self.level,
+                "test": joint_test(self.statistic, self.rank, self.degrees_of_freedom, self.p_value),
+                "weights": {"before": self.before.weights(self.machine), "after": self.after.weights(self.machine)},
+                "differences": [one.as_dict() for one in self.differences], "notes": list(self.notes)}
+
+    def files(self) -> Mapping[str, str]:
+        """The differences as CSV."""
+        return {"comparison.csv": csv_text([with_limits(one.as_dict()) for one in self.differences])}
+
+
+def joint_test(statistic: float, rank: int, degrees_of_freedom: float, p_value: float) -> dict[str, float]:
+    """The entry ``test`` of a JSON file."""
+    return {"statistic": statistic, "rank": rank, "degrees_of_freedom": degrees_of_freedom, "p_value": p_value}
+
+
+def of_sampling(posterior: Posterior | None, *, requested: bool) -> tuple[Diagnostic, ...]:
+    """What to know about intervals that were sampled, or could not be."""
+    if posterior is None:
+        return (Diagnostic(Kind.NO_INTERIOR),) if requested else ()
+    return () if posterior.converged else (Diagnostic(Kind.SAMPLING_NOT_CONVERGED),)
 
 
 def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: Sequence[Log] | str | Path, *,
@@ -100,9 +207,9 @@ def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: S
     """Which parameters changed between two sessions, by one least squares over both.
 
     All other parameters are the same in both and held by the first session and the machine file's priors; bodies are
-    possible, and friction is not negative, in both sessions. Values and intervals heed that; the tests are those of
-    least squares without such limits, whose distribution is known, and suppose that residuals which repeat
-    themselves carry as much less information as their correlation time says.
+    physically consistent, and friction is not negative, in both sessions. Values and intervals satisfy that; the tests
+    are those of least squares without such limits, whose distribution is known. Residuals carry less information by
+    the factor of their correlation time.
 
     Args:
         machine: nominal description, the same for both sessions.
@@ -110,7 +217,7 @@ def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: S
         after: logs, or such a folder.
         parts: what may have changed: ``friction``, ``offset``, parameters, or parts whose parameters all may. By
             default friction and offsets.
-        level: probability of a false alarm, of the joint test and of all verdicts together.
+        level: probability of a false alarm, of the joint test and of all parameters together.
         smoothing: how angles are differentiated.
         intervals: whether to sample the posterior. Values are then its means, else its most probable point with the
             intervals of plain least squares.
@@ -118,28 +225,38 @@ def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: S
 
     Raises:
         LogError: a log cannot be used.
-        ProblemError: nothing in the machine is called so, the same samples stand on both sides, or a folder is of no
-            use here.
-        IdentifiabilityError: the logs tell nothing of what was asked for.
+        ProblemError: no parameter has this name, the same samples are in both sessions, or a folder cannot be used.
+        IdentifiabilityError: the logs identify no change of these parameters.
+
+    Example:
+        >>> import hydroopt as ho
+        >>> model = ho.Model(ho.load_machine("patu655_lift"))
+        >>> motions = [ho.random_trajectory(model, duration=20, rate=50, seed=k) for k in (1, 2)]
+        >>> before, after = (ho.simulate(model, motion, seed=k) for k, motion in enumerate(motions))
+        >>> change = ho.detect_change(model.machine, [before], [after], intervals=False)
+        >>> change.findings[0].kind
+        <Kind.NO_CHANGE_DETECTED: 'no change detected'>
     """
     if not 0 < level < 1:
-        raise ProblemError(f"{level:g} is no level of significance", where="level", remedy="use one such as 0.05")
+        raise ProblemError(f"the level of significance must be between 0 and 1, not {level:g}", where="level",
+                           remedy="use one such as 0.05")
     model = Model(machine)
     names = named_parts(model.parameters, _usual(model.parameters) if parts is None else parts)
     with threadpool_limits(limits=1, user_api="blas"):
-        first, second = session(model, before, smoothing), session(model, after, smoothing)
-        refuse_repetition(first, second)
-        problem = comparison(model, names)
+        first, second = stored_information(model, before, smoothing), stored_information(model, after, smoothing)
+        refuse_shared_samples(first, second)
+        problem = two_session_problem(model, names)
         A, b = problem.rows(first, second)
-        test = wald(problem, A, b, first.freedom + second.freedom)
-        found = settle(problem, A, b, intervals=intervals, seed=seed)
+        test = wald(problem, A, b, first.degrees_of_freedom + second.degrees_of_freedom)
+        found = solve_both(problem, A, b, intervals=intervals, seed=seed)
     rows = (problem.second - np.eye(*problem.second.shape))[model.parameters.select(names)]
     value, std = rows @ found.centre, test.std
     ci = value[:, None] + stats.t.ppf(0.975, test.freedom) * std[:, None] * np.array([-1.0, 1.0])
     if found.posterior is not None:
         std, ci = found.posterior.interval(rows)
     return Change(machine, tuple(_differences(problem, test, value, std, ci, level)), test.statistic, test.rank,
-                  test.freedom, test.p_value, level, _explanation(problem, test, level), first, second, found.notes)
+                  test.freedom, test.p_value, level, _single_changes(problem, test, level), first, second,
+                  found.posterior, intervals, found.notes)
 
 
 def _usual(parameters: ParameterSet) -> list[str]:
@@ -181,56 +298,46 @@ def holm(p_values: Array) -> Array:
 
 
 def detectable(test: Wald, level: float) -> Array:
-    """The change (c,) of each parameter that is seen with a probability of 95 %, at worst; NaN where it is not told."""
+    """The change (c,) of each parameter that is detected with a probability of 95 %; NaN if it is not identifiable."""
     tests = max(1, int(np.sum(np.isfinite(test.std))))
     return np.asarray((stats.t.ppf(1 - level / 2 / tests, test.freedom) + stats.t.ppf(POWER, test.freedom)) * test.std)
 
 
-def _differences(problem: Comparison, test: Wald, value: Array, std: Array, ci: Array,
+def _differences(problem: TwoSessionProblem, test: Wald, value: Array, std: Array, ci: Array,
                  level: float) -> Iterator[Difference]:
-    told, single = np.isfinite(test.std), test.single()
-    corrected, none = holm(single), float("nan")
-    least = detectable(test, level)
+    single, nan = test.single(), float("nan")
+    corrected, least = holm(single), detectable(test, level)
     for k, name in enumerate(problem.labels):
-        unit = problem.unknowns.units[problem.unknowns.index(name)]
-        if told[k]:
-            one = Difference(name, unit, float(value[k]), float(std[k]), (float(ci[k, 0]), float(ci[k, 1])),
+        kind, unit = str(problem.unknowns.kind(name)), problem.unknowns.units[problem.unknowns.index(name)]
+        if np.isfinite(test.std[k]):
+            yield Difference(name, kind, unit, float(value[k]), float(std[k]), (float(ci[k, 0]), float(ci[k, 1])),
                              float(single[k]), float(corrected[k]), float(least[k]),
                              changed=bool(corrected[k] < level))
-            yield replace(one, verdict=_judged(one))
         else:
-            others = [problem.labels[j] for j in test.partners[k]]
-            yield Difference(name, unit, none, none, (none, none), none, none, none, changed=False,
-                             verdict=_untold(name, others))
+            yield Difference(name, kind, unit, nan, nan, (nan, nan), nan, nan, nan, changed=False,
+                             partners=tuple(problem.labels[j] for j in test.partners[k]))
 
 
-def _explanation(problem: Comparison, test: Wald, level: float) -> str:
-    """What the joint test sees, put down to one parameter: friction terms that look alike cannot be told one by one."""
+def _single_changes(problem: TwoSessionProblem, test: Wald, level: float) -> tuple[Diagnostic, ...]:
+    """Which parameter alone explains the joint test: similar friction terms are not separable one by one."""
     if test.p_value >= level or len(problem.labels) < 2:
-        return ""
+        return ()
     value, std, left = test.alone
     able = [k for k in np.argsort(-np.nan_to_num(left, nan=-1.0)) if left[k] >= level]
     if not able:
-        return "No single parameter explains it: at least two have changed, or something else has."
-    said = [f"{problem.labels[k]} alone, if it {'rose' if value[k] > 0 else 'fell'} by "
-            f"{rounded(abs(float(value[k])), float(std[k]))} "
-            f"{problem.unknowns.units[problem.unknowns.index(problem.labels[k])].replace('*', '·')}" for k in able[:3]]
-    return f"It could be {', or '.join(said)}."
+        return (Diagnostic(Kind.NO_SINGLE_CHANGE),)
+    return tuple(Diagnostic(Kind.SINGLE_CHANGE, (problem.labels[k],), _amount(float(value[k]), float(std[k])) | {
+        "unit": printed(problem.unknowns.units[problem.unknowns.index(problem.labels[k])])}) for k in able[:3])
 
 
-def _judged(one: Difference) -> str:
-    unit = one.unit.replace("*", "·")
-    if one.changed:
-        return (f"{one.name} {'rose' if one.value > 0 else 'fell'} by {rounded(abs(one.value), one.std)} {unit} "
-                f"({probability(one.p_holm)}).")
-    return (f"{one.name}: no change seen ({probability(one.p_holm)}); a change above "
-            f"{float(f'{one.detectable:.2g}'):g} {unit} would have been.")
+def _amount(value: float, std: float) -> dict[str, Any]:
+    return {"change": value, "std": std, "direction": "rose" if value > 0 else "fell",
+            "amount": rounded(abs(value), std)}
 
 
-def _untold(name: str, others: Sequence[str]) -> str:
-    if not others:
-        return f"{name}: these logs tell nothing of it."
-    return f"{name}: these logs cannot tell a change of it from one of {', '.join(others)}."
+def printed(unit: str) -> str:
+    """A unit in a sentence."""
+    return unit.replace("*", "·")
 
 
 def rounded(value: float, std: float) -> str:

@@ -18,7 +18,7 @@ from scipy import stats
 from hydroopt.errors import IdentifiabilityError, SolverError
 from hydroopt.estimation.dynamic.folding import split, triangle
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
-from hydroopt.estimation.dynamic.stored_information import Session
+from hydroopt.estimation.dynamic.stored_information import StoredInformation
 from hydroopt.estimation.inference import posterior as uncertainty
 from hydroopt.estimation.inference import sdp
 from hydroopt.estimation.inference.conditions import ScaledBody
@@ -37,7 +37,7 @@ ROUNDING = 1e-10
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Comparison(IdentificationProblem):
+class TwoSessionProblem(IdentificationProblem):
     """The unknowns x (P,) of two sessions: all ψ of the first, then what the second adds.
 
     Attributes:
@@ -68,7 +68,7 @@ class Comparison(IdentificationProblem):
         """Those that must be physically consistent."""
         return tuple(body for body in super().bodies if body.owner not in self.unconstrained)
 
-    def rows(self, before: Session, after: Session) -> tuple[Array, Array]:
+    def rows(self, before: StoredInformation, after: StoredInformation) -> tuple[Array, Array]:
         """A (m, P) and b (m,) with ``‖A·x − b‖²`` the weighted squares of both sessions' residuals.
 
         Gains make f = (1 + γ)·K·ψ bilinear; A and b are then its linearisation at the most probable x.
@@ -84,7 +84,7 @@ class Comparison(IdentificationProblem):
             last, x = x, gaussian_posterior(self, *folded(A, b)).offset
             if np.all(np.abs(x - last) < 1e-9 * self.unknowns.scale):
                 return A, b
-        raise SolverError("the gains of the force readings did not settle", where=self.where,
+        raise SolverError("the gains of the force readings did not solve_both", where=self.where,
                           remedy="state a smaller sigma of the gains, or more of what is known about masses")
 
     @property
@@ -92,7 +92,7 @@ class Comparison(IdentificationProblem):
         """What errors say."""
         return f"comparison of two sessions of {self.model.machine.name}"
 
-    def _rows_at(self, x: Array, before: Session, after: Session) -> tuple[Array, Array]:
+    def _rows_at(self, x: Array, before: StoredInformation, after: StoredInformation) -> tuple[Array, Array]:
         p, blocks, right = len(self.second), [], []
         for triangles, own in ((before.triangles, np.eye(p, len(x))), (after.triangles, self.second)):
             K, f = triangles[:, :, :p] @ own, triangles[:, :, p].copy()
@@ -137,14 +137,14 @@ def copied(parameters: ParameterSet, places: Sequence[int]) -> ParameterSet:
                         parameters.upper[at], parameters.scale[at], np.zeros((len(at), len(at))))
 
 
-def comparison(model: Model, names: Sequence[str]) -> Comparison:
+def two_session_problem(model: Model, names: Sequence[str]) -> TwoSessionProblem:
     """The problem in which parameters of these names may have changed between two sessions."""
     parameters, p = model.parameters, len(model.parameters)
     twice = stated_twice(parameters, names)
     chosen, copies = np.eye(p)[twice], [parameters.names[k] for k in twice]
     asked = [p + copies.index(name) for name in names]
     tied = tuple(Constraint(f"{name} unchanged", partial(_unchanged, name)) for name in copies if name not in names)
-    return Comparison(model, (), constraints=tied, unknowns=joined(parameters, copied(parameters, twice)),
+    return TwoSessionProblem(model, (), constraints=tied, unknowns=joined(parameters, copied(parameters, twice)),
                       second=np.hstack([np.eye(p) - chosen.T @ chosen, chosen.T]),
                       null=np.vstack([np.eye(p), chosen]), change=np.eye(p + len(twice))[:, asked],
                       labels=tuple(names))
@@ -184,7 +184,7 @@ class Wald(NamedTuple):
         return np.asarray(2 * stats.t.sf(np.abs(self.value) / self.std, self.freedom))
 
 
-def wald(problem: Comparison, A: Array, b: Array, readings: float) -> Wald:
+def wald(problem: TwoSessionProblem, A: Array, b: Array, readings: float) -> Wald:
     """Test whether anything has changed, on the directions of δ that data and priors determine.
 
     Args:
@@ -258,7 +258,7 @@ def _without(basis: Array, columns: Array) -> Array:
 
 
 @dataclass(frozen=True, eq=False)
-class Solution:
+class TwoSessionOptimum:
     """The most probable x (P,) with possible bodies, samples around it (or None), and notes on how they came about."""
 
     x: Array
@@ -273,7 +273,7 @@ class Solution:
         return self.x if mean is None or not self.active else mean
 
 
-def settle(problem: Comparison, A: Array, b: Array, *, intervals: bool, seed: int) -> Solution:
+def solve_both(problem: TwoSessionProblem, A: Array, b: Array, *, intervals: bool, seed: int) -> TwoSessionOptimum:
     """The most probable unknowns with possible bodies in both sessions, and samples of the posterior.
 
     Raises:
@@ -282,7 +282,7 @@ def settle(problem: Comparison, A: Array, b: Array, *, intervals: bool, seed: in
     R, r = folded(A, b)
     found = sdp.semidefinite_program(problem, gaussian_posterior(problem, R, r), consistent=problem.consistent)
     if not intervals:
-        return Solution(found.psi, None, found.active, ())
+        return TwoSessionOptimum(found.psi, None, found.active, ())
     posterior = uncertainty.sample(problem, R, r, found.psi, consistent=problem.consistent, seed=seed)
-    note = "bounds or bodies leave no inside to sample intervals from" if posterior is None else posterior.note
-    return Solution(found.psi, posterior, found.active, (note,))
+    note = "bounds or bodies leave no interior to sample intervals from" if posterior is None else posterior.note
+    return TwoSessionOptimum(found.psi, posterior, found.active, (note,))

@@ -2,27 +2,30 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import casadi as ca
 import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.dynamic.change import named_parts, rounded
+from hydroopt.estimation.dynamic.change import METHOD, joint_test, named_parts, of_sampling, probability, rounded
 from hydroopt.estimation.dynamic.comparison import (
-    Comparison,
-    Solution,
+    TwoSessionOptimum,
+    TwoSessionProblem,
     Wald,
     copied,
     joined,
-    settle,
+    solve_both,
     stated_twice,
     wald,
 )
-from hydroopt.estimation.dynamic.stored_information import Session, refuse_repetition, session
+from hydroopt.estimation.dynamic.stored_information import StoredInformation, refuse_shared_samples, stored_information
+from hydroopt.estimation.inference.posterior import Posterior
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import BASE, Machine
@@ -30,41 +33,60 @@ from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.results.answer import Answer, Status
+from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.fit import Fit
+from hydroopt.results.parameter_table import ParameterTable, row
+from hydroopt.results.store import Job
+from hydroopt.results.tables import csv_text, number, with_limits
+from hydroopt.results.wording import Kind
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 
 LOAD = "load"
 """Owner of the load's parameters."""
 NO_LOAD = 0.05
-"""p-value of no load above which none is said to be seen."""
+"""p-value of no load above which no load is detected."""
 
 
 @dataclass(frozen=True)
 class Quantity:
-    """A number with its standard deviation and 95 % interval, in SI; NaN where the logs do not tell it."""
+    """A number with its standard deviation and 95 % interval, in SI; NaN where it is not identifiable."""
 
     name: str
+    kind: str
     unit: str
     value: float
     std: float
     ci95: tuple[float, float]
 
+    @property
+    def identifiable(self) -> bool:
+        """Whether the logs determine it."""
+        return bool(np.isfinite(self.value))
 
-@dataclass(frozen=True, eq=False)
-class Payload:
-    """A load, in the frame P_i of the link that carries it.
+    def as_dict(self) -> dict[str, Any]:
+        """The entry of payload.json."""
+        return {"name": self.name, "unit": self.unit, "value": number(self.value), "std": number(self.std),
+                "ci95": list(self.ci95) if np.all(np.isfinite(self.ci95)) else None}
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Payload(Answer):
+    """A load, in the frame P_i of the link that carries it; `payload` returns it.
 
     Attributes:
         machine, link: what carries it.
         mass: [kg].
         com: the three coordinates of its centre of mass [m].
-        moment: the three first moments m·com [kg·m], which may be told where mass and centre are not.
-        phi: (10,) the most probable load that can exist; what is not told is a guess there.
-        friction: changes of friction between the sessions, if they were asked for.
-        gains: relative errors of the actuators' force readings, if they were in doubt.
-        statistic, rank, freedom, p_value: F test of the hypothesis that there is no load (and no other change).
+        moment: the three first moments m·com [kg·m], which may be identifiable where mass and centre are not.
+        phi: (10,) the most probable load that is physically consistent.
+        friction: changes of friction between the sessions, if they were allowed.
+        gains: relative errors of the actuators' force readings, if they were allowed.
+        statistic, rank, degrees_of_freedom, p_value: F test of the hypothesis that nothing differs.
         before, after: the sessions, without and with the load.
-        notes: what was done and what is not told, in plain words.
+        posterior: samples of all unknowns; None where bounds leave no interior.
+        notes: how it was computed, in sentences.
     """
 
     machine: Machine
@@ -77,29 +99,97 @@ class Payload:
     gains: tuple[Quantity, ...]
     statistic: float
     rank: int
-    freedom: float
+    degrees_of_freedom: float
     p_value: float
-    before: Session
-    after: Session
+    before: StoredInformation
+    after: StoredInformation
+    posterior: Posterior | None
     notes: tuple[str, ...]
+    job = Job.PAYLOAD
 
     @property
-    def verdict(self) -> str:
-        """Mass and centre of mass in one sentence."""
-        if self.p_value > NO_LOAD:
-            known = f"; a load of {rounded(self.mass.value, self.mass.std)} kg fits as well" if np.isfinite(
-                self.mass.std) else ""
-            return f"No load is seen on {self.link} (p = {self.p_value:.2g}){known}."
-        com, moment = (", ".join(f"{one.name[-1]} = {rounded(one.value, one.std)}" for one in some
-                                 if np.isfinite(one.std)) for some in (self.com, self.moment))
-        if np.isfinite(self.mass.std):
-            where = f", its centre of mass lies at {com} m in the frame of that link" if com else ""
-            return f"The load on {self.link} is {rounded(self.mass.value, self.mass.std)} kg{where}."
-        seen = f"but its moment is {moment} kg·m in the frame of that link" if moment else "nor where it is"
-        return f"These logs do not tell the mass of the load on {self.link}, {seen}."
+    def machine_name(self) -> str:
+        """Name of the machine."""
+        return self.machine.name
 
-    def __str__(self) -> str:
-        return "\n".join([self.verdict, *(f"  {note}" for note in self.notes)])
+    @property
+    def machine_sha256(self) -> str:
+        """Digest of its nominal description."""
+        return self.machine.sha256
+
+    @property
+    def method(self) -> str:
+        """One least squares over both sessions, the load a body of its own."""
+        return METHOD
+
+    @property
+    def status(self) -> Status:
+        """Suspect where the sampling of intervals did not converge."""
+        return Status.SUSPECT if of_kind(self.diagnostics, Kind.SAMPLING_NOT_CONVERGED) else Status.OK
+
+    @property
+    def quantities(self) -> tuple[Quantity, ...]:
+        """All numbers in the order of the table."""
+        return (self.mass, *self.com, *self.moment, *self.friction, *self.gains)
+
+    @cached_property
+    def findings(self) -> tuple[Diagnostic, ...]:
+        """Mass and centre of mass in one sentence."""
+        com, moment = (", ".join(f"{one.name[-1]} = {rounded(one.value, one.std)}" for one in some
+                                 if one.identifiable) for some in (self.com, self.moment))
+        mass = rounded(self.mass.value, self.mass.std) if self.mass.identifiable else ""
+        link = (self.link,)
+        if self.p_value > NO_LOAD:
+            return (Diagnostic(Kind.NO_LOAD_DETECTED, link, {
+                "p_value": self.p_value, "probability": probability(self.p_value),
+                "mass": f"; a load of {mass} kg is consistent with them" if mass else ""}),)
+        if mass:
+            place = f", its centre of mass lies at {com} m in the frame of that link" if com else ""
+            return (Diagnostic(Kind.LOAD_IDENTIFIED, link, {"mass": mass, "place": place}),)
+        return (Diagnostic(Kind.LOAD_MASS_NOT_IDENTIFIABLE, link, {
+            "moment": f", but its moment is {moment} kg·m in the frame of that link" if moment else ""}),)
+
+    @cached_property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """What the intervals assume, and what of the load these motions do not identify."""
+        missing = tuple(one.name for one in self.com if not one.identifiable)
+        if not self.mass.identifiable:
+            partly = (Diagnostic(Kind.LOAD_MASS_CONFOUNDED, (self.link,)),)
+        else:
+            partly = (Diagnostic(Kind.LOAD_PARTLY_IDENTIFIABLE, missing),) if missing else ()
+        scale = () if self.gains else (Diagnostic(Kind.FORCE_SCALE_ASSUMED),)
+        return (*of_sampling(self.posterior, requested=True), *partly, *scale)
+
+    @cached_property
+    def parameters(self) -> ParameterTable:
+        """Mass, centre of mass and moments of the load, changes of friction, gains of force readings."""
+        return ParameterTable([row(one.name if "." in one.name else f"{LOAD}.{one.name}", one.kind, one.unit,
+                                   value=one.value, std=one.std, ci95=one.ci95,
+                                   identifiability="full" if one.identifiable else "none") for one in self.quantities])
+
+    @property
+    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
+        """Empty: two sessions are compared, not predicted."""
+        return {}
+
+    @property
+    def inputs(self) -> tuple[Mapping[str, Any], ...]:
+        """The logs of both sessions."""
+        return (*({**log, "role": "unloaded"} for log in self.before.inputs),
+                *({**log, "role": "loaded"} for log in self.after.inputs))
+
+    def details(self) -> Mapping[str, Any]:
+        """Link, joint test, weights of both sessions and all quantities."""
+        return {"link": self.link,
+                "test": joint_test(self.statistic, self.rank, self.degrees_of_freedom, self.p_value),
+                "weights": {"unloaded": self.before.weights(self.machine), "loaded": self.after.weights(self.machine)},
+                "quantities": [one.as_dict() for one in (self.mass, *self.com, *self.moment)],
+                "phi": self.phi.tolist(), "friction": [one.as_dict() for one in self.friction],
+                "gains": [one.as_dict() for one in self.gains], "notes": list(self.notes)}
+
+    def files(self) -> Mapping[str, str]:
+        """All quantities as CSV."""
+        return {"payload.csv": csv_text([with_limits(one.as_dict()) for one in self.quantities])}
 
 
 def payload(machine: Machine, unloaded: Sequence[Log] | str | Path, loaded: Sequence[Log] | str | Path, *,
@@ -110,7 +200,7 @@ def payload(machine: Machine, unloaded: Sequence[Log] | str | Path, loaded: Sequ
     Both sessions share the machine's parameters; the load is a body of its own on a link. Its mass is not negative, and
     `Payload.phi` is the most probable body whose pseudo-inertia is positive definite. A scale that all forces are
     misread by, such as a motor's torque constant, changes the mass by as much; with `gain` it is an unknown of each
-    actuator, which what the machine file knows about masses then holds, and the intervals tell how well.
+    actuator, which the machine file's priors on masses then determine, and the intervals include it.
 
     Args:
         machine: nominal description without the load, the same for both sessions.
@@ -124,33 +214,43 @@ def payload(machine: Machine, unloaded: Sequence[Log] | str | Path, loaded: Sequ
 
     Raises:
         LogError: a log cannot be used.
-        ProblemError: there is no such link, it cannot carry a load, or a session is of no use here.
-        IdentifiabilityError: the logs tell nothing of the load.
+        ProblemError: there is no such link, it cannot carry a load, or a session cannot be used.
+        IdentifiabilityError: the logs identify nothing of the load.
+
+    Example:
+        >>> import hydroopt as ho
+        >>> model = ho.Model(ho.load_machine("patu655_lift"))
+        >>> motions = [ho.random_trajectory(model, duration=20, rate=50, seed=k) for k in (1, 2)]
+        >>> unloaded, loaded = (ho.simulate(model, motion, seed=k) for k, motion in enumerate(motions))
+        >>> load = ho.payload(model.machine, [unloaded], [loaded], link="lift")
+        >>> load.findings[0].kind
+        <Kind.NO_LOAD_DETECTED: 'no payload detected'>
     """
     if not 0 <= gain < 1:
-        raise ProblemError(f"{gain:g} is no relative error", where="gain", remedy="give a part of one, such as 0.05")
+        raise ProblemError(f"a relative error must be at least 0 and less than 1, not {gain:g}", where="gain",
+                           remedy="give a part of one, such as 0.05")
     model = Model(machine)
     carrier = machine.links[-1].name if link is None else link
     columns = _carried(model, carrier)
     names = named_parts(model.parameters, ["friction"]) if friction_changes else ()
     with threadpool_limits(limits=1, user_api="blas"):
-        first, second = session(model, unloaded, smoothing), session(model, loaded, smoothing)
-        refuse_repetition(first, second)
+        first, second = stored_information(model, unloaded, smoothing), stored_information(model, loaded, smoothing)
+        refuse_shared_samples(first, second)
         if gain and {len(first.triangles), len(second.triangles)} != {len(machine.actuators)}:
-            raise ProblemError("the gains of actuators whose residuals were weighed together cannot be told",
-                               where="gain", remedy="identify without --motion fitted, --instruments and --correlated")
-        readings = first.freedom + second.freedom
+            raise ProblemError("gains are not identifiable from residuals that were weighted jointly", where="gain",
+                               remedy="identify without --motion fitted, --instruments and --correlated")
+        readings = first.degrees_of_freedom + second.degrees_of_freedom
         total = sum(owned.body.m for owned in bodies(machine).values())
         problem = _problem(model, columns, names, gain, mass=0.1 * total)
         test = wald(problem, *problem.rows(first, second), readings)
-        if np.isfinite(test.std[0]):  # what is about the load's size decides how wide 'nearly unknown' is
+        if np.isfinite(test.std[0]):  # what is about the load's size decides how weak the prior is
             problem = _problem(model, columns, names, gain, mass=max(abs(float(test.value[0])), float(test.std[0])))
         A, b = problem.rows(first, second)
         test = wald(problem, A, b, readings)
-        possible = settle(problem, A, b, intervals=False, seed=seed).x
+        possible = solve_both(problem, A, b, intervals=False, seed=seed).x
         # Most loads are small, at the edge of physical consistency: samples on one side of the edge only would lie too
         # far from it, and intervals would not hold. Every mass and centre of mass has a consistent body.
-        found = settle(replace(problem, unconstrained=(LOAD,)), A, b, intervals=True, seed=seed)
+        found = solve_both(replace(problem, unconstrained=(LOAD,)), A, b, intervals=True, seed=seed)
     return _payload(problem, carrier, test, found, possible, first, second)
 
 
@@ -181,14 +281,14 @@ def _carried(model: Model, link: str) -> Array:
     return columns
 
 
-def _problem(model: Model, columns: Array, names: Sequence[str], gain: float, *, mass: float) -> Comparison:
-    """Two sessions of which the second has a body more, of about this mass within the machine's reach."""
+def _problem(model: Model, columns: Array, names: Sequence[str], gain: float, *, mass: float) -> TwoSessionProblem:
+    """Two sessions of which the second has one more body, of about this mass within the machine's reach."""
     parameters, p, n = model.parameters, len(model.parameters), len(model.machine.actuators) if gain else 0
     twice = stated_twice(parameters, names)
     chosen, c = np.eye(p)[twice], len(twice)
     unknowns = joined(parameters, _load(model.machine, mass), copied(parameters, twice), _gains(model, gain))
     nothing = np.zeros((10, p))
-    return Comparison(
+    return TwoSessionProblem(
         model, (), unknowns=unknowns, labels=(*unknowns.names[p : p + 10], *names),
         second=np.hstack([np.eye(p) - chosen.T @ chosen, columns, chosen.T, np.zeros((p, n))]),
         null=np.hstack([np.vstack([np.eye(p), nothing, chosen, np.zeros((n, p))]),
@@ -197,7 +297,7 @@ def _problem(model: Model, columns: Array, names: Sequence[str], gain: float, *,
 
 
 def _load(machine: Machine, mass: float) -> ParameterSet:
-    """A body of which hardly more is known than that it is within the machine's reach."""
+    """A body with a weak prior: it lies within the machine's reach."""
     reach = sum(float(np.hypot(one.joint.a, one.joint.d)) for one in machine.links) or 1.0
     scale = mass * np.array([1.0, *[reach] * 3, *[reach**2] * 6])
     nominal = scale * np.array([1, 0, 0, 0, 1, 0, 0, 1, 0, 1])
@@ -214,41 +314,35 @@ def _gains(model: Model, gain: float) -> ParameterSet:
                         np.full(n, np.inf), np.full(n, gain), np.eye(n) / (gain or 1.0) ** 2)
 
 
-def _payload(problem: Comparison, link: str, test: Wald, found: Solution, possible: Array,
-             first: Session, second: Session) -> Payload:
-    p = len(problem.second)
-    told = np.isfinite(test.std[:10])
+def _payload(problem: TwoSessionProblem, link: str, test: Wald, found: TwoSessionOptimum, possible: Array,
+             first: StoredInformation, second: StoredInformation) -> Payload:
+    p, unknowns = len(problem.second), problem.unknowns
+    identified = np.isfinite(test.std[:10])
     samples = found.posterior.samples if found.posterior is not None else np.full((2, len(found.x)), np.nan)
     load, centre = samples[:, p : p + 10], found.centre[p : p + 10]
     difference = (problem.second - np.eye(*problem.second.shape))[problem.model.parameters.select(problem.labels[10:])]
     axes = "xyz"
-    notes = [*found.notes]
-    unseen = [f"com_{axis}" for k, axis in enumerate(axes) if not (told[0] and told[1 + k])]
-    if not told[0]:
-        notes.insert(0, "The mass is not told: in these motions other numbers of the load could stand in for it.")
-    elif unseen:
-        notes.insert(0, f"Not told by these motions: {', '.join(unseen)}.")
-    if not problem.gains:
-        notes.append("Force readings are taken to be right in scale: if they are all too large by a part, so is the "
-                     "mass; say how far they may be off.")
     return Payload(
-        problem.model.machine, link, _quantity("m", "kg", centre[0], load[:, 0], told=told[0]),
-        tuple(_quantity(f"com_{axis}", "m", centre[1 + k] / centre[0], load[:, 1 + k] / load[:, 0],
-                        told=told[0] and told[1 + k]) for k, axis in enumerate(axes)),
-        tuple(_quantity(f"mc_{axis}", "kg*m", centre[1 + k], load[:, 1 + k], told=told[1 + k])
+        problem.model.machine, link,
+        _quantity("m", ParameterKind.MASS, "kg", centre[0], load[:, 0], identifiable=identified[0]),
+        tuple(_quantity(f"com_{axis}", ParameterKind.POSITION, "m", centre[1 + k] / centre[0],
+                        load[:, 1 + k] / load[:, 0], identifiable=identified[0] and identified[1 + k])
               for k, axis in enumerate(axes)),
+        tuple(_quantity(f"mc_{axis}", ParameterKind.FIRST_MOMENT, "kg*m", centre[1 + k], load[:, 1 + k],
+                        identifiable=identified[1 + k]) for k, axis in enumerate(axes)),
         possible[p : p + 10],
-        tuple(_quantity(name, problem.unknowns.units[problem.unknowns.index(name)], row @ found.centre, samples @ row,
-                        told=np.isfinite(std))
+        tuple(_quantity(name, unknowns.kind(name), unknowns.units[unknowns.index(name)], row @ found.centre,
+                        samples @ row, identifiable=np.isfinite(std))
               for name, row, std in zip(problem.labels[10:], difference, test.std[10:], strict=True)),
-        tuple(_quantity(problem.unknowns.names[k], "1", found.centre[k], samples[:, k], told=True)
-              for k in problem.gains),
-        test.statistic, test.rank, test.freedom, test.p_value, first, second, tuple(notes))
+        tuple(_quantity(unknowns.names[k], ParameterKind.FORCE_GAIN, "1", found.centre[k], samples[:, k],
+                        identifiable=True) for k in problem.gains),
+        test.statistic, test.rank, test.freedom, test.p_value, first, second, found.posterior, found.notes)
 
 
-def _quantity(name: str, unit: str, value: float, samples: Array, *, told: bool) -> Quantity:
+def _quantity(name: str, kind: ParameterKind, unit: str, value: float, samples: Array, *,
+              identifiable: bool) -> Quantity:
     nan = float("nan")
-    if not told:
-        return Quantity(name, unit, nan, nan, (nan, nan))
+    if not identifiable:
+        return Quantity(name, str(kind), unit, nan, nan, (nan, nan))
     low, high = np.quantile(samples, [0.025, 0.975])
-    return Quantity(name, unit, float(value), float(np.std(samples)), (float(low), float(high)))
+    return Quantity(name, str(kind), unit, float(value), float(np.std(samples)), (float(low), float(high)))

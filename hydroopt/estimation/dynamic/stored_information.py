@@ -1,10 +1,9 @@
-"""What the logs of one session tell of the parameters, small enough to keep until the machine is measured again."""
+"""The information that the logs of one session carry, small enough to keep until the machine is measured again."""
 
 from __future__ import annotations
 
 import csv
 import io
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -21,42 +20,51 @@ from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
+from hydroopt.results.answer import Status, load
+from hydroopt.results.store import Job, not_an_answer
 from hydroopt.spatial.inertia import Array
 
 INFORMATION = "information.csv"
-"""File beside estimate.json that holds the triangles of `identify`, so that its logs need not be read again."""
+"""File beside estimate.json that holds the triangles of an identification, so that its logs need not be read again."""
 
 _LABELS = ("actuator", "force")
 
 
 @dataclass(frozen=True, eq=False)
-class Session:
-    """Triangles (·, p+1, p+1) with ``Σ_i ‖T_i·[ψ; −1]‖² = Σ ((K·ψ − f)/(σ·√τ))²``.
+class StoredInformation:
+    """Triangles (·, p+1, p+1) with ``Σ_i ‖T_i·[ψ; −1]‖² = Σ ((K·ψ − f)/(σ·√τ))²``, the weighted residuals of a session.
 
     Attributes:
         triangles: one per actuator, weighted by the standard deviation σ (n,) and the correlation time τ (n,) of its
-            residual, so that their rows are independent and of variance 1; or one of all
-            actuators, see `WeightedResiduals`.
+            residual, so that their rows are independent and of variance 1; or one of all actuators, see
+            `WeightedResiduals`.
         sigma: (n,) σ [N or N·m].
-        times: (n,) τ in samples.
-        samples: (n,) that took part.
+        correlation_time: (n,) τ in samples.
+        samples: (n,) number of residuals of each actuator.
         inputs: path, digest and range of samples of each log.
     """
 
     triangles: Array
     sigma: Array
-    times: Array
+    correlation_time: Array
     samples: Array
     inputs: tuple[Mapping[str, Any], ...]
 
     @property
-    def freedom(self) -> float:
-        """How many independent readings the logs amount to."""
-        return float(np.sum(self.samples / self.times))
+    def degrees_of_freedom(self) -> float:
+        """Number of independent readings in the logs."""
+        return float(np.sum(self.samples / self.correlation_time))
+
+    def weights(self, machine: Machine) -> dict[str, dict[str, float]]:
+        """σ, τ and number of residuals of each actuator, by name."""
+        return {actuator.name: {"sigma": float(sigma), "correlation_time": float(time), "samples": int(samples)}
+                for actuator, sigma, time, samples in zip(machine.actuators, self.sigma, self.correlation_time,
+                                                          self.samples, strict=True)}
 
 
-def session(model: Model, given: Sequence[Log] | str | Path, smoothing: Smoothing | None = None) -> Session:
-    """What logs tell, or what the logs told from which `hydroopt identify` made a folder.
+def stored_information(model: Model, given: Sequence[Log] | str | Path,
+                       smoothing: Smoothing | None = None) -> StoredInformation:
+    """The information of logs, or that of the folder which `hydroopt identify` wrote from them.
 
     Args:
         model: the machine's.
@@ -65,24 +73,25 @@ def session(model: Model, given: Sequence[Log] | str | Path, smoothing: Smoothin
 
     Raises:
         LogError, IdentifiabilityError: the logs cannot be used.
-        ProblemError: there is no log, the folder is of no use here, or forces are not linear in the parameters.
+        ProblemError: there is no log, the folder cannot be used, or forces are not linear in the parameters.
     """
     if not model.linear:
-        raise ProblemError("friction with a Stribeck speed is not linear in its parameters, which comparing sessions "
-                           "calls for", where=model.machine.name, remedy="leave 'stribeck' and 'stribeck_speed' "
-                           "out of the machine file that sessions are compared with")
+        raise ProblemError("forces are not linear in a Stribeck speed, but comparing sessions needs linear forces",
+                           where=model.machine.name, remedy="leave 'stribeck' and 'stribeck_speed' out of the machine "
+                           "file that sessions are compared with")
     if isinstance(given, str | Path):
         return _read(model, Path(given))
     problem = identification_problem(model.machine, given, smoothing=smoothing)
     weighted = weighted_residuals(problem, RANK_TOLERANCE, lambda R, r: gaussian_posterior(problem, R, r).offset,
-                      model.parameters.nominal)
+                                  model.parameters.nominal)
     inputs = [{"path": log.path or log.name, "sha256": log.sha256 or None, "samples": len(log.t),
                "first_sample": int(log.sample[0]), "last_sample": int(log.sample[-1])} for log in given]
-    return Session(weighted.triangles, weighted.sigma, weighted.correlation_time, weighted.samples, tuple(inputs))
+    return StoredInformation(weighted.triangles, weighted.sigma, weighted.correlation_time, weighted.samples,
+                             tuple(inputs))
 
 
-def refuse_repetition(before: Session, after: Session) -> None:
-    """Refuse samples that stand in both sessions: they would hide every change.
+def refuse_shared_samples(before: StoredInformation, after: StoredInformation) -> None:
+    """Refuse samples that belong to both sessions: they would hide every change.
 
     Raises:
         ProblemError: naming the log.
@@ -106,42 +115,37 @@ def information_csv(machine: Machine, names: Sequence[str], triangles: Array) ->
 
 
 def _owners(machine: Machine, triangles: int) -> list[str]:
-    """What each triangle is of."""
+    """The actuator of each triangle, or ``all`` for a joint one."""
     return [actuator.name for actuator in machine.actuators] if triangles == len(machine.actuators) else ["all"]
 
 
-def _read(model: Model, folder: Path) -> Session:
-    file, where = folder / "estimate.json", str(folder)
-    try:
-        content = json.loads(file.read_bytes())
-        status, digest = content["status"], content["machine"]["sha256"]
-    except OSError:
-        raise ProblemError("this folder holds no estimate", where=where,
-                           remedy="name the folder that identify wrote, or the logs") from None
-    except (ValueError, KeyError, TypeError, RecursionError):
-        raise _foreign(file) from None
-    if status == "failed":
-        raise ProblemError("the estimate failed, so that there is nothing to compare with", where=str(file),
+def _read(model: Model, folder: Path) -> StoredInformation:
+    estimate = load(folder)
+    if estimate.job is not Job.IDENTIFICATION:
+        raise ProblemError(f"this is a {estimate.job}, not an identification of bodies and friction", where=str(folder),
+                           remedy="name the folder that `hydroopt identify` wrote, or the logs")
+    if estimate.status is Status.FAILED:
+        raise ProblemError("the estimate failed, so that there is nothing to compare with", where=str(folder),
                            remedy="identify again, or give the logs")
-    if digest != model.machine.sha256:
-        raise ProblemError("the estimate is of another machine description", where=str(file),
+    if estimate.machine_sha256 != model.machine.sha256:
+        raise ProblemError("the estimate is of another machine description", where=str(folder),
                            remedy="give the machine file (and --set) that it was identified with, or identify again "
                                   "without --friction, or give the logs")
-    try:
-        text = (folder / INFORMATION).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError):
-        raise ProblemError(f"there is no {INFORMATION} beside the estimate, which keeps what the logs told",
-                           where=where, remedy="identify again with this version, or give the logs") from None
+    text = estimate.files().get(INFORMATION)
+    if text is None:
+        raise ProblemError(f"there is no {INFORMATION} beside the estimate", where=str(folder),
+                           remedy="identify again with this version, or give the logs")
     triangles = _triangles(model, text, folder / INFORMATION)
+    details = estimate.details()
     try:
-        weights = [content["weights"][actuator.name] for actuator in model.machine.actuators]
+        weights = [details["weights"][actuator.name] for actuator in model.machine.actuators]
         sigma, times, samples = (np.array([float(w[key]) for w in weights])
                                  for key in ("sigma", "correlation_time", "samples"))
         inputs = [{key: one[key] for key in ("path", "sha256", "samples", "first_sample", "last_sample")}
-                  for one in content["inputs"] if one["role"] == "train"]
+                  for one in estimate.inputs if one["role"] == "train"]
     except (ValueError, KeyError, TypeError):
-        raise _foreign(file) from None
-    return Session(triangles, sigma, times, samples, tuple(inputs))
+        raise not_an_answer(folder) from None
+    return StoredInformation(triangles, sigma, times, samples, tuple(inputs))
 
 
 def _triangles(model: Model, text: str, file: Path) -> Array:
@@ -160,8 +164,3 @@ def _triangles(model: Model, text: str, file: Path) -> Array:
     except ValueError:
         raise ProblemError("it is damaged", where=str(file), remedy="identify again, or give the logs") from None
     return triangles
-
-
-def _foreign(file: Path) -> ProblemError:
-    return ProblemError("this is no estimate of dynamic parameters that hydroopt wrote", where=str(file),
-                        remedy="name the folder that identify wrote, or the logs")

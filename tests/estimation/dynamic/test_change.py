@@ -13,10 +13,12 @@ from fixtures.periodic import PERIODIC as CAT_PERIODIC
 from fixtures.two_sessions import PERIOD, PERIODIC, PLANAR, RATE, SPATIAL, TORQUE_NOISE, recorded
 from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.estimation.dynamic.change import detect_change, detectable, holm, named_parts
-from hydroopt.estimation.dynamic.comparison import comparison, wald
+from hydroopt.estimation.dynamic.comparison import two_session_problem, wald
 from hydroopt.estimation.dynamic.experiment import experiment
-from hydroopt.estimation.dynamic.stored_information import Session, session
+from hydroopt.estimation.dynamic.stored_information import StoredInformation, stored_information
 from hydroopt.model.model import Model
+from hydroopt.results.diagnostic import of_kind
+from hydroopt.results.wording import Kind
 from hydroopt.simulation.simulate import random_trajectory
 
 NAMES = PLANAR.parameters.names
@@ -44,12 +46,12 @@ def test_a_change_of_an_excavators_friction_is_found_exactly(cat215b, cat_truth,
         assert one.changed == (one.name in truth)
     for one in found.differences:
         if one not in told:
-            assert "cannot tell a change of it from one of" in one.verdict
+            assert one.finding.kind is Kind.CHANGE_CONFOUNDED
             assert np.isnan(one.value)
             assert one.name.startswith("boom")  # its pins turn as its joint does
-    assert found["swing_motor.tau_coulomb"].verdict.startswith("swing_motor.tau_coulomb rose by 812")
-    assert found["stick_cylinder.f_offset"].verdict.startswith("stick_cylinder.f_offset fell by 350")
-    assert found.explanation.startswith("No single parameter explains it")
+    assert found.difference("swing_motor.tau_coulomb").finding.text.startswith("swing_motor.tau_coulomb rose by 812")
+    assert found.difference("stick_cylinder.f_offset").finding.text.startswith("stick_cylinder.f_offset fell by 350")
+    assert of_kind(found.findings, Kind.NO_SINGLE_CHANGE)
 
 
 def test_intervals_do_not_move_an_exact_answer():
@@ -65,8 +67,9 @@ def test_a_change_seen_by_all_together_is_put_down_to_one():
     found = detect_change(PLANAR.machine, [recorded(PLANAR, moved(PLANAR), 1, TORQUE_NOISE)],
                           [recorded(PLANAR, new, 2, TORQUE_NOISE)], smoothing=PERIODIC, intervals=False)
     assert found.p_value < 1e-3
-    assert found.explanation.startswith("It could be fore_drive.tau_viscous alone, if it rose by")
-    assert found.verdict.startswith("Something has changed: all 6 parameters together, F(6, ")
+    likeliest = found.single_changes[0]
+    assert likeliest.text.startswith("A change of fore_drive.tau_viscous alone explains it: rose by ")
+    assert found.findings[0].text.startswith("A change is detected: all 6 parameters together, F(6, ")
 
 
 def test_part_of_a_body_changes_and_the_rest_does_not():
@@ -86,10 +89,10 @@ def test_value_and_spread_are_those_of_one_dense_least_squares():
     places = [NAMES.index(name) for name in PARTS]
     for k, psi in enumerate((moved(PLANAR), moved(PLANAR, upper_drive__tau_coulomb=1.0))):
         log = recorded(PLANAR, psi, 10 + k, TORQUE_NOISE)
-        sessions.append(session(PLANAR, [log], PERIODIC))
+        sessions.append(stored_information(PLANAR, [log], PERIODIC))
         data = experiment(PLANAR, log, PERIODIC)
         K = PLANAR.over(PLANAR.regressor, data.motion.q, data.motion.qd, data.motion.qdd)[0]
-        weight = 1 / (sessions[k].sigma * np.sqrt(sessions[k].times))
+        weight = 1 / (sessions[k].sigma * np.sqrt(sessions[k].correlation_time))
         for i in range(2):
             taken = data.inside & data.moving[:, i]
             rows.append(weight[i] * np.hstack([K[taken, i], k * K[taken, i][:, places]]))
@@ -103,9 +106,9 @@ def test_value_and_spread_are_those_of_one_dense_least_squares():
     d = 1 / np.sqrt(np.diag(N))
     inverse = np.linalg.inv(N * np.outer(d, d)) * np.outer(d, d)
     x = inverse @ g
-    problem = comparison(PLANAR, PARTS)
+    problem = two_session_problem(PLANAR, PARTS)
     A, b = problem.rows(*sessions)
-    test = wald(problem, A, b, sum(s.freedom for s in sessions))
+    test = wald(problem, A, b, sum(s.degrees_of_freedom for s in sessions))
     assert np.allclose(test.value, x[p:], rtol=1e-6, atol=1e-9)
     assert np.allclose(test.std, np.sqrt(np.diag(inverse)[p:]), rtol=1e-6)
     W = x[p:] @ np.linalg.solve(inverse[p:, p:], x[p:])
@@ -113,13 +116,13 @@ def test_value_and_spread_are_those_of_one_dense_least_squares():
     assert test.rank == len(PARTS)
 
 
-def drawn(psi: np.ndarray, motion: int, rng: np.random.Generator) -> Session:
+def drawn(psi: np.ndarray, motion: int, rng: np.random.Generator) -> StoredInformation:
     """A session in which the torques of a motion are measured anew; angles are exact and σ is known."""
     triangles = []
     for K in regressors(motion):
         force = K @ psi + TORQUE_NOISE * rng.standard_normal(len(K))
         triangles.append(np.linalg.qr(np.column_stack([K, force]) / TORQUE_NOISE, mode="r"))
-    return Session(np.array(triangles), np.full(2, TORQUE_NOISE), np.ones(2), np.full(2, RATE * PERIOD), ())
+    return StoredInformation(np.array(triangles), np.full(2, TORQUE_NOISE), np.ones(2), np.full(2, RATE * PERIOD), ())
 
 
 @functools.cache
@@ -128,9 +131,9 @@ def regressors(motion: int) -> list[np.ndarray]:
     return list(PLANAR.over(PLANAR.regressor, path.q, path.qd, path.qdd)[0].transpose(1, 0, 2).copy())
 
 
-def wald_of(before: Session, after: Session):
-    problem = comparison(PLANAR, PARTS)
-    return wald(problem, *problem.rows(before, after), before.freedom + after.freedom)
+def wald_of(before: StoredInformation, after: StoredInformation):
+    problem = two_session_problem(PLANAR, PARTS)
+    return wald(problem, *problem.rows(before, after), before.degrees_of_freedom + after.degrees_of_freedom)
 
 
 @pytest.mark.slow
@@ -176,7 +179,7 @@ def test_a_session_in_which_a_joint_rests_tells_nothing_of_it():
     found = detect_change(PLANAR.machine, [log], [still], smoothing=PERIODIC, intervals=False)
     one = found["fore_drive.tau_viscous"]
     assert np.isnan(one.std)
-    assert "tell nothing of it" in one.verdict
+    assert one.finding.kind is Kind.CHANGE_NOT_IDENTIFIABLE
     assert np.isfinite(found["upper_drive.tau_viscous"].std)
     with pytest.raises(IdentifiabilityError, match="cannot tell a change"):
         detect_change(PLANAR.machine, [log], [still], parts=["fore_drive"], smoothing=PERIODIC)

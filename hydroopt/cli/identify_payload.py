@@ -1,0 +1,77 @@
+"""`hydroopt identify-payload`: mass and centre of mass of a load that one session carries and another does not."""
+
+from __future__ import annotations
+
+import json
+import time
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from hydroopt.cli.options import (
+    AsJson,
+    Bandwidth,
+    Directory,
+    MachineName,
+    MapFile,
+    ParameterSetName,
+    Quiet,
+    SmoothingText,
+    Treat,
+    progress,
+    session_of,
+    smoothing_of,
+)
+from hydroopt.errors import SolverError
+from hydroopt.estimation.dynamic.change import METHOD
+from hydroopt.estimation.dynamic.payload import payload
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.report.comparison import render_payload
+from hydroopt.results import store
+from hydroopt.results.diagnostic import sentences
+
+
+def identify_payload(
+    machine: MachineName,
+    output: Directory,
+    unloaded: Annotated[list[Path], typer.Option(metavar="LOG|DIR", help=(
+        "Log without the load, repeatable; or the directory that identify wrote from it."))],
+    loaded: Annotated[list[Path], typer.Option(metavar="LOG|DIR", help=(
+        "Log with the load, repeatable; or such a directory."))],
+    link: Annotated[str | None, typer.Option(help="Link that carries the load; by default the last one.")] = None,
+    friction_changes: Annotated[bool, typer.Option("--friction-changes", help=(
+        "Friction may differ with the load, as it does in gears."))] = False,
+    gain: Annotated[float, typer.Option(help=(
+        "Standard deviation of the relative error of each actuator's force readings, e.g. 0.05."))] = 0.0,
+    map_file: MapFile = None,
+    treat: Treat = None,
+    smoothing: SmoothingText = "spline",
+    bandwidth: Bandwidth = None,
+    seed: Annotated[int, typer.Option(help="Of the sampling of intervals.", min=0)] = 0,
+    parameter_set: ParameterSetName = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Identify a carried load from logs with and without it: DIR gets payload.json, report.html and a table."""
+    began = time.perf_counter()
+    described = load_machine(machine, parameter_set=parameter_set)
+    way = smoothing_of(smoothing, bandwidth, described)
+    with progress(f"identifying the load of {described.name}", quiet):
+        first, second = (session_of(described, paths, option, map_file, treat)
+                         for paths, option in ((unloaded, "--unloaded"), (loaded, "--loaded")))
+        try:
+            load = payload(described, first, second, link=link, friction_changes=friction_changes, gain=gain,
+                           smoothing=way, seed=seed)
+        except SolverError as error:
+            store.write_failure(output, store.Job.PAYLOAD, described.name, described.sha256, METHOD, (), error)
+            raise
+        wall_s = time.perf_counter() - began
+        load.save(output, pages={"report.html": render_payload(load)}, wall_s=wall_s)
+    if as_json:
+        typer.echo(json.dumps(load.content(wall_s=wall_s), indent=1))
+    elif not quiet:
+        typer.echo(str(load))
+        for sentence in sentences(load.diagnostics):
+            typer.echo(f"  ! {sentence}")
+        typer.echo(f"{output / 'report.html'}")
