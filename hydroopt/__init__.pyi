@@ -19,8 +19,8 @@ from .estimation.hydraulic.estimate import HydraulicEstimate as HydraulicEstimat
 from .estimation.hydraulic.estimate import identify_hydraulics as identify_hydraulics
 from .estimation.hydraulic.problem import HydraulicProblem as HydraulicProblem
 from .estimation.hydraulic.problem import hydraulic_problem as hydraulic_problem
+from .estimation.kinematic.calibrate import calibrate as calibrate
 from .estimation.kinematic.calibration import Calibration as Calibration
-from .estimation.kinematic.calibration import calibrate as calibrate
 from .estimation.kinematic.problem import CalibrationProblem as CalibrationProblem
 from .estimation.kinematic.problem import calibration_problem as calibration_problem
 from .excitation.motion.design import design as design

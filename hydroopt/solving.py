@@ -11,7 +11,8 @@ from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.hydraulic.estimate import HydraulicEstimate, identify_hydraulics
 from hydroopt.estimation.hydraulic.problem import HydraulicProblem
-from hydroopt.estimation.kinematic.calibration import Calibration, calibrate
+from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic.calibration import Calibration
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.excitation.motion.design import design
 from hydroopt.excitation.motion.excitation import Excitation
@@ -40,7 +41,7 @@ def solve(problem: Any, *arguments: Any, **options: Any) -> Any:
         problem: identification, kinematic calibration, valves and oil, or the design of a motion or of poses.
         arguments: a method, where the problem has several.
         options: of `hydroopt.estimation.dynamic.identify.identify`,
-        `hydroopt.estimation.kinematic.calibration.calibrate`,
+            `hydroopt.estimation.kinematic.calibrate.calibrate`,
             `hydroopt.estimation.hydraulic.estimate.identify_hydraulics`, `hydroopt.excitation.motion.design.design` or
             `hydroopt.excitation.poses.exchange.fedorov_exchange`.
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,33 +12,36 @@ import typer
 
 from hydroopt.cli.options import AsJson, Directory, MachineName, MapFile, Quiet, loss_of, parameter_values, progress
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.estimation.kinematic.calibration import METHODS
-from hydroopt.estimation.kinematic.calibration import calibrate as solve_calibration
-from hydroopt.estimation.kinematic.diagnostics import leavable
+from hydroopt.estimation.kinematic.calibrate import calibrate as solve_calibration
+from hydroopt.estimation.kinematic.calibrate import without_suspects
+from hydroopt.estimation.kinematic.calibration import inputs_of
 from hydroopt.estimation.kinematic.problem import calibration_problem
+from hydroopt.estimation.kinematic.solution import METHODS
 from hydroopt.logs.poses import Poses, joined, read_pose_files
 from hydroopt.machine.machine_file import load_machine
-from hydroopt.report import folder
+from hydroopt.report import calibration as report
+from hydroopt.results import store
+from hydroopt.results.store import Job
 
 
 def calibrate(
     machine: MachineName,
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Tables of poses (.csv, .parquet).")],
     output: Directory,
-    validate: Annotated[list[Path] | None, typer.Option(help="Table to judge the geometry by; repeatable.")] = None,
+    validate: Annotated[list[Path] | None, typer.Option(help="Table of poses for validation; repeatable.")] = None,
     holdout_stage: Annotated[list[str] | None, typer.Option(
-        help="Stage that is held out to judge by; repeatable.")] = None,
+        help="Stage that is held out for validation; repeatable.")] = None,
     map_file: MapFile = None,
     method: Annotated[str, typer.Option(help=f"One of {', '.join(METHODS)}.")] = "joint",
     loss: Annotated[str, typer.Option(help="squares, huber or student_t.")] = "squares",
     fix: Annotated[list[str] | None, typer.Option(
         help="Hold a parameter, NAME=VALUE with unit, e.g. 'ball.y=0 m'; repeatable.")] = None,
-    starts: Annotated[int, typer.Option(help="From how many places to solve.", min=1)] = 1,
+    starts: Annotated[int, typer.Option(help="Number of initial guesses.", min=1)] = 1,
     no_priors: Annotated[bool, typer.Option("--no-priors", help=(
-        "The file's confidences say what is unknown, but do not count as measurements."))] = False,
-    without_suspects: Annotated[bool, typer.Option("--without-suspects", help=(
-        "Solve again without the stages, stretches and poses that do not fit the others."))] = False,
-    seed: Annotated[int, typer.Option(help="Of the starts and of the report's workspace.", min=0)] = 0,
+        "The file's confidences state what is unknown, but do not count as measurements."))] = False,
+    leave_out: Annotated[bool, typer.Option("--without-suspects", help=(
+        "Solve again without the stages, stretches and poses that contradict the others."))] = False,
+    seed: Annotated[int, typer.Option(help="Of the initial guesses and of the report's workspace.", min=0)] = 0,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
@@ -52,30 +54,29 @@ def calibrate(
         problem = calibration_problem(described, poses, held_out, priors=not no_priors).with_loss(chosen_loss)
         problem = problem.fixing(**parameter_values(fix or (), problem.parameters))
         what = f"calibrating {described.name}, {int(problem.free.sum())} parameters from "
-        before = None
         try:
             say(f"{what}{len(poses)} poses")
             solved = solve_calibration(problem, method, starts=starts, seed=seed)
-            if without_suspects and np.any(suspicious := leavable(solved)):
-                before = solved
-                say(f"{what}the {np.sum(~suspicious)} poses that fit")
-                solved = solve_calibration(problem.without(suspicious), method, starts=starts, seed=seed)
+            if leave_out and np.any(solved.suspicious):
+                say(f"{what}the {np.sum(~solved.suspicious)} poses that agree")
+                solved = without_suspects(solved, starts=starts)
         except SolverError as error:
-            folder.save_failure(problem, method, error, output)
+            store.write_failure(output, Job.CALIBRATION, described.name, described.sha256, method,
+                                inputs_of(problem), error)
             raise
         say("writing the report")
-        content = folder.save_calibration(solved, output, wall_s=time.perf_counter() - began, seed=seed, before=before)
+        solved.save(output, pages={"report.html": report.render(solved)}, wall_s=time.perf_counter() - began)
     if as_json:
-        typer.echo(json.dumps(content, indent=1))
+        typer.echo((output / "estimate.json").read_text("utf-8"))
     elif not quiet:
         typer.echo(str(solved))
-        for doubt in content["doubts"]:
-            typer.echo(f"  ! {doubt}")
+        for diagnostic in solved.diagnostics:
+            typer.echo(f"  ! {diagnostic}")
         typer.echo(f"{output / 'report.html'}")
 
 
 def _held_out(poses: Poses, stages: Sequence[str], extra: Poses | None) -> tuple[Poses, Poses | None]:
-    """Poses to learn from, and those of some stages together with further ones to judge by."""
+    """Training poses, and those of some stages together with further ones for validation."""
     known = list(dict.fromkeys(map(str, poses.stage)))
     for stage in stages:
         if stage not in known:
@@ -83,6 +84,6 @@ def _held_out(poses: Poses, stages: Sequence[str], extra: Poses | None) -> tuple
                                remedy=f"use one of {', '.join(known)}")
     aside = np.isin(poses.stage, list(stages))
     if np.all(aside):
-        raise ProblemError("no pose is left to learn from", where="--holdout-stage", remedy="hold out fewer stages")
+        raise ProblemError("no training pose is left", where="--holdout-stage", remedy="hold out fewer stages")
     parts = [*([poses.select(aside)] if stages else ()), *([extra] if extra else ())]
     return poses.select(~aside), joined(parts) if parts else None

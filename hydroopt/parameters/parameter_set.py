@@ -102,3 +102,8 @@ class ParameterSet:
     def select(self, names: Iterable[str]) -> Sequence[int]:
         """Positions of several names."""
         return [self.index(name) for name in names]
+
+    def nearest_bound(self, k: int, value: float) -> str:
+        """The bound of the k-th parameter that is nearest to a value, as ``panda_joint2.compliance >= 0 rad/(N*m)``."""
+        low = value - self.lower[k] < self.upper[k] - value
+        return f"{self.names[k]} {'>=' if low else '<='} {self.lower[k] if low else self.upper[k]:.9g} {self.units[k]}"

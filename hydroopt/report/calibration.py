@@ -19,10 +19,13 @@ from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
 from hydroopt.estimation.kinematic.calibration import Calibration
-from hydroopt.estimation.kinematic.diagnostics import CORRELATED, Appraisal, Chain, Residuals
+from hydroopt.estimation.kinematic.chain_points import ChainPoints
+from hydroopt.estimation.kinematic.diagnostics import correlated_pairs
+from hydroopt.estimation.kinematic.residuals import PoseResiduals
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, LIGHT, ORANGE, SHADE, STYLE, WIDTH, Change, changes, svg
 from hydroopt.report.numbers import NONE, Row, plain, quantity, unit_text
 from hydroopt.report.page import page
+from hydroopt.results.answer import Status
 from hydroopt.results.fit import Fit
 from hydroopt.spatial.inertia import Array
 
@@ -55,30 +58,27 @@ class Parameter(NamedTuple):
     strong: bool
 
 
-def render(appraisal: Appraisal) -> str:
+def render(c: Calibration) -> str:
     """The report as one HTML page that needs nothing else."""
-    c = appraisal.calibration
-    problem = c.problem
+    problem, identified = c.problem, c.observability
     groups = _groups(c)
     every = [p for _, rows in groups for p in rows]
     return page("calibration.html").render(
-        machine=problem.model.machine, calibration=c, doubts=appraisal.doubts, failed=c.status != "ok",
-        method=METHODS.get(c.method, ""), fit=_fit(c), groups=groups, figures=_drawings(appraisal), seed=appraisal.seed,
+        machine=problem.model.machine, calibration=c, suspect=c.status is not Status.OK,
+        method=METHODS.get(c.method, ""), fit=_fit(c), groups=groups, figures=_drawings(c),
         counts={kind: sum(p.identifiability == kind for p in every)
                 for kind in ("full", "combination", "none", "fixed")},
-        tables=_tables(appraisal), left_out=appraisal.left_out, combinations=appraisal.combinations,
-        point=appraisal.workspace.point, stages=len(set(problem.poses.stage)),
-        rank=c.seen.rank,
-        condition=plain(c.seen.condition_number, 3), amplification=plain(c.seen.noise_amplification_index, 3),
-        scale=plain(c.noise_scale, 3), share=_share(appraisal),
+        tables=_tables(c), stages=len(set(problem.poses.stage)),
+        suspects=[s.diagnostic.text for s in c.suspects], left_out=[s.diagnostic.text for s in c.left_out],
+        condition=plain(identified.condition_number, 3), amplification=plain(identified.noise_amplification_index, 3),
+        scale=plain(c.noise_scale, 3), accuracy=_accuracy(c),
         fixed=[f"{name} = {_printed(value, problem.parameters.units[problem.parameters.index(name)])}"
                for name, value in problem.fixed.items()])
 
 
-def _drawings(appraisal: Appraisal) -> dict[str, Markup]:
-    drawn = {"residuals": residuals(appraisal), "chain": chains(appraisal),
-             "changes": changes(_changes(appraisal.calibration)),
-             "correlations": correlations(appraisal.calibration), "workspace": workspace(appraisal)}
+def _drawings(c: Calibration) -> dict[str, Markup]:
+    drawn = {"residuals": residuals(c), "chain": chains(c), "changes": changes(_changes(c)),
+             "correlations": correlations(c), "workspace": workspace(c)}
     return {name: Markup(svg(figure, name)) for name, figure in drawn.items() if figure is not None}
 
 
@@ -116,17 +116,14 @@ def _parameter(c: Calibration, k: int) -> Parameter:
     parameters = c.problem.parameters
     name = parameters.names[k]
     unit, factor = PRINTED.get(parameters.units[k], (unit_text(parameters.units[k]), 1.0))
-    partner, strong, told = "", False, True
-    if c.problem.free[k]:
-        at = c.seen.names.index(name)
-        other, r = c.seen.strongest(at)
-        told = bool(np.isfinite(c.seen.covariance[at, at]))
+    partner, strong = "", False
+    if name in c.correlations:
+        other, r = c.correlations[name]
         partner = f"{other} {r:+.2f}".replace("-", "−") if abs(r) >= 0.1 else ""
-        shape = c.problem.model.parameters.positions
-        strong = abs(r) > CORRELATED and (name in shape or other in shape)
+        strong = (min(name, other), max(name, other)) in correlated_pairs(c)
     low, high = (factor * float(v) for v in c.ci95[k])
     std = float(c.std[k])
-    numbers = quantity(factor * float(c.theta[k]) if told else np.nan, factor * std, (low, high),
+    numbers = quantity(factor * float(c.theta[k]) if c.determined[k] else np.nan, factor * std, (low, high),
                        factor * float(parameters.nominal[k]))
     return Parameter(name.rpartition(".")[2], unit, numbers, c.category(name), partner, np.isnan(std), strong)
 
@@ -149,10 +146,9 @@ def _changes(c: Calibration) -> list[tuple[str, list[Change]]]:
     return groups
 
 
-def _tables(appraisal: Appraisal) -> list[dict[str, Any]]:
+def _tables(c: Calibration) -> list[dict[str, Any]]:
     """Files with the number of poses taken from them."""
-    c = appraisal.calibration
-    some = (("training", (appraisal.before or c).problem.poses), ("validation", c.problem.validation))
+    some = (("training", (c.all_poses or c).problem.poses), ("validation", c.problem.validation))
     kept = c.problem.poses
     return [{"role": role, "path": path or poses.name, "sha256": poses.sha256.get(path, ""),
              "poses": int(np.sum(poses.file == path)),
@@ -161,9 +157,10 @@ def _tables(appraisal: Appraisal) -> list[dict[str, Any]]:
             for role, poses in some if poses is not None for path in dict.fromkeys(map(str, poses.file))]
 
 
-def _share(appraisal: Appraisal) -> dict[str, str]:
-    std = 1e3 * appraisal.workspace.std[np.isfinite(appraisal.workspace.std)]
-    return {"median": plain(float(np.median(std)), 3), "largest": plain(float(std.max()), 3)} if std.size else {}
+def _accuracy(c: Calibration) -> dict[str, str]:
+    """Standard deviations over the workspace [mm]; empty where there are none."""
+    found = {"median": c.workspace.median_std, "largest": c.workspace.largest_std}
+    return {name: plain(1e3 * std, 3) for name, std in found.items()} if np.isfinite(found["median"]) else {}
 
 
 def _printed(value: float, unit: str) -> str:
@@ -174,9 +171,9 @@ def _printed(value: float, unit: str) -> str:
 # --- residuals ---
 
 
-def residuals(appraisal: Appraisal) -> Figure:
-    """What every pose leaves open before and after, stage by stage; suspects are ringed."""
-    parts = appraisal.residuals
+def residuals(c: Calibration) -> Figure:
+    """Residuals of every pose before and after, stage by stage; suspects are ringed."""
+    parts = c.residuals
     channels = list(dict.fromkeys(channel for part in parts for channel in part.after))
     total = sum(len(part.poses) for part in parts)
     crowded = any(len(stage) * 0.056 > count / total * (WIDTH - 0.8) for stage, count in _runs(parts))
@@ -192,7 +189,7 @@ def residuals(appraisal: Appraisal) -> Figure:
                 _stages(ax, part, start, turned=None if row else 25 if crowded else 0)
                 x = start + 1 + np.arange(len(part.poses))
                 if channel in part.after:
-                    flagged = appraisal.suspicious if part.role == "train" else np.zeros(len(x), dtype=bool)
+                    flagged = c.suspicious if part.role == "train" else np.zeros(len(x), dtype=bool)
                     _dots(ax, part, channel, x, flagged, 2.2 if total > 300 else 3.2)
                 start += len(x)
             ax.set(yscale="log", xlim=(0.5, start + 0.5), ylabel=f"{channel} [mm]")
@@ -204,14 +201,14 @@ def residuals(appraisal: Appraisal) -> Figure:
         if len(parts) > 1:
             handles += [_dot(ORANGE, "calibrated, held out"), Patch(facecolor=SHADE, edgecolor="#e8d3b0", lw=0.6,
                                                                     label="held out, not used for the estimate")]
-        if appraisal.suspicious.any():
+        if c.suspicious.any():
             handles.append(Line2D([], [], color="#b3261e", marker="o", mfc="none", ls="none", ms=6, label="suspect"))
         figure.legend(handles=handles, loc="upper left", ncols=len(handles), bbox_to_anchor=(0.05, 1.0),
                       borderaxespad=0.2)
     return figure
 
 
-def _runs(parts: Sequence[Residuals]) -> list[tuple[str, int]]:
+def _runs(parts: Sequence[PoseResiduals]) -> list[tuple[str, int]]:
     """Stages with their number of poses, in order."""
     return [(stage, len(list(rows))) for part in parts for stage, rows in groupby(map(str, part.poses.stage))]
 
@@ -220,7 +217,7 @@ def _dot(colour: str, label: str) -> Line2D:
     return Line2D([], [], color=colour, marker="o", ls="none", ms=4, label=label)
 
 
-def _dots(ax: Axes, part: Residuals, channel: str, x: NDArray[np.int64], flagged: NDArray[np.bool_],
+def _dots(ax: Axes, part: PoseResiduals, channel: str, x: NDArray[np.int64], flagged: NDArray[np.bool_],
           size: float) -> None:
     for table, colour in ((part.before, GREY), (part.after, BLUE if part.role == "train" else ORANGE)):
         if channel in table:
@@ -229,7 +226,7 @@ def _dots(ax: Axes, part: Residuals, channel: str, x: NDArray[np.int64], flagged
             color="#b3261e")
 
 
-def _stages(ax: Axes, part: Residuals, start: int, *, turned: float | None) -> None:
+def _stages(ax: Axes, part: PoseResiduals, start: int, *, turned: float | None) -> None:
     """Every other stage on a darker ground, held-out poses on their own; names above, turned by an angle [deg]."""
     position = start + 0.5
     for k, (stage, count) in enumerate(_runs([part])):
@@ -250,16 +247,17 @@ def _stages(ax: Axes, part: Residuals, start: int, *, turned: float | None) -> N
 
 def correlations(c: Calibration) -> Figure | None:
     """Heat map of the correlations of the geometry, with fixtures and locked angles if there is room."""
-    known = np.isfinite(np.diag(c.seen.covariance)) & (np.array(c.seen.category) != "none")
-    which = np.flatnonzero(known)
+    identified = np.isfinite(np.diag(c.observability.covariance)) & (np.array(c.observability.category) != "none")
+    which = np.flatnonzero(identified)
     if which.size > MOST:
-        which = np.array([k for k in which if c.seen.names[k] in c.problem.model.parameters.positions], dtype=int)
+        geometry = c.problem.model.parameters.positions
+        which = np.array([k for k in which if c.observability.names[k] in geometry], dtype=int)
     if which.size < 2:
         return None
-    covariance = c.seen.covariance[np.ix_(which, which)]
+    covariance = c.observability.covariance[np.ix_(which, which)]
     std = np.sqrt(np.diag(covariance))
     correlation = np.where(np.eye(len(which), dtype=bool), np.nan, covariance / np.outer(std, std))
-    names = [c.seen.names[k] for k in which]
+    names = [c.observability.names[k] for k in which]
     size = len(names)
     cell = min(0.3, 7.4 / size)
     side, margin = cell * size, 0.053 * max(map(len, names)) + 0.12
@@ -287,16 +285,16 @@ def correlations(c: Calibration) -> Figure | None:
 # --- workspace ---
 
 
-def workspace(appraisal: Appraisal) -> Figure | None:
+def workspace(c: Calibration) -> Figure | None:
     """Mean standard deviation of the machine's end over its workspace from the side and from above."""
-    space = appraisal.workspace
+    space = c.workspace
     known = np.isfinite(space.std)
     if not known.any():
         return None
     std = 1e3 * space.std[known]
     views = ((_side, "from the side, turned into one plane", "radius from the base's z axis [m]",
               "height along it [m]"), (_above, "from above, all heights", "x [m]", "y [m]"))
-    spans = [np.ptp(view(space.at[known]), axis=0) for view, *_ in views]
+    spans = [np.ptp(view(space.position[known]), axis=0) for view, *_ in views]
     tall = min(4.4, (WIDTH - 2.7) / sum(float(span[0] / span[1]) for span in spans))
     height, left = tall + 1.05, 0.65
     colours = Normalize(float(np.quantile(std, 0.005)), float(np.quantile(std, 0.995)))
@@ -305,7 +303,7 @@ def workspace(appraisal: Appraisal) -> Figure | None:
         for (view, title, across, up), span in zip(views, spans, strict=True):
             wide = tall * float(span[0] / span[1])
             ax = figure.add_axes((left / WIDTH, 0.5 / height, wide / WIDTH, tall / height))
-            mean, edges = _binned(view(space.at[known]), std)
+            mean, edges = _binned(view(space.position[known]), std)
             ax.pcolormesh(*edges, mean.T, cmap="viridis", norm=colours, rasterized=True)
             ax.plot(*view(space.measured).T, ls="none", marker="o", ms=2.4, mfc="white", mec=INK, mew=0.4,
                     label="measured poses")
@@ -328,12 +326,12 @@ def _above(points: Array) -> Array:
     return points[:, :2]
 
 
-def _binned(at: Array, values: Array) -> tuple[Array, list[Array]]:
+def _binned(points: Array, values: Array) -> tuple[Array, list[Array]]:
     """Mean of the values in square cells, NaN where there is none, and the cells' edges."""
-    low, high = at.min(axis=0), at.max(axis=0)
+    low, high = points.min(axis=0), points.max(axis=0)
     cell = float(np.max(high - low)) / BINS
     edges = [np.arange(low[k] - cell / 2, high[k] + cell, cell) for k in range(2)]
-    total, count = (np.histogram2d(at[:, 0], at[:, 1], bins=edges, weights=weights)[0]
+    total, count = (np.histogram2d(points[:, 0], points[:, 1], bins=edges, weights=weights)[0]
                     for weights in (values, np.ones_like(values)))
     return np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0), edges
 
@@ -341,14 +339,14 @@ def _binned(at: Array, values: Array) -> tuple[Array, list[Array]]:
 # --- chain ---
 
 
-def chains(appraisal: Appraisal) -> Figure | None:
+def chains(c: Calibration) -> Figure | None:
     """The closed chain from the side in some measured poses of some stages; the first of each in full colour."""
-    problem = appraisal.calibration.problem
+    problem = c.problem
     machine, stage_of = problem.model.machine, problem.poses.stage
     if machine.calibrator is None:
         return None
     stages = _spread(list(dict.fromkeys(map(str, stage_of))), PANELS)
-    views = [_flattened(appraisal.chain(_spread(np.flatnonzero(stage_of == stage).tolist(), SHOWN)))
+    views = [_flattened(c.chain(_spread(np.flatnonzero(stage_of == stage).tolist(), SHOWN)))
              for stage in stages]
     corners = np.concatenate([part.reshape(-1, 2) for view in views for part in (view.points, view.fixture, view.pins)])
     low, high = np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)
@@ -383,26 +381,26 @@ def _spread(things: list[Any], most: int) -> list[Any]:
     return [things[k] for k in dict.fromkeys(np.linspace(0, len(things) - 1, most).round().astype(int).tolist())]
 
 
-def _flattened(chain: Chain) -> Chain:
+def _flattened(chain: ChainPoints) -> ChainPoints:
     """The chain seen perpendicularly to the vertical plane in which it mainly lies."""
     flat = chain.points[:, :, :2].reshape(-1, 2)
     across = np.linalg.svd(flat, full_matrices=False)[2][0]
     across = across * (1.0 if across @ flat.sum(axis=0) >= 0 else -1.0)
 
-    def seen(points: Array) -> Array:
+    def projected(points: Array) -> Array:
         return np.stack([points[..., :2] @ across, points[..., 2]], axis=-1)
 
-    return chain._replace(points=seen(chain.points), fixture=seen(chain.fixture), pins=seen(chain.pins))
+    return chain._replace(points=projected(chain.points), fixture=projected(chain.fixture), pins=projected(chain.pins))
 
 
-def _draw(ax: Axes, view: Chain, pose: int, *, faint: bool) -> None:
+def _draw(ax: Axes, view: ChainPoints, pose: int, *, faint: bool) -> None:
     alpha = 0.25 if faint else 1.0
-    points, own = view.points[pose], view.own + 1
+    points, machine = view.points[pose], view.machine_links + 1
     for pins, carriers in zip(view.pins[pose], view.carrier, strict=True):
         for pin, link in zip(pins, carriers, strict=True):
             if link >= 0:  # what carries the pin, as a triangle on the link's line
                 ax.plot(*np.array([points[link], pin, points[link + 1]]).T, color=GREY, lw=0.8, alpha=0.7 * alpha)
         ax.plot(*pins.T, color=BLUE, lw=2.2, alpha=alpha, solid_capstyle="round")
-    for part, colour, width in ((points[:own], INK, 2.6), (points[own - 1 :], ORANGE, 2.0)):
+    for part, colour, width in ((points[:machine], INK, 2.6), (points[machine - 1 :], ORANGE, 2.0)):
         ax.plot(*part.T, color=colour, lw=width, alpha=alpha, marker="o", ms=3.4, mfc="white", mew=1.0)
     ax.plot(*view.fixture[pose], color=GREEN, marker="D", ms=6, ls="none", zorder=5, alpha=0.5 if faint else 1.0)

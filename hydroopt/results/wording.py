@@ -90,6 +90,35 @@ class Kind(StrEnum):
     NO_INTERIOR = "intervals of least squares"
 
     # kinematic calibration and pose planning
+    POSES_LEFT_OUT = "poses left out"
+    POSES_NOT_USED = "poses not used"
+    POSES_REPEATED = "poses repeated"
+    NO_INTERVALS_LINK_BY_LINK = "no intervals link by link"
+    POSES_IN_ONE_PLANE = "poses in one plane"
+    STAGE_CONTRADICTS = "stage contradicts the others"
+    STRETCH_CONTRADICTS = "stretch of poses contradicts the others"
+    POSE_CONTRADICTS = "pose contradicts the others"
+    POSES_CONTRADICT = "single poses contradict the others"
+    SENSOR_OFFSET = "sensor reads another zero"
+    SENSOR_SCALE = "sensor reads a wrong scale"
+    BACKLASH = "backlash"
+    FIXTURE_MOVED = "fixture moved"
+    NO_VALIDATION_POSES = "no validation poses"
+    WORSE_THAN_NOMINAL = "held-out poses fit worse than before"
+    LARGER_ON_VALIDATION = "held-out poses fit worse than training poses"
+    NO_REDUNDANCY = "no redundancy"
+    ERRORS_LARGER = "errors larger than stated"
+    ERRORS_SMALLER = "errors smaller than stated"
+    ONLY_TOGETHER = "identifiable only together"
+    NOT_DETERMINED = "not determined"
+    CORRELATED_ESTIMATES = "correlated estimates"
+    PRIOR_ALONE = "determined by the prior alone"
+    LITTLE_BESIDE_PRIOR = "little information beside the prior"
+    FAR_FROM_FILE = "far from the machine file"
+    NOT_UNIQUE = "solution not unique"
+    UNIQUENESS_NOT_EXAMINED = "uniqueness not examined"
+    OTHER_SOLUTIONS = "initial guesses lead elsewhere"
+    HELD_AT_BOUND = "held at a bound"
     NOT_IDENTIFIED_BY_POSES = "not identified by poses"
 
 
@@ -206,4 +235,59 @@ WORDS: dict[Kind, Words] = {
     Kind.NOT_IDENTIFIED_BY_POSES: Words(
         "These poses do not identify {subject}.",
         "Fix them, add priors, or add poses and sensors that depend on them."),
+    Kind.POSES_LEFT_OUT: Words(
+        "{count} poses were left out because they contradict the others, which makes the fit look better than the "
+        "measurement was: {where}."),
+    Kind.POSES_NOT_USED: Words(
+        "{count} poses name no fixture and read nothing else, so that they were not used (data rows {rows})."),
+    Kind.POSES_REPEATED: Words(
+        "{count} poses repeat others in every reading.", "If rows were copied, intervals are too narrow: remove them."),
+    Kind.NO_INTERVALS_LINK_BY_LINK: Words(
+        "The link-by-link method gives no intervals.", "Use the method 'joint' for them."),
+    Kind.POSES_IN_ONE_PLANE: Words(
+        "All joints that turned between the poses have parallel axes, so that the poses lie in one plane and geometry "
+        "across it is not identifiable.", "Measure poses that leave the plane."),
+    Kind.STAGE_CONTRADICTS: Words(
+        "The poses of '{subject}' ({place}) contradict the others: their errors are {strength:.1f} times the usual "
+        "ones."),
+    Kind.STRETCH_CONTRADICTS: Words(
+        "In '{subject}', {place} contradict the others: their errors are {strength:.1f} times the usual ones."),
+    Kind.POSE_CONTRADICTS: Words(
+        "Pose {subject} ({place}) contradicts the others: its error is {strength:.1f} times the usual one."),
+    Kind.POSES_CONTRADICT: Words(
+        "{count} single poses contradict the others; the worst is {subject} ({place}), with {strength:.1f} times the "
+        "usual error."),
+    Kind.SENSOR_OFFSET: Words("The sensor of '{subject}' reads another zero in '{stage}', by {size_deg:.3f} deg."),
+    Kind.SENSOR_SCALE: Words("The sensor of '{subject}' reads a wrong scale, by {size:.2f %}."),
+    Kind.BACKLASH: Words(
+        "'{subject}' has backlash: its reading depends on the side it comes from, by {size_deg:.3f} deg."),
+    Kind.FIXTURE_MOVED: Words("The fixture '{subject}' moved by about {size_mm:.1f} mm before {place}."),
+    Kind.NO_VALIDATION_POSES: Words(
+        "No pose was held out, so that the prediction of unseen poses is not known.",
+        "Give --validate or --holdout-stage."),
+    Kind.WORSE_THAN_NOMINAL: Words(
+        "Held-out poses fit worse after calibration than before ({subject}: {after_mm:.3g} mm against {before_mm:.3g} "
+        "mm)."),
+    Kind.LARGER_ON_VALIDATION: Words(
+        "Held-out poses have {ratio:.1f} times the error of the training poses ({subject}): the geometry is "
+        "overfitted, or they lie where it was not measured."),
+    Kind.NO_REDUNDANCY: Words(
+        "There are as many equations as parameters, so that the size of the errors is not known.",
+        "Measure more poses."),
+    Kind.ERRORS_LARGER: Words(
+        "Errors are {scale:.1f} times those stated: sensors or fixtures are worse than stated, or the geometry moves "
+        "in a way that the model lacks; intervals are widened accordingly."),
+    Kind.ERRORS_SMALLER: Words(
+        "Errors are only {scale:.2f} times those stated: sensors or fixtures are better than stated; intervals follow "
+        "what is stated."),
+    Kind.ONLY_TOGETHER: Words("The poses identify only a combination of {subject}."),
+    Kind.NOT_DETERMINED: Words("Neither poses nor priors determine {subject}."),
+    Kind.CORRELATED_ESTIMATES: Words("These poses hardly separate (correlation): {pairs}."),
+    Kind.PRIOR_ALONE: Words("The machine file's confidences alone determine {subject}."),
+    Kind.LITTLE_BESIDE_PRIOR: Words("These poses add little to the machine file's confidences of {subject}."),
+    Kind.FAR_FROM_FILE: Words("Further from the machine file than its confidences allow: {distances}."),
+    Kind.NOT_UNIQUE: Words("The solution is not unique: {count} combinations are not identifiable."),
+    Kind.UNIQUENESS_NOT_EXAMINED: Words("Other solutions were not searched for.", "Give --starts."),
+    Kind.OTHER_SOLUTIONS: Words("Not all initial guesses lead to this solution: {counts}."),
+    Kind.HELD_AT_BOUND: Words("Held at a bound: {subject}."),
 }

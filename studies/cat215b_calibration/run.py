@@ -6,8 +6,8 @@ import numpy as np
 
 from hydroopt import calibrate, calibration_problem, load_machine
 from hydroopt.estimation.kinematic import joint, link_by_link
-from hydroopt.estimation.kinematic.calibration import guess_unsensed
 from hydroopt.estimation.kinematic.observability import linearise, observability
+from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures
 
@@ -142,9 +142,9 @@ def tables(drifting) -> dict:
         plain = drifting.problem(poses)
         drift = drifting.problem(poses, with_drift(drifting.machine, 0.3))
         best = calibrate(drift)
-        odd = [suspect.poses for suspect in best.suspects if suspect.kind in ("stage", "stretch", "pose")]
+        odd = [suspect.poses for suspect in best.suspects if suspect.kind.is_poses]
         cleaned = calibrate(drift.without(np.any(odd, axis=0))) if odd else best
-        answers = {"hierarchical": link_by_link.sequential_least_squares(plain, plain.start, plain.at.reading)[0],
+        answers = {"hierarchical": link_by_link.sequential_least_squares(plain, plain.start, plain.layout.reading)[0],
                    "joint": joint.maximum_likelihood(plain, plain.start, guess_unsensed(plain, plain.start))[0],
                    "joint_with_drift": best.theta, "joint_without_suspects": cleaned.theta,
                    "joint_robust": calibrate(drift.with_loss("student_t")).theta}
@@ -154,7 +154,7 @@ def tables(drifting) -> dict:
             for way, theta in answers.items():
                 problem = plain if len(theta) == len(plain.parameters) else drift
                 entry[way] = round(1e3 * float(theta[problem.parameters.index(name)] - right), 2)
-            entry["bound"] = round(1e3 * float(best.seen.std[best.seen.names.index(name)]), 2)
+            entry["bound"] = round(1e3 * float(best.observability.std[best.observability.names.index(name)]), 2)
             results[f"{table}: error of {name} [mm]"] = entry
     return results
 

@@ -5,9 +5,8 @@ from pathlib import Path
 import numpy as np
 
 from hydroopt import calibrate, calibration_problem, load_machine, read_pose_files
-from hydroopt.estimation.kinematic.calibration import predicted
-from hydroopt.estimation.kinematic.diagnostics import leavable
 from hydroopt.estimation.kinematic.observability import linearise
+from hydroopt.estimation.kinematic.residuals import predicted
 
 DATA = Path(__file__).parents[2] / "data" / "mukca_panda_2"
 SHIFT = 1.959964
@@ -113,7 +112,7 @@ def interval(difference, poses) -> tuple[float, float]:
 
 def cleaned(calibration):
     """The calibration again without the poses that it suspects: they enlarge the noise on which intervals rest."""
-    return calibrate(calibration.problem.without(leavable(calibration)))
+    return calibrate(calibration.problem.without(calibration.suspicious))
 
 
 def coverage(calibration, poses) -> float:
@@ -121,10 +120,10 @@ def coverage(calibration, poses) -> float:
     fresh, theta, q = predicted(calibration.problem, calibration.theta, poses)
     at = linearise(fresh, theta, q)
     # whitened by what sensors and play state; geometry adds its own share
-    shared = [k for k, name in enumerate(fresh.parameters.names) if name in calibration.seen.names]
-    order = [calibration.seen.names.index(fresh.parameters.names[k]) for k in shared]
+    shared = [k for k, name in enumerate(fresh.parameters.names) if name in calibration.observability.names]
+    order = [calibration.observability.names.index(fresh.parameters.names[k]) for k in shared]
     slope = at.jacobian[:, :, shared]
-    geometry = calibration.seen.covariance[np.ix_(order, order)]
+    geometry = calibration.observability.covariance[np.ix_(order, order)]
     variance = calibration.noise_scale**2 * (1 + np.einsum("nik,kl,nil->ni", slope, geometry, slope))
     gap = at.residual
     return float(np.mean(np.abs(gap) < SHIFT * np.sqrt(variance)))

@@ -6,8 +6,8 @@ from pathlib import Path
 import numpy as np
 
 from hydroopt import calibrate, calibration_problem, read_poses, read_urdf
-from hydroopt.estimation.kinematic.calibration import gaps
 from hydroopt.estimation.kinematic.observability import linearise, observability
+from hydroopt.estimation.kinematic.residuals import gaps
 from hydroopt.machine.calibration_chain import Calibrator, Tracker
 from hydroopt.machine.components import Note
 from hydroopt.machine.machine import Machine
@@ -44,7 +44,7 @@ def talos(offsets: bool = False, lengths: bool = False) -> Machine:
 
 def judged(problem, theta) -> tuple[np.ndarray, object]:
     """Errors (N, 3) [m] of a problem's marker at the angles read, and its rows linearised there."""
-    q = problem.angles(theta, problem.at.reading)
+    q = problem.angles(theta, problem.layout.reading)
     columns = [problem.model.channels.index(f"tip.{axis}") for axis in "xyz"]
     return gaps(problem, theta, q)[:, columns], linearise(problem, theta, q)
 
@@ -56,7 +56,7 @@ def left_out(problem, groups) -> tuple[np.ndarray, float]:
         solved = calibrate(problem.without(there))
         errors[there], at = judged(problem.without(~there), solved.theta)
         slope = at.jacobian[:, :, problem.free]
-        geometry = np.einsum("nik,kl,nil->ni", slope, solved.seen.covariance, slope)
+        geometry = np.einsum("nik,kl,nil->ni", slope, solved.observability.covariance, slope)
         stated = max(1.0, solved.noise_scale) * np.sqrt(1 + geometry)  # in units of CAPTURE, as the residual
         inside.append(np.abs(at.residual) < SHIFT * stated)
     return errors, float(np.mean(np.concatenate(inside)))

@@ -6,6 +6,7 @@ import csv
 import json
 import re
 import sys
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,22 +16,26 @@ from typer.testing import CliRunner
 
 from hydroopt import cli
 from hydroopt.errors import MachineError, SolverError
-from hydroopt.estimation.kinematic.calibration import Calibration, calibrate, gaps
-from hydroopt.estimation.kinematic.diagnostics import Appraisal
+from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic.calibration import Calibration
 from hydroopt.estimation.kinematic.problem import calibration_problem
+from hydroopt.estimation.kinematic.residuals import gaps
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.closed_chain import KinematicModel
-from hydroopt.report import folder
+from hydroopt.report.calibration import render
+from hydroopt.results.answer import load
+from hydroopt.results.diagnostic import of_kind
+from hydroopt.results.store import COMMON
+from hydroopt.results.wording import Kind
 from hydroopt.simulation import postures
 
 ROOT = Path(__file__).parents[2]
 MUKCA = ROOT / "data/mukca_panda_2"
-CONTRACT = {"schema", "machine", "created", "inputs", "method", "status", "parameters", "base_parameters",
-            "combinations", "fit", "conditioning", "noise_scale", "suspects", "left_out", "uniqueness",
-            "tip_uncertainty", "physical_consistency", "versions", "seed", "wall_s", "doubts"}
+CONTRACT = {*COMMON, "combinations", "conditioning", "correlations", "noise_scale", "suspects", "left_out",
+            "uniqueness", "workspace", "loss", "priors", "fixed", "seed"}
 FILES = {"estimate.json", "report.html", "parameters.csv", "fit.csv", "residuals.csv", "cat215b.toml"}
-SECTIONS = ("What is in doubt", "Fit", "Closed chain", "Parameters", "Accuracy over the workspace", "Conditioning",
+SECTIONS = ("Diagnostics", "Fit", "Closed chain", "Parameters", "Accuracy over the workspace", "Conditioning",
             "Data", "Method")
 FIGURES = ("residuals", "chain", "changes", "correlations", "workspace")
 
@@ -54,13 +59,13 @@ def solved() -> Calibration:
     poses = table(15, 1)
     wrong = dict(poses.channels) | {"yoke.q": poses.channels["yoke.q"] + 0.02 * (np.arange(45) == 20)}
     poses = Poses("made", poses.stage, poses.fixture, channels=wrong)
-    return calibrate(calibration_problem(load_machine("cat215b"), poses, table(4, 50), fixed={"ball.y": 0.0}))
+    return calibrate(calibration_problem(load_machine("cat215b"), poses, table(4, 50), fixed={"ball.y": 0.0}), seed=3)
 
 
 @pytest.fixture(scope="module")
 def left(solved: Calibration, tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("calibration") / "new"
-    folder.save_calibration(solved, place, wall_s=2.5, seed=3)
+    solved.save(place, pages={"report.html": render(solved)}, wall_s=2.5)
     return place
 
 
@@ -88,19 +93,21 @@ def test_json_is_what_was_agreed(left: Path) -> None:
     assert set(content) == CONTRACT
     assert (content["method"], content["status"], content["seed"], content["wall_s"]) == ("joint", "ok", 3, 2.5)
     for one in content["parameters"]:
-        assert set(one) == {"name", "unit", "nominal", "value", "std", "ci95", "bound", "identifiability",
-                            "correlated_with"}
+        assert set(one) == {"name", "kind", "unit", "nominal", "prior_std", "value", "std", "ci95", "bound",
+                            "identifiability", "information_from_data"}
         assert one["identifiability"] in {"full", "combination", "none", "fixed"}
         assert one["ci95"] is None or one["ci95"][0] < one["value"] < one["ci95"][1]
-        partner = one["correlated_with"]
-        assert partner is None or (set(partner) == {"name", "correlation"} and abs(partner["correlation"]) <= 1)
+    for pair in content["correlations"]:
+        assert set(pair) == {"name", "other", "correlation"}
+        assert abs(pair["correlation"]) <= 1
     assert set(content["conditioning"]) == {"rank", "condition_number", "noise_amplification_index", "parameters",
                                             "degrees_of_freedom"}
-    assert set(content["tip_uncertainty"]) == {"point", "median_mm", "max_mm"}
-    assert 0 < content["tip_uncertainty"]["median_mm"] <= content["tip_uncertainty"]["max_mm"]
+    assert set(content["workspace"]) == {"point", "median_std", "largest_std"}
+    assert 0 < content["workspace"]["median_std"] <= content["workspace"]["largest_std"]
     assert {one["role"]: one["samples"] for one in content["inputs"]} == {"train": 45, "validation": 12}
-    assert (content["base_parameters"], content["physical_consistency"]) == ([], {})
-    assert all(doubt.endswith(".") and doubt[0].isupper() for doubt in content["doubts"])
+    for one in content["diagnostics"]:
+        assert set(one) == {"kind", "subject", "evidence", "text", "remedy"}
+        assert one["text"].endswith(".")
 
 
 def test_numbers_are_those_of_the_answer(left: Path, solved: Calibration) -> None:
@@ -129,8 +136,8 @@ def test_the_wrong_pose_is_among_the_suspects(left: Path) -> None:
     assert 21 in named
     assert {k + 1 for k, row in enumerate(rows(left / "residuals.csv")) if row["suspect"] == "1"} == named
     for one in content["suspects"]:
-        assert set(one) == {"kind", "name", "text", "strength", "rows", "poses", "paths"}
-        assert any(one["text"][1:] in doubt for doubt in content["doubts"])
+        assert set(one) == {"kind", "name", "text", "strength", "size", "rows", "poses", "paths"}
+        assert any(one["name"] in other["subject"] for other in content["diagnostics"])
 
 
 def test_residuals_are_those_of_every_pose(left: Path, solved: Calibration) -> None:
@@ -160,16 +167,31 @@ def test_page_stands_alone(left: Path) -> None:
     assert re.search(r"\bnan\b", re.sub(r"<svg.*?</svg>", "", text, flags=re.DOTALL)) is None
 
 
-def test_what_nothing_tells_has_no_number() -> None:
-    machine = load_machine("cat215b")
-    poses = table(10, 5)
-    content = folder.calibration_as_dict(Appraisal(calibrate(calibration_problem(machine, poses, priors=False))))
-    by_name = {one["name"]: one for one in content["parameters"]}
-    lost = by_name["boom_cylinder.barrel.x"]
-    assert (lost["value"], lost["std"], lost["ci95"], lost["identifiability"]) == (None, None, None, "none")
-    unknown = [one for one in content["parameters"] if one["value"] is None]
-    assert all(one["identifiability"] in {"none", "combination"} for one in unknown)
-    assert any(doubt.startswith("Neither poses nor priors tell") for doubt in content["doubts"])
+def test_loading_gives_the_same_answer(left: Path, solved: Calibration) -> None:
+    loaded = load(left)
+    assert (loaded.job, loaded.status, loaded.method, loaded.machine_name, loaded.machine_sha256) == (
+        solved.job, solved.status, solved.method, "cat215b", solved.machine_sha256)
+    assert loaded.parameters == solved.parameters
+    assert loaded.diagnostics == solved.diagnostics
+    assert loaded.fit == solved.fit
+    assert loaded.inputs == solved.inputs
+    assert loaded.details() == solved.details()
+    assert repr(solved) == repr(loaded) == (
+        f"<kinematic calibration of cat215b by joint: ok, {len(solved.parameters)} parameters, "
+        f"{len(solved.diagnostics)} diagnostics>")
+    assert dict(loaded.files()) == {**solved.files(), "report.html": (left / "report.html").read_text("utf-8")}
+    assert loaded["boom.a"] == solved["boom.a"] == solved.machine.link("boom").joint.a
+
+
+def test_what_is_not_determined_has_no_number() -> None:
+    answer = calibrate(calibration_problem(load_machine("cat215b"), table(10, 5), priors=False))
+    lost = answer.parameters["boom_cylinder.barrel.x"]
+    assert (lost.value, lost.std, lost.ci95, lost.identifiability) == (None, None, None, "none")
+    unknown = [one for one in answer.parameters.rows if one.value is None]
+    assert all(one.identifiability in {"none", "combination"} for one in unknown)
+    assert {one.name for one in unknown} == {
+        name for one in of_kind(answer.diagnostics, Kind.NOT_DETERMINED) for name in one.subject}
+    content = answer.details()
     assert content["combinations"]
     assert content["conditioning"]["rank"] < content["conditioning"]["parameters"]
 
@@ -178,10 +200,11 @@ def test_impossible_geometry_is_not_written(solved: Calibration, tmp_path: Path,
                                             monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: Any, **__: Any) -> None:
         raise MachineError("a dead point lies in the range", where="the calibrated machine", remedy="widen it")
-    monkeypatch.setattr("hydroopt.estimation.kinematic.diagnostics.read_machine", refuse)
-    content = folder.save_calibration(solved, tmp_path)
-    assert {file.name for file in tmp_path.iterdir()} == FILES - {"cat215b.toml"}
-    assert any("No calibrated machine is written" in d and "a dead point" in d for d in content["doubts"])
+    monkeypatch.setattr("hydroopt.estimation.kinematic.calibrated_machine.read_machine", refuse)
+    answer = replace(solved)  # without what was computed before
+    answer.save(tmp_path)
+    assert {file.name for file in tmp_path.iterdir()} == FILES - {"cat215b.toml", "report.html"}
+    assert "a dead point" in str(of_kind(answer.diagnostics, Kind.NO_CALIBRATED_MACHINE)[0])
 
 
 def run(*arguments: str) -> str:
@@ -215,13 +238,14 @@ def test_command_leaves_out_what_does_not_fit(tmp_path: Path) -> None:
     by_name = {one["name"]: one for one in content["parameters"]}
     assert by_name["panda_joint5.compliance"]["identifiability"] == "fixed"
     assert by_name["hole_0.high.x"]["value"] is None
-    assert not any("hole_0.high" in doubt for doubt in content["doubts"])
+    assert not any("hole_0.high.x" in one["subject"] for one in content["diagnostics"])
 
 
 @pytest.mark.parametrize(("options", "said"), [
-    (("--method", "magic"), "no method"), (("--loss", "cubes"), "no loss"), (("--fix", "ball.y"), "NAME=VALUE"),
+    (("--method", "magic"), "not a method"), (("--loss", "cubes"), "does not exist"),
+    (("--fix", "ball.y"), "NAME=VALUE"),
     (("--fix", "tip.x=1 rad"), "rad"), (("--fix", "tip.q=1 m"), "did you mean tip"),
-    (("--holdout-stage", "nowhere"), "no pose is of stage"), (("--holdout-stage", "high"), "no pose is left"),
+    (("--holdout-stage", "nowhere"), "no pose is of stage"), (("--holdout-stage", "high"), "no training pose is left"),
     (("--starts", "0"), "--starts"), (("--validate", "missing.csv"), "missing.csv")])
 def test_wrong_options_end_in_one_sentence(options: tuple[str, ...], said: str, tmp_path: Path,
                                            capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch) -> None:

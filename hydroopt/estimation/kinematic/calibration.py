@@ -1,411 +1,218 @@
-"""Kinematic calibration, solved: geometry with uncertainty, how well loops close, and what is in doubt."""
+"""The answer of a kinematic calibration: geometry with uncertainty, diagnostics, and the folder it is saved in."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Literal, get_args
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
-from hydroopt.errors import ProblemError, SolverError
-from hydroopt.estimation.kinematic import joint, link_by_link
-from hydroopt.estimation.kinematic.column_checks import refuse_misread
-from hydroopt.estimation.kinematic.observability import Linearised, Observability, linearise, observability
-from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
-from hydroopt.estimation.kinematic.suspects import Suspect, diagnose
-from hydroopt.machine.components import Note
+from hydroopt.estimation.kinematic import calibrated_machine, diagnostics
+from hydroopt.estimation.kinematic.chain_points import ChainPoints, chain_points
+from hydroopt.estimation.kinematic.problem import CalibrationProblem
+from hydroopt.estimation.kinematic.residuals import PoseResiduals, loop_fit, predicted, residual_sizes
+from hydroopt.estimation.kinematic.solution import KinematicSolution
+from hydroopt.estimation.kinematic.suspects import Suspect
+from hydroopt.estimation.kinematic.unsensed_angles import follow_unsensed, guess_unsensed
+from hydroopt.estimation.kinematic.workspace import WorkspaceAccuracy, workspace_accuracy
+from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.parameter_kind import ParameterKind
+from hydroopt.results.answer import Answer, Status
+from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
-from hydroopt.spatial.inertia import Array
+from hydroopt.results.parameter_table import ParameterTable, row
+from hydroopt.results.store import Job
+from hydroopt.results.tables import csv_text, number
 
-CalibrationMethod = Literal["joint", "hierarchical"]
-METHODS: tuple[CalibrationMethod, ...] = get_args(CalibrationMethod)
-HOPELESS = 10.0
-"""How many times the stated errors must be exceeded for an answer to be doubtful as a whole."""
-SAME = 0.1
-"""Distance in standard deviations within which two solutions are the same."""
-TIGHT = 1e-11
-"""Gap [m] of a loop that counts as closed."""
-STEPS = 20
-"""Steps of Newton's method towards the unsensed angles of the nominal machine."""
-GUESSES = 24
-"""Angles tried for a joint that moves unsensed, over its range."""
+SUSPECT = 10.0
+"""How many times the stated errors must be exceeded for an answer to be suspect as a whole."""
 
 
-@dataclass(frozen=True, eq=False)
-class Calibration:
-    """A solved kinematic calibration.
+@dataclass(frozen=True, eq=False, repr=False)
+class Calibration(KinematicSolution, Answer):
+    """Calibrated geometry of a machine; `hydroopt.solve` returns it.
 
     Attributes:
-        problem: what was solved.
-        method: how.
-        theta: (P,) all parameters [SI]; `q` (N, n) joint vectors of the poses [rad, m].
-        seen: what the data tell about the free parameters.
-        noise_scale: root of the squared errors over the degrees of freedom; 1 where the stated σ are right. Intervals
-            are widened by it where it is larger than 1, never narrowed.
-        fit: by ``nominal``, ``train`` and ``validation``, then by channel: RMS and VAF (Eq. 3.44-3.46).
-        suspects: joints, stages and poses that do not fit the rest.
-        uniqueness: what solving from several starts showed.
+        all_poses: the calibration with all poses, if those that contradict the others were left out afterwards.
+
+    >>> import hydroopt, numpy as np
+    >>> machine = hydroopt.load_machine("panda_mukca")
+    >>> plan = hydroopt.solve(hydroopt.pose_problem(machine, 20), candidates=50)
+    >>> problem = hydroopt.calibration_problem(machine, plan.poses)
+    >>> calibration = hydroopt.solve(problem)
+    >>> calibration.status, calibration.parameters["panda_joint3.d"].kind
+    (<Status.OK: 'ok'>, 'length')
+    >>> bool(abs(calibration["panda_joint3.d"] - 0.316) < 1e-6)
+    True
     """
 
-    problem: CalibrationProblem
-    method: str
-    theta: Array
-    q: Array
-    seen: Observability
-    at: Linearised
-    noise_scale: float
-    fit: Mapping[str, Mapping[str, Fit]]
-    suspects: tuple[Suspect, ...]
-    uniqueness: str
-    status: str = "ok"
+    all_poses: Calibration | None = None
 
-    def __getitem__(self, name: str) -> float:
-        """Value of a parameter [SI]."""
-        return float(self.theta[self.problem.parameters.index(name)])
+    job = Job.CALIBRATION
+
+    @property
+    def machine_name(self) -> str:
+        """Name of the machine that was calibrated."""
+        return self.problem.model.machine.name
+
+    @property
+    def machine_sha256(self) -> str:
+        """Digest of its nominal description."""
+        return self.problem.model.machine.sha256
+
+    @property
+    def method(self) -> str:
+        """How it was calibrated, ``joint`` or ``hierarchical``."""
+        return self.algorithm
+
+    @property
+    def status(self) -> Status:
+        """Suspect where the errors are far beyond those stated."""
+        return Status.SUSPECT if self.noise_scale > SUSPECT else Status.OK
+
+    @property
+    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
+        """By ``nominal``, ``train`` and ``validation``, then by channel: RMS [m] and VAF (Eq. 3.44-3.46)."""
+        return self.fits
 
     @cached_property
-    def std(self) -> Array:
-        """(P,) standard deviations; NaN where neither data nor priors tell, at a bound, or where a value was fixed.
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """What to know before trusting the calibration, the gravest first."""
+        problem, prediction = self.problem, {}
+        if problem.validation is not None:
+            prediction = loop_fit(*predicted(problem, problem.start, problem.validation))
+        before = len(problem.poses if self.all_poses is None else self.all_poses.problem.poses)
+        return tuple(diagnostics.diagnose(
+            self, nominal_prediction=prediction, impossible=self._machine_text[1], left_out=self.left_out,
+            poses_left_out=before - len(problem.poses)))
 
-        All are NaN for the link-by-link method, which weighs nothing and whose errors add up from stage to stage.
-        """
-        std = np.full(len(self.theta), np.nan)
-        if self.method != "joint":
-            return std
-        std[self.problem.free] = self.seen.std * max(1.0, self.noise_scale)
-        std[~np.isfinite(std) | self.at_bound] = np.nan
-        return std
-
-    @property
-    def at_bound(self) -> NDArray[np.bool_]:
-        """(P,) which parameters are held back by a bound, where a symmetric interval would be wrong."""
-        parameters = self.problem.parameters
-        near = 1e-6 * parameters.scale
-        bound: NDArray[np.bool_] = (self.theta < parameters.lower + near) | (self.theta > parameters.upper - near)
-        return bound & self.problem.free
-
-    @property
-    def ci95(self) -> Array:
-        """(P, 2) intervals."""
-        return np.asarray(self.theta[:, None] + 1.959964 * self.std[:, None] * np.array([-1.0, 1.0]))
-
-    def category(self, name: str) -> str:
-        """``full``, ``combination`` or ``none`` by the data alone, or ``fixed``."""
-        return "fixed" if name in self.problem.fixed else self.seen.category[self.seen.names.index(name)]
+    @cached_property
+    def parameters(self) -> ParameterTable:
+        """Geometry, fixtures and angles of locked joints; without a value where neither poses nor priors give one."""
+        stated, known = self.problem.parameters, self.problem.known
+        rows = []
+        for k, name in enumerate(stated.names):
+            given = bool(self.determined[k])
+            rows.append(row(
+                name, stated.kinds[k], stated.units[k], nominal=stated.nominal[k],
+                prior_std=1 / known[k] if known[k] else np.nan, value=self.theta[k] if given else np.nan,
+                std=self.std[k] if given else np.nan, ci95=self.ci95[k] if given else (np.nan, np.nan),
+                bound=stated.nearest_bound(k, self.theta[k]) if self.at_bound[k] else "",
+                identifiability=self.category(name)))
+        return ParameterTable(rows)
 
     @property
+    def inputs(self) -> tuple[Mapping[str, Any], ...]:
+        """The tables of poses."""
+        return inputs_of(self.problem if self.all_poses is None else self.all_poses.problem)
+
+    @cached_property
     def machine(self) -> Machine:
         """The machine with the calibrated geometry and its confidences.
 
-        A vector keeps the largest of its confidences, and correlations are lost; angles of locked joints belong to the
-        poses and are not written.
+        Raises:
+            MachineError: no machine can have this geometry.
         """
-        return _with_geometry(self)
+        return calibrated_machine.calibrated_machine(self)
+
+    @cached_property
+    def _machine_text(self) -> tuple[str, str]:
+        return calibrated_machine.machine_text(self)
+
+    @property
+    def left_out(self) -> tuple[Suspect, ...]:
+        """Suspects whose poses were left out."""
+        return () if self.all_poses is None else tuple(s for s in self.all_poses.suspects if s.kind.is_poses)
+
+    @cached_property
+    def residuals(self) -> tuple[PoseResiduals, ...]:
+        """Of the training poses, then of those held out."""
+        problem = self.problem
+        nominal = follow_unsensed(problem, problem.start, guess_unsensed(problem, problem.start))
+        found = [PoseResiduals("train", problem.poses, residual_sizes(problem, problem.start, nominal),
+                               residual_sizes(problem, self.theta, self.q))]
+        if problem.validation is not None:
+            before, after = (residual_sizes(*predicted(problem, theta, problem.validation))
+                             for theta in (problem.start, self.theta))
+            found.append(PoseResiduals("validation", problem.validation, before, after))
+        return tuple(found)
+
+    @cached_property
+    def workspace(self) -> WorkspaceAccuracy:
+        """Accuracy of the machine's end over its workspace."""
+        return workspace_accuracy(self)
+
+    def chain(self, rows: Sequence[int]) -> ChainPoints:
+        """The calibrated chain as points, in some of the training poses."""
+        return chain_points(self, rows)
 
     def __str__(self) -> str:
-        lines = [f"{self.problem.model.machine.name} by {self.method}: {self.status}, {len(self.problem.poses)} poses, "
+        lines = [f"{self.machine_name} by {self.method}: {self.status}, {len(self.problem.poses)} poses, "
                  f"errors {self.noise_scale:.2f} times those stated"]
-        for name, table in self.fit.items():
-            for channel, fit in table.items():
-                lines.append(f"  {name:<10} {channel:<24} RMS {1e3 * fit.rms:9.3f} mm  VAF {100 * fit.vaf:7.3f} %")
+        lines += [f"  {data:<10} {channel:<24} RMS {1e3 * fit.rms:9.3f} mm  VAF {100 * fit.vaf:7.3f} %"
+                  for data, table in self.fit.items() for channel, fit in table.items()]
         return "\n".join(lines)
 
+    def details(self) -> Mapping[str, Any]:
+        """Conditioning, correlations, suspects, uniqueness, accuracy over the workspace [m], and settings."""
+        identified, workspace = self.observability, self.workspace
+        freedom = int(self.linearised.rank.sum()) + len(self.problem.distances.length) - identified.rank
+        before = () if self.all_poses is None else [_suspect(self.all_poses.problem.poses, s) for s in self.left_out]
+        return {
+            "combinations": [{"parameters": list(group)} for group in self.combinations],
+            "conditioning": {"rank": identified.rank, "condition_number": number(identified.condition_number),
+                             "noise_amplification_index": number(identified.noise_amplification_index),
+                             "parameters": len(identified.names), "degrees_of_freedom": freedom},
+            "correlations": [{"name": name, "other": other, "correlation": r}
+                             for name, (other, r) in self.correlations.items()],
+            "noise_scale": number(self.noise_scale), "suspects": [_suspect(self.problem.poses, s)
+                                                                  for s in self.suspects],
+            "left_out": list(before), "uniqueness": self.uniqueness.as_dict(),
+            "workspace": {"point": workspace.point, "median_std": number(workspace.median_std),
+                          "largest_std": number(workspace.largest_std)},
+            "loss": self.problem.loss, "priors": self.problem.priors, "fixed": dict(self.problem.fixed),
+            "seed": self.seed}
 
-def calibrate(problem: CalibrationProblem, method: str = "joint", *, starts: int = 1, seed: int = 0) -> Calibration:
-    """Solve a kinematic calibration.
+    def files(self) -> Mapping[str, str]:
+        """Tables as CSV, and the calibrated machine where one can exist."""
+        files = {"parameters.csv": self.parameters.to_csv(), "residuals.csv": csv_text(self._residual_rows()),
+                 "fit.csv": csv_text([{"data": data, "channel": channel, **fit.as_dict()}
+                                      for data, table in self.fit.items() for channel, fit in table.items()])}
+        text = self._machine_text[0]
+        return files | ({f"{self.machine_name}.toml": text} if text else {})
 
-    Args:
-        problem: what to calibrate from which poses.
-        method: ``joint`` or ``hierarchical``.
-        starts: from how many places to solve; the first is the nominal machine, the others lie about it as its
-            confidences say.
-        seed: of the other starts.
-
-    Raises:
-        ProblemError: unknown method, or the poses cannot determine the parameters.
-        SolverError: no trustworthy answer.
-    """
-    if starts < 1:
-        raise ProblemError(f"{starts} starts are none", where="--starts", remedy="ask for one or more")
-    problem = solvable(problem, method)
-    rng = np.random.default_rng(seed)
-    answers: list[tuple[float, Array, Array]] = []
-    failed = 0
-    for k in range(starts):
-        try:
-            answers.append(optimum(problem, method, random_start(problem, rng) if k else problem.start))
-        except SolverError:
-            if starts == 1 or (k == starts - 1 and not answers):
-                raise
-            failed += 1
-    answers.sort(key=lambda answer: answer[0])
-    _, theta, q = answers[0]
-    at = linearise(problem, theta, closed_angles(problem, theta, q))
-    seen = observability(problem, at)
-    known = int(np.sum(np.isfinite(seen.std)))
-    freedom = int(at.rank.sum()) + len(at.shared_residual) - known
-    squares = float(at.pose_square.sum() + np.sum(at.shared_residual**2))
-    scale = float(np.sqrt(squares / freedom)) if freedom > 0 else float("nan")
-    nominal = follow_unsensed(problem, problem.start, guess_unsensed(problem, problem.start))
-    fit = {"nominal": fit_of(problem, problem.start, nominal), "train": fit_of(problem, theta, q)}
-    if problem.validation is not None:
-        fit["validation"] = fit_of(*predicted(problem, theta, problem.validation))
-    suspects = diagnose(problem, q, at, seen)
-    return Calibration(problem, method, theta, q, seen, at, scale, fit, suspects,
-                       _uniqueness(seen, answers, failed, problem.free), "doubtful" if scale > HOPELESS else "ok")
-
-
-def solvable(problem: CalibrationProblem, method: str) -> CalibrationProblem:
-    """The problem as a method solves it.
-
-    Raises:
-        ProblemError: unknown method, or the poses cannot determine the parameters.
-    """
-    if method not in METHODS:
-        raise ProblemError(f"'{method}' is no method of kinematic calibration", where="--method",
-                           remedy=f"use {' or '.join(METHODS)}")
-    if method == "hierarchical":  # which knows no drift, as in the thesis
-        drifts = problem.parameters.places(ParameterKind.DRIFT)
-        problem = problem.fixing(**{problem.parameters.names[k]: 0.0 for k in drifts})
-    if not np.any(problem.free):
-        raise ProblemError("no number of the geometry states a confidence, so that nothing is calibrated",
-                           where=f"machine '{problem.model.machine.name}'",
-                           remedy="give a 'sigma' to the lengths, angles and pins that are in doubt")
-    _refuse_too_few(problem)
-    _refuse_without_scale(problem)
-    refuse_misread(problem, guess_unsensed)
-    return problem
+    def _residual_rows(self) -> list[dict[str, Any]]:
+        """One row a pose: its residuals [m] at the nominal and at the calibrated geometry."""
+        rows = []
+        channels = list(dict.fromkeys(channel for part in self.residuals for channel in part.after))
+        for part in self.residuals:
+            poses = part.poses
+            for k in range(len(poses)):
+                suspect = part.role == "train" and self.suspicious[k]
+                entry: dict[str, Any] = {
+                    "data": part.role, "path": str(poses.file[k]), "row": int(poses.row[k]),
+                    "stage": str(poses.stage[k]), "fixture": str(poses.fixture[k]), "pose": str(poses.pose[k]),
+                    "suspect": int(suspect)}
+                for channel in channels:
+                    for when, table in (("before", part.before), ("after", part.after)):
+                        entry[f"{channel}_{when} [m]"] = number(table[channel][k]) if channel in table else None
+                rows.append(entry)
+        return rows
 
 
-def random_start(problem: CalibrationProblem, rng: np.random.Generator) -> Array:
-    """Parameters (P,) about the nominal ones, as far as their confidences say."""
-    parameters = problem.parameters
-    away = rng.standard_normal(len(parameters)) * parameters.scale * problem.free
-    return np.asarray(problem.start + away)
+def inputs_of(problem: CalibrationProblem) -> tuple[Mapping[str, Any], ...]:
+    """The files that the poses of a problem come from."""
+    roles = (("train", problem.poses), ("validation", problem.validation))
+    return tuple({"path": path or poses.name, "sha256": poses.sha256.get(path),
+                  "samples": int(np.sum(poses.file == path)), "role": role}
+                 for role, poses in roles if poses is not None for path in dict.fromkeys(map(str, poses.file)))
 
 
-def optimum(problem: CalibrationProblem, method: str, start: Array) -> tuple[float, Array, Array]:
-    """Squared errors, parameters (P,) and joint vectors (N, n) to which a start (P,), put within the bounds, leads.
-
-    Raises:
-        SolverError: to none.
-    """
-    solve = joint.maximum_likelihood if method == "joint" else link_by_link.sequential_least_squares
-    start = np.clip(start, problem.parameters.lower, problem.parameters.upper)
-    theta, q = solve(problem, start, guess_unsensed(problem, start))
-    return _cost(problem, theta, q), theta, q
-
-
-def _refuse_too_few(problem: CalibrationProblem) -> None:
-    rows = int(problem.at.present.sum() - problem.at.moving.sum()) + len(problem.distances.length)
-    unknown = int(np.sum(problem.free & (problem.known == 0)))
-    if rows < unknown:
-        raise ProblemError(f"{rows} equations of all poses are too few for {unknown} unknown parameters",
-                           where=f"poses of {problem.poses.name}", remedy="measure more poses or fix parameters")
-
-
-def _refuse_without_scale(problem: CalibrationProblem) -> None:
-    """Angles alone fit a chain of any size (Section 3.6.4): without a known length all would shrink to nothing."""
-    others = np.any(problem.at.present[:, 3:]) or len(problem.distances.length) or problem.priors
-    chain = [link for link in problem.model.machine.chain if link.joint.type != "locked"]
-    if others or not chain:
-        return
-    assert problem.model.machine.calibrator is not None
-    # the first d only places the base frame, like the fixtures
-    lengths = {f"{link.name}.{key}": getattr(link.joint, key) for k, link in enumerate(chain)
-               for key in (("a", "d") if k else ("a",))}
-    lengths |= zip(("tip.x", "tip.y", "tip.z"), problem.model.machine.calibrator.tip, strict=True)
-    free = {name for name, estimated in zip(problem.parameters.names, problem.free, strict=True) if estimated}
-    if not any(value for name, value in lengths.items() if name not in free):
-        raise ProblemError("there is no length scale: the same angles fit a chain with all its lengths doubled",
-                           where=f"poses of {problem.poses.name}", remedy="fix a length, know a distance between "
-                           "fixtures, or read a tape, a tracker or a cylinder's length")
-
-
-def _cost(problem: CalibrationProblem, theta: Array, q: Array) -> float:
-    at = linearise(problem, theta, q)
-    return float(at.pose_square.sum() + np.sum(at.shared_residual**2))
-
-
-def _uniqueness(seen: Observability, answers: list[tuple[float, Array, Array]], failed: int,
-                free: NDArray[np.bool_]) -> str:
-    """What several starts showed, in plain words."""
-    if seen.null_space.shape[1] and not np.any(seen.prior):
-        return f"not unique: {seen.null_space.shape[1]} combinations leave no trace in the data"
-    if len(answers) + failed == 1:
-        return "not examined: solved from one start"
-    std = np.where(np.isfinite(seen.std), seen.std, np.inf)
-    best = answers[0]
-    same = sum(bool(np.all(np.abs(theta - best[1])[free] < SAME * std)) for _, theta, _ in answers)
-    others = [cost for cost, theta, _ in answers if np.any(np.abs(theta - best[1])[free] >= SAME * std)]
-    words = f"{same} of {len(answers) + failed} starts lead to the same solution"
-    if failed:
-        words += f", {failed} to none"
-    if others:
-        words += f", {len(others)} to worse ones (the next by {min(others) - best[0]:.3g} in squared errors)"
-    return words
-
-
-def guess_unsensed(problem: CalibrationProblem, theta: Array) -> Array:
-    """Joint vectors (N, n) to start with: readings, and for joints that move unsensed the angle that closes best."""
-    at, model = problem.at, problem.model
-    q = problem.angles(theta, at.reading)
-    moving = np.flatnonzero(at.moving.any(axis=0))
-    if not moving.size:
-        return q
-    ranges = np.array([link.joint.range for link in model.links if link.joint.type != "locked"])[moving]
-    rng = np.random.default_rng(0)
-    blind = at.moving.any(axis=1)
-    loops_only = bool(np.all(at.present[blind, :3]))  # the gap tells the angle, and is quicker than all rows
-    function, count = (model.closure, 3) if loops_only else (model.observed, at.present.shape[1])
-    best, least = q.copy(), np.full(len(q), np.inf)
-    for k in range(GUESSES * len(moving)):
-        share = (k + 0.5) / GUESSES if len(moving) == 1 else rng.uniform(size=len(moving))
-        trial = q.copy()
-        trial[:, moving] = np.where(at.moving[:, moving], ranges[:, 0] + share * (ranges[:, 1] - ranges[:, 0]),
-                                    q[:, moving])
-        rows = model.over(function, theta[: len(model.parameters)], trial, problem.fixtures(theta))[0][:, :, 0]
-        size = np.sum(((rows - at.target[:, :count]) * at.present[:, :count]) ** 2, axis=1)
-        better = size < least
-        best[better], least[better] = trial[better], size[better]
-    return best
-
-
-def closed_angles(problem: CalibrationProblem, theta: Array, q: Array) -> Array:
-    """Joint vectors (N, n) with the loops closed by the smallest errors, in standard deviations, of sensed angles."""
-    at, model = problem.at, problem.model
-    strict = at.present[:, :3] & (problem.row_sigma[:, :3] == 0)
-    weight = np.where(at.sensed, problem.angle_sigma, np.where(at.moving, 1.0, 0.0))
-    for _ in range(STEPS if np.any(strict) else 0):
-        gap, by_q = model.over(model.closure_jacobian, theta[: len(model.parameters)], q, problem.fixtures(theta))
-        gap = gap[:, :, 0] * strict
-        if np.max(np.abs(gap)) < TIGHT:
-            break
-        weighted = by_q * strict[:, :, None] * weight[:, None, :]
-        q = q - weight * (np.linalg.pinv(weighted, rcond=1e-9) @ gap[:, :, None])[:, :, 0]
-    return q
-
-
-def follow_unsensed(problem: CalibrationProblem, theta: Array, q: Array) -> Array:
-    """Joint vectors (N, n) whose unsensed angles close the loops as well as they can, the readings taken as exact."""
-    at, model = problem.at, problem.model
-    for _ in range(STEPS if np.any(at.moving) else 0):
-        rows, by_q = model.over(model.observed_by_angles, theta[: len(model.parameters)], q, problem.fixtures(theta))
-        rows = (rows[:, :, 0] - at.target) * at.present
-        turn = _least_squares(by_q * at.present[:, :, None], at.moving, rows)
-        q = q - np.clip(turn, -0.2, 0.2)
-        if np.max(np.abs(turn)) < 1e-6:
-            break
-    return q
-
-
-def _least_squares(by_q: Array, moving: NDArray[np.bool_], rows: Array) -> Array:
-    """Change (N, n) of the unsensed angles that explains most of the rows (N, m)."""
-    which = np.flatnonzero(moving.any(axis=0))
-    change = np.zeros(moving.shape)
-    blind = by_q[:, :, which] * moving[:, None, which]
-    change[:, which] = (np.linalg.pinv(blind, rcond=1e-9) @ rows[:, :, None])[:, :, 0]
-    return change
-
-
-def predicted(problem: CalibrationProblem, theta: Array, poses: object) -> tuple[CalibrationProblem, Array, Array]:
-    """Held-out poses under calibrated geometry: only what is new in them is fitted, such as where a fixture stood.
-
-    Returns:
-        Their problem, its parameters and joint vectors.
-    """
-    known = dict(zip(problem.parameters.names, theta.tolist(), strict=True))
-    fresh = calibration_problem(problem.model.machine, poses, priors=False)  # type: ignore[arg-type]
-    held = {name: known[name] for name in fresh.parameters.names if name in known and not (
-        any(fixture.moves and name.startswith(f"{fixture.name}.") for fixture in problem.model.machine.fixtures))}
-    trained = problem.angles(theta, problem.at.reading)
-    for name in fresh.parameters.names:
-        joint_name, locked, stage = name.partition(".locked.")
-        rows = problem.poses.stage == stage
-        if locked and name not in held and np.any(rows):
-            # held back here under the name of a later stage than in the poses that were fitted
-            held[name] = float(trained[rows, problem.model.joints.index(joint_name)].mean())
-    fresh = fresh.fixing(**held)
-    start = fresh.start
-    own = guess_unsensed(fresh, start)
-    if np.any(fresh.free) or np.any(fresh.at.moving):
-        found, own = joint.maximum_likelihood(fresh, start, own)
-        return fresh, found, own
-    return fresh, start, fresh.angles(start, fresh.at.reading)
-
-
-def gaps(problem: CalibrationProblem, theta: Array, q: Array) -> Array:
-    """(N, m) [m] what the readings leave open in every row: sensed angles as read, unsensed ones as they close best."""
-    at = problem.at
-    model = problem.model
-    rows, by_q = model.over(model.observed_by_angles, theta[: len(model.parameters)], q, problem.fixtures(theta))
-    by_q = by_q * at.present[:, :, None]
-    rows = (rows[:, :, 0] - at.target) * at.present
-    rows = rows + np.einsum("nij,nj->ni", by_q, np.where(at.sensed, at.reading - q, 0.0))
-    left: Array = rows - np.einsum("nij,nj->ni", by_q, _least_squares(by_q, at.moving, rows))
-    return left
-
-
-def fit_of(problem: CalibrationProblem, theta: Array, q: Array) -> dict[str, Fit]:
-    """RMS [m] and VAF of the loops' gaps and of all other readings (Eq. 3.44-3.46).
-
-    A gap is compared with how far the link that carries the calibrator travels over the poses.
-    """
-    left, at, model = gaps(problem, theta, q), problem.at, problem.model
-    table: dict[str, Fit] = {}
-    closed = at.present[:, :3].all(axis=1)
-    if np.any(closed):
-        chain = [link.name for link in model.machine.chain]
-        assert model.machine.calibrator is not None
-        ends = model.over(model.far_ends, theta[: len(model.parameters)], q)[0]
-        travel = ends[closed][:, :, chain.index(model.machine.calibrator.parent)]
-        table["gap"] = _fit(left[closed, :3], travel)
-    columns = np.array([i for i, name in enumerate(model.channels) if name.startswith("tip.")])
-    there = at.present[:, columns].all(axis=1)
-    if np.any(there):
-        table["tip"] = _fit(left[there][:, columns], at.target[there][:, columns])
-    for i, name in enumerate(model.channels):
-        if name.endswith((".length", ".distance")) and np.any(at.present[:, i]):
-            there = at.present[:, i]
-            table[name] = _fit(left[there, i : i + 1], at.target[there, i : i + 1])
-    return table
-
-
-def _fit(error: Array, signal: Array) -> Fit:
-    square = float(np.sum(error**2))
-    spread = float(np.sum((signal - signal.mean(axis=0)) ** 2))
-    size = float(np.sqrt(np.sum(signal**2)))
-    return Fit(float(np.sqrt(square / len(error))), 1 - square / spread if spread else float("nan"),
-               np.sqrt(square) / size if size else float("inf"), "m")
-
-
-def _with_geometry(calibration: Calibration) -> Machine:
-    problem = calibration.problem
-    machine = problem.model.machine
-    source = f"calibrated by {calibration.method} from {problem.poses.name}"
-    numbers, values, notes = machine.numbers, {}, {}
-    of_paths = dict(machine.notes)
-    written: dict[str, float] = {}
-    for name, value, std in zip(problem.parameters.names, calibration.theta, calibration.std, strict=True):
-        if name not in numbers:  # angles of locked joints, drifts, places of fixtures that move
-            continue
-        held = name in problem.fixed or calibration.at_bound[problem.parameters.index(name)]
-        seen = calibration.category(name) == "full" or (calibration.category(name) == "combination"
-                                                        and np.isfinite(std))
-        if not (held or seen):  # an arbitrary number of an unseen combination is no result
-            continue
-        values[name] = float(value)
-        if name in problem.fixed:
-            continue
-        path = numbers[name].path
-        before = of_paths.get(path, Note())
-        if np.isfinite(std) and std > 0:
-            written[path] = max(written.get(path, 0.0), float(std))
-            before = before.model_copy(update={"sigma": written[path], "relative": False})
-        notes[name] = of_paths[path] = before.model_copy(update={"source": source})
-    return machine.with_values(values, notes)
+def _suspect(poses: Poses, suspect: Suspect) -> dict[str, Any]:
+    """`rows` are the files' data rows, `poses` the positions from 1 among the poses of this role."""
+    return {"kind": str(suspect.kind), "name": suspect.name, "text": suspect.diagnostic.text,
+            "strength": number(suspect.strength), "size": number(suspect.size),
+            "rows": poses.row[suspect.poses].tolist(), "poses": (np.flatnonzero(suspect.poses) + 1).tolist(),
+            "paths": list(dict.fromkeys(map(str, poses.file[suspect.poses])))}

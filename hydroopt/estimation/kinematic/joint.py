@@ -39,8 +39,8 @@ def maximum_likelihood(problem: CalibrationProblem, start: Array, own: Array) ->
     Raises:
         SolverError: IPOPT failed or its answer failed our check.
     """
-    at, parameters = problem.at, problem.parameters
-    count, n = at.reading.shape
+    layout, parameters = problem.layout, problem.parameters
+    count, n = layout.reading.shape
     estimated = np.flatnonzero(problem.free)
     begin = np.where(problem.free, np.clip(start, parameters.lower, parameters.upper), problem.start)
     scale = _scale(problem, begin, own)
@@ -50,8 +50,8 @@ def maximum_likelihood(problem: CalibrationProblem, start: Array, own: Array) ->
     shared = _shared_cost(problem, theta)
     pose = _PoseTerms(problem)
     v = ca.reshape(ca.DM(unknowns.offset) + unknowns.slope @ x, pose.size, count)
-    strict = np.flatnonzero((at.present & (problem.row_sigma == 0)).ravel())
-    m, unit = at.present.shape[1], _typical_gap(problem)
+    strict = np.flatnonzero((layout.present & (problem.row_sigma == 0)).ravel())
+    m, unit = layout.present.shape[1], _typical_gap(problem)
     pick = _matrix((np.arange(len(strict)), strict, np.full(len(strict), 1 / unit)), len(strict), count * m)
     rows = pick @ ca.vec(pose.rows.map(count)(v, pose.data))
     cost = ca.sum2(pose.cost.map(count)(v, pose.data)) + shared
@@ -84,23 +84,23 @@ class _Unknowns:
 
     def __init__(self, problem: CalibrationProblem, estimated: NDArray[np.intp], begin: Array, own: Array,
                  scale: Array) -> None:
-        at, g = problem.at, len(problem.model.parameters)
-        count, n = at.reading.shape
+        layout, g = problem.layout, len(problem.model.parameters)
+        count, n = layout.reading.shape
         width = g + n + 3
-        erring = np.flatnonzero((at.sensed & (problem.angle_sigma > 0)).ravel())
-        moving = np.flatnonzero(at.moving.ravel())
+        erring = np.flatnonzero((layout.sensed & (problem.angle_sigma > 0)).ravel())
+        moving = np.flatnonzero(layout.moving.ravel())
         self.size = len(estimated) + len(erring) + len(moving)
         places: list[tuple[Any, Any, Any]] = []  # of v on the parameters: rows, parameters, factors
         pose = np.arange(count)
         for k in range(g):
             places.append((pose * width + k, np.full(count, k), np.ones(count)))
-        where, which, factor = at.locked
+        where, which, factor = layout.locked
         places.append((where // n * width + g + where % n, which, factor))
-        held = np.flatnonzero(at.fixture.ravel() >= 0)
-        places.append((held // 3 * width + g + n + held % 3, at.fixture.ravel()[held], np.ones(len(held))))
+        held = np.flatnonzero(layout.fixture.ravel() >= 0)
+        places.append((held // 3 * width + g + n + held % 3, layout.fixture.ravel()[held], np.ones(len(held))))
         row, parameter, value = (np.concatenate(part) for part in zip(*places, strict=True))
         offset = np.zeros((count, width))
-        offset[:, g : g + n] = np.where(at.moving, own, at.reading)
+        offset[:, g : g + n] = np.where(layout.moving, own, layout.reading)
         np.add.at(offset.ravel(), row, value * begin[parameter])
         self.offset = offset.ravel()
         column = np.full(len(begin), -1)
@@ -119,9 +119,9 @@ class _PoseTerms:
     """What one pose adds to cost and constraints, as functions of its v and its data, with derivatives."""
 
     def __init__(self, problem: CalibrationProblem) -> None:
-        at, model = problem.at, problem.model
-        count, n = at.reading.shape
-        g, m = len(model.parameters), at.present.shape[1]
+        layout, model = problem.layout, problem.model
+        count, n = layout.reading.shape
+        g, m = len(model.parameters), layout.present.shape[1]
         self.size = g + n + 3
         v, data = ca.SX.sym("v", self.size), ca.SX.sym("data", 2 * n + 2 * m + 1)
         reading, angle_weight, target, row_weight, expected = ca.vertsplit(data, [0, n, 2 * n, 2 * n + m,
@@ -138,11 +138,11 @@ class _PoseTerms:
         self.rows_jacobian = ca.Function("rows_jacobian", [v, data], [ca.densify(ca.jacobian(rows, v))])
         self.hessian = ca.Function("hessian", [v, data, weight, multipliers],
                                    [ca.densify(ca.hessian(lagrangian, v)[0])])
-        known = at.sensed & (problem.angle_sigma > 0)
-        weighed = at.present & (problem.row_sigma > 0)
+        known = layout.sensed & (problem.angle_sigma > 0)
+        weighed = layout.present & (problem.row_sigma > 0)
         self.data = ca.DM(np.hstack([
-            at.reading, _inverse(np.broadcast_to(problem.angle_sigma, (count, n)), known), at.target,
-            _inverse(problem.row_sigma, weighed), np.maximum(at.present.sum(axis=1, keepdims=True), 1)]).T)
+            layout.reading, _inverse(np.broadcast_to(problem.angle_sigma, (count, n)), known), layout.target,
+            _inverse(problem.row_sigma, weighed), np.maximum(layout.present.sum(axis=1, keepdims=True), 1)]).T)
 
 
 def _scale(problem: CalibrationProblem, theta: Array, own: Array) -> Array:
@@ -150,7 +150,7 @@ def _scale(problem: CalibrationProblem, theta: Array, own: Array) -> Array:
 
     With 1 m beside a reading's 1 mm, rounding errors alone would be larger than the gradient that IPOPT accepts.
     """
-    weighed = problem.at.present & (problem.row_sigma > 0)
+    weighed = problem.layout.present & (problem.row_sigma > 0)
     slope = problem.rows(theta, problem.angles(theta, own))[1] * _inverse(problem.row_sigma, weighed)[:, :, None]
     steep = np.sum(slope**2, axis=(0, 1))
     return np.asarray(1 / np.sqrt(1 / problem.parameters.scale**2 + steep / STEEPEST))

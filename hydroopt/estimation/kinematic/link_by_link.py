@@ -99,26 +99,26 @@ def stage_by_stage(problem: CalibrationProblem, start: Array, own: Array) -> Hie
         results.append(StageResult(stage, joint, tuple(problem.parameters.names[k] for k in seen), iterations, rms))
 
     for stage, joint, part in parts:
-        unit = float(problem.parameters.scale[part.at.fixture[0, 0]])
+        unit = float(problem.parameters.scale[part.layout.fixture[0, 0]])
         if joint and _stands_still(part, joint):
             rows, circle = _about_axis(part, joint, theta)
             settle(stage, joint, rows, circle, unit)
         else:
             settle(stage, joint, _whole_loop(part), np.zeros(0), unit)
     if np.any(left) and (len(parts) > 1 or parts[0][1]):
-        settle("all", "", _whole_loop(problem.without(problem.at.fixture[:, 0] < 0)), np.zeros(0), 1.0)
+        settle("all", "", _whole_loop(problem.without(problem.layout.fixture[:, 0] < 0)), np.zeros(0), 1.0)
     _check_bounds(problem, theta)
     closed = _closed(problem, theta)
-    loose = problem.at.moving & (problem.at.fixture[:, :1] < 0)
+    loose = problem.layout.moving & (problem.layout.fixture[:, :1] < 0)
     return Hierarchy(theta, np.where(loose, own, closed), tuple(results))
 
 
 def _parts(problem: CalibrationProblem) -> list[tuple[str, str, CalibrationProblem]]:
     """Stage, moving joint and poses of each stage in the order of measurement; all sensed ones count as one."""
-    at, joints = problem.at, problem.model.joints
-    held = at.fixture[:, 0] >= 0
+    layout, joints = problem.layout, problem.model.joints
+    held = layout.fixture[:, 0] >= 0
     keys = np.array([(str(stage), joints[int(np.argmax(moves))]) if np.any(moves) else ("", "")
-                     for stage, moves in zip(problem.poses.stage, at.moving, strict=True)])
+                     for stage, moves in zip(problem.poses.stage, layout.moving, strict=True)])
     parts = []
     for stage, joint in dict.fromkeys((str(name), str(moves)) for name, moves in keys[held]):
         own = held & (keys == (stage, joint)).all(axis=1)
@@ -133,8 +133,8 @@ def _stands_still(part: CalibrationProblem, joint: str) -> bool:
     chain = [link.name for link in model.machine.chain]
     inner = chain[: chain.index(joint)] if joint in chain else []
     before = [model.joints.index(name) for name in inner if name in model.joints]
-    locked = np.isin(part.at.locked[0] % len(model.joints), before)
-    return bool(np.any(locked)) and not np.any(part.at.sensed[:, before])
+    locked = np.isin(part.layout.locked[0] % len(model.joints), before)
+    return bool(np.any(locked)) and not np.any(part.layout.sensed[:, before])
 
 
 def _about_axis(part: CalibrationProblem, joint: str, theta: Array) -> tuple[Rows, Array]:
@@ -142,18 +142,18 @@ def _about_axis(part: CalibrationProblem, joint: str, theta: Array) -> tuple[Row
 
     Seen from before the joint the tip is s + (0, 0, d_i), turned by θ_i, which the radius does not depend on.
     """
-    model, at, total = part.model, part.at, len(part.parameters)
+    model, layout, total = part.model, part.layout, len(part.parameters)
     g, q = ca.SX.sym("g", len(model.parameters)), ca.SX.sym("q", len(model.joints))
     seen = model.seen_from(joint)(g, q)
     circle = ca.vertcat(ca.norm_2(seen[:2]), seen[2])
     function = ca.Function("circle", [g, q], [circle, ca.jacobian(circle, g), ca.jacobian(circle, q)])
-    place = np.unique(at.fixture[:, 0], return_inverse=True)[1]
+    place = np.unique(layout.fixture[:, 0], return_inverse=True)[1]
     poses, fixtures = np.arange(len(place)), int(place.max()) + 1
     offset = part.parameters.positions.get(f"{joint}.d")
-    where, which, factor = at.locked
+    where, which, factor = layout.locked
 
     def compute(theta: Array) -> tuple[Array, Array, Array]:
-        value, by_g, by_q = model.over(function, theta[: len(model.parameters)], part.angles(theta, at.reading))
+        value, by_g, by_q = model.over(function, theta[: len(model.parameters)], part.angles(theta, layout.reading))
         return value[:, :, 0], by_g, by_q
 
     def rows(x: Array) -> tuple[Array, Array]:
@@ -179,12 +179,12 @@ def _whole_loop(part: CalibrationProblem) -> Rows:
     Where a joint moves unsensed, it is turned to where the gap is smallest and what it moves is projected out. What is
     left are the two rows of Eq. 3.28, in the base frame and with the fixture's ρ and p_z as its position gives them.
     """
-    known, visited = part.distances, np.unique(part.at.fixture)
+    known, visited = part.distances, np.unique(part.layout.fixture)
     both = [k for k, ends in enumerate(known.ends) if np.isin(ends, visited).all()]
 
     def rows(x: Array) -> tuple[Array, Array]:
         gap, jacobian, by_q = (each[:, :3] for each in part.rows(x, _closed(part, x)))
-        blind = np.sum(by_q * part.at.moving[:, None, :], axis=2)
+        blind = np.sum(by_q * part.layout.moving[:, None, :], axis=2)
         blind /= np.maximum(np.linalg.norm(blind, axis=1, keepdims=True), 1e-300)
         across = np.eye(3) - blind[:, :, None] * blind[:, None, :]
         residuals = [(across @ gap[:, :, None]).ravel()]
@@ -206,10 +206,10 @@ def _closed(part: CalibrationProblem, theta: Array) -> Array:
 
     The tip runs on a circle: its squared distance from the fixture is a cosine of the angle, known from three places.
     """
-    at, model = part.at, part.model
+    layout, model = part.layout, part.model
 
     def turned(turn: Array | float) -> Array:
-        return part.angles(theta, np.where(at.moving, turn, at.reading))
+        return part.angles(theta, np.where(layout.moving, turn, layout.reading))
 
     first, quarter, half = (
         np.sum(model.over(model.closure, theta[: len(model.parameters)], turned(turn), part.fixtures(theta))[0]**2,
@@ -259,11 +259,11 @@ def _minimise(rows: Rows, x: Array, unknown: NDArray[np.intp], scale: Array) -> 
 
 def _refuse(problem: CalibrationProblem) -> None:
     """Raise what this method cannot use."""
-    at, model, where = problem.at, problem.model, f"poses of {problem.poses.name}"
+    layout, model, where = problem.layout, problem.model, f"poses of {problem.poses.name}"
     other = "use the method 'joint'"
-    if not np.any(at.fixture >= 0):
+    if not np.any(layout.fixture >= 0):
         raise ProblemError("no pose holds the tip in a fixture, so that no loop closes", where=where, remedy=other)
-    read = np.flatnonzero(at.present.any(axis=0))
+    read = np.flatnonzero(layout.present.any(axis=0))
     if np.any(read > 2):
         raise ProblemError(f"the link-by-link method closes loops only and cannot use '{model.channels[read[-1]]}'",
                            where=where, remedy=f"{other} or leave the channel out")
@@ -275,7 +275,7 @@ def _refuse(problem: CalibrationProblem) -> None:
             raise ProblemError("the link-by-link method takes locked joints as still and cannot estimate their drift",
                                where=f"parameter '{name}'", remedy=f"{other}, or hold the parameter at 0")
     kinds = {link.name: link.joint.type for link in model.links}
-    for stage, moving in zip(problem.poses.stage, at.moving, strict=True):
+    for stage, moving in zip(problem.poses.stage, layout.moving, strict=True):
         names = [model.joints[k] for k in np.flatnonzero(moving)]
         if len(names) > 1:
             raise ProblemError(f"{' and '.join(names)} move unsensed at the same time, the link-by-link method "
@@ -284,7 +284,7 @@ def _refuse(problem: CalibrationProblem) -> None:
         if names and kinds[names[0]] != "revolute":
             raise ProblemError(f"'{names[0]}' slides unsensed, the link-by-link method eliminates angles only",
                                where=f"stage '{stage}'", remedy=f"{other}, or record '{names[0]}.q'")
-    if np.any(at.moving) and any(link.joint.compliance is not None for link in model.links):
+    if np.any(layout.moving) and any(link.joint.compliance is not None for link in model.links):
         raise ProblemError("joints give way, so that the tip's path about an unsensed joint is no circle",
                            where=f"machine '{model.machine.name}'", remedy=f"{other}, or state no compliance")
 

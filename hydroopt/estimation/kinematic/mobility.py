@@ -14,6 +14,7 @@ import numpy as np
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
+from hydroopt.estimation.kinematic.length_scale import has_length_scale, no_length_scale
 from hydroopt.estimation.kinematic.observability import Linearised, linearise, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.logs.poses import joined
@@ -154,11 +155,10 @@ def mobility(machine: Machine, *, count: int = 30, seed: int = 0) -> Mobility:
         try:
             survey = _Survey(visits)
             told, together = survey.in_turn([visit.stage.name for visit in visits]), survey.told()
-            if not survey.has_scale():
-                sentences.append(str(ProblemError(
-                    "there is no length scale: the same angles fit a chain with all its lengths doubled",
-                    where=f"machine '{machine.name}'", remedy="take a length as exact, the calibrator's, say, or state "
-                    "a distance between two fixtures or the sensor of a tape, a tracker or a cylinder's length")))
+            if not has_length_scale(survey.problem, survey.linear):
+                sentences.append(str(no_length_scale(
+                    f"machine '{machine.name}'", "take a length as exact, the calibrator's, say, or state a distance "
+                    "between two fixtures or the sensor of a tape, a tracker or a cylinder's length")))
         except ProblemError as error:
             sentences.append(str(error))
     stages = tuple(visit.described(own) for visit, own in zip(visits, told, strict=True))
@@ -285,15 +285,15 @@ class _Survey:
         problem = calibration_problem(model.machine, poses, priors=False)
         self.problem = replace(problem, row_sigma=np.maximum(problem.row_sigma, PLAY))
         self.linear = linearise(self.problem, problem.start, np.concatenate([visit.q for visit in visits]))
-        owners = {cylinder.name for cylinder in model.machine.cylinders}
-        self.pins = np.array([name.partition(".")[0] in owners for name in problem.parameters.names])
+        self.pins = problem.cylinder_parameters
 
     def told(self, stage: str | None = None, known: Sequence[str] = ()) -> Told:
         """What the poses of one stage, or of all, tell of the parameters that they depend on and that are not known."""
         rows = (self.problem.poses.stage == stage) | (stage is None)
         part, names = self.problem.without(~rows), self.problem.parameters.names
         touched = np.arange(len(names)) < len(part.model.parameters)
-        touched[np.concatenate([part.at.locked[1], part.at.fixture[part.at.fixture >= 0]]).astype(int)] = True
+        layout = part.layout
+        touched[np.concatenate([layout.locked[1], layout.fixture[layout.fixture >= 0]]).astype(int)] = True
         rest = {name: part.start[k] for k, name in enumerate(names) if not touched[k] or name in known}
         return _told(part.fixing(**rest), replace(self.linear, jacobian=self.linear.jacobian[rows]),
                      {name for name, hidden in zip(names, self.pins, strict=True) if hidden})
@@ -305,27 +305,6 @@ class _Survey:
             visited = stage in self.problem.poses.stage
             told.append(self.told(stage, [name for before in told for name in before.full]) if visited else Told())
         return told
-
-    def has_scale(self) -> bool:
-        """Whether a common factor on all lengths leaves a trace that pins and fixtures cannot follow.
-
-        Lengths before the first axis do not count: like fixtures they only place the base frame.
-        """
-        problem, own, machine = self.problem, self.problem.parameters, self.problem.model.machine
-        assert machine.calibrator is not None
-        first = next((k for k, link in enumerate(machine.chain) if link.joint.type != "locked"), 0)
-        lengths = {f"{link.name}.{key}": getattr(link.joint, key) for k, link in enumerate(machine.chain)
-                   for key in ("a", "d") if k > first or (k, key) == (first, "a")}
-        lengths |= zip(("tip.x", "tip.y", "tip.z"), machine.calibrator.tip, strict=True)
-        if any(problem.fixed.values()) or any(value and name not in own.names for name, value in lengths.items()):
-            return True
-        grown = np.where((np.array(own.units) == "m") & ~self.pins, problem.start, 0.0)
-        follow = self.pins & problem.free
-        follow[problem.at.fixture[problem.at.fixture >= 0]] = True
-        rows = np.vstack([self.linear.jacobian.reshape(-1, len(own)), self.linear.shared])
-        trace = rows @ grown
-        trace = trace - rows[:, follow] @ np.linalg.lstsq(rows[:, follow], trace, rcond=None)[0]
-        return bool(np.linalg.norm(trace) > RANK_TOLERANCE * np.linalg.norm(np.abs(rows) @ np.abs(grown)))
 
 
 def _told(problem: CalibrationProblem, linear: Linearised, hidden: Collection[str] = ()) -> Told:

@@ -52,14 +52,14 @@ def linearise(problem: CalibrationProblem, theta: Array, q: Array) -> Linearised
     Raises:
         ProblemError: neither sensors nor fixtures state any error, so that nothing can be weighed.
     """
-    at = problem.at
+    layout = problem.layout
     rows, jacobian, by_q = problem.rows(theta, q)
-    used = np.flatnonzero(at.present.any(axis=0))
+    used = np.flatnonzero(layout.present.any(axis=0))
     rows, jacobian, by_q = rows[:, used], jacobian[:, used], by_q[:, used]
-    present, row_sigma = at.present[:, used], problem.row_sigma[:, used]
-    read = np.where(at.sensed, at.reading - q, 0.0)
+    present, row_sigma = layout.present[:, used], problem.row_sigma[:, used]
+    read = np.where(layout.sensed, layout.reading - q, 0.0)
     rows = rows + np.einsum("nij,nj->ni", by_q, read)
-    weighted = by_q * np.where(at.sensed, problem.angle_sigma, 0.0)[:, None, :]
+    weighted = by_q * np.where(layout.sensed, problem.angle_sigma, 0.0)[:, None, :]
     spread = weighted @ weighted.transpose(0, 2, 1)
     diagonal = np.where(present, row_sigma**2, 1.0)
     spread[:, np.arange(len(used)), np.arange(len(used))] += diagonal
@@ -70,10 +70,10 @@ def linearise(problem: CalibrationProblem, theta: Array, q: Array) -> Linearised
                            remedy="state the accuracy of three sensed joints or more, or the play of the fixture"
                            ) from None
     white = np.linalg.solve(factor, np.concatenate(
-        [rows[:, :, None], jacobian, by_q * np.where(at.moving, 1.0, 0.0)[:, None, :], weighted], axis=2))
+        [rows[:, :, None], jacobian, by_q * np.where(layout.moving, 1.0, 0.0)[:, None, :], weighted], axis=2))
     total, n = len(problem.parameters), by_q.shape[2]
     blind = white[:, :, 1 + total : 1 + total + n]
-    moving = at.moving.any(axis=0)
+    moving = layout.moving.any(axis=0)
     rank = present.sum(axis=1)
     if np.any(moving):
         u, s, _ = np.linalg.svd(blind[:, :, moving], full_matrices=False)
@@ -213,15 +213,15 @@ def _sparse_basis(space: Array) -> Array:
     return np.asarray(basis.T)
 
 
-def observability(problem: CalibrationProblem, at: Linearised) -> Observability:
+def observability(problem: CalibrationProblem, linearised: Linearised) -> Observability:
     """What the linearised poses tell about the free parameters of a problem."""
     free = np.flatnonzero(problem.free)
-    jacobian = at.jacobian[:, :, free].reshape(-1, len(free))
+    jacobian = linearised.jacobian[:, :, free].reshape(-1, len(free))
     known = len(problem.distances.length)
-    jacobian = np.vstack([jacobian, at.shared[:known][:, free]])
+    jacobian = np.vstack([jacobian, linearised.shared[:known][:, free]])
     size = np.linalg.norm(jacobian * problem.parameters.scale[free], axis=0)
     jacobian[:, size < ROUNDING * np.max(size, initial=0.0)] = 0.0  # what projecting left of columns that vanish
-    prior = at.shared[known:][:, free]
+    prior = linearised.shared[known:][:, free]
     names = tuple(problem.parameters.names[k] for k in free)
     return Observability(names, problem.parameters.scale[free], jacobian.T @ jacobian, prior.T @ prior)
 

@@ -159,7 +159,7 @@ def test_all_sensed_with_a_known_distance(joints: int, labels: tuple[str, str]) 
     poses = postures.record(model, q, stages, names, geometry=model.parameters.nominal, seed=None)
     problem = calibration_problem(machine, poses, priors=False)
     seen = observability(problem, linearise(problem, problem.start, q))
-    sure = np.linalg.norm(seen.unseen, axis=1) < 1e-6
+    sure = np.linalg.norm(seen.null_space, axis=1) < 1e-6
     assert sure.sum() == 4 * joints - 6  # base and fixtures turn and rise together, α of the last joint makes up for d
     answer = link_by_link.stage_by_stage(problem, start(problem, joints), q)
     np.testing.assert_allclose(answer.parameters[sure], problem.start[sure], rtol=0, atol=ACCURACY)
@@ -214,15 +214,15 @@ def test_a_sliding_joint_is_refused() -> None:
 def test_other_channels_are_refused() -> None:
     problem, q = excavator(count=3)
     for channel in ("stick_cylinder.length", "stick.distance"):
-        at = problem.at
-        present = at.present.copy()
+        layout = problem.layout
+        present = layout.present.copy()
         present[4, problem.model.channels.index(channel)] = True
-        assert f"cannot use '{channel}'" in refuse(replace(problem, at=replace(at, present=present)), q)
+        assert f"cannot use '{channel}'" in refuse(replace(problem, layout=replace(layout, present=present)), q)
 
 
 def test_poses_without_fixture_or_with_another_loss_are_refused() -> None:
     problem, q = excavator(count=3)
-    free = replace(problem, at=replace(problem.at, fixture=np.full_like(problem.at.fixture, -1)))
+    free = replace(problem, layout=replace(problem.layout, fixture=np.full_like(problem.layout.fixture, -1)))
     assert "no pose holds the tip" in refuse(free, q)
     assert "'huber'" in refuse(problem.with_loss("huber"), q)
 

@@ -1,0 +1,141 @@
+"""Solving a kinematic calibration, from one or several initial guesses."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hydroopt.errors import ProblemError, SolverError
+from hydroopt.estimation.kinematic import joint, link_by_link
+from hydroopt.estimation.kinematic.calibration import Calibration
+from hydroopt.estimation.kinematic.column_checks import refuse_misread
+from hydroopt.estimation.kinematic.length_scale import has_length_scale, no_length_scale
+from hydroopt.estimation.kinematic.observability import linearise, observability
+from hydroopt.estimation.kinematic.problem import CalibrationProblem
+from hydroopt.estimation.kinematic.residuals import loop_fit, predicted
+from hydroopt.estimation.kinematic.solution import HIERARCHICAL, JOINT, METHODS
+from hydroopt.estimation.kinematic.suspects import find_suspects
+from hydroopt.estimation.kinematic.uniqueness import uniqueness
+from hydroopt.estimation.kinematic.unsensed_angles import closed_angles, follow_unsensed, guess_unsensed
+from hydroopt.parameters.parameter_set import ParameterKind
+from hydroopt.spatial.inertia import Array
+
+
+def calibrate(problem: CalibrationProblem, method: str = "joint", *, starts: int = 1, seed: int = 0) -> Calibration:
+    """Solve a kinematic calibration.
+
+    Args:
+        problem: what to calibrate from which poses.
+        method: ``joint`` or ``hierarchical``.
+        starts: number of initial guesses; the first is the nominal machine, the others are drawn about it with its
+            confidences.
+        seed: of the other initial guesses, and of the postures that stand for the workspace.
+
+    Raises:
+        ProblemError: unknown method, or the poses cannot determine the parameters.
+        SolverError: no trustworthy answer.
+    """
+    if starts < 1:
+        raise ProblemError(f"{starts} initial guesses are too few", where="--starts", remedy="ask for one or more")
+    problem = solvable(problem, method)
+    rng = np.random.default_rng(seed)
+    answers: list[tuple[float, Array, Array]] = []
+    failed = 0
+    for k in range(starts):
+        try:
+            answers.append(optimum(problem, method, random_start(problem, rng) if k else problem.start))
+        except SolverError:
+            if starts == 1 or (k == starts - 1 and not answers):
+                raise
+            failed += 1
+    answers.sort(key=lambda answer: answer[0])
+    _, theta, q = answers[0]
+    linearised = linearise(problem, theta, closed_angles(problem, theta, q))
+    identified = observability(problem, linearised)
+    determined = int(np.sum(np.isfinite(identified.std)))
+    freedom = int(linearised.rank.sum()) + len(linearised.shared_residual) - determined
+    squares = float(linearised.pose_square.sum() + np.sum(linearised.shared_residual**2))
+    scale = float(np.sqrt(squares / freedom)) if freedom > 0 else float("nan")
+    nominal = follow_unsensed(problem, problem.start, guess_unsensed(problem, problem.start))
+    fits = {"nominal": loop_fit(problem, problem.start, nominal), "train": loop_fit(problem, theta, q)}
+    if problem.validation is not None:
+        fits["validation"] = loop_fit(*predicted(problem, theta, problem.validation))
+    return Calibration(problem, method, theta, q, identified, linearised, scale, fits,
+                       find_suspects(problem, q, linearised, identified),
+                       uniqueness(identified, [answer[:2] for answer in answers], failed, problem.free), seed)
+
+
+def without_suspects(calibration: Calibration, *, starts: int = 1) -> Calibration:
+    """The calibration solved again without the poses that contradict the others; unchanged where there are none.
+
+    Args:
+        calibration: with all poses; the answer keeps it as `all_poses`.
+        starts: as for `calibrate`.
+
+    Raises:
+        ProblemError, SolverError: see `calibrate`.
+    """
+    if not np.any(calibration.suspicious):
+        return calibration
+    solved = calibrate(calibration.problem.without(calibration.suspicious), calibration.algorithm, starts=starts,
+                       seed=calibration.seed)
+    return replace(solved, all_poses=calibration)
+
+
+def solvable(problem: CalibrationProblem, method: str) -> CalibrationProblem:
+    """The problem as a method solves it.
+
+    Raises:
+        ProblemError: unknown method, or the poses cannot determine the parameters.
+    """
+    if method not in METHODS:
+        raise ProblemError(f"'{method}' is not a method of kinematic calibration", where="--method",
+                           remedy=f"use {' or '.join(METHODS)}")
+    if method == HIERARCHICAL:  # which has no drift, as in the thesis
+        drifts = problem.parameters.places(ParameterKind.DRIFT)
+        problem = problem.fixing(**{problem.parameters.names[k]: 0.0 for k in drifts})
+    if not np.any(problem.free):
+        raise ProblemError("no number of the geometry states a confidence, so that nothing is calibrated",
+                           where=f"machine '{problem.model.machine.name}'",
+                           remedy="give a 'sigma' to the lengths, angles and pins to calibrate")
+    _refuse_too_few(problem)
+    if not has_length_scale(problem):
+        raise no_length_scale(f"poses of {problem.poses.name}", "fix a length, state a distance between fixtures, or "
+                              "read a tape, a tracker or a cylinder's length")
+    refuse_misread(problem)
+    return problem
+
+
+def random_start(problem: CalibrationProblem, rng: np.random.Generator) -> Array:
+    """Parameters (P,) drawn about the nominal ones with their confidences."""
+    parameters = problem.parameters
+    offset = rng.standard_normal(len(parameters)) * parameters.scale * problem.free
+    return np.asarray(problem.start + offset)
+
+
+def optimum(problem: CalibrationProblem, method: str, start: Array) -> tuple[float, Array, Array]:
+    """Squared errors, parameters (P,) and joint vectors (N, n) of the optimum that an initial guess (P,) leads to.
+
+    The guess is moved into the bounds first.
+
+    Raises:
+        SolverError: the solver did not converge.
+    """
+    solve = joint.maximum_likelihood if method == JOINT else link_by_link.sequential_least_squares
+    start = np.clip(start, problem.parameters.lower, problem.parameters.upper)
+    theta, q = solve(problem, start, guess_unsensed(problem, start))
+    return _cost(problem, theta, q), theta, q
+
+
+def _refuse_too_few(problem: CalibrationProblem) -> None:
+    rows = int(problem.layout.present.sum() - problem.layout.moving.sum()) + len(problem.distances.length)
+    unknown = int(np.sum(problem.free & (problem.known == 0)))
+    if rows < unknown:
+        raise ProblemError(f"{rows} equations of all poses are too few for {unknown} unknown parameters",
+                           where=f"poses of {problem.poses.name}", remedy="measure more poses or fix parameters")
+
+
+def _cost(problem: CalibrationProblem, theta: Array, q: Array) -> float:
+    linearised = linearise(problem, theta, q)
+    return float(linearised.pose_square.sum() + np.sum(linearised.shared_residual**2))

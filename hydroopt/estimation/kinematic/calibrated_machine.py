@@ -1,0 +1,68 @@
+"""The calibrated geometry written back into the machine."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from hydroopt.errors import HydrooptError
+from hydroopt.estimation.kinematic.solution import KinematicSolution
+from hydroopt.machine.components import Note
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import dump_machine, read_machine
+
+
+def calibrated_machine(solution: KinematicSolution) -> Machine:
+    """The machine with the calibrated geometry and its confidences.
+
+    A vector keeps the largest of its confidences, and correlations are lost; angles of locked joints belong to the
+    poses and are not written.
+
+    Raises:
+        MachineError: no machine can have this geometry.
+    """
+    problem = solution.problem
+    machine = problem.model.machine
+    source = f"calibrated by {solution.algorithm} from {problem.poses.name}"
+    numbers, values, notes = machine.numbers, {}, {}
+    of_paths = dict(machine.notes)
+    written: dict[str, float] = {}
+    for name, value, std in zip(problem.parameters.names, solution.theta, solution.std, strict=True):
+        if name not in numbers:  # angles of locked joints, drifts, places of fixtures that move
+            continue
+        held = name in problem.fixed or solution.at_bound[problem.parameters.index(name)]
+        category = solution.category(name)
+        identified = category == "full" or (category == "combination" and np.isfinite(std))
+        if not (held or identified):  # an arbitrary number of a combination is no result
+            continue
+        values[name] = float(value)
+        if name in problem.fixed:
+            continue
+        path = numbers[name].path
+        before = of_paths.get(path, Note())
+        if np.isfinite(std) and std > 0:
+            written[path] = max(written.get(path, 0.0), float(std))
+            before = before.model_copy(update={"sigma": written[path], "relative": False})
+        notes[name] = of_paths[path] = before.model_copy(update={"source": source})
+    return machine.with_values(values, notes)
+
+
+def machine_text(solution: KinematicSolution) -> tuple[str, str]:
+    """Text of the calibrated machine's file, or "" and the reason why no machine can have this geometry."""
+    try:
+        text = dump_machine(calibrated_machine(solution))
+        read_machine(text, where="the calibrated machine")
+    except (HydrooptError, ValueError) as error:
+        return "", _reason(solution.problem.model.machine, error)
+    return text, ""
+
+
+def _reason(machine: Machine, error: Exception) -> str:
+    """The first reason in words, with the name of the part."""
+    lines = [line.split(" [type=")[0].strip() for line in str(error).splitlines()]
+    if len(lines) < 3:
+        return lines[0]
+    kind, number, *rest = lines[1].split(".")
+    parts = getattr(machine, kind, ())
+    named = number.isdigit() and int(number) < len(parts)
+    place = ".".join([parts[int(number)].name, *rest]) if named else lines[1]
+    return f"{place}: {lines[2][0].lower()}{lines[2][1:]}."

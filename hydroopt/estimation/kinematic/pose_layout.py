@@ -1,0 +1,259 @@
+"""Where the angles and fixtures of poses come from: labels and readings of a pose table as positions in arrays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.errors import ProblemError
+from hydroopt.logs.poses import Poses
+from hydroopt.machine.machine import Machine
+from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
+from hydroopt.spatial.inertia import Array
+
+EXACT = 1e-6
+"""Standard deviation [m] of a distance between fixtures that states none."""
+
+
+@dataclass(frozen=True, eq=False)
+class PoseLayout:
+    """Where the angles and fixtures of N poses come from, for n joints, m rows and P parameters.
+
+    q = reading + error where `sensed`, a variable of the pose where `moving`, and for the others (and added to it) the
+    linear function of the parameters whose triplets are `locked`: flat position in (N, n), parameter, factor.
+
+    Attributes:
+        reading: (N, n) angles as read [rad, m], zero where `sensed` (N, n) is False.
+        moving: (N, n) which joints move without being read.
+        locked: triplets of joints at rest.
+        fixture: (N, 3) parameters that are the coordinates of the fixture; −1 without one.
+        target: (N, m) readings of the rows, where they are `present` (N, m).
+    """
+
+    reading: Array
+    sensed: NDArray[np.bool_]
+    moving: NDArray[np.bool_]
+    locked: tuple[NDArray[np.intp], NDArray[np.intp], Array]
+    fixture: NDArray[np.intp]
+    target: Array
+    present: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class FixtureDistances:
+    """Known distances between fixtures: parameters (k, 2, 3), lengths (k,) and standard deviations (k,) [m]."""
+
+    ends: NDArray[np.intp]
+    length: Array
+    sigma: Array
+
+
+@dataclass
+class _PoseParameter:
+    """A parameter that the poses add; without a scale it is exact, without a sigma it has no prior."""
+
+    name: str
+    kind: ParameterKind
+    unit: str
+    nominal: float
+    sigma: float | None
+    scale: float | None
+
+
+class LayoutBuilder:
+    """Builds parameters and layout of the poses of one table.
+
+    Raises:
+        ProblemError: poses and machine do not fit together; the sentence names the row.
+    """
+
+    def __init__(self, machine: Machine, model: KinematicModel, poses: Poses) -> None:
+        self.machine, self.model, self.poses = machine, model, poses
+        self.where = f"poses of {poses.name}"
+        count, n = len(poses), len(model.joints)
+        self.reading = np.zeros((count, n))
+        for k, joint in enumerate(model.joints):
+            self.reading[:, k] = poses.channels.get(f"{joint}.q", np.full(count, np.nan))
+        self.sensed = np.isfinite(self.reading)
+        self.moving = np.zeros((count, n), dtype=bool)
+        self.extra: list[_PoseParameter] = []
+        self.names: dict[str, int] = {}
+        self.triplets: list[tuple[int, int, float]] = []
+        self.fixture = np.full((count, 3), -1)
+        pattern = model.observed_jacobians.sparsity_out(2)
+        self.depends = np.zeros(pattern.shape, dtype=bool)
+        self.depends[tuple(np.array(pattern.get_triplet(), dtype=int))] = True
+        self._channels()
+        self._fixtures()
+        self._joints()
+        self._guess_moving_fixtures()
+
+    def _channels(self) -> None:
+        known = self.machine.channel_units
+        for name in self.poses.channels:
+            if name not in known:
+                raise ProblemError(f"the machine has no channel '{name}'", where=self.where,
+                                   remedy=f"rename it to one of {', '.join(known)}, or leave it out")
+            if self.poses.units[name] != known[name]:
+                raise ProblemError(f"'{name}' is given in a unit of the kind '{self.poses.units[name]}'",
+                                   where=self.where, remedy=f"give it in '{known[name]}' or a unit of that kind")
+        count, rows = len(self.poses), self.model.channels
+        self.target, self.present = np.zeros((count, len(rows))), np.zeros((count, len(rows)), dtype=bool)
+        for i, name in enumerate(rows):
+            if name in self.poses.channels:
+                value = self.poses.channels[name]
+                self.present[:, i] = np.isfinite(value)
+                self.target[:, i] = np.where(self.present[:, i], value, 0.0)
+
+    def _fixtures(self) -> None:
+        known = {fixture.name: fixture for fixture in self.machine.fixtures}
+        labels = self.poses.fixture
+        if not np.any(labels != "") and len(known) == 1 and not np.any(self.present):
+            labels = np.full(len(labels), next(iter(known)))
+        for row in np.flatnonzero(labels != ""):
+            name, stage = str(labels[row]), str(self.poses.stage[row])
+            if name not in known:
+                raise ProblemError(f"there is no fixture '{name}'", where=self._row(row),
+                                   remedy=f"use {', '.join(known) or 'a machine file that states it'}")
+            fixture = known[name]
+            owner = f"{name}.{stage}" if fixture.moves and stage else name
+            if f"{owner}.x" not in self.names:
+                note = self.machine.notes.get(f"{name}.position")
+                sigma = None if note is None else note.spread(*fixture.position)
+                for axis, value in zip("xyz", fixture.position, strict=True):
+                    self._add(f"{owner}.{axis}", ParameterKind.POSITION, "m", value, None if fixture.moves else sigma,
+                              1e-3 if fixture.moves else sigma)
+            self.fixture[row] = [self.names[f"{owner}.{axis}"] for axis in "xyz"]
+        self.present[:, :3] = self.fixture >= 0
+
+    def _add(self, name: str, kind: ParameterKind, unit: str, value: float, sigma: float | None,
+             scale: float | None) -> int:
+        self.names[name] = len(self.model.parameters) + len(self.extra)
+        self.extra.append(_PoseParameter(name, kind, unit, value, sigma, scale))
+        return self.names[name]
+
+    def _joints(self) -> None:
+        stages = {stage.name: stage for stage in self.machine.stages}
+        order = list(dict.fromkeys(str(stage) for stage in self.poses.stage))
+        n = len(self.model.joints)
+        locked_since: dict[str, int] = {}
+        drifts: dict[str, list[int]] = {}
+        for name in order:
+            rows = np.flatnonzero(self.poses.stage == name)
+            stage = stages.get(name)
+            progress = np.linspace(0.0, 1.0, len(rows))
+            for k, joint in enumerate(self.model.joints):
+                unread = rows[~self.sensed[rows, k]]
+                if stage is not None and joint in stage.moves:
+                    locked_since.pop(joint, None)
+                    self.moving[unread, k] = True
+                    continue
+                if not unread.size or not self._matters(k, unread):
+                    self.reading[unread, k] = 0.0
+                    continue
+                if stage is None or joint not in stage.locked:
+                    if stage is None and stages:
+                        raise ProblemError(f"the machine has no stage '{name}', and '{joint}.q' is not read there",
+                                           where=self._row(unread[0]),
+                                           remedy=f"name the stage, one of {', '.join(stages)}, or record '{joint}.q'")
+                    raise ProblemError(
+                        f"the joint '{joint}' is neither sensed, nor locked or moving in stage '{name}'",
+                        where=self._row(unread[0]), remedy=f"record '{joint}.q', or state in the machine file's stage "
+                                                          f"'{name}' what the joint does")
+                if joint not in locked_since:
+                    note = self.machine.notes.get(f"{name}.locked.{joint}")
+                    sigma = None if note is None else note.spread(stage.locked[joint])
+                    locked_since[joint] = self._add(f"{joint}.locked.{name}", ParameterKind.LOCKED_ANGLE, "rad",
+                                               stage.locked[joint], sigma, sigma or np.radians(10.0))
+                    drifts[joint] = []
+                self.reading[unread, k] = 0.0
+                self.triplets += [(int(row) * n + k, locked_since[joint], 1.0) for row in unread]
+                self.triplets += [(int(row) * n + k, drift, 1.0) for row in unread for drift in drifts[joint]]
+                if stage.drift > 0:
+                    drift = self._add(f"{joint}.drift.{name}", ParameterKind.DRIFT, "rad", 0.0, stage.drift,
+                                      stage.drift)
+                    self.triplets += [(int(row) * n + k, drift, float(progress[i]))
+                                      for i, row in enumerate(rows) if not self.sensed[row, k]]
+                    drifts[joint].append(drift)
+
+    def _matters(self, k: int, rows: NDArray[np.intp]) -> bool:
+        """Whether anything observed in these rows depends on a joint."""
+        return bool(np.any(self.present[rows][:, self.depends[:, k]]))
+
+    def _row(self, row: Any) -> str:
+        return f"{self.poses.file[row] or self.poses.name}, data row {self.poses.row[row]}"
+
+    def _guess_moving_fixtures(self) -> None:
+        """Where all joints are sensed, the mean of the nominal tips is the initial guess of a fixture's position."""
+        geometry = self.model.parameters
+        tips = self.model.over(self.model.tip, geometry.nominal, np.nan_to_num(self.reading))[0][:, :, 0]
+        chain = self.depends[:3].any(axis=0)
+        complete = np.all(self.sensed[:, chain], axis=1)
+        for column in np.unique(self.fixture[self.fixture >= 0]):
+            axis = int(np.flatnonzero((self.fixture == column).any(axis=0))[0])
+            own = self.extra[column - len(geometry)]
+            rows = complete & (self.fixture[:, axis] == column)
+            if own.sigma is None and own.scale and np.any(rows):
+                own.nominal = float(tips[rows, axis].mean())
+
+    def parameter_set(self) -> ParameterSet:
+        """Geometry, then what the poses add."""
+        own, extra = self.model.parameters, self.extra
+        information = [*np.diag(own.information), *(1 / e.sigma**2 if e.sigma else 0.0 for e in extra)]
+        free = np.full(len(extra), np.inf)
+        return ParameterSet(
+            (*own.names, *(e.name for e in extra)), (*own.kinds, *(e.kind for e in extra)),
+            (*own.units, *(e.unit for e in extra)),
+            np.array([*own.nominal, *(e.nominal for e in extra)]), np.concatenate([own.lower, -free]),
+            np.concatenate([own.upper, free]), np.array([*own.scale, *(e.scale or 1.0 for e in extra)]),
+            np.diag(information))
+
+    def exact(self) -> dict[str, float]:
+        """Fixtures whose position the machine file states without a confidence."""
+        return {e.name: e.nominal for e in self.extra if e.scale is None}
+
+    def layout(self) -> PoseLayout:
+        """Where the angles and fixtures come from."""
+        rows, columns, factors = (np.array(x) for x in zip(*self.triplets, strict=True)) if self.triplets else (
+            np.zeros(0, int), np.zeros(0, int), np.zeros(0))
+        reading = np.where(self.sensed, self.reading, 0.0)
+        return PoseLayout(reading, self.sensed, self.moving, (rows, columns, factors), self.fixture, self.target,
+                         self.present)
+
+    def angle_sigma(self) -> Array:
+        """(n,) standard deviation of each joint's readings [rad, m]."""
+        sensors = [self.machine.sensor(f"{joint}.q") for joint in self.model.joints]
+        return np.array([0.0 if sensor is None else sensor.std for sensor in sensors])
+
+    def row_sigma(self) -> Array:
+        """(N, m): play of the fixture for the gap, accuracy of the sensor for what is read."""
+        sigma = np.zeros_like(self.target)
+        plays = {fixture.name: fixture.play for fixture in self.machine.fixtures}
+        first = next(iter(plays.values()), 0.0)
+        sigma[:, :3] = np.array([plays.get(str(label), first) for label in self.poses.fixture])[:, None]
+        for i, name in enumerate(self.model.channels[3:], 3):
+            if np.any(self.present[:, i]):
+                sensor = self.machine.sensor(name)
+                if sensor is None or sensor.std == 0:
+                    raise ProblemError(f"the accuracy of '{name}' is not stated", where=self.where,
+                                       remedy=f"state a sensor with the channel '{name}' in the machine file")
+                sigma[:, i] = sensor.std
+        return sigma
+
+    def distances(self) -> FixtureDistances:
+        """Those between fixtures that the poses visit; a fixture that moves takes its distance along."""
+        ends, lengths, sigmas = [], [], []
+        stages = ["", *(f".{stage}" for stage in dict.fromkeys(map(str, self.poses.stage)))]
+        for distance in self.machine.distances:
+            note = self.machine.notes.get(f"{distance.name}.length")
+            for stage in stages:
+                owners = [f"{name}{stage}" for name in distance.between]
+                if all(f"{owner}.x" in self.names for owner in owners):
+                    ends.append([[self.names[f"{owner}.{axis}"] for axis in "xyz"] for owner in owners])
+                    lengths.append(distance.length)
+                    sigmas.append((note and note.spread(distance.length)) or EXACT)
+        return FixtureDistances(np.array(ends, dtype=int).reshape(-1, 2, 3), np.array(lengths), np.array(sigmas))

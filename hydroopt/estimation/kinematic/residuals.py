@@ -1,0 +1,104 @@
+"""Residuals of poses, how closely they are followed, and held-out poses predicted."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hydroopt.estimation.kinematic import joint
+from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
+from hydroopt.estimation.kinematic.unsensed_angles import explained_by_unsensed, guess_unsensed
+from hydroopt.logs.poses import Poses
+from hydroopt.results.fit import Fit
+from hydroopt.spatial.inertia import Array
+
+
+class PoseResiduals(NamedTuple):
+    """Residuals [m] of one role's poses, (N,) by channel: `before` at the nominal, `after` at calibrated geometry."""
+
+    role: str
+    poses: Poses
+    before: dict[str, Array]
+    after: dict[str, Array]
+
+
+def residual_sizes(problem: CalibrationProblem, theta: Array, q: Array) -> dict[str, Array]:
+    """Size (N,) [m] of every pose's residual, by channel; NaN where a pose does not have it."""
+    left, present, names = gaps(problem, theta, q), problem.layout.present, problem.model.channels
+    columns: dict[str, list[int]] = {}
+    for i, name in enumerate(names):
+        kind = name.partition(".")[0]
+        columns.setdefault(kind if kind in ("gap", "tip") and not name.endswith(".distance") else name, []).append(i)
+    return {name: np.where(present[:, some].all(axis=1), np.linalg.norm(left[:, some], axis=1), np.nan)
+            for name, some in columns.items() if np.any(present[:, some].all(axis=1))}
+
+
+def gaps(problem: CalibrationProblem, theta: Array, q: Array) -> Array:
+    """(N, m) [m] residuals of every row: sensed angles as read, unsensed ones as they close best."""
+    layout, model = problem.layout, problem.model
+    rows, by_q = model.over(model.observed_by_angles, theta[: len(model.parameters)], q, problem.fixtures(theta))
+    by_q = by_q * layout.present[:, :, None]
+    rows = (rows[:, :, 0] - layout.target) * layout.present
+    rows = rows + np.einsum("nij,nj->ni", by_q, np.where(layout.sensed, layout.reading - q, 0.0))
+    left: Array = rows - np.einsum("nij,nj->ni", by_q, explained_by_unsensed(by_q, layout.moving, rows))
+    return left
+
+
+def loop_fit(problem: CalibrationProblem, theta: Array, q: Array) -> dict[str, Fit]:
+    """RMS [m] and VAF of the loops' gaps and of all other readings (Eq. 3.44-3.46).
+
+    A gap is compared with how far the link that carries the calibrator travels over the poses.
+    """
+    left, layout, model = gaps(problem, theta, q), problem.layout, problem.model
+    table: dict[str, Fit] = {}
+    closed = layout.present[:, :3].all(axis=1)
+    if np.any(closed):
+        chain = [link.name for link in model.machine.chain]
+        assert model.machine.calibrator is not None
+        ends = model.over(model.far_ends, theta[: len(model.parameters)], q)[0]
+        travel = ends[closed][:, :, chain.index(model.machine.calibrator.parent)]
+        table["gap"] = _fit(left[closed, :3], travel)
+    columns = np.array([i for i, name in enumerate(model.channels) if name.startswith("tip.")])
+    there = layout.present[:, columns].all(axis=1)
+    if np.any(there):
+        table["tip"] = _fit(left[there][:, columns], layout.target[there][:, columns])
+    for i, name in enumerate(model.channels):
+        if name.endswith((".length", ".distance")) and np.any(layout.present[:, i]):
+            there = layout.present[:, i]
+            table[name] = _fit(left[there, i : i + 1], layout.target[there, i : i + 1])
+    return table
+
+
+def _fit(error: Array, signal: Array) -> Fit:
+    square = float(np.sum(error**2))
+    spread = float(np.sum((signal - signal.mean(axis=0)) ** 2))
+    size = float(np.sqrt(np.sum(signal**2)))
+    return Fit(float(np.sqrt(square / len(error))), 1 - square / spread if spread else float("nan"),
+               np.sqrt(square) / size if size else float("inf"), "m")
+
+
+def predicted(problem: CalibrationProblem, theta: Array, poses: Poses) -> tuple[CalibrationProblem, Array, Array]:
+    """Held-out poses under calibrated geometry: only what is new in them is fitted, such as where a fixture stood.
+
+    Returns:
+        Their problem, its parameters and joint vectors.
+    """
+    calibrated = dict(zip(problem.parameters.names, theta.tolist(), strict=True))
+    fresh = calibration_problem(problem.model.machine, poses, priors=False)
+    held = {name: calibrated[name] for name in fresh.parameters.names if name in calibrated and not (
+        any(fixture.moves and name.startswith(f"{fixture.name}.") for fixture in problem.model.machine.fixtures))}
+    trained = problem.angles(theta, problem.layout.reading)
+    for name in fresh.parameters.names:
+        joint_name, locked, stage = name.partition(".locked.")
+        rows = problem.poses.stage == stage
+        if locked and name not in held and np.any(rows):
+            # held back here under the name of a later stage than in the poses that were fitted
+            held[name] = float(trained[rows, problem.model.joints.index(joint_name)].mean())
+    fresh = fresh.fixing(**held)
+    start = fresh.start
+    own = guess_unsensed(fresh, start)
+    if np.any(fresh.free) or np.any(fresh.layout.moving):
+        found, own = joint.maximum_likelihood(fresh, start, own)
+        return fresh, found, own
+    return fresh, start, fresh.angles(start, fresh.layout.reading)
