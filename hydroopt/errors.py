@@ -5,6 +5,9 @@ class HydrooptError(Exception):
     """Base of all errors that a user can cause and mend; `exit_code` is what the command line returns.
 
     The sentence reads "<where>: <what>; <remedy>.". `where` names the file, key, channel, sample or body.
+
+    >>> print(LogError("there is no channel 'boom.q'", where="run.csv", remedy="add a column 'boom.q [deg]'"))
+    run.csv: there is no channel 'boom.q'; add a column 'boom.q [deg]'.
     """
 
     exit_code = 2

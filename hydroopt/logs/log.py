@@ -41,7 +41,15 @@ class Log:
         units: SI unit by channel; defaults to the usual one of the suffix (rad for ``.q``).
 
     Raises:
-        LogError: lengths differ, fewer than two samples, times do not increase, or an unknown channel name.
+        LogError: lengths differ, fewer than two samples, times do not increase, an unknown channel name, or a unit that
+            is not SI.
+
+    >>> log = Log("run", np.arange(100) / 50, {"boom.q": np.zeros(100), "boom_cylinder.p_head": np.full(100, 1e7)})
+    >>> log
+    Log('run': 100 samples, 1.98 s, 2 channels)
+    >>> train, held_out = log.split(0.7)
+    >>> train.size, held_out.size
+    (70, 30)
     """
 
     name: str
@@ -76,6 +84,10 @@ class Log:
         for name, value in (("t", t), ("channels", channels), ("sample", sample), ("segment", segment),
                             ("units", units)):
             object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        return (f"Log('{self.name}': {self.size} samples, {self.duration:.6g} s, {len(self.channels)} channel"
+                f"{'s' * (len(self.channels) != 1)})")
 
     @property
     def size(self) -> int:
@@ -205,6 +217,15 @@ def read_log(
     Raises:
         LogError: the file is missing, damaged or not understood; the sentence names row and column.
         ProblemError: unknown treatment.
+
+    >>> from pathlib import Path
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as directory:
+    ...     file = Path(directory) / "run.csv"
+    ...     _ = file.write_text("t [s],boom.q [deg],boom_cylinder.p_head [bar]\\n0,10,100\\n0.02,10.1,101\\n")
+    ...     log = read_log(file)
+    >>> log.channels["boom_cylinder.p_head"].tolist(), log.units["boom.q"]
+    ([10000000.0, 10100000.0], 'rad')
     """
     where, chosen = str(path), choose(treatment)
     layout = given_layout(mapping, where)

@@ -46,7 +46,10 @@ class Poses:
         sha256: of those files' bytes, by path.
 
     Raises:
-        LogError: there is no channel, its name is unknown, lengths differ, or a value is infinite.
+        LogError: there is no channel, its name is unknown, lengths differ, a value is infinite, or a unit is not SI.
+
+    >>> Poses("hole 1", stage=np.array(["low", "low"]), channels={"boom.q": np.array([0.1, 0.2])})
+    Poses('hole 1': 2 poses, 1 stage, 1 channel)
     """
 
     name: str
@@ -86,6 +89,11 @@ class Poses:
         units = {name: self.units.get(name) or si_unit(name) for name in channels}
         for name, value in {**texts, "t": t, "channels": channels, "units": units, "row": row, "file": file}.items():
             object.__setattr__(self, name, value)
+
+    def __repr__(self) -> str:
+        counts = {"pose": len(self), "stage": len(set(self.stage.tolist()) - {""}), "channel": len(self.channels)}
+        said = ", ".join(f"{count} {noun}{'s' * (count != 1)}" for noun, count in counts.items() if count)
+        return f"Poses('{self.name}': {said or 'none'})"
 
     def __len__(self) -> int:
         return int(self.row.size)
@@ -186,6 +194,14 @@ def read_poses(path: str | Path, *, mapping: LogMap | str | Path | None = None) 
 
     Raises:
         LogError: the file is missing, damaged or not understood; the sentence names row and column.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as directory:
+    ...     file = Path(directory) / "poses.csv"
+    ...     _ = file.write_text("stage,pose,boom.q [deg]\\nlow,a,180\\nlow,b,\\n")
+    ...     poses = read_poses(file)
+    >>> poses.pose.tolist(), poses.channels["boom.q"].round(4).tolist()
+    (['a', 'b'], [3.1416, nan])
     """
     where = str(path)
     layout = mapping if isinstance(mapping, LogMap) or mapping is None else read_map(mapping, poses=True)
@@ -211,6 +227,15 @@ def read_pose_files(paths: Sequence[str | Path], *, mapping: LogMap | str | Path
 
     Raises:
         LogError: as in `read_poses` and `joined`, or a file is named twice and its poses would count twice.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as directory:
+    ...     files = [Path(directory) / name for name in ("low.csv", "high.csv")]
+    ...     for file in files:
+    ...         Poses(file.stem, stage=np.array([file.stem]), channels={"boom.q": np.array([0.1])}).write(file)
+    ...     poses = read_pose_files(files)
+    >>> poses
+    Poses('low and 1 more': 2 poses, 2 stages, 1 channel)
     """
     layout = mapping if isinstance(mapping, LogMap) or mapping is None else read_map(mapping, poses=True)
     seen: set[Path] = set()

@@ -19,6 +19,11 @@ class SmoothingSpline:
 
     `cross_validate` asks for generalised cross-validation even where the noise is stated. Both suppose white noise;
     where it is not white they pass too much, and the motion's `bandwidth` [Hz] bounds that: at most half of it passes.
+
+    >>> t = np.arange(200) / 50
+    >>> motion = condition(t, np.sin(t), smoothing=SmoothingSpline(bandwidth=5.0), noise=1e-6)
+    >>> bool(np.max(np.abs(motion.qd[:, 0] - np.cos(t))) < 0.01)
+    True
     """
 
     cross_validate: bool = False
@@ -27,7 +32,13 @@ class SmoothingSpline:
 
 @dataclass(frozen=True)
 class Fourier:
-    """Constant plus `harmonics` sines and cosines of a periodic motion of the given `period` [s]."""
+    """Constant plus `harmonics` sines and cosines of a periodic motion of the given `period` [s].
+
+    >>> t = np.arange(200) / 50
+    >>> motion = condition(t, np.sin(np.pi * t / 2), smoothing=Fourier(period=4.0, harmonics=3))
+    >>> bool(np.max(np.abs(motion.qdd[:, 0] + (np.pi / 2) ** 2 * motion.q[:, 0])) < 1e-9)
+    True
+    """
 
     period: float
     harmonics: int
@@ -35,7 +46,13 @@ class Fourier:
 
 @dataclass(frozen=True)
 class Butterworth:
-    """Zero-phase (forward and backward) low-pass of the given `cutoff` [Hz]; needs regular sampling."""
+    """Zero-phase (forward and backward) low-pass of the given `cutoff` [Hz]; needs regular sampling.
+
+    >>> t = np.arange(200) / 50
+    >>> motion = condition(t, np.sin(t), smoothing=Butterworth(cutoff=5.0))
+    >>> motion.bandwidth.tolist()
+    [5.0]
+    """
 
     cutoff: float
     order: int = 4

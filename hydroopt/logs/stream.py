@@ -228,6 +228,13 @@ def open_log(path: str | Path, *, mapping: LogMap | str | Path | None = None,
     Raises:
         LogError: the file is missing, damaged or not understood.
         ProblemError: unknown treatment, or one that a log in pieces does not know.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as directory:
+    ...     file = Path(directory) / "run.parquet"
+    ...     Log("run", np.arange(100) / 50, {"boom.q": np.zeros(100)}).write(file)
+    ...     open_log(file)
+    Log('run': 100 samples, 1.98 s, 1 channel)
     """
     layout = given_layout(mapping, str(path))
     kind = (layout.format if layout else None) or FORMATS.get(Path(path).suffix.lower())

@@ -29,7 +29,11 @@ _NOTE_KEYS = {"value", "sigma", "lower", "upper", "source"}
 
 
 def bundled() -> tuple[str, ...]:
-    """Names of the machines that come with hydroopt."""
+    """Names of the machines that come with hydroopt.
+
+    >>> "cat215b" in bundled()
+    True
+    """
     return tuple(sorted(file.stem for file in _models().glob("*.toml")))
 
 
@@ -49,6 +53,9 @@ def load_machine(machine: str | Path, *, parameter_set: str | None = None) -> Ma
 
     Raises:
         MachineError: the file is missing, malformed, incomplete, contradictory or geometrically impossible.
+
+    >>> load_machine("cat215b")
+    Machine('cat215b': 3 joints, 2 cylinders, 1 motor)
     """
     name = str(machine)
     if name in bundled():
@@ -78,6 +85,18 @@ def read_machine(text: str, *, where: str = "machine", parameter_set: str | None
 
     Raises:
         MachineError: see `load_machine`.
+
+    >>> machine = read_machine('''
+    ... name = "pendulum"
+    ... [[links]]
+    ... name = "arm"
+    ... joint = { type = "revolute", lower = "-90 deg", upper = "90 deg", a = "1.2 m" }
+    ... [[drives]]
+    ... name = "drive"
+    ... joint = "arm"
+    ... ''')
+    >>> machine
+    Machine('pendulum': 1 joint, 1 drive)
     """
     if "\0" in text:
         raise MachineError("the file is not text", where=where, remedy="give a TOML file in UTF-8")
@@ -274,7 +293,12 @@ def _must(kind: str, context: Mapping[str, Any], message: str, value: Any) -> st
 
 
 def dump_machine(machine: Machine) -> str:
-    """Text of a machine file (SI units) that `read_machine` turns into an equal machine."""
+    """Text of a machine file (SI units) that `read_machine` turns into an equal machine.
+
+    >>> machine = load_machine("cat215b")
+    >>> read_machine(dump_machine(machine)) == machine
+    True
+    """
     return tomlkit.dumps(_plain(machine, "", machine))
 
 

@@ -99,6 +99,15 @@ def read_urdf(path: str | Path, *, tip: str | None = None) -> Machine:
     Raises:
         MachineError: the file is missing or no URDF, contradictory or incomplete, branches without a `tip`, or has a
             joint that mimics another one on the way to the same tip.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as directory:
+    ...     file = Path(directory) / "arm.urdf"
+    ...     _ = file.write_text('''<robot name="arm"><link name="ground"/><link name="boom"/>
+    ...         <joint name="lift" type="revolute"><parent link="ground"/><child link="boom"/><axis xyz="0 0 1"/>
+    ...         <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>''')
+    ...     read_urdf(file)
+    Machine('arm': 1 joint, 1 drive)
     """
     file = str(path)
     robot = _xml(file)

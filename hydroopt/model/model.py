@@ -30,15 +30,35 @@ class Model:
     `actuator_inertia` tells the complete model (with barrels and rods) from the thesis's reduced one. All functions
     take and return columns in SI; joint vectors are in the order of ``machine.joints``, actuator forces in that of
     ``machine.actuators``, parameters in that of ``model.parameters``.
+
+    Raises:
+        ProblemError: `machine` is not a `Machine`.
+
+    >>> from hydroopt.machine.machine_file import load_machine
+    >>> model = Model(load_machine("cat215b"))
+    >>> model
+    Model('cat215b': 3 joints, 82 parameters, with actuator inertia)
+    >>> zero = np.zeros(3)
+    >>> force = model.inverse_dynamics(zero, zero, zero, model.parameters.nominal)
+    >>> force.shape, model.force_units
+    ((3, 1), ('N*m', 'N', 'N'))
     """
 
     def __init__(self, machine: Machine, *, actuator_inertia: bool = True) -> None:
+        if not isinstance(machine, Machine):
+            raise ProblemError(f"this is {type(machine).__name__} {machine!r:.40}, not a Machine", where="Model",
+                               remedy="give a Machine, such as load_machine('cat215b') returns")
         self.machine = machine
         self.actuator_inertia = actuator_inertia
         self.at = coordinates(machine)
         self.geometry = Geometry(machine)
         self.dynamics = Dynamics(self.geometry, self.at)
         self._runner = Runner()
+
+    def __repr__(self) -> str:
+        joints, inertia = len(self.machine.joints), "with" if self.actuator_inertia else "without"
+        return (f"Model('{self.machine.name}': {joints} joint{'s' * (joints != 1)}, {len(self.parameters)} parameters, "
+                f"{inertia} actuator inertia)")
 
     def __reduce__(self) -> tuple[object, ...]:
         return partial(Model, actuator_inertia=self.actuator_inertia), (self.machine,)

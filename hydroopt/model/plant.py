@@ -12,6 +12,7 @@ from scipy.optimize import brentq, root
 from hydroopt.errors import ProblemError
 from hydroopt.kernels.expression_graph import program
 from hydroopt.machine.components import Cylinder, Drive
+from hydroopt.machine.machine import Machine
 from hydroopt.model.hydraulics import (
     AMBIENT,
     ActuatorHydraulics,
@@ -50,11 +51,14 @@ class Plant:
 
     Transducer offsets among ψ do not act here. Dry friction turns round over the speed `CREEP`.
 
+    A `Machine` may stand in for its model.
+
     Raises:
         ProblemError: an actuator states no circuit, or is no hydraulic one; or there is none.
     """
 
-    def __init__(self, model: Model) -> None:
+    def __init__(self, model: Model | Machine) -> None:
+        model = model if isinstance(model, Model) else Model(model)
         self.model, self.machine = model, model.machine
         machine = model.machine
         self.actuators: list[ActuatorHydraulics] = []

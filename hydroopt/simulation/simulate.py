@@ -44,6 +44,11 @@ def random_trajectory(model: Model, *, duration: float, rate: float, seed: int, 
 
     Raises:
         ProblemError: duration or rate is not positive, or the log would not fit in memory.
+
+    >>> from hydroopt.machine.machine_file import load_machine
+    >>> motion = random_trajectory(Model(load_machine("cat215b")), duration=10.0, rate=50.0, seed=1)
+    >>> motion.q.shape
+    (500, 3)
     """
     if not (duration > 0 and rate > 0 and duration * rate >= 2):
         raise ProblemError(f"a motion of {duration} s at {rate} Hz has no samples", where="simulate",
@@ -91,6 +96,12 @@ def random_truth(model: Model, seed: int, *, tries: int = 20000) -> Array:
     Raises:
         IdentifiabilityError: a body's confidences leave practically no possible body.
         ProblemError: the file states shapes, symmetries, total masses or identical parts, which draws would not heed.
+
+    >>> from hydroopt.machine.machine_file import load_machine
+    >>> model = Model(load_machine("cat215b"))
+    >>> psi = random_truth(model, seed=1)
+    >>> psi.shape == model.parameters.nominal.shape
+    True
     """
     machine = model.machine
     stated = [*(one.name for one in machine.total_masses), *(one.name for one in machine.identical),
@@ -166,6 +177,12 @@ def simulate(model: Model, motion: Trajectory, psi: Array | None = None, *, nois
         noise: whether sensors err and quantise as the machine file states.
         seed: of the errors.
         name: of the log.
+
+    >>> from hydroopt.machine.machine_file import load_machine
+    >>> model = Model(load_machine("cat215b"))
+    >>> motion = random_trajectory(model, duration=10.0, rate=50.0, seed=1)
+    >>> simulate(model, motion, seed=2)
+    Log('simulated': 500 samples, 9.98 s, 11 channels)
     """
     psi = model.parameters.nominal if psi is None else psi
     rng = np.random.default_rng(seed)
