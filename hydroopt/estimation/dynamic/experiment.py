@@ -208,17 +208,17 @@ def _dry_friction_known(model: Model, motion: Motion, moving: NDArray[np.bool_],
         width = actuator.friction.dead_zone
         if width is None:
             continue
-        speed, doubt = motion.qd[:, k], np.full(len(motion.t), noise[k])
+        speed, uncertainty = motion.qd[:, k], np.full(len(motion.t), noise[k])
         other_dry = machine.link(joint).joint.friction.coulomb is not None
         if isinstance(actuator, Cylinder):
             c = machine.all_cylinders.index(actuator)
             _, speeds, _, arms, _ = model.over(model.cylinder_kinematics, motion.q, motion.qd, motion.qdd)
-            speed, doubt = speeds[:, c, 0], np.linalg.norm(arms[:, c] * noise, axis=1)
+            speed, uncertainty = speeds[:, c, 0], np.linalg.norm(arms[:, c] * noise, axis=1)
             other_dry |= actuator.friction.barrel_pin is not None or actuator.friction.rod_pin is not None
         size = np.abs(speed)
-        known[:, k] &= size > width + doubt
+        known[:, k] &= size > width + uncertainty
         if not other_dry:
-            known[:, k] |= size < width - doubt
+            known[:, k] |= size < width - uncertainty
     return known
 
 

@@ -149,7 +149,7 @@ class Fitted:
         """The experiment with the fitted motion, of which the ends of stretches take part, too."""
         q, qd, qdd = (np.concatenate(parts) for parts in zip(*[s.motion for s in self.stretches], strict=True))
         off = np.std(q - self.angles, axis=0) / self.sigma
-        note = ("motion fitted together with the parameters; what is left of the angles, in standard deviations of "
+        note = ("motion fitted together with the parameters; residuals of the angles, in standard deviations of "
                 f"their sensors: {', '.join(f'{x:.2f}' for x in off)}")
         motion = replace(self.data.motion, q=q, qd=qd, qdd=qdd, interior=np.ones(len(q), dtype=bool),
                          notes=(*self.data.motion.notes, note))

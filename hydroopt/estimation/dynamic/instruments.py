@@ -15,7 +15,7 @@ from hydroopt.spatial.inertia import Array
 
 
 def instrument(model: Model, data: Experiment, reference: Log | None) -> Motion:
-    """The motion of an experiment, at its samples, as a reference or the lengths of cylinders tell it.
+    """The motion of an experiment, at its samples, from a reference or from the lengths of cylinders.
 
     Raises:
         ProblemError: without a reference, a joint whose angle is read has no cylinder whose length is read, too.

@@ -48,7 +48,7 @@ class IdentificationProblem:
     Attributes:
         model: what predicts the forces; its parameters carry nominal values, bounds and the file's confidences.
         experiments: training data.
-        validation: data that the estimate has not seen and is judged by.
+        validation: data that the estimate is judged by and not fitted to.
         force_std: (n,) standard deviation of each actuator's force reading; NaN where unknown. It is re-estimated
             from the residuals when `reweight` is set.
         constraints, priors, physics: what was added by name.
@@ -110,7 +110,7 @@ class IdentificationProblem:
             ProblemError: the expression is not linear in the parameters, sigma is not positive, or the name is taken.
         """
         if not (0 < sigma < np.inf and np.isfinite(value)):
-            raise ProblemError(f"{value} ± {sigma} is no prior", where=f"prior '{name}'",
+            raise ProblemError(f"{value} ± {sigma} is not a prior", where=f"prior '{name}'",
                                remedy="give a finite value and a positive sigma, or a constraint")
         self._refuse_taken(name)
         symbols = ca.SX.sym("p", len(self.parameters))
@@ -133,7 +133,7 @@ class IdentificationProblem:
                 taken.
         """
         if not 0 < value < np.inf:
-            raise ProblemError(f"{value:g} kg is no mass", where=f"'{name}'", remedy="give a positive number")
+            raise ProblemError(f"{value:g} kg is not a mass", where=f"'{name}'", remedy="give a positive number")
         row = physics.total_mass(self.parameters, name, bodies)
         if sigma is not None:
             return self.with_prior(name, lambda p: sum(p[f"{body}.m"] for body in bodies), value=value, sigma=sigma)
@@ -170,7 +170,7 @@ class IdentificationProblem:
             ProblemError: there is no such distance, or a nominal body could not exist and has no log-det distance.
         """
         if distance not in ("gaussian", "log-det"):
-            raise ProblemError(f"'{distance}' is no distance", where="distance", remedy="use gaussian or log-det")
+            raise ProblemError(f"'{distance}' is not a distance", where="distance", remedy="use gaussian or log-det")
         changed = replace(self, distance=distance)
         assert changed.bodies is not None  # raises where there is none
         return changed
@@ -188,14 +188,14 @@ class IdentificationProblem:
         """
         k = self.parameters.index(name)
         if value is not None and not np.isfinite(value):
-            raise ProblemError(f"it cannot be held at {value}", where=f"parameter '{name}'",
+            raise ProblemError(f"it cannot be fixed at {value}", where=f"parameter '{name}'",
                                remedy="give a finite value")
         return replace(self, fixed={**self.fixed, name: float(self.parameters.nominal[k] if value is None else value)})
 
     def with_loss(self, loss: Loss) -> IdentificationProblem:
         """With another loss: ``squares``, ``huber`` or ``student_t``."""
         if loss not in ("squares", "huber", "student_t"):
-            raise ProblemError(f"'{loss}' is no loss", where="loss", remedy="use squares, huber or student_t")
+            raise ProblemError(f"'{loss}' is not a loss", where="loss", remedy="use squares, huber or student_t")
         return replace(self, loss=loss)
 
     def with_correlated_channels(self) -> IdentificationProblem:
@@ -205,7 +205,7 @@ class IdentificationProblem:
             ProblemError: instruments were given.
         """
         if self.instruments:
-            raise ProblemError("correlated channels do not go with instruments", where="channels",
+            raise ProblemError("correlated channels cannot be combined with instruments", where="channels",
                                remedy="choose one of the two")
         return replace(self, correlated=True)
 
@@ -219,7 +219,7 @@ class IdentificationProblem:
             ProblemError: instruments were given.
         """
         if self.instruments:
-            raise ProblemError("a motion cannot be fitted and have instruments", where="motion",
+            raise ProblemError("a fitted motion cannot be combined with instruments", where="motion",
                                remedy="choose one of the two")
         return replace(self, fitted_motion=True)
 
@@ -227,7 +227,7 @@ class IdentificationProblem:
         """With instrumental variables from a second reading of the same motion.
 
         Args:
-            logs: one for each log that is learnt from, with channels ``<joint>.q`` (and ``.qd``, ``.qdd``, if known)
+            logs: one for each training log, with channels ``<joint>.q`` (and ``.qd``, ``.qdd``, if known)
                 that cover its time: the reference that was driven, or a repetition of the motion. Without logs the
                 lengths of cylinders serve, which must stand beside the angles of all joints.
 
@@ -236,11 +236,11 @@ class IdentificationProblem:
             LogError: a reference does not cover its log, or lacks a joint.
         """
         if self.fitted_motion or self.correlated:
-            raise ProblemError("instruments go with neither a fitted motion nor correlated channels", where="motion",
-                               remedy="choose one of them")
+            raise ProblemError("instruments cannot be combined with a fitted motion or correlated channels",
+                               where="motion", remedy="choose one of them")
         if logs and len(logs) != len(self.experiments):
             raise ProblemError(f"{len(logs)} instruments are given for {len(self.experiments)} logs",
-                               where="instruments", remedy="give one for each log that is learnt from")
+                               where="instruments", remedy="give one for each training log")
         held = in_memory(self.experiments, "a second reading")
         return replace(self, instruments=tuple(instrument(self.model, data, logs[k] if logs else None)
                                                for k, data in enumerate(held)))
@@ -263,7 +263,7 @@ class IdentificationProblem:
         return (*stated, *self.physics)
 
     def statements(self, *, consistent: bool) -> tuple[Condition, ...]:
-        """Physically consistent bodies if asked, and `conditions`."""
+        """Physically consistent bodies on request, and `conditions`."""
         p = len(self.parameters)
         return (*(physics.consistency(body, p) for body in self.bodies if consistent or self.distance == "log-det"),
                 *self.conditions)
@@ -420,7 +420,7 @@ def identification_problem(machine: Machine | Model, logs: Sequence[AnyLog],
         refuse_others(some, (Log, LogStream), "log", "identification")
     _refuse_repetition([*logs, *validation])
     if not logs:
-        raise ProblemError("there is no log to learn from", where="identification", remedy="give at least one")
+        raise ProblemError("there is no training log", where="identification", remedy="give at least one")
     model = machine if isinstance(machine, Model) else Model(machine, actuator_inertia=actuator_inertia)
     train, held_out = ([prepared(log, model, smoothing) for log in some] for some in (logs, validation))
     return IdentificationProblem(model, tuple(train), tuple(held_out), force_noise(model, logs[0]))

@@ -1,4 +1,4 @@
-"""What logs say of the parameters, ``‖R·ψ − r‖²``: weights of residuals, and how noisy angles are dealt with."""
+"""The information of logs about the parameters, ``‖R·ψ − r‖²``: weights of residuals, and treatment of noisy angles."""
 
 from __future__ import annotations
 
@@ -81,15 +81,15 @@ class WeightedResiduals(Generic[Problem]):
     """``‖R·ψ − r‖² + rest``, the weighted sum of squared residuals, and how these were weighted.
 
     Attributes:
-        problem: whose residuals; with the fitted motion where one was asked for.
+        problem: whose residuals; with the fitted motion where requested.
         R, r, rest: (p, p) upper triangular, (p,), and what no ψ explains.
         samples: (n,) residuals of each actuator.
         triangles: (·, p+1, p+1) of [K, f] with the same sum of squares: one for each actuator, or one of all where
             their rows are mixed.
         sigma: (n,) standard deviation of each actuator's residual.
-        correlation: (n, n) of the actuators' residuals with one another; the unit matrix unless asked for.
+        correlation: (n, n) of the actuators' residuals with one another; the unit matrix unless requested.
         correlation_time: (n,) how many samples in a row residuals repeat themselves.
-        fit: of motion and parameters together, where one was asked for.
+        fit: of motion and parameters together, where requested.
     """
 
     problem: Problem
@@ -125,18 +125,18 @@ class WeightedResiduals(Generic[Problem]):
     @property
     def notes(self) -> tuple[str, ...]:
         """How angles and channels were dealt with, in plain words."""
-        said = []
+        notes = []
         if self.problem.fitted_motion:
-            said.append("motion and parameters are fitted together; the fit of the training data is that of the fitted "
-                        "motion, unseen data are judged by their smoothed motion")
+            notes.append("motion and parameters are fitted together; the fit of the training data is that of the "
+                         "fitted motion, validation data keep their smoothed motion")
         if self.problem.instruments:
-            said.append("two-stage least squares with instruments from a second reading of the motion")
+            notes.append("two-stage least squares with instruments from a second reading of the motion")
         if self.problem.correlated:
             names = [a.name for a in self.problem.model.machine.actuators]
             pairs = [f"{names[j]} and {names[i]} {self.correlation[i, j]:.2f}" for i in range(len(names))
                      for j in range(i)]
-            said.append(f"residuals weighted by their covariance; correlations: {', '.join(pairs)}")
-        return tuple(said)
+            notes.append(f"residuals weighted by their covariance; correlations: {', '.join(pairs)}")
+        return tuple(notes)
 
 
 def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostProbable,
@@ -145,21 +145,21 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
 
     Args:
         problem: whose.
-        tolerance: part of the largest singular value below which a direction counts as unseen.
+        tolerance: part of the largest singular value below which a direction is not identifiable.
         most_probable: the estimator, which a fitted motion is fitted with.
         point: (p,) parameters at which forces are linearised that are not linear in them; the nominal ones if None.
 
     Raises:
         IdentifiabilityError: no joint moves.
-        SolverError: a fitted motion does not come to rest.
+        SolverError: a fitted motion does not converge.
     """
     model, experiments = problem.model, problem.experiments
-    held = _held(problem)
+    loaded = _loaded(problem)
     point = problem.parameters.nominal if point is None else point
     data = compress(model, experiments, psi=point)
     if not np.any(data.samples):
         names = ", ".join(e.log.path or e.log.name for e in experiments)
-        raise IdentifiabilityError("no joint moves in what is to be learnt from", where=names,
+        raise IdentifiabilityError("no joint moves in the training logs", where=names,
                                    remedy="record a log in which the joints move")
     sigma, weights = _sigma(problem, data, tolerance), None
     if problem.loss != "squares":
@@ -169,7 +169,7 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
     correlation = _correlation(problem, psi) if problem.correlated else np.eye(len(sigma))
     fit, where = None, f"identification of {model.machine.name}"
     if problem.fitted_motion:
-        fit = fitted_motion.fit(model, fitted_motion.initial_guess(model, held), _covariance(correlation, sigma),
+        fit = fitted_motion.fit(model, fitted_motion.initial_guess(model, loaded), _covariance(correlation, sigma),
                                 weights, psi, most_probable, where)
         problem, psi = problem.with_experiments(fit.experiments(fit.psi)), fit.psi
     # residuals that repeat themselves carry less information than as many independent ones
@@ -180,9 +180,9 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
                                 where)
         R, r, rest = fit.R, fit.r, fit.rest
     elif problem.instruments:
-        R, r, rest = compress_instrumented(model, held, problem.instruments, wide, weights, psi=point)
+        R, r, rest = compress_instrumented(model, loaded, problem.instruments, wide, weights, psi=point)
     elif problem.correlated:
-        R, r, rest = compress_jointly(model, held, _covariance(correlation, wide), weights, psi=point)
+        R, r, rest = compress_jointly(model, loaded, _covariance(correlation, wide), weights, psi=point)
     else:
         R, r, rest = data.weighted(wide)
     apart = not (problem.fitted_motion or problem.instruments or problem.correlated)
@@ -195,7 +195,7 @@ def misfit(weighted: WeightedResiduals[Problem], psi: Array) -> float:
     """The loss of all residuals of forces at ψ (p,), weighted in the same way but without linearisation."""
     problem, total = weighted.problem, 0.0
     wide = weighted.sigma * np.sqrt(weighted.correlation_time)
-    for residual, data in zip(_residuals(problem, psi), _held(problem), strict=True):
+    for residual, data in zip(_residuals(problem, psi), _loaded(problem), strict=True):
         taken = data.inside[:, None] & data.moving
         if problem.loss == "squares":
             total += float(np.sum(whitened(residual[:, :, None], taken, _covariance(weighted.correlation, wide)) ** 2))
@@ -225,8 +225,8 @@ def _sigma(problem: ResidualProblem, data: CompressedRegressor, tolerance: float
     floor = 1e-11 * np.maximum(size, 1e-12)
     for _ in range(3):
         R, r, _ = data.weighted(sigma)
-        psi, _, seen = least_squares.base_least_squares(R, r, problem.parameters.names, tolerance)
-        freedom = np.maximum(data.samples - seen.rank / len(sigma), 1.0)
+        psi, _, identifiable = least_squares.base_least_squares(R, r, problem.parameters.names, tolerance)
+        freedom = np.maximum(data.samples - identifiable.rank / len(sigma), 1.0)
         sigma = np.maximum(np.sqrt(data.squares(psi) / freedom), floor)
     return np.asarray(sigma)
 
@@ -255,7 +255,7 @@ def _robust(problem: ResidualProblem, data: CompressedRegressor, sigma: Array,
     return data, sigma, weights
 
 
-def _held(problem: ResidualProblem) -> tuple[Experiment, ...]:
+def _loaded(problem: ResidualProblem) -> tuple[Experiment, ...]:
     """The experiments of a problem that needs all samples at once; else none.
 
     Raises:
@@ -268,13 +268,13 @@ def _held(problem: ResidualProblem) -> tuple[Experiment, ...]:
 
 
 def _residuals(problem: ResidualProblem, psi: Array) -> list[Array]:
-    return [e.force - e.predicted(psi) for e in _held(problem)]
+    return [e.force - e.predicted(psi) for e in _loaded(problem)]
 
 
 def _taken(problem: ResidualProblem, residuals: Sequence[Array]) -> list[Array]:
     """Residuals with NaN where they take no part."""
     return [np.where(e.inside[:, None] & e.moving, res, np.nan)
-            for res, e in zip(residuals, _held(problem), strict=True)]
+            for res, e in zip(residuals, _loaded(problem), strict=True)]
 
 
 def _correlation(problem: ResidualProblem, psi: Array) -> Array:

@@ -172,7 +172,7 @@ def symmetry(parameters: ParameterSet, owner: str, plane: str) -> Condition:
     """
     name = f"symmetry of {owner} about {plane}"
     if plane not in inertia.ODD_MOMENTS:
-        raise ProblemError(f"'{plane}' is no plane", where=name, remedy=f"use {', '.join(inertia.ODD_MOMENTS)}")
+        raise ProblemError(f"'{plane}' is not a plane", where=name, remedy=f"use {', '.join(inertia.ODD_MOMENTS)}")
     start = _body(parameters, owner, name)
     return _zero(name, parameters, np.eye(len(parameters))[[start + k for k in inertia.ODD_MOMENTS[plane]]])
 
@@ -208,7 +208,8 @@ def total_mass(parameters: ParameterSet, name: str, owners: Sequence[str]) -> Ar
         ProblemError: no body, an unknown one, or one twice.
     """
     if not owners or len(set(owners)) < len(owners):
-        raise ProblemError("it sums no bodies, or one of them twice", where=f"'{name}'", remedy="name each body once")
+        raise ProblemError("the sum has no bodies, or one of them twice", where=f"'{name}'",
+                           remedy="name each body once")
     return np.asarray(np.eye(len(parameters))[[_body(parameters, owner, name) for owner in owners]].sum(axis=0))
 
 
@@ -276,6 +277,6 @@ def _zero(name: str, parameters: ParameterSet, rows: Array, right: Array | None 
 
 def _body(parameters: ParameterSet, owner: str, name: str) -> int:
     if owner not in parameters.bodies:
-        raise ProblemError(f"'{owner}' is no body of this model", where=f"'{name}'",
+        raise ProblemError(f"'{owner}' is not a body of this model", where=f"'{name}'",
                            remedy=f"name one of {', '.join(parameters.bodies)}")
     return int(parameters.bodies[owner].start)

@@ -54,8 +54,8 @@ class GaussianPosterior:
         if np.max(np.abs(E @ nearest - e), initial=0.0) > 1e-7 * max(1.0, float(np.linalg.norm(nearest))):
             return None
         if rank == len(Vt):
-            raise ProblemError("every parameter is held, and nothing is left to identify", where=exact[-1].name,
-                               remedy="hold fewer")
+            raise ProblemError("every parameter is fixed, and nothing is left to identify", where=exact[-1].name,
+                               remedy="fix fewer parameters")
         free = Vt[rank:].T
         return GaussianPosterior(self.offset + self.slope @ nearest, self.slope @ free, self.root @ free,
                         self.right - self.root @ nearest)

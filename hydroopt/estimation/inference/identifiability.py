@@ -1,4 +1,4 @@
-"""What a set of equations can tell about parameters: rank, base parameters, conditioning, collinearity."""
+"""What a set of equations determines of parameters: rank, base parameters, conditioning, collinearity."""
 
 from __future__ import annotations
 
@@ -165,7 +165,7 @@ def random_states(model: Model, samples: int, rng: np.random.Generator) -> tuple
 
 @dataclass(frozen=True)
 class Confounded:
-    """A base parameter that these data hardly tell from others.
+    """A base parameter that these data hardly separate from others.
 
     `inflation` is its variance over what it would be if the other base parameters were known (variance inflation
     factor); `partners` are the base parameters that can stand in for it, each named by its first parameter.

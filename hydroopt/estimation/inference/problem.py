@@ -1,4 +1,4 @@
-"""What the solvers and the sampler need to know of a problem; each kind of estimation offers it."""
+"""What the solvers and the sampler need of a problem; each kind of estimation provides it."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class InferenceProblem(Protocol):
         """Parameters that are held at a value."""
 
     def statements(self, *, consistent: bool) -> tuple[Condition, ...]:
-        """Linear conditions on ψ: physically consistent bodies if asked, and what machine file and user state."""
+        """Linear conditions on ψ: physically consistent bodies on request, and what machine file and user state."""
 
     def requirements(self, *, consistent: bool) -> tuple[Condition, ...]:
         """The same with the bounds of single parameters."""

@@ -87,8 +87,8 @@ def semidefinite_program(problem: InferenceProblem, posterior: GaussianPosterior
     for body in problem.bodies if consistent else ():
         smallest = np.linalg.eigvalsh(body.pseudo_inertia(psi[body.columns]))[0]
         if smallest <= 0:
-            raise SolverError(f"the body '{body.owner}' came out impossible (eigenvalue {smallest:.1e})", where=where,
-                              remedy="widen its prior or the constraints on it")
+            raise SolverError(f"the body '{body.owner}' came out physically inconsistent (smallest eigenvalue "
+                              f"{smallest:.1e})", where=where, remedy="widen its prior or the constraints on it")
     active |= {name for name, group in named if _is_active(group)}
     return Optimum(psi, tuple(name for name in names if name in active))
 
@@ -159,7 +159,7 @@ def constraints_of(problem: InferenceProblem, posterior: GaussianPosterior, z: c
 
 
 def refuse_contradiction(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool) -> None:
-    """Name what cannot hold together, for a solver that could not; nothing if a constraint is not convex.
+    """Name the contradicting constraints after a solver failed; nothing if a constraint is not convex.
 
     Raises:
         ProblemError: constraints contradict each other; the smallest contradicting set is named.
@@ -177,7 +177,7 @@ def inner_point(problem: InferenceProblem, posterior: GaussianPosterior, z: Arra
                 margin: float) -> Array | None:
     """The point (k,) nearest to z that fulfils every inequality and matrix with a margin; None if none is found.
 
-    The user's own constraints are not asked.
+    The user's own constraints are ignored.
     """
     moved = cp.Variable(len(z))
     inequalities = [_constraint(condition, posterior, moved, margin)
@@ -185,7 +185,7 @@ def inner_point(problem: InferenceProblem, posterior: GaussianPosterior, z: Arra
     program = cp.Problem(cp.Minimize(cp.sum_squares(moved - z)), inequalities)
     try:
         found = solvers.solve_convex(program, problem.where)
-    except SolverError:  # the estimate stands; without a start there are only no intervals, which is said
+    except SolverError:  # the estimate holds; without a start there are no intervals, which a note states
         return None
     return np.asarray(moved.value, dtype=float) if found else None
 
@@ -217,7 +217,7 @@ def _distances(problem: InferenceProblem, posterior: GaussianPosterior, z: cp.Va
 
 
 def _gradient(problem: InferenceProblem, posterior: GaussianPosterior, z: Array) -> Array:
-    """Gradient (k,) of the cost, for a check that does not ask cvxpy."""
+    """Gradient (k,) of the cost, for a check without cvxpy."""
     gradient: Array = 2 * posterior.root.T @ (posterior.root @ z - posterior.right)
     for body in problem.bodies if _distant(problem) else ():
         J = inertia.pseudo_inertia((posterior.offset + posterior.slope @ z)[body.columns])
@@ -242,7 +242,7 @@ def _compatible(problem: InferenceProblem, posterior: GaussianPosterior, *, cons
 
 
 def _contradiction(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool) -> ProblemError:
-    """A smallest set of constraints that cannot hold together: leave out one after the other what is not needed."""
+    """A smallest set of contradicting constraints: each is left out that the contradiction does not need."""
     names, without = names_of(problem, consistent=consistent), set[str]()
     for name in names:
         if not _compatible(problem, posterior, consistent=consistent, without=without | {name}):

@@ -16,11 +16,11 @@ from hydroopt.spatial.inertia import Array
 
 _IPOPT_WORDS = {
     "Solve_Succeeded": "solved",
-    "Solved_To_Acceptable_Level": "solved, but less accurately than asked",
+    "Solved_To_Acceptable_Level": "solved, but less accurately than requested",
     "Infeasible_Problem_Detected": "the constraints contradict each other",
     "Maximum_Iterations_Exceeded": "it ran out of iterations",
     "Restoration_Failed": "it found no point that fulfils the constraints",
-    "Diverging_Iterates": "the parameters run away to infinity",
+    "Diverging_Iterates": "the parameters diverge",
     "Invalid_Number_Detected": "an expression is not a number at some point",
 }
 
@@ -41,7 +41,7 @@ class Certificate:
             raise SolverError(
                 f"the solver's answer failed our check (constraint violation {self.violation:.1e}, stationarity "
                 f"{self.stationarity:.1e}, both should be below {tolerance:.0e})", where=where,
-                remedy="loosen contradictory priors or constraints, or try another method")
+                remedy="loosen contradictory priors or constraints, or use another method")
 
 
 def solve_convex(problem: cp.Problem, where: str) -> bool:
@@ -57,7 +57,7 @@ def solve_convex(problem: cp.Problem, where: str) -> bool:
             warnings.simplefilter("ignore", UserWarning)
             problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-10, tol_gap_rel=1e-10, tol_feas=1e-10)
     except cp.SolverError as error:
-        raise SolverError(f"Clarabel gave up ({error})", where=where,
+        raise SolverError(f"Clarabel failed ({error})", where=where,
                           remedy="check the scale of priors and data") from None
     if problem.status in ("infeasible", "infeasible_inaccurate"):
         return False

@@ -54,7 +54,8 @@ def test_fitted_motion_is_the_optimum_of_the_whole_problem(sensed: Model, record
     def least(R: np.ndarray, r: np.ndarray) -> np.ndarray:
         return base_least_squares(R, r, sensed.parameters.names)[0]
 
-    found = fitted_motion.fit(sensed, fitted_motion.begin(sensed, [data]), covariance, None, TRUTH, least, "test")
+    start = fitted_motion.initial_guess(sensed, [data])
+    found = fitted_motion.fit(sensed, start, covariance, None, TRUTH, least, "test")
     (one,) = found.motion(found.psi)
     (stretch,) = one.stretches
     count = len(stretch.coefficients) - 5
@@ -185,7 +186,7 @@ def test_ways_exclude_one_another(noisy: IdentificationProblem, exact_logs: list
         noisy.with_fitted_motion().with_instruments(exact_logs[:2])
     with pytest.raises(ProblemError, match="choose one"):
         noisy.with_instruments(exact_logs[:2]).with_fitted_motion()
-    with pytest.raises(ProblemError, match="one for each log"):
+    with pytest.raises(ProblemError, match="one for each training log"):
         noisy.with_instruments(exact_logs[:1])
     with pytest.raises(LogError, match="covers"):
         noisy.with_instruments([exact_logs[0].slice(5, 100), exact_logs[1]])

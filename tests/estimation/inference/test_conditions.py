@@ -378,7 +378,7 @@ def test_reduced_model_drops_what_speaks_of_cylinders_and_refuses_their_sum(cat2
     data = machine.model_dump()
     data["total_masses"][0]["bodies"] = ["boom", "boom_cylinder.rod"]
     summed = IdentificationProblem(Model(Machine.model_validate(data), actuator_inertia=False), ())
-    with pytest.raises(ProblemError, match=r"'weighbridge': 'boom_cylinder\.rod' is no body of this model"):
+    with pytest.raises(ProblemError, match=r"'weighbridge': 'boom_cylinder\.rod' is not a body of this model"):
         _ = summed.conditions
 
 
@@ -433,18 +433,18 @@ def test_ipopt_stays_with_its_own_words_where_a_constraint_is_not_convex() -> No
 
 
 @pytest.mark.parametrize(("wish", "message"), [
-    (lambda p: p.symmetric("arm", "zz"), "'zz' is no plane; use xy, xz, yz"),
-    (lambda p: p.symmetric("leg", "xy"), "'leg' is no body of this model; name one of arm"),
+    (lambda p: p.symmetric("arm", "zz"), "'zz' is not a plane; use xy, xz, yz"),
+    (lambda p: p.symmetric("leg", "xy"), "'leg' is not a body of this model; name one of arm"),
     (lambda p: p.symmetric("arm", "xy").symmetric("arm", "xy"), "same name"),
     (lambda p: p.with_total_mass("t", [], 3.0), "sums no bodies"),
     (lambda p: p.with_total_mass("t", ["arm", "arm"], 3.0), "one of them twice"),
-    (lambda p: p.with_total_mass("t", ["leg"], 3.0), "'leg' is no body"),
-    (lambda p: p.with_total_mass("t", ["arm"], 0.0), "0 kg is no mass"),
+    (lambda p: p.with_total_mass("t", ["leg"], 3.0), "'leg' is not a body"),
+    (lambda p: p.with_total_mass("t", ["arm"], 0.0), "0 kg is not a mass"),
     (lambda p: p.with_total_mass("t", ["arm"], 3.0, -1.0), "no prior"),
     (lambda p: p.with_total_mass("t", ["arm"], 3.0).with_total_mass("t", ["arm"], 4.0), "same name"),
     (lambda p: p.identical("t", ["arm"]), "cannot be identical"),
     (lambda p: p.identical("t", ["arm", "drive"]), "cannot be identical"),
-    (lambda p: p.with_distance("euclid"), "'euclid' is no distance; use gaussian or log-det"),
+    (lambda p: p.with_distance("euclid"), "'euclid' is not a distance; use gaussian or log-det"),
 ])
 def test_nonsense_is_refused(wish: Any, message: str) -> None:
     with pytest.raises(ProblemError, match=message):
