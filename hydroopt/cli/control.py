@@ -4,22 +4,29 @@ from __future__ import annotations
 
 import json
 import time
+from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from hydroopt.cli.options import AsJson, Directory, MapFile, ParameterSetName, Quiet, progress
-from hydroopt.codegen import parameter_source as codegen_origin
-from hydroopt.control.comparison import FEEDFORWARD, LQG, PI, Comparison, Setting, compare, rate_of
-from hydroopt.control.model_variants import COMPLETE, Knowledge, nominal_of, reduced, truth
+from hydroopt.codegen import parameter_source
+from hydroopt.codegen.folder import Code
+from hydroopt.codegen.parameter_source import Origin
+from hydroopt.control.comparison import compare
+from hydroopt.control.model_variants import COMPLETE, ModelVariant, nominal_of, reduced, truth
+from hydroopt.control.outcome import FEEDFORWARD, LQG, PI
+from hydroopt.control.setting import Setting, rate_of
 from hydroopt.control.tuning import SENSITIVITY
 from hydroopt.errors import ProblemError
+from hydroopt.files import refuse_directory
 from hydroopt.logs.log import read_log
 from hydroopt.machine.machine_file import bundled
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
-from hydroopt.report import closed_loop_folder as folder
+from hydroopt.report import closed_loop as report
+from hydroopt.results import store
 from hydroopt.simulation.reference_motion import reference_motion
 
 KINDS = (PI, FEEDFORWARD, LQG)
@@ -57,44 +64,44 @@ def control(
     kinds = tuple(controller or KINDS)
     for kind in kinds:
         if kind not in KINDS:
-            raise ProblemError(f"'{kind}' is no controller", where="--controller", remedy=f"use {', '.join(KINDS)}")
+            raise ProblemError(f"'{kind}' is not a controller", where="--controller", remedy=f"use {', '.join(KINDS)}")
     if not 1.05 <= sensitivity <= 4:
         raise ProblemError(f"gains cannot be tuned to a sensitivity of {sensitivity:g}", where="--sensitivity",
                            remedy="give a number from 1.05 to 4, such as 1.3")
     if not 0 < gain <= 1000:
         raise ProblemError(f"gains cannot be multiplied by {gain:g}", where="--gain", remedy="give a number such as 1")
-    folder.refuse_directory(output)
-    described, origin = codegen_origin.read(machine, parameter_set=parameter_set)
+    refuse_directory(output, ("control.json", "report.html", "tracking.csv", "margins.csv", "runs.csv"))
+    described, origin = parameter_source.read(machine, parameter_set=parameter_set)
     model = Model(described)
     plant = Plant(model)
     _ = plant.supply  # a machine without a supply pressure is refused before anything takes time
     motion = reference_motion(described, read_log(trajectory, mapping=map_file))
     with progress(f"closing the loop on {described.name}", quiet) as say:
-        complete = Knowledge(COMPLETE, origin.text, model, model.parameters.nominal)
+        complete = ModelVariant(COMPLETE, origin.text, model, model.parameters.nominal)
         estimated = machine not in bundled() and Path(machine).is_dir()
-        before = nominal_of(Path(machine) / "estimate.json", model) if estimated else None
-        known = [*([before] if before else ()), *([reduced(complete)] if FEEDFORWARD in kinds else ()), complete]
+        before = nominal_of(Path(machine), model) if estimated else None
+        variants = [*([before] if before else ()), *([reduced(complete)] if FEEDFORWARD in kinds else ()), complete]
         setting = Setting(plant, motion, *truth(true, plant, seed=seed), plant.parameters.nominal,
                           rate_of(plant, rate, motion), seed if noise else None, sensitivity, gain)
-        comparison = compare(setting, known, kinds, say=say)
+        comparison = replace(compare(setting, variants, kinds, say=say), source=origin.text, options={
+            "trajectory": str(trajectory), "truth": true, "seed": seed, "noise": noise, "sensitivity": sensitivity,
+            "gain": gain, "controllers": list(kinds)})
         say("writing the report and the code")
-        content = folder.save(comparison, output, origin=origin, wall_s=time.perf_counter() - began,
-                              asked={"trajectory": str(trajectory), "truth": true, "seed": seed, "noise": noise,
-                                     "sensitivity": sensitivity, "gain": gain, "controllers": list(kinds)})
+        pages: dict[str, str | bytes] = {"report.html": report.render(comparison)}
+        best = comparison.feedforward
+        code, written = None, dict[str, str]()
+        if best is not None:
+            code = Code(described, Origin(f"{best.variant.text} ({best.variant.name})", origin.sha256),
+                        routines=["valve_feedforward"], psi=comparison.psi_of(best.variant))
+            written = code.files_for(output / "c")
+        comparison.save(output, pages=pages | {f"c/{name}": text for name, text in written.items()},
+                        wall_s=time.perf_counter() - began)
+        if code is not None:
+            code.remove_earlier(output / "c", written)
     if as_json:
-        typer.echo(json.dumps(content, indent=1))
+        typer.echo(json.dumps(store.read(output), indent=1))
     elif not quiet:
-        _tell(comparison, content, output)
-
-
-def _tell(comparison: Comparison, content: dict[str, Any], output: Path) -> None:
-    typer.echo(f"{content['machine']['name']}: {len(comparison.reference)} samples at {comparison.setting.rate:g} Hz, "
-               f"truth {comparison.setting.true.text}")
-    for outcome in comparison.outcomes:
-        mark = " *" if outcome is comparison.winner else ""
-        typer.echo(f"  {outcome.name}: " + (outcome.run.stopped or (
-            f"tip {1e3 * outcome.tip_rms:.1f} mm RMS, {1e3 * outcome.tip.max():.1f} mm at most; "
-            f"{outcome.run.pressure.max() / 1e5:.0f} bar at most, {outcome.run.energy / 1e3:.0f} kJ")) + mark)
-    for doubt in content["doubts"]:
-        typer.echo(f"  ! {doubt}")
-    typer.echo(f"{output / 'report.html'}")
+        typer.echo(str(comparison))
+        for diagnostic in comparison.diagnostics:
+            typer.echo(f"  ! {diagnostic}")
+        typer.echo(f"{output / 'report.html'}")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import json
 import re
 from pathlib import Path
 from typing import NamedTuple
@@ -11,6 +10,8 @@ from typing import NamedTuple
 from hydroopt.errors import ProblemError
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import bundled, load_machine
+from hydroopt.results import store
+from hydroopt.results.answer import Status, load
 
 
 class Origin(NamedTuple):
@@ -33,30 +34,19 @@ def read(given: str, *, parameter_set: str | None = None) -> tuple[Machine, Orig
         return machine, Origin(f"nominal values of the machine {machine.name}", machine.sha256)
     if parameter_set is not None:
         raise ProblemError("an estimate has one set of parameters", where="--set", remedy="leave it out")
-    file = folder / "estimate.json"
-    try:
-        data = file.read_bytes()
-        content = json.loads(data)
-        name, created, status = content["machine"]["name"], content.get("created", "a day unknown"), content["status"]
-        if not re.fullmatch(r"[A-Za-z]\w{0,199}", str(name), re.ASCII):
-            raise ValueError
-        words = [str(name), str(created), str(content["method"])]
-    except OSError:
-        raise ProblemError("this folder holds no estimate", where=given,
-                           remedy="name a machine, or the folder that identify or calibrate wrote") from None
-    except (ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        raise ProblemError("this is no estimate that hydroopt wrote", where=str(file),
-                           remedy="identify or calibrate again") from None
-    if status == "failed":
+    answer = load(folder)
+    if not re.fullmatch(r"[A-Za-z]\w{0,199}", answer.machine_name, re.ASCII):
+        raise store.not_an_answer(folder)
+    file = store.json_file(folder)
+    if answer.status is Status.FAILED:
         raise ProblemError("the estimate failed, so that there is nothing to export", where=str(file),
                            remedy="see its 'reason', then identify or calibrate again")
-    calibrated = folder / f"{name}.toml"
-    if not calibrated.is_file():
-        raise ProblemError("no calibrated machine stands beside it, because it could not exist", where=str(file),
-                           remedy="see its 'doubts', then identify or calibrate with more data or another method")
-    machine = load_machine(calibrated)
-    return machine, Origin(f"estimate of {machine.name} by {_plain(words[2])} on {_plain(words[1])}",
-                           hashlib.sha256(data).hexdigest())
+    if answer.machine_file is None:
+        raise ProblemError("there is no calibrated machine beside it", where=str(file),
+                           remedy="see its 'diagnostics', then identify or calibrate with more data or another method")
+    machine, created = load_machine(answer.machine_file), str(answer.saved.get("created", "an unknown day"))
+    return machine, Origin(f"estimate of {machine.name} by {_plain(answer.method)} on {_plain(created)}",
+                           hashlib.sha256(file.read_bytes()).hexdigest())
 
 
 def _plain(text: str) -> str:

@@ -2,163 +2,43 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple
+from typing import Any
 
 import control
 import numpy as np
-from scipy.stats import qmc
 
 from hydroopt.control.cascade import Cascade, Gains
-from hydroopt.control.closed_loop import Run, simulate
-from hydroopt.control.feasibility import refuse_flow, refuse_opening, refuse_unstable, steady_speeds
+from hydroopt.control.closed_loop import simulate
+from hydroopt.control.diagnostics import control_diagnostics
+from hydroopt.control.feasibility import refuse_flow, refuse_opening, refuse_unstable
 from hydroopt.control.lqg import Lqg, design, reading_noise
-from hydroopt.control.model_variants import COMPLETE, TRUE, Knowledge
-from hydroopt.control.reference import Demands, Reference
-from hydroopt.control.sampled import Linear, Margin, Point, linearised, margins, point, sampled
-from hydroopt.control.tuning import SENSITIVITY, tuned
-from hydroopt.control.valve_inversion import Valves
-from hydroopt.errors import ProblemError
+from hydroopt.control.model_variants import COMPLETE, TRUE, ModelVariant
+from hydroopt.control.outcome import FEEDFORWARD, LQG, PI, Bode, Outcome
+from hydroopt.control.reference import Demands
+from hydroopt.control.sampled import Linear, Margin, Point, margins
+from hydroopt.control.setting import Setting
+from hydroopt.control.tuning import tuned
+from hydroopt.logs.table import encoded_columns
+from hydroopt.machine.components import Cylinder
+from hydroopt.machine.machine import Machine
 from hydroopt.model.plant import Plant
-from hydroopt.model.workspace import SHARE, Sweep, top_speed, workspace_sweeps
-from hydroopt.simulation.simulate import Trajectory, sampling_rate
+from hydroopt.model.workspace import Sweep, workspace_sweeps
+from hydroopt.results.answer import Answer, Status
+from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.fit import Fit
+from hydroopt.results.parameter_table import ParameterTable, row
+from hydroopt.results.store import Job
+from hydroopt.results.tables import csv_text, number
 from hydroopt.spatial.inertia import Array
 
-PI, FEEDFORWARD, LQG = "pi", "feedforward", "lqg"
-ON_THE_WAY = 6
-"""Points of the motion at which loops are looked at, and about which the LQG controller is designed."""
-WORKSPACE = 16
-"""Postures all over the joints' ranges at which they are, too."""
-EDGE = 0.05
-"""Part of a joint's range at each end that is left out."""
+METHOD = "simulation of closed loops"
 
 
-class Bode(NamedTuple):
-    """L(jω) (n, ω) of all loops at a point, with its name and frequencies [rad/s]."""
-
-    point: str
-    omega: Array
-    loops: Array
-
-
-@dataclass(frozen=True, eq=False)
-class Outcome:
-    """What one controller made of the motion.
-
-    Attributes:
-        name: ``feedforward complete``.
-        kind: `PI`, `FEEDFORWARD` or `LQG`.
-        knowledge: the parameters it was given.
-        run: what the machine did.
-        error: of the joints (N, n) [rad or m].
-        tip: distance (N,) [m] of the last link's far end from where it should be.
-        margins: of all loops at all points.
-        bode: of its loops at the point where one comes nearest to −1.
-    """
-
-    name: str
-    kind: str
-    knowledge: Knowledge
-    run: Run
-    error: Array
-    tip: Array
-    margins: tuple[Margin, ...]
-    bode: Bode
-
-    @property
-    def tip_rms(self) -> float:
-        """Root mean square [m] of the distance of the tip; infinite if the machine hit its stops."""
-        return float(np.sqrt(np.mean(self.tip**2))) if not self.run.stopped else np.inf
-
-    def worst(self, loop: str, key: str, points: Sequence[str] = ()) -> Margin:
-        """The margin of a loop that is least by gain or phase, over some points or all."""
-        own = [margin for margin in self.margins if margin.loop == loop and (not points or margin.point in points)]
-        return min(own, key=lambda margin: float(getattr(margin, key)))
-
-
-@dataclass(frozen=True, eq=False)
-class Setting:
-    """A machine, a motion to follow and what is true.
-
-    Attributes:
-        plant: the machine.
-        motion: to follow.
-        true: what the machine really is.
-        true_theta: its hydraulic parameters.
-        theta: those that all controllers are given.
-        rate: of the controller [Hz].
-        seed: of the sensors' errors; None for none.
-        sensitivity: to which gains are tuned.
-        gain: by which the tuned position gains are multiplied.
-    """
-
-    plant: Plant
-    motion: Trajectory
-    true: Knowledge
-    true_theta: Array
-    theta: Array
-    rate: float
-    seed: int | None = 0
-    sensitivity: float = SENSITIVITY
-    gain: float = 1.0
-
-    @cached_property
-    def t(self) -> Array:
-        """Times (N,) of the samples."""
-        start, end = self.motion.t[0], self.motion.t[-1]
-        return np.asarray(start + np.arange(int((end - start) * self.rate * (1 + 1e-9)) + 1) / self.rate)
-
-    @cached_property
-    def reference(self) -> Reference:
-        """The motion between its samples."""
-        return Reference(self.motion)
-
-    @cached_property
-    def demands(self) -> Demands:
-        """What it demands."""
-        return Demands(Valves(self.plant, self.theta), self.reference, self.t)
-
-    @cached_property
-    def delays(self) -> Array:
-        """Of the valves (n,) [s]."""
-        return np.array([each.valve.delay for each in self.plant.actuators])
-
-    def points(self, psi: Array, theta: Array) -> tuple[list[Point], list[Point]]:
-        """Points of the motion, and all over the workspace, of a machine with parameters ψ and θ.
-
-        Everywhere joints move at least at the part `SHARE` of their greatest speeds, see `steady_speeds`.
-
-        Raises:
-            ProblemError: the supply cannot move the machine at a point of the motion.
-        """
-        machine = self.plant.machine
-        least = SHARE * np.array([top_speed(self.plant, joint) for joint in machine.joints])
-        lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
-        moments = self.t[0] + (np.arange(ON_THE_WAY) + 0.5) / ON_THE_WAY * (self.t[-1] - self.t[0])
-        path = self.reference.at(moments)
-        way = []
-        for t, q, qd in zip(moments, path.q, path.qd, strict=True):
-            speeds = steady_speeds(self.plant, q, qd, least)
-            way.append(point(self.plant, f"motion at {t:.1f} s", q, speeds, psi, theta))
-        n, space = len(least), list[Point]()
-        for k, share in enumerate(qmc.Halton(2 * n, scramble=False).random(WORKSPACE + 1)[1:]):
-            direction = np.where(share[n:] < 0.5, -1.0, 1.0)
-            q = lower + (upper - lower) * (EDGE + (1 - 2 * EDGE) * share[:n])
-            try:
-                space.append(point(self.plant, f"workspace {k + 1}", q, direction * least, psi, theta))
-            except ProblemError:  # the supply need not reach every posture
-                continue
-        return way, space
-
-    def plants(self, points: Sequence[Point], psi: Array, theta: Array) -> list[control.StateSpace]:
-        """The sampled plant with the valves' delays about each point."""
-        return [sampled(linearised(self.plant, at, psi, theta), self.delays, 1 / self.rate) for at in points]
-
-
-@dataclass(frozen=True, eq=False)
-class Comparison:
+@dataclass(frozen=True, eq=False, repr=False)
+class Comparison(Answer):
     """All candidates on one motion.
 
     Attributes:
@@ -166,14 +46,20 @@ class Comparison:
         gains: of the cascade.
         points: of the motion, then of the workspace, at which margins were taken.
         outcomes: in the order of the candidates.
-        reference: joint positions (N, n) asked for.
+        reference: joint positions (N, n) to follow.
+        source: where the machine's parameters are from.
+        options: of the command, kept in the JSON file.
     """
+
+    job = Job.CONTROL
 
     setting: Setting
     gains: Gains
     points: tuple[Point, ...]
     outcomes: tuple[Outcome, ...]
     reference: Array
+    source: str = "the machine file"
+    options: Mapping[str, Any] = field(default_factory=dict)
 
     @cached_property
     def sweeps(self) -> tuple[Sweep, ...]:
@@ -182,18 +68,143 @@ class Comparison:
         return workspace_sweeps(plant, plant.model.parameters.nominal, self.setting.theta)
 
     @property
+    def machine(self) -> Machine:
+        """The machine."""
+        return self.setting.plant.machine
+
+    @property
+    def machine_name(self) -> str:
+        """Name of the machine."""
+        return self.machine.name
+
+    @property
+    def machine_sha256(self) -> str:
+        """Digest of that machine's description."""
+        return self.machine.sha256
+
+    @property
+    def method(self) -> str:
+        """How it was computed."""
+        return METHOD
+
+    @property
+    def status(self) -> Status:
+        """`SUSPECT` if even the best controller ends before the motion does, else `OK`."""
+        return Status.SUSPECT if self.winner.run.stopped else Status.OK
+
+    @cached_property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """Small margins, ended runs and saturated valves."""
+        return control_diagnostics(self.setting, self.outcomes, self.feedforward)
+
+    @cached_property
+    def parameters(self) -> ParameterTable:
+        """The tuned gains of the cascade."""
+        gains, rows = self.gains, []
+        for k, each in enumerate(self.setting.plant.actuators):
+            speed, force = ("m/s", "N") if isinstance(each.actuator, Cylinder) else ("rad/s", "N*m")
+            for key, unit, values in (("position_gain", "1/s", gains.position),
+                                      ("force_gain", f"{speed}/({force})", gains.force),
+                                      ("integral_time", "s", gains.integral_time),
+                                      ("filter_time", "s", gains.filter_time)):
+                rows.append(row(f"{each.actuator.name}.{key}", "gain", unit, value=float(values[k])))
+        return ParameterTable(rows)
+
+    @cached_property
+    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
+        """Tracking errors by controller and joint."""
+        return {outcome.name: {f"{joint}.q": self._tracking(outcome, k) for k, joint in enumerate(self.machine.joints)}
+                for outcome in self.outcomes}
+
+    def _tracking(self, outcome: Outcome, k: int) -> Fit:
+        error, wanted = outcome.error[:, k], self.reference[:len(outcome.error), k]
+        rms, spread, size = (float(value) for value in (
+            np.sqrt(np.mean(error**2)), np.ptp(wanted), np.sqrt(np.mean(wanted**2))))
+        return Fit(rms, float(1 - np.var(error) / np.var(wanted)) if spread else float("nan"),
+                   rms / size if size else float("inf"), self.machine.channel_units[f"{self.machine.joints[k]}.q"],
+                   float(np.max(np.abs(error))), rms / spread if spread else float("inf"))
+
+    @property
+    def inputs(self) -> tuple[Mapping[str, Any], ...]:
+        """None: everything is simulated."""
+        return ()
+
+    def details(self) -> Mapping[str, Any]:
+        """Options, the winner, and of every candidate its errors, pressures, energy and least margins."""
+        return {**self.options, "origin": self.source, "rate": self.setting.rate,
+                "truth_text": self.setting.true.text, "winner": self.winner.name,
+                "candidates": [self._candidate(each) for each in self.outcomes]}
+
+    def _candidate(self, outcome: Outcome) -> dict[str, Any]:
+        run = outcome.run
+        return {"name": outcome.name, "kind": outcome.kind, "parameters": outcome.variant.name,
+                "from": outcome.variant.text, "stopped": run.stopped or None,
+                "tip": {"rms": number(outcome.tip_rms), "max": number(np.max(outcome.tip)), "unit": "m"},
+                "joints": self._joints(outcome), "peak_pressure": float(np.max(run.pressure)),
+                "lowest_supply": float(np.min(run.p_supply)), "energy": run.energy,
+                "loops": [{"actuator": each.actuator.name} | {
+                    f"least_{key}_margin": outcome.worst(each.actuator.name, key).as_dict()
+                    for key in ("gain", "phase")} for each in self.setting.plant.actuators]}
+
+    def _joints(self, outcome: Outcome) -> list[dict[str, Any]]:
+        return [{"joint": joint, "unit": self.machine.channel_units[f"{joint}.q"],
+                 "rms": float(np.sqrt(np.mean(outcome.error[:, k] ** 2))),
+                 "max": float(np.max(np.abs(outcome.error[:, k]))), "actuator": each.actuator.name,
+                 "peak_pressure": float(np.max(outcome.run.pressure[:, k]))}
+                for k, (joint, each) in enumerate(zip(self.machine.joints, self.setting.plant.actuators, strict=True))]
+
+    def files(self) -> Mapping[str, str | bytes]:
+        """Tables of tracking errors and of margins; and reference, positions and commands of all that reached the end.
+        """
+        tracking = [{"controller": outcome.name, "parameters": outcome.variant.name, **each}
+                    for outcome in self.outcomes for each in self._joints(outcome)]
+        margins = [{"controller": outcome.name, **margin.as_dict()}
+                   for outcome in self.outcomes for margin in outcome.margins]
+        columns = {"t [s]": self.setting.t}
+        units = [self.machine.channel_units[f"{joint}.q"] for joint in self.machine.joints]
+        for k, joint in enumerate(self.machine.joints):
+            columns[f"{joint}.q [{units[k]}]"] = self.reference[:, k]
+        for outcome in self.outcomes:
+            if outcome.run.stopped:
+                continue
+            start = outcome.name.replace(" ", "_")
+            for k, joint in enumerate(self.machine.joints):
+                columns[f"{start}.{joint}.q [{units[k]}]"] = outcome.run.q[:, k]
+            for k, name in enumerate(self.setting.plant.inputs):
+                unit = self.setting.plant.actuators[k].valve.command
+                columns[f"{start}.{name} [{unit}]"] = outcome.run.u[:, k]
+        return {"tracking.csv": csv_text(tracking), "margins.csv": csv_text(margins),
+                "runs.csv": encoded_columns(columns)}
+
+    def __str__(self) -> str:
+        lines = [f"{self.machine_name}: {len(self.reference)} samples at {self.setting.rate:g} Hz, truth "
+                 f"{self.setting.true.text}"]
+        for outcome in self.outcomes:
+            lines.append(f"  {outcome.name}: " + (outcome.run.stopped or (
+                f"tip {1e3 * outcome.tip_rms:.1f} mm RMS, {1e3 * outcome.tip.max():.1f} mm at most; "
+                f"{outcome.run.pressure.max() / 1e5:.0f} bar at most, {outcome.run.energy / 1e3:.0f} kJ"))
+                + (" *" if outcome is self.winner else ""))
+        return "\n".join(lines)
+
+    def psi_of(self, variant: ModelVariant) -> Array:
+        """Parameters ψ (p,) of the complete model that make a variant's forces: zero for bodies that it lacks."""
+        positions = variant.model.parameters.positions
+        return np.array([variant.psi[positions[name]] if name in positions else 0.0
+                         for name in self.setting.plant.model.parameters.names])
+
+    @property
     def winner(self) -> Outcome:
         """The least RMS error of the tip, of all that do not need the truth."""
-        return min((o for o in self.outcomes if o.knowledge.name != TRUE), key=lambda o: o.tip_rms)
+        return min((o for o in self.outcomes if o.variant.name != TRUE), key=lambda o: o.tip_rms)
 
     @property
     def feedforward(self) -> Outcome | None:
         """The best of the feedforwards that do not need the truth."""
-        own = [o for o in self.outcomes if o.kind == FEEDFORWARD and o.knowledge.name != TRUE]
+        own = [o for o in self.outcomes if o.kind == FEEDFORWARD and o.variant.name != TRUE]
         return min(own, key=lambda o: o.tip_rms, default=None)
 
 
-def compare(setting: Setting, known: Sequence[Knowledge], kinds: Sequence[str] = (PI, FEEDFORWARD, LQG), *,
+def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[str] = (PI, FEEDFORWARD, LQG), *,
             say: Callable[[str], None] = lambda _: None) -> Comparison:
     """Let every candidate follow the motion.
 
@@ -201,7 +212,7 @@ def compare(setting: Setting, known: Sequence[Knowledge], kinds: Sequence[str] =
 
     Args:
         setting: machine, motion and truth.
-        known: parameters to give to controllers, the complete ones among them; the true ones are added.
+        variants: models to give to controllers, the complete one among them; the true one is added.
         kinds: of controllers.
         say: told what goes on.
 
@@ -209,7 +220,7 @@ def compare(setting: Setting, known: Sequence[Knowledge], kinds: Sequence[str] =
         ProblemError: the motion asks for more than pump or valves give, or a loop is unstable on the way.
         SolverError: the plant could not be integrated.
     """
-    best = next(each for each in known if each.name == COMPLETE)
+    best = next(each for each in variants if each.name == COMPLETE)
     demands, period = setting.demands, 1 / setting.rate
     refuse_flow(setting.plant, setting.reference.at(setting.t))
     aim = demands.by(best.model, best.psi)
@@ -219,13 +230,13 @@ def compare(setting: Setting, known: Sequence[Knowledge], kinds: Sequence[str] =
     plants = setting.plants([*way, *space], best.psi, setting.theta)
     gains = tuned(plants, [*way, *space], demands.valves, setting.sensitivity)
     gains = replace(gains, position=setting.gain * gains.position)
-    candidates: list[tuple[str, str, Knowledge, Cascade | Lqg]] = []
+    candidates: list[tuple[str, str, ModelVariant, Cascade | Lqg]] = []
     if PI in kinds:
         still = demands.by(best.model, best.psi, gravity_only=True)
         candidates.append(("PI with gravity compensation", PI, best, Cascade(demands.valves, still, gains, period)))
     if FEEDFORWARD in kinds:
         candidates += [(f"feedforward {each.name}", FEEDFORWARD, each, Cascade(
-            demands.valves, demands.by(each.model, each.psi), gains, period)) for each in (*known, setting.true)]
+            demands.valves, demands.by(each.model, each.psi), gains, period)) for each in (*variants, setting.true)]
     if LQG in kinds:
         noise = reading_noise(setting.plant)
         designs = [design(plant, at, demands.valves, gains.position, noise)
@@ -236,7 +247,7 @@ def compare(setting: Setting, known: Sequence[Knowledge], kinds: Sequence[str] =
     true_plants = setting.plants([*way, *space], setting.true.psi, setting.true_theta)
     path, outcomes = setting.reference.at(setting.t), []
     looked: dict[type, tuple[tuple[Margin, ...], Bode]] = {}  # all cascades have the same loops
-    for name, kind, knowledge, controller in candidates:
+    for name, kind, variant, controller in candidates:
         say(name)
         if type(controller) not in looked:
             looked[type(controller)] = _margins(true_plants, [*way, *space], controller, demands)
@@ -245,7 +256,7 @@ def compare(setting: Setting, known: Sequence[Knowledge], kinds: Sequence[str] =
         run = simulate(demands, controller, setting.true.psi, setting.true_theta, seed=setting.seed)
         wanted = path.q[:len(run.t)]
         away = np.linalg.norm(tip(setting.plant, run.q) - tip(setting.plant, wanted), axis=1)
-        outcomes.append(Outcome(name, kind, knowledge, run, run.q - wanted, away, found, bode))
+        outcomes.append(Outcome(name, kind, variant, run, run.q - wanted, away, found, bode))
     return Comparison(setting, gains, (*way, *space), tuple(outcomes), path.q)
 
 
@@ -265,17 +276,3 @@ def _margins(plants: Sequence[control.StateSpace], points: Sequence[Point], cont
         found += here
         curves.append((min(m.distance for m in here), Bode(at.name, omega, L)))
     return tuple(found), min(curves, key=lambda curve: curve[0])[1]
-
-
-def rate_of(plant: Plant, rate: float | None, motion: Trajectory) -> float:
-    """Samples per second [Hz] of a controller: what is asked for, or the highest rate of a joint's sensor.
-
-    Raises:
-        ProblemError: at this rate the motion has no samples, or more than can be held in memory.
-    """
-    rate = sampling_rate(plant.machine) if rate is None else rate
-    duration = float(motion.t[-1] - motion.t[0])
-    if not (np.isfinite(rate) and rate > 0 and 10 <= duration * rate <= 1e6):
-        raise ProblemError(f"a controller at {rate:g} Hz cannot follow a motion of {duration:g} s", where="--rate",
-                           remedy="give a rate of some samples per second, such as 50 or 100 Hz")
-    return rate

@@ -2,44 +2,50 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hydroopt.control.comparison import FEEDFORWARD, Comparison
+from hydroopt.control.outcome import FEEDFORWARD, Outcome
+from hydroopt.control.setting import Setting
+from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.wording import Kind
 
 ENOUGH_DB, ENOUGH_DEG = 6.0, 45.0
-"""Gain and phase margins below which a loop is doubted."""
+"""Gain and phase margins below which a loop is reported."""
+SATURATED = 0.01
+"""Part of the time for which a valve may be fully open."""
 
 
-def doubts(comparison: Comparison) -> tuple[str, ...]:
-    """What a reader should know before trusting a comparison, in plain words."""
-    return (*_margins(comparison), *_runs(comparison))
+def control_diagnostics(setting: Setting, outcomes: Sequence[Outcome],
+                        feedforward: Outcome | None) -> tuple[Diagnostic, ...]:
+    """Small margins, runs that ended early, and valves that saturate; `feedforward` is the best one."""
+    return (*_margins(setting, outcomes, feedforward), *_runs(setting, outcomes))
 
 
-def _margins(comparison: Comparison) -> Iterator[str]:
-    for outcome in comparison.outcomes:
-        for each in comparison.setting.plant.actuators:
-            worst = [outcome.worst(each.actuator.name, key) for key in ("gain", "phase")]
-            if outcome.kind == FEEDFORWARD and outcome is not comparison.feedforward:
+def _margins(setting: Setting, outcomes: Sequence[Outcome], feedforward: Outcome | None) -> Iterator[Diagnostic]:
+    for outcome in outcomes:
+        for each in setting.plant.actuators:
+            gain, phase = (outcome.worst(each.actuator.name, key) for key in ("gain", "phase"))
+            if outcome.kind == FEEDFORWARD and outcome is not feedforward:
                 continue  # its loops are those of the best one
-            if unstable := next((m for m in worst if m.damping < 0), None):
-                yield (f"{outcome.name} does not hold the machine in the posture of {unstable.point}, which the motion "
-                       "does not come to.")
+            if unstable := next((m for m in (gain, phase) if m.damping < 0), None):
+                yield Diagnostic(Kind.UNSTABLE_ELSEWHERE, (outcome.name,), {"point": unstable.point})
                 break
-            gain, phase = 20 * np.log10(worst[0].gain), np.degrees(worst[1].phase)
-            if gain < ENOUGH_DB or phase < ENOUGH_DEG:
-                yield (f"{outcome.name} leaves the loop of {each.actuator.name} margins of only {gain:.1f} dB "
-                       f"({worst[0].point}) and {phase:.0f} degrees ({worst[1].point}).")
+            decibels, degrees = 20 * np.log10(gain.gain), np.degrees(phase.phase)
+            if decibels < ENOUGH_DB or degrees < ENOUGH_DEG:
+                yield Diagnostic(Kind.SMALL_MARGINS, (outcome.name,), {
+                    "loop": each.actuator.name, "gain_db": float(decibels), "gain_point": gain.point,
+                    "phase_deg": float(degrees), "phase_point": phase.point})
 
 
-def _runs(comparison: Comparison) -> Iterator[str]:
-    limits = comparison.setting.demands.valves.limits
-    for outcome in comparison.outcomes:
+def _runs(setting: Setting, outcomes: Sequence[Outcome]) -> Iterator[Diagnostic]:
+    low, high = setting.demands.valves.limits
+    for outcome in outcomes:
         if outcome.run.stopped:
-            yield f"With {outcome.name} {outcome.run.stopped}."
-        full = np.mean((outcome.run.u <= limits[0]) | (outcome.run.u >= limits[1]), axis=0)
-        for k, each in enumerate(comparison.setting.plant.actuators):
-            if full[k] > 0.01:
-                yield (f"With {outcome.name} the valve of {each.actuator.name} is fully open "
-                       f"{100 * full[k]:.0f} % of the time.")
+            yield Diagnostic(Kind.RUN_STOPPED, (outcome.name,), {"why": outcome.run.stopped})
+        part = np.mean((outcome.run.u <= low) | (outcome.run.u >= high), axis=0)
+        for k, each in enumerate(setting.plant.actuators):
+            if part[k] > SATURATED:
+                yield Diagnostic(Kind.VALVE_SATURATED, (outcome.name,), {
+                    "valve": each.actuator.name, "part": float(part[k])})

@@ -11,14 +11,15 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
+from hydroopt.results.answer import load
 from hydroopt.simulation import simulate
 from hydroopt.spatial.inertia import Array
 
 NOMINAL, REDUCED, COMPLETE, TRUE = "nominal", "reduced", "complete", "true"
 
 
-class Knowledge(NamedTuple):
-    """What is known of a machine, or true of it.
+class ModelVariant(NamedTuple):
+    """A model with parameters that a controller is given, or with the true ones.
 
     Attributes:
         name: `NOMINAL`, `REDUCED`, `COMPLETE` or `TRUE`.
@@ -34,16 +35,16 @@ class Knowledge(NamedTuple):
 
 
 class Truth(NamedTuple):
-    """What a simulated machine really is: its bodies and friction, and the numbers of valves and oil (t,)."""
+    """The true parameters of a simulated machine: of bodies and friction, and of valves and oil (t,)."""
 
-    knowledge: Knowledge
+    variant: ModelVariant
     theta: Array
 
 
-def reduced(complete: Knowledge, *, seed: int = 0) -> Knowledge:
+def reduced(complete: ModelVariant, *, seed: int = 0) -> ModelVariant:
     """The reduced model that comes nearest to a complete one: what identifying it from exact forces would give.
 
-    Its parameters take over what barrels and rods do as far as they can: least squares over the forces of a random
+    Its parameters stand in for barrels and rods as far as they can: least squares over the forces of a random
     motion, with the smallest changes where these leave a choice.
     """
     model, small = complete.model, Model(complete.model.machine, actuator_inertia=False)
@@ -55,28 +56,29 @@ def reduced(complete: Knowledge, *, seed: int = 0) -> Knowledge:
     scale = small.parameters.scale
     size = np.sqrt(np.mean(np.square(simulate.forces(model, motion, complete.psi)), axis=0))
     change, *_ = np.linalg.lstsq((K * scale / size[:, None]).reshape(-1, len(scale)), (lost / size).ravel(), rcond=1e-8)
-    return Knowledge(REDUCED, "the reduced model nearest to the complete one", small, start + change * scale)
+    return ModelVariant(REDUCED, "the reduced model nearest to the complete one", small, start + change * scale)
 
 
-def nominal_of(estimate: Path, complete: Model) -> Knowledge | None:
-    """What an estimate began with; None if it did not estimate dynamic parameters.
+def nominal_of(estimate: Path, complete: Model) -> ModelVariant | None:
+    """The nominal parameters of an estimate's machine; None if it did not estimate dynamic parameters.
+
+    Args:
+        estimate: its folder.
+        complete: the model of its machine.
 
     Raises:
-        ProblemError: this is no estimate.
+        ProblemError: the folder holds no estimate.
     """
-    psi, known = complete.parameters.nominal.copy(), complete.parameters.positions
-    try:
-        rows = [row for row in _read(estimate)["parameters"] if row["name"] in known]
-        for row in rows:
-            psi[known[row["name"]]] = float(row["nominal"])
-    except (KeyError, TypeError, ValueError):
-        raise ProblemError("this is no estimate that hydroopt wrote", where=str(estimate),
-                           remedy="identify or calibrate again") from None
-    return Knowledge(NOMINAL, "the machine file before identification", complete, psi) if rows else None
+    psi, positions = complete.parameters.nominal.copy(), complete.parameters.positions
+    rows = [row for name, row in load(estimate).parameters.items() if name in positions]
+    for row in rows:
+        if row.nominal is not None:
+            psi[positions[row.name]] = row.nominal
+    return ModelVariant(NOMINAL, "the machine file before identification", complete, psi) if rows else None
 
 
 def truth(stated: str, plant: Plant, *, seed: int) -> Truth:
-    """What is true of a simulated machine.
+    """The true parameters of a simulated machine.
 
     Valves and oil are those of the machine file, unless a truth.json of driven valves says otherwise.
 
@@ -91,13 +93,13 @@ def truth(stated: str, plant: Plant, *, seed: int) -> Truth:
     """
     model, theta = plant.model, plant.parameters.nominal
     if stated == "nominal":
-        return Truth(Knowledge(TRUE, "the machine file itself", model, model.parameters.nominal), theta)
+        return Truth(ModelVariant(TRUE, "the machine file itself", model, model.parameters.nominal), theta)
     if stated == "random":
-        return Truth(Knowledge(TRUE, "drawn from the confidences of the machine file", model,
+        return Truth(ModelVariant(TRUE, "drawn from the confidences of the machine file", model,
                                simulate.random_truth(model, seed)), theta)
     file = Path(stated)
     if not file.is_file():
-        raise ProblemError(f"'{stated}' is no truth", where="--truth",
+        raise ProblemError(f"'{stated}' is not a truth", where="--truth",
                            remedy="use nominal, random, or the truth.json that simulate wrote")
     content = _read(file)
     values, machine = content.get("parameters"), content.get("machine")
@@ -108,11 +110,11 @@ def truth(stated: str, plant: Plant, *, seed: int) -> Truth:
                           zip(plant.parameters.names, theta, strict=True)])
     except (TypeError, KeyError, ValueError):
         missing = next((name for name in names if not isinstance(values, dict) or name not in values), names[0])
-        raise ProblemError(f"the truth of '{machine}' says nothing of '{missing}'", where=stated,
+        raise ProblemError(f"the truth of '{machine}' does not state '{missing}'", where=stated,
                            remedy=f"simulate {model.machine.name} with the same parameters") from None
     if not (np.all(np.isfinite(psi)) and np.all(np.isfinite(theta))):
-        raise ProblemError("a true parameter is no number", where=stated, remedy="simulate again")
-    return Truth(Knowledge(TRUE, "the truth of a simulated log", model, psi), theta)
+        raise ProblemError("a true parameter is not a number", where=stated, remedy="simulate again")
+    return Truth(ModelVariant(TRUE, "the truth of a simulated log", model, psi), theta)
 
 
 def _read(file: Path) -> dict[str, Any]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from hydroopt.control.linearisation import signal, state_space
 from hydroopt.model.plant import Plant, Steady
+from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 
 FREQUENCIES = 400
@@ -167,9 +168,17 @@ class Margin(NamedTuple):
     distance: float
     damping: float
 
+    def as_dict(self) -> dict[str, str | float | None]:
+        """The entry of a table, in dB, degrees and Hz; None where a number does not exist."""
+        return {"loop": self.loop, "point": self.point, "gain_margin_db": number(20 * np.log10(self.gain)),
+                "gain_crossing_hz": number(self.gain_at / (2 * np.pi)),
+                "phase_margin_deg": number(np.degrees(self.phase)),
+                "phase_crossing_hz": number(self.phase_at / (2 * np.pi)), "sensitivity": number(1 / self.distance),
+                "damping": self.damping}
+
 
 def frequencies(period: float) -> Array:
-    """[rad/s] at which loops are looked at."""
+    """[rad/s] at which loops are analysed."""
     return np.geomspace(2 * np.pi * SLOWEST, np.pi, FREQUENCIES) / period
 
 

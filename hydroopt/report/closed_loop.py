@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Any
 
 import matplotlib
@@ -11,8 +10,8 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from hydroopt.codegen.parameter_source import Origin
-from hydroopt.control.comparison import LQG, PI, Comparison, Outcome
+from hydroopt.control.comparison import Comparison
+from hydroopt.control.outcome import LQG, PI, Outcome
 from hydroopt.report import hydraulics
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE, STYLE, WIDTH, svg, thin
 from hydroopt.report.numbers import NONE, plain
@@ -23,13 +22,14 @@ UNITS = {"rad": ("deg", 180 / np.pi), "m": ("mm", 1e3)}
 """What errors are shown in."""
 
 
-def render(comparison: Comparison, doubts: Sequence[str], origin: Origin) -> str:
+def render(comparison: Comparison) -> str:
     """The report as one HTML page that needs nothing else."""
     setting = comparison.setting
     machine = setting.plant.machine
     drawn = {"errors": _errors(comparison), "pressures": _pressures(comparison), "bode": _bode(comparison)}
     return page("closed_loop.html").render(
-        machine=machine, doubts=list(doubts), origin=origin.text, truth=setting.true.text, rate=plain(setting.rate),
+        machine=machine, diagnostics=comparison.diagnostics, origin=comparison.source,
+        truth=setting.true.text, rate=plain(setting.rate),
         duration=plain(float(setting.t[-1] - setting.t[0])), winner=comparison.winner.name,
         sensitivity=plain(setting.sensitivity), best=comparison.feedforward,
         units=[UNITS[machine.channel_units[f"{joint}.q"]][0] for joint in machine.joints],
@@ -45,7 +45,7 @@ def render(comparison: Comparison, doubts: Sequence[str], origin: Origin) -> str
 def _row(comparison: Comparison, outcome: Outcome) -> dict[str, Any]:
     machine, run = comparison.setting.plant.machine, outcome.run
     factors = [UNITS[machine.channel_units[f"{joint}.q"]][1] for joint in machine.joints]
-    return {"name": outcome.name, "from": outcome.knowledge.text, "best": outcome is comparison.winner,
+    return {"name": outcome.name, "from": outcome.variant.text, "best": outcome is comparison.winner,
             "stopped": run.stopped, "tip": plain(1e3 * outcome.tip_rms, 3),
             "tip_max": plain(1e3 * float(np.max(outcome.tip)), 3),
             "joints": [plain(factor * np.sqrt(np.mean(error**2)), 3) for factor, error in

@@ -29,15 +29,16 @@ class Job(StrEnum):
     POSE_PLAN = "pose plan"
     CHANGE = "comparison of two sessions"
     PAYLOAD = "identification of a payload"
+    CONTROL = "comparison of controllers"
 
 
 FILES = {Job.IDENTIFICATION: "estimate.json", Job.CALIBRATION: "estimate.json", Job.HYDRAULICS: "estimate.json",
          Job.EXCITATION: "excitation.json", Job.POSE_PLAN: "plan.json",
-         Job.CHANGE: "comparison.json", Job.PAYLOAD: "payload.json"}
+         Job.CHANGE: "comparison.json", Job.PAYLOAD: "payload.json", Job.CONTROL: "control.json"}
 """The JSON file of each job."""
 TABLES = ("report.html", "parameters.csv", "base_parameters.csv", "fit.csv", "residuals.csv", "free_run.csv",
           "information.csv", "trajectory.csv", "trajectory.parquet", "poses.csv", "sheet.txt",
-          "comparison.csv", "payload.csv")
+          "comparison.csv", "payload.csv", "tracking.csv", "margins.csv", "runs.csv")
 """Other files of answers, which the next answer in the same directory replaces."""
 COMMON = ("schema", "job", "machine", "created", "inputs", "method", "versions", "status", "findings",
           "diagnostics", "parameters", "fit", "wall_s")

@@ -39,6 +39,12 @@ class Kind(StrEnum):
     FINDING = "finding in the data"
     NOTE = "note"
 
+    # comparison of controllers
+    UNSTABLE_ELSEWHERE = "loop unstable outside the motion"
+    SMALL_MARGINS = "small margins"
+    RUN_STOPPED = "run ended early"
+    VALVE_SATURATED = "valve saturated"
+
     # design of a motion
     SEARCH_INTERRUPTED = "search interrupted"
     NOT_LIMITED = "not limited"
@@ -128,6 +134,13 @@ WORDS: dict[Kind, Words] = {
         "Give --validate or --holdout."),
     Kind.FINDING: Words("{subject}: {text}"),
     Kind.NOTE: Words("{text}"),
+    Kind.UNSTABLE_ELSEWHERE: Words(
+        "{subject} is unstable in the posture of {point}, which the motion does not reach."),
+    Kind.SMALL_MARGINS: Words(
+        "{subject} leaves the loop of {loop} margins of only {gain_db:.1f} dB ({gain_point}) and {phase_deg:.0f} "
+        "degrees ({phase_point})."),
+    Kind.RUN_STOPPED: Words("With {subject} {why}."),
+    Kind.VALVE_SATURATED: Words("With {subject} the valve of {valve} is fully open {part:.0f %} of the time."),
     Kind.SEARCH_INTERRUPTED: Words("The search was interrupted.", "A longer search may find a better motion."),
     Kind.NOT_LIMITED: Words("The machine file does not limit {subject}.", "State what must be limited."),
     Kind.NO_FORCE_ACCURACY: Words(

@@ -5,8 +5,10 @@ from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 
 from hydroopt import Model, identification_problem, load_machine, random_trajectory, random_truth, simulate, solve
-from hydroopt.control.comparison import FEEDFORWARD, Setting, compare
-from hydroopt.control.model_variants import COMPLETE, NOMINAL, REDUCED, TRUE, Knowledge
+from hydroopt.control.comparison import compare
+from hydroopt.control.model_variants import COMPLETE, NOMINAL, REDUCED, TRUE, ModelVariant
+from hydroopt.control.outcome import FEEDFORWARD
+from hydroopt.control.setting import Setting
 from hydroopt.excitation.motion.limits import Limits
 from hydroopt.model.plant import Plant
 from hydroopt.simulation.simulate import Trajectory
@@ -33,15 +35,15 @@ def run() -> dict:
     for seed in SEEDS:
         truth = random_truth(model, seed)
         logs = [simulate(model, feasible(model, 20.0, 100 * seed + k), truth, seed=100 * seed + k) for k in (1, 2)]
-        known = [Knowledge(NOMINAL, "all 20 % too small", model, OFF * truth),
-                 Knowledge(REDUCED, "identified", reduced, solve(identification_problem(reduced, logs)).psi),
-                 Knowledge(COMPLETE, "identified", model, solve(identification_problem(model, logs)).psi)]
+        known = [ModelVariant(NOMINAL, "all 20 % too small", model, OFF * truth),
+                 ModelVariant(REDUCED, "identified", reduced, solve(identification_problem(reduced, logs)).psi),
+                 ModelVariant(COMPLETE, "identified", model, solve(identification_problem(model, logs)).psi)]
         motion = feasible(model, 12.0, 100 * seed)
         theta = plant.parameters.nominal
-        setting = Setting(plant, motion, Knowledge(TRUE, "drawn", model, truth), theta, theta, RATE, seed)
+        setting = Setting(plant, motion, ModelVariant(TRUE, "drawn", model, truth), theta, theta, RATE, seed)
         compared = compare(setting, known, [FEEDFORWARD])
         for outcome in compared.outcomes:
-            rms[outcome.knowledge.name].append(1e3 * outcome.tip_rms)
+            rms[outcome.variant.name].append(1e3 * outcome.tip_rms)
         loops = [each.actuator.name for each in plant.actuators]
         best = compared.outcomes[0]
         gain.append(min(20 * np.log10(best.worst(loop, "gain").gain) for loop in loops))

@@ -15,6 +15,8 @@ import pytest
 from fixtures.bad_control_cases import path
 from hydroopt import cli, load_machine
 from hydroopt.logs.log import read_log
+from hydroopt.results.answer import Status, load
+from hydroopt.results.store import Job
 
 
 @pytest.fixture(scope="module")
@@ -79,7 +81,7 @@ def test_the_report_needs_nothing_else(folder: Path, content: dict) -> None:
     page = (folder / "report.html").read_text("utf-8")
     assert not re.findall(r"(?:src|href)\s*=\s*[\"'](?!#)", page)
     assert page.count("<svg") == 4
-    assert re.findall(r"<h2>(.*?)</h2>", page) == ["Before it is trusted", "Tracking", "Loops",
+    assert re.findall(r"<h2>(.*?)</h2>", page) == ["Diagnostics", "Tracking", "Loops",
                                                    "Hydraulics over the workspace", "On the machine"]
     for one in content["candidates"]:
         assert one["name"] in page
@@ -91,3 +93,14 @@ def test_the_exported_feedforward_tests_itself(folder: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "self-test passed" in done.stdout
     assert "valve_feedforward" in (folder / "c" / "patu655_lift.h").read_text("utf-8")
+
+
+def test_the_answer_is_loaded(folder: Path, content: dict) -> None:
+    answer = load(folder)
+    assert answer.job == Job.CONTROL
+    assert answer.status is Status.OK
+    assert answer["lift_cylinder.position_gain"] > 0
+    for one in content["candidates"]:
+        assert answer.fit[one["name"]]["lift.q"].rms == pytest.approx(one["joints"][0]["rms"])
+    assert answer.details()["winner"] == content["winner"]
+    assert {"tracking.csv", "margins.csv", "runs.csv"} <= answer.files().keys()

@@ -13,6 +13,7 @@ import tomlkit
 from fixtures.library import run
 from hydroopt import cli
 from hydroopt.codegen import folder
+from hydroopt.results.store import SCHEMA
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wshadow", "-Wmissing-prototypes", "-Werror")
 BODY = {"m": "100 kg", "com": ["1 m", "0 m", "0 m"],
@@ -268,7 +269,8 @@ def estimate(home: Path, content: object, text: str | None = None, name: str = "
     return "estimate"
 
 
-GOOD = {"machine": {"name": "crane"}, "created": "2026-01-02T03:04:05+00:00", "method": "sdp", "status": "ok"}
+GOOD = {"schema": SCHEMA, "job": "identification", "machine": {"name": "crane", "sha256": ""}, "inputs": [],
+        "created": "2026-01-02T03:04:05+00:00", "method": "sdp", "status": "ok"}
 
 
 def test_an_estimate_is_taken(codegen) -> None:
@@ -280,7 +282,7 @@ def test_an_estimate_is_taken(codegen) -> None:
 
 def test_a_directory_without_estimate_is_refused(codegen) -> None:
     (codegen.home / "empty").mkdir()
-    codegen("empty").refused("empty", "no estimate", "identify or calibrate")
+    codegen("empty").refused("empty", "no estimate", "command wrote")
 
 
 @pytest.mark.parametrize("raw", ["", "{", "[]", "1", "null", '"text"', "{}", '{"machine": "crane"}', '{"machine": {}}',
@@ -289,7 +291,7 @@ def test_a_directory_without_estimate_is_refused(codegen) -> None:
 def test_a_malformed_estimate_is_refused(raw: str | bytes, codegen) -> None:
     given = estimate(codegen.home, "", description())
     (codegen.home / given / "estimate.json").write_bytes(raw if isinstance(raw, bytes) else raw.encode())
-    codegen(given).refused("estimate.json", "identify or calibrate again")
+    codegen(given).refused("estimate.json", "again")
 
 
 def test_an_estimate_json_that_is_a_directory_is_refused(codegen) -> None:
@@ -308,12 +310,12 @@ def test_an_estimate_of_another_name_reads_no_other_file(name: object, codegen) 
     for place in (codegen.home, codegen.home.parent):
         for file in ("up.toml", "crane.toml", "other.toml"):
             (place / file).write_text(description(), encoding="utf-8")
-    given = estimate(codegen.home, GOOD | {"machine": {"name": name}}, description())
+    given = estimate(codegen.home, GOOD | {"machine": {"name": name, "sha256": ""}}, description())
     codegen(given).refused("estimate.json")
 
 
 def test_an_estimate_without_its_machine_is_refused(codegen) -> None:
-    codegen(estimate(codegen.home, GOOD)).refused("estimate.json", "doubts")
+    codegen(estimate(codegen.home, GOOD)).refused("estimate.json", "diagnostics")
 
 
 def test_an_estimate_with_a_machine_that_cannot_exist_is_refused(codegen) -> None:

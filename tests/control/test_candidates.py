@@ -12,9 +12,11 @@ from numpy.testing import assert_allclose
 from fixtures.bad_control_cases import PATU
 from hydroopt import Model, ProblemError, load_machine, random_trajectory, read_machine
 from hydroopt.control.closed_loop import Sensors
-from hydroopt.control.comparison import FEEDFORWARD, LQG, PI, Comparison, Outcome, Setting, compare
-from hydroopt.control.model_variants import COMPLETE, NOMINAL, TRUE, Knowledge, reduced, truth
+from hydroopt.control.comparison import Comparison, compare
+from hydroopt.control.model_variants import COMPLETE, NOMINAL, TRUE, ModelVariant, reduced, truth
+from hydroopt.control.outcome import FEEDFORWARD, LQG, PI, Outcome
 from hydroopt.control.reference import Reference
+from hydroopt.control.setting import Setting
 from hydroopt.model.plant import Plant
 from hydroopt.simulation.simulate import Trajectory, forces
 
@@ -28,7 +30,7 @@ def setting() -> Setting:
     plant = Plant(Model(read_machine(stiff)))
     model = plant.model
     motion = random_trajectory(model, duration=14, rate=RATE, seed=1, slowest=0.05, fastest=0.15)
-    true = Knowledge(TRUE, "nominal", model, model.parameters.nominal)
+    true = ModelVariant(TRUE, "nominal", model, model.parameters.nominal)
     theta = plant.parameters.nominal
     return Setting(plant, motion, true, theta, theta, RATE, None)
 
@@ -38,7 +40,7 @@ def exact(setting: Setting) -> Comparison:
     """Without noise, with the true parameters and with bodies half as heavy."""
     true = setting.true
     light = np.where([name.endswith((".m", "mc_x", "mc_y", "mc_z")) for name in true.model.parameters.names], 0.5, 1.0)
-    return compare(setting, [Knowledge(NOMINAL, "too light", true.model, light * true.psi),
+    return compare(setting, [ModelVariant(NOMINAL, "too light", true.model, light * true.psi),
                              true._replace(name=COMPLETE)])
 
 
@@ -59,8 +61,8 @@ def test_wrong_bodies_cost_accuracy_and_feedforward_buys_it(exact: Comparison) -
     complete = by_name(exact, "feedforward complete").tip_rms
     assert by_name(exact, "feedforward nominal").tip_rms > 2 * complete
     assert by_name(exact, "PI with gravity compensation").tip_rms > 20 * complete
-    assert exact.winner.knowledge.name != TRUE
-    assert exact.winner.tip_rms == min(o.tip_rms for o in exact.outcomes if o.knowledge.name != TRUE)
+    assert exact.winner.variant.name != TRUE
+    assert exact.winner.tip_rms == min(o.tip_rms for o in exact.outcomes if o.variant.name != TRUE)
 
 
 def test_loops_are_as_robust_as_their_gains_were_tuned_to_be(exact: Comparison) -> None:
@@ -126,7 +128,7 @@ def test_the_reference_goes_through_its_samples_and_rests_at_its_end() -> None:
 def test_the_reduced_model_cannot_come_nearer() -> None:
     """Any other parameters of the reduced model are further from the complete model's forces."""
     model = Model(load_machine("cat215b"))
-    nearest = reduced(Knowledge(COMPLETE, "", model, model.parameters.nominal))
+    nearest = reduced(ModelVariant(COMPLETE, "", model, model.parameters.nominal))
     motion = random_trajectory(model, duration=60.0, rate=5.0, seed=0)
     wanted = forces(model, motion, model.parameters.nominal)
     size = np.sqrt(np.mean(wanted**2, axis=0))
@@ -162,4 +164,4 @@ def test_a_truth_of_driven_valves_is_that_of_the_plant(setting: Setting, tmp_pat
     file.write_text(json.dumps({"machine": "patu655_lift", "parameters": stated}))
     found = truth(str(file), plant, seed=0)
     assert_allclose(found.theta, 1.1 * plant.parameters.nominal)
-    assert_allclose(found.knowledge.psi, setting.true.psi)
+    assert_allclose(found.variant.psi, setting.true.psi)

@@ -1,0 +1,59 @@
+"""What one controller achieves on a motion."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+
+from hydroopt.control.closed_loop import Run
+from hydroopt.control.model_variants import ModelVariant
+from hydroopt.control.sampled import Margin
+from hydroopt.spatial.inertia import Array
+
+PI, FEEDFORWARD, LQG = "pi", "feedforward", "lqg"
+
+
+class Bode(NamedTuple):
+    """L(jω) (n, ω) of all loops at a point, with its name and frequencies [rad/s]."""
+
+    point: str
+    omega: Array
+    loops: Array
+
+
+@dataclass(frozen=True, eq=False)
+class Outcome:
+    """What one controller achieved on the motion.
+
+    Attributes:
+        name: ``feedforward complete``.
+        kind: `PI`, `FEEDFORWARD` or `LQG`.
+        variant: the model and parameters it was given.
+        run: what the machine did.
+        error: of the joints (N, n) [rad or m].
+        tip: distance (N,) [m] of the last link's far end from where it should be.
+        margins: of all loops at all points.
+        bode: of its loops at the point where one comes nearest to −1.
+    """
+
+    name: str
+    kind: str
+    variant: ModelVariant
+    run: Run
+    error: Array
+    tip: Array
+    margins: tuple[Margin, ...]
+    bode: Bode
+
+    @property
+    def tip_rms(self) -> float:
+        """Root mean square [m] of the distance of the tip; infinite if the machine hit its stops."""
+        return float(np.sqrt(np.mean(self.tip**2))) if not self.run.stopped else np.inf
+
+    def worst(self, loop: str, key: str, points: Sequence[str] = ()) -> Margin:
+        """The margin of a loop that is least by gain or phase, over some points or all."""
+        own = [margin for margin in self.margins if margin.loop == loop and (not points or margin.point in points)]
+        return min(own, key=lambda margin: float(getattr(margin, key)))

@@ -1,0 +1,123 @@
+"""A machine, a motion to follow and what is true of it: what all controllers have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cached_property
+
+import control
+import numpy as np
+from scipy.stats import qmc
+
+from hydroopt.control.feasibility import steady_speeds
+from hydroopt.control.model_variants import ModelVariant
+from hydroopt.control.reference import Demands, Reference
+from hydroopt.control.sampled import Point, linearised, point, sampled
+from hydroopt.control.tuning import SENSITIVITY
+from hydroopt.control.valve_inversion import Valves
+from hydroopt.errors import ProblemError
+from hydroopt.model.plant import Plant
+from hydroopt.model.workspace import SHARE, top_speed
+from hydroopt.simulation.simulate import Trajectory, sampling_rate
+from hydroopt.spatial.inertia import Array
+
+ON_THE_WAY = 6
+"""Points of the motion at which loops are analysed, and about which the LQG controller is designed."""
+WORKSPACE = 16
+"""Postures all over the joints' ranges at which they are, too."""
+EDGE = 0.05
+"""Part of a joint's range at each end that is left out."""
+
+
+@dataclass(frozen=True, eq=False)
+class Setting:
+    """A machine, a motion to follow and its true parameters.
+
+    Attributes:
+        plant: the machine.
+        motion: to follow.
+        true: the machine's true model and dynamic parameters.
+        true_theta: its hydraulic parameters.
+        theta: those that all controllers are given.
+        rate: of the controller [Hz].
+        seed: of the sensors' errors; None for none.
+        sensitivity: to which gains are tuned.
+        gain: by which the tuned position gains are multiplied.
+    """
+
+    plant: Plant
+    motion: Trajectory
+    true: ModelVariant
+    true_theta: Array
+    theta: Array
+    rate: float
+    seed: int | None = 0
+    sensitivity: float = SENSITIVITY
+    gain: float = 1.0
+
+    @cached_property
+    def t(self) -> Array:
+        """Times (N,) of the samples."""
+        start, end = self.motion.t[0], self.motion.t[-1]
+        return np.asarray(start + np.arange(int((end - start) * self.rate * (1 + 1e-9)) + 1) / self.rate)
+
+    @cached_property
+    def reference(self) -> Reference:
+        """The motion between its samples."""
+        return Reference(self.motion)
+
+    @cached_property
+    def demands(self) -> Demands:
+        """What it demands."""
+        return Demands(Valves(self.plant, self.theta), self.reference, self.t)
+
+    @cached_property
+    def delays(self) -> Array:
+        """Of the valves (n,) [s]."""
+        return np.array([each.valve.delay for each in self.plant.actuators])
+
+    def points(self, psi: Array, theta: Array) -> tuple[list[Point], list[Point]]:
+        """Points of the motion, and all over the workspace, of a machine with parameters ψ and θ.
+
+        Everywhere joints move at least at the part `SHARE` of their greatest speeds, see `steady_speeds`.
+
+        Raises:
+            ProblemError: the supply cannot move the machine at a point of the motion.
+        """
+        machine = self.plant.machine
+        least = SHARE * np.array([top_speed(self.plant, joint) for joint in machine.joints])
+        lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
+        moments = self.t[0] + (np.arange(ON_THE_WAY) + 0.5) / ON_THE_WAY * (self.t[-1] - self.t[0])
+        path = self.reference.at(moments)
+        way = []
+        for t, q, qd in zip(moments, path.q, path.qd, strict=True):
+            speeds = steady_speeds(self.plant, q, qd, least)
+            way.append(point(self.plant, f"motion at {t:.1f} s", q, speeds, psi, theta))
+        n, space = len(least), list[Point]()
+        for k, share in enumerate(qmc.Halton(2 * n, scramble=False).random(WORKSPACE + 1)[1:]):
+            direction = np.where(share[n:] < 0.5, -1.0, 1.0)
+            q = lower + (upper - lower) * (EDGE + (1 - 2 * EDGE) * share[:n])
+            try:
+                space.append(point(self.plant, f"workspace {k + 1}", q, direction * least, psi, theta))
+            except ProblemError:  # the supply need not reach every posture
+                continue
+        return way, space
+
+    def plants(self, points: Sequence[Point], psi: Array, theta: Array) -> list[control.StateSpace]:
+        """The sampled plant with the valves' delays about each point."""
+        return [sampled(linearised(self.plant, at, psi, theta), self.delays, 1 / self.rate) for at in points]
+
+
+def rate_of(plant: Plant, rate: float | None, motion: Trajectory) -> float:
+    """Samples per second [Hz] of a controller: what is asked for, or the highest rate of a joint's sensor.
+
+    Raises:
+        ProblemError: at this rate the motion has no samples, or more than can be held in memory.
+    """
+    rate = sampling_rate(plant.machine) if rate is None else rate
+    duration = float(motion.t[-1] - motion.t[0])
+    if not (np.isfinite(rate) and rate > 0 and 10 <= duration * rate <= 1e6):
+        raise ProblemError(f"a controller at {rate:g} Hz cannot follow a motion of {duration:g} s", where="--rate",
+                           remedy="give a rate of some samples per second, such as 50 or 100 Hz")
+    return rate
