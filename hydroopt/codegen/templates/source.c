@@ -36,7 +36,7 @@
     {{ line }}
 {% endfor %}
 {% if code.programs[0].outputs[0].entries %}
-    /* a triangle without sides has an infinite one in its denominators */
+    /* a triangle with a side of length zero makes a denominator infinite */
     if ({{ p }}_within(constants->value, sizeof(constants->value) / sizeof(constants->value[0]), {{ "FLT_MAX" if f else "DBL_MAX" }}) == 0) {
         return {{ P }}_OPEN_TRIANGLE;
     }
@@ -91,9 +91,9 @@
     return {{ P }}_OK;
 }
 
-/* Take one measured number, row * phi + noise = number, into account. The covariance is kept as U D U^T, which cannot lose
- * its sign by rounding (Bierman 1977, Section V.3). */
-static void {{ p }}_load_learn({{ p }}_load_t *load, const {{ type }} row[{{ P }}_BODY_COUNT], {{ type }} number, {{ type }} variance)
+/* Update with one measured number, number = row * phi + noise. The covariance is stored as U D U^T, which stays positive
+ * under rounding (Bierman 1977, Section V.3). */
+static void {{ p }}_load_observe({{ p }}_load_t *load, const {{ type }} row[{{ P }}_BODY_COUNT], {{ type }} number, {{ type }} variance)
 {
     {{ type }} f[{{ P }}_BODY_COUNT];
     {{ type }} gain[{{ P }}_BODY_COUNT];
@@ -123,7 +123,7 @@ static void {{ p }}_load_learn({{ p }}_load_t *load, const {{ type }} row[{{ P }
     }
 }
 
-/* What this motion's forces would be without load, and what each number of the load adds to them. */
+/* Forces of this motion without load, and the change of these forces per parameter of the load. */
 static {{ p }}_status_t {{ p }}_load_rows(const {{ p }}_constants_t *constants, const {{ p }}_load_sample_t *in, {{ p }}_load_rows_t *out)
 {
 {{ body(routine) }}
@@ -157,19 +157,19 @@ static {{ p }}_status_t {{ p }}_load_rows(const {{ p }}_constants_t *constants, 
     }
     next = *load;
     for (size_t i = 0U; i < (size_t){{ P }}_ACTUATOR_COUNT; i++) {
-        {{ p }}_load_learn(&next, made.rows[i], in->force[i] - made.predicted[i], in->std[i] * in->std[i]);
+        {{ p }}_load_observe(&next, made.rows[i], in->force[i] - made.predicted[i], in->std[i] * in->std[i]);
     }
     if (load->forgetting < {{ 1 | number }}) {
         for (size_t j = 0U; j < (size_t){{ P }}_BODY_COUNT; j++) {
             next.diagonal[j] /= load->forgetting;
         }
-        /* as much of the prior comes back as was forgotten: what no motion shows stays as unknown as it was */
+        /* restore as much of the prior as was forgotten: parameters without information keep their prior variance */
         for (size_t j = 0U; j < (size_t){{ P }}_BODY_COUNT; j++) {
             {{ type }} row[{{ P }}_BODY_COUNT];
             for (size_t k = 0U; k < (size_t){{ P }}_BODY_COUNT; k++) {
                 row[k] = (k == j) ? {{ 1 | number }} : {{ 0 | number }};
             }
-            {{ p }}_load_learn(&next, row, {{ 0 | number }}, (load->prior[j] * load->prior[j]) / ({{ 1 | number }} - load->forgetting));
+            {{ p }}_load_observe(&next, row, {{ 0 | number }}, (load->prior[j] * load->prior[j]) / ({{ 1 | number }} - load->forgetting));
         }
     }
     for (size_t j = 0U; j < (size_t){{ P }}_BODY_COUNT; j++) {
