@@ -340,6 +340,7 @@ def test_each_criterion_is_best_served_by_the_motion_for_it(written: Callable[..
         np.sqrt(np.linalg.cond(made["condition"])), rel=0.02)
 
 
+@pytest.mark.slow
 def test_focus_serves_what_it_is_on(written: Callable[..., Path]) -> None:
     found = {name: covariance(written(*SERIES, *(("--focus", name) if name else ())))
              for name in ("friction", "lift.mc_x", "")}
@@ -380,6 +381,7 @@ def test_log_already_measured_is_taken_into_account(written: Callable[..., Path]
     assert with_log["value"] < without["value"]
 
 
+@pytest.mark.slow
 def test_processes_side_by_side_find_the_same(tmp_path: Path) -> None:
     found = []
     for processes in ("1", "2"):

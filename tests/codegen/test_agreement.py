@@ -37,7 +37,7 @@ BUILDS = (("double", "-O0"), ("double", "-O3"), ("float", "-O0"), ("float", "-O3
 FEWER_BUILDS = {"panda_mukca": (("double", "-O3"), ("float", "-O0")), "spatial": (("double", "-O0"), ("float", "-O0")),
                 "cat215b folded": (("double", "-O3"), ("float", "-O0"))}
 """How machines are built whose code takes a compiler long, or is much like another's."""
-QUICK_BUILDS = {"cat215b": ("double", "-O3"), "cat215b folded": ("float", "-O0"), "kr300": ("float", "-O3"),
+QUICK_BUILDS = {"cat215b": ("double", "-O3"), "cat215b folded": ("float", "-O0"), "kr300": ("double", "-O0"),
                 "panda_mukca": ("float", "-O0"), "spatial": ("double", "-O0")}
 """A diagonal of machines, precisions and levels; machines that are not named are quick in all."""
 

@@ -88,6 +88,7 @@ def test_energy_is_what_the_moving_chambers_take(exact: Comparison) -> None:
     assert run.energy == pytest.approx(plant.supply[0] * swept, rel=0.03)
 
 
+@pytest.mark.slow
 def test_the_seed_decides_the_noise_and_all_candidates_share_it(setting: Setting) -> None:
     path = setting.motion
     noisy = replace(setting, seed=4, motion=Trajectory(path.t[:200], path.q[:200], path.qd[:200], path.qdd[:200]))

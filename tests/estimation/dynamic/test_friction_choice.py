@@ -95,6 +95,7 @@ def test_the_terms_of_every_actuator_of_an_excavator_come_back() -> None:
     np.testing.assert_allclose(estimate.psi[told], truth[told], rtol=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("loss", ["huber", "student_t"])
 def test_robust_losses_find_stribeck_speeds_too(loss: Any) -> None:
     machine = crane(coulomb=500.0, stribeck=1500.0, stribeck_speed=0.03)
@@ -220,6 +221,7 @@ def test_what_predicts_is_chosen_not_what_fits(plain: Estimate) -> None:
     assert plain["lift_cylinder.f_coulomb"] == pytest.approx(500, abs=60)
 
 
+@pytest.mark.slow
 def test_stribeck_is_chosen_where_it_is(sticking: Estimate) -> None:
     assert sticking.friction_choice.terms == "coulomb+viscous+stribeck"
     estimate = sticking

@@ -74,6 +74,7 @@ def test_correlation_time_of_an_autoregressive_noise(turning: Any, a: float) -> 
     assert estimate.sigma[0] == pytest.approx(1 / np.sqrt(1 - a**2), rel=0.05)
 
 
+@pytest.mark.slow
 def test_correlated_noise_widens_what_is_told(turning: Any) -> None:
     """The spread of estimates over many noises is the standard deviation that each of them tells."""
     rng, a = np.random.default_rng(2), 0.9

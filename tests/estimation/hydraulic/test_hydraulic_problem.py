@@ -65,6 +65,7 @@ def test_all_of_a_valve_and_its_oil_is_recovered():
     np.testing.assert_allclose(found.theta[hydraulic], known.nominal[hydraulic], rtol=1e-4)
 
 
+@pytest.mark.slow
 def test_the_lift_of_the_log_crane_is_recovered():
     plant = Plant(Model(load_machine("patu655_lift")))
     found, known = without_noise(plant, swing(20, 2, 4), 0.25, steps=2)

@@ -393,7 +393,7 @@ def test_a_total_mass_below_a_lower_bound_names_both(method: Any) -> None:
     assert refusal.value.what == "these cannot hold together: lower bound of arm.m; ticket"
 
 
-@pytest.mark.parametrize("method", METHODS)
+@pytest.mark.parametrize("method", tiered(METHODS, lambda method: method != "nlp"))
 def test_contradictions_between_statements_name_exactly_those(problems: tuple[IdentificationProblem,
                                                                               IdentificationProblem],
                                                                               method: Any) -> None:
