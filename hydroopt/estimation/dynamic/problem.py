@@ -43,7 +43,23 @@ LOSSES: Mapping[Loss, str] = {
 
 @dataclass(frozen=True, eq=False)
 class IdentificationProblem:
-    """Weighted residuals f − K·ψ of some experiments, priors and constraints on ψ.
+    """Weighted residuals f − K·ψ of some experiments, priors and constraints on ψ: an optimisation model.
+
+    `identification_problem` makes one; each method returns a new one. It prints as variables, objective and constraints;
+    `nlp` and `cvxpy` hand it on to tools of the user's own.
+
+    >>> import hydroopt as ho
+    >>> model = ho.Model(ho.load_machine("cat215b"))
+    >>> motion = ho.random_trajectory(model, duration=5.0, rate=20.0, seed=1)
+    >>> problem = identification_problem(model, [ho.simulate(model, motion, model.parameters.nominal)])
+    >>> problem = problem.with_total_mass("scales", ["boom", "stick"], 2500.0, sigma=20.0).fix("swing.m")
+    >>> print(str(problem).split("subject to")[0].splitlines()[-1].strip())
+    prior scales: boom.m + stick.m = 2500 ± 20 kg
+    >>> program = problem.nlp()
+    >>> program.p_names
+    ('swing_motor.sigma', 'boom_cylinder.sigma', 'stick_cylinder.sigma')
+    >>> problem.cvxpy()
+    ConvexProgram(82 parameters, 16 constraints)
 
     Attributes:
         model: what predicts the forces; its parameters carry nominal values, bounds and the file's confidences.
@@ -415,6 +431,13 @@ def identification_problem(machine: Machine | Model, logs: Sequence[AnyLog],
     Raises:
         LogError: a channel is missing or a log is too short.
         ProblemError: there is no log, or one is given twice.
+
+    >>> import hydroopt as ho
+    >>> model = ho.Model(ho.load_machine("cat215b"))
+    >>> motion = ho.random_trajectory(model, duration=5.0, rate=20.0, seed=1)
+    >>> problem = identification_problem(model, [ho.simulate(model, motion, model.parameters.nominal)])
+    >>> problem.subject_to("arm", lambda p: p["boom.m"] + p["stick.m"] <= 2600.0)
+    IdentificationProblem(cat215b: 82 parameters, 1 training log, loss squares, 1 constraint)
     """
     for some in (logs, validation):
         refuse_others(some, (Log, LogStream), "log", "identification")
