@@ -45,8 +45,8 @@ LOSSES: Mapping[Loss, str] = {
 class IdentificationProblem:
     """Weighted residuals f − K·ψ of some experiments, priors and constraints on ψ: an optimisation model.
 
-    `identification_problem` makes one; each method returns a new one. It prints as variables, objective and constraints;
-    `nlp` and `cvxpy` hand it on to tools of the user's own.
+    `identification_problem` makes one; each method returns a new one. It prints as variables, objective and
+    constraints; `nlp` and `cvxpy` hand it on to tools of the user's own.
 
     >>> import hydroopt as ho
     >>> model = ho.Model(ho.load_machine("cat215b"))

@@ -115,7 +115,7 @@ def test_names_of_losses_and_methods_are_checked(noisy: IdentificationProblem) -
 def test_chunks_fold_into_what_one_factorisation_gives(
     noisy: IdentificationProblem, monkeypatch: pytest.MonkeyPatch, chunk: int
 ) -> None:
-    monkeypatch.setattr(regressor_qr, "ROWS", chunk)
+    monkeypatch.setattr("hydroopt.estimation.dynamic.experiment.ROWS", chunk)
     folded = regressor_qr.compress(noisy.model, noisy.experiments)
     for i in range(3):
         whole = []
