@@ -119,6 +119,31 @@ def test_third_party_libraries_stay_in_quarantine() -> None:
     assert all(users.values()), "the list is out of date"
 
 
+COMPUTING = ("estimation", "excitation", "control", "model", "simulation", "codegen", "kernels", "parameters")
+"""Rooms that compute: a page may name their types for the type checker, but imports none of them when it runs."""
+
+IMPORTED_BY_PAGES = {
+    "report.calibration": {"estimation.kinematic.diagnostics.correlated_pairs"},  # reads the answer's correlations
+    "report.closed_loop": {"control.outcome.LQG", "control.outcome.Outcome", "control.outcome.PI"},  # names, and a type
+    "report.excitation": {"excitation.motion.basis.Fourier", "simulation.simulate.BACK_PRESSURE"},  # type and constant
+}
+"""The exceptions: types that a page tells apart, constants and names."""
+
+
+def at_run_time(tree: ast.Module) -> set[str]:
+    """Dotted names that a module imports when it runs, not for the type checker alone."""
+    checked = [node for node in ast.walk(tree)
+               if isinstance(node, ast.If) and ast.unparse(node.test) == "TYPE_CHECKING"]
+    return imports(tree) - set(chain.from_iterable(map(imports, checked)))
+
+
+def test_pages_compute_nothing() -> None:
+    found = {module: {name.removeprefix("hydroopt.") for name in at_run_time(tree)
+                      if name.startswith("scipy") or name.split(".")[:2] in [["hydroopt", room] for room in COMPUTING]}
+             for module, tree in MODULES.items() if module.startswith("report.")}
+    assert {module: names for module, names in found.items() if names} == IMPORTED_BY_PAGES
+
+
 def test_files_are_short_and_finished() -> None:
     texts = {file.name: file.read_text("utf-8") for file in PACKAGE.rglob("*.py")}
     assert not {name for name, text in texts.items() if text.count("\n") > 450}

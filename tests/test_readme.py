@@ -15,7 +15,7 @@ from typer.core import TyperGroup
 
 import hydroopt
 from hydroopt.cli import app
-from hydroopt.report.machine_facts import machine_facts
+from hydroopt.cli.machine_facts import machine_facts
 
 ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text("utf-8")

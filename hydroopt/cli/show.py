@@ -30,8 +30,8 @@ def show(
     from rich.console import Console
     from rich.markup import escape
 
+    from hydroopt.cli.machine_facts import machine_facts
     from hydroopt.machine.machine_file import load_machine
-    from hydroopt.report.machine_facts import machine_facts
 
     described = load_machine(machine, parameter_set=parameter_set)
     if hydraulics:
@@ -70,7 +70,7 @@ def _hydraulics(machine: Machine, output: Path | None, *, as_json: bool) -> None
     from hydroopt.model.plant import Plant
     from hydroopt.model.workspace import sweeps
     from hydroopt.report import hydraulics as workspace
-    from hydroopt.report.record import table as csv
+    from hydroopt.results.tables import csv_text as csv
 
     model = Model(machine)
     plant = Plant(model)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from itertools import groupby
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -18,16 +18,18 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
-from hydroopt.estimation.kinematic.calibration import Calibration
-from hydroopt.estimation.kinematic.chain_points import ChainPoints
 from hydroopt.estimation.kinematic.diagnostics import correlated_pairs
-from hydroopt.estimation.kinematic.residuals import PoseResiduals
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, LIGHT, ORANGE, SHADE, STYLE, WIDTH, Change, changes, svg
 from hydroopt.report.numbers import NONE, Row, plain, quantity, unit_text
 from hydroopt.report.page import page
 from hydroopt.results.answer import Status
-from hydroopt.results.fit import Fit
-from hydroopt.spatial.inertia import Array
+
+if TYPE_CHECKING:
+    from hydroopt.estimation.kinematic.calibration import Calibration
+    from hydroopt.estimation.kinematic.chain_points import ChainPoints
+    from hydroopt.estimation.kinematic.residuals import PoseResiduals
+    from hydroopt.results.fit import Fit
+    from hydroopt.spatial.inertia import Array
 
 METHODS = {
     "joint": "all poses, stages and parameters at once; sensed angles err, too (maximum likelihood, IPOPT)",

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
@@ -10,12 +10,14 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from hydroopt.control.comparison import Comparison
 from hydroopt.control.outcome import LQG, PI, Outcome
 from hydroopt.report import hydraulics
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE, STYLE, WIDTH, svg, thin
 from hydroopt.report.numbers import NONE, plain
 from hydroopt.report.page import page
+
+if TYPE_CHECKING:
+    from hydroopt.control.comparison import Comparison
 
 COLOURS = (GREY, ORANGE, BLUE, GREEN, INK, "#cc79a7")
 UNITS = {"rad": ("deg", 180 / np.pi), "m": ("mm", 1e3)}

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -13,14 +13,16 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
 
 from hydroopt.excitation.motion.basis import Fourier
-from hydroopt.excitation.motion.excitation import Excitation, Use
-from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy
 from hydroopt.machine.machine import BASE
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, LIGHT, ORANGE, STYLE, WIDTH, svg, thin
 from hydroopt.report.numbers import NONE, percent, plain, quantity, unit_text
 from hydroopt.report.page import page
 from hydroopt.simulation.simulate import BACK_PRESSURE
-from hydroopt.spatial.inertia import Array
+
+if TYPE_CHECKING:
+    from hydroopt.excitation.motion.excitation import Excitation, Use
+    from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy
+    from hydroopt.spatial.inertia import Array
 
 PRINTED: dict[str, tuple[str, float]] = {
     "rad": ("deg", 180 / np.pi), "rad/s": ("deg/s", 180 / np.pi), "rad/s^2": ("deg/s²", 180 / np.pi),

@@ -6,7 +6,7 @@ import io
 import re
 from collections.abc import Iterator, Sequence
 from itertools import pairwise
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -16,10 +16,13 @@ from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 from numpy.typing import NDArray
 
-from hydroopt.estimation.dynamic.estimate import Estimate
-from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.report.numbers import unit_text
+from hydroopt.results.parameter_table import ParameterTable
 from hydroopt.spatial.inertia import Array
+
+if TYPE_CHECKING:
+    from hydroopt.estimation.dynamic.estimate import Estimate
+    from hydroopt.estimation.dynamic.experiment import Experiment
 
 Mask = NDArray[np.bool_]
 
@@ -157,14 +160,6 @@ def residuals(estimate: Estimate) -> Figure:
     return figure
 
 
-def parameters(estimate: Estimate, columns: int = 4) -> Figure | None:
-    """Change of every identified parameter against its nominal value, with its 95 % interval; None if there is none.
-
-    In units of the prior's standard deviation, or of the estimate's own where the machine file states no prior.
-    """
-    return changes(_changes(estimate), columns)
-
-
 def changes(groups: Sequence[tuple[str, list[Change]]], columns: int = 4) -> Figure | None:
     """Chart of changes by owner; None if there is none."""
     if not groups:
@@ -204,9 +199,13 @@ class Change(NamedTuple):
     prior: bool
 
 
-def _changes(estimate: Estimate) -> list[tuple[str, list[Change]]]:
+def changes_of(table: ParameterTable) -> list[tuple[str, list[Change]]]:
+    """The parameters that have an interval, by owner: change against the nominal value and its 95 % interval.
+
+    In units of the prior's standard deviation, or of the estimate's own where there is no prior.
+    """
     groups: dict[str, list[Change]] = {}
-    for name, one in estimate.parameters.items():
+    for name, one in table.items():
         size = one.prior_std or one.std
         if one.value is None or one.nominal is None or one.ci95 is None or not size:
             continue

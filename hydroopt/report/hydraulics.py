@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import matplotlib
 import numpy as np
@@ -11,11 +11,13 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from hydroopt.model.plant import Plant
-from hydroopt.model.workspace import Sweep
 from hydroopt.report.figures import BLUE, ORANGE, STYLE, WIDTH, svg
 from hydroopt.report.page import page
-from hydroopt.spatial.inertia import Array
+
+if TYPE_CHECKING:
+    from hydroopt.model.plant import Plant
+    from hydroopt.model.workspace import Sweep
+    from hydroopt.spatial.inertia import Array
 
 KEYS = ("frequency", "damping", "gain")
 

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from markupsafe import Markup
 
-from hydroopt.estimation.dynamic.estimate import Estimate
-from hydroopt.estimation.dynamic.experiment import AnyExperiment
 from hydroopt.report import figures, side_view
 from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
 from hydroopt.report.page import page
 from hydroopt.results.diagnostic import sentences
 from hydroopt.results.fit import Fit
+
+if TYPE_CHECKING:
+    from hydroopt.estimation.dynamic.estimate import Estimate
+    from hydroopt.estimation.dynamic.experiment import AnyExperiment
 
 METHODS = {
     "sdp": "least squares with priors, bounds and physically possible bodies (semidefinite program)",
@@ -73,7 +75,8 @@ def render(estimate: Estimate) -> str:
 
 def _figures(estimate: Estimate) -> dict[str, Markup]:
     drawn = {"forces": figures.forces(estimate), "residuals": figures.residuals(estimate),
-             "side-view": side_view.side_view(estimate), "changes": figures.parameters(estimate)}
+             "side-view": side_view.side_view(estimate),
+             "changes": figures.changes(figures.changes_of(estimate.parameters))}
     return {name: Markup(figures.svg(figure, name)) for name, figure in drawn.items() if figure is not None}
 
 

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from itertools import pairwise
-from typing import NamedTuple
+from typing import TYPE_CHECKING
 
 import matplotlib
 import numpy as np
@@ -12,52 +11,22 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.machine.components import Cylinder, GasCylinder, Link
-from hydroopt.machine.machine import BASE, Machine
-from hydroopt.model.model import Model
+from hydroopt.machine.machine import Machine
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE, STYLE, WIDTH
-from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
-from hydroopt.spatial.poses import Pose, roll_pitch_yaw
 
-UP = np.array([0.0, 0.0, 1.0])
+if TYPE_CHECKING:
+    from hydroopt.estimation.dynamic.estimate import Estimate
+    from hydroopt.model.scene import Scene
+
 ROOM = (9.4, 5.6)
 """Largest width and height of the drawing [in]."""
 
 
-class Plane(NamedTuple):
-    """A vertical plane by its horizontal direction in the world.
-
-    `zeroed` joints turn the whole plane and stand at zero; `moving` ones move the machine within it.
-    """
-
-    across: Array
-    zeroed: tuple[int, ...]
-    moving: tuple[int, ...]
-
-
-class Scene(NamedTuple):
-    """One pose, every point (2,) [m] in the plane: joints' start and end by link, pins by cylinder."""
-
-    start: dict[str, Array]
-    axis: dict[str, Array]
-    end: dict[str, Array]
-    mass: dict[str, Array]
-    barrel: dict[str, Array]
-    rod: dict[str, Array]
-    length: dict[str, float]
-
-
 def side_view(estimate: Estimate) -> Figure:
     """The machine at the mean pose of the training motion, with faint poses at the extremes that its joints reached."""
-    model = estimate.problem.model
-    q = np.concatenate([e.shown.motion.q for e in estimate.problem.experiments])
-    plane = _plane(model, np.mean(q, axis=0))
-    at = [int(f(q[:, k])) for k in plane.moving for f in (np.argmin, np.argmax)]
-    poses = np.vstack([np.mean(q, axis=0), q[list(dict.fromkeys(at))]])
-    poses[:, list(plane.zeroed)] = 0.0
-    scenes = _scenes(model, poses, plane)
+    machine, scenes = estimate.problem.model.machine, estimate.scenes
     corners = np.array([p for s in scenes for part in s[:-1] for p in part.values()] + [np.zeros(2)])
     low, high = corners.min(axis=0), corners.max(axis=0)
     size = float(np.max(high - low))
@@ -73,86 +42,14 @@ def side_view(estimate: Estimate) -> Figure:
         ax.grid(visible=True)
         _ground(ax, 0.05 * size)
         for scene in scenes[1:]:
-            _draw(ax, model.machine, scene, faint=True)
-        _draw(ax, model.machine, scenes[0], faint=False)
-        _labels(ax, model.machine, scenes[0], scale * 72, (low, high))
-        if model.machine.gravity:
+            _draw(ax, machine, scene, faint=True)
+        _draw(ax, machine, scenes[0], faint=False)
+        _labels(ax, machine, scenes[0], scale * 72, (low, high))
+        if machine.gravity:
             _gravity(ax)
-        figure.legend(handles=_handles(model.machine), loc="upper left", ncols=6, borderaxespad=0.2,
+        figure.legend(handles=_handles(machine), loc="upper left", ncols=6, borderaxespad=0.2,
                       bbox_to_anchor=(max(0.01, (left - 0.1) / WIDTH), 1.0))
     return figure
-
-
-def _plane(model: Model, mean: Array) -> Plane:
-    """The vertical plane perpendicular to the horizontal axis that most joints share.
-
-    Joints before the first of those turn the whole plane and stand at zero.
-    """
-    machine = model.machine
-    axes = {joint: pose[0, :3, 2] for joint, pose in _frames(model, np.zeros((1, len(machine.joints)))).items()}
-    revolute = [j for j in machine.joints if machine.link(j).joint.type == "revolute" and abs(axes[j] @ UP) < 0.7]
-    alike = [[j for j in revolute if abs(axes[j] @ axes[other]) > 0.999] for other in revolute]
-    group = max(alike, key=len, default=[])
-    before = [j for j in machine.ancestry(group[0])[1:] if j in machine.joints] if group else []
-    zeroed = tuple(machine.joints.index(j) for j in before)
-    sliding = [j for j in machine.joints if machine.link(j).joint.type == "prismatic" and j not in before]
-    moving = tuple(machine.joints.index(j) for j in (*group, *sliding)) or tuple(range(len(machine.joints)))
-    pose = np.array(mean)
-    pose[list(zeroed)] = 0.0
-    frames = _frames(model, pose[None])
-    reach = np.mean([f[0, :3, 3] for f in _ends(model, pose[None]).values()], axis=0) * [1, 1, 0]
-    if group:
-        across = np.cross(UP, frames[group[0]][0, :3, 2])
-    else:
-        across = reach if np.linalg.norm(reach) > 1e-6 else np.array([1.0, 0.0, 0.0])
-    across = across / np.linalg.norm(across)
-    return Plane(across * (1.0 if across @ reach >= 0 else -1.0), zeroed, moving)
-
-
-def _ends(model: Model, poses: Array) -> dict[str, Array]:
-    """Pose in the world (k, 4, 4) of every link's far end at the joint positions (k, n)."""
-    world = np.eye(4)
-    world[:3, :3] = np.asarray(roll_pitch_yaw(model.machine.orientation))
-    ends = model.over(model.forward_kinematics, poses)
-    return {link.name: world @ end for link, end in zip(model.machine.links, ends, strict=True)}
-
-
-def _frames(model: Model, poses: Array) -> dict[str, Array]:
-    """Pose in the world (k, 4, 4) of every link's frame P_i."""
-    return {name: end @ np.linalg.inv(_matrix(model.geometry.far_end(name)))
-            for name, end in _ends(model, poses).items()}
-
-
-def _matrix(pose: Pose) -> Array:
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = np.asarray(pose.rotation), np.asarray(pose.origin).ravel()
-    return matrix
-
-
-def _scenes(model: Model, poses: Array, plane: Plane) -> list[Scene]:
-    machine = model.machine
-    look = np.array([plane.across, UP])
-    frames, ends = _frames(model, poses), _ends(model, poses)
-    base = np.tile(np.eye(4), (len(poses), 1, 1))
-    base[:, :3, :3] = np.asarray(roll_pitch_yaw(machine.orientation))
-    frames[BASE] = ends[BASE] = base
-    scenes = []
-    for i in range(len(poses)):
-        def place(link: str, point: Sequence[float], i: int = i) -> Array:
-            return np.asarray(frames[link][i, :3, :3] @ np.asarray(point) + frames[link][i, :3, 3])
-        mass = {}
-        for link in machine.links:
-            centre = None if link.body is None else inertia.centre_of_mass(link.body.phi)
-            if centre is not None:
-                mass[link.name] = look @ place(link.name, centre.tolist())
-        pins = {c.name: [place(end.link, end.pin) for end in (c.barrel, c.rod)] for c in _cylinders(machine)}
-        scenes.append(Scene(
-            {link.name: look @ ends[link.parent][i, :3, 3] for link in machine.links},
-            {link.name: look @ frames[link.name][i, :3, 3] for link in machine.links},
-            {link.name: look @ ends[link.name][i, :3, 3] for link in machine.links}, mass,
-            {name: look @ pin[0] for name, pin in pins.items()}, {name: look @ pin[1] for name, pin in pins.items()},
-            {name: float(np.linalg.norm(pin[1] - pin[0])) for name, pin in pins.items()}))
-    return scenes
 
 
 def _cylinders(machine: Machine) -> tuple[Cylinder | GasCylinder, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from itertools import groupby
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib
 import numpy as np
@@ -11,12 +11,14 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from hydroopt.estimation.hydraulic.estimate import HydraulicEstimate, Run
 from hydroopt.report.figures import BLUE, GREY, ORANGE, STYLE, WIDTH, Change, changes, svg, thin
 from hydroopt.report.hydraulics import section
 from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
 from hydroopt.report.page import page
-from hydroopt.results.fit import Fit
+
+if TYPE_CHECKING:
+    from hydroopt.estimation.hydraulic.estimate import HydraulicEstimate, Run
+    from hydroopt.results.fit import Fit
 
 PRINTED = {"rad": ("deg", 180 / np.pi), "m": ("mm", 1e3), "Pa": ("bar", 1e-5)}
 """Units that a reader prefers, and what SI is multiplied by."""

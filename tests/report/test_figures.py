@@ -5,8 +5,8 @@ import pytest
 
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
+from hydroopt.model.scene import scenes, vertical_plane
 from hydroopt.report.figures import thin
-from hydroopt.report.side_view import _plane, _scenes
 
 
 def test_thinning_keeps_peaks_and_gaps() -> None:
@@ -35,10 +35,10 @@ def test_short_line_is_left_alone() -> None:
 def test_machine_stands_upright(name: str, q: list[float], joint: str, tip: tuple[float, float]) -> None:
     model = Model(load_machine(name))
     pose = np.array([q])
-    plane = _plane(model, pose[0])
+    plane = vertical_plane(model, pose[0])
     pose[:, list(plane.zeroed)] = 0.0
     assert abs(plane.across[2]) < 1e-9
-    scene = _scenes(model, pose, plane)[0]
+    scene = scenes(model, pose, plane)[0]
     np.testing.assert_allclose(scene.end[joint], tip, atol=1e-6)
     lengths = np.asarray(model.cylinder_kinematics(pose[0], 0 * pose[0], 0 * pose[0])[0]).ravel()
     np.testing.assert_allclose(list(scene.length.values()), lengths, rtol=1e-9)

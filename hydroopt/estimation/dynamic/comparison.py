@@ -1,7 +1,7 @@
-"""Two sessions in one least squares: parameters are shared but for those that may have changed in between.
+"""Two sessions in one least squares: all parameters are shared except those that may have changed in between.
 
-Before: f = K·ψ; after: f = K·ψ + K_c·δ. The first session and the machine file's priors hold ψ, so that what is left
-over in the second is the change, and both share every error that a wrong nominal model makes.
+Before: f = K·ψ; after: f = K·ψ + K_c·δ. The first session and the machine file's priors determine ψ, and the
+residuals of the second the change; both share every error of a wrong nominal model.
 """
 
 from __future__ import annotations
@@ -84,8 +84,8 @@ class TwoSessionProblem(IdentificationProblem):
             last, x = x, gaussian_posterior(self, *folded(A, b)).offset
             if np.all(np.abs(x - last) < 1e-9 * self.unknowns.scale):
                 return A, b
-        raise SolverError("the gains of the force readings did not solve_both", where=self.where,
-                          remedy="state a smaller sigma of the gains, or more of what is known about masses")
+        raise SolverError("the gains of the force readings did not converge", where=self.where,
+                          remedy="state a smaller sigma of the gains, or smaller sigmas of masses")
 
     @property
     def where(self) -> str:
@@ -107,7 +107,7 @@ class TwoSessionProblem(IdentificationProblem):
 
 
 def joined(*sets: ParameterSet) -> ParameterSet:
-    """Sets of parameters that know nothing of each other, one after the other."""
+    """Independent sets of parameters, one after the other."""
     sizes = np.cumsum([0, *map(len, sets)])
     information = np.zeros((sizes[-1], sizes[-1]))
     for start, stop, one in zip(sizes[:-1], sizes[1:], sets, strict=True):
@@ -120,9 +120,9 @@ def joined(*sets: ParameterSet) -> ParameterSet:
 
 
 def stated_twice(parameters: ParameterSet, names: Collection[str]) -> list[int]:
-    """Places of the parameters that need a second value if those of these names may change.
+    """Positions of the parameters that need a second value if those of these names may change.
 
-    Where one of a body's may change, the whole body is stated twice, so that it can exist both times.
+    Where one of a body's may change, the whole body has two values, so that it is physically consistent both times.
     """
     owners = {parameters.owner(name) for name in names if parameters.kind(name).is_inertial}
     return [k for k, (name, kind) in enumerate(zip(parameters.names, parameters.kinds, strict=True))
@@ -130,7 +130,7 @@ def stated_twice(parameters: ParameterSet, names: Collection[str]) -> list[int]:
 
 
 def copied(parameters: ParameterSet, places: Sequence[int]) -> ParameterSet:
-    """The second values of parameters, about which nothing is known but their bounds."""
+    """The second values of parameters, with their bounds and without a prior."""
     at = list(places)
     return ParameterSet(tuple(AFTER + parameters.names[k] for k in at), tuple(parameters.kinds[k] for k in at),
                         tuple(parameters.units[k] for k in at), parameters.nominal[at], parameters.lower[at],
@@ -142,11 +142,11 @@ def two_session_problem(model: Model, names: Sequence[str]) -> TwoSessionProblem
     parameters, p = model.parameters, len(model.parameters)
     twice = stated_twice(parameters, names)
     chosen, copies = np.eye(p)[twice], [parameters.names[k] for k in twice]
-    asked = [p + copies.index(name) for name in names]
+    positions = [p + copies.index(name) for name in names]
     tied = tuple(Constraint(f"{name} unchanged", partial(_unchanged, name)) for name in copies if name not in names)
     return TwoSessionProblem(model, (), constraints=tied, unknowns=joined(parameters, copied(parameters, twice)),
                       second=np.hstack([np.eye(p) - chosen.T @ chosen, chosen.T]),
-                      null=np.vstack([np.eye(p), chosen]), change=np.eye(p + len(twice))[:, asked],
+                      null=np.vstack([np.eye(p), chosen]), change=np.eye(p + len(twice))[:, positions],
                       labels=tuple(names))
 
 
@@ -160,13 +160,13 @@ def folded(A: Array, b: Array) -> tuple[Array, Array]:
 
 
 class Wald(NamedTuple):
-    """Least squares and test of a change δ (c,), before any bound or body is heeded.
+    """Least squares and test of a change δ (c,), without bounds and physical consistency.
 
     Attributes:
-        value, std: (c,) NaN where δ is not told.
-        statistic, rank, freedom, p_value: F = W/k with k = `rank` directions of δ that are told, W the Wald statistic
+        value, std: (c,) NaN where δ is not identifiable.
+        statistic, rank, freedom, p_value: F = W/k with k = `rank` identifiable directions of δ, W the Wald statistic
             of δ = 0 in them, and `freedom` degrees of freedom of the residuals.
-        partners: for each δ not told, the places of those it cannot be told from.
+        partners: for each δ that is not identifiable, the positions of those it cannot be separated from.
         alone: value, standard deviation, and p-value of what is left over (c,), if this δ were the only one.
     """
 
@@ -180,7 +180,7 @@ class Wald(NamedTuple):
     alone: tuple[Array, Array, Array]
 
     def single(self) -> Array:
-        """Two-sided p-value (c,) of each δ by itself, NaN where it is not told."""
+        """Two-sided p-value (c,) of each δ by itself, NaN where it is not identifiable."""
         return np.asarray(2 * stats.t.sf(np.abs(self.value) / self.std, self.freedom))
 
 
@@ -193,7 +193,7 @@ def wald(problem: TwoSessionProblem, A: Array, b: Array, readings: float) -> Wal
         readings: independent ones in both sessions, for the degrees of freedom of σ.
 
     Raises:
-        IdentifiabilityError: no direction is told, or there are not enough readings.
+        IdentifiabilityError: no direction is identifiable, or there are not enough readings.
     """
     scale, p = problem.unknowns.scale, len(problem.second)
     prior, right = problem.prior_rows
@@ -208,16 +208,16 @@ def wald(problem: TwoSessionProblem, A: Array, b: Array, readings: float) -> Wal
     C = np.vstack([moved, np.zeros((len(prior), moved.shape[1]))])[:, touched] / size[touched]
     C, rest = _without(U, C), _without(U, rest)
     left, s, axes = np.linalg.svd(C, full_matrices=False)
-    told = s > RANK_TOLERANCE
-    k = int(np.sum(told))
+    identified = s > RANK_TOLERANCE
+    k = int(np.sum(identified))
     freedom = readings - float(np.sum(U[: len(A)] ** 2)) - k  # what priors determine costs no readings
     if not k or freedom < 1:
-        raise IdentifiabilityError("these logs cannot tell a change of what was asked for", where=problem.where,
-                                   remedy="drive motions that show it, and longer ones, in both sessions")
-    along = left[:, told].T @ rest
+        raise IdentifiabilityError("these logs do not identify a change of these parameters", where=problem.where,
+                                   remedy="drive longer motions that excite them, in both sessions")
+    along = left[:, identified].T @ rest
     value, std = np.full(len(size), np.nan), np.full(len(size), np.nan)
-    root = axes[told].T / s[told] / size[touched][:, None]
-    hidden = axes[~told].T @ axes[~told]
+    root = axes[identified].T / s[identified] / size[touched][:, None]
+    hidden = axes[~identified].T @ axes[~identified]
     alone = np.abs(hidden).max(axis=1, initial=0.0) < 1e-6
     value[touched[alone]] = (root @ along)[alone]
     std[touched[alone]] = np.sqrt(np.sum(root**2, axis=1))[alone]
@@ -259,7 +259,7 @@ def _without(basis: Array, columns: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class TwoSessionOptimum:
-    """The most probable x (P,) with possible bodies, samples around it (or None), and notes on how they came about."""
+    """The most probable x (P,) with consistent bodies, samples around it (or None), and how they were computed."""
 
     x: Array
     posterior: uncertainty.Posterior | None
@@ -268,13 +268,13 @@ class TwoSessionOptimum:
 
     @property
     def centre(self) -> Array:
-        """The most probable x (P,), or the posterior's mean where limits hold that in a corner."""
+        """The most probable x (P,), or the posterior's mean where constraints are active."""
         mean = self.posterior.mean if self.posterior is not None else None
         return self.x if mean is None or not self.active else mean
 
 
 def solve_both(problem: TwoSessionProblem, A: Array, b: Array, *, intervals: bool, seed: int) -> TwoSessionOptimum:
-    """The most probable unknowns with possible bodies in both sessions, and samples of the posterior.
+    """The most probable unknowns with physically consistent bodies in both sessions, and samples of the posterior.
 
     Raises:
         SolverError: no trustworthy answer.

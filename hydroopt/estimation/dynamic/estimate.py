@@ -19,6 +19,7 @@ from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.stored_information import INFORMATION, information_csv
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine
+from hydroopt.model.scene import Scene, range_scenes
 from hydroopt.results.answer import Answer, Status
 from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.parameter_table import ParameterTable, row
@@ -101,6 +102,12 @@ class Estimate(Identification, Answer):
         found, units = self.identifiability, self.problem.parameters.units
         return tuple({"expression": found.expression(i), "unit": units[found.basis[i]],
                       "value": number(self.base_value[i]), "std": number(self.base_std[i])} for i in range(found.rank))
+
+    @cached_property
+    def scenes(self) -> list[Scene]:
+        """The machine at the mean pose of the training motion, then at the extremes that its joints reached."""
+        return range_scenes(self.problem.model, np.concatenate([each.shown.motion.q
+                                                                for each in self.problem.experiments]))
 
     def details(self) -> Mapping[str, Any]:
         """Base parameters, masses of links, conditioning, physical consistency, weights and how it was computed."""

@@ -153,10 +153,9 @@ class Payload(Answer):
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What the intervals assume, and what of the load these motions do not identify."""
         missing = tuple(one.name for one in self.com if not one.identifiable)
+        partly = (Diagnostic(Kind.LOAD_PARTLY_IDENTIFIABLE, missing),) if missing else ()
         if not self.mass.identifiable:
             partly = (Diagnostic(Kind.LOAD_MASS_CONFOUNDED, (self.link,)),)
-        else:
-            partly = (Diagnostic(Kind.LOAD_PARTLY_IDENTIFIABLE, missing),) if missing else ()
         scale = () if self.gains else (Diagnostic(Kind.FORCE_SCALE_ASSUMED),)
         return (*of_sampling(self.posterior, requested=True), *partly, *scale)
 

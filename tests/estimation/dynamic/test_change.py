@@ -78,7 +78,7 @@ def test_part_of_a_body_changes_and_the_rest_does_not():
     found = detect_change(SPATIAL.machine, [recorded(SPATIAL, moved(SPATIAL), s) for s in (1, 2)],
                           [recorded(SPATIAL, new, s) for s in (3, 4)], parts=["fore.m", "fore_drive"],
                           smoothing=PERIODIC)
-    assert found["fore.m"].value == pytest.approx(0.5, abs=1e-8)
+    assert found["fore.m"] == pytest.approx(0.5, abs=1e-8)
     assert {one.name for one in found.differences} == {"fore.m", "fore_drive.tau_offset", "fore_drive.tau_coulomb",
                                                       "fore_drive.tau_viscous"}
 
@@ -177,17 +177,17 @@ def test_a_session_in_which_a_joint_rests_tells_nothing_of_it():
     log = recorded(PLANAR, moved(PLANAR), 1, TORQUE_NOISE)
     still = replace(log, channels=dict(log.channels) | {"fore.q": np.full(len(log.t), 0.4)})
     found = detect_change(PLANAR.machine, [log], [still], smoothing=PERIODIC, intervals=False)
-    one = found["fore_drive.tau_viscous"]
+    one = found.difference("fore_drive.tau_viscous")
     assert np.isnan(one.std)
     assert one.finding.kind is Kind.CHANGE_NOT_IDENTIFIABLE
-    assert np.isfinite(found["upper_drive.tau_viscous"].std)
-    with pytest.raises(IdentifiabilityError, match="cannot tell a change"):
+    assert np.isfinite(found.difference("upper_drive.tau_viscous").std)
+    with pytest.raises(IdentifiabilityError, match="do not identify a change"):
         detect_change(PLANAR.machine, [log], [still], parts=["fore_drive"], smoothing=PERIODIC)
 
 
 @pytest.mark.parametrize("level", [0.0, 1.0, float("nan")])
 def test_level(level):
-    with pytest.raises(ProblemError, match="no level of significance"):
+    with pytest.raises(ProblemError, match="level of significance must be between 0 and 1"):
         detect_change(PLANAR.machine, [], [], level=level)
 
 
