@@ -1,5 +1,6 @@
 """`import hydroopt` and its help load nothing that computes."""
 
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -8,6 +9,12 @@ import pytest
 
 import hydroopt
 from hydroopt import cli
+from hydroopt.control.outcome import FEEDFORWARD, LQG, PI
+from hydroopt.control.tuning import SENSITIVITY
+from hydroopt.estimation.dynamic import identify as dynamic
+from hydroopt.estimation.dynamic.friction_choice import TERMS
+from hydroopt.estimation.kinematic import solution as kinematic
+from hydroopt.excitation.criteria import CRITERIA
 
 HEAVY = ("casadi", "cvxpy", "control", "dask", "matplotlib", "numpy", "pyarrow", "scipy")
 
@@ -30,9 +37,23 @@ def test_help_imports_no_library_and_lists_every_command() -> None:
     assert {name.replace("-", "_") for name in cli.COMMANDS} == modules
 
 
-@pytest.mark.parametrize("command", ["show", "simulate", "study montecarlo", "study sweep", "study bootstrap"])
+@pytest.mark.parametrize("command", [*cli.COMMANDS, "study montecarlo"])
 def test_help_of_a_command_imports_no_library(command: str) -> None:
     assert loaded("-m", "hydroopt", *command.split(), "--help") == set()
+
+
+@pytest.mark.parametrize(("command", "option", "choices"), [
+    ("identify", "method", dynamic.METHODS), ("identify", "friction", TERMS),
+    ("calibrate", "method", kinematic.METHODS),
+    ("excite", "criterion", CRITERIA), ("plan-poses", "criterion", CRITERIA),
+    ("control", "controller", (PI, FEEDFORWARD, LQG)), ("control", "sensitivity", (str(SENSITIVITY),))])
+def test_help_names_every_choice(command: str, option: str, choices: tuple[str, ...]) -> None:
+    """The help stands where importing the modules that define the choices would take time."""
+    deferred = cli.Deferred(command)
+    (found,) = [each for each in deferred.make_context(command, [], resilient_parsing=True).command.params
+                if each.name == option]
+    assert all(re.search(rf"\b{re.escape(choice)}\b", found.help) for choice in choices)
+    assert option != "sensitivity" or found.default == SENSITIVITY
 
 
 @pytest.mark.parametrize("name", hydroopt.__all__)

@@ -5,23 +5,15 @@ from __future__ import annotations
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
-import numpy as np
 import typer
 
 from hydroopt.cli.options import AsJson, Directory, MachineName, MapFile, Quiet, loss_of, parameter_values, progress
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.estimation.kinematic.calibrate import calibrate as solve_calibration
-from hydroopt.estimation.kinematic.calibrate import without_suspects
-from hydroopt.estimation.kinematic.calibration import inputs_of
-from hydroopt.estimation.kinematic.problem import calibration_problem
-from hydroopt.estimation.kinematic.solution import METHODS
-from hydroopt.logs.poses import Poses, joined, read_pose_files
-from hydroopt.machine.machine_file import load_machine
-from hydroopt.report import calibration as report
-from hydroopt.results import store
-from hydroopt.results.store import Job
+
+if TYPE_CHECKING:
+    from hydroopt.logs.poses import Poses
 
 
 def calibrate(
@@ -32,7 +24,7 @@ def calibrate(
     holdout_stage: Annotated[list[str] | None, typer.Option(
         help="Stage that is held out for validation; repeatable.")] = None,
     map_file: MapFile = None,
-    method: Annotated[str, typer.Option(help=f"One of {', '.join(METHODS)}.")] = "joint",
+    method: Annotated[str, typer.Option(help="joint or hierarchical.")] = "joint",
     loss: Annotated[str, typer.Option(help="squares, huber or student_t.")] = "squares",
     fix: Annotated[list[str] | None, typer.Option(
         help="Hold a parameter, NAME=VALUE with unit, e.g. 'ball.y=0 m'; repeatable.")] = None,
@@ -46,6 +38,18 @@ def calibrate(
     as_json: AsJson = False,
 ) -> None:
     """Calibrate a machine's geometry from poses: DIR gets estimate.json, report.html, the calibrated machine."""
+    import numpy as np
+
+    from hydroopt.estimation.kinematic.calibrate import calibrate as solve_calibration
+    from hydroopt.estimation.kinematic.calibrate import without_suspects
+    from hydroopt.estimation.kinematic.calibration import inputs_of
+    from hydroopt.estimation.kinematic.problem import calibration_problem
+    from hydroopt.logs.poses import read_pose_files
+    from hydroopt.machine.machine_file import load_machine
+    from hydroopt.report import calibration as report
+    from hydroopt.results import store
+    from hydroopt.results.store import Job
+
     began = time.perf_counter()
     described, chosen_loss = load_machine(machine), loss_of(loss, "--loss")
     with progress("reading poses", quiet) as say:
@@ -77,6 +81,10 @@ def calibrate(
 
 def _held_out(poses: Poses, stages: Sequence[str], extra: Poses | None) -> tuple[Poses, Poses | None]:
     """Training poses, and those of some stages together with further ones for validation."""
+    import numpy as np
+
+    from hydroopt.logs.poses import joined
+
     known = list(dict.fromkeys(map(str, poses.stage)))
     for stage in stages:
         if stage not in known:

@@ -7,9 +7,6 @@ from typing import Annotated
 import typer
 
 from hydroopt.cli.options import Directory, ParameterSetName, Quiet, progress
-from hydroopt.codegen import parameter_source as codegen_origin
-from hydroopt.codegen.folder import Code
-from hydroopt.codegen.routines import ROUTINES
 
 
 def codegen(
@@ -17,7 +14,7 @@ def codegen(
         "A machine, or the directory that identify or calibrate wrote."))],
     output: Directory,
     functions: Annotated[list[str] | None, typer.Option(
-        help=f"A function to write; repeatable; all if not given: {', '.join(ROUTINES)}.")] = None,
+        help="A routine to write, see README.md in DIR; repeatable; all if not given.")] = None,
     prefix: Annotated[str | None, typer.Option(help="What all names begin with; else the machine's name.")] = None,
     float32: Annotated[bool, typer.Option("--float32", help="Single precision throughout.")] = False,
     fold_geometry: Annotated[bool, typer.Option("--fold-geometry", help=(
@@ -26,6 +23,9 @@ def codegen(
     quiet: Quiet = False,
 ) -> None:
     """Write the model as C for a controller: DIR gets a folder that builds and tests itself."""
+    from hydroopt.codegen import parameter_source as codegen_origin
+    from hydroopt.codegen.folder import Code
+
     described, origin = codegen_origin.read(machine, parameter_set=parameter_set)
     with progress(f"writing C for {described.name}", quiet):
         code = Code(described, origin, routines=functions or (), name=prefix, single=float32,

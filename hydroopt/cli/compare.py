@@ -24,11 +24,6 @@ from hydroopt.cli.options import (
     smoothing_of,
 )
 from hydroopt.errors import SolverError
-from hydroopt.estimation.dynamic.change import METHOD, detect_change
-from hydroopt.machine.machine_file import load_machine
-from hydroopt.report.comparison import render_change
-from hydroopt.results import store
-from hydroopt.results.diagnostic import sentences
 
 
 def compare(
@@ -52,6 +47,12 @@ def compare(
     as_json: AsJson = False,
 ) -> None:
     """Test which parameters changed between two sessions: DIR gets comparison.json, report.html and a table."""
+    from hydroopt.estimation.dynamic.change import METHOD, detect_change
+    from hydroopt.machine.machine_file import load_machine
+    from hydroopt.report.comparison import render_change
+    from hydroopt.results import store
+    from hydroopt.results.diagnostic import sentences
+
     began = time.perf_counter()
     described = load_machine(machine, parameter_set=parameter_set)
     way = smoothing_of(smoothing, bandwidth, described)

@@ -11,25 +11,9 @@ from typing import Annotated
 import typer
 
 from hydroopt.cli.options import AsJson, Directory, MapFile, ParameterSetName, Quiet, progress
-from hydroopt.codegen import parameter_source
-from hydroopt.codegen.folder import Code
-from hydroopt.codegen.parameter_source import Origin
-from hydroopt.control.comparison import compare
-from hydroopt.control.model_variants import COMPLETE, ModelVariant, nominal_of, reduced, truth
-from hydroopt.control.outcome import FEEDFORWARD, LQG, PI
-from hydroopt.control.setting import Setting, rate_of
-from hydroopt.control.tuning import SENSITIVITY
 from hydroopt.errors import ProblemError
-from hydroopt.files import refuse_directory
-from hydroopt.logs.log import read_log
-from hydroopt.machine.machine_file import bundled
-from hydroopt.model.model import Model
-from hydroopt.model.plant import Plant
-from hydroopt.report import closed_loop as report
-from hydroopt.results import store
-from hydroopt.simulation.reference_motion import reference_motion
 
-KINDS = (PI, FEEDFORWARD, LQG)
+KINDS = ("pi", "feedforward", "lqg")
 
 
 def control(
@@ -48,7 +32,7 @@ def control(
         f"Controller to try, {', '.join(KINDS)}; repeatable; all if not given."))] = None,
     sensitivity: Annotated[float, typer.Option(help=(
         "Largest sensitivity |1/(1 + L)| of a loop, to which the gains are tuned; 1.3 keeps a gain margin of 12.7 dB "
-        "and a phase margin of 45 degrees."))] = SENSITIVITY,
+        "and a phase margin of 45 degrees."))] = 1.3,
     gain: Annotated[float, typer.Option(help="By what the tuned position gains are multiplied.")] = 1.0,
     seed: Annotated[int, typer.Option(help="Of a random truth and of the sensors' errors.", min=0)] = 0,
     noise: Annotated[bool, typer.Option(help="Whether sensors err as the file states.")] = True,
@@ -60,6 +44,22 @@ def control(
 
     DIR gets the figures, the margins, a report, and the best feedforward as C.
     """
+    from hydroopt.codegen import parameter_source
+    from hydroopt.codegen.folder import Code
+    from hydroopt.codegen.parameter_source import Origin
+    from hydroopt.control.comparison import compare
+    from hydroopt.control.model_variants import COMPLETE, ModelVariant, nominal_of, reduced, truth
+    from hydroopt.control.outcome import FEEDFORWARD
+    from hydroopt.control.setting import Setting, rate_of
+    from hydroopt.files import refuse_directory
+    from hydroopt.logs.log import read_log
+    from hydroopt.machine.machine_file import bundled
+    from hydroopt.model.model import Model
+    from hydroopt.model.plant import Plant
+    from hydroopt.report import closed_loop as report
+    from hydroopt.results import store
+    from hydroopt.simulation.reference_motion import reference_motion
+
     began = time.perf_counter()
     kinds = tuple(controller or KINDS)
     for kind in kinds:

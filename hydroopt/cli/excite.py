@@ -7,25 +7,16 @@ import os
 import time
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from hydroopt.cli.options import AsJson, Directory, MachineName, MapFile, ParameterSetName, Quiet, progress, refuse_idle
-from hydroopt.codegen import parameter_source
-from hydroopt.codegen.folder import Code
-from hydroopt.codegen.routines import Course
 from hydroopt.errors import ProblemError
-from hydroopt.excitation.criteria import CRITERIA
-from hydroopt.excitation.motion.basis import Basis, Fourier, Spline
-from hydroopt.excitation.motion.design import excitation_problem
-from hydroopt.files import refuse_directory
-from hydroopt.logs.stream import open_log
-from hydroopt.machine.machine import Machine
-from hydroopt.report import excitation as report
-from hydroopt.results import store
-from hydroopt.solving import solve
-from hydroopt.units import to_si
+
+if TYPE_CHECKING:
+    from hydroopt.excitation.motion.basis import Basis
+    from hydroopt.machine.machine import Machine
 
 
 def excite(
@@ -47,7 +38,7 @@ def excite(
     rate: Annotated[float | None, typer.Option(help=(
         "Samples per second of the controller [Hz]; if not given, the highest that the file states for a joint's "
         "sensor, or 50."))] = None,
-    criterion: Annotated[str | None, typer.Option(help=f"One of {', '.join(CRITERIA)}; D if not given.")] = None,
+    criterion: Annotated[str | None, typer.Option(help="D, A, E or condition; D if not given.")] = None,
     focus: Annotated[list[str] | None, typer.Option(help=(
         "Parameters that alone count: a parameter, a part, payload or friction; repeatable."))] = None,
     priors: Annotated[bool, typer.Option("--priors", help=(
@@ -66,6 +57,16 @@ def excite(
 
     Ctrl-C ends the search and keeps the best motion so far.
     """
+    from hydroopt.codegen import parameter_source
+    from hydroopt.codegen.folder import Code
+    from hydroopt.codegen.routines import Course
+    from hydroopt.excitation.motion.design import excitation_problem
+    from hydroopt.files import refuse_directory
+    from hydroopt.logs.stream import open_log
+    from hydroopt.report import excitation as report
+    from hydroopt.results import store
+    from hydroopt.solving import solve
+
     began = time.perf_counter()
     if pieces is not None:
         refuse_idle(context, ("period", "harmonics", "blend"), "a spline has none", "leave it out, or --pieces")
@@ -97,6 +98,8 @@ def excite(
 
 
 def _basis(duration: float, period: float | None, harmonics: int, blend: float, pieces: int | None) -> Basis:
+    from hydroopt.excitation.motion.basis import Fourier, Spline
+
     if not 0 < duration < 1e5:
         raise ProblemError(f"a motion cannot take {duration:g} s", where="--duration", remedy="give some seconds")
     if pieces is not None:
@@ -111,6 +114,8 @@ def _basis(duration: float, period: float | None, harmonics: int, blend: float, 
 
 
 def _resting(machine: Machine, stated: Sequence[str]) -> dict[str, float]:
+    from hydroopt.units import to_si
+
     at = {}
     for text in stated:
         joint, found, value = (part.strip() for part in text.partition("="))

@@ -6,7 +6,7 @@ import json
 import time
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -28,17 +28,10 @@ from hydroopt.cli.options import (
     treatment_of,
 )
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.estimation.dynamic.estimate import inputs_of
-from hydroopt.estimation.dynamic.friction_choice import TERMS, choose_friction, friction_problem, terms_of
-from hydroopt.estimation.dynamic.identify import METHODS, Method
-from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
-from hydroopt.logs.log import read_log
-from hydroopt.logs.stream import open_log
-from hydroopt.machine.machine_file import load_machine
-from hydroopt.report import identification
-from hydroopt.results import store
-from hydroopt.results.diagnostic import sentences
-from hydroopt.solving import solve
+
+if TYPE_CHECKING:
+    from hydroopt.estimation.dynamic.identify import Method
+    from hydroopt.estimation.dynamic.problem import IdentificationProblem
 
 
 def identify(
@@ -50,7 +43,7 @@ def identify(
                                            min=0.0, max=0.9)] = 0.0,
     map_file: MapFile = None,
     treat: Treat = None,
-    method: Annotated[str, typer.Option(help=f"One of {', '.join(METHODS)}.")] = "sdp",
+    method: Annotated[str, typer.Option(help="sdp, qp, nlp, wls, ridge or tsvd.")] = "sdp",
     loss: Annotated[str, typer.Option(help="squares, huber or student_t.")] = "squares",
     distance: Annotated[str, typer.Option(
         help="How far a body is from its nominal one: gaussian, or log-det of pseudo-inertias.")] = "gaussian",
@@ -68,8 +61,9 @@ def identify(
     ridge: Annotated[float | None, typer.Option(help="Strength of ridge regression; else cross-validated.",
                                                 min=0.0)] = None,
     friction: Annotated[str | None, typer.Option(help=(
-        f"Friction terms of all actuators instead of the file's: {', '.join(TERMS)} joined by +, or none. 'auto', or "
-        "several sets separated by commas: the one that predicts held-out data best with the fewest terms."))] = None,
+        "Friction terms of all actuators instead of the file's: coulomb, viscous, stribeck, reverse, seal, dead_zone "
+        "joined by +, or none. 'auto', or several sets separated by commas: the one that predicts held-out data best "
+        "with the fewest terms."))] = None,
     reduced: Annotated[bool, typer.Option("--reduced", help="Leave out the inertia of barrels and rods.")] = False,
     seed: Annotated[int, typer.Option(help="Of the sampling of intervals.", min=0)] = 0,
     parameter_set: ParameterSetName = None,
@@ -77,6 +71,16 @@ def identify(
     as_json: AsJson = False,
 ) -> None:
     """Identify masses, inertias, friction and offsets: DIR gets estimate.json, report.html, the calibrated machine."""
+    from hydroopt.estimation.dynamic.estimate import inputs_of
+    from hydroopt.estimation.dynamic.friction_choice import choose_friction, friction_problem
+    from hydroopt.estimation.dynamic.problem import identification_problem
+    from hydroopt.logs.stream import open_log
+    from hydroopt.machine.machine_file import load_machine
+    from hydroopt.report import identification
+    from hydroopt.results import store
+    from hydroopt.results.diagnostic import sentences
+    from hydroopt.solving import solve
+
     began = time.perf_counter()
     described = load_machine(machine, parameter_set=parameter_set)
     chosen = method_of(method)
@@ -126,6 +130,8 @@ def identify(
 
 def _with_noisy_angles(problem: IdentificationProblem, motion: str, instruments: list[str] | None,
                        map_file: Path | None) -> IdentificationProblem:
+    from hydroopt.logs.log import read_log
+
     if motion not in ("smoothed", "fitted"):
         raise ProblemError(f"'{motion}' is no way to a motion", where="--motion", remedy="use smoothed or fitted")
     if motion == "fitted":
@@ -138,6 +144,8 @@ def _with_noisy_angles(problem: IdentificationProblem, motion: str, instruments:
 
 def _friction(text: str | None) -> list[str]:
     """The sets of friction terms asked for; none where the file's or the usual ones are meant."""
+    from hydroopt.estimation.dynamic.friction_choice import terms_of
+
     if text is None or text.strip() == "auto":
         return []
     sets = text.split(",")
@@ -152,6 +160,8 @@ def method_of(text: str) -> Method:
     Raises:
         ProblemError: there is no such method.
     """
+    from hydroopt.estimation.dynamic.identify import METHODS
+
     if text not in METHODS:
         raise ProblemError(f"'{text}' is no method", where="--method", remedy=f"use one of {', '.join(METHODS)}")
     return text

@@ -24,12 +24,6 @@ from hydroopt.cli.options import (
     smoothing_of,
 )
 from hydroopt.errors import SolverError
-from hydroopt.estimation.dynamic.change import METHOD
-from hydroopt.estimation.dynamic.payload import payload
-from hydroopt.machine.machine_file import load_machine
-from hydroopt.report.comparison import render_payload
-from hydroopt.results import store
-from hydroopt.results.diagnostic import sentences
 
 
 def identify_payload(
@@ -54,6 +48,13 @@ def identify_payload(
     as_json: AsJson = False,
 ) -> None:
     """Identify a carried load from logs with and without it: DIR gets payload.json, report.html and a table."""
+    from hydroopt.estimation.dynamic.change import METHOD
+    from hydroopt.estimation.dynamic.payload import payload
+    from hydroopt.machine.machine_file import load_machine
+    from hydroopt.report.comparison import render_payload
+    from hydroopt.results import store
+    from hydroopt.results.diagnostic import sentences
+
     began = time.perf_counter()
     described = load_machine(machine, parameter_set=parameter_set)
     way = smoothing_of(smoothing, bandwidth, described)

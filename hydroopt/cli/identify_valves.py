@@ -22,13 +22,6 @@ from hydroopt.cli.options import (
     treatment_of,
 )
 from hydroopt.errors import SolverError
-from hydroopt.estimation.hydraulic.estimate import METHOD
-from hydroopt.estimation.hydraulic.problem import hydraulic_problem
-from hydroopt.logs.log import read_log
-from hydroopt.machine.machine_file import load_machine
-from hydroopt.report import valves
-from hydroopt.results import store
-from hydroopt.solving import solve
 
 
 def identify_valves(
@@ -47,6 +40,14 @@ def identify_valves(
     as_json: AsJson = False,
 ) -> None:
     """Identify valves, oil and friction: DIR gets estimate.json, report.html, free runs and the calibrated machine."""
+    from hydroopt.estimation.hydraulic.estimate import METHOD
+    from hydroopt.estimation.hydraulic.problem import hydraulic_problem
+    from hydroopt.logs.log import read_log
+    from hydroopt.machine.machine_file import load_machine
+    from hydroopt.report import valves
+    from hydroopt.results import store
+    from hydroopt.solving import solve
+
     began, described = time.perf_counter(), load_machine(machine, parameter_set=parameter_set)
     treatment, limits = treatment_of(treat), reliefs(described)
     train = [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in logs]

@@ -8,10 +8,6 @@ from typing import Annotated
 import typer
 
 from hydroopt.cli.options import AsJson, Directory, MachineName, Quiet, parameter_values, progress
-from hydroopt.excitation.criteria import CRITERIA
-from hydroopt.excitation.poses.exchange import fedorov_exchange
-from hydroopt.excitation.poses.problem import pose_problem
-from hydroopt.machine.machine_file import load_machine
 
 
 def plan_poses(
@@ -20,7 +16,7 @@ def plan_poses(
     poses: Annotated[int, typer.Option("-n", "--poses", help="Poses of each stage at each fixture.", min=1)],
     stage: Annotated[list[str] | None, typer.Option(help="Stage to measure; repeatable; all if not given.")] = None,
     criterion: Annotated[str | None, typer.Option(
-        help=f"One of {', '.join(CRITERIA)}; D if not given, or A of the focus.")] = None,
+        help="D, A, E or condition; D if not given, or A of the focus.")] = None,
     focus: Annotated[list[str] | None, typer.Option(
         help="Parameter to which the criterion is restricted; repeatable.")] = None,
     priors: Annotated[bool, typer.Option("--priors", help="The file's confidences count as measurements.")] = False,
@@ -33,6 +29,10 @@ def plan_poses(
     as_json: AsJson = False,
 ) -> None:
     """Plan the poses of a kinematic calibration: DIR gets sheet.txt to measure by, poses.csv and plan.json."""
+    from hydroopt.excitation.poses.exchange import fedorov_exchange
+    from hydroopt.excitation.poses.problem import pose_problem
+    from hydroopt.machine.machine_file import load_machine
+
     began = time.perf_counter()
     described = load_machine(machine)
     with progress(f"choosing poses for {described.name}", quiet):

@@ -263,7 +263,7 @@ def test_a_failed_solver_leaves_its_reason(tmp_path: Path, capsys: pytest.Captur
                                            monkeypatch: pytest.MonkeyPatch) -> None:
     def fail(*_: Any, **__: Any) -> None:
         raise SolverError("no convergence", where="IPOPT", remedy="check the poses")
-    monkeypatch.setattr(sys.modules["hydroopt.cli.calibrate"], "solve_calibration", fail)
+    monkeypatch.setattr("hydroopt.estimation.kinematic.calibrate.calibrate", fail)
     monkeypatch.setattr(sys, "argv", ["hydroopt", "calibrate", *mukca("high"), "-o", str(tmp_path)])
     with pytest.raises(SystemExit) as ended:
         cli.main()

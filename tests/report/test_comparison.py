@@ -113,7 +113,7 @@ def test_a_failed_solver_leaves_its_reason_only(made: Path, tmp_path: Path, monk
         raise SolverError("no answer", where="here", remedy="try again")
     logs = [read_log(made / name / "log.csv") for name in "ab"]
     detect_change(CRANE, logs[:1], logs[1:], intervals=False).save(tmp_path)
-    monkeypatch.setattr(sys.modules["hydroopt.cli.compare"], "detect_change", fails)
+    monkeypatch.setattr("hydroopt.estimation.dynamic.change.detect_change", fails)
     monkeypatch.setattr(sys, "argv", ["hydroopt", "compare", "patu655_lift", "--before", str(made / "kept"), "--after",
                                       str(made / "b/log.csv"), "-o", str(tmp_path)])
     with pytest.raises(SystemExit) as ended:
