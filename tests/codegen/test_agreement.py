@@ -72,7 +72,7 @@ class Case:
         if "geometry" in values:
             # so little that no cylinder comes near a dead point
             step = moved * np.minimum(free.scale, 0.02) * self.rng.uniform(-1, 1, len(free))
-            values["geometry"] = held(free.nominal + step)
+            values["geometry"] = held(np.clip(free.nominal + step, free.lower, free.upper))
             self.machine = library.changed(interface.chain, values["geometry"])
         self.values = {name: held(array) for name, array in values.items()}
         self.chain = KinematicModel(self.machine)
