@@ -37,6 +37,12 @@ class KinematicModel:
         strokes: (g, q) -> strokes of the cylinders and distances of their pins (c,) [m] (Eq. 3.26 in space).
         lengths: (g, q) -> readings of the cylinders' length transducers (c,) [m] (Eq. 3.26 in space).
         observed: (g, q, fixture (3,)) -> all of the above that a pose table can hold, (m,), see `channels`.
+
+    >>> import hydroopt, numpy as np
+    >>> model = hydroopt.KinematicModel(hydroopt.load_machine("panda_mukca"))
+    >>> q = np.zeros((5, len(model.joints)))
+    >>> model.over(model.tip, model.parameters.nominal, q)[0].shape
+    (5, 3, 1)
     """
 
     def __init__(self, machine: Machine) -> None:

@@ -226,6 +226,10 @@ def test_command_on_real_poses(tmp_path: Path) -> None:
     assert content["fit"]["train"]["gap"]["rms"] < 0.2 * content["fit"]["nominal"]["gap"]["rms"]
     assert len(rows(tmp_path / "residuals.csv")) == sum(one["samples"] for one in content["inputs"])
     assert (tmp_path / "report.html").exists()
+    loaded = load(tmp_path)
+    assert [each.as_dict() for each in loaded.parameters.rows] == content["parameters"]
+    assert [each.as_dict() for each in loaded.diagnostics] == content["diagnostics"]
+    assert (loaded.machine_file is None) == bool(of_kind(loaded.diagnostics, Kind.NO_CALIBRATED_MACHINE))
 
 
 def test_command_leaves_out_what_does_not_fit(tmp_path: Path) -> None:

@@ -1,84 +1,72 @@
-"""Kinematic calibration as an optimisation problem: poses of closed chains, and what is unknown in them.
-
-Every pose gives rows that must vanish: the gap between tip and fixture, and the differences of cylinder lengths, of
-tracked tips and of taped distances from their readings. Joint angles are sensed (with errors of their own), locked at
-a constant of their stage, or moving without a sensor.
-"""
+"""Kinematic calibration as an optimisation problem: poses of closed chains, and what is unknown in them."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Never
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.kinematic.pose_layout import FixtureDistances, LayoutBuilder, PoseLayout
+from hydroopt.estimation.inference import listing
+from hydroopt.estimation.inference.program import NonlinearProgram
+from hydroopt.estimation.kinematic.joint import nonlinear_program
+from hydroopt.estimation.kinematic.pose_equations import PoseEquations, PoseLoss
+from hydroopt.estimation.kinematic.pose_layout import LayoutBuilder, PoseLayout
 from hydroopt.logs.frames import refuse_others
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
-from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
-from hydroopt.spatial.inertia import Array
-
-PoseLoss = Literal["squares", "huber", "student_t"]
 
 
-@dataclass(frozen=True, eq=False)
-class CalibrationProblem:
-    """What is to be calibrated from which poses; solving never changes it.
+@dataclass(frozen=True, eq=False, repr=False)
+class CalibrationProblem(PoseEquations):
+    """What is to be calibrated from which poses, with the attributes of `PoseEquations`; solving never changes it.
 
-    Attributes:
-        model: geometry and its derivatives.
-        poses: the measured ones (N of them); `validation` those held out.
-        parameters: geometry, then fixtures, angles of locked joints and their drifts.
-        layout: where the angles of the poses come from.
-        angle_sigma: (n,) standard deviation of each joint's readings [rad, m]; 0 counts as exact.
-        row_sigma: (N, m) standard deviation of each row [m]; 0 must hold exactly.
-        distances: between fixtures.
-        fixed: parameters that keep the value given here.
-        priors: whether the machine file's confidences count as measurements; those of drifts always do.
-        loss: what a pose's squared error, in standard deviations, costs.
+    >>> import hydroopt
+    >>> machine = hydroopt.load_machine("panda_mukca")
+    >>> plan = hydroopt.solve(hydroopt.pose_problem(machine, 20), candidates=50)
+    >>> problem = hydroopt.calibration_problem(machine, plan.poses)
+    >>> print(str(problem).splitlines()[0])
+    calibration of panda_mukca: 40 poses of plan for panda_mukca
+    >>> problem.nlp()
+    NonlinearProgram(316 variables, 0 fixed numbers, 0 constraints)
     """
 
-    model: KinematicModel
-    poses: Poses
-    validation: Poses | None
-    parameters: ParameterSet
-    layout: PoseLayout
-    angle_sigma: Array
-    row_sigma: Array
-    distances: FixtureDistances
-    fixed: Mapping[str, float]
-    priors: bool = True
-    loss: PoseLoss = "squares"
+    def nlp(self) -> NonlinearProgram:
+        """The program of the method ``joint`` in CasADi: ``solve(problem)`` has the same optimum.
 
-    @property
-    def free(self) -> NDArray[np.bool_]:
-        """(P,) which parameters are estimated."""
-        return np.array([name not in self.fixed for name in self.parameters.names], dtype=bool)
+        Variables are the estimated parameters in SI, then the angles of the poses that are read with errors or move
+        unsensed, such as ``pose 3: yoke.q``; loops without play close as constraints.
+        """
+        return nonlinear_program(self)
 
-    @property
-    def known(self) -> Array:
-        """(P,) root of the information that counts beside the data: of drifts always, of the rest as `priors` says."""
-        counts = [self.priors or kind is ParameterKind.DRIFT for kind in self.parameters.kinds]
-        return np.asarray(np.sqrt(np.diag(self.parameters.information)) * counts)
+    def cvxpy(self) -> Never:
+        """Refused.
 
-    @property
-    def cylinder_parameters(self) -> NDArray[np.bool_]:
-        """(P,) which parameters are the cylinders' own: pins and dead lengths."""
-        owners = {cylinder.name for cylinder in self.model.machine.cylinders}
-        return np.array([name.partition(".")[0] in owners for name in self.parameters.names], dtype=bool)
+        Raises:
+            ProblemError: always: the rows are not convex in the geometry.
+        """
+        raise ProblemError("a kinematic calibration is not convex and has no convex program",
+                           where=f"calibration of {self.model.machine.name}", remedy="use nlp() or hydroopt.solve")
 
-    @property
-    def start(self) -> Array:
-        """(P,) nominal values, with the fixed ones in place."""
-        start = self.parameters.nominal.copy()
-        for name, value in self.fixed.items():
-            start[self.parameters.index(name)] = value
-        return start
+    def __repr__(self) -> str:
+        return (f"<CalibrationProblem of {self.model.machine.name}: {int(self.free.sum())} parameters from "
+                f"{len(self.poses)} poses>")
+
+    def __str__(self) -> str:
+        layout = self.layout
+        closed = int(np.sum(layout.present[:, :3] & (self.row_sigma[:, :3] == 0)))
+        angles = int(layout.moving.sum() + np.sum(layout.sensed & (self.angle_sigma > 0)))
+        return "\n".join([
+            f"calibration of {self.model.machine.name}: {len(self.poses)} poses of {self.poses.name}",
+            f"variables θ ({len(self.parameters)})", *listing.variables(self.parameters, self.fixed),
+            f"and {angles} angles of the poses [rad, m]",
+            "minimise the sum of", *(f"  {term}" for term in self.objective),
+            "subject to the bounds and",
+            *([f"  loop closure: tip − fixture = 0 [m], {closed} rows"] if closed else ["  nothing else"])])
 
     def fixing(self, **values: float) -> CalibrationProblem:
         """The problem with parameters held, ``fixing(**{"ball.y": 0.0})`` [SI].
@@ -110,48 +98,6 @@ class CalibrationProblem:
                        old.fixture[keep], old.target[keep], old.present[keep])
         return replace(self, poses=self.poses.select(keep), layout=layout, row_sigma=self.row_sigma[keep])
 
-    def angles(self, theta: Array, own: Array) -> Array:
-        """Joint vectors (N, n): `own` where sensed or moving, the parameters' where locked."""
-        q: Array = np.where(self.layout.sensed | self.layout.moving, own, self.layout.reading)
-        where, which, factor = self.layout.locked
-        np.add.at(q.ravel(), where, factor * theta[which])
-        return q
-
-    def fixtures(self, theta: Array) -> Array:
-        """Position (N, 3) [m] of every pose's fixture; zero where there is none."""
-        return np.where(self.layout.fixture >= 0, theta[np.maximum(self.layout.fixture, 0)], 0.0)
-
-    def rows(self, theta: Array, q: Array) -> tuple[Array, Array, Array]:
-        """Rows (N, m) that must vanish, and their Jacobians by all parameters (N, m, P) and by angles (N, m, n)."""
-        count, n = q.shape
-        k = len(self.model.parameters)
-        value, by_g, by_q = self.model.over(self.model.observed_jacobians, theta[:k], q, self.fixtures(theta))
-        rows = np.where(self.layout.present, value[:, :, 0] - self.layout.target, 0.0)
-        by_q *= self.layout.present[:, :, None]
-        jacobian = np.zeros((count, rows.shape[1], len(self.parameters)))
-        jacobian[:, :, :k] = by_g * self.layout.present[:, :, None]
-        where, which, factor = self.layout.locked
-        np.add.at(jacobian, (where[:, None] // n, np.arange(rows.shape[1]), which[:, None]),
-                  factor[:, None] * by_q[where // n, :, where % n])
-        there = np.flatnonzero(self.layout.fixture[:, 0] >= 0)
-        for axis in range(3):  # the gap loses what the fixture gains; tapes end at it
-            column = self.layout.fixture[there, axis]
-            jacobian[there, axis, column] -= self.layout.present[there, axis]
-        self._tape_jacobian(jacobian, theta, q, there)
-        return rows, jacobian, by_q
-
-    def _tape_jacobian(self, jacobian: Array, theta: Array, q: Array, there: NDArray[np.intp]) -> None:
-        taped = [i for i, name in enumerate(self.model.channels) if name.endswith(".distance")]
-        if not taped or not np.any(self.layout.present[:, taped]):
-            return
-        ends = self.model.over(self.model.far_ends, theta[: len(self.model.parameters)], q)[0]
-        for column, i in enumerate(taped):
-            away = self.fixtures(theta) - ends[:, :, column]
-            away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
-            for axis in range(3):
-                slope = away[:, axis] * self.layout.present[:, i]
-                jacobian[there, i, self.layout.fixture[there, axis]] += slope[there]
-
 
 def calibration_problem(machine: Machine, poses: Poses, validation: Poses | None = None, *,
                         fixed: Mapping[str, float] | None = None, priors: bool = True) -> CalibrationProblem:
@@ -166,6 +112,12 @@ def calibration_problem(machine: Machine, poses: Poses, validation: Poses | None
 
     Raises:
         ProblemError: poses and machine do not fit together; the sentence names the row.
+
+    >>> import hydroopt
+    >>> machine = hydroopt.load_machine("panda_mukca")
+    >>> plan = hydroopt.solve(hydroopt.pose_problem(machine, 20), candidates=50)
+    >>> hydroopt.calibration_problem(machine, plan.poses, fixed={"tip.x": 0.0})
+    <CalibrationProblem of panda_mukca: 35 parameters from 40 poses>
     """
     refuse_others([poses] if validation is None else [poses, validation], (Poses,), "table of poses", "calibration")
     model = KinematicModel(machine)

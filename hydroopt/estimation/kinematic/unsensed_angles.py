@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.estimation.kinematic.problem import CalibrationProblem
+from hydroopt.estimation.kinematic.pose_equations import PoseEquations
 from hydroopt.spatial.inertia import Array
 
 TIGHT = 1e-11
@@ -16,7 +16,7 @@ GUESSES = 24
 """Angles tried for a joint that moves unsensed, over its range."""
 
 
-def guess_unsensed(problem: CalibrationProblem, theta: Array) -> Array:
+def guess_unsensed(problem: PoseEquations, theta: Array) -> Array:
     """Initial joint vectors (N, n): readings, and for joints that move unsensed the angle that closes best."""
     layout, model = problem.layout, problem.model
     q = problem.angles(theta, layout.reading)
@@ -41,7 +41,7 @@ def guess_unsensed(problem: CalibrationProblem, theta: Array) -> Array:
     return best
 
 
-def closed_angles(problem: CalibrationProblem, theta: Array, q: Array) -> Array:
+def closed_angles(problem: PoseEquations, theta: Array, q: Array) -> Array:
     """Joint vectors (N, n) with the loops closed by the smallest errors, in standard deviations, of sensed angles."""
     layout, model = problem.layout, problem.model
     strict = layout.present[:, :3] & (problem.row_sigma[:, :3] == 0)
@@ -56,7 +56,7 @@ def closed_angles(problem: CalibrationProblem, theta: Array, q: Array) -> Array:
     return q
 
 
-def follow_unsensed(problem: CalibrationProblem, theta: Array, q: Array) -> Array:
+def follow_unsensed(problem: PoseEquations, theta: Array, q: Array) -> Array:
     """Joint vectors (N, n) whose unsensed angles close the loops as well as they can, the readings taken as exact."""
     layout, model = problem.layout, problem.model
     for _ in range(STEPS if np.any(layout.moving) else 0):

@@ -1,0 +1,144 @@
+"""The equations of poses: rows that must vanish, their derivatives, and what weights them.
+
+Every pose gives rows that must vanish: the gap between tip and fixture, and the differences of cylinder lengths, of
+tracked tips and of taped distances from their readings. Joint angles are sensed (with errors of their own), locked at
+a constant of their stage, or moving without a sensor.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.estimation.inference import listing
+from hydroopt.estimation.kinematic.pose_layout import FixtureDistances, PoseLayout
+from hydroopt.logs.poses import Poses
+from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
+from hydroopt.spatial.inertia import Array
+
+PoseLoss = Literal["squares", "huber", "student_t"]
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class PoseEquations:
+    """What is unknown in which poses, and how it is weighted.
+
+    Attributes:
+        model: geometry and its derivatives.
+        poses: the measured ones (N of them); `validation` those held out.
+        parameters: geometry, then fixtures, angles of locked joints and their drifts.
+        layout: where the angles of the poses come from.
+        angle_sigma: (n,) standard deviation of each joint's readings [rad, m]; 0 counts as exact.
+        row_sigma: (N, m) standard deviation of each row [m]; 0 must hold exactly.
+        distances: between fixtures.
+        fixed: parameters that keep the value given here.
+        priors: whether the machine file's confidences count as measurements; those of drifts always do.
+        loss: what a pose's squared error, in standard deviations, costs.
+    """
+
+    model: KinematicModel
+    poses: Poses
+    validation: Poses | None
+    parameters: ParameterSet
+    layout: PoseLayout
+    angle_sigma: Array
+    row_sigma: Array
+    distances: FixtureDistances
+    fixed: Mapping[str, float]
+    priors: bool = True
+    loss: PoseLoss = "squares"
+
+    @property
+    def free(self) -> NDArray[np.bool_]:
+        """(P,) which parameters are estimated."""
+        return np.array([name not in self.fixed for name in self.parameters.names], dtype=bool)
+
+    @property
+    def known(self) -> Array:
+        """(P,) root of the information that counts beside the data: of drifts always, of the rest as `priors` says."""
+        counts = [self.priors or kind is ParameterKind.DRIFT for kind in self.parameters.kinds]
+        return np.asarray(np.sqrt(np.diag(self.parameters.information)) * counts)
+
+    @property
+    def cylinder_parameters(self) -> NDArray[np.bool_]:
+        """(P,) which parameters are the cylinders' own: pins and dead lengths."""
+        owners = {cylinder.name for cylinder in self.model.machine.cylinders}
+        return np.array([name.partition(".")[0] in owners for name in self.parameters.names], dtype=bool)
+
+    @property
+    def start(self) -> Array:
+        """(P,) nominal values, with the fixed ones in place."""
+        start = self.parameters.nominal.copy()
+        for name, value in self.fixed.items():
+            start[self.parameters.index(name)] = value
+        return start
+
+    @property
+    def objective(self) -> Iterator[str]:
+        """The terms whose sum is minimised, in words."""
+        layout, model = self.layout, self.model
+        for k, joint in enumerate(model.joints):
+            count = int(layout.sensed[:, k].sum())
+            if count and self.angle_sigma[k]:
+                unit = model.machine.channel_units[f"{joint}.q"]
+                yield (f"readings of {joint}.q: ½·((q − reading)/σ)² over {count} poses, "
+                       f"σ = {listing.number(self.angle_sigma[k])} {unit}")
+        for i, channel in enumerate(model.channels):
+            rows = layout.present[:, i] & (self.row_sigma[:, i] > 0)
+            if np.any(rows):
+                sigma = listing.number(float(np.median(self.row_sigma[rows, i])))
+                yield f"rows of {channel}: ½·(row/σ)² over {int(rows.sum())} poses, σ = {sigma} m"
+        if self.loss != "squares":
+            yield f"loss '{self.loss}' of the sum of each pose's terms"
+        if len(self.distances.length):
+            yield f"distances between fixtures: ½·((distance − length)/σ)² over {len(self.distances.length)}"
+        known = int(np.sum(self.known > 0))
+        if known:
+            yield f"priors of the machine file: ½·((θ − nominal)/σ)² over {known} parameters"
+
+    def angles(self, theta: Array, own: Array) -> Array:
+        """Joint vectors (N, n): `own` where sensed or moving, the parameters' where locked."""
+        q: Array = np.where(self.layout.sensed | self.layout.moving, own, self.layout.reading)
+        where, which, factor = self.layout.locked
+        np.add.at(q.ravel(), where, factor * theta[which])
+        return q
+
+    def fixtures(self, theta: Array) -> Array:
+        """Position (N, 3) [m] of every pose's fixture; zero where there is none."""
+        return np.where(self.layout.fixture >= 0, theta[np.maximum(self.layout.fixture, 0)], 0.0)
+
+    def rows(self, theta: Array, q: Array) -> tuple[Array, Array, Array]:
+        """Rows (N, m) that must vanish, and their Jacobians by all parameters (N, m, P) and by angles (N, m, n)."""
+        count, n = q.shape
+        k = len(self.model.parameters)
+        value, by_g, by_q = self.model.over(self.model.observed_jacobians, theta[:k], q, self.fixtures(theta))
+        rows = np.where(self.layout.present, value[:, :, 0] - self.layout.target, 0.0)
+        by_q *= self.layout.present[:, :, None]
+        jacobian = np.zeros((count, rows.shape[1], len(self.parameters)))
+        jacobian[:, :, :k] = by_g * self.layout.present[:, :, None]
+        where, which, factor = self.layout.locked
+        np.add.at(jacobian, (where[:, None] // n, np.arange(rows.shape[1]), which[:, None]),
+                  factor[:, None] * by_q[where // n, :, where % n])
+        there = np.flatnonzero(self.layout.fixture[:, 0] >= 0)
+        for axis in range(3):  # the gap loses what the fixture gains; tapes end at it
+            column = self.layout.fixture[there, axis]
+            jacobian[there, axis, column] -= self.layout.present[there, axis]
+        self._tape_jacobian(jacobian, theta, q, there)
+        return rows, jacobian, by_q
+
+    def _tape_jacobian(self, jacobian: Array, theta: Array, q: Array, there: NDArray[np.intp]) -> None:
+        taped = [i for i, name in enumerate(self.model.channels) if name.endswith(".distance")]
+        if not taped or not np.any(self.layout.present[:, taped]):
+            return
+        ends = self.model.over(self.model.far_ends, theta[: len(self.model.parameters)], q)[0]
+        for column, i in enumerate(taped):
+            away = self.fixtures(theta) - ends[:, :, column]
+            away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
+            for axis in range(3):
+                slope = away[:, axis] * self.layout.present[:, i]
+                jacobian[there, i, self.layout.fixture[there, axis]] += slope[there]
