@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hydroopt import KinematicModel, calibrate, calibration_problem, load_machine
+from hydroopt import KinematicModel, calibration_problem, load_machine, solve
 from hydroopt.simulation import postures
 
 HYDROOPT = str(Path(sys.executable).with_name("hydroopt"))
@@ -65,7 +65,7 @@ def calibration() -> None:
         table = postures.record(model, q, labels, ["ball"] * len(q), geometry=geometry)
         problem = calibration_problem(machine, table, fixed={"ball.y": 0.0})
         began = time.perf_counter()
-        calibrate(problem)
+        solve(problem)
         wall = time.perf_counter() - began
         print(f"{poses:8d} {wall:8.2f} {1e3 * wall / poses:8.2f}")
     print("targets: 2 s for 360 poses, 60 s for 10,000")

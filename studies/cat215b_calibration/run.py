@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 
-from hydroopt import calibrate, calibration_problem, load_machine
+from hydroopt import calibration_problem, load_machine, solve
 from hydroopt.estimation.kinematic import joint, link_by_link
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
@@ -103,7 +103,7 @@ def monte_carlo(setup) -> dict:
     errors, inside = [], []
     for seed in range(SEEDS):
         problem = setup.problem(setup.poses(seed))
-        solved = calibrate(problem)
+        solved = solve(problem)
         free = problem.free
         truth = problem.parameters.nominal[free]
         errors.append(solved.theta[free] - truth)
@@ -141,13 +141,13 @@ def tables(drifting) -> dict:
     for table, poses in cases.items():
         plain = drifting.problem(poses)
         drift = drifting.problem(poses, with_drift(drifting.machine, 0.3))
-        best = calibrate(drift)
+        best = solve(drift)
         odd = [suspect.poses for suspect in best.suspects if suspect.kind.is_poses]
-        cleaned = calibrate(drift.without(np.any(odd, axis=0))) if odd else best
+        cleaned = solve(drift.without(np.any(odd, axis=0))) if odd else best
         answers = {"hierarchical": link_by_link.sequential_least_squares(plain, plain.start, plain.layout.reading)[0],
                    "joint": joint.maximum_likelihood(plain, plain.start, guess_unsensed(plain, plain.start))[0],
                    "joint_with_drift": best.theta, "joint_without_suspects": cleaned.theta,
-                   "joint_robust": calibrate(drift.with_loss("student_t")).theta}
+                   "joint_robust": solve(drift.with_loss("student_t")).theta}
         for name, value in TABLES[table].items():
             right = truth.nominal[truth.index(name)]
             entry = {"thesis": round(1e3 * float(value - right), 1)}
@@ -195,7 +195,7 @@ def triangles(setup) -> dict:
                                              *channels])
             fixed = {"ball.y": 0.0}
         problem = calibration_problem(machine, poses, fixed=fixed)
-        solved = calibrate(problem)
+        solved = solve(problem)
         for cylinder in machine.cylinders:
             fit = solved.fit["train"][f"{cylinder.name}.length"]
             found = sides(machine, problem.parameters, solved.theta, cylinder)

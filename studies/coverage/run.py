@@ -4,7 +4,7 @@ import tempfile
 
 import numpy as np
 
-from hydroopt import design, excitation_problem, load_machine
+from hydroopt import excitation_problem, load_machine, solve
 from hydroopt.excitation.motion.basis import Fourier
 from hydroopt.study.montecarlo import montecarlo
 from hydroopt.study.run import run as computed
@@ -15,7 +15,7 @@ CELLS, STARTS = 500, 4
 def run() -> dict:
     """Share of true parameters inside their intervals, over truths drawn from the machine file's confidences."""
     machine = load_machine("cat215b")
-    motion = design(excitation_problem(machine, Fourier(29.0, 10)), starts=STARTS, processes=2).trajectory
+    motion = solve(excitation_problem(machine, Fourier(29.0, 10)), starts=STARTS, processes=2).trajectory
     study = montecarlo(machine, cells=CELLS, motion=motion)
     with tempfile.TemporaryDirectory() as folder:
         table = computed(study, folder, workers=2)

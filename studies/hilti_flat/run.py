@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from hydroopt import KinematicModel, Poses, calibrate, calibration_problem, read_urdf
+from hydroopt import KinematicModel, Poses, calibration_problem, read_urdf, solve
 from hydroopt.machine.calibration_chain import Calibrator, Tracker
 from hydroopt.machine.components import Drive, Joint, Link, Note
 from hydroopt.machine.sensor import Sensor
@@ -172,7 +172,7 @@ def calibrated(points, use, **terms) -> tuple[np.ndarray, float]:
     turn = (np.arctan2(rotation[2, 1], rotation[2, 2]), -np.arcsin(rotation[2, 0]),
             np.arctan2(rotation[1, 0], rotation[0, 0]))
     built = built.model_copy(update={"tracker": Tracker(position=tuple(shift), orientation=turn)})
-    found = calibrate(calibration_problem(built, poses.select(use)))
+    found = solve(calibration_problem(built, poses.select(use)))
     return prisms(found.problem.model, found.theta, poses), found.noise_scale
 
 

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hydroopt import calibrate, calibration_problem, load_machine, read_pose_files
+from hydroopt import calibration_problem, load_machine, read_pose_files, solve
 from hydroopt.estimation.kinematic.observability import linearise
 from hydroopt.estimation.kinematic.residuals import predicted
 
@@ -51,8 +51,8 @@ def run() -> dict:
     high, center = poses.stage == "high", poses.stage == "front_center"
     results: dict = {"poses": len(poses)}
 
-    one_place = calibrate(calibration_problem(machine, poses.select(center)))
-    least_squares = calibrate(calibration_problem(plain(machine), poses.select(center), priors=False))
+    one_place = solve(calibration_problem(machine, poses.select(center)))
+    least_squares = solve(calibration_problem(plain(machine), poses.select(center), priors=False))
     nominal = one_place.problem.start
     for name, solved, geometry in (("nominal", one_place, nominal), ("plain", least_squares, least_squares.theta),
                                    ("ours", one_place, one_place.theta)):
@@ -62,7 +62,7 @@ def run() -> dict:
                     f"{name}_front_center_to_others_without_high": mm(away[~center & ~high].mean())}
     results |= authors_figures(one_place, least_squares, poses, center)
 
-    everything = calibrate(calibration_problem(machine, poses))
+    everything = solve(calibration_problem(machine, poses))
     flagged = [suspect.name for suspect in everything.suspects if suspect.kind == "stage"]
     tip = balls(everything.problem.model, everything.theta, poses)
     results |= {"inconsistent_places": flagged, "high_fitted_to_everything": mm(scatter(tip, poses)[high].mean())}
@@ -70,8 +70,8 @@ def run() -> dict:
     places = [place for place in dict.fromkeys(poses.stage) if place != "high"]
     train = np.isin(poses.stage, places[::2])
     rest = np.isin(poses.stage, places[1::2])
-    ours = calibrate(calibration_problem(machine, poses.select(train)))
-    theirs = calibrate(calibration_problem(plain(machine), poses.select(train), priors=False))
+    ours = solve(calibration_problem(machine, poses.select(train)))
+    theirs = solve(calibration_problem(plain(machine), poses.select(train), priors=False))
     held = poses.select(rest)
     away = [scatter(balls(c.problem.model, c.theta, held), held) for c in (ours, theirs)]
     low, high_end = interval(away[0] - away[1], held)
@@ -112,7 +112,7 @@ def interval(difference, poses) -> tuple[float, float]:
 
 def cleaned(calibration):
     """The calibration again without the poses that it suspects: they enlarge the noise on which intervals rest."""
-    return calibrate(calibration.problem.without(calibration.suspicious))
+    return solve(calibration.problem.without(calibration.suspicious))
 
 
 def coverage(calibration, poses) -> float:

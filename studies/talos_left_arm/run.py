@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hydroopt import calibrate, calibration_problem, read_poses, read_urdf
+from hydroopt import calibration_problem, read_poses, read_urdf, solve
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.residuals import gaps
 from hydroopt.machine.calibration_chain import Calibrator, Tracker
@@ -53,7 +53,7 @@ def left_out(problem, groups) -> tuple[np.ndarray, float]:
     """Errors (N, 3) [m] of every group when fitted to the others, and how many lie within the stated 95 % error."""
     errors, inside = np.zeros((len(problem.poses), 3)), []
     for there in groups:
-        solved = calibrate(problem.without(there))
+        solved = solve(problem.without(there))
         errors[there], at = judged(problem.without(~there), solved.theta)
         slope = at.jacobian[:, :, problem.free]
         geometry = np.einsum("nik,kl,nil->ni", slope, solved.observability.covariance, slope)
@@ -105,7 +105,7 @@ def run() -> dict | None:
              "lengths": calibration_problem(talos(offsets=True, lengths=True), poses)}
     results: dict = {"postures": len(poses)}
     for name, problem in cases.items():
-        solved = calibrate(problem)
+        solved = solve(problem)
         one, covered = left_out(problem, alone)
         whole, covered_sheet = left_out(problem, sheets)
         results |= {f"rms_{name}": rms(judged(problem, solved.theta)[0]), f"leave_one_out_{name}": rms(one),
