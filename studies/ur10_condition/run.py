@@ -6,7 +6,7 @@ import time
 import numpy as np
 
 from hydroopt import Model, load_machine
-from hydroopt.excitation.criteria import Information, Question, design_parameters, presumed_noise
+from hydroopt.excitation.criteria import DesignParameters, Information, design_parameters, presumed_noise
 from hydroopt.excitation.motion.basis import Fourier
 from hydroopt.excitation.motion.design import design
 from hydroopt.excitation.motion.excitation import Excitation
@@ -78,7 +78,7 @@ def condition(model: Model, states, places) -> float:
     return float(np.linalg.cond(K.reshape(-1, len(places))))
 
 
-def designed(model: Model, asked: Question) -> tuple[Excitation, float]:
+def designed(model: Model, asked: DesignParameters) -> tuple[Excitation, float]:
     program = ExcitationProblem(Information(model, asked, "condition"), Limits(model, margins(model)),
                                 Fourier(10.0, 5), 100.0)
     began = time.perf_counter()
