@@ -2,7 +2,7 @@
 
 
 class HydrooptError(Exception):
-    """Base of all errors that a user can cause and mend; `exit_code` is what the command line returns.
+    """Base of all errors that a user can cause and correct; `exit_code` is what the command line returns.
 
     The sentence reads "<where>: <what>; <remedy>.". `where` names the file, key, channel, sample or body.
 
@@ -22,7 +22,7 @@ class MachineError(HydrooptError):
 
 
 class LogError(HydrooptError):
-    """A measurement file is damaged, lacks a channel or says something impossible."""
+    """A measurement file is damaged, lacks a channel or states an impossible value."""
 
 
 class ProblemError(HydrooptError):

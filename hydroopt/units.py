@@ -16,7 +16,7 @@ _ABSURD = re.compile(r"\d{3}|(\^|\*\*)[^*/]*(\^|\*\*)|.{60}")  # pint would comp
 
 _TROUBLE = (pint.errors.PintError, AttributeError, TypeError, ValueError, AssertionError, TokenError, SyntaxError,
             ArithmeticError, LookupError)
-"""What pint raises when asked to read a text that is no unit."""
+"""What pint raises for a text that is not a unit."""
 
 
 class UnitError(HydrooptError):

@@ -16,7 +16,7 @@ WIDTH = 100
 class Naming(NamedTuple):
     """What a program's values are called in C.
 
-    `source` tells the C expression of an element of an input; `target` the statement about the k-th entry of an output,
+    `source` gives the C expression of an element of an input; `target` the statement about the k-th entry of an output,
     with {} for its value, or None if there is none. `call` names the function of an operation, `lift` makes of a number
     what it takes.
     """

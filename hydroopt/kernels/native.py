@@ -33,9 +33,9 @@ from hydroopt.spatial.inertia import Array
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fPIC", "-shared", "-w")
 """No fast-math: only that sqrt need not set errno. Products and sums may be fused, as the compiler does by itself."""
 FEW = 100
-"""Samples below which a kernel is not worth its compilation."""
+"""Number of samples below which compiling a kernel does not pay."""
 SHARE = 4096
-"""Samples that are worth a thread of their own."""
+"""Number of samples per thread."""
 
 
 Way = Callable[[list[Array], int, list[Array] | None], list[Array]]
@@ -214,7 +214,7 @@ def _library(function: ca.Function, made: Program, by: Compiler) -> Path:
         built = Path(scratch) / "kernel.so"
         subprocess.run([*by.command, *FLAGS, "-x", "c", "-", "-o", str(built), *by.libraries],
                        input=source(made).encode(), capture_output=True, check=True)
-        # the name tells the content: a library is whole or is not used, however many processes make it at once
+        # the name is a hash of the content: a library is whole or is not used, however many processes make it at once
         digest = hashlib.sha256(built.read_bytes()).hexdigest()[:32]
         return built.rename(folder / f"{key.hexdigest()[:32]}-{digest}.so")
 

@@ -1,4 +1,4 @@
-"""How the columns of a file become channels: by headers `name [unit]`, or by a TOML map for foreign files."""
+"""How the columns of a file become channels: by headers `name [unit]`, or by a TOML map."""
 
 import re
 import tomllib
@@ -135,7 +135,7 @@ class Labels(BaseModel):
 
 
 class LogMap(BaseModel):
-    """What stands where in a foreign file; read from TOML by `read_map`. Only tables of poses have `labels`."""
+    """Map of the columns of a file with other headers; `read_map` reads it. Only tables of poses have `labels`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -178,7 +178,7 @@ class LogMap(BaseModel):
 
 
 def read_map(path: str | Path, *, poses: bool = False) -> LogMap:
-    """Read a map of foreign columns.
+    """Read a column map.
 
     Args:
         path: a TOML file.
@@ -194,7 +194,7 @@ def read_map(path: str | Path, *, poses: bool = False) -> LogMap:
         raise LogError(f"the map cannot be read ({error.strerror or error})", where=where,
                        remedy="give the path of a TOML file") from None
     except (ValueError, RecursionError) as error:  # a ValueError is bad TOML, no text or a number of a thousand digits
-        raise LogError(f"the map is not TOML ({error})", where=where, remedy="mend that line") from None
+        raise LogError(f"the map is not TOML ({error})", where=where, remedy="correct that line") from None
     try:
         layout = LogMap.model_validate(data)
     except ValidationError as error:
@@ -223,9 +223,9 @@ def for_log(layout: LogMap, where: str) -> LogMap:
 
 
 def map_of_header(header: list[str], where: str, *, poses: bool = False) -> tuple[LogMap, tuple[str, ...]]:
-    """Map of a file with headers `name [unit]`, and the names of foreign columns that are left out.
+    """Map of a file with headers `name [unit]`, and the names of columns that are no channels and are left out.
 
-    A table of `poses` needs no time, may have labels (`stage`, `fixture`, `pose`, without unit) and no foreign columns:
+    A table of `poses` needs no time, may have labels (`stage`, `fixture`, `pose`, without unit) and no other columns:
     one might be a misspelt label, without which its poses would be taken for others.
 
     Raises:
@@ -239,7 +239,7 @@ def map_of_header(header: list[str], where: str, *, poses: bool = False) -> tupl
         name, unit = (match["name"], match["unit"]) if match else (text.strip(), None)
         here = f"{where}, column {index + 1} '{text.strip()}'"
         if name in columns or name in labels:
-            raise LogError(f"{'channel' if name in columns else 'label'} '{name}' stands there twice", where=here,
+            raise LogError(f"{'channel' if name in columns else 'label'} '{name}' occurs twice", where=here,
                            remedy="remove or rename one")
         if poses and name in Labels.model_fields:
             if unit is not None:

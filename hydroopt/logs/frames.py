@@ -45,7 +45,7 @@ def columns_of_frame(frame: pd.DataFrame, units: Mapping[str, str] | None, where
     moments = _moments(frame.index)
     if moments is not None:
         if any(_bare(name) == "t" for name in names):
-            raise LogError("the time stands both in a column and in the index", where=where,
+            raise LogError("the time is stated both in a column and in the index", where=where,
                            remedy="remove one, for example with frame.reset_index(drop=True)")
         names, series = ["t", *names], [moments, *series]
     stated, header = dict(units or {}), []
@@ -95,7 +95,7 @@ def _bare(name: str) -> str:
 
 
 def _header(name: str, unit: str | None, where: str, *, poses: bool) -> str:
-    """The header `name [unit]` of a column; labels and foreign columns have no unit."""
+    """The header `name [unit]` of a column; labels and columns that are no channels have no unit."""
     if name != _bare(name):
         if unit is not None:
             raise LogError(f"column '{name}' has a unit in its name and '{unit}' in units", where=where,

@@ -1,4 +1,4 @@
-"""A measurement log in SI units: reading it with every doubt named, cutting it, writing it."""
+"""A measurement log in SI units: reading it with all findings reported, cutting it, writing it."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -71,7 +71,7 @@ class Log:
         t = frozen(self.t, float)
         if t.ndim != 1 or t.size < 2 or not np.all(np.diff(t) > 0):
             raise LogError("times do not increase over two or more samples", where=where,
-                           remedy="mend the time stamps or choose a longer stretch")
+                           remedy="correct the time stamps or choose a longer stretch")
         channels = {name: frozen(x, float) for name, x in self.channels.items()}
         sample = frozen(self.sample if np.size(self.sample) else np.arange(1, t.size + 1), int)
         segment = frozen(self.segment if np.size(self.segment) else np.cumsum(find.gaps(t)), int)
@@ -171,8 +171,8 @@ class Log:
 
         Args:
             frame: columns named ``boom.q [deg]``, or ``boom.q`` with a unit in `units`; columns whose name has no dot
-                are foreign and left out. The time is a column ``t [s]``, or a column ``t`` or the index, of datetimes
-                (then t = 0 at the first row) or timedeltas, at their own resolution.
+                are not channels and are left out. The time is a column ``t [s]``, or a column ``t`` or the index, of
+                datetimes (then t = 0 at the first row) or timedeltas, at their own resolution.
             units: unit by name of the columns that have none in it.
             name: short name of the log.
             treatment, limits: as for `read_log`.
@@ -206,9 +206,10 @@ def read_log(
     """Read a log from CSV, Parquet or, with a map, a MATLAB file.
 
     Args:
-        path: file with headers `name [unit]`; columns whose name has no dot are foreign and left out (a
+        path: file with headers `name [unit]`; columns whose name has no dot are not channels and are left out (a
             finding of kind "ignored" says so).
-        mapping: for foreign files, what stands where (`read_map`); it needs the time `t` and has no labels.
+        mapping: for files with other headers, the map of their columns (`read_map`); it needs the time `t` and has no
+            labels.
         treatment: action by kind of finding, see `treatment.ACTIONS`. By default NaN and bad time stamps are
             errors, gaps split the log into segments and everything else is reported only.
         limits: (lowest, highest) value of a sensor's range by channel, in SI; samples there are saturated. Limits of
@@ -277,7 +278,8 @@ def left_out(layout: LogMap, ignored: tuple[str, ...], first: int, last: int) ->
         a, b = layout.rows
         notes += (Finding("rows", "t", a, b, b - a + 1, f"only data rows {a} to {b} were read"),)
     if ignored:
-        notes += (Finding("ignored", "", first, last, 0, f"foreign columns left out: {', '.join(ignored)}"),)
+        text = f"columns that are not channels left out: {', '.join(ignored)}"
+        notes += (Finding("ignored", "", first, last, 0, text),)
     return notes
 
 

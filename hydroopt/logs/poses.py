@@ -190,7 +190,7 @@ def read_poses(path: str | Path, *, mapping: LogMap | str | Path | None = None) 
     Args:
         path: file with text columns `stage`, `fixture`, `pose` and columns `name [unit]` of channels and of the time
             `t`, of which at least one channel must be there. Empty cells and NaN mean "not read".
-        mapping: for foreign files, what stands where (`read_map` with ``poses=True``), and their labels.
+        mapping: for files with other headers, the map of their columns (`read_map` with ``poses=True``) and labels.
 
     Raises:
         LogError: the file is missing, damaged or not understood; the sentence names row and column.
@@ -238,11 +238,11 @@ def read_pose_files(paths: Sequence[str | Path], *, mapping: LogMap | str | Path
     Poses('low and 1 more': 2 poses, 2 stages, 1 channel)
     """
     layout = mapping if isinstance(mapping, LogMap) or mapping is None else read_map(mapping, poses=True)
-    seen: set[Path] = set()
+    read: set[Path] = set()
     for path in paths:
-        if (real := Path(path).resolve()) in seen:
+        if (real := Path(path).resolve()) in read:
             raise LogError("this file is named twice", where=str(path), remedy="name it once")
-        seen.add(real)
+        read.add(real)
     return joined([read_poses(path, mapping=layout) for path in paths])
 
 

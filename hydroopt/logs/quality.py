@@ -17,11 +17,11 @@ _WINDOW = 25  # samples of the running median: spikes up to 12 samples wide stan
 
 @dataclass(frozen=True)
 class Finding:
-    """Something a user should know about a log.
+    """A finding about a log.
 
     Attributes:
         kind: "nan", "duplicate", "non-monotonic", "irregular", "gap", "stuck", "spike", "saturated", or for
-            information "rows" (a map selected them) and "ignored" (foreign columns).
+            information "rows" (a map selected them) and "ignored" (columns that are not channels).
         channel: the channel, "t" for the time; empty for "ignored".
         first: first and `last`: last 1-based data row concerned; count: number of samples concerned.
         text: one sentence.

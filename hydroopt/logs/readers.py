@@ -97,7 +97,7 @@ class CsvFile:
                 name = f"'{self.header[position]}'" if self.header else "without name"
                 raise LogError(f"'{cells[bad][:40]}' is not a number", where=f"{self.where}, data row "
                                f"{rows[good[bad]]}, column {position + 1} {name}", remedy=
-                               "mend the cell, or select sound rows with 'rows = [first, last]' in a map")
+                               "correct the cell, or select sound rows with 'rows = [first, last]' in a map")
             values[good] = cells
             for row in rows[np.abs(np.where(np.isfinite(values), values, 0)) > _IMPLAUSIBLE]:
                 damage.setdefault(int(row), "numbers beyond 1e30")

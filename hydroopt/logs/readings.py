@@ -1,4 +1,4 @@
-"""What a log says of a machine: joint angles, actuator forces and pressures, each with the noise of its sensors."""
+"""Measured quantities of a machine in a log: joint angles, actuator forces, pressures, and the noise of each."""
 
 from __future__ import annotations
 

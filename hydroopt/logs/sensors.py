@@ -45,6 +45,6 @@ def _step(accuracy: float, resolution: float | None, distribution: str) -> float
             raise ProblemError(f"a sensor's {name} cannot be {value}", where="sensor",
                                remedy="give a finite number that is not negative")
     if distribution not in ("uniform", "gaussian"):
-        raise ProblemError(f"'{distribution}' is no noise distribution", where="sensor",
+        raise ProblemError(f"'{distribution}' is not a noise distribution", where="sensor",
                            remedy="choose 'uniform' or 'gaussian'")
     return step

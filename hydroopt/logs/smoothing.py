@@ -120,7 +120,7 @@ def condition(
     if lost.size:
         raise LogError(f"the position or time at sample {lost[0] + 1} is not finite ({lost.size} in all; a "
                        "cylinder's length gives no angle where its triangle is open)", where=where,
-                       remedy="mend it or read the log with --treat nan=drop")
+                       remedy="correct it or read the log with --treat nan=drop")
     stds = None if noise is None else np.broadcast_to(np.asarray(noise, dtype=float), positions.shape[1:])
     if stds is not None and np.any(np.isinf(stds) | (stds < 0)):
         raise ProblemError("the stated noise is negative or infinite", where=where,
@@ -136,7 +136,7 @@ def condition(
     for start, stop in zip(starts, [*starts[1:], times.size], strict=True):
         span, here = slice(start, stop), f"{where}, samples {start + 1} to {stop}"
         if np.any(np.diff(times[span]) <= 0):
-            raise LogError("times do not increase", where=here, remedy="mend the time stamps")
+            raise LogError("times do not increase", where=here, remedy="correct the time stamps")
         if isinstance(smoothing, Butterworth):
             out[:, span] = _butterworth(times[span], positions[span], smoothing, here)
             corners = np.full(positions.shape[1], smoothing.cutoff)
@@ -166,15 +166,15 @@ def refuse_too_short(samples: int, where: str) -> None:
                        remedy=f"leave it out or record at least {spline.MIN_SAMPLES} samples without a gap")
 
 
-def told(name: str, where: str, corner: float, residual: float, stated: float | None,
+def smoothing_note(name: str, where: str, corner: float, residual: float, stated: float | None,
          smoothing: SmoothingSpline) -> str:
     """How a joint was smoothed: the bandwidth [Hz], what chose it, and what it took out beside the noise stated."""
     chosen = "cross-validation" if stated is None else f"the stated noise of {stated:.3g}"
     if smoothing.bandwidth and corner > 0.99 * smoothing.bandwidth:
         chosen = "the stated bandwidth of the motion"
-    doubt = " (which does not agree: check the stated noise)" if stated and not 0.5 < residual / stated < 1.5 else ""
+    warning = " (which does not agree: check the stated noise)" if stated and not 0.5 < residual / stated < 1.5 else ""
     return (f"{name}, {where}: smoothing spline with {corner:.3g} Hz bandwidth from {chosen}, residual std "
-            f"{residual:.3g}{doubt}")
+            f"{residual:.3g}{warning}")
 
 
 def refuse_too_slow(smoothing: SmoothingSpline, duration: float, where: str) -> None:
@@ -195,7 +195,7 @@ def _spline(t: Array, q: Array, smoothing: SmoothingSpline, stds: Array | None, 
             out[order, :, joint] = fitted(t, order)
         corners[joint] = fitted.bandwidth
         name = names[joint] if names else f"joint {joint + 1}"
-        notes.append(told(name, where, fitted.bandwidth, fitted.residual, stated, smoothing))
+        notes.append(smoothing_note(name, where, fitted.bandwidth, fitted.residual, stated, smoothing))
     return out, corners, notes
 
 
@@ -224,7 +224,7 @@ def _fourier(t: Array, q: Array, segment: NDArray[np.int64], smoothing: Fourier,
     """One least-squares fit over all stretches: the phase of a periodic motion survives a gap."""
     period, harmonics = smoothing.period, smoothing.harmonics
     if not period > 0 or harmonics < 1:
-        raise ProblemError(f"period {period:g} s with {harmonics} harmonics is no Fourier series",
+        raise ProblemError(f"period {period:g} s with {harmonics} harmonics does not define a Fourier series",
                            where=where, remedy="give a positive period and at least one harmonic")
     step = float(np.median(np.diff(t))) if t.size > 1 else np.inf
     if t.size < 2 or t[-1] - t[0] + step < period * (1 - 1e-9):

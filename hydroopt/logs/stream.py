@@ -35,7 +35,7 @@ BLOCKS, BLOCK = 16, 4096
 
 @dataclass(frozen=True)
 class Survey:
-    """What one look at all rows tells: first and last time [s], the usual step [s], how many there are of them and the
+    """Summary of all rows: first and last time [s], the usual step [s], how many there are of them and the
     time they take [s], gaps not counted; extremes of every channel, and how far each moves in each block.
     """
 
@@ -57,7 +57,7 @@ class LogStream:
         layout: which column is what; `units`: SI unit by channel.
         treatment: action by kind of finding; `limits`: of the sensors' ranges, as for `read_log`.
         rows: first and last 1-based data row.
-        findings: what is known before the samples are looked at.
+        findings: those known before the samples are read.
         piece: rows read at a time.
     """
 
@@ -113,7 +113,7 @@ class LogStream:
         return replace(self, rows=(self.rows[0] + start, self.rows[0] + stop - 1))
 
     def with_findings(self, more: Iterable[Finding]) -> LogStream:
-        """The same log, of which more is known."""
+        """The same log with further findings."""
         made = copy(self)  # with its survey
         object.__setattr__(made, "findings", (*self.findings, *more))
         return made
@@ -208,13 +208,14 @@ class LogStream:
         wide = [(max(first - margins[0], self.rows[0]), min(last + margins[1], self.rows[1])) for first, last in pieces]
         yield from zip(self.read(wide, channels), pieces, strict=True)
 
-    def treated(self, samples: Samples, told: tuple[int, int]) -> Log:
-        """Samples as a log after checks and treatments; only findings in the rows `told`, first and last, are told.
+    def treated(self, samples: Samples, reported: tuple[int, int]) -> Log:
+        """Samples as a log after checks and treatments; only findings in the rows `reported` (first, last) are kept.
 
         Raises:
             LogError: a kind of finding whose action is "error".
         """
-        piece = replace(samples, told=told, whole={name: self.survey.extremes[name] for name in samples.channels})
+        extremes = {name: self.survey.extremes[name] for name in samples.channels}
+        piece = replace(samples, reported=reported, whole=extremes)
         kept, segment = treat(piece, self.treatment, self.limits, self.path)
         return Log(self.name, kept.t, kept.channels, kept.sample, segment, kept.findings, self.path, self.sha256,
                    {name: self.units[name] for name in kept.channels})
@@ -258,8 +259,8 @@ def stream(path: str | Path, *, mapping: LogMap | str | Path | None = None,
     for kind, action in chosen.items():
         if action == "interpolate" or (kind, action) == ("non-monotonic", "drop"):
             raise ProblemError(f"the log is read in pieces, between which '{kind}' cannot be treated by '{action}'",
-                               where=where, remedy="choose another treatment, mend the file, or give a part of fewer "
-                                                   f"than {STREAMED} rows with 'rows = [first, last]' in a map")
+                               where=where, remedy="choose another treatment, correct the file, or give a part of "
+                                                   f"fewer than {STREAMED} rows with 'rows = [first, last]' in a map")
     given = given_layout(mapping, where)
     file = ParquetFile(Path(path), where, given)
     layout, ignored = full_layout(given, file.header, where)

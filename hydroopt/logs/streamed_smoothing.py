@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.logs import spline
-from hydroopt.logs.smoothing import Motion, SmoothingSpline, inside, refuse_too_short, refuse_too_slow, told
+from hydroopt.logs.smoothing import Motion, SmoothingSpline, inside, refuse_too_short, refuse_too_slow, smoothing_note
 from hydroopt.logs.spline import Basis, Grid
 
 Array = NDArray[np.float64]
@@ -85,5 +85,5 @@ def choose(pieces: Sequence[tuple[Array, Array]], grid: Grid, smoothing: Smoothi
         grids.append(bases[0].grid)
         weights.append(log_weight)
         corners.append(min(one.bandwidth for one in fitted))
-        notes.append(told(name, where, corners[-1], residual, stated, smoothing))
+        notes.append(smoothing_note(name, where, corners[-1], residual, stated, smoothing))
     return Smoother(tuple(grids), tuple(weights), np.array(corners), tuple(notes))

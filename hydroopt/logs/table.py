@@ -110,7 +110,7 @@ def refuse_damage(damage: Mapping[int, str], every: NDArray[np.int64], where: st
     trim = f"trim it with 'rows = [{start}, {stop}]' in a map, or " if stop > start else ""
     raise LogError(f"data {noun} {runs(rows)} {'is' if rows.size == 1 else 'are'} damaged ({shown})",
                    where=where,
-                   remedy=f"{trim}mend the file")
+                   remedy=f"{trim}correct the file")
 
 
 def frozen(values: ArrayLike, kind: type) -> NDArray[Any]:
@@ -178,7 +178,7 @@ def find_column(key: Key, header: list[str], width: int, where: str) -> int:
     """Index of a column given by name or 0-based index.
 
     Raises:
-        LogError: there is none, or the name stands there twice.
+        LogError: there is none, or the name occurs twice.
     """
     if isinstance(key, int):
         if not 0 <= key < width:
@@ -191,7 +191,7 @@ def find_column(key: Key, header: list[str], width: int, where: str) -> int:
         raise LogError(f"there is no column '{key}' ({present})", where=where,
                        remedy="correct the name in the map")
     if count > 1:
-        raise LogError(f"column '{key}' stands there {count} times", where=where,
+        raise LogError(f"column '{key}' occurs {count} times", where=where,
                        remedy="rename one or give the column's 0-based index in a map")
     return header.index(key)
 

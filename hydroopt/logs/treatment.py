@@ -28,7 +28,7 @@ ACTIONS: dict[str, tuple[str, ...]] = {
 class Samples:
     """Time t (N,) [s], channels (N,) [SI], data row (N,) of each sample, and what was found so far.
 
-    Of a piece of a longer log only findings in the rows `told`, first and last, are told (none where the last comes
+    Of a piece of a longer log only findings in the rows `reported` (first, last) are kept (none where the last comes
     before the first), and `whole` are the extremes of the log's channels.
     """
 
@@ -36,7 +36,7 @@ class Samples:
     channels: dict[str, Array]
     sample: NDArray[np.int64]
     findings: tuple[Finding, ...] = ()
-    told: tuple[int, int] | None = None
+    reported: tuple[int, int] | None = None
     whole: Mapping[str, tuple[float, float]] | None = None
 
     def keep(self, mask: Mask) -> "Samples":
@@ -54,10 +54,10 @@ def choose(treatment: Mapping[str, str] | None) -> dict[str, str]:
     chosen = {kind: actions[0] for kind, actions in ACTIONS.items()}
     for kind, action in (treatment or {}).items():
         if kind not in ACTIONS:
-            raise ProblemError(f"'{kind}' is no kind of finding", where="treatment",
+            raise ProblemError(f"'{kind}' is not a kind of finding", where="treatment",
                                remedy=f"use one of {', '.join(ACTIONS)}")
         if action not in ACTIONS[kind]:
-            raise ProblemError(f"'{action}' is no treatment of '{kind}'", where="treatment",
+            raise ProblemError(f"'{action}' is not a treatment of '{kind}'", where="treatment",
                                remedy=f"use one of {', '.join(ACTIONS[kind])}")
         chosen[kind] = action
     return chosen
@@ -72,7 +72,7 @@ def treat(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, tupl
     Raises:
         LogError: a kind whose action is "error" was found, or too little is left.
     """
-    silent = samples.told is not None and samples.told[0] > samples.told[1]
+    silent = samples.reported is not None and samples.reported[0] > samples.reported[1]
     idle = silent and all(chosen[kind] != "drop" for kind in ("saturated", "stuck", "spike"))
     for step in (_not_a_number, _order, _repeats, *(() if idle else (_outliers,))):
         samples = step(samples, chosen, limits, where)
@@ -87,16 +87,16 @@ def _note(
 ) -> Samples:
     """Add a finding, or raise where the action is "error"."""
     action = chosen[kind]
-    if samples.told and action != "error":
-        mask = mask & (samples.sample >= samples.told[0]) & (samples.sample <= samples.told[1])
+    if samples.reported and action != "error":
+        mask = mask & (samples.sample >= samples.reported[0]) & (samples.sample <= samples.reported[1])
         if not mask.any():
             return samples
     found = find.finding(kind, channel, mask, samples.sample, text)
     if action == "error":
         others = [f"--treat {kind}={a}" for a in ACTIONS[kind] if a != "error"]
-        among = f"of rows {samples.sample[0]} to {samples.sample[-1]}" if samples.told else "in all"
+        among = f"of rows {samples.sample[0]} to {samples.sample[-1]}" if samples.reported else "in all"
         raise LogError(f"{found.text} ({found.count} {among})", where=where,
-                       remedy=f"choose {' or '.join(others)}, or mend the file")
+                       remedy=f"choose {' or '.join(others)}, or correct the file")
     if action != "keep":
         done = {"drop": "dropped", "interpolate": "interpolated", "first": "first one kept",
                 "mean": "averaged", "split": "split there"}[action]
@@ -113,7 +113,7 @@ def _not_a_number(samples: Samples, chosen: Mapping[str, str], limits: object, w
         return samples.keep(~np.logical_or.reduce(list(bad.values())))
     if "t" in bad:
         raise LogError(f"t: samples {runs(samples.sample[bad['t']])} have no time, which cannot be "
-                       "interpolated", where=where, remedy="choose --treat nan=drop or mend the file")
+                       "interpolated", where=where, remedy="choose --treat nan=drop or correct the file")
     for name, mask in bad.items():
         samples = _bridge(samples, name, mask, where)
     return samples
@@ -138,7 +138,7 @@ def _order(samples: Samples, chosen: Mapping[str, str], limits: object, where: s
     samples = _note(samples, "non-monotonic", "t", mask, "are out of the order of time", chosen, where)
     if 2 * np.count_nonzero(mask) > mask.size:
         raise LogError("more than half of the samples are out of the order of time", where=where,
-                       remedy="select a good stretch with 'rows = [first, last]' in a map, or mend the times")
+                       remedy="select a good stretch with 'rows = [first, last]' in a map, or correct the times")
     return samples.keep(~mask)
 
 

@@ -176,7 +176,7 @@ def rewrite(data: Mapping[str, Any], known: Mapping[str, Number], values: Mappin
 
 
 def remove_bodies(data: dict[str, Any], owners: Collection[str]) -> None:
-    """Take bodies, and what is said of them as identical, out of the tables of a machine's description."""
+    """Take bodies, and the statements that name them as identical, out of the tables of a machine's description."""
     for owner in owners:
         name, *end = owner.split(".")
         _table(data, name, end)["body"] = None

@@ -26,7 +26,7 @@ class Calibrator(Noun):
         before = self.parent
         for link in self.links:
             if link.parent != before:
-                raise ImpossibleError(f"link '{link.name}' hangs on '{link.parent}', not on '{before}'",
+                raise ImpossibleError(f"link '{link.name}' is attached to '{link.parent}', not to '{before}'",
                                       "list a calibrator's links in their order, each on the one before")
             before = link.name
         return self

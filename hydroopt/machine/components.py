@@ -48,7 +48,7 @@ Plane = Literal["xy", "xz", "yz"]
 
 
 class Note(Noun):
-    """What is known about a number: its confidence, its bounds and where it comes from."""
+    """Prior information about a number: its confidence, its bounds and where it comes from."""
 
     sigma: float | None = None
     relative: bool = False
@@ -207,10 +207,10 @@ class CylinderFriction(Noun):
     """Friction of a cylinder and the offset of its force reading (Eq. 4.54); unstated terms are not modelled.
 
     Where `coulomb_reverse` or `viscous_reverse` is stated, it holds while the cylinder retracts, and `coulomb` or
-    `viscous` only while it extends. `stribeck` is what breaking away takes beyond Coulomb friction, gone well above
-    the `stribeck_speed` (Armstrong-Hélouvry et al. 1994). `seal` is the friction per pressure in both chambers together
-    (Bonchis et al. 1999). Slower than `dead_zone` there is no dry friction: neither Coulomb's nor Stribeck's nor the
-    seals'.
+    `viscous` only while it extends. `stribeck` is the friction at breakaway in excess of Coulomb friction, which
+    vanishes well above the `stribeck_speed` (Armstrong-Hélouvry et al. 1994). `seal` is the friction per pressure in
+    both chambers together (Bonchis et al. 1999). Slower than `dead_zone` there is no dry friction: neither Coulomb's
+    nor Stribeck's nor the seals'.
     """
 
     offset: Force | None = None
@@ -234,7 +234,7 @@ class CylinderFriction(Noun):
 def _refuse_half_friction(friction: CylinderFriction | TorqueFriction) -> None:
     if (friction.stribeck is None) != (friction.stribeck_speed is None):
         missing = "stribeck" if friction.stribeck is None else "stribeck_speed"
-        raise ImpossibleError("the Stribeck effect is half stated", f"state '{missing}', too, or neither of both",
+        raise ImpossibleError("the Stribeck effect is incomplete", f"state '{missing}' as well, or neither",
                               missing)
     dry = [friction.coulomb, friction.coulomb_reverse, friction.stribeck, getattr(friction, "seal", None)]
     if friction.dead_zone is not None and all(term is None for term in dry):
@@ -276,7 +276,7 @@ class Cylinder(Noun):
             raise ImpossibleError("the rod side's area must lie between zero and the head side's",
                                   "exchange or correct the two")
         if self.friction.seal is not None and self.friction.seal >= self.areas[1]:
-            raise ImpossibleError("such seals hold the piston against any pressure: their friction grows as fast as "
+            raise ImpossibleError("the seals hold the piston against any pressure: their friction grows as fast as "
                                   "the rod side's force", f"state less than {self.areas[1]:.4g} m^2", "friction.seal")
         return self
 

@@ -1,4 +1,4 @@
-"""What feeds a machine, what it stands on and what stands around it: pump, footprint, workspace, obstacles."""
+"""Supply and surroundings of a machine: pump, footprint, workspace, obstacles."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class Pump(Noun):
     @model_validator(mode="after")
     def _whole(self) -> Self:
         if self.max_flow is None and (self.pressure is None or self.volume is not None):
-            raise ImpossibleError("how much the pump gives is not said", "state it" if self.pressure else
+            raise ImpossibleError("the flow of the pump is not stated", "state it" if self.pressure else
                                   "state it, or its 'pressure'", "max_flow")
         if self.pressure is not None and self.pressure <= self.tank_pressure:
             raise ImpossibleError("the supply's pressure is not above the tank's", "exchange or correct them",
@@ -60,7 +60,7 @@ class Workspace(Noun):
 class Obstacle(Noun):
     """A ball about `centre` (3,) [m] in the frame of a link or of the base, which the far end of the last link avoids.
 
-    A cab that swings with its machine hangs on the link that swings.
+    A cab that swings with its machine is attached to the swinging link.
     """
 
     name: Name

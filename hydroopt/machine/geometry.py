@@ -20,7 +20,7 @@ class Geometry:
         numbers: all numbers of the geometry as the machine file states them.
         value: values by name: the file's numbers where no symbol replaces them.
 
-    Joint variables are given as a mapping from the names of joints; a joint left out stands at zero.
+    Joint variables are given as a mapping from the names of joints; a joint left out is zero.
     """
 
     def __init__(self, machine: Machine, symbols: Mapping[str, ca.SX] | None = None) -> None:
@@ -41,20 +41,20 @@ class Geometry:
         return roll, pitch, yaw
 
     def far_end(self, link: str) -> Pose:
-        """Frame at a link's far end, seen from its P_i; that of the base is the base frame."""
+        """Frame at a link's far end relative to its P_i; that of the base is the base frame."""
         if link == BASE:
             return identity()
         return link_pose(*(self.value[f"{link}.{key}"] for key in ("a", "alpha", "beta")))
 
     def joint(self, link: str, variable: ca.SX | float) -> Pose:
-        """A link's P_i seen from the far end of its parent."""
+        """A link's P_i relative to the far end of its parent."""
         theta, d = self.value[f"{link}.theta"], self.value[f"{link}.d"]
         if self._link[link].joint.type == "prismatic":
             return joint_pose(theta, d + variable)
         return joint_pose(theta + variable, d)
 
-    def seen_from(self, viewer: str, link: str, q: Mapping[str, ca.SX]) -> Pose:
-        """Pose of a link's P_i seen from the *far end* of another, or from the base; only joints between them enter."""
+    def relative_pose(self, viewer: str, link: str, q: Mapping[str, ca.SX]) -> Pose:
+        """Pose of a link's P_i relative to the *far end* of another, or to the base; only joints between them enter."""
         chains = self._ancestry(viewer), self._ancestry(link)
         shared = next(name for name in chains[0] if name in chains[1])
         own = self._down(chains[1][: chains[1].index(shared)], q)
@@ -77,7 +77,7 @@ class Geometry:
     def pin(self, cylinder: Cylinder | GasCylinder, end: str, q: Mapping[str, ca.SX]) -> ca.SX:
         """A pin (3,) [m] in the axis frame of the joint that orients the cylinder: the far end of the link before."""
         before = self._link[self.machine.axis_of(cylinder)].parent
-        return self.seen_from(before, getattr(cylinder, end).link, q).point(self.point(f"{cylinder.name}.{end}"))
+        return self.relative_pose(before, getattr(cylinder, end).link, q).point(self.point(f"{cylinder.name}.{end}"))
 
     def _down(self, chain: tuple[str, ...], q: Mapping[str, ca.SX]) -> Pose:
         pose: Pose | None = None

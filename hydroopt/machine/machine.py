@@ -58,7 +58,7 @@ class Machine(Parts):
     @model_validator(mode="wrap")
     @classmethod
     def _units_fit(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
-        # whether a joint turns or slides is known here only, and the unit of a text before it became a number
+        # only here are both the type of a joint and the unit of a text available
         machine = handler(data)
         for place, text, si in machine._stated_units(data) if isinstance(data, Mapping) else ():
             if isinstance(text, str) and not same_kind(unit := text.strip().partition(" ")[2].strip(), si):
@@ -95,13 +95,13 @@ class Machine(Parts):
         known = {BASE, *(link.name for link in self.links)}
         for link in self.links:
             if link.parent not in known:
-                raise ImpossibleError(f"link '{link.name}' hangs on '{link.parent}', which does not exist",
+                raise ImpossibleError(f"link '{link.name}' is attached to '{link.parent}', which does not exist",
                                       f"name '{BASE}' or another link as its parent")
         placed = {BASE}
         for link in self.links:
             if link.parent not in placed:
-                raise ImpossibleError(f"link '{link.name}' comes before its parent '{link.parent}' or hangs on itself "
-                                      "in a circle", "list every parent before its children")
+                raise ImpossibleError(f"link '{link.name}' comes before its parent '{link.parent}' or is its own "
+                                      "ancestor", "list every parent before its children")
             placed.add(link.name)
 
     def _actuation(self) -> None:
@@ -140,23 +140,23 @@ class Machine(Parts):
 
     def _chain(self) -> None:
         if self.calibrator and self.calibrator.parent not in {link.name for link in self.links}:
-            raise ImpossibleError(f"the calibrator hangs on '{self.calibrator.parent}', which does not exist",
+            raise ImpossibleError(f"the calibrator is attached to '{self.calibrator.parent}', which does not exist",
                                   "name the link that carries it", "calibrator.parent")
         if (self.fixtures or self.tracker) and not self.calibrator:
-            raise ImpossibleError("nothing holds the ball or the target that fixtures and trackers speak of",
+            raise ImpossibleError("the ball or target has no carrier that fixtures and trackers need",
                                   "state a calibrator, if need be with a tip only")
         for distance in self.distances:
             for name in distance.between:
                 if name not in {fixture.name for fixture in self.fixtures}:
-                    raise ImpossibleError(f"'{distance.name}' begins or ends at '{name}', which is no fixture",
+                    raise ImpossibleError(f"'{distance.name}' starts or ends at '{name}', which is not a fixture",
                                           "name two fixtures")
             if distance.between[0] == distance.between[1]:
-                raise ImpossibleError(f"'{distance.name}' begins and ends at the same fixture", "name two fixtures")
+                raise ImpossibleError(f"'{distance.name}' starts and ends at the same fixture", "name two fixtures")
         joints = {link.name for link in self.chain if link.joint.type != "locked"} | set(self.joints)
         for stage in self.stages:
             for name in (*stage.moves, *stage.locked):
                 if name not in joints:
-                    raise ImpossibleError(f"stage '{stage.name}' speaks of '{name}', which is not a moving joint",
+                    raise ImpossibleError(f"stage '{stage.name}' names '{name}', which is not a moving joint",
                                           f"use {', '.join(sorted(joints))}")
 
     def _channels(self) -> None:
@@ -176,14 +176,14 @@ class Machine(Parts):
 
     def _site(self) -> None:
         if self.circuits and self.oil is None:
-            raise ImpossibleError(f"what oil feeds {', '.join(self.circuits)} is not said",
+            raise ImpossibleError(f"the oil that feeds {', '.join(self.circuits)} is not stated",
                                   "state 'oil' with its 'bulk_modulus'", "oil")
         for obstacle in self.obstacles:
             if obstacle.link not in {BASE, *(link.name for link in self.links)}:
-                raise ImpossibleError(f"the obstacle '{obstacle.name}' hangs on '{obstacle.link}', which does not "
-                                      "exist", "name a link or the base")
+                raise ImpossibleError(f"the obstacle '{obstacle.name}' is attached to '{obstacle.link}', which does "
+                                      "not exist", "name a link or the base")
         if self.footprint and self.ground is None:
-            raise ImpossibleError("the machine has a footprint, but at what height it stands is not said",
+            raise ImpossibleError("the machine has a footprint, but its height is not stated",
                                   "state 'ground', the height of the ground in the base frame")
 
     def _masses(self) -> None:

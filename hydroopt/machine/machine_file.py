@@ -114,7 +114,7 @@ def read_machine(text: str, *, where: str = "machine", parameter_set: str | None
         data = _strip_notes(data, "", "", notes)
         before: Any = "base"
         for link in links if isinstance(links := data.get("links"), list) else []:
-            if isinstance(link, dict):  # in a serial chain the parent need not be said
+            if isinstance(link, dict):  # in a serial chain the parent is optional
                 before = link.setdefault("parent", before) and link.get("name")
         calibrator = data.get("calibrator")
         if isinstance(calibrator, dict):
@@ -151,7 +151,7 @@ def _choose_parameter_set(data: dict[str, Any], wanted: str | None, where: str) 
         there = f"parameter_sets.{chosen}.{name}"
         found = [(kind, part) for kind, part in parts if part.get("name") == name]
         if not found:
-            raise MachineError(f"parameter set '{chosen}' speaks of '{name}', which does not exist", where=where,
+            raise MachineError(f"parameter set '{chosen}' names '{name}', which does not exist", where=where,
                                remedy="name a link or a cylinder")
         if len(found) > 1:
             raise MachineError(f"the name '{name}' is used {len(found)} times", where=where,
@@ -187,7 +187,7 @@ def _at(where: str, place: str, moved: Mapping[str, str]) -> str:
 
 
 def _strip_notes(node: Any, path: str, place: str, notes: dict[str, Note]) -> Any:
-    """The same tree with plain values; what was said about them goes to `notes` under their dotted path.
+    """The same tree with plain values; their notes go to `notes` under their dotted path.
 
     `place` is where the node stands in the file, for error messages.
     """

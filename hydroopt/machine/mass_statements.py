@@ -1,4 +1,4 @@
-"""What a machine file may state of masses beyond their numbers: shapes that bound bodies, their sum, their likeness."""
+"""What a machine file may state about masses besides their values: bounding shapes, total masses, identical parts."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class TotalMass(Noun):
 
 
 class Identical(Noun):
-    """Parts built alike: `bodies` of equal inertial parameters, and actuators of equal `friction`."""
+    """Identical parts: `bodies` of equal inertial parameters, and actuators of equal `friction`."""
 
     name: Name
     bodies: tuple[str, ...] = ()
@@ -113,7 +113,7 @@ class Identical(Noun):
     @model_validator(mode="after")
     def _several(self) -> Self:
         if not (self.bodies or self.friction):
-            raise ImpossibleError("nothing is said to be alike", "name two or more bodies, or actuators under "
+            raise ImpossibleError("no identical parts are named", "name two or more bodies, or actuators under "
                                   "'friction'", "bodies")
         for key, owners in (("bodies", self.bodies), ("friction", self.friction)):
             if len(owners) == 1:

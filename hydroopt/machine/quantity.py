@@ -70,7 +70,7 @@ class Quantity:
 
 
 def keyed(quantity: Quantity, value: Any, info: ValidationInfo, key: str) -> Any:
-    """A value whose unit only its neighbours tell; errors name its key."""
+    """A value whose unit depends on a neighbouring key; errors name its key."""
     try:
         return quantity(value, info)
     except ImpossibleError as error:

@@ -307,10 +307,10 @@ def _tree(robot: ElementTree.Element, file: str) -> _Tree:
     for joint in joints.values():
         where = f"{file}: joint '{joint.name}'"
         if joint.child in before:
-            raise MachineError(f"its child link '{joint.child}' hangs on '{before[joint.child].name}' already",
+            raise MachineError(f"its child link '{joint.child}' is attached to '{before[joint.child].name}' already",
                                where=where, remedy="remove one of the two")
         if joint.master is not None and (joint.master not in joints or joints[joint.master].master is not None):
-            raise MachineError(f"it mimics '{joint.master}', which is no joint or mimics another one itself",
+            raise MachineError(f"it mimics '{joint.master}', which is not a joint or mimics another one itself",
                                where=where, remedy=f"use {_like(joint.master, joints)}")
         before[joint.child] = joint
         carried[joint.parent].append(joint)

@@ -46,10 +46,10 @@ class Valve(Noun):
     """A proportional directional valve with four metering edges.
 
     A command off `neutral` by more than the `dead_band` (`dead_band_reverse` on the side that retracts) moves the
-    spool; at `full` it is wholly displaced towards P→A and B→T, which extends a cylinder and turns a motor positively,
+    spool; at `full` it is fully displaced towards P→A and B→T, which extends a cylinder and turns a motor positively,
     and as far on the other side of `neutral` towards P→B and A→T. These three and the dead bands have the unit
     `command`. An edge opens when the spool has travelled `overlap`, a part of its full travel; a negative one is an
-    underlap. `rounding`, likewise a part of the travel, is over how much dead band and edges set in: it stands for the
+    underlap. `rounding`, likewise a part of the travel, is the range over which dead band and edges set in: the
     clearance between spool and housing (Eryilmaz and Wilson 2006). Fully open, an edge lets its flow pass at the
     pressure drop `rated_drop`; `rated_flow` is that of all edges for which none is stated. Below `laminar_drop` an
     edge's flow is laminar. The spool follows as a system of second order with `natural_frequency` and `damping`, or at
@@ -97,13 +97,15 @@ class Valve(Noun):
                                       "correct one of them", key)
         missing = [key for key in EDGES if getattr(self, key) is None]
         if missing and self.rated_flow is None:
-            raise ImpossibleError(f"how much {', '.join(missing)} lets pass is not said", "state it, or 'rated_flow'",
+            raise ImpossibleError(f"the flow of {', '.join(missing)} is not stated", "state it, or 'rated_flow'",
                                   missing[0])
         if not missing and self.rated_flow is not None:
-            raise ImpossibleError("no edge is left for which the rated flow would count", "remove it", "rated_flow")
+            raise ImpossibleError("every edge states its own flow, so that the rated flow has no effect", "remove it",
+                                  "rated_flow")
         if (self.natural_frequency is None) != (self.damping is None):
             absent = "damping" if self.damping is None else "natural_frequency"
-            raise ImpossibleError("how the spool follows is half stated", f"state '{absent}', too, or neither", absent)
+            raise ImpossibleError("the dynamics of the spool are incomplete", f"state '{absent}' as well, or neither",
+                                  absent)
         return self
 
     @property

@@ -77,7 +77,7 @@ def _rotation(geometry: Geometry, viewer: str, link: str, q: dict[str, ca.SX], a
     total = STILL
     for joint in machine.joints_between(viewer, link):
         if machine.link(joint).joint.type == "revolute":
-            axis = geometry.seen_from(viewer, joint, q).rotation[:, 2]
+            axis = geometry.relative_pose(viewer, joint, q).rotation[:, 2]
             sign = 1 if joint in machine.ancestry(link) else -1
             total = total + sign * axis * at.qd[machine.joints.index(joint)]
     return total

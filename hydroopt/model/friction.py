@@ -28,7 +28,7 @@ def friction_terms(actuator: Cylinder | Motor | Drive, speed: ca.SX, pressure: c
         actuator: whose friction.
         speed: of it [m/s or rad/s].
         pressure: sum of the pressures in both chambers [Pa].
-        value: tells the values of the parameters f_stribeck and v_stribeck, at which derivatives are taken.
+        value: gives the values of the parameters f_stribeck and v_stribeck, at which derivatives are taken.
     """
     stated, name = actuator.friction, actuator.name
     kind = f"{name}.{actuator.effort_symbol}"

@@ -1,4 +1,4 @@
-"""Logs of machines that do not exist yet: truth, motion and sensors in, a `Log` out."""
+"""Simulated logs: parameters, motion and sensors in, a `Log` out."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ def random_trajectory(model: Model, *, duration: float, rate: float, seed: int, 
     multiples = multiples[multiples >= min(slowest * duration, multiples[-1])]
     harmonics = min(harmonics, len(multiples))
     t = np.arange(round(duration * rate)) / rate
-    fine = np.linspace(0, duration, 40 * int(multiples[-1]))  # on which crests between the samples are seen
+    fine = np.linspace(0, duration, 40 * int(multiples[-1]))  # to find crests between the samples
     n = len(model.machine.joints)
     q, qd, qdd = (np.empty((len(t), n)) for _ in range(3))
     for k, name in enumerate(model.machine.joints):
@@ -91,11 +91,11 @@ def sampling_rate(machine: Machine) -> float:
 
 
 def random_truth(model: Model, seed: int, *, tries: int = 20000) -> Array:
-    """Parameters ψ (p,) drawn from the machine file's confidences, with bodies that can exist.
+    """Parameters ψ (p,) drawn from the machine file's confidences, with physically consistent bodies.
 
     Raises:
         IdentifiabilityError: a body's confidences leave practically no possible body.
-        ProblemError: the file states shapes, symmetries, total masses or identical parts, which draws would not heed.
+        ProblemError: the file states shapes, symmetries, total masses or identical parts, which draws do not satisfy.
 
     >>> from hydroopt.machine.machine_file import load_machine
     >>> model = Model(load_machine("cat215b"))
@@ -108,8 +108,8 @@ def random_truth(model: Model, seed: int, *, tries: int = 20000) -> Array:
               *(f"the shape or symmetry of {owner}" for owner, owned in bodies(machine).items()
                 if owned.body.shape is not None or owned.body.symmetric)]
     if stated:
-        raise ProblemError(f"random truths do not heed what the file states: {', '.join(stated)}", where=machine.name,
-                           remedy="draw them from a file without these statements")
+        raise ProblemError(f"random parameters do not satisfy what the file states: {', '.join(stated)}",
+                           where=machine.name, remedy="draw them from a file without these statements")
     rng = np.random.default_rng(seed)
     parameters = model.parameters
     psi = parameters.nominal.copy()
@@ -159,7 +159,7 @@ def _sealed(without: Array, share: Array, head: float, rod: float) -> Array:
     """Force f (N,) of a cylinder whose seals add `share` times the sum p_head + p_rod that goes with f itself.
 
     That sum, as `_chambers` makes it, has slope 1/head above the force of two chambers at back pressure and slope
-    −1/rod below, so that on either side of it f solves a linear equation; which one, its sign there tells.
+    −1/rod below, so that on either side of it f solves a linear equation; its sign there decides which one.
     """
     level = (head - rod) * BACK_PRESSURE
     beyond = without + share * 2 * BACK_PRESSURE - level

@@ -15,17 +15,17 @@ RIGHT = 1e-15
 
 
 class Pose(NamedTuple):
-    """A frame seen from another one: `rotation` (3, 3) and `origin` (3,) [m]."""
+    """A frame relative to another one: `rotation` (3, 3) and `origin` (3,) [m]."""
 
     rotation: ca.SX
     origin: ca.SX
 
     def __matmul__(self, other: Pose) -> Pose:
-        """Pose of a frame that is `other` as seen from this one."""
+        """Pose of a frame that is `other` relative to this one."""
         return Pose(self.rotation @ other.rotation, self.origin + self.rotation @ other.origin)
 
     def inverse(self) -> Pose:
-        """The outer frame seen from this one."""
+        """The outer frame relative to this one."""
         return Pose(self.rotation.T, -(self.rotation.T @ self.origin))
 
     def point(self, local: ca.SX) -> ca.SX:

@@ -115,7 +115,7 @@ def test_foreign_columns_and_missing_values_are_findings() -> None:
     (frame(), {"stick.q": "deg"}, "units are stated for 'stick.q', but there is no such column"),
     (frame().rename(columns={"boom.q [deg]": "boom.q [bar]"}), None, "does not suit channel"),
     (frame().drop(columns="t [s]"), None, "there is no column 't"),
-    (frame().set_index(pd.to_timedelta(T, unit="s")), None, "the time stands both in a column and in the index"),
+    (frame().set_index(pd.to_timedelta(T, unit="s")), None, "the time is stated both in a column and in the index"),
     (frame().assign(**{"boom.q [deg]": "x"}), None, "holds .*, not numbers"),
     (frame().iloc[:0], None, "no rows"),
     (frame()["t [s]"], None, "this is a Series, not a pandas DataFrame"),

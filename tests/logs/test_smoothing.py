@@ -126,7 +126,7 @@ def test_butterworth_has_no_phase_lag():
     (Butterworth(30.0), T, ProblemError, "cutoff"),
     (Fourier(40.0, 3), T, LogError, "period of 40 s"),
     (Fourier(1.0, 25), T, ProblemError, "half the sampling rate"),
-    (Fourier(1.0, 0), T, ProblemError, "no Fourier series"),
+    (Fourier(1.0, 0), T, ProblemError, "does not define a Fourier series"),
     (SmoothingSpline(), T[::-1], LogError, "do not increase")])
 def test_what_cannot_be_done_is_refused(smoothing, t, error, word):
     with pytest.raises(error, match=word):

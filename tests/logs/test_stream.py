@@ -48,7 +48,7 @@ def test_a_stream_knows_of_itself_what_a_log_does(tmp_path: Path) -> None:
         assert (one.name, one.path, one.sha256, one.size, one.rows, dict(one.units)) == (
             other.name, other.path, other.sha256, other.size, other.rows, dict(other.units))
         assert other.duration == pytest.approx(one.duration)
-    assert [f.text for f in pieces.findings] == ["foreign columns left out: note"]
+    assert [f.text for f in pieces.findings] == ["columns that are not channels left out: note"]
 
 
 def found(path: Path, **how: object) -> dict[tuple[str, str], tuple[int, int, int]]:

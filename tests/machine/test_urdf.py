@@ -112,14 +112,14 @@ def moves_alike(machine: Machine, path, tip, held=None, states=4):
         q = dict.fromkeys(machine.joints, 0.0) if k == 0 else positions(machine, rng)
         oracle.move(q)
         for name in machine.joints:
-            pose, child = matrix(Geometry(machine).seen_from(BASE, name, q)), oracle.pose(oracle.children[name])
+            pose, child = matrix(Geometry(machine).relative_pose(BASE, name, q)), oracle.pose(oracle.children[name])
             axis = child[:3, :3] @ oracle.axes[name] / np.linalg.norm(oracle.axes[name])
             np.testing.assert_allclose(pose[:3, 2], axis, atol=1e-12)
             np.testing.assert_allclose(np.cross(pose[:3, 3] - child[:3, 3], axis), 0, atol=1e-12)
             body = np.linalg.inv(child) @ pose
             np.testing.assert_allclose(body, fixed_to.setdefault(name, body), atol=1e-12)
         last = machine.links[-1]
-        end = matrix(Geometry(machine).seen_from(BASE, last.name, q) @ Geometry(machine).far_end(last.name))
+        end = matrix(Geometry(machine).relative_pose(BASE, last.name, q) @ Geometry(machine).far_end(last.name))
         np.testing.assert_allclose(end[:3, 3], oracle.pose(tip)[:3, 3], rtol=0, atol=1e-12)
 
 
@@ -336,7 +336,7 @@ BAD = {
     "no such parent": (GOOD.replace('parent link="l1"', 'parent link="ll"'),
                        r"joint 'j2': its parent link 'll'.*; use l0 or l1 or l2, or add"),
     "no child": (GOOD.replace('<child link="l2"/>', ""), r"joint 'j2': its child link ''.*; use l0"),
-    "a child twice": (GOOD.replace('child link="l2"', 'child link="l1"'), r"joint 'j2': .*'l1' hangs on 'j1' already"),
+    "a child twice": (GOOD.replace('child link="l2"', 'child link="l1"'), r"joint 'j2': .*'l1' is attached to 'j1'"),
     "two roots": (GOOD.replace("</robot>", link("x") + "</robot>"), r"arm\.urdf: the links l0, x .*; connect"),
     "a circle": (GOOD.replace("</robot>", joint("j0", "l2", "l0") + "</robot>"), r"arm\.urdf: .*circle; remove"),
     "a circle aside": (GOOD.replace("</robot>", link("x") + link("y") + joint("jx", "x", "y") + joint("jy", "y", "x")

@@ -183,5 +183,5 @@ def test_chunks_of_samples_do_not_show(excavator: Model) -> None:
 def test_random_truths_are_refused_where_they_would_contradict_the_file() -> None:
     data = load_machine("cat215b").model_dump()
     data["total_masses"] = [{"name": "scale", "bodies": ["boom", "stick"], "value": 2500.0}]
-    with pytest.raises(ProblemError, match="random truths do not heed what the file states: scale"):
+    with pytest.raises(ProblemError, match="random parameters do not satisfy what the file states: scale"):
         random_truth(Model(Machine.model_validate(data)), 0)

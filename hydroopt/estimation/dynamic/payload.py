@@ -272,7 +272,7 @@ def _carried(model: Model, link: str) -> Array:
                            where="link", remedy=f"state one, or use one of {', '.join(able)}")
     at = np.eye(4)
     if holder != link:
-        pose = model.geometry.far_end(holder) @ model.geometry.seen_from(holder, link, {})
+        pose = model.geometry.far_end(holder) @ model.geometry.relative_pose(holder, link, {})
         at[:3, :3], at[:3, 3] = ca.evalf(ca.SX(pose.rotation)).full(), ca.evalf(ca.SX(pose.origin)).full().ravel()
     columns = np.zeros((len(model.parameters), 10))
     columns[model.parameters.bodies[holder]] = np.stack([inertia.from_pseudo_inertia(at @ one @ at.T)

@@ -54,7 +54,7 @@ def _pins(model: KinematicModel, q: Array) -> Array:
     machine, geometry = model.machine, Geometry(model.machine)
     symbols = ca.SX.sym("q", len(model.joints))
     angles = {joint: symbols[k] for k, joint in enumerate(model.joints)}
-    places = [geometry.seen_from(BASE, getattr(cylinder, end).link, angles).point(
+    places = [geometry.relative_pose(BASE, getattr(cylinder, end).link, angles).point(
         geometry.point(f"{cylinder.name}.{end}")) for cylinder in machine.all_cylinders for end in ("barrel", "rod")]
     if not places:
         return np.zeros((len(q), 0, 2, 3))

@@ -228,7 +228,7 @@ def test_seals_that_cannot_be_are_said_and_not_exported(tmp_path: Path) -> None:
     estimate = identify(identification_problem(model, [log]).fix("lift_cylinder.f_seal", widest), intervals=False)
     estimate.save(tmp_path)
     (found,) = of_kind(estimate.diagnostics, Kind.NO_CALIBRATED_MACHINE)
-    assert found.text.startswith("No calibrated machine is written: such seals hold")
+    assert found.text.startswith("No calibrated machine is written: the seals hold")
     assert not (tmp_path / "patu655_lift.toml").exists()
 
 
