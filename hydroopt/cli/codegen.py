@@ -15,7 +15,7 @@ def codegen(
     output: Directory,
     functions: Annotated[list[str] | None, typer.Option(
         help="A routine to write, see README.md in DIR; repeatable; all if not given.")] = None,
-    prefix: Annotated[str | None, typer.Option(help="What all names begin with; else the machine's name.")] = None,
+    prefix: Annotated[str | None, typer.Option(help="Prefix of all names; else the machine's name.")] = None,
     float32: Annotated[bool, typer.Option("--float32", help="Single precision throughout.")] = False,
     fold_geometry: Annotated[bool, typer.Option("--fold-geometry", help=(
         "Build the geometry into the code: fewer operations, but a calibration needs new code."))] = False,

@@ -121,7 +121,7 @@ class Code:
         table, measured = self._table(files)
         sources = sorted(parts)
         return files | {
-            f"{self.name}_selftest.c": self._render("selftest.c", **self._golden()),
+            f"{self.name}_selftest.c": self._render("selftest.c", **self._vectors()),
             "CMakeLists.txt": self._render("CMakeLists.txt", sources=sources),
             "Makefile": self._render("Makefile", sources=sources),
             "README.md": self._render("README.md", table=table, measured=measured)}
@@ -235,7 +235,7 @@ class Code:
             lambda name, k: f"params->{name}[{k}]", lambda _, k: f"constants->value[{k}] = {{}};",
             self.type, self.single, self.call))
 
-    def _golden(self) -> dict[str, object]:
+    def _vectors(self) -> dict[str, object]:
         given = self_test.states(self.interface, single=self.single)
         params = {name: array for name, array in given.items() if name in self.interface.values}
         outputs = dict(zip(self.keys, self_test.results(self.function, given), strict=True))

@@ -158,7 +158,7 @@ class Interface:
         """
         for name in names:
             if name not in self.routines:
-                what = "this machine has nothing for it to reckon with" if name in ROUTINES else "there is none"
+                what = "this machine has no part that it could compute" if name in ROUTINES else "there is none"
                 raise ProblemError(f"no routine '{name}': {what}", where="--functions",
                                    remedy=f"use {', '.join(self.routines)}")
         return {name: routine for name, routine in self.routines.items() if not names or name in names}

@@ -48,8 +48,8 @@ class Cascade:
         self._pole = np.exp(-period / np.maximum(gains.filter_time, 1e-9))
         self._integral, self._filtered = np.zeros(len(self._pole)), np.zeros(len(self._pole))
 
-    def begin(self) -> None:
-        """Forget the past."""
+    def reset(self) -> None:
+        """Return to the initial state."""
         self._integral[:] = self._filtered[:] = 0.0
 
     def command(self, k: int, reading: Reading) -> Array:

@@ -21,8 +21,8 @@ BEYOND = 0.2
 class Controller(Protocol):
     """What closes the loop."""
 
-    def begin(self) -> None:
-        """Forget the past."""
+    def reset(self) -> None:
+        """Return to the initial state."""
 
     def command(self, k: int, reading: Reading) -> Array:
         """Commands (n,) at sample k."""
@@ -112,7 +112,7 @@ def simulate(demands: Demands, controller: Controller, psi: Array, theta: Array,
     room = BEYOND * (upper - lower)
     x, tank, stopped = steady.x, plant.supply[1], ""
     rows: list[tuple[Array, ...]] = []
-    controller.begin()
+    controller.reset()
     for k in range(len(t)):
         outputs = plant.outputs.call({"x": x, "u": late.now, "supply": plant.supply, "psi": psi, "theta": theta})
         q, flow = (np.asarray(outputs[key]).ravel() for key in ("q", "flow"))

@@ -214,7 +214,7 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
         setting: machine, motion and truth.
         variants: models to give to controllers, the complete one among them; the true one is added.
         kinds: of controllers.
-        say: told what goes on.
+        say: is called with a sentence on the progress.
 
     Raises:
         ProblemError: the motion asks for more than pump or valves give, or a loop is unstable on the way.
@@ -223,8 +223,8 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
     best = next(each for each in variants if each.name == COMPLETE)
     demands, period = setting.demands, 1 / setting.rate
     refuse_flow(setting.plant, setting.reference.at(setting.t))
-    aim = demands.by(best.model, best.psi)
-    refuse_opening(setting.plant, setting.t, aim, demands.valves)
+    demand = demands.by(best.model, best.psi)
+    refuse_opening(setting.plant, setting.t, demand, demands.valves)
     say("tuning")
     way, space = setting.points(best.psi, setting.theta)
     plants = setting.plants([*way, *space], best.psi, setting.theta)
@@ -242,7 +242,7 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
         designs = [design(plant, at, demands.valves, gains.position, noise)
                    for plant, at in zip(plants, way, strict=False)]
         nearest = np.minimum(np.arange(len(setting.t)) * len(way) // len(setting.t), len(way) - 1)
-        candidates.append(("LQG", LQG, best, Lqg(demands.valves, aim, designs, nearest.tolist(), period)))
+        candidates.append(("LQG", LQG, best, Lqg(demands.valves, demand, designs, nearest.tolist(), period)))
     way, space = setting.points(setting.true.psi, setting.true_theta)
     true_plants = setting.plants([*way, *space], setting.true.psi, setting.true_theta)
     path, outcomes = setting.reference.at(setting.t), []

@@ -59,13 +59,13 @@ def refuse_flow(plant: Plant, motion: Trajectory) -> None:
             remedy=f"let it take {np.ceil(100 * (total[k] / most - 1)):.0f} % longer, or move fewer joints at a time")
 
 
-def refuse_opening(plant: Plant, t: Array, aim: Demand, valves: Valves) -> None:
+def refuse_opening(plant: Plant, t: Array, demand: Demand, valves: Valves) -> None:
     """Refuse a motion for which a valve is too small.
 
     Raises:
-        ProblemError: tells the time and the valve.
+        ProblemError: a valve would be fully open; the sentence states time and valve.
     """
-    opening = openings(aim, valves, plant.supply)
+    opening = openings(demand, valves, plant.supply)
     k, i = divmod(int(np.argmax(np.abs(opening))), opening.shape[1])
     if abs(opening[k, i]) >= 1:
         raise ProblemError(
@@ -74,9 +74,9 @@ def refuse_opening(plant: Plant, t: Array, aim: Demand, valves: Valves) -> None:
             remedy="drive it slower, or correct the valve's flow or the pump's pressure")
 
 
-def openings(aim: Demand, valves: Valves, supply: Array) -> Array:
+def openings(demand: Demand, valves: Valves, supply: Array) -> Array:
     """Of the valves (N, n) along a motion, cut at fully open."""
-    ahead = aim.ahead
+    ahead = demand.ahead
     return np.array([np.asarray(valves.function(ahead.speed[k], ahead.force_rate[k], ahead.length[k], ahead.pressure[k],
                                                 supply)[1]).ravel() for k in range(len(ahead.speed))])
 
@@ -85,7 +85,7 @@ def refuse_unstable(name: str, margins: Sequence[Margin]) -> None:
     """Refuse a controller whose loops do not hold the machine.
 
     Raises:
-        ProblemError: tells the loop, the posture and the gain margin.
+        ProblemError: a loop is unstable; the sentence states loop, posture and gain margin.
     """
     unstable = [margin for margin in margins if margin.damping < 0]
     if unstable:

@@ -100,10 +100,10 @@ class Lqg:
     def __init__(self, valves: Valves, demand: Demand, designs: Sequence[Design], nearest: Sequence[int],
                  period: float) -> None:
         self.valves, self.demand, self.designs, self.nearest, self.period = valves, demand, designs, nearest, period
-        self.begin()
+        self.reset()
 
-    def begin(self) -> None:
-        """Forget the past."""
+    def reset(self) -> None:
+        """Return to the initial state."""
         self._state = np.zeros(len(self.designs[0].A))
         self._integral = np.zeros(self.demand.length.shape[1])
 

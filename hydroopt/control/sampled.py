@@ -95,10 +95,10 @@ def linearised(plant: Plant, at: Point, psi: Array, theta: Array) -> control.Sta
     for k, each in enumerate(plant.actuators):
         C[n + k, [names.index(name) for name in each.chambers]] = each.areas[0], -each.areas[1]
     C[-1] = [name == "pump.p_supply" for name in names]
-    seen = [*names[:n], *(f"{each.actuator.name}.force" for each in plant.actuators), "pump.p_supply"]
+    outputs = [*names[:n], *(f"{each.actuator.name}.force" for each in plant.actuators), "pump.p_supply"]
     return control.StateSpace(A * scale / scale[:, None], own.B / scale[:, None], C * scale, 0,
                               states=own.state_labels, inputs=own.input_labels,
-                              outputs=[f"{signal(name)}_seen" for name in seen])
+                              outputs=[f"{signal(name)}_measured" for name in outputs])
 
 
 def sampled(system: control.StateSpace, delays: Array, period: float) -> control.StateSpace:

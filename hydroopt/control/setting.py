@@ -110,7 +110,7 @@ class Setting:
 
 
 def rate_of(plant: Plant, rate: float | None, motion: Trajectory) -> float:
-    """Samples per second [Hz] of a controller: what is asked for, or the highest rate of a joint's sensor.
+    """Samples per second [Hz] of a controller: the given one, or the highest rate of a joint's sensor.
 
     Raises:
         ProblemError: at this rate the motion has no samples, or more than can be held in memory.

@@ -1,4 +1,4 @@
-"""Gains of the cascade: as high as the robustness asked for allows at every point looked at."""
+"""Gains of the cascade: as high as the required robustness allows at every point."""
 
 from __future__ import annotations
 

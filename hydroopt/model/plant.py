@@ -54,7 +54,15 @@ class Plant:
     A `Machine` may stand in for its model.
 
     Raises:
-        ProblemError: an actuator states no circuit, or is no hydraulic one; or there is none.
+        ProblemError: an actuator states no circuit or is not hydraulic, or there is none.
+
+    Example:
+        >>> import hydroopt as ho
+        >>> plant = ho.Plant(ho.Model(ho.load_machine("patu655_lift")))
+        >>> plant.inputs
+        ('lift_cylinder.u',)
+        >>> plant.states[:2]
+        ('lift.q', 'lift.qd')
     """
 
     def __init__(self, model: Model | Machine) -> None:
@@ -70,7 +78,7 @@ class Plant:
                 raise ProblemError(f"'{actuator.name}' is driven directly, not by oil", where=machine.name,
                                    remedy="hydraulics need cylinders or hydraulic motors on all joints")
             if actuator.circuit is None:
-                raise ProblemError(f"nothing is said of what feeds '{actuator.name}'", where=machine.name,
+                raise ProblemError(f"no circuit is stated for '{actuator.name}'", where=machine.name,
                                    remedy=f"state 'circuit' with a valve and hoses in the machine file for "
                                           f"'{actuator.name}'")
             assert machine.oil is not None
@@ -170,7 +178,7 @@ class Plant:
                 "p_supply": supply[0]}
 
     def value(self, each: ActuatorHydraulics, theta: ca.SX | Array) -> Value:
-        """What tells the numbers of an actuator's hydraulics, and of the oil, out of θ."""
+        """The numbers of an actuator's hydraulics, and of the oil, out of θ."""
         place, owner = self.parameters.positions, each.actuator.name
         return lambda key: theta[place[key if key.startswith("oil.") else f"{owner}.{key}"]]
 

@@ -188,7 +188,7 @@ def _path(excitation: Excitation) -> Figure:
         for ax, first, second in ((side, reach, tip[:, 2]), (above, tip[:, 0], tip[:, 1])):
             ax.plot(first[0], second[0], ls="none", marker="o", ms=5, color=GREEN, zorder=3)
         handles = [Line2D([], [], color=BLUE, label="path of the tip"),
-                   Line2D([], [], ls="none", marker="o", color=GREEN, label="begins here")]
+                   Line2D([], [], ls="none", marker="o", color=GREEN, label="start")]
         if machine.ground is not None:
             side.axhline(machine.ground, color=ORANGE, lw=1.2)
             handles.append(Line2D([], [], color=ORANGE, label="ground"))

@@ -26,6 +26,13 @@ def commands_for(plant: Plant, motion: Trajectory, psi: Array | None = None, the
 
     Raises:
         ProblemError: the supply cannot move the machine so, or the file states no supply pressure.
+
+    Example:
+        >>> import hydroopt as ho
+        >>> plant = ho.Plant(ho.Model(ho.load_machine("patu655_lift")))
+        >>> t, q = np.arange(3) / 50, np.full((3, 1), 0.3)
+        >>> commands_for(plant, Trajectory(t, q, 0 * q, 0 * q)).shape
+        (3, 1)
     """
     psi, theta = _numbers(plant, psi, theta)
     return np.array([plant.steady(q, qd, psi, theta).u for q, qd in zip(motion.q, motion.qd, strict=True)])
@@ -48,7 +55,14 @@ def drive(plant: Plant, t: Array, commands: Array, start: Array, *, supply: Arra
         name: of the log.
 
     Raises:
-        ProblemError: times are uneven, no supply pressure is known, or the machine leaves what it can reach.
+        ProblemError: times are uneven, no supply pressure is known, or the machine leaves its range.
+
+    Example:
+        >>> import hydroopt as ho
+        >>> plant = ho.Plant(ho.Model(ho.load_machine("patu655_lift")))
+        >>> t = np.arange(100) / 50
+        >>> drive(plant, t, 5.7 + np.cos(2 * t)[:, None], np.array([0.2])).size
+        100
     """
     step = float(t[1] - t[0])
     if not np.allclose(np.diff(t), step, rtol=1e-6):
@@ -63,7 +77,7 @@ def drive(plant: Plant, t: Array, commands: Array, start: Array, *, supply: Arra
     try:
         after = along(start, late[:-1].T, given[:-1].T)
     except RuntimeError:
-        raise ProblemError("the simulation came to no end", where=name,
+        raise ProblemError("the simulation did not converge", where=name,
                            remedy="give commands that keep the machine within its range") from None
     states = np.vstack([start, np.asarray(after).T])
     _refuse_far(plant, t, states, name)
@@ -97,7 +111,7 @@ def _refuse_far(plant: Plant, t: Array, states: Array, name: str) -> None:
         beyond = np.flatnonzero(~((states[:, k] >= lower) & (states[:, k] <= upper)))
         if beyond.size:
             raise ProblemError(f"the commands drive {joint} out of its range after {t[beyond[0]] - t[0]:.2f} s",
-                               where=name, remedy="give others, for a shorter time, or begin elsewhere")
+                               where=name, remedy="give others, for a shorter time, or start elsewhere")
 
 
 def arrived(t: Array, command: Array, delay: float) -> Array:

@@ -153,7 +153,7 @@ def test_gains_far_too_high_are_refused(setting: Setting) -> None:
 def test_a_truth_of_another_machine_is_refused(setting: Setting, tmp_path) -> None:
     file = tmp_path / "truth.json"
     file.write_text('{"machine": "other", "parameters": {}}')
-    with pytest.raises(ProblemError, match="truth of 'other' says nothing of 'lift"):
+    with pytest.raises(ProblemError, match="truth of 'other' does not state 'lift"):
         truth(str(file), setting.plant, seed=0)
 
 

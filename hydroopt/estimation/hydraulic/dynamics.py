@@ -1,4 +1,4 @@
-"""Dynamics whose numbers are sought, what was recorded of them, and their simulation."""
+"""Dynamics with unknown parameters, records of experiments, and simulation."""
 
 from __future__ import annotations
 
@@ -16,18 +16,18 @@ from hydroopt.spatial.inertia import Array
 POINTS = 3
 """Collocation points of an interval; the last one is its end."""
 WIDEST = 100.0
-"""Standard deviation of a first state of which nothing is known, in units of its scale."""
+"""Standard deviation of an unknown first state, in units of its scale."""
 ACCURACY = 1e-10
-"""Error of a simulation's steps where nothing else is asked for."""
+"""Default error of a simulation's steps."""
 
 
 @dataclass(frozen=True, eq=False)
 class Dynamics:
-    """What is known of a system before its numbers are.
+    """A system with unknown parameters.
 
     Attributes:
         rates: casadi.Function (x, u, theta) → ẋ (nx,).
-        outputs: casadi.Function (x, u, theta) → y (ny,), what the sensors see.
+        outputs: casadi.Function (x, u, theta) → y (ny,), the measured channels.
         states, inputs, channels: names of x, u and y.
         scale: (nx,) typical size of each state, in which it is solved for.
         held: (nu,) inputs that keep a sample's value until the next one; the others are straight between samples.
@@ -59,7 +59,7 @@ class Record:
         t: (N,) times [s], increasing; intervals may differ.
         u: (N, nu) inputs.
         y: (N, ny) readings, NaN where there is none.
-        guess: (N, nx) states to begin with.
+        guess: (N, nx) initial guess of the states.
         initial_sigma: (nx,) standard deviation of the first states about their guess, infinite where they are free;
             by default WIDEST times the dynamics' scale, so that one forgotten within the first interval stays finite.
         steps: collocated intervals between two samples.
@@ -112,7 +112,7 @@ class Record:
 
 @dataclass(frozen=True, eq=False)
 class ShootingProblem:
-    """What is to be identified from which records; solving never changes it.
+    """The identification of parameters from records; solving does not change it.
 
     Attributes:
         dynamics: of all records.
@@ -147,15 +147,15 @@ def free_run(dynamics: Dynamics, record: Record, first: Array, theta: Array, *,
     `accuracy` is the error of a step, relative and in units of the states' scales.
 
     Raises:
-        SolverError: CVODES gave up, as it does where the states run away.
+        SolverError: CVODES failed, as it does where the states diverge.
     """
     nx, nu, count = len(dynamics.states), len(dynamics.inputs), len(record.t) - 1
     state, t = ca.SX.sym("x", nx), ca.SX.sym("t")
-    begin, change, span = ca.SX.sym("u", nu), ca.SX.sym("du", nu), ca.SX.sym("span")
+    first_input, change, span = ca.SX.sym("u", nu), ca.SX.sym("du", nu), ca.SX.sym("span")
     scale = ca.DM(dynamics.scale)
-    rate = dynamics.rates(state * scale, begin + change * t, ca.DM(theta)) * span / scale
-    # every interval begins anew: inputs may jump there, which a multistep method takes for an error of its own
-    interval = ca.integrator("interval", "cvodes", {"x": state, "p": ca.vertcat(begin, change, span), "t": t,
+    rate = dynamics.rates(state * scale, first_input + change * t, ca.DM(theta)) * span / scale
+    # every interval is integrated anew: inputs may jump there, which a multistep method takes for its own error
+    interval = ca.integrator("interval", "cvodes", {"x": state, "p": ca.vertcat(first_input, change, span), "t": t,
                                                     "ode": rate}, 0.0, 1.0,
                              {"reltol": accuracy, "abstol": accuracy, "max_num_steps": 100000})
     change = np.where(dynamics.held, 0.0, np.diff(record.u, axis=0))
@@ -163,8 +163,8 @@ def free_run(dynamics: Dynamics, record: Record, first: Array, theta: Array, *,
         end = interval.mapaccum(count)(x0=first / dynamics.scale,
                                        p=np.column_stack([record.u[:-1], change, np.diff(record.t)]).T)["xf"]
     except RuntimeError as error:
-        raise SolverError("the simulation came to no end", where=record.name,
-                          remedy="start from parameters and states that are possible") from error
+        raise SolverError("the simulation did not converge", where=record.name,
+                          remedy="start from other parameters and states") from error
     states = np.vstack([first, np.asarray(end).T * dynamics.scale])
     outputs = dynamics.outputs.map(len(record.t))(states.T, record.u.T, ca.repmat(ca.DM(theta), 1, len(record.t)))
     return states, np.asarray(outputs).T

@@ -167,7 +167,7 @@ class HydraulicEstimate(Answer):
         """The machine from first states (nx,) on, driven by a record's commands and supply.
 
         Raises:
-            SolverError: the states run away.
+            SolverError: the states diverge.
         """
         return Run(record, *self.shooting.free_run(record, first))
 

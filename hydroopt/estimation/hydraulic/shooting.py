@@ -46,7 +46,7 @@ class WeakDirection(NamedTuple):
     Attributes:
         direction: (p,) change of the parameters, as long as one standard deviation of their priors.
         members: positions of the parameters that belong to it, the largest component first.
-        information: of the data on it, 1 where they tell as much as the prior.
+        information: of the data on it, 1 where they carry as much as the prior.
     """
 
     direction: Array
@@ -87,15 +87,15 @@ class ShootingEstimate:
 
     @cached_property
     def covariance(self) -> Array:
-        """(p, p), infinite variances where neither readings nor priors tell; widened where residuals exceed σ."""
+        """(p, p), infinite variances where neither readings nor priors inform; widened where residuals exceed σ."""
         scale = self.problem.parameters.scale
         values, vectors = np.linalg.eigh((self.data + self.problem.parameters.information) * np.outer(scale, scale))
-        told = values > 1e-12 * max(float(values[-1]), 1e-300)
-        root = vectors[:, told] / np.sqrt(values[told])
+        informed = values > 1e-12 * max(float(values[-1]), 1e-300)
+        root = vectors[:, informed] / np.sqrt(values[informed])
         covariance = root @ root.T * max(1.0, self.residual_scale) ** 2 * np.outer(scale, scale)
-        blind = np.linalg.norm(vectors[:, ~told], axis=1) > 1e-5
-        covariance[blind, :] = covariance[:, blind] = 0.0
-        covariance[blind, blind] = np.inf
+        undetermined = np.linalg.norm(vectors[:, ~informed], axis=1) > 1e-5
+        covariance[undetermined, :] = covariance[:, undetermined] = 0.0
+        covariance[undetermined, undetermined] = np.inf
         return np.asarray(covariance)
 
     @cached_property
@@ -121,7 +121,7 @@ class ShootingEstimate:
 
     @cached_property
     def std(self) -> Array:
-        """(p,) standard deviations; NaN at a bound and where neither readings nor priors tell."""
+        """(p,) standard deviations; NaN at a bound and where neither readings nor priors inform."""
         std = np.sqrt(np.diag(self.covariance))
         return np.where(np.isfinite(std) & ~self.at_bound, std, np.nan)
 
@@ -151,7 +151,7 @@ class ShootingEstimate:
 
     @property
     def reweighted(self) -> ShootingProblem:
-        """The problem with σ of each channel as large as residuals show, errors that repeat themselves counted as one.
+        """The problem with σ of each channel as large as residuals show, correlated errors counted as one.
 
         What no parameter explains, a real system's other dynamics, so does not count as many independent readings.
         """
@@ -171,11 +171,11 @@ class ShootingEstimate:
 
         Args:
             record: any; one that was not fitted needs `first` (nx,), its states at the beginning.
-            first: states to begin with.
+            first: initial states.
 
         Raises:
             ProblemError: the record was not fitted, and no first states are given.
-            SolverError: the states run away.
+            SolverError: the states diverge.
         """
         if first is None:
             known = [k for k, own in enumerate(self.problem.records) if own is record]
@@ -217,7 +217,7 @@ def _without(columns: Array, rows: Array) -> Array:
 def multiple_shooting(problem: ShootingProblem, start: Array | ShootingEstimate | None = None) -> ShootingEstimate:
     """The most probable parameters and motion, from `start` (p,), an estimate nearby, or the nominal parameters.
 
-    It begins with a simulation by the start or, if that comes to nothing, with the guessed states. The Gauss-Newton
+    The initial guess is a simulation from the start or, if that fails, the measured states. The Gauss-Newton
     Hessian leads near, if it does; the exact one goes on, since the other creeps where much is left unexplained. Finer
     intervals than the samples' come last.
 
@@ -237,7 +237,7 @@ def multiple_shooting(problem: ShootingProblem, start: Array | ShootingEstimate 
 
 
 def _best(problem: ShootingProblem, theta: Array) -> ShootingEstimate:
-    """From a simulation or, if that comes to nothing or far from the readings, from guessed states, too."""
+    """From a simulation or, if that fails or is far from the readings, from measured states, too."""
     try:
         found = _solved_near(problem, theta, _simulated(problem, theta))
         if found.residual_scale < ASTRAY:
@@ -260,7 +260,7 @@ def _solved_near(problem: ShootingProblem, theta: Array, points: Sequence[Array]
 def _simulated(problem: ShootingProblem, theta: Array) -> list[Array]:
     found = [(r, free_run(problem.dynamics, r, r.guess[0], theta, accuracy=ROUGHLY)[0]) for r in problem.records]
     if not all(np.all(np.isfinite(states)) for _, states in found):
-        raise SolverError("the simulation left what is possible", where=problem.name, remedy="start elsewhere")
+        raise SolverError("the simulation diverged", where=problem.name, remedy="give another start")
     return [r.between(states) for r, states in found]
 
 

@@ -52,7 +52,7 @@ class Basis(ABC):
 
     @abstractmethod
     def expressions(self, t: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """The functions and their derivatives (m, 1) at a time t, as it is before the beginning and after the end.
+        """The functions and their derivatives (m, 1) at a time t, constant before the start and after the end.
 
         They are made of sums in which each term comes to rest outside of its own stretch of time, so that they need no
         branches, neither here nor in generated code.
@@ -190,7 +190,7 @@ def check(basis: Basis, bandwidth: float | None) -> None:
     """Refuse a motion that has no time, or that is faster than the valves follow.
 
     Raises:
-        ProblemError: what is asked for, and what would do.
+        ProblemError: the functions have no duration, or are too fast; the sentence states a remedy.
     """
     sound = basis.pieces >= 1 if isinstance(basis, Spline) else not isinstance(basis, Fourier) or (
         basis.period > 0 and basis.harmonics >= 1 and basis.repeats >= 1 and basis.blend >= 0)

@@ -43,7 +43,7 @@ TIGHT = 0.02
 """Part of a limit's scale within which it counts as touched."""
 STILL = 1e-6
 """Speed [rad/s, m/s] that is none."""
-Heard = Callable[[int, float], None]
+Report = Callable[[int, float], None]
 
 
 def excitation_problem(machine: Machine, basis: Basis, *, criterion: str = "D", focus: Sequence[str] = (),
@@ -98,7 +98,7 @@ def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, secon
         seconds: after which the best motion so far is taken; at least one start is begun.
         processes: how many starts go on at the same time; with more than one, a script that calls this needs the usual
             ``if __name__ == "__main__"``.
-        say: hears of progress.
+        say: is called with a sentence on the progress.
 
     Raises:
         ProblemError: not even rest keeps all limits, or nothing but rest; the limits in conflict are named.
@@ -112,7 +112,7 @@ def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, secon
     found: list[tuple[Array, float]] = []
     criterion, best = problem.information.criterion, np.inf
 
-    def heard(start: int, value: float) -> None:
+    def report(start: int, value: float) -> None:
         nonlocal best
         best = min(best, value)
         say(f"start {start + 1} of {starts}: {criterion} = {value:.4g}, best {best:.4g}")
@@ -121,11 +121,11 @@ def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, secon
     with deferred() as interrupted:
         if processes == 1:
             for start in range(starts):
-                found.append(_attempt(problem, still, (seed, start), end, interrupted, heard))
+                found.append(_attempt(problem, still, (seed, start), end, interrupted, report))
                 if interrupted():
                     break
         else:
-            found += _in_parallel(problem, still, seed, starts, processes, end, interrupted, heard)
+            found += _in_parallel(problem, still, seed, starts, processes, end, interrupted, report)
         stopped = interrupted()
     moving = [each for each in found if np.max(np.abs(problem.states(each[0], problem.fine).qd)) > STILL]
     if moving:
@@ -139,7 +139,7 @@ def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, secon
 
 def _attempt(problem: ExcitationProblem, rest: Array, seed: tuple[int, int], end: float,
              interrupted: Callable[[], bool],
-             heard: Heard) -> tuple[Array, float]:
+             report: Report) -> tuple[Array, float]:
     """The best motion that a start leads to, and its value; rest if the time, by ``time.time()``, is over."""
     end += time.monotonic() - time.time()
     if interrupted() or (time.monotonic() > end and seed[1] > 0):  # the first goes as far as to a random motion
@@ -151,7 +151,7 @@ def _attempt(problem: ExcitationProblem, rest: Array, seed: tuple[int, int], end
         x, back_off = best, BACK_OFF
         for _ in range(ROUNDS):
             x = sequential_quadratic_programming(problem, x, back_off, end, interrupted,
-                                                 lambda value: heard(seed[1], value))
+                                                 lambda value: report(seed[1], value))
             over = problem.excess(x, problem.fine)
             if over <= 0:
                 break
@@ -161,36 +161,36 @@ def _attempt(problem: ExcitationProblem, rest: Array, seed: tuple[int, int], end
 
 
 class _Worker:
-    """What a process of the pool holds from its beginning."""
+    """What a process of the pool holds."""
 
     problem: ExcitationProblem
     rest: Array
     stop: Event
-    tell: Queue[tuple[int, float]]
+    values: Queue[tuple[int, float]]
 
     @classmethod
-    def begin(cls, problem: ExcitationProblem, rest: Array, stop: Event, tell: Queue[tuple[int, float]]) -> None:
+    def start(cls, problem: ExcitationProblem, rest: Array, stop: Event, values: Queue[tuple[int, float]]) -> None:
         ignore()
-        cls.problem, cls.rest, cls.stop, cls.tell = problem, rest, stop, tell
+        cls.problem, cls.rest, cls.stop, cls.values = problem, rest, stop, values
 
     @classmethod
     def attempt(cls, seed: tuple[int, int], end: float) -> tuple[Array, float]:
-        return _attempt(cls.problem, cls.rest, seed, end, cls.stop.is_set, lambda *said: cls.tell.put(said))
+        return _attempt(cls.problem, cls.rest, seed, end, cls.stop.is_set, lambda *reported: cls.values.put(reported))
 
 
 def _in_parallel(problem: ExcitationProblem, rest: Array, seed: int, starts: int, processes: int, end: float,
-                 interrupted: Callable[[], bool], heard: Heard) -> list[tuple[Array, float]]:
+                 interrupted: Callable[[], bool], report: Report) -> list[tuple[Array, float]]:
     context = get_context("spawn")
-    stop, told = context.Event(), context.Queue()
+    stop, values = context.Event(), context.Queue()
     try:
-        with ProcessPoolExecutor(processes, context, _Worker.begin, (problem, rest, stop, told)) as pool:
+        with ProcessPoolExecutor(processes, context, _Worker.start, (problem, rest, stop, values)) as pool:
             with blocked():
                 attempts = [pool.submit(_Worker.attempt, (seed, start), end) for start in range(starts)]
             running = set(attempts)
             while running:
                 _, running = wait(running, timeout=0.2)
-                while not told.empty():
-                    heard(*told.get())
+                while not values.empty():
+                    report(*values.get())
                 if interrupted() and not stop.is_set():
                     stop.set()
                     for attempt in running:  # what has not begun need not

@@ -4,7 +4,7 @@ Angles are noisy too, and so are the speeds and accelerations that follow from t
 residual of the actuator forces is ``ε − A·S·n``: ε the noise of the forces, n that of the angles, S the smoother, which
 is linear once its weight is chosen, and A the derivative of the forces by the motion. Weighted least squares with
 weights W, regressor K and prior information Λ then errs by ``H⁻¹·(KᵀW·(ε − A·S·n) + prior's error)`` with
-``H = KᵀWK + Λ``, whose covariance stands here. What the smoother takes away from the motion itself is no noise: it puts
+``H = KᵀWK + Λ``, whose covariance stands here. What the smoother takes away from the motion itself is a bias: it puts
 parameters off by a bias, ``−H⁻¹·KᵀW·A·(S − 1)·q``.
 """
 

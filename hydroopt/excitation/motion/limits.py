@@ -1,4 +1,4 @@
-"""What a machine cannot or must not do, as rows of numbers with bounds, each with a name a user knows.
+"""The limits of a machine, as rows of numbers with bounds, each with a name that a user knows.
 
 Joint positions, speeds and accelerations; cylinder strokes and speeds; the pump's flow; chamber pressures or torques by
 the nominal dynamics with a margin for its uncertainty; workspace, ground and obstacles; tipping over.
@@ -25,7 +25,7 @@ from hydroopt.spatial.inertia import Array
 
 
 class Row(NamedTuple):
-    """A quantity over a motion: its name, unit, bounds and typical size, by which its excess is judged.
+    """A quantity over a motion: its name, unit, bounds, and typical size, in which its excess is measured.
 
     It cannot be below its `floor`, whatever the function says.
     """
@@ -43,8 +43,8 @@ class Limits:
 
     Attributes:
         rows: what is bounded (m,), in the order of the function's output.
-        function: casadi.Function (q, qd, qdd) → (m,). It knows nothing of bounds, so that machines which differ in
-            these alone share its kernel.
+        function: casadi.Function (q, qd, qdd) → (m,). It does not contain the bounds, so that machines that differ
+            only in these share its kernel.
         derivatives: of it, (m, n) each, by q, qd and qdd.
         scale: (m,) of the rows.
         lower, upper: bounds (m,), divided by the scales.

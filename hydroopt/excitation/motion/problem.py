@@ -63,7 +63,7 @@ class ExcitationProblem:
         self.samples = _samples(basis, rate)
         for name, position in self.resting.items():
             if name not in joints:
-                raise ProblemError(f"'{name}' is no moving joint that could rest", where="excitation",
+                raise ProblemError(f"'{name}' is not a moving joint", where="excitation",
                                    remedy=f"use {', '.join(joints)}")
             lower, upper = information.model.machine.link(name).joint.range
             if not lower <= position <= upper:

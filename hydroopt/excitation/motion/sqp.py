@@ -21,13 +21,13 @@ from hydroopt.spatial.inertia import Array
 LOOSE, KEPT = 0.02, 1e-3
 """By how much of its scale a limit may be broken on the way, and where a motion counts."""
 NEAR = 0.03
-"""Room below which a limit takes part from the beginning."""
+"""Room below which a limit takes part from the first step on."""
 STEPS, QUADRATIC = 400, 12
 """Most steps, and most quadratic programs in one."""
 FIRST, SMALLEST, LARGEST = 0.3, 1e-6, 1.0
 """Sizes of the trust region."""
 GAIN = 1e-6
-"""Gain of the criterion that is not worth another step."""
+"""Gain of the criterion below which the search ends."""
 
 
 class Point(NamedTuple):
@@ -47,16 +47,16 @@ class Point(NamedTuple):
 
 def sequential_quadratic_programming(problem: ExcitationProblem, x: Array, back_off: float, end: float,
                                      interrupted: Callable[[], bool],
-          heard: Callable[[float], None]) -> Array:
+                                     report: Callable[[float], None]) -> Array:
     """The best motion near a start.
 
     Args:
-        problem: what is sought.
-        x: where to begin.
+        problem: the design.
+        x: initial guess (k,).
         back_off: part of every limit's range that is left.
         end: value of ``time.monotonic()`` at which to stop.
         interrupted: whether to stop at once.
-        heard: hears of every better value.
+        report: is called with every better value.
     """
     at, size = _point(problem, x, back_off), FIRST
     slopes, hessian, best = problem.slopes(x), np.eye(len(x)), at
@@ -88,7 +88,7 @@ def sequential_quadratic_programming(problem: ExcitationProblem, x: Array, back_
         at, slopes = to, new
         if at.broken <= KEPT and (at.value < best.value or best.broken > KEPT):
             best = at
-            heard(at.value)
+            report(at.value)
         if done:
             break
     return best.x
@@ -138,7 +138,7 @@ def _tightest(room: Array, below: float) -> NDArray[np.bool_]:
 def _updated(hessian: Array, step: Array, bend: Array) -> Array:
     """BFGS's update, damped so that the matrix stays positive definite (Powell 1978)."""
     pressed = hessian @ step
-    own, seen = float(step @ pressed), float(step @ bend)
-    part = 1.0 if seen >= 0.2 * own else 0.8 * own / (own - seen)
+    predicted, found = float(step @ pressed), float(step @ bend)
+    part = 1.0 if found >= 0.2 * predicted else 0.8 * predicted / (predicted - found)
     bend = part * bend + (1 - part) * pressed
-    return np.asarray(hessian - np.outer(pressed, pressed) / own + np.outer(bend, bend) / (step @ bend))
+    return np.asarray(hessian - np.outer(pressed, pressed) / predicted + np.outer(bend, bend) / (step @ bend))

@@ -126,7 +126,7 @@ def test_an_unknown_supply_is_refused(log):
 
 def test_a_machine_without_circuits_or_doubts_is_refused(log):
     head, _, tail = CRANE.read_text().partition("[cylinders.circuit]")
-    with pytest.raises(ProblemError, match="nothing is said of what feeds"):
+    with pytest.raises(ProblemError, match="no circuit is stated for"):
         hydraulic_problem(_machine(head + "[[sensors]]" + tail.partition("[[sensors]]")[2]), [log])
     exact = CRANE.read_text()
     while ", sigma" in exact:
