@@ -280,7 +280,7 @@ def _sensed(plant: Plant, logs: Sequence[Log]) -> tuple[tuple[str, ...], Array]:
     missing = [channel for channel in measured if not stated.get(channel, 0.0) > 0]
     if missing:
         raise ProblemError(f"no accuracy is stated for {', '.join(missing)}", where=f"machine '{machine.name}'",
-                           remedy="state it in [[sensors]]")
+                           remedy="state the accuracy of each in [[sensors]]")
     return tuple(measured), np.array([stated[channel] for channel in measured])
 
 
