@@ -69,8 +69,8 @@ def rms(errors) -> float:
 
 def strongest(calibration) -> str:
     """The two parameters hardest to tell apart."""
-    seen = calibration.seen
-    pairs = [(abs(seen.strongest(k)[1]), name, *seen.strongest(k)) for k, name in enumerate(seen.names)]
+    found = calibration.observability
+    pairs = [(abs(found.strongest(k)[1]), name, *found.strongest(k)) for k, name in enumerate(found.names)]
     _, name, other, value = max(pair for pair in pairs if np.isfinite(pair[0]))
     return f"{name} and {other}: {value:.3f}"
 
