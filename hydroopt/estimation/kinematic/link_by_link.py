@@ -3,7 +3,7 @@
 While one joint i moves unsensed and those before it stand still, the fixture stays on a circle about the joint's axis,
 and of its position only the radius ρ and the height p_z matter: r = (√(s_x² + s_y²) − ρ, s_z + d_i − p_z) = 0, where
 s is the tip in the frame before the joint (Eqs. 3.24, 3.25, 3.28). So a stage needs nothing but the links from i to the
-tip, and of these only what stages before it have not identified. It takes d_i, which p_z cannot be told from, as given.
+tip, and of these only what stages before it have not identified. It takes d_i as given: p_z hides it.
 A joint with nothing locked before it closes the whole loop and identifies the fixture; so do poses whose joints are all
 sensed, with the loop's gap and all their parameters at once.
 
@@ -38,7 +38,7 @@ STEPS = 100
 STIFFEST = 1e6
 """Damping, relative to the largest singular value squared, at which a step that still climbs is given up."""
 TOUCHED = 1e-6
-"""Part of a parameter's unit vector in the unseen space from which on it counts as not identified."""
+"""Part of a parameter's unit vector in the null space from which on it counts as not identified."""
 EXACT_WEIGHT = 100.0
 """Weight of the best known distance between fixtures against a gap: loops must not shrink to shrink their noise."""
 Rows = Callable[[Array], tuple[Array, Array]]
@@ -71,7 +71,7 @@ def sequential_least_squares(problem: CalibrationProblem, start: Array, own: Arr
 
     Args:
         problem: what to solve.
-        start: (P,) parameters to begin with.
+        start: (P,) initial parameters.
         own: (N, n) angles, used only where a joint moves and nothing closes the loop.
 
     Raises:
@@ -93,10 +93,10 @@ def stage_by_stage(problem: CalibrationProblem, start: Array, own: Array) -> Hie
     def settle(stage: str, joint: str, rows: Rows, locals_: Array, unit: float) -> None:
         x, unknown = np.concatenate([theta, locals_]), np.concatenate([left, np.full(len(locals_), True)])
         scale = np.concatenate([problem.parameters.scale, np.full(len(locals_), unit)])
-        x, seen, iterations, rms = _minimise(rows, x, np.flatnonzero(unknown), scale)
-        theta[:], seen = x[: len(theta)], seen[seen < len(theta)]
-        left[seen] = False
-        results.append(StageResult(stage, joint, tuple(problem.parameters.names[k] for k in seen), iterations, rms))
+        x, found, iterations, rms = _minimise(rows, x, np.flatnonzero(unknown), scale)
+        theta[:], found = x[: len(theta)], found[found < len(theta)]
+        left[found] = False
+        results.append(StageResult(stage, joint, tuple(problem.parameters.names[k] for k in found), iterations, rms))
 
     for stage, joint, part in parts:
         unit = float(problem.parameters.scale[part.layout.fixture[0, 0]])
@@ -144,8 +144,8 @@ def _about_axis(part: CalibrationProblem, joint: str, theta: Array) -> tuple[Row
     """
     model, layout, total = part.model, part.layout, len(part.parameters)
     g, q = ca.SX.sym("g", len(model.parameters)), ca.SX.sym("q", len(model.joints))
-    seen = model.seen_from(joint)(g, q)
-    circle = ca.vertcat(ca.norm_2(seen[:2]), seen[2])
+    tip = model.seen_from(joint)(g, q)
+    circle = ca.vertcat(ca.norm_2(tip[:2]), tip[2])
     function = ca.Function("circle", [g, q], [circle, ca.jacobian(circle, g), ca.jacobian(circle, q)])
     place = np.unique(layout.fixture[:, 0], return_inverse=True)[1]
     poses, fixtures = np.arange(len(place)), int(place.max()) + 1
@@ -252,8 +252,8 @@ def _minimise(rows: Rows, x: Array, unknown: NDArray[np.intp], scale: Array) -> 
             break
         p, rank = p / 10, len(s)
     _, s, vt = np.linalg.svd(jacobian[:, unknown] * scale[unknown])
-    unseen = vt[int(np.sum(significant(s, PREDICTED_TOLERANCE))) :]
-    identified = unknown[np.linalg.norm(unseen, axis=0) < TOUCHED]
+    null_space = vt[int(np.sum(significant(s, PREDICTED_TOLERANCE))) :]
+    identified = unknown[np.linalg.norm(null_space, axis=0) < TOUCHED]
     return x, identified, iterations, float(np.sqrt(square / len(residual)))
 
 

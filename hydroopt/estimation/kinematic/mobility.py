@@ -1,4 +1,4 @@
-"""Whether closed chains can move, what their poses can tell, and why a set-up cannot work (Sections 3.3.2 and 3.6.4).
+"""Mobility of closed chains, what their poses identify, and why a set-up cannot work (Sections 3.3.2 and 3.6.4).
 
 Everything is derived from random closed postures of the machine file's nominal geometry, read without noise: mobility
 from the rank of the loop's Jacobian, identifiability from that of the linearised calibration problem.
@@ -36,10 +36,10 @@ POSES = "poses"
 
 
 @dataclass(frozen=True, kw_only=True)
-class Told:
-    """Which parameters poses without noise tell alone, which only together, and which leave no trace.
+class Identified:
+    """Which parameters poses without noise identify alone, which only together, and which not at all.
 
-    `rank` is the number of independent combinations that they tell.
+    `rank` is the number of independent combinations that they identify.
     """
 
     rank: int = 0
@@ -57,8 +57,8 @@ class Told:
 
 
 @dataclass(frozen=True, kw_only=True)
-class StageMobility(Told):
-    """A stage's chain, and what its poses tell if that which earlier stages told alone is known (Section 3.6.4).
+class StageMobility(Identified):
+    """A stage's chain, and what its poses identify once earlier stages have identified theirs (Section 3.6.4).
 
     Attributes:
         moves: joints that move without being read; `sensed` those that are read, `locked` those that stand.
@@ -94,12 +94,12 @@ class StageMobility(Told):
 
 @dataclass(frozen=True)
 class Mobility:
-    """All stages of a machine, what they tell together, what each cylinder's readings tell, and what is in the way."""
+    """All stages of a machine, what they identify together, what each cylinder's readings identify, and obstacles."""
 
     machine: Machine
     stages: tuple[StageMobility, ...]
-    together: Told | None
-    cylinders: dict[str, Told]
+    together: Identified | None
+    cylinders: dict[str, Identified]
     obstacles: tuple[str, ...]
 
     def lines(self) -> list[str]:
@@ -107,16 +107,16 @@ class Mobility:
         text = [line for stage in self.stages for line in stage.lines()]
         if self.together is not None and len(self.stages) > 1:
             text += ["all stages together:", *self.together.lines()]
-        for name, told in self.cylinders.items():
-            text += [f"{name}: lengths and joint angles tell {_count(told.rank, 'number')} of its geometry (Eq. 3.26)",
-                     *told.lines()]
+        for name, found in self.cylinders.items():
+            count = _count(found.rank, "number")
+            text += [f"{name}: lengths and joint angles identify {count} of its geometry (Eq. 3.26)", *found.lines()]
         return text + [f"! {obstacle}" for obstacle in self.obstacles if self.machine.calibrator]
 
     def as_dict(self) -> dict[str, Any]:
         """The same for JSON."""
         return {"stages": [asdict(stage) for stage in self.stages],
                 "together": None if self.together is None else asdict(self.together),
-                "cylinders": {name: asdict(told) for name, told in self.cylinders.items()},
+                "cylinders": {name: asdict(found) for name, found in self.cylinders.items()},
                 "obstacles": list(self.obstacles)}
 
 
@@ -139,7 +139,7 @@ def mobility(machine: Machine, *, count: int = 30, seed: int = 0) -> Mobility:
                  if _read(machine, *_triangle_channels(machine, cylinder))}
     if machine.calibrator is None or not (machine.fixtures or machine.tracker):
         return Mobility(machine, (), None, cylinders, (str(ProblemError(
-            "nothing closes the chain, so that no pose tells anything of its links", where=f"machine '{machine.name}'",
+            "nothing closes the chain, so that no pose identifies any of its links", where=f"machine '{machine.name}'",
             remedy="state a calibrator with a fixture or a tracker")),))
     still = tuple(stage.model_copy(update={"drift": 0.0}) for stage in machine.stages)
     model, rng = KinematicModel(machine.model_copy(update={"stages": still})), np.random.default_rng(seed)
@@ -150,18 +150,18 @@ def mobility(machine: Machine, *, count: int = 30, seed: int = 0) -> Mobility:
             where.setdefault(reason, []).append(visit.stage.name)
     sentences = [str(ProblemError(what, where=_named("stage", names), remedy=remedy))
                  for (what, remedy), names in where.items()]
-    told, together = [Told() for _ in visits], None
+    found, together = [Identified() for _ in visits], None
     if any(len(visit.q) for visit in visits):
         try:
             survey = _Survey(visits)
-            told, together = survey.in_turn([visit.stage.name for visit in visits]), survey.told()
+            found, together = survey.in_turn([visit.stage.name for visit in visits]), survey.identified()
             if not has_length_scale(survey.problem, survey.linear):
                 sentences.append(str(no_length_scale(
                     f"machine '{machine.name}'", "take a length as exact, the calibrator's, say, or state a distance "
                     "between two fixtures or the sensor of a tape, a tracker or a cylinder's length")))
         except ProblemError as error:
             sentences.append(str(error))
-    stages = tuple(visit.described(own) for visit, own in zip(visits, told, strict=True))
+    stages = tuple(visit.described(own) for visit, own in zip(visits, found, strict=True))
     return Mobility(machine, stages, together, cylinders, tuple(sentences))
 
 
@@ -169,8 +169,8 @@ class _Visit:
     """A stage: what its joints do, and closed postures q (N, n) at the fixtures with the labels `fixture` (N,).
 
     Read are the calibrator's sensors and those of the machine's joints that the stage does not name, or all where the
-    calibrator has none; tracker, tapes and cylinders' lengths too. `turning` are positions of joints that move, `blind`
-    of those unread, `rows` of what a pose gives among the model's channels.
+    calibrator has none; tracker, tapes and cylinders' lengths too. `turning` are positions of joints that move,
+    `unread` of those that are not read, `rows` of a pose's readings among the model's channels.
     """
 
     def __init__(self, model: KinematicModel, stage: Stage, count: int, rng: np.random.Generator) -> None:
@@ -181,7 +181,7 @@ class _Visit:
         moves, locked = ({model.joints.index(joint) for joint in joints} for joints in (stage.moves, stage.locked))
         self.read = [k for k in postures.read_joints(model, stage) if k in self.chain]
         self.turning = [k for k in self.chain if k in moves or (k in sensed and k not in locked)]
-        self.blind = [k for k in self.turning if k not in self.read]
+        self.unread = [k for k in self.turning if k not in self.read]
         powered = {model.joints.index(joint) for joint in machine.joints} & {*self.chain}
         moved = powered & {*self.turning}
         self.grubler = grubler(len(powered), p=len(powered), d=len(moved), extra=len(self.turning) - len(moved),
@@ -229,13 +229,13 @@ class _Visit:
         held = self.rank(self.turning, range(3)) if self.fixtures else 0
         return len(self.turning) - held if len(self.q) else None
 
-    def described(self, told: Told) -> StageMobility:
-        """The stage with what it tells."""
+    def described(self, found: Identified) -> StageMobility:
+        """The stage with what it identifies."""
         moves, sensed, locked = (tuple(self.model.joints[k] for k in positions) for positions in (
-            self.blind, self.read, [k for k in self.chain if k not in self.turning and k not in self.read]))
-        return StageMobility(**vars(told), stage=self.stage.name, moves=moves, sensed=sensed, locked=locked,
+            self.unread, self.read, [k for k in self.chain if k not in self.turning and k not in self.read]))
+        return StageMobility(**vars(found), stage=self.stage.name, moves=moves, sensed=sensed, locked=locked,
                              grubler=self.grubler, rank_mobility=self.rank_mobility,
-                             unsensed=len(self.blind) + BALL * bool(self.fixtures))
+                             unsensed=len(self.unread) + BALL * bool(self.fixtures))
 
     def reasons(self) -> Iterator[tuple[str, str]]:
         """What is wrong with the chain (Sections 3.3.2 and 3.5.1), and the remedy."""
@@ -249,12 +249,13 @@ class _Visit:
                    "move what is out of reach nearer, widen the limits or lock the joints elsewhere")
         if not len(self.q):
             return
-        blind, held = _named("joint", [names[k] for k in self.blind]), self.rank(self.blind, self.rows)
-        if (loose := len(self.blind) - held) > 0:
-            yield (f"with all readings held the chain can still move in {_count(loose, 'way')}, so that nothing tells "
-                   f"where {blind} stood", "sense or lock as many of them")
+        unread, held = _named("joint", [names[k] for k in self.unread]), self.rank(self.unread, self.rows)
+        if (loose := len(self.unread) - held) > 0:
+            yield (f"with all readings held the chain can still move in {_count(loose, 'way')}, so that the "
+                   f"position of {unread} is not determined", "sense or lock as many of them")
         if held == len(self.rows):
-            yield (f"its poses tell nothing: {blind} and the fixture have more than five freedoms without a sensor",
+            yield (f"its poses identify nothing: {unread} and the fixture have more than five freedoms without a "
+                   "sensor",
                    "sense or lock one of them")
         sensed = [k for k in self.read if k in self.turning]
         erring = [k for k in sensed if _read(self.model.machine, f"{names[k]}.q")]
@@ -275,7 +276,7 @@ class _Visit:
 
 
 class _Survey:
-    """The linearised calibration problem of all visits; `pins` marks the cylinders' parameters, which are not told."""
+    """The linearised calibration problem of all visits; `pins` marks parameters of cylinders, which are not listed."""
 
     def __init__(self, visits: Sequence[_Visit]) -> None:
         model, visits = visits[0].model, [visit for visit in visits if len(visit.q)]
@@ -287,37 +288,38 @@ class _Survey:
         self.linear = linearise(self.problem, problem.start, np.concatenate([visit.q for visit in visits]))
         self.pins = problem.cylinder_parameters
 
-    def told(self, stage: str | None = None, known: Sequence[str] = ()) -> Told:
-        """What the poses of one stage, or of all, tell of the parameters that they depend on and that are not known."""
+    def identified(self, stage: str | None = None, known: Sequence[str] = ()) -> Identified:
+        """What the poses of one stage, or of all, identify of the parameters they depend on that are not known."""
         rows = (self.problem.poses.stage == stage) | (stage is None)
         part, names = self.problem.without(~rows), self.problem.parameters.names
         touched = np.arange(len(names)) < len(part.model.parameters)
         layout = part.layout
         touched[np.concatenate([layout.locked[1], layout.fixture[layout.fixture >= 0]]).astype(int)] = True
         rest = {name: part.start[k] for k, name in enumerate(names) if not touched[k] or name in known}
-        return _told(part.fixing(**rest), replace(self.linear, jacobian=self.linear.jacobian[rows]),
+        return _identified(part.fixing(**rest), replace(self.linear, jacobian=self.linear.jacobian[rows]),
                      {name for name, hidden in zip(names, self.pins, strict=True) if hidden})
 
-    def in_turn(self, stages: Sequence[str]) -> list[Told]:
-        """What stage after stage tells, where all counts as known that the ones before told alone."""
-        told: list[Told] = []
+    def in_turn(self, stages: Sequence[str]) -> list[Identified]:
+        """What stage after stage identifies, where all that earlier ones identify alone counts as known."""
+        found: list[Identified] = []
         for stage in stages:
             visited = stage in self.problem.poses.stage
-            told.append(self.told(stage, [name for before in told for name in before.full]) if visited else Told())
-        return told
+            known = [name for before in found for name in before.full]
+            found.append(self.identified(stage, known) if visited else Identified())
+        return found
 
 
-def _told(problem: CalibrationProblem, linear: Linearised, hidden: Collection[str] = ()) -> Told:
-    """What is told; parameters that are `hidden` are free but named only where they obscure a single one."""
+def _identified(problem: CalibrationProblem, linear: Linearised, hidden: Collection[str] = ()) -> Identified:
+    """What is identifiable; parameters that are `hidden` are free but named only where they obscure a single one."""
     # what projections leave of a column that should vanish is rounding, and would count as a trace
     size = np.sqrt(np.sum(linear.jacobian**2, axis=(0, 1))) * problem.parameters.scale
     significant = np.where(size > RANK_TOLERANCE * size.max(), linear.jacobian, 0.0)
-    seen = observability(problem, replace(linear, jacobian=significant))
-    full, none = (tuple(name for name, category in zip(seen.names, seen.category, strict=True)
+    data = observability(problem, replace(linear, jacobian=significant))
+    full, none = (tuple(name for name, category in zip(data.names, data.category, strict=True)
                         if category == wanted and name not in hidden) for wanted in ("full", "none"))
-    shown = [tuple(name for name in group if name not in hidden) for group in seen.combinations]
-    groups = tuple(own if len(own) > 1 else group for own, group in zip(shown, seen.combinations, strict=True) if own)
-    return Told(rank=seen.rank, full=full, combinations=groups, none=none)
+    shown = [tuple(name for name in group if name not in hidden) for group in data.combinations]
+    groups = tuple(own if len(own) > 1 else group for own, group in zip(shown, data.combinations, strict=True) if own)
+    return Identified(rank=data.rank, full=full, combinations=groups, none=none)
 
 
 def _read(machine: Machine, *channels: str) -> bool:
@@ -330,8 +332,8 @@ def _triangle_channels(machine: Machine, cylinder: Cylinder) -> list[str]:
     return [f"{cylinder.name}.length", *(f"{joint}.q" for joint in between)]
 
 
-def _triangle(machine: Machine, cylinder: Cylinder, count: int) -> Told:
-    """What readings of length and joint angles over the joints' ranges tell of pins and dead length (Eq. 3.26)."""
+def _triangle(machine: Machine, cylinder: Cylinder, count: int) -> Identified:
+    """What readings of length and joint angles over the joints' ranges identify of pins and dead length (Eq. 3.26)."""
     keys = ("barrel.pin", "rod.pin", "dead_length")
     alone = machine.model_copy(update={
         "calibrator": None, "fixtures": (), "distances": (), "tracker": None, "stages": (),
@@ -341,7 +343,7 @@ def _triangle(machine: Machine, cylinder: Cylinder, count: int) -> Told:
     poses = postures.record(model, q, [""] * count, [""] * count, geometry=model.parameters.nominal, seed=None,
                             channels=_triangle_channels(alone, cylinder))
     problem = calibration_problem(alone, poses, priors=False)
-    return _told(problem, linearise(problem, problem.start, q))
+    return _identified(problem, linearise(problem, problem.start, q))
 
 
 def _count(number: int, noun: str) -> str:

@@ -1,4 +1,4 @@
-"""What poses tell about parameters: linearised information, covariance, and what cannot be told.
+"""Observability of parameters in poses: linearised information, covariance, and what is not identifiable.
 
 Around a solution every pose's rows are r + A·δθ + B·δq = 0. Errors of the sensed angles give the rows the covariance
 S = B·Σ·Bᵀ + R; directions in which an unsensed angle moves them are projected out. What is left is white, and its
@@ -66,7 +66,7 @@ def linearise(problem: CalibrationProblem, theta: Array, q: Array) -> Linearised
     try:
         factor = np.linalg.cholesky(spread)
     except np.linalg.LinAlgError:
-        raise ProblemError("nothing says how exactly the loops close", where=f"poses of {problem.poses.name}",
+        raise ProblemError("the errors of the loops are not stated", where=f"poses of {problem.poses.name}",
                            remedy="state the accuracy of three sensed joints or more, or the play of the fixture"
                            ) from None
     white = np.linalg.solve(factor, np.concatenate(
@@ -103,7 +103,7 @@ def _shared(problem: CalibrationProblem, theta: Array) -> tuple[Array, Array]:
 
 @dataclass(frozen=True, eq=False)
 class Observability:
-    """What rows tell about the free parameters.
+    """Which of the free parameters the rows identify, and how well.
 
     Attributes:
         names: of the free parameters, f of them; `scale` (f,) makes them comparable.
@@ -157,7 +157,7 @@ class Observability:
 
     @cached_property
     def covariance(self) -> Array:
-        """(f, f) of the estimate; infinite where neither data nor priors tell."""
+        """(f, f) of the estimate; infinite where neither data nor priors determine it."""
         total = self.information + self.prior
         size = np.sqrt(np.maximum(np.diag(total), 1e-300))
         values, vectors = np.linalg.eigh(total / np.outer(size, size))
@@ -214,7 +214,7 @@ def _sparse_basis(space: Array) -> Array:
 
 
 def observability(problem: CalibrationProblem, linearised: Linearised) -> Observability:
-    """What the linearised poses tell about the free parameters of a problem."""
+    """Observability of a problem's free parameters in its linearised poses."""
     free = np.flatnonzero(problem.free)
     jacobian = linearised.jacobian[:, :, free].reshape(-1, len(free))
     known = len(problem.distances.length)
@@ -226,14 +226,14 @@ def observability(problem: CalibrationProblem, linearised: Linearised) -> Observ
     return Observability(names, problem.parameters.scale[free], jacobian.T @ jacobian, prior.T @ prior)
 
 
-def spread(model: KinematicModel, seen: Observability, by_g: Array) -> Array:
+def spread(model: KinematicModel, identified: Observability, by_g: Array) -> Array:
     """Root of the trace of a point's covariance (K,) [m], for its Jacobians by the geometry (K, 3, p).
 
     NaN where a parameter that moves the point is not known.
     """
-    own = [k for k, name in enumerate(seen.names) if name in model.parameters.positions]
-    by_own = by_g[:, :, model.parameters.select(seen.names[k] for k in own)]
-    covariance = seen.covariance[np.ix_(own, own)]
+    own = [k for k, name in enumerate(identified.names) if name in model.parameters.positions]
+    by_own = by_g[:, :, model.parameters.select(identified.names[k] for k in own)]
+    covariance = identified.covariance[np.ix_(own, own)]
     lost = ~np.isfinite(np.diag(covariance))
     blurred = np.any(np.abs(by_own[:, :, lost]) > 0, axis=(1, 2))
     covariance = np.where(lost[:, None] | lost, 0.0, covariance)
@@ -241,8 +241,8 @@ def spread(model: KinematicModel, seen: Observability, by_g: Array) -> Array:
     return np.where(blurred, np.nan, np.sqrt(np.maximum(variance, 0.0)))
 
 
-def tip_uncertainty(problem: CalibrationProblem, theta: Array, seen: Observability, q: Array) -> Array:
+def tip_uncertainty(problem: CalibrationProblem, theta: Array, identified: Observability, q: Array) -> Array:
     """Standard deviation (N,) [m] of the tip's position at joint vectors (N, n), as `spread`."""
     model = problem.model
     by_g = model.over(model.observed_jacobians, theta[: len(model.parameters)], q, np.zeros(3))[1][:, :3]
-    return spread(model, seen, by_g)
+    return spread(model, identified, by_g)

@@ -121,7 +121,7 @@ def test_what_gives_a_scale() -> None:
 def test_nothing_closes_the_chain() -> None:
     for machine in (load_machine("kr300"), changed(fixtures=(), stages=())):
         sentence, = obstacles(machine)
-        assert sentence.endswith("nothing closes the chain, so that no pose tells anything of its links; state a "
+        assert sentence.endswith("nothing closes the chain, so that no pose identifies any of its links; state a "
                                  "calibrator with a fixture or a tracker.")
     assert mobility(load_machine("kr300")).lines() == []
 
@@ -134,11 +134,11 @@ def test_nothing_closes_the_chain() -> None:
      "stage 'stage': within the joints' limits the tip does not reach fixture 'ball'; move what is out of reach "
      "nearer, widen the limits or lock the joints elsewhere."),
     (one_stage("swing", "boom", "stick", sensors=ANGLES),
-     "stage 'stage': its poses tell nothing: joints 'swing', 'boom', 'stick' and the fixture have more than five "
+     "stage 'stage': its poses identify nothing: joints 'swing', 'boom', 'stick' and the fixture have more than five "
      "freedoms without a sensor; sense or lock one of them."),
     (one_stage("swing", "boom", "stick", "grapple_swing", sensors=ANGLES),
-     "stage 'stage': with all readings held the chain can still move in 1 way, so that nothing tells where joints "
-     "'swing', 'boom', 'stick', 'grapple_swing' stood; sense or lock as many of them."),
+     "stage 'stage': with all readings held the chain can still move in 1 way, so that the position of joints "
+     "'swing', 'boom', 'stick', 'grapple_swing' is not determined; sense or lock as many of them."),
     (one_stage("stick", "upper_arm", "grapple_swing", locked={"grapple": 0.1},
                sensors=(Sensor(channels=("yoke.q", "forearm.q"), accuracy=1e-3),)),
      "stage 'stage': too few joints are sensed: they do not move the tip in all directions, so that nothing weighs the "
@@ -204,7 +204,7 @@ def test_cylinders(excavator: Mobility) -> None:
         assert [len(group) for group in told.combinations] == [4]
     lift = mobility(load_machine("patu655_lift"))
     assert [told.rank for told in lift.cylinders.values()] == [4]
-    assert lift.lines()[0] == "lift_cylinder: lengths and joint angles tell 4 numbers of its geometry (Eq. 3.26)"
+    assert lift.lines()[0] == "lift_cylinder: lengths and joint angles identify 4 numbers of its geometry (Eq. 3.26)"
     assert not any(line.startswith("!") for line in lift.lines())
 
 
