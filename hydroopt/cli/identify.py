@@ -36,10 +36,10 @@ if TYPE_CHECKING:
 
 def identify(
     machine: MachineName,
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Logs to learn from (.csv, .parquet, .mat).")],
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Training logs (.csv, .parquet, .mat).")],
     output: Directory,
-    validate: Annotated[list[Path] | None, typer.Option(help="Log to judge the estimate by; repeatable.")] = None,
-    holdout: Annotated[float, typer.Option(help="Part of the end of every log that is held out to judge by.",
+    validate: Annotated[list[Path] | None, typer.Option(help="Validation log; repeatable.")] = None,
+    holdout: Annotated[float, typer.Option(help="Part of the end of every log that is held out for validation.",
                                            min=0.0, max=0.9)] = 0.0,
     map_file: MapFile = None,
     treat: Treat = None,
@@ -133,7 +133,8 @@ def _with_noisy_angles(problem: IdentificationProblem, motion: str, instruments:
     from hydroopt.logs.log import read_log
 
     if motion not in ("smoothed", "fitted"):
-        raise ProblemError(f"'{motion}' is no way to a motion", where="--motion", remedy="use smoothed or fitted")
+        raise ProblemError(f"'{motion}' is not a treatment of the motion", where="--motion",
+                           remedy="use smoothed or fitted")
     if motion == "fitted":
         problem = problem.with_fitted_motion()
     if instruments:
@@ -143,7 +144,7 @@ def _with_noisy_angles(problem: IdentificationProblem, motion: str, instruments:
 
 
 def _friction(text: str | None) -> list[str]:
-    """The sets of friction terms asked for; none where the file's or the usual ones are meant."""
+    """The sets of friction terms to compare; none for those of the file or the default ones."""
     from hydroopt.estimation.dynamic.friction_choice import terms_of
 
     if text is None or text.strip() == "auto":
@@ -163,5 +164,5 @@ def method_of(text: str) -> Method:
     from hydroopt.estimation.dynamic.identify import METHODS
 
     if text not in METHODS:
-        raise ProblemError(f"'{text}' is no method", where="--method", remedy=f"use one of {', '.join(METHODS)}")
+        raise ProblemError(f"'{text}' is not a method", where="--method", remedy=f"use one of {', '.join(METHODS)}")
     return text

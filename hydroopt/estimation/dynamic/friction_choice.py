@@ -70,14 +70,14 @@ def with_friction(machine: Machine, terms: str, *, speeds: Mapping[str, float] |
     """The machine with these friction terms, and no others, at every cylinder, motor and drive.
 
     Values and confidences that the file states are kept; what it states for both directions holds for each of them. All
-    else begins at zero, without a prior; but a Stribeck speed, ± 100 %, and a dead zone at parts of the actuator's
-    speed, of identical ones at parts of their mean speed. Offsets and the friction of pins and joints stay as they are.
+    others are initially zero, without a prior; a Stribeck speed, ± 100 %, and a dead zone are parts of the actuator's
+    speed, of identical ones parts of their mean speed. Offsets and the friction of pins and joints stay as they are.
 
     Args:
         machine: nominal description.
         terms: such as ``coulomb+viscous``, see `TERMS`, or ``none``.
         speeds: typical speed [m/s, rad/s] of each actuator by name; by default in random states within limits.
-        scales: by which a Stribeck speed is to begin greater than that part of the typical one, of each by name.
+        scales: factors on the initial Stribeck speeds, by actuator.
 
     Raises:
         ProblemError: a term is unknown or has no meaning for this machine.
@@ -92,15 +92,15 @@ def with_friction(machine: Machine, terms: str, *, speeds: Mapping[str, float] |
     fading = {name: float(np.mean([fading[other] for other in alike.get(name, (name,))])) for name in fading}
     notes = dict(machine.notes)
     parts: dict[str, tuple[Any, ...]] = {}
-    begin = {name: {"stribeck_speed": fading[name], "dead_zone": DEAD_ZONE * speeds[name]} for name in speeds}
+    initial = {name: {"stribeck_speed": fading[name], "dead_zone": DEAD_ZONE * speeds[name]} for name in speeds}
     for kind in ("cylinders", "motors", "drives"):
-        parts[kind] = tuple(_refitted(part, wanted, begin[part.name], notes) for part in getattr(machine, kind))
+        parts[kind] = tuple(_refitted(part, wanted, initial[part.name], notes) for part in getattr(machine, kind))
     return Machine.model_validate(machine.model_dump(exclude={"notes", *parts}) | parts | {"notes": notes})
 
 
-def _refitted(part: Cylinder | Motor | Drive, wanted: Sequence[str], begin: Mapping[str, float],
+def _refitted(part: Cylinder | Motor | Drive, wanted: Sequence[str], initial: Mapping[str, float],
               notes: dict[str, Any]) -> Any:
-    """An actuator with other friction terms, which `begin` so or at zero; what is said of them goes into `notes`."""
+    """An actuator with other friction terms, with `initial` values or zero; their confidences go into `notes`."""
     stated, at = part.friction.model_dump(), f"{part.name}.friction"
     made = {key: value for key, value in stated.items() if key in ("offset", "barrel_pin", "rod_pin")}
     for term in wanted:
@@ -112,9 +112,10 @@ def _refitted(part: Cylinder | Motor | Drive, wanted: Sequence[str], begin: Mapp
                     notes[f"{at}.{key}_reverse"] = notes[f"{at}.{own}"]
         elif term != "seal" or isinstance(part, Cylinder):
             for key in ("stribeck", "stribeck_speed") if term == "stribeck" else (term,):
-                made[key] = begin.get(key, 0.0) if stated[key] is None else stated[key]
+                made[key] = initial.get(key, 0.0) if stated[key] is None else stated[key]
             if term == "stribeck" and stated["stribeck_speed"] is None:
-                notes[f"{at}.stribeck_speed"] = Note(sigma=1.0, relative=True, lower=SLOWEST * begin["stribeck_speed"],
+                notes[f"{at}.stribeck_speed"] = Note(sigma=1.0, relative=True,
+                                                     lower=SLOWEST * initial["stribeck_speed"],
                                                      source="assumed: from the speeds driven")
     for key in stated:
         if made.get(key) is None:
@@ -142,7 +143,7 @@ def friction_problem(machine: Machine, logs: Sequence[AnyLog], validation: Seque
                      actuator_inertia: bool = True) -> IdentificationProblem:
     """The identification problem of a machine with these friction terms; see `identification_problem`.
 
-    Stribeck speeds that the file does not state begin where the logs are fitted best.
+    Stribeck speeds that the file does not state start where the logs are fitted best.
 
     Raises:
         ProblemError, LogError: see `with_friction` and `identification_problem`.

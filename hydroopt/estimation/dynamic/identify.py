@@ -48,19 +48,19 @@ def identify(problem: IdentificationProblem, method: Method = "sdp", *, toleranc
             file states (confidences, bounds, shapes, symmetries, total masses, identical parts) binds the first three;
             the last three ignore it, and refuse what was added to the problem. A log-det distance needs ``sdp`` or
             ``nlp``.
-        tolerance: part of the largest singular value below which a direction counts as unseen.
+        tolerance: part of the largest singular value below which a direction counts as not identifiable.
         ridge: strength λ for ``ridge``, relative to the largest eigenvalue; chosen by cross-validation if None.
         intervals: whether to sample the posterior. The estimate is then its mean, else its most probable point; the
-            mean of possible machines is a possible machine, is nearer to the truth and lies inside its intervals.
+            mean of consistent machines is consistent, is nearer to the truth and lies inside its intervals.
         seed: of that sampling.
 
     Raises:
         ProblemError: unknown method, or constraints the method cannot honour or that contradict each other.
-        IdentifiabilityError: the data show nothing.
+        IdentifiabilityError: no joint moves in the training data.
         SolverError: no trustworthy answer.
     """
     if method not in METHODS:
-        raise ProblemError(f"'{method}' is no method", where="identification",
+        raise ProblemError(f"'{method}' is not a method", where="identification",
                            remedy=f"use one of {', '.join(METHODS)}")
     added = [*(c.name for c in problem.constraints), *(p.name for p in problem.priors),
              *(c.name for c in problem.physics), *problem.fixed]
@@ -80,7 +80,7 @@ def _solve(problem: IdentificationProblem, method: Method, tolerance: float, rid
     """Solve at once, or by Gauss-Newton steps where forces are not linear in the parameters.
 
     Raises:
-        SolverError: the steps do not come to rest.
+        SolverError: the steps do not converge.
     """
     parameters = problem.parameters
     if problem.model.linear:
@@ -96,14 +96,14 @@ def _solve(problem: IdentificationProblem, method: Method, tolerance: float, rid
             point[k] *= abs(point[k]) > faint[actuator]
         found = _solve_at(problem, point, method, tolerance, ridge, False, seed)
         faint = FAINT * found.sigma
-        unseen = speeds & (np.array(found.identifiability.category) == identifiability.NONE)
-        target = np.where(unseen, point, np.where(speeds, np.clip(found.psi, parameters.lower, parameters.upper),
+        unobserved = speeds & (np.array(found.identifiability.category) == identifiability.NONE)
+        target = np.where(unobserved, point, np.where(speeds, np.clip(found.psi, parameters.lower, parameters.upper),
                                                   found.psi))
         step = target - point
         rests = np.all(np.abs(step)[bent] <= SETTLED * np.abs(point)[bent])
         before = _misfit(found, point)
         gain, part = before - _misfit(found, target), 1.0
-        if (rests or abs(gain) <= NIL) and np.all((target == found.psi)[speeds & ~unseen]):
+        if (rests or abs(gain) <= NIL) and np.all((target == found.psi)[speeds & ~unobserved]):
             return _solve_at(problem, target, method, tolerance, ridge, intervals, seed) if intervals else found
         # instruments do not minimise residuals, which then say nothing about how far to go
         while gain <= 0 and part > SMALLEST and not problem.instruments:
@@ -135,8 +135,8 @@ def _solve_at(problem: IdentificationProblem, point: Array, method: Method, tole
     where = f"identification of {problem.model.machine.name}"
 
     def least_squares(R: Array, r: Array) -> Array:
-        psi, _, seen = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
-        return linear.nearest(problem.parameters, seen, psi)
+        psi, _, from_data = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
+        return linear.nearest(problem.parameters, from_data, psi)
 
     def constrained(R: Array, r: Array) -> sdp.Optimum:
         posterior = gaussian_posterior(problem, R, r)
@@ -145,56 +145,56 @@ def _solve_at(problem: IdentificationProblem, point: Array, method: Method, tole
 
     weighted = weighted_residuals(
         problem, tolerance, least_squares if method in _LINEAR else lambda R, r: constrained(R, r).psi, point)
-    psi, _, seen = linear.base_least_squares(weighted.R, weighted.r, problem.parameters.names, tolerance)
-    _trust(weighted.R, weighted.r, psi, seen, where)
+    psi, _, from_data = linear.base_least_squares(weighted.R, weighted.r, problem.parameters.names, tolerance)
+    _trust(weighted.R, weighted.r, psi, from_data, where)
     if method in _LINEAR:
         return _linear_estimate(weighted, method, tolerance, ridge)
     solution = constrained(weighted.R, weighted.r)
-    return _constrained_estimate(weighted, method, solution, seen, tolerance, intervals, seed)
+    return _constrained_estimate(weighted, method, solution, from_data, tolerance, intervals, seed)
 
 
-def _trust(R: Array, r: Array, psi: Array, seen: Identifiability, where: str) -> None:
+def _trust(R: Array, r: Array, psi: Array, from_data: Identifiability, where: str) -> None:
     """Check least squares by its normal equations: what is left over must be perpendicular to every base column.
 
     Raises:
         SolverError: it is not, because directions of rounding errors were taken for information.
     """
-    basis = R[:, list(seen.basis)]
+    basis = R[:, list(from_data.basis)]
     slope = np.max(np.abs(basis.T @ (r - R @ psi)) / np.linalg.norm(basis, axis=0), initial=0.0)
     Certificate(0.0, float(slope / max(1.0, np.linalg.norm(r)))).trust(where, tolerance=1e-6)
-    if seen.condition_number > 1e12:
-        raise SolverError(f"the condition number of what counts as seen is {seen.condition_number:.0e}", where=where,
-                          remedy="raise the tolerance above rounding errors, e.g. to 1e-9")
+    if from_data.condition_number > 1e12:
+        raise SolverError(f"the condition number of the base parameters is {from_data.condition_number:.0e}",
+                          where=where, remedy="raise the tolerance above rounding errors, e.g. to 1e-9")
 
 
 def _linear_estimate(weighted: Weighted, method: str, tolerance: float, ridge: float | None) -> Estimate:
     problem, R, r = weighted.problem, weighted.R, weighted.r
     names = problem.parameters.names
-    psi, covariance, seen = linear.base_least_squares(R, r, names, tolerance)
-    value, std = linear.individual_values(psi, covariance, seen)
-    psi = linear.nearest(problem.parameters, seen, psi)
+    psi, covariance, from_data = linear.base_least_squares(R, r, names, tolerance)
+    value, std = linear.individual_values(psi, covariance, from_data)
+    psi = linear.nearest(problem.parameters, from_data, psi)
     base_std = np.sqrt(np.diag(covariance))
     note, source = "standard deviations of weighted least squares on base parameters", Intervals.LEAST_SQUARES
     if method == "ridge":
         psi, strength = linear.ridge(R, r, ridge, rows=weighted.rows, rest=weighted.rest)
-        note = f"ridge strength {strength:.3g}; a shrunk estimate is biased, so that it has no honest interval"
+        note = f"ridge strength {strength:.3g}; a shrunk estimate is biased, so that it has no valid interval"
     elif method == "tsvd":
         psi, kept = linear.truncated_svd(R, r, tolerance)
-        note = f"{kept} directions kept; those cut off are biased to zero, so that there is no honest interval"
+        note = f"{kept} directions kept; those cut off are biased to zero, so that there is no valid interval"
     if method != "wls":
         source = Intervals.BIASED
-        value = np.where(np.array(seen.category) == identifiability.FULL, psi, np.nan)
+        value = np.where(np.array(from_data.category) == identifiability.FULL, psi, np.nan)
         std, base_std = np.full_like(std, np.nan), np.full_like(base_std, np.nan)
     ci = value[:, None] + 1.959964 * std[:, None] * np.array([-1, 1])
-    return _assemble(weighted, method, psi, value, std, ci, (), seen, base_std, (note,), source, 0)
+    return _assemble(weighted, method, psi, value, std, ci, (), from_data, base_std, (note,), source, 0)
 
 
-def _constrained_estimate(weighted: Weighted, method: str, solution: sdp.Optimum, seen: Identifiability,
+def _constrained_estimate(weighted: Weighted, method: str, solution: sdp.Optimum, from_data: Identifiability,
                           tolerance: float, intervals: bool, seed: int) -> Estimate:
     problem, R, r = weighted.problem, weighted.R, weighted.r
     p = len(problem.parameters)
     psi, std, ci = solution.psi, np.full(p, np.nan), np.full((p, 2), np.nan)
-    base_std = np.full(seen.rank, np.nan)
+    base_std = np.full(from_data.rank, np.nan)
     note, source, posterior = "intervals were not requested", Intervals.NOT_REQUESTED, None
     if intervals:
         posterior = uncertainty.sample(problem, R, r, solution.psi,
@@ -205,42 +205,42 @@ def _constrained_estimate(weighted: Weighted, method: str, solution: sdp.Optimum
         else:
             source = Intervals.SAMPLED
             std, ci = posterior.interval()
-            base_std, _ = posterior.interval(seen.grouping)
-            # the most probable point sits in a corner of the constraints, with most of what is possible to one side
+            base_std, _ = posterior.interval(from_data.grouping)
+            # the most probable point lies on active constraints, with the posterior's mass to one side of it
             psi = solution.psi if posterior.mean is None else posterior.mean
             kind = "the most probable ones" if posterior.mean is None else "posterior means"
             note = f"values are {kind}; {posterior.note}"
-    psi = _nominal_where_unseen(problem, seen, psi)
-    # where the data say nothing, a number would be no estimate, whatever the priors say
+    psi = _nominal_where_unobserved(problem, from_data, psi)
+    # parameters that the data do not depend on have no estimate, whatever their priors
     rows, _ = problem.prior_rows
-    told = identifiability.analyse(np.vstack([R, rows]), problem.parameters.names, tolerance=tolerance)
-    unseen = np.array(seen.category) == identifiability.NONE
-    untold = np.array(told.category) != identifiability.FULL
+    with_priors = identifiability.analyse(np.vstack([R, rows]), problem.parameters.names, tolerance=tolerance)
+    unobserved = np.array(from_data.category) == identifiability.NONE
+    ambiguous = np.array(with_priors.category) != identifiability.FULL
     value = psi.copy()
-    value[untold | unseen], std[untold | unseen], ci[untold | unseen] = np.nan, np.nan, np.nan
-    return _assemble(weighted, method, psi, value, std, ci, solution.active, seen, base_std, (note,), source, seed,
+    value[ambiguous | unobserved], std[ambiguous | unobserved], ci[ambiguous | unobserved] = np.nan, np.nan, np.nan
+    return _assemble(weighted, method, psi, value, std, ci, solution.active, from_data, base_std, (note,), source, seed,
                      posterior)
 
 
-def _nominal_where_unseen(problem: IdentificationProblem, seen: Identifiability, psi: Array) -> Array:
-    """ψ with bodies that leave no trace at all back at their nominal values, unless somebody spoke of them.
+def _nominal_where_unobserved(problem: IdentificationProblem, from_data: Identifiability, psi: Array) -> Array:
+    """ψ with the nominal values of bodies that no residual depends on, unless statements connect them with others.
 
-    What is stated of one body alone, its nominal values fulfil.
+    The nominal values satisfy the statements about a single body.
     """
     if problem.constraints or problem.priors or problem.stated_priors or problem.physics or problem.fixed:
         return psi
-    spoken = np.abs(np.vstack([np.zeros((0, len(psi))), *(c.rows for c in problem.conditions)])) > 0
+    stated = np.abs(np.vstack([np.zeros((0, len(psi))), *(c.rows for c in problem.conditions)])) > 0
     psi = psi.copy()
     for columns in problem.parameters.bodies.values():
         body = np.isin(np.arange(len(psi)), range(columns.start, columns.stop))
-        with_others = spoken[:, body].any(axis=1) & spoken[:, ~body].any(axis=1)
-        if set(seen.category[columns]) == {identifiability.NONE} and not with_others.any():
+        with_others = stated[:, body].any(axis=1) & stated[:, ~body].any(axis=1)
+        if set(from_data.category[columns]) == {identifiability.NONE} and not with_others.any():
             psi[columns] = problem.parameters.nominal[columns]
     return psi
 
 
 def _assemble(weighted: Weighted, method: str, psi: Array, value: Array, std: Array, ci: Array,
-              active: tuple[str, ...], seen: Identifiability, base_std: Array, notes: tuple[str, ...],
+              active: tuple[str, ...], from_data: Identifiability, base_std: Array, notes: tuple[str, ...],
               intervals: Intervals, seed: int, posterior: uncertainty.Posterior | None = None) -> Estimate:
     problem = weighted.problem_at(psi)
     bound = [""] * len(problem.parameters)
@@ -248,6 +248,6 @@ def _assemble(weighted: Weighted, method: str, psi: Array, value: Array, std: Ar
         for k in np.flatnonzero(np.any(condition.rows, axis=0)) if condition.name in active else ():
             bound[k] = condition.name
     return Estimate(
-        problem, method, psi, value, std, ci, tuple(bound), active, identifiability.structural(problem.model), seen,
-        seen.grouping @ psi, base_std, weighted, identifiability.confounded(weighted.R, seen),
+        problem, method, psi, value, std, ci, tuple(bound), active, identifiability.structural(problem.model),
+        from_data, from_data.grouping @ psi, base_std, weighted, identifiability.confounded(weighted.R, from_data),
         (*notes, *weighted.notes), intervals, seed, posterior)

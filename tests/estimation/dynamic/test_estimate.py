@@ -178,14 +178,14 @@ def test_a_disk_that_fails_in_between_leaves_nothing_half_written(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     (tmp_path / "one").write_text("old")
-    real = Path.write_text
+    real = Path.write_bytes
 
-    def fail(self: Path, text: str, **options: Any) -> int:
+    def fail(self: Path, data: bytes) -> int:
         if self.name == "two":
-            real(self, text[:3], **options)
+            real(self, data[:3])
             raise OSError(28, "No space left on device")
-        return real(self, text, **options)
-    monkeypatch.setattr(Path, "write_text", fail)
+        return real(self, data)
+    monkeypatch.setattr(Path, "write_bytes", fail)
     with pytest.raises(ProblemError, match=r"No space left on device.*-o"):
         write_files(tmp_path, {"one": "new text", "two": "more text"})
     assert {file.name: file.read_text() for file in tmp_path.iterdir()} == {"one": "old"}

@@ -164,7 +164,7 @@ def test_pressures_are_inputs_where_seals_feel_them() -> None:
 
 @pytest.mark.parametrize(("text", "place"), [
     ("coulomb+sticky", "'sticky' is no friction term"), ("", "'' is no friction term"),
-    ("reverse", "nothing that 'reverse' could change"), ("viscous+dead_zone", "nothing that 'dead_zone' could change")])
+    ("reverse", "'reverse' has no term to change"), ("viscous+dead_zone", "'dead_zone' has no term to change")])
 def test_terms_must_be_known_and_have_something_to_change(text: str, place: str) -> None:
     with pytest.raises(ProblemError, match=place):
         with_friction(crane(), text)
@@ -294,9 +294,10 @@ def test_a_candidate_that_cannot_be_fitted_is_named_and_not_chosen(monkeypatch: 
         return identify(problem, *more, **options)
 
     monkeypatch.setattr(friction_choice, "identify", failing)
-    choice = chosen(crane(coulomb=500.0), candidates=["coulomb", "coulomb+stribeck"])
+    choice = chosen(crane(coulomb=500.0), candidates=["coulomb", "coulomb+stribeck"]).friction_choice
+    assert choice is not None
     assert choice.terms == "coulomb"
-    assert choice.candidates[1].why == "not fitted: it gave up"
+    assert choice.candidates[1].reason == "not fitted: it gave up"
     assert np.isnan(choice.candidates[1].held_out)
 
 

@@ -104,7 +104,7 @@ def test_gross_outliers_are_resisted(cat215b: Model, noisy: IdentificationProble
 def test_names_of_losses_and_methods_are_checked(noisy: IdentificationProblem) -> None:
     with pytest.raises(ProblemError, match="'median' is not a loss; use squares, huber or student_t"):
         noisy.with_loss("median")  # type: ignore[arg-type]
-    with pytest.raises(ProblemError, match=f"'lsq' is no method; use one of {', '.join(METHODS)}"):
+    with pytest.raises(ProblemError, match=f"'lsq' is not a method; use one of {', '.join(METHODS)}"):
         identify(noisy, "lsq")  # type: ignore[arg-type]
 
 
