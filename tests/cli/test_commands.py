@@ -107,9 +107,9 @@ def test_simulate_samples_at_the_stated_rate(tmp_path: Path) -> None:
 
 def test_show_holds_other_joints_at_the_middle_of_their_range() -> None:
     from fixtures.tree import TREE
+    from hydroopt.cli.machine_facts import _cylinder_facts
     from hydroopt.machine.machine import Machine
     from hydroopt.model.model import Model
-    from hydroopt.report.machine_facts import _cylinder_facts
     across = {**TREE["cylinders"][0], "barrel": {"link": "trunk", "pin": (0.3, 0.4, 0.0)}}
     limits = [{**link, "joint": {**link["joint"], "a": 1.0, "theta": 0.3}} for link in TREE["links"]]
     model = Model(Machine.model_validate(TREE | {"links": limits, "cylinders": [across, TREE["cylinders"][1]]}))

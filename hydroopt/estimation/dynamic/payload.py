@@ -142,7 +142,7 @@ class Payload(Answer):
         if self.p_value > NO_LOAD:
             return (Diagnostic(Kind.NO_LOAD_DETECTED, link, {
                 "p_value": self.p_value, "probability": probability(self.p_value),
-                "mass": f"; a load of {mass} kg is consistent with them" if mass else ""}),)
+                "mass": f"; a load of {mass} kg is consistent with the logs" if mass else ""}),)
         if mass:
             place = f", its centre of mass lies at {com} m in the frame of that link" if com else ""
             return (Diagnostic(Kind.LOAD_IDENTIFIED, link, {"mass": mass, "place": place}),)
