@@ -86,13 +86,12 @@ def main() -> int:
     if unknown := set(options.names) - set(there):
         parser.error(f"there is no study {', '.join(sorted(unknown))}")
     found: list[Row] = []
+    OUT.mkdir(parents=True, exist_ok=True)
     for name in options.names or (QUICK if options.quick else there):
         print(f"== {name}", flush=True)
         found += rows(HERE / name)
-    text = markdown(found)
-    OUT.mkdir(parents=True, exist_ok=True)
-    (OUT / "table.md").write_text(text, "utf-8")
-    print(f"\n{text}\n{OUT / 'table.md'}")
+        (OUT / "table.md").write_text(markdown(found), "utf-8")  # so that an interrupted run leaves what it found
+    print(f"\n{markdown(found)}\n{OUT / 'table.md'}")
     return len({row.study for row in found if row.verdict.startswith(FAILS)})
 
 
