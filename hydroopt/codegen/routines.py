@@ -10,7 +10,7 @@ import numpy as np
 
 from hydroopt.control import valve_inversion
 from hydroopt.errors import ProblemError
-from hydroopt.machine.components import Cylinder
+from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import ParameterKind

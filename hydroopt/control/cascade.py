@@ -8,7 +8,7 @@ import control
 import numpy as np
 
 from hydroopt.control.reference import Demand
-from hydroopt.control.sampled import Point, Reading
+from hydroopt.control.sampled_plant import Point, Reading
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.spatial.inertia import Array
 

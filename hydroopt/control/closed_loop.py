@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from hydroopt.control.reference import Demands, offset
-from hydroopt.control.sampled import Reading
+from hydroopt.control.sampled_plant import Reading
 from hydroopt.errors import SolverError
 from hydroopt.logs.sensors import measure
 from hydroopt.model.plant import Plant

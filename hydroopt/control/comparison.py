@@ -14,15 +14,16 @@ from hydroopt.control.cascade import Cascade, Gains
 from hydroopt.control.closed_loop import simulate
 from hydroopt.control.diagnostics import control_diagnostics
 from hydroopt.control.feasibility import refuse_flow, refuse_opening, refuse_unstable
+from hydroopt.control.loop_margins import Margin, margins
 from hydroopt.control.lqg import Lqg, design, reading_noise
 from hydroopt.control.model_variants import COMPLETE, TRUE, ModelVariant
 from hydroopt.control.outcome import FEEDFORWARD, LQG, PI, Bode, Outcome
 from hydroopt.control.reference import Demands
-from hydroopt.control.sampled import Linear, Margin, Point, margins
+from hydroopt.control.sampled_plant import Linear, Point
 from hydroopt.control.setting import Setting
 from hydroopt.control.tuning import tuned
 from hydroopt.logs.table import encoded_columns
-from hydroopt.machine.components import Cylinder
+from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.machine import Machine
 from hydroopt.model.plant import Plant
 from hydroopt.model.workspace import Sweep, workspace_sweeps

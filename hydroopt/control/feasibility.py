@@ -7,8 +7,8 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.optimize import brentq
 
+from hydroopt.control.loop_margins import Margin
 from hydroopt.control.reference import Demand
-from hydroopt.control.sampled import Margin
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
 from hydroopt.model.flow_demand import TOLERANCE, demanded_flow

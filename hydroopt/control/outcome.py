@@ -9,8 +9,8 @@ from typing import NamedTuple
 import numpy as np
 
 from hydroopt.control.closed_loop import Run
+from hydroopt.control.loop_margins import Margin
 from hydroopt.control.model_variants import ModelVariant
-from hydroopt.control.sampled import Margin
 from hydroopt.spatial.inertia import Array
 
 PI, FEEDFORWARD, LQG = "pi", "feedforward", "lqg"

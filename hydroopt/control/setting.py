@@ -13,7 +13,7 @@ from scipy.stats import qmc
 from hydroopt.control.feasibility import steady_speeds
 from hydroopt.control.model_variants import ModelVariant
 from hydroopt.control.reference import Demands, Reference
-from hydroopt.control.sampled import Point, linearised, point, sampled
+from hydroopt.control.sampled_plant import Point, linearised, point, sampled
 from hydroopt.control.tuning import SENSITIVITY
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError

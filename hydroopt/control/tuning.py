@@ -9,7 +9,8 @@ import control
 import numpy as np
 
 from hydroopt.control.cascade import Gains
-from hydroopt.control.sampled import Point, frequencies
+from hydroopt.control.loop_margins import frequencies
+from hydroopt.control.sampled_plant import Point
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
 from hydroopt.spatial.inertia import Array

@@ -9,7 +9,7 @@ import numpy as np
 from hydroopt.errors import LogError
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.log import Log
-from hydroopt.machine.components import Cylinder
+from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array

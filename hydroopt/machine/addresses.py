@@ -5,8 +5,9 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from hydroopt.machine.actuators import Cylinder, Drive, GasCylinder, Motor
 from hydroopt.machine.calibration_chain import Fixture
-from hydroopt.machine.components import Body, Cylinder, Drive, GasCylinder, Link, Motor
+from hydroopt.machine.links import Body, Link
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.machine.valves import EDGES, Circuit, Oil
 from hydroopt.spatial import inertia

@@ -6,7 +6,7 @@ from typing import Self
 
 from pydantic import Field, model_validator
 
-from hydroopt.machine.components import Link
+from hydroopt.machine.links import Link
 from hydroopt.machine.quantity import Angle, ImpossibleError, Length, Lengths, Name, Noun
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from hydroopt.machine.components import Cylinder, GasCylinder
+from hydroopt.machine.actuators import Cylinder, GasCylinder
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.quantity import ImpossibleError

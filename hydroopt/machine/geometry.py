@@ -6,8 +6,8 @@ from collections.abc import Mapping
 
 import casadi as ca
 
+from hydroopt.machine.actuators import Cylinder, GasCylinder
 from hydroopt.machine.addresses import AXES, TURNS
-from hydroopt.machine.components import Cylinder, GasCylinder
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.spatial.poses import Pose, Triangle, identity, joint_pose, link_pose, triangle
 

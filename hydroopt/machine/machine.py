@@ -13,15 +13,16 @@ from pydantic import ModelWrapValidatorHandler, ValidationError, model_validator
 
 from hydroopt.errors import MachineError
 from hydroopt.machine import addresses
-from hydroopt.machine.components import Cylinder, Drive, Motor, Note
-from hydroopt.machine.parts import BASE, Parts
+from hydroopt.machine.actuators import Cylinder, Drive, Motor
+from hydroopt.machine.description import BASE, MachineDescription
+from hydroopt.machine.links import Note
 from hydroopt.machine.quantity import ImpossibleError
 from hydroopt.units import same_kind
 
 __all__ = ["BASE", "Machine"]
 
 
-class Machine(Parts):
+class Machine(MachineDescription):
     """A manipulator: a tree of links on the base, their actuators, and the sensors.
 
     `orientation` is roll, pitch, yaw of the base frame in a world whose z points up. Above the frequency `bandwidth`

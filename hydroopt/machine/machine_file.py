@@ -18,7 +18,8 @@ from pydantic import BaseModel, ValidationError
 
 from hydroopt.errors import MachineError
 from hydroopt.machine import cylinder_checks
-from hydroopt.machine.components import Cylinder, Joint, JointFriction, Note, TorqueFriction
+from hydroopt.machine.actuators import Cylinder, TorqueFriction
+from hydroopt.machine.links import Joint, JointFriction, Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.quantity import ImpossibleError, Noun, Quantity
 from hydroopt.machine.sensor import Sensor

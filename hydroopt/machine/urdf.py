@@ -17,7 +17,8 @@ from xml.etree import ElementTree
 import numpy as np
 
 from hydroopt.errors import MachineError
-from hydroopt.machine.components import Body, Drive, Joint, Link
+from hydroopt.machine.actuators import Drive
+from hydroopt.machine.links import Body, Joint, Link
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array

@@ -11,9 +11,10 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.kernels.native import Runner
+from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.addresses import Number
-from hydroopt.machine.components import Cylinder, Link
 from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.links import Link
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array

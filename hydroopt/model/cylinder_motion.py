@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from hydroopt.machine.components import Cylinder, GasCylinder
+from hydroopt.machine.actuators import Cylinder, GasCylinder
 from hydroopt.machine.geometry import Geometry
 from hydroopt.model.kinematics import STILL, UP, Coordinates, Motion
 from hydroopt.spatial.poses import Pose

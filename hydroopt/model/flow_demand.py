@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from hydroopt.machine.components import Cylinder, Motor
+from hydroopt.machine.actuators import Cylinder, Motor
 from hydroopt.machine.machine import Machine
 from hydroopt.spatial.inertia import Array
 

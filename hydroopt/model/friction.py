@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import casadi as ca
 
-from hydroopt.machine.components import Cylinder, Drive, Motor
+from hydroopt.machine.actuators import Cylinder, Drive, Motor
 
 
 def sign_of(speed: ca.SX, dead_zone: float | None) -> ca.SX:

@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from hydroopt.machine.components import Cylinder, Motor
+from hydroopt.machine.actuators import Cylinder, Motor
 from hydroopt.machine.valves import Circuit, Oil, Valve
 from hydroopt.model.flow_demand import chamber_flows
 

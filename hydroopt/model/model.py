@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from hydroopt.errors import ProblemError
 from hydroopt.kernels.expression_graph import program
 from hydroopt.kernels.native import Runner
-from hydroopt.machine.components import Cylinder
+from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.model import lagrange

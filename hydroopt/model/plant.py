@@ -11,7 +11,7 @@ from scipy.optimize import brentq, root
 
 from hydroopt.errors import ProblemError
 from hydroopt.kernels.expression_graph import program
-from hydroopt.machine.components import Cylinder, Drive
+from hydroopt.machine.actuators import Cylinder, Drive
 from hydroopt.machine.machine import Machine
 from hydroopt.model.hydraulics import (
     AMBIENT,

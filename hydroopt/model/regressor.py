@@ -9,7 +9,7 @@ from __future__ import annotations
 import casadi as ca
 import numpy as np
 
-from hydroopt.machine.components import Cylinder, Drive, GasCylinder, Motor
+from hydroopt.machine.actuators import Cylinder, Drive, GasCylinder, Motor
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.model.cylinder_motion import CylinderMotion, cylinder_motion

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydroopt.machine.components import Cylinder, GasCylinder
+from hydroopt.machine.actuators import Cylinder, GasCylinder
 from hydroopt.machine.machine import BASE
 from hydroopt.model.model import Model
 from hydroopt.spatial import inertia

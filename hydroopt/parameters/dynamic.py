@@ -6,8 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hydroopt.machine.actuators import Cylinder, Drive, Motor
 from hydroopt.machine.addresses import Number, gas_numbers
-from hydroopt.machine.components import Body, Cylinder, Drive, Motor, Note
+from hydroopt.machine.links import Body, Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.parameters.parameter_set import ParameterSet

@@ -11,7 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from hydroopt.machine.components import Cylinder, GasCylinder, Link
+from hydroopt.machine.actuators import Cylinder, GasCylinder
+from hydroopt.machine.links import Link
 from hydroopt.machine.machine import Machine
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE, STYLE, WIDTH
 from hydroopt.spatial.inertia import Array

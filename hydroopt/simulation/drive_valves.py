@@ -7,7 +7,7 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.logs import sensors
 from hydroopt.logs.log import Log
-from hydroopt.machine.components import Cylinder
+from hydroopt.machine.actuators import Cylinder
 from hydroopt.model.plant import Plant
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array

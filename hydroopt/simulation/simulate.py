@@ -9,7 +9,7 @@ import numpy as np
 from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.logs import sensors
 from hydroopt.logs.log import Log
-from hydroopt.machine.components import Cylinder, Drive
+from hydroopt.machine.actuators import Cylinder, Drive
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import bodies

@@ -7,8 +7,9 @@ import numpy as np
 from scipy.optimize import least_squares
 
 from hydroopt import KinematicModel, Poses, calibration_problem, read_urdf, solve
+from hydroopt.machine.actuators import Drive
 from hydroopt.machine.calibration_chain import Calibrator, Tracker
-from hydroopt.machine.components import Drive, Joint, Link, Note
+from hydroopt.machine.links import Joint, Link, Note
 from hydroopt.machine.sensor import Sensor
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "hilti_flat"

@@ -9,7 +9,7 @@ from hydroopt import calibration_problem, read_poses, read_urdf, solve
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.residuals import gaps
 from hydroopt.machine.calibration_chain import Calibrator, Tracker
-from hydroopt.machine.components import Note
+from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.sensor import Sensor
 

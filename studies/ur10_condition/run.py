@@ -12,7 +12,7 @@ from hydroopt.excitation.motion.design import design
 from hydroopt.excitation.motion.excitation import Excitation
 from hydroopt.excitation.motion.limits import Limits, margins
 from hydroopt.excitation.motion.problem import ExcitationProblem
-from hydroopt.machine.components import TorqueFriction
+from hydroopt.machine.actuators import TorqueFriction
 from hydroopt.machine.machine import Machine
 
 CENTRE = (0, -90, 90, -90, -90, 0)

@@ -25,7 +25,7 @@ from fixtures.library import OK, OPEN_TRIANGLE, OUT_OF_STROKE, SUBJECTS, Library
 from fixtures.tiers import tiered
 from hydroopt.codegen.folder import STATUSES
 from hydroopt.codegen.routines import ROUTINES
-from hydroopt.machine.components import Cylinder
+from hydroopt.machine.actuators import Cylinder
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.model import Model
 

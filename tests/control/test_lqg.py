@@ -8,10 +8,11 @@ import pytest
 from numpy.testing import assert_allclose
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
+from hydroopt.control.loop_margins import poles
 from hydroopt.control.lqg import CAUTION, UNKNOWN, Design, Lqg, design, reading_noise
 from hydroopt.control.reference import Ahead, Demand
-from hydroopt.control.sampled import Point, linearised, poles, sampled
-from hydroopt.control.sampled import point as steady_point
+from hydroopt.control.sampled_plant import Point, linearised, sampled
+from hydroopt.control.sampled_plant import point as steady_point
 from hydroopt.control.tuning import SLOWNESS
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.machine.machine_file import load_machine

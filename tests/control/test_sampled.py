@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from hydroopt.control.sampled import margins, poles, sampled
+from hydroopt.control.loop_margins import margins, poles
+from hydroopt.control.sampled_plant import sampled
 
 PERIOD = 0.02
 INTEGRATOR = control.StateSpace([[0.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"], states=["x"])

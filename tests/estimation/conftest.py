@@ -10,7 +10,7 @@ import pytest
 from fixtures.periodic import PERIOD, PERIODIC
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.logs.log import Log
-from hydroopt.machine.components import Note
+from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from hydroopt.errors import MachineError
-from hydroopt.machine.components import Note
+from hydroopt.machine.links import Note
 from hydroopt.machine.machine_file import bundled, dump_machine, load_machine, read_machine
 from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.model.closed_chain import KinematicModel

@@ -10,7 +10,8 @@ import pytest
 from pydantic import ValidationError
 
 from fixtures.tree import TREE, pin
-from hydroopt.machine.components import Body, Cylinder, GasCylinder, Joint
+from hydroopt.machine.actuators import Cylinder, GasCylinder
+from hydroopt.machine.links import Body, Joint
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.sensor import Sensor
 

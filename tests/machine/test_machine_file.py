@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hydroopt.errors import MachineError
-from hydroopt.machine.components import Note
 from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import bundled, dump_machine, load_machine, read_machine
 from hydroopt.model.model import Model

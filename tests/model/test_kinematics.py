@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hydroopt.machine.components import GasCylinder
+from hydroopt.machine.actuators import GasCylinder
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model

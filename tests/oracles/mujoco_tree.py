@@ -12,7 +12,8 @@ import mujoco
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from hydroopt.machine.components import Cylinder, Link
+from hydroopt.machine.actuators import Cylinder
+from hydroopt.machine.links import Link
 from hydroopt.machine.machine import BASE, Machine
 
 

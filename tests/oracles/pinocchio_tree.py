@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 import pinocchio as pin
 
-from hydroopt.machine.components import Cylinder, GasCylinder
+from hydroopt.machine.actuators import Cylinder, GasCylinder
 from hydroopt.machine.machine import BASE, Machine
 
 WORLD = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from hydroopt.machine.components import Cylinder
+from hydroopt.machine.actuators import Cylinder
 from oracles.pinocchio_tree import PinocchioTree
 from oracles.subjects import SUBJECTS, forces, model, random_bodies, relative_error, states
 

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 from scipy.integrate import simpson
 
-from hydroopt.machine.components import Cylinder
+from hydroopt.machine.actuators import Cylinder
 from hydroopt.model.plant import CREEP, Plant
 from oracles.mujoco_tree import MujocoTree
 from oracles.pinocchio_tree import PinocchioTree

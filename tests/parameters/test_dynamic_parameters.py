@@ -7,7 +7,7 @@ import warnings
 import numpy as np
 import pytest
 
-from hydroopt.machine.components import Note
+from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.parameters.dynamic import bodies, parameter_set

@@ -7,7 +7,7 @@ import pytest
 from scipy.stats import truncnorm
 
 from hydroopt.errors import IdentifiabilityError, ProblemError
-from hydroopt.machine.components import Note
+from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model

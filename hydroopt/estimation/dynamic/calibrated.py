@@ -6,7 +6,7 @@ import numpy as np
 
 from hydroopt.errors import MachineError, ProblemError
 from hydroopt.estimation.dynamic.identification import Identification
-from hydroopt.machine.components import Note
+from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.parameters import dynamic as dynamic_parameters
 from hydroopt.spatial.inertia import Array

@@ -15,7 +15,7 @@ from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import angle_noise, channels_used, forces, measured_angles, pressures
 from hydroopt.logs.smoothing import Motion, Smoothing, SmoothingSpline, condition
-from hydroopt.machine.components import Cylinder
+from hydroopt.machine.actuators import Cylinder
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 

@@ -23,7 +23,8 @@ from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, random
 from hydroopt.estimation.inference.least_squares import base_least_squares
 from hydroopt.logs.any_log import AnyLog, in_memory
 from hydroopt.logs.smoothing import Smoothing
-from hydroopt.machine.components import Cylinder, Drive, Motor, Note
+from hydroopt.machine.actuators import Cylinder, Drive, Motor
+from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterKind

@@ -29,7 +29,7 @@ from hydroopt.logs.log import Log
 from hydroopt.logs.readings import force_noise
 from hydroopt.logs.smoothing import Motion, Smoothing
 from hydroopt.logs.stream import LogStream
-from hydroopt.machine.components import Note
+from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterSet

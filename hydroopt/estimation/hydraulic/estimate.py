@@ -14,7 +14,7 @@ from hydroopt.estimation.hydraulic.diagnostics import parameter_diagnostics, une
 from hydroopt.estimation.hydraulic.dynamics import Record
 from hydroopt.estimation.hydraulic.problem import HydraulicProblem
 from hydroopt.estimation.hydraulic.shooting import ShootingEstimate
-from hydroopt.machine.components import Note
+from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine
 from hydroopt.model.workspace import Sweep, workspace_sweeps

@@ -23,7 +23,7 @@ from hydroopt.logs.frames import refuse_others
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import measured_angles, reading
 from hydroopt.logs.smoothing import SmoothingSpline, condition
-from hydroopt.machine.components import Cylinder
+from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.machine import Machine
 from hydroopt.model.hydraulics import displaced
 from hydroopt.model.model import Model

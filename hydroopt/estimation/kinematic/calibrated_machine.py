@@ -6,7 +6,7 @@ import numpy as np
 
 from hydroopt.errors import HydrooptError
 from hydroopt.estimation.kinematic.solution import KinematicSolution
-from hydroopt.machine.components import Note
+from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, read_machine
 

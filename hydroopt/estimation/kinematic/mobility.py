@@ -18,8 +18,9 @@ from hydroopt.estimation.kinematic.length_scale import has_length_scale, no_leng
 from hydroopt.estimation.kinematic.observability import Linearised, linearise, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.logs.poses import joined
+from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.calibration_chain import Stage
-from hydroopt.machine.components import Cylinder, Note
+from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.estimation.inference.identifiability import random_states
-from hydroopt.machine.components import Cylinder, Drive, Motor
+from hydroopt.machine.actuators import Cylinder, Drive, Motor
 from hydroopt.machine.machine import BASE
 from hydroopt.model.flow_demand import chamber_flows
 from hydroopt.model.kinematics import gravity_in_base

@@ -22,7 +22,7 @@ from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Fourier
-from hydroopt.machine.components import Note
+from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model

@@ -21,7 +21,7 @@ from hydroopt.estimation.inference.gaussian import gaussian_posterior
 from hydroopt.estimation.inference.identifiability import structural
 from hydroopt.estimation.inference.posterior import sample
 from hydroopt.logs.smoothing import Fourier
-from hydroopt.machine.components import Note
+from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, load_machine, read_machine
 from hydroopt.machine.mass_statements import Shape

@@ -14,7 +14,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic import link_by_link
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
-from hydroopt.machine.components import Note
+from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.closed_chain import KinematicModel

@@ -11,7 +11,7 @@ import pytest
 
 from hydroopt.estimation.kinematic.mobility import Mobility, grubler, mobility, obstacles
 from hydroopt.machine.calibration_chain import Calibrator, Fixture, Stage, Tracker
-from hydroopt.machine.components import Note
+from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.machine.sensor import Sensor

@@ -7,10 +7,11 @@ from itertools import chain
 from pydantic import Field
 
 from hydroopt.machine import addresses
+from hydroopt.machine.actuators import Cylinder, Drive, GasCylinder, Motor
 from hydroopt.machine.addresses import Number
 from hydroopt.machine.calibration_chain import Calibrator, Distance, Fixture, Stage, Tracker
-from hydroopt.machine.components import Cylinder, Drive, GasCylinder, Link, Motor, Note
 from hydroopt.machine.environment import Footprint, Obstacle, Pump, Workspace
+from hydroopt.machine.links import Link, Note
 from hydroopt.machine.mass_statements import Identical, TotalMass
 from hydroopt.machine.quantity import Acceleration, Angle, Length, Name, Noun, Rate
 from hydroopt.machine.sensor import Sensor
@@ -20,7 +21,7 @@ BASE = "base"
 """Name of the machine's chassis, the root of the tree; it does not move."""
 
 
-class Parts(Noun):
+class MachineDescription(Noun):
     """The parts of a machine as its file states them; `Machine` adds the invariants between them."""
 
     name: Name
