@@ -27,12 +27,13 @@ from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.machine import Machine
 from hydroopt.model.plant import Plant
 from hydroopt.model.workspace import Sweep, workspace_sweeps
-from hydroopt.results.answer import Answer, Status
+from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.store import Job
 from hydroopt.results.tables import csv_text, number
+from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
 METHOD = "simulation of closed loops"
@@ -88,15 +89,11 @@ class Comparison(Answer):
         """How it was computed."""
         return METHOD
 
-    @property
-    def status(self) -> Status:
-        """`SUSPECT` if even the best controller ends before the motion does, else `OK`."""
-        return Status.SUSPECT if self.winner.run.stopped else Status.OK
-
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Small margins, ended runs and saturated valves."""
-        return control_diagnostics(self.setting, self.outcomes, self.feedforward)
+        stopped = (Diagnostic(Kind.BEST_RUN_STOPPED, (self.winner.name,)),) if self.winner.run.stopped else ()
+        return (*stopped, *control_diagnostics(self.setting, self.outcomes, self.feedforward))
 
     @cached_property
     def parameters(self) -> ParameterTable:

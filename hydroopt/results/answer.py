@@ -9,9 +9,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydroopt.results import store
-from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.fit import Fit
 from hydroopt.results.parameter_table import ParameterTable
+from hydroopt.results.wording import CONTRADICTIONS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -50,9 +51,9 @@ class Answer(ABC):
         """How it was computed."""
 
     @property
-    @abstractmethod
     def status(self) -> Status:
-        """Whether it can be believed."""
+        """Whether it can be believed: suspect where a diagnostic contradicts it."""
+        return Status.SUSPECT if of_kind(self.diagnostics, *CONTRADICTIONS) else Status.OK
 
     @property
     @abstractmethod

@@ -43,6 +43,7 @@ class Kind(StrEnum):
     UNSTABLE_ELSEWHERE = "loop unstable outside the motion"
     SMALL_MARGINS = "small margins"
     RUN_STOPPED = "run ended early"
+    BEST_RUN_STOPPED = "even the best run ended early"
     VALVE_SATURATED = "valve saturated"
 
     # design of a motion
@@ -114,6 +115,7 @@ class Kind(StrEnum):
     LARGER_ON_VALIDATION = "held-out poses fit worse than training poses"
     NO_REDUNDANCY = "no redundancy"
     ERRORS_LARGER = "errors larger than stated"
+    ERRORS_FAR_LARGER = "errors far larger than stated"
     ERRORS_SMALLER = "errors smaller than stated"
     ONLY_TOGETHER = "identifiable only together"
     NOT_DETERMINED = "not determined"
@@ -128,6 +130,10 @@ class Kind(StrEnum):
     NOT_IDENTIFIED_BY_POSES = "not identified by poses"
 
 
+CONTRADICTIONS = frozenset({
+    Kind.WORSE_THAN_ZERO, Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_CHANNEL, Kind.ERRORS_FAR_LARGER,
+    Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED})
+"""Kinds that make an answer suspect."""
 WORDS: dict[Kind, Words] = {
     Kind.NO_VALIDATION: Words(
         "No log was held out, so the prediction of unseen data is not known.",
@@ -140,6 +146,9 @@ WORDS: dict[Kind, Words] = {
         "{subject} leaves the loop of {loop} margins of only {gain_db:.1f} dB ({gain_point}) and {phase_deg:.0f} "
         "degrees ({phase_point})."),
     Kind.RUN_STOPPED: Words("With {subject} {why}."),
+    Kind.BEST_RUN_STOPPED: Words(
+        "Even the best controller, {subject}, ends before the motion does.",
+        "Drive a slower motion, or correct the machine's valves and pump."),
     Kind.VALVE_SATURATED: Words("With {subject} the valve of {valve} is fully open {part:.0f %} of the time."),
     Kind.SEARCH_INTERRUPTED: Words("The search was interrupted.", "A longer search may find a better motion."),
     Kind.NOT_LIMITED: Words("The machine file does not limit {subject}.", "State what must be limited."),
@@ -288,6 +297,9 @@ WORDS: dict[Kind, Words] = {
         "There are as many equations as parameters, so that the size of the errors is not known.",
         "Measure more poses."),
     Kind.ERRORS_LARGER: Words(
+        "Errors are {scale:.1f} times those stated: sensors or fixtures are worse than stated, or the geometry moves "
+        "in a way that the model lacks; intervals are widened accordingly."),
+    Kind.ERRORS_FAR_LARGER: Words(
         "Errors are {scale:.1f} times those stated: sensors or fixtures are worse than stated, or the geometry moves "
         "in a way that the model lacks; intervals are widened accordingly."),
     Kind.ERRORS_SMALLER: Words(

@@ -22,8 +22,8 @@ from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import GROUPS, ParameterSet
-from hydroopt.results.answer import Answer, Status
-from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.answer import Answer
+from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.store import Job
@@ -138,11 +138,6 @@ class Change(Answer):
     def method(self) -> str:
         """One least squares over both sessions, with an F test."""
         return METHOD
-
-    @property
-    def status(self) -> Status:
-        """Suspect where the sampling of intervals did not converge."""
-        return Status.SUSPECT if of_kind(self.diagnostics, Kind.SAMPLING_NOT_CONVERGED) else Status.OK
 
     @cached_property
     def findings(self) -> tuple[Diagnostic, ...]:

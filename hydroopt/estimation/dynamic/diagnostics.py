@@ -17,8 +17,6 @@ from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.tables import number
 from hydroopt.results.wording import Kind
 
-CONTRADICTIONS = (Kind.WORSE_THAN_ZERO, Kind.SAMPLING_NOT_CONVERGED)
-"""Kinds that make an estimate suspect."""
 OVERFITTED = 2.0
 """Validation error, as a multiple of the training error, that is worth a diagnostic."""
 ABOVE_NOISE, CORRELATED, WEAK = 1.5, 3.0, 2.0

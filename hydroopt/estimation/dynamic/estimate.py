@@ -20,8 +20,8 @@ from hydroopt.estimation.dynamic.stored_information import INFORMATION, informat
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine
 from hydroopt.model.scene import Scene, range_scenes
-from hydroopt.results.answer import Answer, Status
-from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.answer import Answer
+from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.store import Job
 from hydroopt.results.tables import csv_text, number
@@ -66,11 +66,6 @@ class Estimate(Identification, Answer):
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What to know before trusting the estimate, the gravest first."""
         return diagnostics.diagnose(self)
-
-    @property
-    def status(self) -> Status:
-        """Suspect where validation data contradict the estimate or its intervals did not converge."""
-        return Status.SUSPECT if of_kind(self.diagnostics, *diagnostics.CONTRADICTIONS) else Status.OK
 
     @cached_property
     def machine(self) -> Machine:

@@ -33,8 +33,8 @@ from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.parameter_set import ParameterSet
-from hydroopt.results.answer import Answer, Status
-from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.answer import Answer
+from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.store import Job
@@ -121,11 +121,6 @@ class Payload(Answer):
     def method(self) -> str:
         """One least squares over both sessions, the load a body of its own."""
         return METHOD
-
-    @property
-    def status(self) -> Status:
-        """Suspect where the sampling of intervals did not converge."""
-        return Status.SUSPECT if of_kind(self.diagnostics, Kind.SAMPLING_NOT_CONVERGED) else Status.OK
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:

@@ -18,13 +18,12 @@ from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine
 from hydroopt.model.workspace import Sweep, workspace_sweeps
-from hydroopt.results.answer import Answer, Status
-from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.answer import Answer
+from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.store import Job
 from hydroopt.results.tables import csv_text, number
-from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
 METHOD = "multiple shooting"
@@ -78,11 +77,6 @@ class HydraulicEstimate(Answer):
     def method(self) -> str:
         """How it was computed."""
         return METHOD
-
-    @property
-    def status(self) -> Status:
-        """`SUSPECT` if the residuals of a channel exceed what its sensor explains, else `OK`."""
-        return Status.SUSPECT if of_kind(self.diagnostics, Kind.UNEXPLAINED_CHANNEL) else Status.OK
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:

@@ -19,15 +19,12 @@ from hydroopt.estimation.kinematic.unsensed_angles import follow_unsensed, guess
 from hydroopt.estimation.kinematic.workspace import WorkspaceAccuracy, workspace_accuracy
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
-from hydroopt.results.answer import Answer, Status
+from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.store import Job
 from hydroopt.results.tables import csv_text, number
-
-SUSPECT = 10.0
-"""How many times the stated errors must be exceeded for an answer to be suspect as a whole."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -66,11 +63,6 @@ class Calibration(KinematicSolution, Answer):
     def method(self) -> str:
         """How it was calibrated, ``joint`` or ``hierarchical``."""
         return self.algorithm
-
-    @property
-    def status(self) -> Status:
-        """Suspect where the errors are far beyond those stated."""
-        return Status.SUSPECT if self.noise_scale > SUSPECT else Status.OK
 
     @property
     def fit(self) -> Mapping[str, Mapping[str, Fit]]:

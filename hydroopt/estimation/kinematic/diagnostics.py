@@ -19,8 +19,8 @@ LITTLE = 0.8
 """Part of the prior's standard deviation above which the data hold next to no information."""
 FAR = 3.0
 """Change in standard deviations of the prior that calls for a second look."""
-LARGE, SMALL = 1.5, 0.5
-"""Errors, relative to those stated, above and below which a diagnostic says so."""
+FAR_LARGER, LARGE, SMALL = 10.0, 1.5, 0.5
+"""Errors, relative to those stated, that make an answer suspect, and above and below which a diagnostic says so."""
 OVERFITTED = 2.0
 """Error of held-out poses relative to that of training poses from which on a diagnostic says so."""
 FEW = 3
@@ -107,7 +107,9 @@ def _noise(solution: KinematicSolution) -> Iterator[Diagnostic]:
     if not np.isfinite(scale):
         yield Diagnostic(Kind.NO_REDUNDANCY)
     elif scale > LARGE or scale < SMALL:
-        yield Diagnostic(Kind.ERRORS_LARGER if scale > LARGE else Kind.ERRORS_SMALLER, (), {"scale": scale})
+        larger = Kind.ERRORS_FAR_LARGER if scale > FAR_LARGER else Kind.ERRORS_LARGER
+        kind = larger if scale > LARGE else Kind.ERRORS_SMALLER
+        yield Diagnostic(kind, (), {"scale": scale})
 
 
 def _identifiability(solution: KinematicSolution) -> Iterator[Diagnostic]:

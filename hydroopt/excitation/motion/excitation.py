@@ -18,7 +18,7 @@ from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy, expec
 from hydroopt.excitation.motion.problem import ExcitationProblem, State
 from hydroopt.logs.table import encoded_columns
 from hydroopt.results import store
-from hydroopt.results.answer import Answer, Status
+from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
 from hydroopt.results.parameter_table import ParameterTable, row
@@ -92,11 +92,6 @@ class Excitation(Answer):
     def method(self) -> str:
         """How it was computed."""
         return METHOD
-
-    @property
-    def status(self) -> Status:
-        """`SUSPECT` if the search was interrupted, else `OK`."""
-        return Status.SUSPECT if self.stopped else Status.OK
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:

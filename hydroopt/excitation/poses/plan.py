@@ -13,7 +13,7 @@ from hydroopt.estimation.kinematic.observability import Observability
 from hydroopt.excitation.poses.problem import PoseProblem
 from hydroopt.logs.poses import Poses, Texts
 from hydroopt.machine.machine import Machine
-from hydroopt.results.answer import Answer, Status
+from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
 from hydroopt.results.parameter_table import ParameterTable, row
@@ -74,11 +74,6 @@ class PosePlan(Answer):
     def method(self) -> str:
         """Algorithm and criterion."""
         return f"exchange, {self.problem.criterion} criterion"
-
-    @property
-    def status(self) -> Status:
-        """`OK`: the chosen poses identify all that the candidates do; the rest is a diagnostic."""
-        return Status.OK
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
