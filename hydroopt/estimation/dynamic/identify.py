@@ -15,9 +15,9 @@ from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals, mi
 from hydroopt.estimation.inference import identifiability, nlp, sdp
 from hydroopt.estimation.inference import least_squares as linear
 from hydroopt.estimation.inference import posterior as uncertainty
+from hydroopt.estimation.inference.certificate import Certificate
 from hydroopt.estimation.inference.gaussian import gaussian_posterior
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, Identifiability
-from hydroopt.estimation.inference.solvers import Certificate
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.spatial.inertia import Array
 

@@ -22,7 +22,7 @@ from scipy.stats import truncnorm
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.hydraulic.collocation import Linearised, Program
 from hydroopt.estimation.hydraulic.dynamics import POINTS, Record, ShootingProblem, free_run
-from hydroopt.estimation.inference import solvers
+from hydroopt.estimation.inference import ipopt
 from hydroopt.estimation.inference.correlation import correlation_time
 from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE, significant
 from hydroopt.spatial.inertia import Array
@@ -278,7 +278,7 @@ def _solved(problem: ShootingProblem, theta: Array, points: Sequence[Array], *, 
                                 ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"])}
     options |= ({"ipopt.max_iter": 2 * PATIENCE, "ipopt.mu_init": 1e-4} if exact else
                 {"ipopt.max_iter": PATIENCE, "ipopt.tol": NEAR, "ipopt.dual_inf_tol": NEAR})
-    answer = solvers.solve_nlp(nlp.as_dict(), nlp.x0, nlp.lbx, nlp.ubx, nlp.lbg, nlp.ubg,
+    answer = ipopt.solve_nlp(nlp.as_dict(), nlp.x0, nlp.lbx, nlp.ubx, nlp.lbg, nlp.ubg,
                                f"identification of {problem.name}", (), options)
     return ShootingEstimate(problem, collocation.linearised(answer))
 

@@ -15,7 +15,7 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.errors import SolverError
-from hydroopt.estimation.inference import sdp, solvers
+from hydroopt.estimation.inference import ipopt, sdp
 from hydroopt.estimation.inference.conditions import MARGIN, UPPER, Condition, square
 from hydroopt.estimation.inference.constraints import Named, as_casadi
 from hydroopt.estimation.inference.gaussian import WIDEST, GaussianPosterior
@@ -76,7 +76,7 @@ def interior_point(problem: InferenceProblem, unconstrained: GaussianPosterior) 
     matrix = np.repeat([c.kind == "semidefinite" for c in inequalities], [len(c.rows) for c in inequalities])
     names = [(name, k) for k, name in enumerate(program.g_names) if k >= len(matrix) or not matrix[k]]
     try:
-        answer = solvers.solve_nlp({"x": program.x, "f": program.f, "g": program.g}, program.x0, program.lbx,
+        answer = ipopt.solve_nlp({"x": program.x, "f": program.f, "g": program.g}, program.x0, program.lbx,
                                    program.ubx, program.lbg, program.ubg, where, names)
     except SolverError:
         sdp.refuse_contradiction(problem, unconstrained, consistent=problem.consistent)

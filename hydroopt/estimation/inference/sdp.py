@@ -10,7 +10,7 @@ import cvxpy as cp
 import numpy as np
 
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.estimation.inference import solvers
+from hydroopt.estimation.inference import clarabel
 from hydroopt.estimation.inference.conditions import MARGIN, Condition, square
 from hydroopt.estimation.inference.constraints import Named, no_relation
 from hydroopt.estimation.inference.gaussian import WIDEST, GaussianPosterior, gaussian_posterior
@@ -79,11 +79,11 @@ def semidefinite_program(problem: InferenceProblem, posterior: GaussianPosterior
     if not _distant(problem) and all(np.all(c.violation() <= 0) for c in everything):
         # the least possible ‖z‖, without a solver's rounding
         return Optimum(posterior.offset, tuple(name for name in names if name in active))
-    if not solvers.solve_convex(cp.Problem(cp.Minimize(cost), everything), where):
+    if not clarabel.solve_convex(cp.Problem(cp.Minimize(cost), everything), where):
         raise _contradiction(problem, unconstrained, consistent=consistent)
     value = np.asarray(z.value, dtype=float)
     psi = posterior.offset + posterior.slope @ value
-    solvers.certify_convex(z, _gradient(problem, posterior, value), everything).trust(where)
+    clarabel.certify_convex(z, _gradient(problem, posterior, value), everything).trust(where)
     for body in problem.bodies if consistent else ():
         smallest = np.linalg.eigvalsh(body.pseudo_inertia(psi[body.columns]))[0]
         if smallest <= 0:
@@ -184,7 +184,7 @@ def inner_point(problem: InferenceProblem, posterior: GaussianPosterior, z: Arra
                     for condition in problem.requirements(consistent=consistent) if condition.kind != "zero"]
     program = cp.Problem(cp.Minimize(cp.sum_squares(moved - z)), inequalities)
     try:
-        found = solvers.solve_convex(program, problem.where)
+        found = clarabel.solve_convex(program, problem.where)
     except SolverError:  # the estimate holds; without a start there are no intervals, which a note states
         return None
     return np.asarray(moved.value, dtype=float) if found else None
@@ -238,7 +238,7 @@ def _compatible(problem: InferenceProblem, posterior: GaussianPosterior, *, cons
     z = cp.Variable(left.slope.shape[1])
     named = constraints_of(problem, left, z, consistent=consistent, without=without)
     program = cp.Problem(cp.Minimize(cp.sum_squares(z)), [c for _, group in named for c in group])
-    return solvers.solve_convex(program, problem.where)
+    return clarabel.solve_convex(program, problem.where)
 
 
 def _contradiction(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool) -> ProblemError:

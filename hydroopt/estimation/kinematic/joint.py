@@ -14,7 +14,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.estimation.inference import solvers
+from hydroopt.estimation.inference import ipopt
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.estimation.kinematic.pose_equations import PoseEquations
 from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
@@ -48,7 +48,7 @@ def maximum_likelihood(problem: PoseEquations, start: Array, angles: Array) -> t
         np.where(layout.moving, ANGLE_STEP, problem.angle_sigma)), _typical_gap(problem))
     lower, upper = program.bounds
     zero = np.zeros(program.g.numel())
-    answer = solvers.solve_nlp({"x": program.x, "f": program.f, "g": program.g}, np.zeros(len(lower)), lower, upper,
+    answer = ipopt.solve_nlp({"x": program.x, "f": program.f, "g": program.g}, np.zeros(len(lower)), lower, upper,
                                zero, zero, f"calibration of {problem.model.machine.name}", (), program.derivatives())
     found = np.asarray(ca.Function("theta", [program.x], [program.theta])(answer)).ravel()
     v = np.asarray(ca.Function("v", [program.x], [program.v])(answer)).T

@@ -16,7 +16,7 @@ from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.regressor_qr import compress
-from hydroopt.estimation.inference import nlp, sdp, solvers
+from hydroopt.estimation.inference import clarabel, nlp, sdp
 from hydroopt.estimation.inference.gaussian import GaussianPosterior, gaussian_posterior
 from hydroopt.spatial import inertia
 
@@ -262,14 +262,14 @@ def test_certificate_refuses_what_is_not_the_minimum(one_body: OneBody) -> None:
     posterior = prior_only(problem)
     z = cp.Variable(10)
     everything = [c for _, group in sdp.constraints_of(problem, posterior, z, consistent=True) for c in group]
-    assert solvers.solve_convex(cp.Problem(cp.Minimize(cp.sum_squares(z)), everything), "test")
+    assert clarabel.solve_convex(cp.Problem(cp.Minimize(cp.sum_squares(z)), everything), "test")
     minimum = np.array(z.value)
-    solvers.certify_convex(z, 2 * minimum, everything).trust("test")
+    clarabel.certify_convex(z, 2 * minimum, everything).trust("test")
     for wrong in (1.05 * minimum, 0.95 * minimum, minimum + 0.01 * np.eye(10)[3]):
         z.value = wrong
         with pytest.raises(SolverError, match="failed our check"):
-            solvers.certify_convex(z, 2 * wrong, everything).trust("test")
+            clarabel.certify_convex(z, 2 * wrong, everything).trust("test")
     z.value = minimum
     everything[0].dual_variables[0].save_value(0 * np.asarray(everything[0].dual_value))
     with pytest.raises(SolverError, match="stationarity"):
-        solvers.certify_convex(z, 2 * minimum, everything).trust("test")
+        clarabel.certify_convex(z, 2 * minimum, everything).trust("test")

@@ -1,0 +1,26 @@
+"""Our own check of what a solver returns."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from hydroopt.errors import SolverError
+
+
+@dataclass(frozen=True)
+class Certificate:
+    """What we recomputed from a solution, each relative to the size of the terms it balances.
+
+    `violation` of the worst constraint and `stationarity`, the gradient of the Lagrangian.
+    """
+
+    violation: float
+    stationarity: float
+
+    def trust(self, where: str, *, tolerance: float = 1e-4) -> None:
+        """Accept the solution or raise a SolverError with the evidence."""
+        if not (self.violation < tolerance and self.stationarity < tolerance):
+            raise SolverError(
+                f"the solver's answer failed our check (constraint violation {self.violation:.1e}, stationarity "
+                f"{self.stationarity:.1e}, both should be below {tolerance:.0e})", where=where,
+                remedy="loosen contradictory priors or constraints, or use another method")
