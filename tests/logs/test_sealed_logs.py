@@ -140,7 +140,7 @@ def test_friction_is_chosen_and_said(place: Path) -> None:
     assert [row["friction"] for row in choice["candidates"]] == ["none", "coulomb+viscous",
                                                                  "coulomb+viscous+stribeck+seal"]
     assert [row["friction"] for row in choice["candidates"] if row["chosen"]] == chosen
-    keys = {"friction", "parameters", "training_error", "held_out_error", "held_out_std", "chosen", "why"}
+    keys = {"friction", "parameters", "training_error", "held_out_error", "held_out_std", "chosen", "reason"}
     assert all(set(row) == keys for row in choice["candidates"])
     assert choice["rule"] in " ".join(said.split("\n"))
     page = (place / "chosen/report.html").read_text("utf-8")

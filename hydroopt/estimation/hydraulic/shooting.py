@@ -225,7 +225,12 @@ def multiple_shooting(problem: ShootingProblem, start: Array | ShootingEstimate 
         SolverError: IPOPT failed or its answer failed our check.
     """
     if isinstance(start, ShootingEstimate):
-        return _solved(problem, start.theta, start.solution.points, exact=True)
+        theta, points = start.theta, start.solution.points
+        with suppress(SolverError):
+            return _solved(problem, theta, points, exact=True)
+        # the start fulfils all constraints, so that IPOPT has nothing to restore where its line search rejects the step
+        # of an indefinite Hessian; that of Gauss and Newton is not indefinite
+        return _solved_near(problem, theta, points)
     parameters = problem.parameters
     theta = np.clip(parameters.nominal if start is None else start, parameters.lower, parameters.upper)
     if all(record.steps == 1 for record in problem.records):

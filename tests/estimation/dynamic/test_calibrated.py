@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -65,9 +67,9 @@ def test_geometry_sensors_and_limits_stay(calibrated: Machine, estimate: Estimat
 
 def test_reduced_model_predicts_the_same_after_reloading(noisy: IdentificationProblem) -> None:
     """The links took over what barrels and rods demand, so that these must not be counted again."""
-    reduced = IdentificationProblem(Model(noisy.model.machine, actuator_inertia=False), noisy.experiments,
-                                    noisy.validation,
-                      noisy.force_std)
+    small = Model(noisy.model.machine, actuator_inertia=False)
+    train, held_out = ([replace(data, model=small) for data in some] for some in (noisy.experiments, noisy.validation))
+    reduced = IdentificationProblem(small, tuple(train), tuple(held_out), noisy.force_std)
     estimate = identify(reduced, "sdp", intervals=False)
     model = Model(read_machine(dump_machine(calibrated_machine(estimate))))
     forces = predict(model, estimate.problem.validation[0], model.parameters.nominal)

@@ -56,8 +56,9 @@ def identified(model: Model, motion: Trajectory, runs: int) -> tuple[tuple[int, 
     """Basis and grouping that all logs of a motion show, and the base parameters (runs, r) found in each."""
     found = [identify(identification_problem(model.machine, [simulate(model, motion, seed=1000 + seed)]), "wls")
              for seed in range(runs)]
-    assert len({one.seen.basis for one in found}) == 1
-    return found[0].seen.basis, found[0].seen.grouping, np.array([one.base_value for one in found])
+    assert len({one.identifiability.basis for one in found}) == 1
+    of = found[0].identifiability
+    return of.basis, of.grouping, np.array([one.base_value for one in found])
 
 
 @pytest.mark.slow
@@ -92,7 +93,7 @@ def test_information_of_a_log_is_what_its_identification_reports(lift: Model, mo
     log = simulate(lift, motion, seed=5)
     estimate = identify(identification_problem(lift.machine, [log]), "wls")
     basis = list(structural(lift).basis)
-    assert estimate.seen.basis == tuple(basis)
+    assert estimate.identifiability.basis == tuple(basis)
     information = measured_information(lift.machine, [log])
     np.testing.assert_allclose(information, information.T, rtol=0, atol=1e-9 * np.max(np.abs(information)))
     scale = np.sqrt(np.diag(information)[basis])
