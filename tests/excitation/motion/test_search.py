@@ -14,7 +14,7 @@ import pytest
 from hydroopt import Model, load_machine, read_log, solve
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference.identifiability import structural
-from hydroopt.excitation.criteria import CRITERIA, Information, design_parameters, presumed_noise
+from hydroopt.excitation.criteria import CRITERIA, FAINT, Information, design_parameters, presumed_noise
 from hydroopt.excitation.motion.basis import Basis, Fourier, Spline
 from hydroopt.excitation.motion.design import design, drawn, excitation_problem, rest
 from hydroopt.excitation.motion.limits import Limits, margins
@@ -52,10 +52,12 @@ def test_derivatives_are_those_of_finite_differences(basis: Basis, resting: dict
     step, h = np.random.default_rng(1).standard_normal(len(x)), 1e-5
     value, gradient = of.objective(x)
     assert value == pytest.approx(of.value(x), rel=1e-12)
-    # the rounding of the criterion, 1e-8, asks for wide steps, and Richardson's extrapolation makes these accurate
+    # rounding asks for wide steps, and Richardson's extrapolation makes these accurate
     narrow, wide = ((of.value(x + k * step) - of.value(x - k * step)) / (2 * k) for k in (1e-4, 2e-4))
     slope = (4 * narrow - wide) / 3
-    assert gradient @ step == pytest.approx(slope, rel=1e-4, abs=1e-6)
+    # with a joint at rest some parameters have next to no information, FAINT², by which rounding errors are divided
+    rounding = 1e-4 if resting is None else 10 * np.finfo(float).eps / FAINT**2
+    assert gradient @ step == pytest.approx(slope, rel=rounding, abs=1e-6)
     change = (of.constraints(x + h * step) - of.constraints(x - h * step)) / (2 * h)
     slopes = of.slopes(x)
     size = np.max(np.abs(change), axis=0) + 1e-9  # what a resting joint limits does not change
