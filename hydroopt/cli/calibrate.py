@@ -48,7 +48,7 @@ def calibrate(
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.report import calibration as report
     from hydroopt.results import store
-    from hydroopt.results.store import Job
+    from hydroopt.results.store import Job, MachineId
 
     began = time.perf_counter()
     described, chosen_loss = load_machine(machine), loss_of(loss, "--loss")
@@ -65,7 +65,7 @@ def calibrate(
                 say(f"{what}the {np.sum(~solved.suspicious)} poses that agree")
                 solved = without_suspects(solved, starts=starts)
         except SolverError as error:
-            store.write_failure(output, Job.CALIBRATION, described.name, described.sha256, method,
+            store.write_failure(output, Job.CALIBRATION, MachineId.of(described), method,
                                 inputs_of(problem), error)
             raise
         say("writing the report")

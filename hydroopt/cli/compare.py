@@ -63,7 +63,7 @@ def compare(
         try:
             change = detect_change(described, first, second, parts=names, level=level, smoothing=way, seed=seed)
         except SolverError as error:
-            store.write_failure(output, store.Job.CHANGE, described.name, described.sha256, METHOD, (), error)
+            store.write_failure(output, store.Job.CHANGE, store.MachineId.of(described), METHOD, (), error)
             raise
         wall_s = time.perf_counter() - began
         change.save(output, pages={"report.html": render_change(change)}, wall_s=wall_s)

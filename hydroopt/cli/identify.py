@@ -112,7 +112,7 @@ def identify(
                                            actuator_inertia=full, prepare=prepared, method=chosen, tolerance=tolerance,
                                            ridge=ridge, seed=seed)
         except SolverError as error:
-            store.write_failure(output, store.Job.IDENTIFICATION, described.name, described.sha256, method,
+            store.write_failure(output, store.Job.IDENTIFICATION, store.MachineId.of(described), method,
                                 inputs_of(stated()), error)
             raise
         wall_s = time.perf_counter() - began

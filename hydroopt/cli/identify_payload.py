@@ -65,7 +65,7 @@ def identify_payload(
             load = payload(described, first, second, link=link, friction_changes=friction_changes, gain=gain,
                            smoothing=way, seed=seed)
         except SolverError as error:
-            store.write_failure(output, store.Job.PAYLOAD, described.name, described.sha256, METHOD, (), error)
+            store.write_failure(output, store.Job.PAYLOAD, store.MachineId.of(described), METHOD, (), error)
             raise
         wall_s = time.perf_counter() - began
         load.save(output, pages={"report.html": render_payload(load)}, wall_s=wall_s)

@@ -61,7 +61,7 @@ def identify_valves(
             estimate = solve(problem)
             estimate.save(output, pages={"report.html": valves.render(estimate)}, wall_s=time.perf_counter() - began)
         except SolverError as error:
-            store.write_failure(output, store.Job.HYDRAULICS, described.name, described.sha256, METHOD, problem.inputs,
+            store.write_failure(output, store.Job.HYDRAULICS, store.MachineId.of(described), METHOD, problem.inputs,
                                 error)
             raise
     if as_json:

@@ -12,6 +12,8 @@ from hydroopt.results import store
 from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.fit import Fit
 from hydroopt.results.parameter_table import ParameterTable
+from hydroopt.results.store import MachineId
+from hydroopt.results.tables import number
 from hydroopt.results.wording import CONTRADICTIONS
 
 if TYPE_CHECKING:
@@ -37,13 +39,13 @@ class Answer(ABC):
 
     @property
     @abstractmethod
-    def machine_name(self) -> str:
-        """Name of the machine that it is about."""
+    def machine_id(self) -> MachineId:
+        """Which machine it is about, as it was described to the job."""
 
     @property
-    @abstractmethod
-    def machine_sha256(self) -> str:
-        """Digest of that machine's description."""
+    def machine_name(self) -> str:
+        """Name of that machine."""
+        return self.machine_id.name
 
     @property
     @abstractmethod
@@ -123,13 +125,13 @@ class Answer(ABC):
 
     def content(self, *, wall_s: float = float("nan")) -> dict[str, Any]:
         """The content of the JSON file."""
-        return store.header(self.job, self.machine_name, self.machine_sha256, self.method, self.inputs) | {
+        return store.header(self.job, self.machine_id, self.method, self.inputs) | {
             "status": str(self.status), "findings": [each.as_dict() for each in self.findings],
             "diagnostics": [each.as_dict() for each in self.diagnostics],
             "parameters": [each.as_dict() for each in self.parameters.rows],
             "fit": {data: {channel: fit.as_dict() for channel, fit in table.items()}
                     for data, table in self.fit.items()},
-            **self.details(), "wall_s": store.number(wall_s)}
+            **self.details(), "wall_s": number(wall_s)}
 
 
 class SavedAnswer(Answer):
@@ -150,14 +152,9 @@ class SavedAnswer(Answer):
                      for data, table in saved.get("fit", {}).items()}
 
     @property
-    def machine_name(self) -> str:
-        """Name of the machine that it is about."""
-        return str(self.saved["machine"]["name"])
-
-    @property
-    def machine_sha256(self) -> str:
-        """Digest of that machine's description."""
-        return str(self.saved["machine"]["sha256"])
+    def machine_id(self) -> MachineId:
+        """Which machine it is about."""
+        return MachineId(**{key: str(self.saved["machine"][key]) for key in MachineId._fields})
 
     @property
     def method(self) -> str:

@@ -8,12 +8,14 @@ from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from enum import StrEnum
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hydroopt.errors import HydrooptError, ProblemError
 from hydroopt.files import write_files
-from hydroopt.results.tables import number
 from hydroopt.versions import versions
+
+if TYPE_CHECKING:
+    from hydroopt.machine.machine import Machine
 
 SCHEMA = 2
 """Version of the JSON files; it changes when a key changes its meaning or goes."""
@@ -45,10 +47,23 @@ COMMON = ("schema", "job", "machine", "created", "inputs", "method", "versions",
 """Keys of the JSON file that all answers have."""
 
 
-def header(job: Job, machine_name: str, machine_sha256: str, method: str,
+class MachineId(NamedTuple):
+    """Which machine an answer is about: its name, its set of inertial parameters, and the digest of its description."""
+
+    name: str
+    parameter_set: str
+    sha256: str
+
+    @classmethod
+    def of(cls, machine: Machine) -> MachineId:
+        """Of a machine."""
+        return cls(machine.name, machine.parameter_set, machine.sha256)
+
+
+def header(job: Job, machine: MachineId, method: str,
            inputs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     """What every JSON file says first: schema, job, machine, date, inputs, method and versions."""
-    return {"schema": SCHEMA, "job": str(job), "machine": {"name": machine_name, "sha256": machine_sha256},
+    return {"schema": SCHEMA, "job": str(job), "machine": machine._asdict(),
             "created": datetime.now(UTC).isoformat(timespec="seconds"), "inputs": [dict(each) for each in inputs],
             "method": method, "versions": versions()}
 
@@ -65,14 +80,14 @@ def write(directory: str | Path, job: Job, content: Mapping[str, Any],
     write_files(directory, {**files, FILES[job]: text})
 
 
-def write_failure(directory: str | Path, job: Job, machine_name: str, machine_sha256: str, method: str,
+def write_failure(directory: str | Path, job: Job, machine: MachineId, method: str,
                   inputs: Sequence[Mapping[str, Any]], error: HydrooptError) -> None:
     """Write a JSON file that says why there is no answer, and nothing else.
 
     Raises:
         ProblemError: the directory cannot be written.
     """
-    content = header(job, machine_name, machine_sha256, method, inputs) | {"status": "failed", "reason": str(error)}
+    content = header(job, machine, method, inputs) | {"status": "failed", "reason": str(error)}
     write(directory, job, content, {})
 
 
@@ -112,7 +127,7 @@ def read(directory: Path) -> dict[str, Any]:
     try:
         content = json.loads(file.read_bytes())
         schema = content["schema"]
-        known = {"job", "status"} <= content.keys() and {"name", "sha256"} <= content["machine"].keys()
+        known = {"job", "status"} <= content.keys() and {*MachineId._fields} <= content["machine"].keys()
     except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
         raise not_an_answer(directory) from None
     if schema != SCHEMA:
@@ -127,7 +142,3 @@ def not_an_answer(directory: Path) -> ProblemError:
     """The error of a JSON file that is not an answer of hydroopt."""
     return ProblemError("hydroopt did not write this file, or it is damaged", where=str(json_file(directory)),
                         remedy="run the command again")
-
-
-__all__ = ["COMMON", "FILES", "SCHEMA", "Job", "forget", "header", "json_file", "not_an_answer", "number", "read",
-           "text_files", "write", "write_failure"]

@@ -22,7 +22,7 @@ class Example(Answer):
     """The least that a job has to say."""
 
     job = store.Job.IDENTIFICATION
-    machine_name, machine_sha256, method, status = "crane", "ab" * 32, "sdp", Status.SUSPECT
+    machine_id, method, status = store.MachineId("crane", "", "ab" * 32), "sdp", Status.SUSPECT
     diagnostics = (Diagnostic(Kind.WORSE_THAN_ZERO, ("lift_cylinder",), {"relative": 1.31}),)
     parameters = ParameterTable([
         row("lift.m", "mass", "kg", nominal=120.0, prior_std=12.0, value=125.0, std=3.0, ci95=(119.1, 130.9)),
@@ -66,7 +66,8 @@ def test_the_next_answer_leaves_nothing_of_the_one_before(tmp_path: Path) -> Non
 @pytest.mark.parametrize(("text", "what"), [
     ("", "damaged"), ("[]", "damaged"), ("{}", "damaged"), ("[" * 100_000, "damaged"),
     ('{"schema": 1, "machine": {}}', "its schema is 1"), ('{"schema": 2, "machine": {}}', "damaged"),
-    ('{"schema": 2, "job": "x", "status": "ok", "machine": {"name": "a", "sha256": "b"}}', "damaged")])
+    ('{"schema": 2, "job": "x", "status": "ok", "machine": {"name": "a", "parameter_set": "", "sha256": "b"}}',
+     "damaged")])
 def test_damage_is_refused_in_a_sentence(tmp_path: Path, text: str, what: str) -> None:
     (tmp_path / "estimate.json").write_text(text)
     with pytest.raises(ProblemError, match=what) as caught:

@@ -37,7 +37,7 @@ from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
 from hydroopt.results.parameter_table import ParameterTable, row
-from hydroopt.results.store import Job
+from hydroopt.results.store import Job, MachineId
 from hydroopt.results.tables import csv_text, number, with_limits
 from hydroopt.results.wording import Kind
 from hydroopt.spatial import inertia
@@ -108,14 +108,9 @@ class Payload(Answer):
     job = Job.PAYLOAD
 
     @property
-    def machine_name(self) -> str:
-        """Name of the machine."""
-        return self.machine.name
-
-    @property
-    def machine_sha256(self) -> str:
-        """Digest of its nominal description."""
-        return self.machine.sha256
+    def machine_id(self) -> MachineId:
+        """Which machine it is about."""
+        return MachineId.of(self.machine)
 
     @property
     def method(self) -> str:

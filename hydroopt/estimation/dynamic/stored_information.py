@@ -127,7 +127,7 @@ def _read(model: Model, folder: Path) -> StoredInformation:
     if estimate.status is Status.FAILED:
         raise ProblemError("the estimate failed, so that there is nothing to compare with", where=str(folder),
                            remedy="identify again, or give the logs")
-    if estimate.machine_sha256 != model.machine.sha256:
+    if estimate.machine_id.sha256 != model.machine.sha256:
         raise ProblemError("the estimate is of another machine description", where=str(folder),
                            remedy="give the machine file (and --set) that it was identified with, or identify again "
                                   "without --friction, or give the logs")

@@ -22,7 +22,7 @@ from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
 from hydroopt.results.parameter_table import ParameterTable, row
-from hydroopt.results.store import Job
+from hydroopt.results.store import Job, MachineId
 from hydroopt.results.tables import csv_text, number
 from hydroopt.spatial.inertia import Array
 
@@ -64,14 +64,9 @@ class HydraulicEstimate(Answer):
     shooting: ShootingEstimate
 
     @property
-    def machine_name(self) -> str:
-        """Name of the machine that it is about."""
-        return self.problem.plant.machine.name
-
-    @property
-    def machine_sha256(self) -> str:
-        """Digest of that machine's description."""
-        return self.problem.plant.machine.sha256
+    def machine_id(self) -> MachineId:
+        """Which machine it is about."""
+        return MachineId.of(self.problem.plant.machine)
 
     @property
     def method(self) -> str:

@@ -23,7 +23,7 @@ from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
 from hydroopt.results.parameter_table import ParameterTable, row
-from hydroopt.results.store import Job
+from hydroopt.results.store import Job, MachineId
 from hydroopt.results.tables import csv_text, number
 
 
@@ -50,14 +50,9 @@ class Calibration(KinematicSolution, Answer):
     job = Job.CALIBRATION
 
     @property
-    def machine_name(self) -> str:
-        """Name of the machine that was calibrated."""
-        return self.problem.model.machine.name
-
-    @property
-    def machine_sha256(self) -> str:
-        """Digest of its nominal description."""
-        return self.problem.model.machine.sha256
+    def machine_id(self) -> MachineId:
+        """Which machine it is about."""
+        return MachineId.of(self.problem.model.machine)
 
     @property
     def method(self) -> str:

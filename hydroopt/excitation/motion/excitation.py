@@ -22,7 +22,7 @@ from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
 from hydroopt.results.parameter_table import ParameterTable, row
-from hydroopt.results.store import Job
+from hydroopt.results.store import Job, MachineId
 from hydroopt.results.tables import number
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array
@@ -79,14 +79,9 @@ class Excitation(Answer):
     stopped: bool = False
 
     @property
-    def machine_name(self) -> str:
-        """Name of the machine that moves."""
-        return self.problem.machine.name
-
-    @property
-    def machine_sha256(self) -> str:
-        """Digest of that machine's description."""
-        return self.problem.machine.sha256
+    def machine_id(self) -> MachineId:
+        """Which machine it is about."""
+        return MachineId.of(self.problem.machine)
 
     @property
     def method(self) -> str:

@@ -17,7 +17,7 @@ from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
 from hydroopt.results.parameter_table import ParameterTable, row
-from hydroopt.results.store import Job
+from hydroopt.results.store import Job, MachineId
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
@@ -61,14 +61,9 @@ class PosePlan(Answer):
         return self.problem.machine
 
     @property
-    def machine_name(self) -> str:
-        """Name of the machine."""
-        return self.machine.name
-
-    @property
-    def machine_sha256(self) -> str:
-        """Digest of the machine's description."""
-        return self.machine.sha256
+    def machine_id(self) -> MachineId:
+        """Which machine it is about."""
+        return MachineId.of(self.machine)
 
     @property
     def method(self) -> str:

@@ -199,7 +199,7 @@ def test_a_place_that_is_no_folder_is_refused(estimate: Estimate, tmp_path: Path
 
 def test_failure_is_marked(estimate: Estimate, tmp_path: Path) -> None:
     error = SolverError("it ran out of iterations", where="identification of cat215b", remedy="start elsewhere")
-    store.write_failure(tmp_path, store.Job.IDENTIFICATION, "cat215b", "0" * 64, "nlp", inputs_of(estimate.problem),
+    store.write_failure(tmp_path, store.Job.IDENTIFICATION, estimate.machine_id, "nlp", inputs_of(estimate.problem),
                         error)
     assert [file.name for file in tmp_path.iterdir()] == ["estimate.json"]
     said = json.loads((tmp_path / "estimate.json").read_text("utf-8"))
