@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -71,7 +72,7 @@ def calibrate(
         say("writing the report")
         solved.save(output, pages={"report.html": report.render(solved)}, wall_s=time.perf_counter() - began)
     if as_json:
-        typer.echo((output / "estimate.json").read_text("utf-8"))
+        typer.echo(json.dumps(store.read(output), indent=1))
     elif not quiet:
         typer.echo(str(solved))
         for diagnostic in solved.diagnostics:

@@ -68,7 +68,7 @@ def compare(
         wall_s = time.perf_counter() - began
         change.save(output, pages={"report.html": render_change(change)}, wall_s=wall_s)
     if as_json:
-        typer.echo(json.dumps(change.content(wall_s=wall_s), indent=1))
+        typer.echo(json.dumps(store.read(output), indent=1))
     elif not quiet:
         typer.echo(str(change))
         for sentence in sentences(change.diagnostics):

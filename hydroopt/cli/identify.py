@@ -118,7 +118,7 @@ def identify(
         wall_s = time.perf_counter() - began
         estimate.save(output, pages={"report.html": identification.render(estimate)}, wall_s=wall_s)
     if as_json:
-        typer.echo(json.dumps(estimate.content(wall_s=wall_s), indent=1))
+        typer.echo(json.dumps(store.read(output), indent=1))
     elif not quiet:
         if estimate.friction_choice is not None:
             typer.echo(f"{estimate.friction_choice}\n{estimate.friction_choice.rule}")

@@ -70,7 +70,7 @@ def identify_payload(
         wall_s = time.perf_counter() - began
         load.save(output, pages={"report.html": render_payload(load)}, wall_s=wall_s)
     if as_json:
-        typer.echo(json.dumps(load.content(wall_s=wall_s), indent=1))
+        typer.echo(json.dumps(store.read(output), indent=1))
     elif not quiet:
         typer.echo(str(load))
         for sentence in sentences(load.diagnostics):

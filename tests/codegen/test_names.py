@@ -272,8 +272,8 @@ def estimate(home: Path, content: object, text: str | None = None, name: str = "
     return "estimate"
 
 
-GOOD = {"schema": SCHEMA, "job": "identification", "machine": {"name": "crane", "sha256": ""}, "inputs": [],
-        "created": "2026-01-02T03:04:05+00:00", "method": "sdp", "status": "ok"}
+GOOD = {"schema": SCHEMA, "job": "identification", "machine": {"name": "crane", "parameter_set": "", "sha256": ""},
+        "inputs": [], "created": "2026-01-02T03:04:05+00:00", "method": "sdp", "status": "ok"}
 
 
 def test_an_estimate_is_taken(codegen) -> None:
@@ -313,7 +313,7 @@ def test_an_estimate_of_another_name_reads_no_other_file(name: object, codegen) 
     for place in (codegen.home, codegen.home.parent):
         for file in ("up.toml", "crane.toml", "other.toml"):
             (place / file).write_text(description(), encoding="utf-8")
-    given = estimate(codegen.home, GOOD | {"machine": {"name": name, "sha256": ""}}, description())
+    given = estimate(codegen.home, GOOD | {"machine": {"name": name, "parameter_set": "", "sha256": ""}}, description())
     codegen(given).refused("estimate.json")
 
 
