@@ -111,8 +111,8 @@ def test_no_module_needs_itself() -> None:
 
 
 def test_third_party_libraries_stay_in_quarantine() -> None:
-    users = {library: {module for module, tree in MODULES.items()
-                       if library in {name.split(".")[0] for name in imports(tree)}} for library in QUARANTINE}
+    foreign = {module: {name.split(".")[0] for name in imports(tree)} for module, tree in MODULES.items()}
+    users = {library: {module for module, names in foreign.items() if library in names} for library in QUARANTINE}
     strays = {f"{module} imports {library}" for library, found in users.items() for module in found
               if not any(f"{module}.".startswith(f"{home}.") for home in QUARANTINE[library])}
     assert not strays

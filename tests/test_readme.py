@@ -51,6 +51,7 @@ def test_gravity_loads_the_boom_of_the_machine_file_in_the_readme() -> None:
     assert [n for n in names if n.startswith("lift_cylinder")] == ["lift_cylinder.f_coulomb", "lift_cylinder.f_viscous"]
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler")
 def test_c_in_the_readme_holds_with_the_generated_code(tmp_path: Path) -> None:
     (command,) = re.findall(r"^    hydroopt (codegen .*?) -o out/c", README, re.MULTILINE)

@@ -29,6 +29,7 @@ def montecarlo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     return out, run("montecarlo", *QUICK, "--cells", "5", "--workers", "1", "-o", str(out))
 
 
+@pytest.mark.slow
 def test_two_workers_give_the_same_bits_as_one(montecarlo: tuple[Path, str], tmp_path: Path) -> None:
     said = json.loads(run("montecarlo", *QUICK, "--cells", "5", "--workers", "2", "--json", "-o", str(tmp_path)))
     for name in ("results.csv", "summary.json", "study.json"):

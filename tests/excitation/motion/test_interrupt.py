@@ -53,6 +53,7 @@ def test_ctrl_c_keeps_the_best_motion_so_far(processes: str, terminal: Callable[
     kept(tmp_path / "out", "patu655_lift")
 
 
+@pytest.mark.slow
 def test_ctrl_c_while_processes_begin_ends_the_search_too(terminal: Callable[[str, str], Terminal],
                                                               tmp_path: Path) -> None:
     """There may be no motion yet that could be kept; but it ends, and says so."""
