@@ -7,6 +7,8 @@ import re
 from itertools import chain
 from pathlib import Path
 
+import pytest
+
 PACKAGE = Path(__file__).parents[1] / "hydroopt"
 
 ROOMS = (
@@ -117,6 +119,19 @@ def test_third_party_libraries_stay_in_quarantine() -> None:
               if not any(f"{module}.".startswith(f"{home}.") for home in QUARANTINE[library])}
     assert not strays
     assert all(users.values()), "the list is out of date"
+
+
+SOLE_CALLERS = {
+    "nlpsol": "estimation.inference.ipopt",  # whose options keep IPOPT from reading ipopt.opt in the working directory
+}
+"""Calls that stand in one module alone, because it makes them safe."""
+
+
+@pytest.mark.parametrize(("call", "home"), SOLE_CALLERS.items())
+def test_dangerous_calls_stand_in_one_module(call: str, home: str) -> None:
+    named = {module for module, tree in MODULES.items() for node in ast.walk(tree)
+             if call in (getattr(node, "attr", None), getattr(node, "id", None), getattr(node, "name", None))}
+    assert named == {home}
 
 
 COMPUTING = ("estimation", "excitation", "control", "model", "simulation", "codegen", "kernels", "parameters")

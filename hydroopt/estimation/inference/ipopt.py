@@ -14,7 +14,8 @@ from hydroopt.spatial.inertia import Array
 
 OPTIONS: Mapping[str, Any] = {
     "ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-9, "ipopt.dual_inf_tol": 1e-7,
-    "ipopt.nlp_scaling_method": "none", "ipopt.max_iter": 1000, "error_on_fail": False}
+    "ipopt.nlp_scaling_method": "none", "ipopt.max_iter": 1000, "error_on_fail": False,
+    "ipopt.option_file_name": ""}  # or ipopt.opt in the working directory could load libraries and overwrite files
 """Of all programs; multiple shooting replaces some."""
 _IPOPT_WORDS = {
     "Solve_Succeeded": "solved",

@@ -34,14 +34,14 @@ class NonlinearProgram:
         ProblemError: sizes of symbols, names and numbers differ.
 
     >>> import casadi as ca, numpy as np
+    >>> from hydroopt.estimation.inference.ipopt import OPTIONS
     >>> x = ca.SX.sym("x", 2)
     >>> program = NonlinearProgram(x=x, f=(x[0] - 1) ** 2 + x[1] ** 2, g=x[0] + x[1], x_names=("a", "b"),
     ...                            x_units=("m", "m"), x0=np.zeros(2), lbx=np.full(2, -5.0), ubx=np.full(2, 5.0),
     ...                            g_names=("sum",), lbg=np.array([2.0]), ubg=np.array([2.0]))
     >>> program
     NonlinearProgram(2 variables, 0 fixed numbers, 1 constraint)
-    >>> quiet = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes"}
-    >>> answer = ca.nlpsol("solver", "ipopt", program.as_dict(), quiet)(**program.arguments())
+    >>> answer = ca.nlpsol("solver", "ipopt", program.as_dict(), dict(OPTIONS))(**program.arguments())
     >>> {name: round(value, 6) for name, value in program.values(answer["x"]).items()}
     {'a': 1.5, 'b': 0.5}
     """
