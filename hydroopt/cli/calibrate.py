@@ -48,8 +48,8 @@ def calibrate(
     from hydroopt.logs.poses import read_pose_files
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.report import calibration as report
-    from hydroopt.results import store
-    from hydroopt.results.store import Job, MachineId
+    from hydroopt.results import json_file
+    from hydroopt.results.json_file import Job, MachineId
 
     began = time.perf_counter()
     described, chosen_loss = load_machine(machine), loss_of(loss, "--loss")
@@ -66,13 +66,13 @@ def calibrate(
                 say(f"{what}the {np.sum(~solved.suspicious)} poses that agree")
                 solved = without_suspects(solved, starts=starts)
         except SolverError as error:
-            store.write_failure(output, Job.CALIBRATION, MachineId.of(described), method,
+            json_file.write_failure(output, Job.CALIBRATION, MachineId.of(described), method,
                                 inputs_of(problem), error)
             raise
         say("writing the report")
         solved.save(output, pages={"report.html": report.render(solved)}, wall_s=time.perf_counter() - began)
     if as_json:
-        typer.echo(json.dumps(store.read(output), indent=1))
+        typer.echo(json.dumps(json_file.read(output), indent=1))
     elif not quiet:
         typer.echo(str(solved))
         for diagnostic in solved.diagnostics:

@@ -50,7 +50,7 @@ def compare(
     from hydroopt.estimation.dynamic.change import METHOD, detect_change
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.report.comparison import render_change
-    from hydroopt.results import store
+    from hydroopt.results import json_file
     from hydroopt.results.diagnostic import sentences
 
     began = time.perf_counter()
@@ -63,12 +63,12 @@ def compare(
         try:
             change = detect_change(described, first, second, parts=names, level=level, smoothing=way, seed=seed)
         except SolverError as error:
-            store.write_failure(output, store.Job.CHANGE, store.MachineId.of(described), METHOD, (), error)
+            json_file.write_failure(output, json_file.Job.CHANGE, json_file.MachineId.of(described), METHOD, (), error)
             raise
         wall_s = time.perf_counter() - began
         change.save(output, pages={"report.html": render_change(change)}, wall_s=wall_s)
     if as_json:
-        typer.echo(json.dumps(store.read(output), indent=1))
+        typer.echo(json.dumps(json_file.read(output), indent=1))
     elif not quiet:
         typer.echo(str(change))
         for sentence in sentences(change.diagnostics):

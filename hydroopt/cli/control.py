@@ -57,7 +57,7 @@ def control(
     from hydroopt.model.model import Model
     from hydroopt.model.plant import Plant
     from hydroopt.report import closed_loop as report
-    from hydroopt.results import store
+    from hydroopt.results import json_file
     from hydroopt.simulation.reference_motion import reference_motion
 
     began = time.perf_counter()
@@ -99,7 +99,7 @@ def control(
         if code is not None:
             code.remove_earlier(output / "c", written)
     if as_json:
-        typer.echo(json.dumps(store.read(output), indent=1))
+        typer.echo(json.dumps(json_file.read(output), indent=1))
     elif not quiet:
         typer.echo(str(comparison))
         for diagnostic in comparison.diagnostics:

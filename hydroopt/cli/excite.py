@@ -64,7 +64,7 @@ def excite(
     from hydroopt.files import refuse_directory
     from hydroopt.logs.stream import open_log
     from hydroopt.report import excitation as report
-    from hydroopt.results import store
+    from hydroopt.results import json_file
     from hydroopt.solving import solve
 
     began = time.perf_counter()
@@ -72,7 +72,8 @@ def excite(
         refuse_idle(context, ("period", "harmonics", "blend"), "a spline has none", "leave it out, or --pieces")
     if not log:
         refuse_idle(context, ("map_file",), "there is no log that it could describe", "leave it out, or give --log")
-    refuse_directory(output, (store.FILES[store.Job.EXCITATION], "report.html", "trajectory.csv", "trajectory.parquet"))
+    refuse_directory(output, (json_file.FILES[json_file.Job.EXCITATION], "report.html", "trajectory.csv",
+                              "trajectory.parquet"))
     described, origin = parameter_source.read(machine, parameter_set=parameter_set)
     basis, resting = _basis(duration, period, harmonics, blend, pieces), _resting(described, rest or ())
     with progress(f"preparing {described.name}", quiet) as say:
@@ -89,7 +90,7 @@ def excite(
                     wall_s=time.perf_counter() - began, parquet=parquet)
         code.remove_earlier(output / "c", written)
     if as_json:
-        typer.echo(json.dumps(store.read(output), indent=1))
+        typer.echo(json.dumps(json_file.read(output), indent=1))
     elif not quiet:
         typer.echo(str(motion))
         for diagnostic in motion.diagnostics:

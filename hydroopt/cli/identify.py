@@ -77,7 +77,7 @@ def identify(
     from hydroopt.logs.stream import open_log
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.report import identification
-    from hydroopt.results import store
+    from hydroopt.results import json_file
     from hydroopt.results.diagnostic import sentences
     from hydroopt.solving import solve
 
@@ -112,13 +112,13 @@ def identify(
                                            actuator_inertia=full, prepare=prepared, method=chosen, tolerance=tolerance,
                                            ridge=ridge, seed=seed)
         except SolverError as error:
-            store.write_failure(output, store.Job.IDENTIFICATION, store.MachineId.of(described), method,
+            json_file.write_failure(output, json_file.Job.IDENTIFICATION, json_file.MachineId.of(described), method,
                                 inputs_of(stated()), error)
             raise
         wall_s = time.perf_counter() - began
         estimate.save(output, pages={"report.html": identification.render(estimate)}, wall_s=wall_s)
     if as_json:
-        typer.echo(json.dumps(store.read(output), indent=1))
+        typer.echo(json.dumps(json_file.read(output), indent=1))
     elif not quiet:
         if estimate.friction_choice is not None:
             typer.echo(f"{estimate.friction_choice}\n{estimate.friction_choice.rule}")

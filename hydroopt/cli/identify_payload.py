@@ -52,7 +52,7 @@ def identify_payload(
     from hydroopt.estimation.dynamic.payload import payload
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.report.comparison import render_payload
-    from hydroopt.results import store
+    from hydroopt.results import json_file
     from hydroopt.results.diagnostic import sentences
 
     began = time.perf_counter()
@@ -65,12 +65,12 @@ def identify_payload(
             load = payload(described, first, second, link=link, friction_changes=friction_changes, gain=gain,
                            smoothing=way, seed=seed)
         except SolverError as error:
-            store.write_failure(output, store.Job.PAYLOAD, store.MachineId.of(described), METHOD, (), error)
+            json_file.write_failure(output, json_file.Job.PAYLOAD, json_file.MachineId.of(described), METHOD, (), error)
             raise
         wall_s = time.perf_counter() - began
         load.save(output, pages={"report.html": render_payload(load)}, wall_s=wall_s)
     if as_json:
-        typer.echo(json.dumps(store.read(output), indent=1))
+        typer.echo(json.dumps(json_file.read(output), indent=1))
     elif not quiet:
         typer.echo(str(load))
         for sentence in sentences(load.diagnostics):

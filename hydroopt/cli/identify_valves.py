@@ -45,7 +45,7 @@ def identify_valves(
     from hydroopt.logs.log import read_log
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.report import valves
-    from hydroopt.results import store
+    from hydroopt.results import json_file
     from hydroopt.solving import solve
 
     began, described = time.perf_counter(), load_machine(machine, parameter_set=parameter_set)
@@ -61,11 +61,11 @@ def identify_valves(
             estimate = solve(problem)
             estimate.save(output, pages={"report.html": valves.render(estimate)}, wall_s=time.perf_counter() - began)
         except SolverError as error:
-            store.write_failure(output, store.Job.HYDRAULICS, store.MachineId.of(described), METHOD, problem.inputs,
-                                error)
+            json_file.write_failure(output, json_file.Job.HYDRAULICS, json_file.MachineId.of(described), METHOD,
+                                    problem.inputs, error)
             raise
     if as_json:
-        typer.echo(json.dumps(store.read(output), indent=1))
+        typer.echo(json.dumps(json_file.read(output), indent=1))
     elif not quiet:
         typer.echo(str(estimate))
         for diagnostic in estimate.diagnostics:

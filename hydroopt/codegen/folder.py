@@ -121,7 +121,8 @@ class Code:
         table, measured = self._table(files)
         sources = sorted(parts)
         return files | {
-            f"{self.name}_selftest.c": self._render("selftest.c", **self._vectors()),
+            f"{self.name}_selftest.c": self._render("selftest.c", **self_test.vectors(
+                self.interface, self.function, self.keys, single=self.single)),
             "CMakeLists.txt": self._render("CMakeLists.txt", sources=sources),
             "Makefile": self._render("Makefile", sources=sources),
             "README.md": self._render("README.md", table=table, measured=measured)}
@@ -234,30 +235,6 @@ class Code:
         return statements(self.programs[0], Naming(
             lambda name, k: f"params->{name}[{k}]", lambda _, k: f"constants->value[{k}] = {{}};",
             self.type, self.single, self.call))
-
-    def _vectors(self) -> dict[str, object]:
-        given = self_test.states(self.interface, single=self.single)
-        params = {name: array for name, array in given.items() if name in self.interface.values}
-        outputs = dict(zip(self.keys, self_test.results(self.function, given), strict=True))
-        read = {name for routine in self.routines.values() for name in routine.reads}
-        inputs = {name: array for name, array in given.items() if name in read}
-        return {"inputs": inputs, "outputs": outputs, "states": self_test.STATES, "params": params} | (
-            {"load": self._load(outputs)} if "payload_update" in self.routines else {})
-
-    def _load(self, outputs: dict[tuple[str, str], Array]) -> dict[str, Array]:
-        """One update of the load by the textbook's formula for a whole block of rows (Ljung 1999, Section 11.2)."""
-        predicted = outputs["payload_update", "predicted"][0, :, 0]
-        rows = outputs["payload_update", "rows"][0]
-        prior, std = np.diag(np.linspace(50.0, 500.0, rows.shape[1])) ** 2, np.linspace(200.0, 400.0, len(rows))
-        force = np.round(predicted + np.linspace(-900.0, 1100.0, len(rows)))
-        forgetting = 0.96875  # a float can hold it
-        gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + np.diag(std**2))
-        covariance, phi = prior - gain @ rows @ prior, gain @ (force - predicted)
-        # what is forgotten falls back to the prior, whose mean is zero
-        information = forgetting * np.linalg.inv(covariance) + (1 - forgetting) * np.linalg.inv(prior)
-        phi = forgetting * np.linalg.solve(information, np.linalg.solve(covariance, phi))
-        return {"force": force, "std": std, "prior": np.sqrt(np.diag(prior)), "forgetting": np.array([forgetting]),
-                "phi": phi, "spread": np.sqrt(np.diag(np.linalg.inv(information)))}
 
     def _render(self, template: str, **more: object) -> str:
         environment = Environment(loader=PackageLoader("hydroopt.codegen", "templates"), undefined=StrictUndefined,

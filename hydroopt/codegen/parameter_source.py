@@ -10,7 +10,7 @@ from typing import NamedTuple
 from hydroopt.errors import ProblemError
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import bundled, load_machine
-from hydroopt.results import store
+from hydroopt.results import json_file
 from hydroopt.results.answer import Status, load
 
 
@@ -36,8 +36,8 @@ def read(given: str, *, parameter_set: str | None = None) -> tuple[Machine, Orig
         raise ProblemError("an estimate has one set of parameters", where="--set", remedy="leave it out")
     answer = load(folder)
     if not re.fullmatch(r"[A-Za-z]\w{0,199}", answer.machine_name, re.ASCII):
-        raise store.not_an_answer(folder)
-    file = store.json_file(folder)
+        raise json_file.not_an_answer(folder)
+    file = json_file.find(folder)
     if answer.status is Status.FAILED:
         raise ProblemError("the estimate failed, so that there is nothing to export", where=str(file),
                            remedy="see its 'reason', then identify or calibrate again")

@@ -19,8 +19,8 @@ from hydroopt.model.kinematics import coordinates
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.model.regressor import Dynamics
+from hydroopt.spatial.cylinder_triangle import triangle_angle
 from hydroopt.spatial.inertia import NAMES, UNITS, Array
-from hydroopt.spatial.poses import triangle_angle
 
 SHORTEST = 1e-3
 """Pin distance [m] below which pins count as coinciding."""

@@ -1,4 +1,7 @@
-"""States of a machine much like the one described, and what the model says of them: for the self-test."""
+"""The values of the C self-test: states of a machine much like the one described, and what the model computes of them.
+
+The program that compares them is ``templates/selftest.c``.
+"""
 
 from __future__ import annotations
 
@@ -11,6 +14,25 @@ from hydroopt.spatial.inertia import Array
 STATES = 4
 MARGIN = 0.1
 """Part of a joint's range at each end that is left out, so that rounding leaves no stroke."""
+
+
+def vectors(interface: Interface, function: ca.Function, keys: list[tuple[str, str]], *,
+            single: bool = False) -> dict[str, object]:
+    """What the template of the self-test needs: inputs, expected outputs and parameters.
+
+    Args:
+        interface: what the routines read.
+        function: all their expressions; output k is member ``keys[k][1]`` of routine ``keys[k][0]``.
+        keys: those pairs.
+        single: whether the code computes in single precision.
+    """
+    given = states(interface, single=single)
+    outputs = dict(zip(keys, results(function, given), strict=True))
+    routines = {name for name, _ in keys}
+    read = {name for routine in routines for name in interface.routines[routine].reads}
+    return {"inputs": {name: array for name, array in given.items() if name in read}, "outputs": outputs,
+            "states": STATES, "params": {name: given[name] for name in given if name in interface.values}} | (
+        {"load": _load_update(outputs)} if "payload_update" in routines else {})
 
 
 def states(interface: Interface, count: int = STATES, seed: int = 0, *, single: bool = False) -> dict[str, Array]:
@@ -61,3 +83,19 @@ def results(function: ca.Function, given: dict[str, Array]) -> list[Array]:
     rows = [function.call([ca.DM(array[k] if array.ndim == 2 else array) for array in given.values()])
             for k in range(count)]
     return [np.array([np.asarray(row[i].full()) for row in rows]) for i in range(function.n_out())]
+
+
+def _load_update(outputs: dict[tuple[str, str], Array]) -> dict[str, Array]:
+    """One update of the load by the textbook's formula for a whole block of rows (Ljung 1999, Section 11.2)."""
+    predicted = outputs["payload_update", "predicted"][0, :, 0]
+    rows = outputs["payload_update", "rows"][0]
+    prior, std = np.diag(np.linspace(50.0, 500.0, rows.shape[1])) ** 2, np.linspace(200.0, 400.0, len(rows))
+    force = np.round(predicted + np.linspace(-900.0, 1100.0, len(rows)))
+    forgetting = 0.96875  # a float can hold it
+    gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + np.diag(std**2))
+    covariance, phi = prior - gain @ rows @ prior, gain @ (force - predicted)
+    # what is forgotten falls back to the prior, whose mean is zero
+    information = forgetting * np.linalg.inv(covariance) + (1 - forgetting) * np.linalg.inv(prior)
+    phi = forgetting * np.linalg.solve(information, np.linalg.solve(covariance, phi))
+    return {"force": force, "std": std, "prior": np.sqrt(np.diag(prior)), "forgetting": np.array([forgetting]),
+            "phi": phi, "spread": np.sqrt(np.diag(np.linalg.inv(information)))}

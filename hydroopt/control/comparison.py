@@ -30,8 +30,8 @@ from hydroopt.model.workspace import Sweep, workspace_sweeps
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
+from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
-from hydroopt.results.store import Job, MachineId
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array

@@ -20,7 +20,7 @@ from hydroopt.estimation.inference.identifiability import (
     structural,
 )
 from hydroopt.kernels.expression_graph import program
-from hydroopt.logs.readings import force_noise
+from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 

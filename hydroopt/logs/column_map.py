@@ -1,8 +1,7 @@
-"""How the columns of a file become channels: by headers `name [unit]`, or by a TOML map."""
+"""A column map: a TOML file that says which columns of a file with other headers are which channels."""
 
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
@@ -17,48 +16,10 @@ from pydantic import (
 )
 
 from hydroopt.errors import HydrooptError, LogError
-from hydroopt.machine.quantity import CHANNEL_UNITS
-from hydroopt.units import UnitError, factor, to_si
+from hydroopt.logs.channels import si_unit
+from hydroopt.units import to_si
 
 Key = str | int
-_HEADER = re.compile(r"^(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?$")
-
-
-def si_unit(channel: str, unit: str | None = None) -> str:
-    """SI unit of a channel such as ``boom.q``, of the kind of `unit` where the channel allows several.
-
-    Raises:
-        LogError: unknown suffix.
-        UnitError: `unit` is of no kind that suits the channel.
-    """
-    kinds = ("s",) if channel == "t" else CHANNEL_UNITS.get(channel.rpartition(".")[2] if "." in channel else "")
-    if kinds is None:
-        raise LogError(f"'{channel}' is not a channel", where="channel",
-                       remedy="use 't' or a name that ends in " + ", ".join(f".{k}" for k in CHANNEL_UNITS))
-    if unit is None:
-        return kinds[0]
-    for kind in kinds:
-        try:
-            factor(unit, kind)
-        except UnitError:
-            continue
-        return kind
-    raise UnitError(f"'{unit}' does not suit channel '{channel}'", where="unit",
-                    remedy=f"use {' or '.join(kinds)} or another unit of that kind")
-
-
-def refuse_other_units(units: Mapping[str, str], names: Iterable[str], noun: str, where: str) -> None:
-    """Refuse channels `names` that are stated in other units than SI ones.
-
-    Raises:
-        LogError: names the channel and its SI unit.
-    """
-    for name in names:
-        unit, usual = units.get(name), si_unit(name)
-        if unit and unit not in CHANNEL_UNITS[name.rpartition(".")[2]]:
-            raise LogError(f"channel '{name}' is stated in '{unit}', but a {noun} holds SI values only", where=where,
-                           remedy=f"convert it to '{usual}', or make the {noun} by "
-                                  f"from_frame(frame, units={{'{name}': '{unit}'}})")
 
 
 class ColumnMap(BaseModel):
@@ -220,54 +181,6 @@ def for_log(layout: LogMap, where: str) -> LogMap:
         raise LogError("labels belong to tables of poses, not to a log over time", where=where,
                        remedy="remove [labels] from the map")
     return layout
-
-
-def map_of_header(header: list[str], where: str, *, poses: bool = False) -> tuple[LogMap, tuple[str, ...]]:
-    """Map of a file with headers `name [unit]`, and the names of columns that are no channels and are left out.
-
-    A table of `poses` needs no time, may have labels (`stage`, `fixture`, `pose`, without unit) and no other columns:
-    one might be a misspelt label, without which its poses would be taken for others.
-
-    Raises:
-        LogError: no time, a missing or unsuitable unit, an unknown suffix, or a name that stands twice.
-    """
-    columns: dict[str, ColumnMap] = {}
-    labels: dict[str, TextColumn] = {}
-    ignored: list[str] = []
-    for index, text in enumerate(header):
-        match = _HEADER.match(text.strip())
-        name, unit = (match["name"], match["unit"]) if match else (text.strip(), None)
-        here = f"{where}, column {index + 1} '{text.strip()}'"
-        if name in columns or name in labels:
-            raise LogError(f"{'channel' if name in columns else 'label'} '{name}' occurs twice", where=here,
-                           remedy="remove or rename one")
-        if poses and name in Labels.model_fields:
-            if unit is not None:
-                raise LogError("a label has no unit", where=here, remedy=f"write its header as '{name}'")
-            labels[name] = TextColumn(column=index)
-            continue
-        if name != "t" and "." not in name:
-            if poses:
-                raise LogError("this is neither a channel nor a label", where=here, remedy="remove the column, name it "
-                               f"as in 'boom.q [deg]' or {', '.join(Labels.model_fields)}, or give a map")
-            ignored.append(text.strip())
-            continue
-        try:
-            usual = si_unit(name)
-            if not unit or not unit.strip():
-                raise LogError("the column has no unit", where=here,
-                               remedy=f"write its header as '{name} [{usual}]'")
-            si_unit(name, unit.strip())
-        except LogError as error:
-            raise LogError(error.what, where=here, remedy=error.remedy) from None
-        except UnitError as error:
-            raise LogError(error.what, where=here, remedy=error.remedy) from None
-        columns[name] = ColumnMap(column=index, unit=unit.strip())
-    if "t" not in columns and not poses:
-        shown = ", ".join(f"'{name.strip()[:40]}'" for name in header[:12])
-        raise LogError(f"there is no column 't [s]' among {shown}", where=where,
-                       remedy="name the time column 't [s]' or give a map of the columns with --map")
-    return LogMap(columns=columns, labels=Labels(**labels) if poses else None), tuple(ignored)
 
 
 def _remedy(kind: str, key: str) -> str:

@@ -9,7 +9,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hydroopt.errors import LogError
-from hydroopt.logs.column_map import Labels, LogMap, TextColumn, map_of_header, si_unit
+from hydroopt.logs.channels import si_unit
+from hydroopt.logs.column_headers import map_of_header
+from hydroopt.logs.column_map import Labels, LogMap, TextColumn
 from hydroopt.logs.table import Array, Table, in_si
 
 if TYPE_CHECKING:

@@ -10,7 +10,9 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import HydrooptError, LogError, ProblemError
 from hydroopt.logs import quality as find
-from hydroopt.logs.column_map import LogMap, for_log, map_of_header, read_map, refuse_other_units, si_unit
+from hydroopt.logs.channels import refuse_other_units, si_unit
+from hydroopt.logs.column_headers import map_of_header
+from hydroopt.logs.column_map import LogMap, for_log, read_map
 from hydroopt.logs.frames import columns_of_frame, frame_of_columns
 from hydroopt.logs.quality import Finding
 from hydroopt.logs.readers import open_file

@@ -11,7 +11,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hydroopt.errors import LogError
-from hydroopt.logs.column_map import Labels, LogMap, TextColumn, map_of_header, read_map, refuse_other_units, si_unit
+from hydroopt.logs.channels import refuse_other_units, si_unit
+from hydroopt.logs.column_headers import map_of_header
+from hydroopt.logs.column_map import Labels, LogMap, TextColumn, read_map
 from hydroopt.logs.frames import columns_of_frame, frame_of_columns
 from hydroopt.logs.readers import open_table
 from hydroopt.logs.table import Table, frozen, in_si, load, refuse_damage, write_columns

@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hydroopt.errors import LogError
-from hydroopt.logs.column_map import Key, LogMap, si_unit
+from hydroopt.logs.channels import si_unit
+from hydroopt.logs.column_map import Key, LogMap
 from hydroopt.units import factor
 
 Array = NDArray[np.float64]

@@ -12,8 +12,8 @@ from hydroopt.machine.actuators import Cylinder, GasCylinder
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.quantity import ImpossibleError
+from hydroopt.spatial.cylinder_triangle import Triangle
 from hydroopt.spatial.inertia import Array
-from hydroopt.spatial.poses import Triangle
 
 
 def check(machine: Machine) -> None:

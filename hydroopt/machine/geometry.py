@@ -9,7 +9,8 @@ import casadi as ca
 from hydroopt.machine.actuators import Cylinder, GasCylinder
 from hydroopt.machine.addresses import AXES, TURNS
 from hydroopt.machine.machine import BASE, Machine
-from hydroopt.spatial.poses import Pose, Triangle, identity, joint_pose, link_pose, triangle
+from hydroopt.spatial.cylinder_triangle import Triangle, triangle
+from hydroopt.spatial.poses import Pose, identity, joint_pose, link_pose
 
 
 class Geometry:

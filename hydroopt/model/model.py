@@ -20,8 +20,8 @@ from hydroopt.model.kinematics import coordinates
 from hydroopt.model.regressor import Dynamics
 from hydroopt.parameters import dynamic as dynamic_parameters
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
+from hydroopt.spatial.cylinder_triangle import triangle_angle, triangle_length
 from hydroopt.spatial.inertia import Array
-from hydroopt.spatial.poses import triangle_angle, triangle_length
 
 
 class Model:

@@ -10,8 +10,9 @@ from hydroopt.report.numbers import NONE, plain
 
 
 def page(name: str) -> jinja2.Template:
-    """A template that lies beside this file; all share one style."""
-    loader = jinja2.FunctionLoader(lambda part: files("hydroopt.report").joinpath(part).read_text(encoding="utf-8"))
+    """A template of the folder ``templates``; all share one style."""
+    folder = files("hydroopt.report").joinpath("templates")
+    loader = jinja2.FunctionLoader(lambda part: folder.joinpath(part).read_text(encoding="utf-8"))
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
                                      lstrip_blocks=True, loader=loader)
     environment.filters["number"] = lambda value: NONE if value is None else plain(value, 3)

@@ -8,11 +8,11 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from hydroopt.results import store
+from hydroopt.results import json_file
 from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.fit import Fit
+from hydroopt.results.json_file import MachineId
 from hydroopt.results.parameter_table import ParameterTable
-from hydroopt.results.store import MachineId
 from hydroopt.results.tables import number
 from hydroopt.results.wording import CONTRADICTIONS
 
@@ -34,7 +34,7 @@ class Answer(ABC):
     Each job's class adds what only it knows; what is said here, all can say.
     """
 
-    job: store.Job
+    job: json_file.Job
     """Which job it answers."""
 
     @property
@@ -121,11 +121,11 @@ class Answer(ABC):
         Raises:
             ProblemError: the directory cannot be written.
         """
-        store.write(directory, self.job, self.content(wall_s=wall_s), {**self.files(), **(pages or {})})
+        json_file.write(directory, self.job, self.content(wall_s=wall_s), {**self.files(), **(pages or {})})
 
     def content(self, *, wall_s: float = float("nan")) -> dict[str, Any]:
         """The content of the JSON file."""
-        return store.header(self.job, self.machine_id, self.method, self.inputs) | {
+        return json_file.header(self.job, self.machine_id, self.method, self.inputs) | {
             "status": str(self.status), "findings": [each.as_dict() for each in self.findings],
             "diagnostics": [each.as_dict() for each in self.diagnostics],
             "parameters": [each.as_dict() for each in self.parameters.rows],
@@ -143,7 +143,7 @@ class SavedAnswer(Answer):
     """
 
     def __init__(self, directory: Path, saved: Mapping[str, Any]) -> None:
-        self.directory, self.saved, self.job = directory, saved, store.Job(saved["job"])
+        self.directory, self.saved, self.job = directory, saved, json_file.Job(saved["job"])
         self._status = Status(saved["status"])
         self._diagnostics = tuple(Diagnostic.from_dict(entry) for entry in saved.get("diagnostics", ()))
         self._findings = tuple(Diagnostic.from_dict(entry) for entry in saved.get("findings", ()))
@@ -204,11 +204,11 @@ class SavedAnswer(Answer):
 
     def details(self) -> Mapping[str, Any]:
         """What the JSON file says beyond what all answers say."""
-        return {key: value for key, value in self.saved.items() if key not in store.COMMON}
+        return {key: value for key, value in self.saved.items() if key not in json_file.COMMON}
 
     def files(self) -> Mapping[str, str]:
         """The text files beside the JSON file."""
-        return store.text_files(self.directory, self.job, self.machine_name)
+        return json_file.text_files(self.directory, self.job, self.machine_name)
 
 
 def load(directory: str | Path) -> SavedAnswer:
@@ -221,8 +221,8 @@ def load(directory: str | Path) -> SavedAnswer:
         ProblemError: there is no answer, or it is damaged or of another version.
     """
     folder = Path(directory)
-    content = store.read(folder)
+    content = json_file.read(folder)
     try:
         return SavedAnswer(folder, content)
     except (KeyError, ValueError, TypeError, AttributeError):
-        raise store.not_an_answer(folder) from None
+        raise json_file.not_an_answer(folder) from None

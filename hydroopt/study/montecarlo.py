@@ -17,7 +17,7 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.identify import Method, identify
 from hydroopt.estimation.dynamic.problem import identification_problem
-from hydroopt.logs.readings import force_noise, pressures
+from hydroopt.logs.forces_from_pressures import force_noise, pressures
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import carried

@@ -3,7 +3,7 @@
 import numpy as np
 
 from hydroopt import Model, identification_problem, load_machine, random_trajectory, random_truth, simulate, solve
-from hydroopt.logs.readings import force_noise
+from hydroopt.logs.forces_from_pressures import force_noise
 
 SEEDS = 20
 

@@ -4,7 +4,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from hydroopt import Model, load_machine, random_trajectory
-from hydroopt.logs.readings import force_noise
+from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.report.figures import BLUE, GREY, INK, ORANGE
 from hydroopt.simulation.simulate import Trajectory, forces
 from studies import show

@@ -14,7 +14,7 @@ from hydroopt import (
     simulate,
     solve,
 )
-from hydroopt.logs.readings import force_noise
+from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE
 from hydroopt.simulation.simulate import Trajectory, forces
 from studies import show, thesis

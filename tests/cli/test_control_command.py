@@ -16,7 +16,7 @@ from fixtures.bad_control_cases import path
 from hydroopt import cli, load_machine
 from hydroopt.logs.log import read_log
 from hydroopt.results.answer import Status, load
-from hydroopt.results.store import Job
+from hydroopt.results.json_file import Job
 
 
 @pytest.fixture(scope="module")

@@ -14,7 +14,7 @@ from fixtures.library import run
 from fixtures.tiers import tiered
 from hydroopt import cli
 from hydroopt.codegen import folder
-from hydroopt.results.store import SCHEMA
+from hydroopt.results.json_file import SCHEMA
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wshadow", "-Wmissing-prototypes", "-Werror")
 BODY = {"m": "100 kg", "com": ["1 m", "0 m", "0 m"],

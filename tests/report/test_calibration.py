@@ -26,7 +26,7 @@ from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.report.calibration import render
 from hydroopt.results.answer import load
 from hydroopt.results.diagnostic import of_kind
-from hydroopt.results.store import COMMON
+from hydroopt.results.json_file import COMMON
 from hydroopt.results.wording import Kind
 from hydroopt.simulation import postures
 

@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from hydroopt.errors import ProblemError
-from hydroopt.results import store
+from hydroopt.results import json_file
 from hydroopt.results.answer import Answer, Status, load
 from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.fit import Fit
@@ -21,8 +21,8 @@ from hydroopt.results.wording import WORDS, Kind
 class Example(Answer):
     """The least that a job has to say."""
 
-    job = store.Job.IDENTIFICATION
-    machine_id, method, status = store.MachineId("crane", "", "ab" * 32), "sdp", Status.SUSPECT
+    job = json_file.Job.IDENTIFICATION
+    machine_id, method, status = json_file.MachineId("crane", "", "ab" * 32), "sdp", Status.SUSPECT
     diagnostics = (Diagnostic(Kind.WORSE_THAN_ZERO, ("lift_cylinder",), {"relative": 1.31}),)
     parameters = ParameterTable([
         row("lift.m", "mass", "kg", nominal=120.0, prior_std=12.0, value=125.0, std=3.0, ci95=(119.1, 130.9)),

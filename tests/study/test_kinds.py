@@ -12,8 +12,8 @@ from scipy.signal import lfilter
 from hydroopt import Model, identification_problem, load_machine, random_truth, simulate, solve
 from hydroopt.errors import HydrooptError, ProblemError
 from hydroopt.estimation.kinematic.problem import calibration_problem
+from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.log import Log
-from hydroopt.logs.readings import force_noise
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.parameters.dynamic import carried

@@ -23,8 +23,8 @@ from hydroopt.estimation.inference import posterior as uncertainty
 from hydroopt.estimation.inference import sdp
 from hydroopt.estimation.inference.conditions import ScaledBody
 from hydroopt.estimation.inference.constraints import Constraint, Named
-from hydroopt.estimation.inference.gaussian import gaussian_posterior
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
+from hydroopt.estimation.inference.whitening import gaussian_posterior
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array

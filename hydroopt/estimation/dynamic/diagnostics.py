@@ -10,7 +10,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
 from hydroopt.estimation.dynamic.identification import Identification, Intervals
 from hydroopt.estimation.inference.identifiability import NONE, Confounded
-from hydroopt.logs.readings import force_noise
+from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.results.diagnostic import Diagnostic

@@ -22,8 +22,8 @@ from hydroopt.machine.machine_file import dump_machine
 from hydroopt.model.scene import Scene, range_scenes
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
-from hydroopt.results.store import Job, MachineId
 from hydroopt.results.tables import csv_text, number
 
 

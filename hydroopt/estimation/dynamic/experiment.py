@@ -10,22 +10,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.estimation.dynamic.folding import ROWS, ActuatorTriangles
+from hydroopt.estimation.dynamic.friction_sign import SELDOM, dry_friction_known, slowest
 from hydroopt.estimation.inference.correlation import correlation_time
 from hydroopt.logs.any_log import AnyLog
+from hydroopt.logs.forces_from_pressures import force_channels, forces, pressures
+from hydroopt.logs.joint_angles import angle_channels, angle_noise, measured_angles
 from hydroopt.logs.log import Log
-from hydroopt.logs.readings import angle_noise, channels_used, forces, measured_angles, pressures
 from hydroopt.logs.smoothing import Motion, Smoothing, SmoothingSpline, condition
-from hydroopt.machine.actuators import Cylinder
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
-
-NOISE_FACTOR, OVERSHOOT, STANDSTILL = 4.0, 0.15, 1e-6
-"""A joint counts as standing still below this many standard deviations of its velocity's noise, below this part of its
-RMS speed (smoothing lets an abrupt stop ring, so that slower readings may have the wrong sign), and below this speed in
-rad/s or m/s."""
-
-SELDOM = 0.01
-"""A joint that seems to move in less than this part of the samples stands still: noise alone does as much."""
 
 
 class AnyExperiment(Protocol):
@@ -183,43 +176,19 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
     slow, noise = slowest(angles, motion)
     moving = np.abs(motion.qd) > slow
     moving &= np.mean(moving, axis=0) > SELDOM
-    return Experiment(model, log, motion, forces(model, log), _dry_friction_known(model, motion, moving, noise),
+    return Experiment(model, log, motion, forces(model, log), dry_friction_known(model, motion, moving, noise),
                       remarks(model, log, angles), pressures(model, log))
 
 
-def slowest(angles: Array, motion: Motion) -> tuple[Array, Array]:
-    """Speed (n,) of each joint below which its sign is not known, or smoothing lets it ring; and its noise (n,)."""
-    rms_speed, noise = np.sqrt(np.mean(motion.qd**2, axis=0)), NOISE_FACTOR * _velocity_noise(angles, motion)
-    return np.maximum(np.maximum(noise, OVERSHOOT * rms_speed), STANDSTILL), noise
+def channels_used(model: Model, log: AnyLog) -> set[str]:
+    """The channels that angles, forces and pressures are read from."""
+    return angle_channels(model, log) | force_channels(model, log)
 
 
 def remarks(model: Model, log: Log, angles: Array) -> tuple[str, ...]:
     """Which channels are not used, and how measured lengths compare with the geometry."""
-    used = set.union(*channels_used(model, log))
+    used = channels_used(model, log)
     return (*_unused(log, used), *_length_check(model, log, used, angles))
-
-
-def _dry_friction_known(model: Model, motion: Motion, moving: NDArray[np.bool_], noise: Array) -> NDArray[np.bool_]:
-    """`moving` (N, n), but where there are dead zones: well inside them there is no dry friction, near their ends it is
-    not known. `noise` (n,) is what the joints' speeds may be off."""
-    machine = model.machine
-    known = moving.copy()
-    for k, (joint, actuator) in enumerate(zip(machine.joints, machine.actuators, strict=True)):
-        width = actuator.friction.dead_zone
-        if width is None:
-            continue
-        speed, uncertainty = motion.qd[:, k], np.full(len(motion.t), noise[k])
-        other_dry = machine.link(joint).joint.friction.coulomb is not None
-        if isinstance(actuator, Cylinder):
-            c = machine.all_cylinders.index(actuator)
-            _, speeds, _, arms, _ = model.over(model.cylinder_kinematics, motion.q, motion.qd, motion.qdd)
-            speed, uncertainty = speeds[:, c, 0], np.linalg.norm(arms[:, c] * noise, axis=1)
-            other_dry |= actuator.friction.barrel_pin is not None or actuator.friction.rod_pin is not None
-        size = np.abs(speed)
-        known[:, k] &= size > width + uncertainty
-        if not other_dry:
-            known[:, k] |= size < width - uncertainty
-    return known
 
 
 def _unused(log: Log, used: set[str]) -> tuple[str, ...]:
@@ -237,14 +206,3 @@ def _length_check(model: Model, log: Log, used: set[str], angles: Array) -> Iter
     for k, channel in checked:
         off = 1e3 * (log.channel(channel) - expected[:, k])
         yield f"{channel} differs from the geometry by {np.mean(off):.1f} mm mean, {np.std(off):.1f} mm std"
-
-
-def _velocity_noise(angles: Array, motion: Motion) -> Array:
-    """Standard deviation of the smoothed velocities (n,): white noise, low-passed and differentiated.
-
-    σ_v² = ∫₀^f (2πν)²·2σ²Δt dν with the smoother's bandwidth f and the σ of what it took out.
-    """
-    sigma = np.std(angles - motion.q, axis=0)
-    step = float(np.median(np.diff(motion.t)))
-    bandwidth = np.clip(motion.bandwidth, 1 / float(motion.t[-1] - motion.t[0]), 0.5 / step)
-    return np.asarray(sigma * np.sqrt(8 / 3 * np.pi**2 * step * bandwidth**3))

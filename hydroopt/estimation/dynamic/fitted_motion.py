@@ -23,8 +23,8 @@ from scipy.interpolate import BSpline, PPoly
 from hydroopt.errors import SolverError
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.folding import split, triangle
-from hydroopt.estimation.dynamic.regressor_qr import whitened
-from hydroopt.logs.readings import angle_noise, measured_angles
+from hydroopt.estimation.inference.whitening import whitened
+from hydroopt.logs.joint_angles import angle_noise, measured_angles
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 

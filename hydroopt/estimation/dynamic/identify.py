@@ -16,8 +16,8 @@ from hydroopt.estimation.inference import identifiability, nlp, sdp
 from hydroopt.estimation.inference import least_squares as linear
 from hydroopt.estimation.inference import posterior as uncertainty
 from hydroopt.estimation.inference.certificate import Certificate
-from hydroopt.estimation.inference.gaussian import gaussian_posterior
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, Identifiability
+from hydroopt.estimation.inference.whitening import gaussian_posterior
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.spatial.inertia import Array
 

@@ -7,8 +7,9 @@ from scipy.interpolate import make_interp_spline
 
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.logs.joint_angles import angle_from_length
 from hydroopt.logs.log import Log
-from hydroopt.logs.readings import angle_from_length, reading
+from hydroopt.logs.readings import reading
 from hydroopt.logs.smoothing import Motion, SmoothingSpline, condition
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array

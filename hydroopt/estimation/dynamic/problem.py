@@ -19,14 +19,14 @@ from hydroopt.estimation.inference import conditions as physics
 from hydroopt.estimation.inference import listing, nlp, sdp
 from hydroopt.estimation.inference.conditions import Condition, ScaledBody
 from hydroopt.estimation.inference.constraints import Constraint, Expression, Named, Prior
-from hydroopt.estimation.inference.gaussian import gaussian_posterior
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
 from hydroopt.estimation.inference.problem import Distance
 from hydroopt.estimation.inference.program import NonlinearProgram
+from hydroopt.estimation.inference.whitening import gaussian_posterior
 from hydroopt.logs.any_log import AnyLog, in_memory
+from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.frames import refuse_others
 from hydroopt.logs.log import Log
-from hydroopt.logs.readings import force_noise
 from hydroopt.logs.smoothing import Motion, Smoothing
 from hydroopt.logs.stream import LogStream
 from hydroopt.machine.links import Note

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment
 from hydroopt.estimation.dynamic.folding import ActuatorTriangles, split, triangle
 from hydroopt.estimation.inference.identifiability import analyse
+from hydroopt.estimation.inference.whitening import whitened
 from hydroopt.logs.smoothing import Motion
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
@@ -67,18 +68,6 @@ def compress_jointly(model: Model, experiments: Sequence[Experiment], covariance
             block = block * np.sqrt(weights[which][rows])[:, :, None]
         R = triangle(R, whitened(block, experiments[which].moving[rows], covariance))
     return split(R)
-
-
-def whitened(block: Array, taken: NDArray[np.bool_], covariance: Array) -> Array:
-    """Rows (·, c) of independent errors of size one, from rows (m, n, c) of which those `taken` (m, n) count."""
-    made = []
-    for pattern in np.unique(taken, axis=0):
-        here = np.flatnonzero(pattern)
-        if here.size:
-            root = np.linalg.cholesky(covariance[np.ix_(here, here)])
-            chosen = block[np.all(taken == pattern, axis=1)][:, here]
-            made.append(np.linalg.solve(root, chosen).reshape(-1, block.shape[2]))
-    return np.concatenate(made) if made else np.zeros((0, block.shape[2]))
 
 
 def compress_instrumented(model: Model, experiments: Sequence[Experiment], instruments: Sequence[Motion],

@@ -14,14 +14,14 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.estimation.dynamic.weighted_residuals import weighted_residuals
-from hydroopt.estimation.inference.gaussian import gaussian_posterior
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
+from hydroopt.estimation.inference.whitening import gaussian_posterior
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.results.answer import Status, load
-from hydroopt.results.store import Job, not_an_answer
+from hydroopt.results.json_file import Job, not_an_answer
 from hydroopt.spatial.inertia import Array
 
 INFORMATION = "information.csv"

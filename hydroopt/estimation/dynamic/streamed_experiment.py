@@ -13,15 +13,17 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import LogError, ProblemError
-from hydroopt.estimation.dynamic.experiment import SELDOM, AnyExperiment, Experiment, experiment, remarks, slowest
+from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment, channels_used, experiment, remarks
 from hydroopt.estimation.dynamic.folding import ROWS, ActuatorTriangles
+from hydroopt.estimation.dynamic.friction_sign import SELDOM, slowest
 from hydroopt.estimation.inference.correlation import Lagged
 from hydroopt.kernels.native import threads
 from hydroopt.logs import streamed_smoothing
 from hydroopt.logs.any_log import AnyLog
+from hydroopt.logs.forces_from_pressures import forces, pressures
+from hydroopt.logs.joint_angles import angle_channels, angle_noise, measured_angles
 from hydroopt.logs.log import Log, missing
 from hydroopt.logs.quality import Finding
-from hydroopt.logs.readings import angle_noise, channels_used, forces, measured_angles, pressures
 from hydroopt.logs.smoothing import Motion, Smoothing, SmoothingSpline
 from hydroopt.logs.stream import BLOCK, PIECE, LogStream
 from hydroopt.logs.streamed_smoothing import Smoother
@@ -94,7 +96,7 @@ class StreamedExperiment:
 
     @property
     def _angle_channels(self) -> list[str]:
-        return sorted(channels_used(self.model, self.stream)[0])
+        return sorted(angle_channels(self.model, self.stream))
 
     @cached_property
     def _slow(self) -> Array:
@@ -182,7 +184,7 @@ class StreamedExperiment:
         totals = self.totals
         mean = -(totals.moved.sums @ np.append(psi, -1.0)) / np.maximum(totals.moved.samples, 1.0)
         drops = "drop" in self.stream.treatment.values()  # what another channel makes drop has to drop again
-        used = None if drops else set.union(*channels_used(self.model, self.stream))
+        used = None if drops else channels_used(self.model, self.stream)
         windows = self.stream.windows((self._margin, LAGS + self._margin), used)
         sums = [Lagged(LAGS) for _ in mean]
         for part in self._over(lambda window: self._lagged(psi, mean, *window), windows):
@@ -270,7 +272,7 @@ def streamed_experiment(model: Model, stream: LogStream, smoothing: Smoothing | 
     if zones or not model.linear:
         what = f"a dead zone in the friction of {', '.join(zones)}" if zones else "friction that is not linear"
         stream.loaded(what)
-    for channel in sorted(set.union(*channels_used(model, stream)) - set(stream.channels)):
+    for channel in sorted(channels_used(model, stream) - set(stream.channels)):
         raise missing(channel, stream.channels, stream.path)
     return StreamedExperiment(model, stream, smoothing)
 

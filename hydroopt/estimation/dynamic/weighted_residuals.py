@@ -16,12 +16,11 @@ from hydroopt.estimation.dynamic.regressor_qr import (
     compress,
     compress_instrumented,
     compress_jointly,
-    whitened,
 )
 from hydroopt.estimation.inference import least_squares
-from hydroopt.estimation.inference.gaussian import gaussian_posterior
 from hydroopt.estimation.inference.nlp import ResidualTerm
 from hydroopt.estimation.inference.problem import InferenceProblem
+from hydroopt.estimation.inference.whitening import gaussian_posterior, whitened
 from hydroopt.logs.any_log import in_memory
 from hydroopt.logs.smoothing import Motion
 from hydroopt.model.model import Model

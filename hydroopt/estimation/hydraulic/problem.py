@@ -20,8 +20,9 @@ from hydroopt.estimation.hydraulic.shooting import measured_states
 from hydroopt.estimation.inference.identifiability import PREDICTED_TOLERANCE, significant
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.logs.frames import refuse_others
+from hydroopt.logs.joint_angles import measured_angles
 from hydroopt.logs.log import Log
-from hydroopt.logs.readings import measured_angles, reading
+from hydroopt.logs.readings import reading
 from hydroopt.logs.smoothing import SmoothingSpline, condition
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.machine import Machine

@@ -18,10 +18,10 @@ from hydroopt.errors import SolverError
 from hydroopt.estimation.inference import ipopt, sdp
 from hydroopt.estimation.inference.conditions import MARGIN, UPPER, Condition, square
 from hydroopt.estimation.inference.constraints import Named, as_casadi
-from hydroopt.estimation.inference.gaussian import WIDEST, GaussianPosterior
 from hydroopt.estimation.inference.problem import InferenceProblem
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.estimation.inference.sdp import Optimum
+from hydroopt.estimation.inference.whitening import WIDEST, GaussianPosterior
 from hydroopt.spatial.inertia import Array
 
 

@@ -21,8 +21,8 @@ from hydroopt.estimation.inference import conditions as physics
 from hydroopt.estimation.inference import sdp
 from hydroopt.estimation.inference.conditions import MARGIN, UPPER, Condition
 from hydroopt.estimation.inference.constraints import Named, as_casadi
-from hydroopt.estimation.inference.gaussian import GaussianPosterior, gaussian_posterior
 from hydroopt.estimation.inference.problem import InferenceProblem
+from hydroopt.estimation.inference.whitening import GaussianPosterior, gaussian_posterior
 from hydroopt.spatial.inertia import Array
 
 Mask = NDArray[np.bool_]

@@ -13,8 +13,8 @@ from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.inference import clarabel
 from hydroopt.estimation.inference.conditions import MARGIN, Condition, square
 from hydroopt.estimation.inference.constraints import Named, no_relation
-from hydroopt.estimation.inference.gaussian import WIDEST, GaussianPosterior, gaussian_posterior
 from hydroopt.estimation.inference.problem import InferenceProblem
+from hydroopt.estimation.inference.whitening import WIDEST, GaussianPosterior, gaussian_posterior
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 

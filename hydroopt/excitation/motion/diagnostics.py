@@ -8,7 +8,7 @@ import numpy as np
 
 from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy
 from hydroopt.excitation.motion.problem import ExcitationProblem
-from hydroopt.logs.readings import force_noise
+from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.machine.actuators import Cylinder, Motor
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.wording import Kind

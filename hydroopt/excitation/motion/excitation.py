@@ -17,12 +17,12 @@ from hydroopt.excitation.motion.diagnostics import excitation_diagnostics
 from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from hydroopt.excitation.motion.problem import ExcitationProblem, State
 from hydroopt.logs.table import encoded_columns
-from hydroopt.results import store
+from hydroopt.results import json_file
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
+from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
-from hydroopt.results.store import Job, MachineId
 from hydroopt.results.tables import number
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array
@@ -163,7 +163,8 @@ class Excitation(Answer):
         Raises:
             ProblemError: the directory cannot be written.
         """
-        store.write(directory, self.job, self.content(wall_s=wall_s), {**self.files(parquet=parquet), **(pages or {})})
+        json_file.write(directory, self.job, self.content(wall_s=wall_s),
+                        {**self.files(parquet=parquet), **(pages or {})})
 
     def __str__(self) -> str:
         problem = self.problem

@@ -22,7 +22,8 @@ from hydroopt.estimation.inference.identifiability import PREDICTED_TOLERANCE, I
 from hydroopt.excitation.criteria import presumed_noise
 from hydroopt.logs import spline
 from hydroopt.logs.any_log import AnyLog, in_memory
-from hydroopt.logs.readings import angle_noise, force_noise
+from hydroopt.logs.forces_from_pressures import force_noise
+from hydroopt.logs.joint_angles import angle_noise
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import Trajectory, simulate

@@ -21,10 +21,10 @@ from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, load_machine, read_machine
 from hydroopt.model.model import Model
 from hydroopt.report.identification import render
-from hydroopt.results import store
+from hydroopt.results import json_file
 from hydroopt.results.answer import load
 from hydroopt.results.diagnostic import of_kind
-from hydroopt.results.store import COMMON
+from hydroopt.results.json_file import COMMON
 from hydroopt.results.wording import Kind
 from hydroopt.simulation.simulate import random_trajectory, simulate
 
@@ -199,8 +199,8 @@ def test_a_place_that_is_no_folder_is_refused(estimate: Estimate, tmp_path: Path
 
 def test_failure_is_marked(estimate: Estimate, tmp_path: Path) -> None:
     error = SolverError("it ran out of iterations", where="identification of cat215b", remedy="start elsewhere")
-    store.write_failure(tmp_path, store.Job.IDENTIFICATION, estimate.machine_id, "nlp", inputs_of(estimate.problem),
-                        error)
+    json_file.write_failure(tmp_path, json_file.Job.IDENTIFICATION, estimate.machine_id, "nlp",
+                            inputs_of(estimate.problem), error)
     assert [file.name for file in tmp_path.iterdir()] == ["estimate.json"]
     said = json.loads((tmp_path / "estimate.json").read_text("utf-8"))
     assert (said["status"], said["method"], said["reason"]) == ("failed", "nlp", str(error))

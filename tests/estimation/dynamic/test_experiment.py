@@ -9,8 +9,9 @@ import pytest
 
 from hydroopt.errors import LogError
 from hydroopt.estimation.dynamic.experiment import experiment
+from hydroopt.logs.forces_from_pressures import force_noise
+from hydroopt.logs.joint_angles import angle_noise
 from hydroopt.logs.log import Log
-from hydroopt.logs.readings import angle_noise, force_noise
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import random_trajectory, simulate

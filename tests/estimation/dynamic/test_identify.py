@@ -15,8 +15,8 @@ from hydroopt.estimation.dynamic import regressor_qr
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.identify import METHODS, identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
+from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.log import Log
-from hydroopt.logs.readings import force_noise
 from hydroopt.logs.smoothing import Fourier, Motion
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model

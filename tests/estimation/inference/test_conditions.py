@@ -17,9 +17,9 @@ from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.inference import conditions as physics
 from hydroopt.estimation.inference import nlp, sdp
-from hydroopt.estimation.inference.gaussian import gaussian_posterior
 from hydroopt.estimation.inference.identifiability import structural
 from hydroopt.estimation.inference.posterior import sample
+from hydroopt.estimation.inference.whitening import gaussian_posterior
 from hydroopt.logs.smoothing import Fourier
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine

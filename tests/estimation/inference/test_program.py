@@ -14,9 +14,9 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
-from hydroopt.estimation.inference.gaussian import gaussian_posterior
 from hydroopt.estimation.inference.nlp import nonlinear_program
 from hydroopt.estimation.inference.program import NonlinearProgram
+from hydroopt.estimation.inference.whitening import gaussian_posterior
 
 QUIET = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-9}
 

@@ -17,7 +17,7 @@ from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.regressor_qr import compress
 from hydroopt.estimation.inference import clarabel, nlp, sdp
-from hydroopt.estimation.inference.gaussian import GaussianPosterior, gaussian_posterior
+from hydroopt.estimation.inference.whitening import GaussianPosterior, gaussian_posterior
 from hydroopt.spatial import inertia
 
 OneBody = Callable[..., IdentificationProblem]

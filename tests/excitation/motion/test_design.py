@@ -12,7 +12,7 @@ from hydroopt.excitation.motion.basis import Basis, Fourier, Spline
 from hydroopt.excitation.motion.design import design
 from hydroopt.excitation.motion.limits import Limits, margins
 from hydroopt.excitation.motion.problem import ExcitationProblem
-from hydroopt.logs.readings import force_noise
+from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.machine.environment import Pump, Workspace
 from hydroopt.machine.machine import Machine
 from hydroopt.simulation.simulate import random_trajectory

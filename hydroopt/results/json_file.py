@@ -104,7 +104,7 @@ def text_files(directory: Path, job: Job, machine_name: str) -> dict[str, str]:
     return {name: (directory / name).read_text(encoding="utf-8") for name in names if (directory / name).is_file()}
 
 
-def json_file(directory: Path) -> Path:
+def find(directory: Path) -> Path:
     """The JSON file of the answer in a directory.
 
     Raises:
@@ -123,7 +123,7 @@ def read(directory: Path) -> dict[str, Any]:
     Raises:
         ProblemError: there is none, it is damaged, or another version of hydroopt wrote it.
     """
-    file = json_file(directory)
+    file = find(directory)
     try:
         content = json.loads(file.read_bytes())
         schema = content["schema"]
@@ -140,5 +140,5 @@ def read(directory: Path) -> dict[str, Any]:
 
 def not_an_answer(directory: Path) -> ProblemError:
     """The error of a JSON file that is not an answer of hydroopt."""
-    return ProblemError("hydroopt did not write this file, or it is damaged", where=str(json_file(directory)),
+    return ProblemError("hydroopt did not write this file, or it is damaged", where=str(find(directory)),
                         remedy="run the command again")

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from hydroopt.errors import LogError
-from hydroopt.logs.column_map import map_of_header
+from hydroopt.logs.column_headers import map_of_header
 from hydroopt.machine.quantity import CHANNEL_UNITS
 
 SPACES = st.text(" \t", max_size=3)

@@ -1,4 +1,4 @@
-"""What residuals and priors say before any constraint: a Gaussian, in coordinates that suit every solver."""
+"""Whitening: coordinates in which residuals and priors are independent standard normal, before any constraint."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference.conditions import Condition
@@ -79,3 +80,21 @@ def gaussian_posterior(problem: InferenceProblem, R: Array, r: Array) -> Gaussia
         triangle = np.asarray(np.linalg.qr(np.column_stack([A @ slope, b - A @ mean]), mode="r"))
         root, rest = triangle[:p, :p], triangle[:p, p]
     return GaussianPosterior(nominal + scale * mean, scale[:, None] * slope, root, rest)
+
+
+def whitened(block: Array, taken: NDArray[np.bool_], covariance: Array) -> Array:
+    """Whitened rows (·, c), whose errors are independent with unit variance.
+
+    Args:
+        block: (m, n, c) rows of n actuators in m samples, whose errors have the covariance (n, n) in each sample.
+        taken: (m, n) which of them count.
+        covariance: (n, n), not singular.
+    """
+    made = []
+    for pattern in np.unique(taken, axis=0):
+        here = np.flatnonzero(pattern)
+        if here.size:
+            root = np.linalg.cholesky(covariance[np.ix_(here, here)])
+            chosen = block[np.all(taken == pattern, axis=1)][:, here]
+            made.append(np.linalg.solve(root, chosen).reshape(-1, block.shape[2]))
+    return np.concatenate(made) if made else np.zeros((0, block.shape[2]))

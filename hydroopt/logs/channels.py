@@ -1,0 +1,44 @@
+"""Channels of logs: which names there are, and the SI unit of each."""
+
+from collections.abc import Iterable, Mapping
+
+from hydroopt.errors import LogError
+from hydroopt.machine.quantity import CHANNEL_UNITS
+from hydroopt.units import UnitError, factor
+
+
+def si_unit(channel: str, unit: str | None = None) -> str:
+    """SI unit of a channel such as ``boom.q``, of the kind of `unit` where the channel allows several.
+
+    Raises:
+        LogError: unknown suffix.
+        UnitError: `unit` is of no kind that suits the channel.
+    """
+    kinds = ("s",) if channel == "t" else CHANNEL_UNITS.get(channel.rpartition(".")[2] if "." in channel else "")
+    if kinds is None:
+        raise LogError(f"'{channel}' is not a channel", where="channel",
+                       remedy="use 't' or a name that ends in " + ", ".join(f".{k}" for k in CHANNEL_UNITS))
+    if unit is None:
+        return kinds[0]
+    for kind in kinds:
+        try:
+            factor(unit, kind)
+        except UnitError:
+            continue
+        return kind
+    raise UnitError(f"'{unit}' does not suit channel '{channel}'", where="unit",
+                    remedy=f"use {' or '.join(kinds)} or another unit of that kind")
+
+
+def refuse_other_units(units: Mapping[str, str], names: Iterable[str], noun: str, where: str) -> None:
+    """Refuse channels `names` that are stated in other units than SI ones.
+
+    Raises:
+        LogError: names the channel and its SI unit.
+    """
+    for name in names:
+        unit, usual = units.get(name), si_unit(name)
+        if unit and unit not in CHANNEL_UNITS[name.rpartition(".")[2]]:
+            raise LogError(f"channel '{name}' is stated in '{unit}', but a {noun} holds SI values only", where=where,
+                           remedy=f"convert it to '{usual}', or make the {noun} by "
+                                  f"from_frame(frame, units={{'{name}': '{unit}'}})")

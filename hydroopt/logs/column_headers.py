@@ -1,0 +1,58 @@
+"""Headers `name [unit]` of the columns of a file, CSV or Parquet: which channel a column holds, in which unit."""
+
+import re
+
+from hydroopt.errors import LogError
+from hydroopt.logs.channels import si_unit
+from hydroopt.logs.column_map import ColumnMap, Labels, LogMap, TextColumn
+from hydroopt.units import UnitError
+
+_HEADER = re.compile(r"^(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?$")
+
+
+def map_of_header(header: list[str], where: str, *, poses: bool = False) -> tuple[LogMap, tuple[str, ...]]:
+    """Map of a file with headers `name [unit]`, and the names of columns that are no channels and are left out.
+
+    A table of `poses` needs no time, may have labels (`stage`, `fixture`, `pose`, without unit) and no other columns:
+    one might be a misspelt label, without which its poses would be taken for others.
+
+    Raises:
+        LogError: no time, a missing or unsuitable unit, an unknown suffix, or a name that stands twice.
+    """
+    columns: dict[str, ColumnMap] = {}
+    labels: dict[str, TextColumn] = {}
+    ignored: list[str] = []
+    for index, text in enumerate(header):
+        match = _HEADER.match(text.strip())
+        name, unit = (match["name"], match["unit"]) if match else (text.strip(), None)
+        here = f"{where}, column {index + 1} '{text.strip()}'"
+        if name in columns or name in labels:
+            raise LogError(f"{'channel' if name in columns else 'label'} '{name}' occurs twice", where=here,
+                           remedy="remove or rename one")
+        if poses and name in Labels.model_fields:
+            if unit is not None:
+                raise LogError("a label has no unit", where=here, remedy=f"write its header as '{name}'")
+            labels[name] = TextColumn(column=index)
+            continue
+        if name != "t" and "." not in name:
+            if poses:
+                raise LogError("this is neither a channel nor a label", where=here, remedy="remove the column, name it "
+                               f"as in 'boom.q [deg]' or {', '.join(Labels.model_fields)}, or give a map")
+            ignored.append(text.strip())
+            continue
+        try:
+            usual = si_unit(name)
+            if not unit or not unit.strip():
+                raise LogError("the column has no unit", where=here,
+                               remedy=f"write its header as '{name} [{usual}]'")
+            si_unit(name, unit.strip())
+        except LogError as error:
+            raise LogError(error.what, where=here, remedy=error.remedy) from None
+        except UnitError as error:
+            raise LogError(error.what, where=here, remedy=error.remedy) from None
+        columns[name] = ColumnMap(column=index, unit=unit.strip())
+    if "t" not in columns and not poses:
+        shown = ", ".join(f"'{name.strip()[:40]}'" for name in header[:12])
+        raise LogError(f"there is no column 't [s]' among {shown}", where=where,
+                       remedy="name the time column 't [s]' or give a map of the columns with --map")
+    return LogMap(columns=columns, labels=Labels(**labels) if poses else None), tuple(ignored)
