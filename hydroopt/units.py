@@ -2,13 +2,14 @@
 
 import re
 from functools import cache
+from pathlib import Path
 from tokenize import TokenError
 
 import pint
 
 from hydroopt.errors import HydrooptError
 
-_registry: "pint.UnitRegistry[float]" = pint.UnitRegistry(cache_folder=":auto:")
+_registry: "pint.UnitRegistry[float]" = pint.UnitRegistry(Path(__file__).with_name("units.txt"))
 _ANGLES = {"radian", "milliradian", "degree", "arcminute", "arcsecond", "grade", "turn", "revolution",
            "revolutions_per_minute", "revolutions_per_second"}
 _COEFFICIENT = {"N*m*s/rad"}  # a friction coefficient may be stated per radian or not

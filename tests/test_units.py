@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import math
+import os
+import subprocess
+import sys
+from pathlib import Path
 
+import pint
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from hydroopt.units import UnitError, factor, same_kind, spread_to_si, to_si
+from hydroopt.units import _registry as ours
 
 UNITS = [("mm", "m", 1e-3), ("in", "m", 0.0254), ("deg", "rad", math.pi / 180), ("rpm", "rad/s", math.pi / 30),
          ("bar", "Pa", 1e5), ("psi", "Pa", 6894.757293168), ("L/min", "m^3/s", 1 / 60000), ("t", "kg", 1000.0),
@@ -50,3 +56,22 @@ def test_an_uncertainty_is_of_the_kind_of_its_value(value: float, unit: tuple[st
     name, si, _ = unit
     spread = spread_to_si(f"{value!r} {name}", f"3 {name}", where="here")
     assert spread == pytest.approx(to_si(f"{value!r} {name}", si, where="here"), rel=1e-12)
+
+
+def test_every_unit_has_the_value_that_pint_gives_it() -> None:
+    theirs = pint.UnitRegistry()
+    names = [name for name in ours._units if name]
+    assert len(names) > 250
+    for name in names:
+        found, expected = (registry.Quantity(1.0, name).to_base_units() for registry in (ours, theirs))
+        assert (found.magnitude, str(found.units)) == (expected.magnitude, str(expected.units)), name
+
+
+def test_units_need_no_cache_on_disk(tmp_path: Path) -> None:
+    """With a cache no command would start without a home that can be written, and would load what others put there."""
+    blocked = tmp_path / "file"
+    blocked.write_text("")
+    done = subprocess.run([sys.executable, "-c", "from hydroopt.units import factor; print(factor('mm', 'm'))"],
+                          env=os.environ | {"HOME": str(blocked), "XDG_CACHE_HOME": str(blocked)},
+                          capture_output=True, text=True, check=False)
+    assert (done.stdout, done.stderr) == ("0.001\n", "")
