@@ -8,30 +8,25 @@ from __future__ import annotations
 
 import ctypes
 import hashlib
-import logging
 import os
-import shlex
 import subprocess
-import tempfile
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from functools import cache, partial
+from contextlib import suppress
+from functools import partial
 from pathlib import Path
 from threading import Lock
-from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-import platformdirs
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from hydroopt.kernels import c_writer
+from hydroopt.kernels import c_writer, cache
 from hydroopt.kernels import expression_graph as straight
+from hydroopt.kernels.compiler import FLAGS, Compiler, compiler, notice, reason
 from hydroopt.kernels.expression_graph import Program, program
 from hydroopt.spatial.inertia import Array
 
-FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fPIC", "-shared", "-w")
-"""No fast-math: only that sqrt need not set errno. Products and sums may be fused, as the compiler does by itself."""
 FEW = 100
 """Number of samples below which compiling a kernel does not pay."""
 SHARE = 4096
@@ -116,9 +111,9 @@ def _mapped(function: ca.Function) -> Way:
 class Kernel:
     """A compiled function. What is always zero in its outputs it leaves alone, as it is in fresh memory."""
 
-    def __init__(self, library: Path, made: Program) -> None:
+    def __init__(self, library: ctypes.CDLL, made: Program) -> None:
         self.program = made
-        self._run = ctypes.CDLL(str(library)).over
+        self._run = library.over
         self._run.argtypes = [ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
         self._run.restype = None
 
@@ -150,73 +145,52 @@ def threads() -> int:
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
-class Compiler(NamedTuple):
-    """The system's compiler: its command, and what it says of itself and of the processor it compiles for."""
-
-    command: tuple[str, ...]
-    macros: bytes
-
-    @property
-    def libraries(self) -> tuple[str, ...]:
-        """The C library's vectors of sines, where there are any, and its mathematics."""
-        vectors = all(name in self.macros for name in (b"__GLIBC__", b"__x86_64__")) and b"__clang__" not in self.macros
-        return ("-DVECTOR_LIBRARY", "-lmvec", "-lm") if vectors else ("-lm",)
-
-
-@cache
-def compiler() -> Compiler | None:
-    """``$CC``, ``cc``, ``gcc`` or ``clang``; None, with a notice, where none of them works."""
-    for stated in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
-        command = tuple(shlex.split(stated))
-        try:
-            probe = subprocess.run([*command, *FLAGS[:2], "-dM", "-E", "-x", "c", "-"], input=b"#include <math.h>\n",
-                                   capture_output=True, check=True)
-            return Compiler(command, probe.stdout)
-        except (OSError, subprocess.SubprocessError):
-            continue
-    _notice("no C compiler found")
-    return None
-
-
-def _notice(what: str) -> None:
-    logging.getLogger("hydroopt").warning("hydroopt: %s; CasADi's virtual machine evaluates the model, more slowly.",
-                                          what)
-
-
 def kernel(function: ca.Function) -> Kernel | None:
     """The kernel of a function from the cache, or compiled now; None where CasADi has to do the work."""
     found = compiler()
-    if found is None or not function.is_a("SXFunction"):
+    if found is None or found.hangs or not function.is_a("SXFunction"):
         return None
     try:
         made = program(function)
         return Kernel(_library(function, made, found), made)
     except (OSError, subprocess.SubprocessError, NotImplementedError) as error:
-        said = (getattr(error, "stderr", None) or str(error).encode()).decode(errors="replace").strip()[:200]
-        _notice(f"the kernel '{function.name()}' cannot be compiled or kept ({said})")
+        notice(f"the kernel '{function.name()}' cannot be compiled ({reason(error)})")
         return None
 
 
-def _library(function: ca.Function, made: Program, by: Compiler) -> Path:
-    """The shared library in the cache; what is there but not whole is made anew."""
+def _library(function: ca.Function, made: Program, by: Compiler) -> ctypes.CDLL:
+    """The shared library from the cache, or compiled now and kept there, or compiled for this process alone."""
     key = hashlib.sha256()
     here = Path(__file__).parent
-    own = [(here / name).read_bytes() for name in ("expression_graph.py", "c_writer.py", "native.py", "kernel.c")]
+    own = [(here / name).read_bytes()
+           for name in ("expression_graph.py", "c_writer.py", "native.py", "compiler.py", "kernel.c")]
     for part in (function.serialize().encode(), *own, " ".join((*by.command, *FLAGS)).encode(), by.macros):
         key.update(hashlib.sha256(part).digest())
-    folder = Path(os.environ.get("HYDROOPT_CACHE") or platformdirs.user_cache_dir("hydroopt")).resolve()
-    for entry in sorted(folder.glob(f"{key.hexdigest()[:32]}-*.so")):
-        if hashlib.sha256(entry.read_bytes()).hexdigest()[:32] == entry.stem.partition("-")[2]:
-            return entry
-        entry.unlink(missing_ok=True)
-    folder.mkdir(mode=0o700, parents=True, exist_ok=True)  # what lies here is run
-    with tempfile.TemporaryDirectory(dir=folder) as scratch:
-        built = Path(scratch) / "kernel.so"
-        subprocess.run([*by.command, *FLAGS, "-x", "c", "-", "-o", str(built), *by.libraries],
-                       input=source(made).encode(), capture_output=True, check=True)
-        # the name is a hash of the content: a library is whole or is not used, however many processes make it at once
+    try:
+        return _kept(cache.folder(), key.hexdigest()[:32], made, by)
+    except OSError as error:
+        notice(f"kernels cannot be kept ({reason(error)})", "they are compiled at each start; set HYDROOPT_CACHE to a "
+               "folder to which you alone can write")
+    with cache.scratch() as place:
+        return ctypes.CDLL(str(by.compile(source(made), place)))
+
+
+def _kept(folder: Path, key: str, made: Program, by: Compiler) -> ctypes.CDLL:
+    """The library of this key in a folder that nobody else can write; what is there but not whole is made anew.
+
+    The name is a hash of the content: a library is whole or is not used, however many processes make it at once.
+    """
+    for entry in sorted(folder.glob(f"{key}-*.so")):
+        with suppress(OSError):
+            if hashlib.sha256(cache.read(entry)).hexdigest()[:32] == entry.stem.partition("-")[2]:
+                return ctypes.CDLL(str(entry))
+        with suppress(FileNotFoundError):  # another process found it first
+            entry.unlink()
+    with cache.scratch(folder) as place:
+        built = by.compile(source(made), place)
+        built.chmod(0o700)  # whatever the umask: nobody else may write it
         digest = hashlib.sha256(built.read_bytes()).hexdigest()[:32]
-        return built.rename(folder / f"{key.hexdigest()[:32]}-{digest}.so")
+        return ctypes.CDLL(str(built.rename(folder / f"{key}-{digest}.so")))
 
 
 def source(made: Program) -> str:

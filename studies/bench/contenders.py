@@ -13,14 +13,14 @@ import numpy as np
 from hydroopt import Machine, Model, load_machine
 from hydroopt.codegen.folder import Code
 from hydroopt.codegen.parameter_source import read
-from hydroopt.kernels import native
+from hydroopt.kernels import compiler as system
 from hydroopt.kernels.expression_graph import program
-from hydroopt.kernels.native import Runner
+from hydroopt.kernels.native import Runner, source
 
 KEPT = 512
 """Results that the loop in C keeps before it writes over them."""
 SAMPLES = 40 * KEPT
-FLAGS = tuple(flag for flag in native.FLAGS if flag != "-w")
+FLAGS = tuple(flag for flag in system.FLAGS if flag != "-w")
 CONTROLLER = ("-std=c99", "-O2", "-fPIC", "-shared")
 LOOP = Path(__file__).with_name("loop.c").read_text()
 
@@ -76,7 +76,7 @@ class Regressor:
     def kernel(self) -> Contender:
         """The kernel that serves whole logs, called for as many samples at once as are kept."""
         n = len(self.machine.joints)
-        return self.built({"kernel.c": native.source(program(self.function))},
+        return self.built({"kernel.c": source(program(self.function))},
                           "over(n - s < kept ? n - s : kept, in, stride, into);",
                           f"const long stride[] = {{{n}, {n}, {n}}};", step="kept")
 
@@ -122,8 +122,8 @@ def motions(machine: Machine, count: int) -> list[np.ndarray]:
     return [rng.uniform(lower, upper, (count, len(lower))), *rng.uniform(-1, 1, (2, count, len(lower)))]
 
 
-def compiler() -> native.Compiler:
-    found = native.compiler()
+def compiler() -> system.Compiler:
+    found = system.compiler()
     if found is None:
         raise SystemExit("without a compiler there is nothing to measure")
     return found

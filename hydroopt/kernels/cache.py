@@ -1,0 +1,92 @@
+"""The folder of compiled kernels.
+
+Whoever can write there runs code as this user. The folder is used only if nobody else can: it belongs to this user, and
+only this user and root can write to it and to the folders above it, as ssh requires of its keys.
+"""
+
+from __future__ import annotations
+
+import os
+import shutil
+import stat
+import tempfile
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import platformdirs
+
+UNFINISHED = ".unfinished-"
+STALE = 3600.0
+"""Prefix of folders in which something is being made, and the age [s] from which their process must have died."""
+
+
+def folder() -> Path:
+    """The cache: ``$HYDROOPT_CACHE`` or the user's folder for such; made if it is missing.
+
+    Raises:
+        PermissionError: others than this user can write there; the message names the folder.
+        OSError: the folder cannot be made or read, or the user has no home.
+    """
+    stated = os.environ.get("HYDROOPT_CACHE")
+    usual = platformdirs.user_cache_dir("hydroopt")
+    if not stated and not os.path.isabs(usual):  # or it would lie in the working directory
+        raise FileNotFoundError("this user has no home")
+    path = Path(os.path.realpath(stated or usual))
+    for part in reversed([part for part in (path, *path.parents) if not part.exists()]):
+        part.mkdir(mode=0o700, exist_ok=True)
+    if not path.is_dir():
+        raise NotADirectoryError(f"'{path}' is a file")
+    _refuse_foreign(path)
+    return path
+
+
+@contextmanager
+def scratch(inside: Path | None = None) -> Iterator[Path]:
+    """A new folder for this user alone, in the cache or among the system's temporary files; removed at the end.
+
+    Raises:
+        PermissionError: others could put something else in its place.
+        OSError: there is no folder that can be written.
+    """
+    if inside is not None:
+        for left in inside.glob(f"{UNFINISHED}*"):
+            if time.time() - left.stat().st_mtime > STALE:
+                shutil.rmtree(left, ignore_errors=True)
+    prefix = "hydroopt-" if inside is None else UNFINISHED
+    with tempfile.TemporaryDirectory(prefix=prefix, dir=inside, ignore_cleanup_errors=True) as made:
+        path = Path(os.path.realpath(made))
+        _refuse_foreign(path)
+        yield path
+
+
+def read(file: Path) -> bytes:
+    """Content of a regular file that belongs to this user and that no other user can write.
+
+    Raises:
+        PermissionError: it is another kind of file.
+        OSError: it cannot be read.
+    """
+    with open(os.open(file, os.O_RDONLY | getattr(os, "O_NOFOLLOW", 0)), "rb") as opened:
+        state = os.fstat(opened.fileno())
+        if not stat.S_ISREG(state.st_mode) or _foreign(state):
+            raise PermissionError(f"others than this user can write to '{file}'")
+        return opened.read()
+
+
+def _refuse_foreign(path: Path) -> None:
+    """Refuse a folder without symbolic links in its path, in which others could put or replace a file."""
+    for place in (path, *path.parents):
+        state = place.lstat()
+        sticky = place != path and state.st_mode & stat.S_ISVTX  # there others cannot rename what is not theirs
+        owner = place != path and state.st_uid == 0
+        if _foreign(state, ignore_mode=bool(sticky), ignore_owner=owner):
+            raise PermissionError(f"others than this user can write to '{place}'")
+
+
+def _foreign(state: os.stat_result, *, ignore_mode: bool = False, ignore_owner: bool = False) -> bool:
+    if not hasattr(os, "geteuid"):  # Windows, where a user's folders are closed to others
+        return False
+    writable = bool(state.st_mode & (stat.S_IWGRP | stat.S_IWOTH))
+    return (writable and not ignore_mode) or (state.st_uid != os.geteuid() and not ignore_owner)

@@ -1,0 +1,99 @@
+"""The system's C compiler: which one, what it can do, and how it is called so that it cannot hang this process."""
+
+from __future__ import annotations
+
+import logging
+import os
+import shlex
+import signal
+import subprocess
+from contextlib import suppress
+from dataclasses import dataclass
+from functools import cache
+from pathlib import Path
+
+FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fPIC", "-shared", "-w")
+"""No fast-math: only that sqrt need not set errno. Products and sums may be fused, as the compiler does by itself."""
+PROBING, COMPILING = 10.0, 120.0
+"""Time limits [s] of a compiler to introduce itself, and to compile a kernel."""
+
+
+@dataclass
+class Compiler:
+    """The system's compiler: its command, and what it says of itself and of the processor it compiles for.
+
+    `hangs` is set when it has exceeded its time limit: it is not called again.
+    """
+
+    command: tuple[str, ...]
+    macros: bytes
+    hangs: bool = False
+
+    @property
+    def libraries(self) -> tuple[str, ...]:
+        """The C library's vectors of sines, where there are any, and its mathematics."""
+        vectors = all(name in self.macros for name in (b"__GLIBC__", b"__x86_64__")) and b"__clang__" not in self.macros
+        return ("-DVECTOR_LIBRARY", "-lmvec", "-lm") if vectors else ("-lm",)
+
+    def compile(self, source: str, folder: Path) -> Path:
+        """A shared library of C `source`, in `folder`, which also takes the compiler's temporary files.
+
+        Raises:
+            OSError: the compiler cannot be started.
+            subprocess.SubprocessError: it fails or exceeds its time limit.
+        """
+        built = folder / "kernel.so"
+        command = (*self.command, *FLAGS, "-x", "c", "-", "-o", str(built), *self.libraries)
+        try:
+            _run(command, source.encode(), COMPILING, {**os.environ, "TMPDIR": str(folder)})
+        except subprocess.TimeoutExpired:
+            self.hangs = True
+            raise
+        return built
+
+
+@cache
+def compiler() -> Compiler | None:
+    """``$CC``, ``cc``, ``gcc`` or ``clang``; None, with a notice, where none of them works."""
+    for stated in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
+        try:
+            command = tuple(shlex.split(stated)) or (stated,)
+            macros = _run((*command, *FLAGS[:2], "-dM", "-E", "-x", "c", "-"), b"#include <math.h>\n", PROBING)
+            return Compiler(command, macros)
+        except (OSError, ValueError, subprocess.SubprocessError) as error:
+            if stated == os.environ.get("CC"):
+                notice(f"CC={stated!a:.100} cannot be used ({reason(error)})", "the system's compiler is used")
+    notice("no C compiler found")
+    return None
+
+
+def _run(command: tuple[str, ...], given: bytes, seconds: float, environment: dict[str, str] | None = None) -> bytes:
+    """Standard output of a command; it and all processes that it started are ended after `seconds`, and by Ctrl-C."""
+    group = {"process_group": 0} if os.name == "posix" else {}
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
+                          env=environment, **group) as running:  # type: ignore[call-overload]
+        try:
+            out, said = running.communicate(given, seconds)
+        except BaseException:
+            with suppress(OSError):
+                os.killpg(running.pid, signal.SIGKILL) if group else running.kill()
+            raise
+    if running.returncode:
+        raise subprocess.CalledProcessError(running.returncode, command[0], out, said)
+    return bytes(out)
+
+
+def reason(error: Exception) -> str:
+    """Why a compiler or a library cannot be used, in short."""
+    if isinstance(error, subprocess.TimeoutExpired):
+        return f"no answer within {error.timeout:.0f} s"
+    if isinstance(error, OSError) and error.strerror:
+        return error.strerror
+    said = (getattr(error, "stderr", None) or str(error).encode()).decode(errors="replace")
+    return "".join(c if c.isprintable() else "?" for c in " ".join(said.split()))[:200]
+
+
+@cache
+def notice(what: str, instead: str = "CasADi's virtual machine evaluates the model, more slowly") -> None:
+    """Say once what does not work, and what happens instead."""
+    logging.getLogger("hydroopt").warning("hydroopt: %s; %s.", what, instead)

@@ -1,0 +1,118 @@
+"""What hydroopt keeps and later runs lies where nobody else can write."""
+
+from __future__ import annotations
+
+import os
+import stat
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from hydroopt.kernels import cache
+
+pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="owners and modes of POSIX")
+
+
+@pytest.fixture
+def home(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("HYDROOPT_CACHE", str(tmp_path / "a" / "cache"))
+    return tmp_path / "a"
+
+
+def mode(path: Path) -> int:
+    return stat.S_IMODE(path.stat().st_mode)
+
+
+def test_what_is_missing_is_made_for_this_user_alone(home: Path) -> None:
+    before = os.umask(0)
+    try:
+        made = cache.folder()
+    finally:
+        os.umask(before)
+    assert made == home / "cache"
+    assert [mode(made), mode(home)] == [0o700] * 2
+
+
+@pytest.mark.parametrize("bits", [0o020, 0o002])
+@pytest.mark.parametrize("place", [".", "cache"])
+def test_a_folder_that_others_can_write_is_refused(bits: int, place: str, home: Path) -> None:
+    cache.folder()
+    (home / place).chmod(0o700 | bits)
+    with pytest.raises(PermissionError, match=f"others than this user can write to '{home / place}'"):
+        cache.folder()
+
+
+def test_others_may_write_to_a_folder_above_in_which_they_can_rename_only_their_own(home: Path) -> None:
+    cache.folder()
+    home.chmod(0o1777)
+    assert cache.folder() == home / "cache"
+    (home / "cache").chmod(0o1777)
+    with pytest.raises(PermissionError, match="cache"):
+        cache.folder()
+
+
+def test_the_folder_of_another_user_is_refused(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    cache.folder()
+    me = os.geteuid()
+    monkeypatch.setattr(os, "geteuid", lambda: me + 1)
+    with pytest.raises(PermissionError, match="cache"):
+        cache.folder()
+
+
+def test_a_link_counts_as_what_it_leads_to(home: Path) -> None:
+    (home / "open").mkdir(parents=True)
+    (home / "open").chmod(0o777)
+    (home / "cache").symlink_to(home / "open")
+    with pytest.raises(PermissionError, match=f"'{home / 'open'}'"):
+        cache.folder()
+
+
+def test_files_of_others_are_not_read(home: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    file, link = cache.folder() / "x.so", cache.folder() / "y.so"
+    file.write_bytes(b"own")
+    file.chmod(0o644)
+    link.symlink_to(file)
+    assert cache.read(file) == b"own"
+    with pytest.raises(OSError, match="symbolic link"):
+        cache.read(link)
+    file.chmod(0o664)
+    with pytest.raises(PermissionError):
+        cache.read(file)
+    file.chmod(0o600)
+    me = os.geteuid()
+    monkeypatch.setattr(os, "geteuid", lambda: me + 1)
+    with pytest.raises(PermissionError):
+        cache.read(file)
+
+
+def test_leftovers_of_killed_processes_are_removed(home: Path) -> None:
+    folder = cache.folder()
+    with cache.scratch(folder) as old, cache.scratch(folder) as young:
+        (old / "cc1.s").touch()
+        os.utime(old, (time.time() - 2 * cache.STALE,) * 2)
+        with cache.scratch(folder):
+            assert not old.exists()
+            assert young.exists()
+    assert not list(folder.iterdir())
+
+
+def test_a_temporary_folder_that_others_can_replace_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path))
+    with cache.scratch() as made:
+        assert made.parent == tmp_path
+    tmp_path.chmod(0o777)
+    with pytest.raises(PermissionError, match="others"), cache.scratch():
+        pass
+    assert not list(tmp_path.iterdir())
+
+
+def test_without_a_home_nothing_is_kept_in_the_working_directory(tmp_path: Path,
+                                                                 monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.delenv("HYDROOPT_CACHE", raising=False)
+    monkeypatch.setattr("platformdirs.user_cache_dir", lambda name: f"~/.cache/{name}")  # as for a user without a home
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(OSError, match="no home"):
+        cache.folder()
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,226 @@
+"""Kernels: where they come from, and that nobody else's code is loaded in their place."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+import os
+import shutil
+import subprocess
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from hydroopt.kernels import cache
+from hydroopt.kernels import compiler as system
+from hydroopt.kernels.expression_graph import program
+from hydroopt.kernels.native import FEW, Kernel, Runner, _kept
+
+pytestmark = [pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler"),
+              pytest.mark.skipif(sys.platform == "win32", reason="commands and modes of POSIX")]
+
+X = np.linspace(0, 1, 2 * FEW)[:, None]
+
+
+def evaluated() -> list[float]:
+    """x² + 1 at all X, by a runner that remembers nothing."""
+    x = ca.SX.sym("x")
+    (result,) = Runner().over(ca.Function("square", [x], [x * x + 1]), X)
+    return list(result.ravel())
+
+
+RIGHT = pytest.approx(list((X * X + 1).ravel()))
+EVIL = "void over(long n, void *x, void *s, double **y) { for (long k = 0; k < n; ++k) y[0][k] = 666; }"
+
+
+@pytest.fixture(autouse=True)
+def _fresh() -> Iterator[None]:
+    for kept in (system.compiler, system.notice):
+        kept.cache_clear()
+    yield
+    for kept in (system.compiler, system.notice):
+        kept.cache_clear()
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("HYDROOPT_CACHE", str(tmp_path / "home" / "cache"))
+    monkeypatch.delenv("CC", raising=False)
+    (tmp_path / "tmp").mkdir()
+    monkeypatch.setattr("tempfile.tempdir", str(tmp_path / "tmp"))
+    return tmp_path / "home" / "cache"
+
+
+@pytest.fixture
+def compiled(monkeypatch: pytest.MonkeyPatch) -> list[Path]:
+    """The folders in which kernels were compiled."""
+    places: list[Path] = []
+    honest = system.Compiler.compile
+
+    def compile_(by: system.Compiler, source: str, place: Path) -> Path:
+        places.append(place)
+        return honest(by, source, place)
+
+    monkeypatch.setattr(system.Compiler, "compile", compile_)
+    return places
+
+
+def planted(folder: Path, content: bytes | None = None) -> Path:
+    """In place of the kernel that was kept: another library, or garbage, under the name that its content asks for."""
+    (kept,) = folder.glob("*.so")
+    if content is None:
+        subprocess.run(["cc", "-shared", "-fPIC", "-x", "c", "-", "-o", "evil.so"], input=EVIL.encode(), check=True,
+                       cwd=folder)
+        content = (folder / "evil.so").read_bytes()
+        (folder / "evil.so").unlink()
+    kept.unlink()
+    evil = folder / f"{kept.name.partition('-')[0]}-{hashlib.sha256(content).hexdigest()[:32]}.so"
+    evil.write_bytes(content)
+    evil.chmod(0o700)
+    return evil
+
+
+def test_a_kernel_is_compiled_once_and_nothing_else_is_left(folder: Path, compiled: list[Path]) -> None:
+    assert evaluated() == RIGHT
+    assert evaluated() == RIGHT
+    assert len(compiled) == 1
+    (kept,) = folder.iterdir()
+    assert kept.stat().st_mode & 0o777 == 0o700
+    assert not list((folder.parents[1] / "tmp").iterdir())
+
+
+def test_what_this_user_put_there_is_loaded(folder: Path, compiled: list[Path]) -> None:
+    """The other tests would pass with a library that cannot be loaded at all."""
+    evaluated()
+    planted(folder)
+    assert evaluated() == [666] * len(X)
+
+
+@pytest.mark.parametrize("attack", ["open folder", "open parent", "open file", "link", "owner"])
+def test_no_library_is_loaded_that_others_could_have_written(attack: str, folder: Path, compiled: list[Path],
+                                                             monkeypatch: pytest.MonkeyPatch) -> None:
+    evaluated()
+    evil = planted(folder)
+    match attack:
+        case "open folder":
+            folder.chmod(0o777)
+        case "open parent":
+            folder.parent.chmod(0o770)
+        case "open file":
+            evil.chmod(0o722)
+        case "link":
+            evil.symlink_to(evil.rename(folder.parents[1] / "evil.so"))
+        case "owner":
+            number, honest = evil.stat().st_ino, os.fstat
+            monkeypatch.setattr(os, "fstat", lambda handle: os.stat_result(  # another user's
+                (*(state := honest(handle))[:4], state.st_uid + (state.st_ino == number), *state[5:])))
+    assert evaluated() == RIGHT
+    assert len(compiled) == 2
+    assert not list((folder.parents[1] / "tmp").iterdir())
+
+
+@pytest.mark.parametrize("content", [b"", b"no library", b"\x7fELF\x02\x01\x01" + bytes(100)])
+def test_garbage_is_compiled_again(content: bytes, folder: Path, compiled: list[Path]) -> None:
+    evaluated()
+    garbage = planted(folder, content)
+    assert evaluated() == RIGHT
+    assert len(compiled) == 2
+    assert not garbage.exists()
+    cut = next(folder.glob("*.so"))
+    cut.write_bytes(cut.read_bytes()[:-1])
+    assert evaluated() == RIGHT
+    assert len(compiled) == 3
+    assert len(list(folder.iterdir())) == 1
+
+
+def test_without_a_cache_kernels_are_compiled_in_a_private_place(folder: Path, compiled: list[Path],
+                                                                 caplog: pytest.LogCaptureFixture) -> None:
+    folder.parent.mkdir()
+    folder.write_text("a file")
+    assert evaluated() == RIGHT
+    assert evaluated() == RIGHT
+    assert all(place.parent == folder.parents[1] / "tmp" for place in compiled)
+    assert len(compiled) == 2
+    assert not list((folder.parents[1] / "tmp").iterdir())
+    assert [record.levelno for record in caplog.records] == [logging.WARNING]  # once
+    assert "kernels cannot be kept" in caplog.text
+    assert "set HYDROOPT_CACHE to a folder" in caplog.text
+
+
+def test_one_empty_cache_is_filled_by_many_at_once(folder: Path, compiled: list[Path]) -> None:
+    x = ca.SX.sym("x")
+    made, by = program(ca.Function("square", [x], [x * x + 1])), system.compiler()
+    assert by is not None
+    place = cache.folder()
+    with ThreadPoolExecutor(4) as pool:
+        kernels = [Kernel(library, made) for library in pool.map(lambda _: _kept(place, "key", made, by), range(4))]
+    assert [list(kernel([X], len(X))[0].ravel()) for kernel in kernels] == [RIGHT] * 4
+    assert {file.suffix for file in folder.iterdir()} == {".so"}
+
+
+@pytest.mark.slow
+def test_processes_that_start_at_once_with_an_empty_cache_agree(folder: Path) -> None:
+    code = "import sys; sys.path.insert(0, sys.argv[1]); import test_native as t; assert t.evaluated() == t.RIGHT"
+    running = [subprocess.Popen([sys.executable, "-c", code, str(Path(__file__).parent)]) for _ in range(3)]
+    assert [process.wait() for process in running] == [0] * 3
+    assert {file.suffix for file in folder.iterdir()} == {".so"}
+
+
+@pytest.mark.parametrize(("command", "why"), [
+    ('gcc "', "No closing quotation"), ("no-such-compiler", "No such file"), ("false", "non-zero exit status"),
+    ("   ", "No such file"), ("/", "denied")])
+def test_a_misspelt_compiler_is_named_and_the_usual_one_serves(command: str, why: str, folder: Path,
+                                                               compiled: list[Path], monkeypatch: pytest.MonkeyPatch,
+                                                               caplog: pytest.LogCaptureFixture) -> None:
+    monkeypatch.setenv("CC", command)
+    assert evaluated() == RIGHT
+    assert len(compiled) == 1
+    assert f"CC={command!r} cannot be used" in caplog.text
+    assert why in caplog.text
+
+
+def test_without_a_compiler_casadi_does_the_work(folder: Path, monkeypatch: pytest.MonkeyPatch,
+                                                 caplog: pytest.LogCaptureFixture) -> None:
+    monkeypatch.setenv("PATH", str(folder))
+    assert evaluated() == RIGHT
+    assert "no C compiler found" in caplog.text
+
+
+def script(folder: Path, compiling: str) -> str:
+    """A compiler that introduces itself as any other."""
+    folder.mkdir(parents=True)
+    command = folder.parents[1] / "mycc"
+    command.write_text(f'#!/bin/sh\ncase "$*" in *-dM*) exec cc "$@";; esac\n{compiling}\n')
+    command.chmod(0o755)
+    return str(command)
+
+
+def test_a_compiler_that_hangs_is_ended_with_all_that_it_started(folder: Path, compiled: list[Path],
+                                                                 monkeypatch: pytest.MonkeyPatch,
+                                                                 caplog: pytest.LogCaptureFixture) -> None:
+    told = folder.parents[1] / "pid"
+    monkeypatch.setenv("CC", script(folder, f"sleep 1000 & echo $! >{told}; wait"))
+    monkeypatch.setattr(system, "COMPILING", 1.0)
+    began = time.monotonic()
+    assert evaluated() == RIGHT
+    assert evaluated() == RIGHT
+    assert time.monotonic() - began < 30
+    assert len(compiled) == 1  # it is not tried again
+    assert "no answer within 1 s" in caplog.text
+    pid = int(told.read_text())
+    status = Path(f"/proc/{pid}/stat")
+    assert not status.exists() or status.read_text().rpartition(")")[2].split()[0] in "ZX"
+    assert not list(folder.iterdir())
+
+
+def test_a_compiler_that_fails_says_why_without_control_characters(folder: Path, monkeypatch: pytest.MonkeyPatch,
+                                                                   caplog: pytest.LogCaptureFixture) -> None:
+    monkeypatch.setenv("CC", script(folder, r"printf 'out of\n\033[2Jmemory' >&2; exit 1"))
+    assert evaluated() == RIGHT
+    assert "the kernel 'square' cannot be compiled (out of ?[2Jmemory)" in caplog.text
