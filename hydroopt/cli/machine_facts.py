@@ -13,6 +13,7 @@ from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.parameters import hydraulic as hydraulic_parameters
 from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.results.machine_diagnostics import machine_diagnostics
 
 
 def machine_facts(machine: Machine) -> dict[str, Any]:
@@ -32,7 +33,8 @@ def machine_facts(machine: Machine) -> dict[str, Any]:
              "hydraulic_parameters": _parameter_facts(hydraulic_parameters.parameter_set(machine)),
              "identifiability": {"rank": found.rank, "full": found.count("full"),
                                  "combination": found.count("combination"), "none": found.count("none")},
-            "calibration": motion.as_dict() | {"lines": motion.lines()}}
+            "calibration": motion.as_dict() | {"lines": motion.lines()},
+            "diagnostics": [each.as_dict() for each in machine_diagnostics(machine)]}
 
 
 def _parameter_facts(parameters: ParameterSet) -> list[dict[str, Any]]:

@@ -46,6 +46,8 @@ def show(
         return
     console = Console()
     console.print(f"[bold]{described.name}[/bold] {escape(described.description)}")
+    for diagnostic in facts["diagnostics"]:
+        console.print(f"! {escape(diagnostic['text'])} {escape(diagnostic['remedy'])}", soft_wrap=True)
     tables = {"Joints": facts["joints"], "Cylinders": [_cylinder_row(cylinder) for cylinder in facts["cylinders"]],
               "Sensors (standard deviation of a reading)": facts["sensors"], "Parameters": facts["parameters"],
               "Hydraulic parameters": facts["hydraulic_parameters"]}

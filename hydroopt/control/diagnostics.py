@@ -9,6 +9,7 @@ import numpy as np
 from hydroopt.control.outcome import FEEDFORWARD, Outcome
 from hydroopt.control.setting import Setting
 from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.wording import Kind
 
 ENOUGH_DB, ENOUGH_DEG = 6.0, 45.0
@@ -19,8 +20,10 @@ SATURATED = 0.01
 
 def control_diagnostics(setting: Setting, outcomes: Sequence[Outcome],
                         feedforward: Outcome | None) -> tuple[Diagnostic, ...]:
-    """Small margins, runs that ended early, and valves that saturate; `feedforward` is the best one."""
-    return (*_margins(setting, outcomes, feedforward), *_runs(setting, outcomes))
+    """Impossible nominal bodies, small margins, runs that ended early, valves that saturate; `feedforward` is the best.
+    """
+    return (*machine_diagnostics(setting.plant.model.machine), *_margins(setting, outcomes, feedforward),
+            *_runs(setting, outcomes))
 
 
 def _margins(setting: Setting, outcomes: Sequence[Outcome], feedforward: Outcome | None) -> Iterator[Diagnostic]:

@@ -209,11 +209,6 @@ class Machine(MachineDescription):
                 raise ImpossibleError(f"{', '.join(one.friction)} do not state the same terms of friction",
                                       "name actuators of one kind, and state the same terms of each",
                                       f"identical[{one.name}].friction")
-        for total in self.total_masses:
-            note = self.notes.get(f"{total.name}.value", Note())
-            if note.lower is not None or note.upper is not None:
-                raise ImpossibleError("a total mass takes no bounds", "state a value with its sigma",
-                                      f"total_masses[{total.name}]")
 
     def with_values(self, values: Mapping[str, float], notes: Mapping[str, Note] | None = None) -> Machine:
         """The machine with other numbers, each under its address, and with what is known about them.

@@ -17,7 +17,7 @@ import tomlkit
 from pydantic import BaseModel, ValidationError
 
 from hydroopt.errors import MachineError
-from hydroopt.machine import cylinder_checks
+from hydroopt.machine import cylinder_checks, prior_checks
 from hydroopt.machine.actuators import Cylinder, TorqueFriction
 from hydroopt.machine.links import Joint, JointFriction, Note
 from hydroopt.machine.machine import Machine
@@ -125,6 +125,7 @@ def read_machine(text: str, *, where: str = "machine", parameter_set: str | None
                     before = link.setdefault("parent", before) and link.get("name")
         machine = Machine.model_validate(data | {"notes": notes}, context={"from_file": True})
         cylinder_checks.check(machine)
+        prior_checks.check(machine)
     except ValidationError as error:
         what, place, remedy = _in_plain_words(error, data)
         raise MachineError(what, where=_at(where, place, moved), remedy=remedy) from None

@@ -38,6 +38,7 @@ class Kind(StrEnum):
     NO_VALIDATION = "no validation data"
     FINDING = "finding in the data"
     NOTE = "note"
+    IMPOSSIBLE_NOMINAL_BODIES = "nominal bodies not physically consistent"
 
     # comparison of controllers
     UNSTABLE_ELSEWHERE = "loop unstable outside the motion"
@@ -135,6 +136,11 @@ CONTRADICTIONS = frozenset({
     Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED})
 """Kinds that make an answer suspect."""
 WORDS: dict[Kind, Words] = {
+    Kind.IMPOSSIBLE_NOMINAL_BODIES: Words(
+        "No body can have the mass, centre of mass and inertia that the machine file states of {subject}: a principal "
+        "moment of inertia is negative or exceeds the sum of the other two.",
+        "Correct them; moments of inertia of 'inertia_com' are about the centre of mass, those of 'inertia' about the "
+        "origin of the frame."),
     Kind.NO_VALIDATION: Words(
         "No log was held out, so the prediction of unseen data is not known.",
         "Give --validate or --holdout."),

@@ -14,6 +14,7 @@ from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.tables import number
 from hydroopt.results.wording import Kind
 
@@ -30,7 +31,8 @@ _EFFECTS = {ParameterKind.MASS: "gravity", ParameterKind.FIRST_MOMENT: "gravity"
 
 def diagnose(found: Identification) -> tuple[Diagnostic, ...]:
     """All diagnostics of an identification, the gravest first; none if nothing is worth knowing."""
-    return (*_prediction(found), *_sampling(found), *_consistency(found), *_findings(found), *_residuals(found),
+    return (*machine_diagnostics(found.problem.model.machine), *_prediction(found), *_sampling(found),
+            *_consistency(found), *_findings(found), *_residuals(found),
             *_assumptions(found), *_active(found), *_identifiability(found),
             *_confounded(found.problem.parameters, found.confounded))
 
