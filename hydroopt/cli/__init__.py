@@ -38,7 +38,18 @@ class Deferred(TyperCommand):
         return typer.main.get_command(group).make_context(info_name, args, parent, **extra)
 
 
-class Commands(TyperGroup):
+class Group(TyperGroup):
+    """Commands of one name in front."""
+
+    def get_help_option(self, ctx: Any) -> Any:
+        """The option --help, off unless given: to convert None to that, typer would import pydantic."""
+        option = super().get_help_option(ctx)
+        if option is not None:
+            option.default = False
+        return option
+
+
+class Commands(Group):
     """All commands, none of which is imported."""
 
     def __init__(self, **attributes: Any) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from collections.abc import Sequence
 from pathlib import Path
@@ -10,8 +9,20 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydroopt.cli.options import AsJson, Directory, MachineName, MapFile, Quiet, loss_of, parameter_values, progress
-from hydroopt.errors import ProblemError, SolverError
+from hydroopt.cli.answers import failure_saved, print_answer
+from hydroopt.cli.options import (
+    AsJson,
+    Directory,
+    Fixed,
+    LossName,
+    MachineName,
+    MapFile,
+    Quiet,
+    loss_of,
+    parameter_values,
+    progress,
+)
+from hydroopt.errors import ProblemError
 
 if TYPE_CHECKING:
     from hydroopt.logs.poses import Poses
@@ -26,9 +37,8 @@ def calibrate(
         help="Stage that is held out for validation; repeatable.")] = None,
     map_file: MapFile = None,
     method: Annotated[str, typer.Option(help="joint or hierarchical.")] = "joint",
-    loss: Annotated[str, typer.Option(help="squares, huber or student_t.")] = "squares",
-    fix: Annotated[list[str] | None, typer.Option(
-        help="Hold a parameter, NAME=VALUE with unit, e.g. 'ball.y=0 m'; repeatable.")] = None,
+    loss: LossName = "squares",
+    fix: Fixed = None,
     starts: Annotated[int, typer.Option(help="Number of initial guesses.", min=1)] = 1,
     no_priors: Annotated[bool, typer.Option("--no-priors", help=(
         "The file's confidences state what is unknown, but do not count as measurements."))] = False,
@@ -48,8 +58,7 @@ def calibrate(
     from hydroopt.logs.poses import read_pose_files
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.report import calibration as report
-    from hydroopt.results import json_file
-    from hydroopt.results.json_file import Job, MachineId
+    from hydroopt.results.json_file import Job
 
     began = time.perf_counter()
     described, chosen_loss = load_machine(machine), loss_of(loss, "--loss")
@@ -59,25 +68,15 @@ def calibrate(
         problem = calibration_problem(described, poses, held_out, priors=not no_priors).with_loss(chosen_loss)
         problem = problem.fixing(**parameter_values(fix or (), problem.parameters))
         what = f"calibrating {described.name}, {int(problem.free.sum())} parameters from "
-        try:
+        with failure_saved(output, Job.CALIBRATION, described, method, lambda: inputs_of(problem)):
             say(f"{what}{len(poses)} poses")
             solved = solve_calibration(problem, method, starts=starts, seed=seed)
             if leave_out and np.any(solved.suspicious):
                 say(f"{what}the {np.sum(~solved.suspicious)} poses that agree")
                 solved = without_suspects(solved, starts=starts)
-        except SolverError as error:
-            json_file.write_failure(output, Job.CALIBRATION, MachineId.of(described), method,
-                                inputs_of(problem), error)
-            raise
         say("writing the report")
         solved.save(output, pages={"report.html": report.render(solved)}, wall_s=time.perf_counter() - began)
-    if as_json:
-        typer.echo(json.dumps(json_file.read(output), indent=1))
-    elif not quiet:
-        typer.echo(str(solved))
-        for diagnostic in solved.diagnostics:
-            typer.echo(f"  ! {diagnostic}")
-        typer.echo(f"{output / 'report.html'}")
+    print_answer(solved, output, quiet=quiet, as_json=as_json)
 
 
 def _held_out(poses: Poses, stages: Sequence[str], extra: Poses | None) -> tuple[Poses, Poses | None]:

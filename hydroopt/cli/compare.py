@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from hydroopt.cli.answers import failure_saved, print_answer
 from hydroopt.cli.options import (
     AsJson,
     Bandwidth,
     Directory,
+    IntervalSeed,
     MachineName,
     MapFile,
     ParameterSetName,
@@ -23,7 +24,6 @@ from hydroopt.cli.options import (
     session_of,
     smoothing_of,
 )
-from hydroopt.errors import SolverError
 
 
 def compare(
@@ -41,17 +41,17 @@ def compare(
     treat: Treat = None,
     smoothing: SmoothingText = "spline",
     bandwidth: Bandwidth = None,
-    seed: Annotated[int, typer.Option(help="Of the sampling of intervals.", min=0)] = 0,
+    seed: IntervalSeed = 0,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
     """Test which parameters changed between two sessions: DIR gets comparison.json, report.html and a table."""
-    from hydroopt.estimation.dynamic.change import METHOD, detect_change
+    from hydroopt.estimation.dynamic.change import detect_change
+    from hydroopt.estimation.dynamic.two_session_answer import METHOD
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.report.comparison import render_change
-    from hydroopt.results import json_file
-    from hydroopt.results.diagnostic import sentences
+    from hydroopt.results.json_file import Job
 
     began = time.perf_counter()
     described = load_machine(machine, parameter_set=parameter_set)
@@ -60,17 +60,7 @@ def compare(
     with progress(f"comparing two sessions of {described.name}", quiet):
         first, second = (session_of(described, paths, option, map_file, treat)
                          for paths, option in ((before, "--before"), (after, "--after")))
-        try:
+        with failure_saved(output, Job.CHANGE, described, METHOD):
             change = detect_change(described, first, second, parts=names, level=level, smoothing=way, seed=seed)
-        except SolverError as error:
-            json_file.write_failure(output, json_file.Job.CHANGE, json_file.MachineId.of(described), METHOD, (), error)
-            raise
-        wall_s = time.perf_counter() - began
-        change.save(output, pages={"report.html": render_change(change)}, wall_s=wall_s)
-    if as_json:
-        typer.echo(json.dumps(json_file.read(output), indent=1))
-    elif not quiet:
-        typer.echo(str(change))
-        for sentence in sentences(change.diagnostics):
-            typer.echo(f"  ! {sentence}")
-        typer.echo(f"{output / 'report.html'}")
+        change.save(output, pages={"report.html": render_change(change)}, wall_s=time.perf_counter() - began)
+    print_answer(change, output, quiet=quiet, as_json=as_json)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -10,7 +9,8 @@ from typing import Annotated
 
 import typer
 
-from hydroopt.cli.options import AsJson, Directory, MapFile, ParameterSetName, Quiet, progress
+from hydroopt.cli.answers import print_answer
+from hydroopt.cli.options import AsJson, ControllerRate, Directory, MapFile, ParameterSetName, Quiet, progress
 from hydroopt.errors import ProblemError
 
 KINDS = ("pi", "feedforward", "lqg")
@@ -25,9 +25,7 @@ def control(
     true: Annotated[str, typer.Option("--truth", help=(
         "What the simulated machine really is: 'nominal', 'random' within the file's confidences, or a truth.json that "
         "simulate wrote."))] = "random",
-    rate: Annotated[float | None, typer.Option(help=(
-        "Samples per second of the controller [Hz]; if not given, the highest that the file states for a joint's "
-        "sensor, or 50."))] = None,
+    rate: ControllerRate = None,
     controller: Annotated[list[str] | None, typer.Option(help=(
         f"Controller to try, {', '.join(KINDS)}; repeatable; all if not given."))] = None,
     sensitivity: Annotated[float, typer.Option(help=(
@@ -57,7 +55,6 @@ def control(
     from hydroopt.model.model import Model
     from hydroopt.model.plant import Plant
     from hydroopt.report import closed_loop as report
-    from hydroopt.results import json_file
     from hydroopt.simulation.reference_motion import reference_motion
 
     began = time.perf_counter()
@@ -98,10 +95,4 @@ def control(
                         wall_s=time.perf_counter() - began)
         if code is not None:
             code.remove_earlier(output / "c", written)
-    if as_json:
-        typer.echo(json.dumps(json_file.read(output), indent=1))
-    elif not quiet:
-        typer.echo(str(comparison))
-        for diagnostic in comparison.diagnostics:
-            typer.echo(f"  ! {diagnostic}")
-        typer.echo(f"{output / 'report.html'}")
+    print_answer(comparison, output, quiet=quiet, as_json=as_json)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import os
 import time
 from collections.abc import Sequence
@@ -11,7 +10,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydroopt.cli.options import AsJson, Directory, MachineName, MapFile, ParameterSetName, Quiet, progress, refuse_idle
+from hydroopt.cli.answers import print_answer
+from hydroopt.cli.options import (
+    AsJson,
+    AsParquet,
+    ControllerRate,
+    Directory,
+    MachineName,
+    MapFile,
+    ParameterSetName,
+    Quiet,
+    progress,
+    refuse_idle,
+)
 from hydroopt.errors import ProblemError
 
 if TYPE_CHECKING:
@@ -35,9 +46,7 @@ def excite(
         help="A spline of the fifth degree of so many pieces instead of the Fourier series.", min=1)] = None,
     rest: Annotated[list[str] | None, typer.Option(
         help="Joint that rests, JOINT=POSITION with unit, e.g. 'swing=0 deg'; repeatable.")] = None,
-    rate: Annotated[float | None, typer.Option(help=(
-        "Samples per second of the controller [Hz]; if not given, the highest that the file states for a joint's "
-        "sensor, or 50."))] = None,
+    rate: ControllerRate = None,
     criterion: Annotated[str | None, typer.Option(help="D, A, E or condition; D if not given.")] = None,
     focus: Annotated[list[str] | None, typer.Option(help=(
         "Parameters that alone count: a parameter, a part, payload or friction; repeatable."))] = None,
@@ -48,7 +57,7 @@ def excite(
                                                   min=1)] = None,
     seconds: Annotated[float, typer.Option(help="After which the best motion so far is taken.", min=1.0)] = 50.0,
     seed: Annotated[int, typer.Option(help="Of the starts.", min=0)] = 0,
-    parquet: Annotated[bool, typer.Option("--parquet", help="Write Parquet instead of CSV.")] = False,
+    parquet: AsParquet = False,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -64,7 +73,7 @@ def excite(
     from hydroopt.files import refuse_directory
     from hydroopt.logs.stream import open_log
     from hydroopt.report import excitation as report
-    from hydroopt.results import json_file
+    from hydroopt.results.json_file import FILES, Job
     from hydroopt.solving import solve
 
     began = time.perf_counter()
@@ -72,8 +81,7 @@ def excite(
         refuse_idle(context, ("period", "harmonics", "blend"), "a spline has none", "leave it out, or --pieces")
     if not log:
         refuse_idle(context, ("map_file",), "there is no log that it could describe", "leave it out, or give --log")
-    refuse_directory(output, (json_file.FILES[json_file.Job.EXCITATION], "report.html", "trajectory.csv",
-                              "trajectory.parquet"))
+    refuse_directory(output, (FILES[Job.EXCITATION], "report.html", "trajectory.csv", "trajectory.parquet"))
     described, origin = parameter_source.read(machine, parameter_set=parameter_set)
     basis, resting = _basis(duration, period, harmonics, blend, pieces), _resting(described, rest or ())
     with progress(f"preparing {described.name}", quiet) as say:
@@ -89,13 +97,7 @@ def excite(
         motion.save(output, pages=pages | {f"c/{name}": text for name, text in written.items()},
                     wall_s=time.perf_counter() - began, parquet=parquet)
         code.remove_earlier(output / "c", written)
-    if as_json:
-        typer.echo(json.dumps(json_file.read(output), indent=1))
-    elif not quiet:
-        typer.echo(str(motion))
-        for diagnostic in motion.diagnostics:
-            typer.echo(f"  ! {diagnostic}")
-        typer.echo(f"{output / 'report.html'}")
+    print_answer(motion, output, quiet=quiet, as_json=as_json)
 
 
 def _basis(duration: float, period: float | None, harmonics: int, blend: float, pieces: int | None) -> Basis:

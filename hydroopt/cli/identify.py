@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import time
 from functools import partial
 from pathlib import Path
@@ -10,24 +9,30 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from hydroopt.cli.answers import failure_saved, print_answer
 from hydroopt.cli.options import (
     AsJson,
     Bandwidth,
     Directory,
+    Holdout,
+    IntervalSeed,
+    LossName,
     MachineName,
     MapFile,
     ParameterSetName,
     Quiet,
     SmoothingText,
+    TrainingLogs,
     Treat,
+    ValidationLogs,
     distance_of,
     loss_of,
+    parted,
     progress,
-    reliefs,
+    reading,
     smoothing_of,
-    treatment_of,
 )
-from hydroopt.errors import ProblemError, SolverError
+from hydroopt.errors import ProblemError
 
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.identify import Method
@@ -36,15 +41,14 @@ if TYPE_CHECKING:
 
 def identify(
     machine: MachineName,
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Training logs (.csv, .parquet, .mat).")],
+    logs: TrainingLogs,
     output: Directory,
-    validate: Annotated[list[Path] | None, typer.Option(help="Validation log; repeatable.")] = None,
-    holdout: Annotated[float, typer.Option(help="Part of the end of every log that is held out for validation.",
-                                           min=0.0, max=0.9)] = 0.0,
+    validate: ValidationLogs = None,
+    holdout: Holdout = 0.0,
     map_file: MapFile = None,
     treat: Treat = None,
     method: Annotated[str, typer.Option(help="sdp, qp, nlp, wls, ridge or tsvd.")] = "sdp",
-    loss: Annotated[str, typer.Option(help="squares, huber or student_t.")] = "squares",
+    loss: LossName = "squares",
     distance: Annotated[str, typer.Option(
         help="How far a body is from its nominal one: gaussian, or log-det of pseudo-inertias.")] = "gaussian",
     smoothing: SmoothingText = "spline",
@@ -65,7 +69,7 @@ def identify(
         "joined by +, or none. 'auto', or several sets separated by commas: the one that predicts held-out data best "
         "with the fewest terms."))] = None,
     reduced: Annotated[bool, typer.Option("--reduced", help="Leave out the inertia of barrels and rods.")] = False,
-    seed: Annotated[int, typer.Option(help="Of the sampling of intervals.", min=0)] = 0,
+    seed: IntervalSeed = 0,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -77,8 +81,7 @@ def identify(
     from hydroopt.logs.stream import open_log
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.report import identification
-    from hydroopt.results import json_file
-    from hydroopt.results.diagnostic import sentences
+    from hydroopt.results.json_file import Job
     from hydroopt.solving import solve
 
     began = time.perf_counter()
@@ -88,12 +91,8 @@ def identify(
         raise ProblemError(f"the method '{method}' takes no strength", where="--ridge",
                            remedy="leave it out or choose --method ridge")
     sets = _friction(friction)
-    way, treatment, limits = smoothing_of(smoothing, bandwidth, described), treatment_of(treat), reliefs(described)
-    train = [open_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in logs]
-    held_out = [open_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in validate or ()]
-    if holdout:
-        pairs = [log.split(1 - holdout) for log in train]
-        train, held_out = [pair[0] for pair in pairs], held_out + [pair[1] for pair in pairs]
+    way, read = smoothing_of(smoothing, bandwidth, described), reading(open_log, described, map_file, treat)
+    train, held_out = parted(read(logs), read(validate or ()), holdout)
     kind, far, full = loss_of(loss, "--loss"), distance_of(distance, "--distance"), not reduced
 
     def prepared(problem: IdentificationProblem) -> IdentificationProblem:
@@ -102,7 +101,7 @@ def identify(
 
     with progress(f"identifying {described.name}", quiet):
         stated = partial(identification_problem, described, train, held_out, actuator_inertia=full, smoothing=way)
-        try:
+        with failure_saved(output, Job.IDENTIFICATION, described, method, lambda: inputs_of(stated())):
             if friction is None or len(sets) == 1:
                 problem = prepared(stated() if friction is None else friction_problem(
                     described, train, held_out, sets[0], actuator_inertia=full, smoothing=way))
@@ -111,21 +110,11 @@ def identify(
                 estimate = choose_friction(described, train, held_out, sets or None, smoothing=way,
                                            actuator_inertia=full, prepare=prepared, method=chosen, tolerance=tolerance,
                                            ridge=ridge, seed=seed)
-        except SolverError as error:
-            json_file.write_failure(output, json_file.Job.IDENTIFICATION, json_file.MachineId.of(described), method,
-                                inputs_of(stated()), error)
-            raise
-        wall_s = time.perf_counter() - began
-        estimate.save(output, pages={"report.html": identification.render(estimate)}, wall_s=wall_s)
-    if as_json:
-        typer.echo(json.dumps(json_file.read(output), indent=1))
-    elif not quiet:
-        if estimate.friction_choice is not None:
-            typer.echo(f"{estimate.friction_choice}\n{estimate.friction_choice.rule}")
-        typer.echo(str(estimate))
-        for sentence in sentences(estimate.diagnostics):
-            typer.echo(f"  ! {sentence}")
-        typer.echo(f"{output / 'report.html'}")
+        estimate.save(output, pages={"report.html": identification.render(estimate)},
+                      wall_s=time.perf_counter() - began)
+    choice = estimate.friction_choice
+    text = str(estimate) if choice is None else f"{choice}\n{choice.rule}\n{estimate}"
+    print_answer(estimate, output, text, quiet=quiet, as_json=as_json)
 
 
 def _with_noisy_angles(problem: IdentificationProblem, motion: str, instruments: list[str] | None,

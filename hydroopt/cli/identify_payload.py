@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import json
 import time
 from pathlib import Path
 from typing import Annotated
 
 import typer
 
+from hydroopt.cli.answers import failure_saved, print_answer
 from hydroopt.cli.options import (
     AsJson,
     Bandwidth,
     Directory,
+    IntervalSeed,
     MachineName,
     MapFile,
     ParameterSetName,
@@ -23,7 +24,6 @@ from hydroopt.cli.options import (
     session_of,
     smoothing_of,
 )
-from hydroopt.errors import SolverError
 
 
 def identify_payload(
@@ -42,18 +42,17 @@ def identify_payload(
     treat: Treat = None,
     smoothing: SmoothingText = "spline",
     bandwidth: Bandwidth = None,
-    seed: Annotated[int, typer.Option(help="Of the sampling of intervals.", min=0)] = 0,
+    seed: IntervalSeed = 0,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
     """Identify a carried load from logs with and without it: DIR gets payload.json, report.html and a table."""
-    from hydroopt.estimation.dynamic.change import METHOD
     from hydroopt.estimation.dynamic.payload import payload
+    from hydroopt.estimation.dynamic.two_session_answer import METHOD
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.report.comparison import render_payload
-    from hydroopt.results import json_file
-    from hydroopt.results.diagnostic import sentences
+    from hydroopt.results.json_file import Job
 
     began = time.perf_counter()
     described = load_machine(machine, parameter_set=parameter_set)
@@ -61,18 +60,8 @@ def identify_payload(
     with progress(f"identifying the load of {described.name}", quiet):
         first, second = (session_of(described, paths, option, map_file, treat)
                          for paths, option in ((unloaded, "--unloaded"), (loaded, "--loaded")))
-        try:
+        with failure_saved(output, Job.PAYLOAD, described, METHOD):
             load = payload(described, first, second, link=link, friction_changes=friction_changes, gain=gain,
                            smoothing=way, seed=seed)
-        except SolverError as error:
-            json_file.write_failure(output, json_file.Job.PAYLOAD, json_file.MachineId.of(described), METHOD, (), error)
-            raise
-        wall_s = time.perf_counter() - began
-        load.save(output, pages={"report.html": render_payload(load)}, wall_s=wall_s)
-    if as_json:
-        typer.echo(json.dumps(json_file.read(output), indent=1))
-    elif not quiet:
-        typer.echo(str(load))
-        for sentence in sentences(load.diagnostics):
-            typer.echo(f"  ! {sentence}")
-        typer.echo(f"{output / 'report.html'}")
+        load.save(output, pages={"report.html": render_payload(load)}, wall_s=time.perf_counter() - began)
+    print_answer(load, output, quiet=quiet, as_json=as_json)

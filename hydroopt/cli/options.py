@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Collection, Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
@@ -15,10 +15,13 @@ from hydroopt.errors import ProblemError
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.weighted_residuals import Loss
     from hydroopt.estimation.inference.problem import Distance
+    from hydroopt.logs.any_log import AnyLog
     from hydroopt.logs.log import Log
     from hydroopt.logs.smoothing import Smoothing
     from hydroopt.machine.machine import Machine
     from hydroopt.parameters.parameter_set import ParameterSet
+
+L = TypeVar("L", bound="AnyLog")
 
 MachineName = Annotated[str, typer.Argument(
     metavar="MACHINE", help="A bundled machine's name, or a .toml or .urdf file.")]
@@ -32,6 +35,18 @@ MapFile = Annotated[Path | None, typer.Option(
 Treat = Annotated[list[str] | None, typer.Option(
     help="How to treat a finding, KIND=ACTION, e.g. nan=drop, spike=interpolate, gap=keep; repeatable.")]
 
+AsParquet = Annotated[bool, typer.Option("--parquet", help="Write Parquet instead of CSV.")]
+TrainingLogs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="Training logs (.csv, .parquet, .mat).")]
+ValidationLogs = Annotated[list[Path] | None, typer.Option(help="Validation log; repeatable.")]
+Holdout = Annotated[float, typer.Option(
+    help="Part of the end of every log that is held out for validation.", min=0.0, max=0.9)]
+LossName = Annotated[str, typer.Option(help="squares, huber or student_t.")]
+IntervalSeed = Annotated[int, typer.Option(help="Of the sampling of intervals.", min=0)]
+Fixed = Annotated[list[str] | None, typer.Option(
+    help="Hold a parameter of the geometry, NAME=VALUE with unit, e.g. 'ball.y=0 m'; repeatable.")]
+ControllerRate = Annotated[float | None, typer.Option(help=(
+    "Samples per second of the controller [Hz]; if not given, the highest that the file states for a joint's sensor, "
+    "or 50."))]
 SmoothingText = Annotated[str, typer.Option(help=(
     "spline (weight from the stated noise), spline:cv (cross-validated), fourier:PERIOD:HARMONICS or "
     "butterworth:HZ."))]
@@ -148,6 +163,21 @@ def parameter_values(stated: Sequence[str], parameters: ParameterSet) -> dict[st
     return values
 
 
+def reading(reader: Callable[..., L], machine: Machine, map_file: Path | None,
+            treat: list[str] | None) -> Callable[[Sequence[Path]], list[L]]:
+    """A function that reads all logs of a command, each with the same map, treatment and pressure limits."""
+    options: dict[str, Any] = {"mapping": map_file, "treatment": treatment_of(treat), "limits": reliefs(machine)}
+    return lambda paths: [reader(path, **options) for path in paths]
+
+
+def parted(train: list[L], validation: list[L], holdout: float) -> tuple[list[L], list[L]]:
+    """Training logs without the part of their end that is held out, and validation logs with it."""
+    if not holdout:
+        return train, validation
+    pairs = [log.split(1 - holdout) for log in train]
+    return [pair[0] for pair in pairs], [*validation, *(pair[1] for pair in pairs)]
+
+
 def session_of(machine: Machine, paths: Sequence[Path], option: str, map_file: Path | None,
                treat: list[str] | None) -> list[Log] | Path:
     """The logs of a session, or the one directory that `hydroopt identify` wrote from them.
@@ -159,8 +189,7 @@ def session_of(machine: Machine, paths: Sequence[Path], option: str, map_file: P
     from hydroopt.logs.log import read_log
 
     if not any(path.is_dir() for path in paths):
-        treatment, limits = treatment_of(treat), reliefs(machine)
-        return [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in paths]
+        return reading(read_log, machine, map_file, treat)(paths)
     if len(paths) > 1:
         raise ProblemError("a directory stands for a whole session", where=option,
                            remedy="give one directory, or logs only")

@@ -7,7 +7,8 @@ from typing import Annotated
 
 import typer
 
-from hydroopt.cli.options import AsJson, Directory, MachineName, Quiet, parameter_values, progress
+from hydroopt.cli.answers import print_answer
+from hydroopt.cli.options import AsJson, Directory, Fixed, MachineName, Quiet, parameter_values, progress
 
 
 def plan_poses(
@@ -20,8 +21,7 @@ def plan_poses(
     focus: Annotated[list[str] | None, typer.Option(
         help="Parameter to which the criterion is restricted; repeatable.")] = None,
     priors: Annotated[bool, typer.Option("--priors", help="The file's confidences count as measurements.")] = False,
-    fix: Annotated[list[str] | None, typer.Option(
-        help="Hold a parameter, NAME=VALUE with unit, e.g. 'ball.y=0 m'; repeatable.")] = None,
+    fix: Fixed = None,
     candidates: Annotated[int, typer.Option(
         help="Random postures of each stage and fixture to choose from.", min=1)] = 2000,
     seed: Annotated[int, typer.Option(help="Of the random postures.", min=0)] = 0,
@@ -42,9 +42,4 @@ def plan_poses(
             problem = problem.fixing(**parameter_values(fix, problem.parameters))
         plan = fedorov_exchange(problem, candidates=candidates, seed=seed)
     plan.save(output, wall_s=time.perf_counter() - began)
-    if as_json:
-        typer.echo((output / "plan.json").read_text("utf-8"))
-    elif not quiet:
-        typer.echo(plan.sheet())
-        for diagnostic in plan.diagnostics:
-            typer.echo(f"  ! {diagnostic}")
+    print_answer(plan, output, plan.sheet(), quiet=quiet, as_json=as_json)

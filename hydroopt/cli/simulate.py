@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydroopt.cli.options import Directory, MachineName, MapFile, ParameterSetName, Quiet, progress
+from hydroopt.cli.options import AsParquet, Directory, MachineName, MapFile, ParameterSetName, Quiet, progress
 from hydroopt.errors import ProblemError
 
 if TYPE_CHECKING:
@@ -48,7 +48,7 @@ def simulate(
     truth_seed: Annotated[int | None, typer.Option(help=(
         "Seed of the random truth alone, so that several logs share it."), min=0)] = None,
     noise: Annotated[bool, typer.Option(help="Whether readings have the sensor errors that the file states.")] = True,
-    parquet: Annotated[bool, typer.Option("--parquet", help="Write Parquet instead of CSV.")] = False,
+    parquet: AsParquet = False,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
 ) -> None:

@@ -10,18 +10,20 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hydroopt.cli import Group
 from hydroopt.cli.options import (
     AsJson,
     Directory,
+    Fixed,
     MachineName,
     MapFile,
     ParameterSetName,
     Quiet,
+    TrainingLogs,
     Treat,
     parameter_values,
     progress,
-    reliefs,
-    treatment_of,
+    reading,
 )
 from hydroopt.errors import ProblemError, StoppedError
 
@@ -44,7 +46,7 @@ Workers = Annotated[int | None, typer.Option(help="Processes; the number of core
 Scheduler = Annotated[str | None, typer.Option(
     help="Address of a Dask scheduler whose workers compute, e.g. tcp://host:8786.")]
 
-app = typer.Typer(add_completion=False, rich_markup_mode=None)
+app = typer.Typer(cls=Group, add_completion=False, rich_markup_mode=None)
 
 
 @app.callback()
@@ -105,7 +107,7 @@ def sweep(
 @app.command()
 def bootstrap(
     machine: MachineName,
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Training logs (.csv, .parquet, .mat).")],
+    logs: TrainingLogs,
     output: Directory,
     cells: Cells = 100,
     seed: Seed = 0,
@@ -124,8 +126,7 @@ def bootstrap(
         from hydroopt.logs.log import read_log
         from hydroopt.study import bootstrap as study
 
-        limits, treatment = reliefs(described), treatment_of(treat)
-        read = [read_log(path, mapping=map_file, treatment=treatment, limits=limits) for path in logs]
+        read = reading(read_log, described, map_file, treat)(logs)
         return study.bootstrap(described, read, cells=cells, seed=seed, method=method_of(method)), study.summary
 
     _run(machine, parameter_set, prepare, output, workers, scheduler, quiet=quiet, as_json=as_json)
@@ -140,8 +141,7 @@ def multistart(
     seed: Seed = 0,
     method: Annotated[str, typer.Option(help="Method of calibration, see hydroopt calibrate.")] = "joint",
     map_file: MapFile = None,
-    fix: Annotated[list[str] | None, typer.Option(
-        help="Hold a parameter of the geometry, NAME=VALUE with unit, e.g. 'ball.y=0 m'; repeatable.")] = None,
+    fix: Fixed = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     parameter_set: ParameterSetName = None,

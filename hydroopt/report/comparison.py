@@ -17,8 +17,9 @@ from hydroopt.results.diagnostic import sentences
 
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.change import Change, Difference
-    from hydroopt.estimation.dynamic.payload import Payload, Quantity
+    from hydroopt.estimation.dynamic.payload import Payload
     from hydroopt.estimation.dynamic.stored_information import StoredInformation
+    from hydroopt.estimation.dynamic.two_session_answer import Quantity, TwoSessionAnswer
     from hydroopt.machine.machine import Machine
 
 COLUMNS = 3
@@ -36,8 +37,8 @@ def render_payload(load: Payload) -> str:
     return _page(load, "load", rows, load.quantities, sessions=("without the load", "with the load"), link=load.link)
 
 
-def _page(answer: Change | Payload, title: str, rows: Sequence[dict[str, Any]],
-          numbers: Sequence[Difference | Quantity], *, sessions: tuple[str, str], link: str = "") -> str:
+def _page(answer: TwoSessionAnswer, title: str, rows: Sequence[dict[str, Any]],
+          numbers: Sequence[Quantity], *, sessions: tuple[str, str], link: str = "") -> str:
     drawn = differences(numbers)
     return page("comparison.html").render(
         machine=answer.machine, title=title, load=bool(link), link=link, status=str(answer.status),
@@ -50,9 +51,9 @@ def _page(answer: Change | Payload, title: str, rows: Sequence[dict[str, Any]],
                                                                       strict=True)])
 
 
-def differences(rows: Sequence[Difference | Quantity]) -> Figure | None:
+def differences(rows: Sequence[Quantity]) -> Figure | None:
     """Values with their 95 % intervals, a panel for each unit; what has changed stands out."""
-    units: dict[str, list[Difference | Quantity]] = {}
+    units: dict[str, list[Quantity]] = {}
     for one in rows:
         if np.isfinite(one.std):
             units.setdefault(one.unit, []).append(one)
@@ -79,7 +80,7 @@ def differences(rows: Sequence[Difference | Quantity]) -> Figure | None:
     return figure
 
 
-def _row(one: Quantity | Difference) -> dict[str, Any]:
+def _row(one: Quantity) -> dict[str, Any]:
     shown = quantity(one.value, one.std, one.ci95)
     return {"name": one.name, "unit": unit_text(one.unit), "value": shown.value, "std": shown.std,
             "interval": shown.interval}

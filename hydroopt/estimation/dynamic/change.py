@@ -15,35 +15,29 @@ from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.comparison import TwoSessionProblem, Wald, solve_both, two_session_problem, wald
-from hydroopt.estimation.dynamic.stored_information import StoredInformation, refuse_shared_samples, stored_information
-from hydroopt.estimation.inference.posterior import Posterior
+from hydroopt.estimation.dynamic.stored_information import refuse_shared_samples, stored_information
+from hydroopt.estimation.dynamic.two_session_answer import Quantity, TwoSessionAnswer, probability, rounded
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import GROUPS, ParameterSet
-from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.fit import Fit
-from hydroopt.results.json_file import Job, MachineId
-from hydroopt.results.parameter_table import ParameterTable, row
+from hydroopt.results.json_file import Job
+from hydroopt.results.parameter_table import ParameterTable
 from hydroopt.results.tables import csv_text, number, with_limits
 from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
-METHOD = "joint least squares"
-"""One least squares over both sessions, with an F test."""
 POWER = 0.95
 """Probability of detecting the smallest detectable change."""
 
 
 @dataclass(frozen=True)
-class Difference:
+class Difference(Quantity):
     """How much one parameter changed from the first session to the second, in SI.
 
     Attributes:
-        name, kind, unit: of the parameter.
-        value, std, ci95: the change; NaN where it is not identifiable.
         p_value: of the hypothesis that it has not changed; `p_holm` is the same, corrected for the number of
             parameters tested (Holm 1979).
         detectable: the change that would have been detected with a probability of 95 %.
@@ -51,22 +45,11 @@ class Difference:
         partners: parameters whose changes cannot be separated from this one.
     """
 
-    name: str
-    kind: str
-    unit: str
-    value: float
-    std: float
-    ci95: tuple[float, float]
     p_value: float
     p_holm: float
     detectable: float
     changed: bool
     partners: tuple[str, ...] = ()
-
-    @property
-    def identifiable(self) -> bool:
-        """Whether the logs determine this change."""
-        return bool(np.isfinite(self.value))
 
     @property
     def finding(self) -> Diagnostic:
@@ -82,57 +65,32 @@ class Difference:
 
     def as_dict(self) -> dict[str, Any]:
         """The entry of comparison.json."""
-        return {"name": self.name, "unit": self.unit, "value": number(self.value), "std": number(self.std),
-                "ci95": list(self.ci95) if np.all(np.isfinite(self.ci95)) else None, "p_value": number(self.p_value),
-                "p_holm": number(self.p_holm), "detectable": number(self.detectable), "changed": self.changed,
-                "finding": self.finding.text}
+        return super().as_dict() | {
+            "p_value": number(self.p_value), "p_holm": number(self.p_holm), "detectable": number(self.detectable),
+            "changed": self.changed, "finding": self.finding.text}
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class Change(Answer):
+class Change(TwoSessionAnswer):
     """What changed between two sessions; `detect_change` returns it.
 
     Attributes:
-        machine: of both.
         differences: one for each parameter that may have changed.
-        statistic, rank, degrees_of_freedom, p_value: of the joint test that none has changed: F with `rank`
-            (identifiable directions of change) and `degrees_of_freedom`.
         level: below which a p-value is significant.
         single_changes: which parameter alone could explain the joint test.
-        before, after: the sessions.
-        posterior: samples of all unknowns; None where bounds leave no interior, or no intervals were requested.
         sampled: whether intervals were requested.
-        notes: how it was computed, in sentences.
     """
 
-    machine: Machine
     differences: tuple[Difference, ...]
-    statistic: float
-    rank: int
-    degrees_of_freedom: float
-    p_value: float
     level: float
     single_changes: tuple[Diagnostic, ...]
-    before: StoredInformation
-    after: StoredInformation
-    posterior: Posterior | None
     sampled: bool
-    notes: tuple[str, ...]
     job = Job.CHANGE
+    roles = ("before", "after")
 
     def difference(self, name: str) -> Difference:
         """The difference of one parameter."""
         return next(one for one in self.differences if one.name == name)
-
-    @property
-    def machine_id(self) -> MachineId:
-        """Which machine it is about."""
-        return MachineId.of(self.machine)
-
-    @property
-    def method(self) -> str:
-        """One least squares over both sessions, with an F test."""
-        return METHOD
 
     @cached_property
     def findings(self) -> tuple[Diagnostic, ...]:
@@ -146,49 +104,21 @@ class Change(Answer):
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What the intervals assume, and which changes the logs do not identify."""
-        return (*of_sampling(self.posterior, requested=self.sampled),
+        return (*self.of_sampling(requested=self.sampled),
                 *(one.finding for one in self.differences if not one.identifiable))
 
     @cached_property
     def parameters(self) -> ParameterTable:
         """The changes by name of the parameter."""
-        return ParameterTable([row(one.name, one.kind, one.unit, value=one.value, std=one.std, ci95=one.ci95,
-                                   identifiability="full" if one.identifiable else "none")
-                               for one in self.differences])
-
-    @property
-    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
-        """Empty: two sessions are compared, not predicted."""
-        return {}
-
-    @property
-    def inputs(self) -> tuple[Mapping[str, Any], ...]:
-        """The logs of both sessions."""
-        return (*({**log, "role": "before"} for log in self.before.inputs),
-                *({**log, "role": "after"} for log in self.after.inputs))
+        return ParameterTable([one.row() for one in self.differences])
 
     def details(self) -> Mapping[str, Any]:
-        """Level, joint test, weights of both sessions and each difference."""
-        return {"level": self.level,
-                "test": joint_test(self.statistic, self.rank, self.degrees_of_freedom, self.p_value),
-                "weights": {"before": self.before.weights(self.machine), "after": self.after.weights(self.machine)},
-                "differences": [one.as_dict() for one in self.differences], "notes": list(self.notes)}
+        """Level, joint test, weights of both sessions, each difference, and notes."""
+        return {"level": self.level, "differences": [one.as_dict() for one in self.differences], **super().details()}
 
     def files(self) -> Mapping[str, str]:
         """The differences as CSV."""
         return {"comparison.csv": csv_text([with_limits(one.as_dict()) for one in self.differences])}
-
-
-def joint_test(statistic: float, rank: int, degrees_of_freedom: float, p_value: float) -> dict[str, float]:
-    """The entry ``test`` of a JSON file."""
-    return {"statistic": statistic, "rank": rank, "degrees_of_freedom": degrees_of_freedom, "p_value": p_value}
-
-
-def of_sampling(posterior: Posterior | None, *, requested: bool) -> tuple[Diagnostic, ...]:
-    """What to know about intervals that were sampled, or could not be."""
-    if posterior is None:
-        return (Diagnostic(Kind.NO_INTERIOR),) if requested else ()
-    return () if posterior.converged else (Diagnostic(Kind.SAMPLING_NOT_CONVERGED),)
 
 
 def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: Sequence[Log] | str | Path, *,
@@ -244,9 +174,9 @@ def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: S
     ci = value[:, None] + stats.t.ppf(0.975, test.freedom) * std[:, None] * np.array([-1.0, 1.0])
     if found.posterior is not None:
         std, ci = found.posterior.interval(rows)
-    return Change(machine, tuple(_differences(problem, test, value, std, ci, level)), test.statistic, test.rank,
-                  test.freedom, test.p_value, level, _single_changes(problem, test, level), first, second,
-                  found.posterior, intervals, found.notes)
+    return Change(machine, test.statistic, test.rank, test.freedom, test.p_value, first, second, found.posterior,
+                  found.notes, tuple(_differences(problem, test, value, std, ci, level)), level,
+                  _single_changes(problem, test, level), intervals)
 
 
 def _usual(parameters: ParameterSet) -> list[str]:
@@ -328,14 +258,3 @@ def _amount(value: float, std: float) -> dict[str, Any]:
 def printed(unit: str) -> str:
     """A unit in a sentence."""
     return unit.replace("*", "·")
-
-
-def rounded(value: float, std: float) -> str:
-    """Value ± std to two digits of the latter."""
-    place = 1 - int(np.floor(np.log10(std))) if std > 0 else 6
-    return f"{round(value, place) + 0.0:.{max(0, place)}f} ± {round(std, place):.{max(0, place)}f}"
-
-
-def probability(p: float) -> str:
-    """A p-value in words."""
-    return "p < 1e-6" if p < 1e-6 else f"p = {p:.2g}"

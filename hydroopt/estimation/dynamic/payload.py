@@ -13,7 +13,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.dynamic.change import METHOD, joint_test, named_parts, of_sampling, probability, rounded
+from hydroopt.estimation.dynamic.change import named_parts
 from hydroopt.estimation.dynamic.comparison import (
     TwoSessionOptimum,
     TwoSessionProblem,
@@ -25,7 +25,7 @@ from hydroopt.estimation.dynamic.comparison import (
     wald,
 )
 from hydroopt.estimation.dynamic.stored_information import StoredInformation, refuse_shared_samples, stored_information
-from hydroopt.estimation.inference.posterior import Posterior
+from hydroopt.estimation.dynamic.two_session_answer import Quantity, TwoSessionAnswer, probability, rounded
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import BASE, Machine
@@ -33,12 +33,10 @@ from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.parameter_set import ParameterSet
-from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.fit import Fit
-from hydroopt.results.json_file import Job, MachineId
-from hydroopt.results.parameter_table import ParameterTable, row
-from hydroopt.results.tables import csv_text, number, with_limits
+from hydroopt.results.json_file import Job
+from hydroopt.results.parameter_table import ParameterTable
+from hydroopt.results.tables import csv_text, with_limits
 from hydroopt.results.wording import Kind
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
@@ -49,47 +47,20 @@ NO_LOAD = 0.05
 """p-value of no load above which no load is detected."""
 
 
-@dataclass(frozen=True)
-class Quantity:
-    """A number with its standard deviation and 95 % interval, in SI; NaN where it is not identifiable."""
-
-    name: str
-    kind: str
-    unit: str
-    value: float
-    std: float
-    ci95: tuple[float, float]
-
-    @property
-    def identifiable(self) -> bool:
-        """Whether the logs determine it."""
-        return bool(np.isfinite(self.value))
-
-    def as_dict(self) -> dict[str, Any]:
-        """The entry of payload.json."""
-        return {"name": self.name, "unit": self.unit, "value": number(self.value), "std": number(self.std),
-                "ci95": list(self.ci95) if np.all(np.isfinite(self.ci95)) else None}
-
-
 @dataclass(frozen=True, eq=False, repr=False)
-class Payload(Answer):
+class Payload(TwoSessionAnswer):
     """A load, in the frame P_i of the link that carries it; `payload` returns it.
 
     Attributes:
-        machine, link: what carries it.
+        link: that carries it.
         mass: [kg].
         com: the three coordinates of its centre of mass [m].
         moment: the three first moments m·com [kg·m], which may be identifiable where mass and centre are not.
         phi: (10,) the most probable load that is physically consistent.
         friction: changes of friction between the sessions, if they were allowed.
         gains: relative errors of the actuators' force readings, if they were allowed.
-        statistic, rank, degrees_of_freedom, p_value: F test of the hypothesis that nothing differs.
-        before, after: the sessions, without and with the load.
-        posterior: samples of all unknowns; None where bounds leave no interior.
-        notes: how it was computed, in sentences.
     """
 
-    machine: Machine
     link: str
     mass: Quantity
     com: tuple[Quantity, ...]
@@ -97,25 +68,8 @@ class Payload(Answer):
     phi: Array
     friction: tuple[Quantity, ...]
     gains: tuple[Quantity, ...]
-    statistic: float
-    rank: int
-    degrees_of_freedom: float
-    p_value: float
-    before: StoredInformation
-    after: StoredInformation
-    posterior: Posterior | None
-    notes: tuple[str, ...]
     job = Job.PAYLOAD
-
-    @property
-    def machine_id(self) -> MachineId:
-        """Which machine it is about."""
-        return MachineId.of(self.machine)
-
-    @property
-    def method(self) -> str:
-        """One least squares over both sessions, the load a body of its own."""
-        return METHOD
+    roles = ("unloaded", "loaded")
 
     @property
     def quantities(self) -> tuple[Quantity, ...]:
@@ -147,34 +101,20 @@ class Payload(Answer):
         if not self.mass.identifiable:
             partly = (Diagnostic(Kind.LOAD_MASS_CONFOUNDED, (self.link,)),)
         scale = () if self.gains else (Diagnostic(Kind.FORCE_SCALE_ASSUMED),)
-        return (*of_sampling(self.posterior, requested=True), *partly, *scale)
+        return (*self.of_sampling(requested=True), *partly, *scale)
 
     @cached_property
     def parameters(self) -> ParameterTable:
         """Mass, centre of mass and moments of the load, changes of friction, gains of force readings."""
-        return ParameterTable([row(one.name if "." in one.name else f"{LOAD}.{one.name}", one.kind, one.unit,
-                                   value=one.value, std=one.std, ci95=one.ci95,
-                                   identifiability="full" if one.identifiable else "none") for one in self.quantities])
-
-    @property
-    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
-        """Empty: two sessions are compared, not predicted."""
-        return {}
-
-    @property
-    def inputs(self) -> tuple[Mapping[str, Any], ...]:
-        """The logs of both sessions."""
-        return (*({**log, "role": "unloaded"} for log in self.before.inputs),
-                *({**log, "role": "loaded"} for log in self.after.inputs))
+        return ParameterTable([one.row(one.name if "." in one.name else f"{LOAD}.{one.name}")
+                               for one in self.quantities])
 
     def details(self) -> Mapping[str, Any]:
-        """Link, joint test, weights of both sessions and all quantities."""
+        """Link, all quantities, joint test, weights of both sessions, and notes."""
         return {"link": self.link,
-                "test": joint_test(self.statistic, self.rank, self.degrees_of_freedom, self.p_value),
-                "weights": {"unloaded": self.before.weights(self.machine), "loaded": self.after.weights(self.machine)},
                 "quantities": [one.as_dict() for one in (self.mass, *self.com, *self.moment)],
                 "phi": self.phi.tolist(), "friction": [one.as_dict() for one in self.friction],
-                "gains": [one.as_dict() for one in self.gains], "notes": list(self.notes)}
+                "gains": [one.as_dict() for one in self.gains], **super().details()}
 
     def files(self) -> Mapping[str, str]:
         """All quantities as CSV."""
@@ -312,7 +252,8 @@ def _payload(problem: TwoSessionProblem, link: str, test: Wald, found: TwoSessio
     difference = (problem.second - np.eye(*problem.second.shape))[problem.model.parameters.select(problem.labels[10:])]
     axes = "xyz"
     return Payload(
-        problem.model.machine, link,
+        problem.model.machine, test.statistic, test.rank, test.freedom, test.p_value, first, second, found.posterior,
+        found.notes, link,
         _quantity("m", ParameterKind.MASS, "kg", centre[0], load[:, 0], identifiable=identified[0]),
         tuple(_quantity(f"com_{axis}", ParameterKind.POSITION, "m", centre[1 + k] / centre[0],
                         load[:, 1 + k] / load[:, 0], identifiable=identified[0] and identified[1 + k])
@@ -324,8 +265,7 @@ def _payload(problem: TwoSessionProblem, link: str, test: Wald, found: TwoSessio
                         samples @ row, identifiable=np.isfinite(std))
               for name, row, std in zip(problem.labels[10:], difference, test.std[10:], strict=True)),
         tuple(_quantity(unknowns.names[k], ParameterKind.FORCE_GAIN, "1", found.centre[k], samples[:, k],
-                        identifiable=True) for k in problem.gains),
-        test.statistic, test.rank, test.freedom, test.p_value, first, second, found.posterior, found.notes)
+                        identifiable=True) for k in problem.gains))
 
 
 def _quantity(name: str, kind: ParameterKind, unit: str, value: float, samples: Array, *,

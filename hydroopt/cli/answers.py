@@ -1,0 +1,54 @@
+"""An answer on the command line: printed when it is there, and its failure saved when there is none."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import typer
+
+from hydroopt.errors import SolverError
+
+if TYPE_CHECKING:
+    from hydroopt.machine.machine import Machine
+    from hydroopt.results.answer import Answer
+    from hydroopt.results.json_file import Job
+
+
+@contextmanager
+def failure_saved(directory: Path, job: Job, machine: Machine, method: str,
+                  inputs: Callable[[], Sequence[Mapping[str, Any]]] = tuple) -> Iterator[None]:
+    """Save why a solver gave no trustworthy answer, and raise its error again."""
+    from hydroopt.results import json_file
+
+    try:
+        yield
+    except SolverError as error:
+        json_file.write_failure(directory, job, json_file.MachineId.of(machine), method, inputs(), error)
+        raise
+
+
+def print_answer(answer: Answer, directory: Path, text: str = "", *, quiet: bool, as_json: bool) -> None:
+    """Print an answer that was saved: as its JSON file, or as a text, its diagnostics and where its report is.
+
+    Args:
+        answer: what was saved.
+        directory: where.
+        text: instead of the answer's own.
+        quiet: print nothing, unless as JSON.
+        as_json: print the JSON file.
+    """
+    from hydroopt.results import json_file
+    from hydroopt.results.diagnostic import sentences
+
+    if as_json:
+        typer.echo(json.dumps(json_file.read(directory), indent=1))
+    elif not quiet:
+        typer.echo(text or str(answer))
+        for sentence in sentences(answer.diagnostics):
+            typer.echo(f"  ! {sentence}")
+        if (directory / "report.html").is_file():
+            typer.echo(f"{directory / 'report.html'}")
