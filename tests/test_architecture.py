@@ -22,6 +22,7 @@ ROOMS = (
     ("logs",),
     ("simulation",),
     ("results",),
+    ("checks",),
     ("estimation.inference",),
     ("estimation.dynamic", "estimation.kinematic", "estimation.hydraulic"),
     ("excitation.criteria",),

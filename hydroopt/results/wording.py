@@ -40,6 +40,12 @@ class Kind(StrEnum):
     NOTE = "note"
     IMPOSSIBLE_NOMINAL_BODIES = "nominal bodies not physically consistent"
 
+    # a log against its machine, before any fit
+    LOG_MISREAD = "log misread"
+    BEYOND_JOINT_LIMITS = "beyond joint limits"
+    LENGTH_CONTRADICTS_ANGLE = "length contradicts angle"
+    OTHER_SAMPLING_RATE = "other sampling rate"
+
     # comparison of controllers
     UNSTABLE_ELSEWHERE = "loop unstable outside the motion"
     SMALL_MARGINS = "small margins"
@@ -131,7 +137,10 @@ class Kind(StrEnum):
     NOT_IDENTIFIED_BY_POSES = "not identified by poses"
 
 
-CONTRADICTIONS = frozenset({
+REFUTATIONS = frozenset({Kind.LOG_MISREAD})
+"""Kinds that refute an answer's data: no machine is made of it unless that is forced."""
+CONTRADICTIONS = REFUTATIONS | frozenset({
+    Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE, Kind.OTHER_SAMPLING_RATE,
     Kind.WORSE_THAN_ZERO, Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_CHANNEL, Kind.ERRORS_FAR_LARGER,
     Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED})
 """Kinds that make an answer suspect."""
@@ -146,6 +155,20 @@ WORDS: dict[Kind, Words] = {
         "Give --validate or --holdout."),
     Kind.FINDING: Words("{subject}: {text}"),
     Kind.NOTE: Words("{text}"),
+    Kind.LOG_MISREAD: Words(
+        "{log} contradicts the machine file: {as_read}. It agrees with {reading}: {read_so}.",
+        "Correct units, signs and names of {subject} in the file or its map; nothing was changed here."),
+    Kind.BEYOND_JOINT_LIMITS: Words(
+        "In {log}, {share:.0f %} of {subject} lie beyond the joint's limits: {low:.3g} to {high:.3g} {unit} against "
+        "{lower:.3g} to {upper:.3g} {unit}.",
+        "Correct the sensor's zero, its unit, or the limits in the machine file."),
+    Kind.LENGTH_CONTRADICTS_ANGLE: Words(
+        "In {log}, {subject} differs by {gap_mm:.0f} mm from what the joint angle and the pins give, where "
+        "{sigma_mm:.0f} mm are one standard deviation.",
+        "Correct the transducer's zero, the angle's zero, or pins and dead length in the machine file."),
+    Kind.OTHER_SAMPLING_RATE: Words(
+        "{log} is sampled at {rate:.3g} Hz, where the machine file states {stated:.3g} Hz.",
+        "Correct the unit of time in the file or its map, or the rate of the sensors."),
     Kind.UNSTABLE_ELSEWHERE: Words(
         "{subject} is unstable in the posture of {point}, which the motion does not reach."),
     Kind.SMALL_MARGINS: Words(

@@ -1,0 +1,207 @@
+"""How well a log, as it is read, agrees with the machine file: forces, lengths, ranges, rates, before any fit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.errors import HydrooptError
+from hydroopt.logs.log import Log
+from hydroopt.logs.readings import force_noise, forces, measured_angles, pressures
+from hydroopt.machine.sensor import Sensor
+from hydroopt.model.model import Model
+from hydroopt.spatial.inertia import Array
+
+SAMPLES = 72
+"""Samples of a log that are examined; below `hydroopt.kernels.native.FEW`, so that nothing is compiled for them."""
+MODEL_ERROR = 0.05
+"""Error of the nominal forces beyond what the priors admit, as a part of their size."""
+LEVEL = 0.35
+"""Natural logarithm of the ratio of force levels that counts as one standard deviation."""
+GAP = 0.025
+"""Difference between measured length and geometry that counts as one standard deviation, as a part of the stroke."""
+MARGIN = 0.05
+"""How far beyond a joint's limits, as a part of its range, a reading may lie."""
+HASTE = 1.5
+"""Speed, as a multiple of the stated limit, beyond which a sample counts as too fast."""
+RATES = (2.0, 2e4)
+"""Sampling rates [Hz] that are usual where the machine file states none."""
+WINDOWS = (11, 21, 41, 81, 161)
+"""Samples of the cubic polynomials that angles are differentiated by."""
+
+
+@dataclass(frozen=True, eq=False)
+class Agreement:
+    """What the machine file and a log say of each other under one reading; smaller numbers agree better.
+
+    Attributes:
+        forces: r′V⁻¹r of the forces at `SAMPLES` samples, with the priors of all parameters and a model error in V.
+        levels: squared logarithm of force levels outside what nominal forces and priors admit, in units of `LEVEL`.
+        lengths: mean squares of lengths' differences from the geometry, in units of `GAP`, weighted and bounded.
+        ranges: share of samples beyond joint limits or too fast, weighted.
+        rate: logarithm of the ratio of the sampling rate to the stated one, weighted.
+        missed: RMS of the forces' nominal error as a part of the RMS force, the worst actuator's.
+        gap: largest mean difference [m] between a length and the geometry; NaN where none is measured.
+        outside: share of the samples that lie beyond a joint's limits, the worst joint's.
+        hertz: sampling rate [Hz].
+    """
+
+    forces: float
+    levels: float
+    lengths: float
+    ranges: float
+    rate: float
+    missed: float
+    gap: float
+    outside: float
+    hertz: float
+
+    @property
+    def score(self) -> float:
+        """All of it."""
+        return self.forces + self.levels + self.lengths + self.ranges + self.rate
+
+    @cached_property
+    def words(self) -> str:
+        """The evidence in words."""
+        said = [f"nominal forces are off by {100 * self.missed:.0f} %"]
+        if np.isfinite(self.gap):
+            said.append(f"lengths by {1e3 * self.gap:.0f} mm")
+        if self.outside > 0.005:
+            said.append(f"{100 * self.outside:.0f} % of the angles lie beyond joint limits")
+        said.append(f"the rate is {self.hertz:.3g} Hz")
+        return ", ".join(said)
+
+
+def agreement(model: Model, log: Log) -> Agreement | None:
+    """How a log agrees with a machine; None where it cannot be evaluated, such as lengths of an open triangle."""
+    try:
+        angles, measured, pressed = measured_angles(model, log), forces(model, log), pressures(model, log)
+    except HydrooptError:
+        return None
+    step = float(np.median(np.diff(log.t)))
+    window = _window(angles, log)
+    kernel = _polynomial(window)
+    rows = _rows(log, window)
+    if rows.size < 8 or not (np.all(np.isfinite(angles)) and np.all(np.isfinite(measured))):
+        return None
+    around = rows[:, None] + np.arange(window) - window // 2
+    q, qd, qdd = (np.einsum("w,swn->sn", kernel[k], angles[around]) / step**k for k in range(3))
+    force = np.einsum("w,swn->sn", kernel[0], measured[around])
+    state = (q, qd, qdd) if pressed is None else (q, qd, qdd, pressed[rows])
+    K = model.over(model.regressor, *state)[0]
+    nominal = model.over(model.inverse_dynamics, *state, model.parameters.nominal)[0][:, :, 0]
+    if not (np.all(np.isfinite(K)) and np.all(np.isfinite(nominal))):
+        return None
+    steady = np.abs(qd) > np.abs(qdd) * step * window / 2  # else dry friction changes its sign within the window
+    sized, levels, missed = _force_terms(model, log, K, np.stack([force, nominal]), steady,
+                                         float(np.sqrt(np.sum(kernel[0] ** 2))))
+    gap, lengths = _length_terms(model, log, angles, rows)
+    outside, ranges = _range_terms(model, q, qd)
+    return Agreement(sized, levels, lengths, ranges, _rate_term(model, log, 1 / step), missed, gap, outside, 1 / step)
+
+
+def _window(angles: Array, log: Log) -> int:
+    """The shortest window whose second derivatives of angles are not mostly noise, the same for all joints."""
+    longest = max(WINDOWS[0], int(np.max(np.bincount(log.segment - log.segment[0]))) // 6)
+    noise = np.std(np.diff(angles, 3, axis=0), axis=0) / np.sqrt(20.0)
+    chosen = WINDOWS[0]
+    for window in WINDOWS:
+        if window > longest:
+            break
+        chosen = window
+        kernel = _polynomial(window)[2]
+        rows = _rows(log, window)
+        if not rows.size:
+            break
+        bent = np.einsum("w,swn->sn", kernel, angles[rows[:, None] + np.arange(window) - window // 2])
+        if np.all(noise * np.linalg.norm(kernel) < 0.15 * np.sqrt(np.mean(bent**2, axis=0)) + 1e-300):
+            break
+    return chosen
+
+
+def _polynomial(window: int) -> Array:
+    """Weights (3, window) of value, slope and second derivative per sample of the fitted cubic at its middle."""
+    x = np.arange(window) - window // 2
+    inverse = np.linalg.pinv(np.vander(x / window, 4, increasing=True))
+    return np.asarray(inverse[:3] * np.array([1.0, 1.0 / window, 2.0 / window**2])[:, None])
+
+
+def _rows(log: Log, window: int) -> Array:
+    """Evenly spread samples whose window lies within one stretch."""
+    half = window // 2
+    k = np.arange(half, log.size - half)
+    k = k[log.segment[k - half] == log.segment[k + half]]
+    return k[np.unique(np.linspace(0, k.size - 1, SAMPLES).astype(int))] if k.size else k
+
+
+def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[np.bool_],
+                 averaged: float) -> tuple[float, float, float]:
+    """The weighted squares of forces with all priors, the term of their levels, and their worst relative error.
+
+    `both` (2, N, n) are the measured and the nominal forces; those that are not `steady` count in levels only.
+    """
+    force, nominal = both
+    parameters, p = model.parameters, len(model.parameters)
+    known = np.diag(parameters.information) > 0
+    information = parameters.information + np.diag(np.where(known, 0.0, 1 / (3 * parameters.scale) ** 2))
+    covariance = np.linalg.inv(information)
+    size = np.sqrt(np.mean(nominal**2, axis=0))
+    spread = np.sqrt(np.mean(np.einsum("snp,pk,snk->sn", K, covariance, K), axis=0))
+    stated = np.nan_to_num(force_noise(model, log), nan=0.0) * averaged
+    sigma = np.sqrt(stated**2 + (MODEL_ERROR * np.maximum(size, 0.3 * np.minimum(spread, 10 * size + 1e-9))) ** 2)
+    sigma = np.maximum(sigma, 1e-9 * max(1.0, float(np.max(size))))
+    weight = steady / sigma
+    rows, right = (K * weight[:, :, None]).reshape(-1, p), ((force - nominal) * weight).ravel()
+    scale = np.sqrt(np.diag(covariance))
+    A = rows * scale
+    inner = np.linalg.solve(scale[:, None] * information * scale + A.T @ A, A.T @ right)
+    squares = float(right @ right - (A.T @ right) @ inner)
+    rms = np.sqrt(np.mean(force**2, axis=0))
+    allowed = np.clip(rms, np.minimum(size, np.hypot(size, spread)), np.hypot(size, spread))
+    levels = float(np.sum((np.log(np.maximum(rms, 1e-12) / np.maximum(allowed, 1e-12)) / LEVEL) ** 2))
+    missed = np.sqrt(np.mean((force - nominal) ** 2, axis=0)) / np.maximum(rms, 1e-12)
+    return squares, levels, float(np.max(missed))
+
+
+def _length_terms(model: Model, log: Log, angles: Array, rows: Array) -> tuple[float, float]:
+    """The largest mean gap [m] of a length that the angles do not come from, and the term of all."""
+    machine, worst, total = model.machine, np.nan, 0.0
+    read = {f"{joint}.q" for joint in machine.joints} & set(log.channels)
+    places = [(k, c) for k, c in enumerate(machine.all_cylinders) if f"{c.name}.length" in log.channels
+              and any(f"{joint}.q" in read for joint in machine.joints_between(c.barrel.link, c.rod.link))]
+    if not places:
+        return worst, total
+    q = angles[rows]
+    expected = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)[0][:, :, 0]
+    for k, cylinder in places:
+        gap = log.channel(f"{cylinder.name}.length")[rows] - expected[:, k]
+        worst = float(np.fmax(worst, abs(np.mean(gap))))
+        stroke = getattr(cylinder, "stroke", 1.0)
+        total += 20 * min(float(np.mean((gap / (GAP * stroke)) ** 2)), 100.0)
+    return worst, total
+
+
+def _range_terms(model: Model, q: Array, qd: Array) -> tuple[float, float]:
+    """The largest share of a joint's samples beyond its limits, and the term of ranges and speeds."""
+    joints = [model.machine.link(name).joint for name in model.machine.joints]
+    low, high = np.array([joint.range for joint in joints]).T
+    slack = MARGIN * (high - low)
+    outside = np.mean((q < low - slack) | (q > high + slack), axis=0)
+    fastest = np.array([joint.max_speed or np.inf for joint in joints])
+    hasty = np.mean(np.abs(qd) > HASTE * fastest, axis=0)
+    return float(np.max(outside)), 100 * float(np.sum(outside) + np.sum(hasty))
+
+
+def stated_rate(sensors: tuple[Sensor, ...], channels: set[str]) -> tuple[float, float]:
+    """Sampling rates [Hz] from the lowest to the highest that the file states of a log's channels."""
+    rates = [sensor.rate for sensor in sensors if sensor.rate and channels & set(sensor.channels)]
+    return (min(rates), max(rates)) if rates else RATES
+
+
+def _rate_term(model: Model, log: Log, hertz: float) -> float:
+    low, high = stated_rate(model.machine.sensors, set(log.channels))
+    return 20 * abs(float(np.log(hertz / np.clip(hertz, low, high))))

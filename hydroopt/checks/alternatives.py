@@ -1,0 +1,145 @@
+"""Other ways to read a log: signs reversed, channels exchanged, other units, another unit of time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+
+from hydroopt.logs.log import Log
+from hydroopt.machine.actuators import Cylinder, Drive
+from hydroopt.model.model import Model
+
+UNITS: Mapping[str, Mapping[str, float]] = {
+    "angle": {"deg": np.pi / 180, "rad where deg is stated": 180 / np.pi},
+    "length": {"mm": 1e-3, "cm": 1e-2, "m where mm is stated": 1e3},
+    "pressure": {"bar": 1e5, "psi": 6894.757, "kPa": 1e3, "MPa": 1e6, "Pa where bar is stated": 1e-5},
+    "effort": {"thousand times its unit": 1e3, "a thousandth of its unit": 1e-3},
+}
+"""Factors that mistaken units make, by the kind of channel."""
+
+CLOCKS: Mapping[str, float] = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9,
+                               "seconds where milliseconds are stated": 1e3, "minutes": 60.0}
+"""Factors that mistaken units of time make."""
+
+
+@dataclass(frozen=True)
+class Scaled:
+    """Some channels multiplied by a factor: a reversed sign or another unit."""
+
+    channels: tuple[str, ...]
+    factor: float
+    words: str
+
+    def of(self, log: Log) -> Log:
+        """The log read so."""
+        scaled = {name: self.factor * log.channels[name] for name in self.channels}
+        return replace(log, channels={**log.channels, **scaled})
+
+
+@dataclass(frozen=True)
+class Raised:
+    """A length counted from the fully retracted cylinder instead of from pin to pin."""
+
+    channels: tuple[str, ...]
+    by: float
+    words: str
+
+    def of(self, log: Log) -> Log:
+        """The log read so."""
+        return replace(log, channels={**log.channels, **{name: log.channels[name] + self.by for name in self.channels}})
+
+
+@dataclass(frozen=True)
+class Exchanged:
+    """Pairs of channels that stand for each other."""
+
+    pairs: tuple[tuple[str, str], ...]
+    words: str
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """All channels concerned."""
+        return tuple(name for pair in self.pairs for name in pair)
+
+    def of(self, log: Log) -> Log:
+        """The log read so."""
+        moved = {a: log.channels[b] for one, other in self.pairs for a, b in ((one, other), (other, one))}
+        return replace(log, channels={**log.channels, **moved})
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The time in another unit."""
+
+    factor: float
+    words: str
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """The time."""
+        return ("t",)
+
+    def of(self, log: Log) -> Log:
+        """The log read so."""
+        return replace(log, t=log.t * self.factor)
+
+
+Alternative = Scaled | Raised | Exchanged | Clock
+
+
+def alternatives(model: Model, log: Log) -> Iterator[Alternative]:
+    """All single mistakes that are looked for in a log."""
+    here, machine = set(log.channels), model.machine
+    turning = [f"{joint}.q" for joint in machine.joints
+               if f"{joint}.q" in here and machine.link(joint).joint.type == "revolute"]
+    angles = [f"{joint}.q" for joint in machine.joints if f"{joint}.q" in here]
+    lengths = {f"{c.name}.length": c for c in machine.cylinders if f"{c.name}.length" in here}
+    yield from _signs(angles)
+    yield from _units("angle", turning)
+    yield from _units("length", [*lengths, *(name for name in angles if name not in turning)])
+    for name, cylinder in lengths.items():
+        yield Raised((name,), cylinder.dead_length, f"{name} counted from the retracted cylinder")
+    yield from (Exchanged(((a, b),), f"{a} and {b} exchanged")
+                for group in (turning, list(lengths)) for a, b in combinations(group, 2))
+    yield from _forces(model, here)
+    yield from (Clock(factor, f"the time in {unit}") for unit, factor in CLOCKS.items())
+
+
+def _signs(names: list[str]) -> Iterator[Alternative]:
+    for name in names:
+        yield Scaled((name,), -1.0, f"the sign of {name} reversed")
+    if len(names) > 1:
+        yield Scaled(tuple(names), -1.0, f"the signs of {', '.join(names)} reversed")
+
+
+def _units(kind: str, names: list[str]) -> Iterator[Alternative]:
+    groups = [(name,) for name in names] + ([tuple(names)] if len(names) > 1 else [])
+    for group in groups:
+        for unit, factor in UNITS[kind].items():
+            yield Scaled(group, factor, f"{', '.join(group)} in {unit}")
+
+
+def _forces(model: Model, here: set[str]) -> Iterator[Alternative]:
+    """Mistakes in what forces are measured by."""
+    machine = model.machine
+    chambers = {a.name: a.chambers for a in machine.actuators
+                if not isinstance(a, Drive) and set(a.chambers) <= here}
+    efforts = [name for joint, a in zip(machine.joints, machine.actuators, strict=True)
+               if (name := f"{a.name}.force" if isinstance(a, Cylinder) else f"{joint}.tau") in here
+               and a.name not in chambers]
+    for one, other in chambers.values():
+        yield Exchanged(((one, other),), f"{one} and {other} exchanged")
+    for a, b in combinations(chambers.values(), 2):
+        yield Exchanged(tuple(zip(a, b, strict=True)), f"{', '.join(a)} exchanged with {', '.join(b)}")
+    yield from (Exchanged(((a, b),), f"{a} and {b} exchanged") for a, b in combinations(efforts, 2))
+    yield from _signs(efforts)
+    yield from _units("effort", efforts)
+    for pair in chambers.values():
+        yield from (each for each in _units("pressure", list(pair)) if isinstance(each, Scaled))
+    everything = tuple(name for pair in chambers.values() for name in pair)
+    if len(chambers) > 1:
+        for unit, factor in UNITS["pressure"].items():
+            yield Scaled(everything, factor, f"all pressures in {unit}")

@@ -1,0 +1,135 @@
+"""Whether a log can be of a machine: the likeliest mistake in its units, signs, channels or clock, before any fit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from hydroopt.checks.agreement import Agreement, agreement, stated_rate
+from hydroopt.checks.alternatives import Alternative, alternatives
+from hydroopt.logs.any_log import AnyLog
+from hydroopt.logs.log import Log
+from hydroopt.logs.readings import channels_used
+from hydroopt.logs.stream import LogStream
+from hydroopt.model.model import Model
+from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.wording import Kind
+
+BETTER, LOWER = 0.5, 100.0
+"""The best alternative reading must have at most this part of the score as read, and be lower by so much."""
+TIED = 10.0
+"""Alternatives whose scores differ by less are not told apart."""
+MISTAKES = 3
+"""How many mistakes of one log are looked for, one after the other."""
+BEYOND = 0.02
+"""Share of samples beyond a joint's limits that is worth a diagnostic."""
+FAR = 4.0
+"""Standard deviations of geometry and sensor by which a length must differ from the geometry on average."""
+OTHER_RATE = 1.5
+"""Ratio of the sampling rate to the stated one that is worth a diagnostic."""
+
+
+def examine(model: Model, log: AnyLog) -> tuple[Diagnostic, ...]:
+    """What contradicts the machine file in a log as it is read, with the reading that would agree, if there is one.
+
+    Nothing is corrected. A mistake is named only if the log read otherwise agrees far better: with less than half of
+    the score and at least 100 lower, where the score is minus two log likelihoods of forces under the machine file's
+    priors, and terms for force levels, lengths against angles, joint ranges and the sampling rate. Readings that agree
+    equally well are named together.
+
+    Args:
+        model: the machine.
+        log: in memory, or read in pieces, of which a sample is examined.
+
+    >>> from dataclasses import replace
+    >>> from hydroopt.machine.machine_file import load_machine
+    >>> from hydroopt.simulation.simulate import random_trajectory, simulate
+    >>> model = Model(load_machine("cat215b"))
+    >>> log = simulate(model, random_trajectory(model, duration=16.0, rate=50.0, seed=1), seed=1)
+    >>> examine(model, log)
+    ()
+    >>> flipped = replace(log, channels={**log.channels, "boom.q": -log.channels["boom.q"]})
+    >>> [(str(found.kind), found.subject) for found in examine(model, flipped)]
+    [('log misread', ('boom.q',))]
+    """
+    held = log if isinstance(log, Log) else _sample(model, log)
+    mistakes, corrected = _mistakes(model, held)
+    where = log.path or log.name
+    return (*(Diagnostic(Kind.LOG_MISREAD, channels, {"log": where, **evidence}) for channels, evidence in mistakes),
+            *_contradictions(model, corrected, where))
+
+
+def _sample(model: Model, log: AnyLog) -> Log:
+    assert isinstance(log, LogStream)
+    return log.sample(sorted(channels_used(model, log)[0]))
+
+
+def _mistakes(model: Model, log: Log) -> tuple[list[tuple[tuple[str, ...], dict[str, object]]], Log]:
+    """Channels and evidence of each mistake, and the log with all of them corrected."""
+    found: list[tuple[tuple[str, ...], dict[str, object]]] = []
+    now = agreement(model, log)
+    for _ in range(MISTAKES):
+        if now is not None and now.score <= LOWER:
+            break
+        scored = _scored(model, log, now)
+        if not scored:
+            break
+        least, (best, agreed) = scored[0][0], scored[0][1:]
+        tied = [other for score, other, _ in scored if score < least + TIED]
+        channels = tuple(dict.fromkeys(name for one in tied for name in one.channels))
+        found.append((channels, {
+            "reading": " or ".join(one.words for one in tied), "as_read": now.words if now else "no posture fits",
+            "read_so": agreed.words, "score_as_read": now.score if now else None, "score_read_so": least}))
+        log, now = best.of(log), agreed
+    return found, log
+
+
+def _scored(model: Model, log: Log, now: Agreement | None) -> list[tuple[float, Alternative, Agreement]]:
+    """Alternatives that agree far better than the log as read, the best first."""
+    limit = np.inf if now is None else min(BETTER * now.score, now.score - LOWER)
+    results = [(made.score, one, made) for one in alternatives(model, log)
+               if (made := agreement(model, one.of(log))) is not None and made.score < limit]
+    return sorted(results, key=lambda each: each[0])
+
+
+def _contradictions(model: Model, log: Log, where: str) -> Iterator[Diagnostic]:
+    """What no other reading explains: joint limits, lengths and rates that are not as stated."""
+    machine = model.machine
+    for joint in machine.joints:
+        if f"{joint}.q" not in log.channels:
+            continue
+        q, (low, high) = log.channels[f"{joint}.q"], machine.link(joint).joint.range
+        slack = 0.02 * (high - low)
+        share = float(np.mean((q < low - slack) | (q > high + slack)))
+        if share > BEYOND:
+            yield Diagnostic(Kind.BEYOND_JOINT_LIMITS, (f"{joint}.q",), {
+                "log": where, "share": share, "low": float(np.min(q)), "high": float(np.max(q)),
+                "lower": low, "upper": high, "unit": machine.channel_units[f"{joint}.q"]})
+    yield from _lengths(model, log, where)
+    low, high = stated_rate(machine.sensors, set(log.channels))
+    hertz = 1 / float(np.median(np.diff(log.t)))
+    if not low / 20 <= hertz <= OTHER_RATE * high:  # a log may keep only some of its sensors' samples
+        yield Diagnostic(Kind.OTHER_SAMPLING_RATE, (), {"log": where, "rate": hertz, "stated": high})
+
+
+def _lengths(model: Model, log: Log, where: str) -> Iterator[Diagnostic]:
+    machine = model.machine
+    if not all(f"{joint}.q" in log.channels for joint in machine.joints):
+        return
+    few = np.unique(np.linspace(0, log.size - 1, 90).astype(int))
+    q = np.column_stack([log.channels[f"{joint}.q"][few] for joint in machine.joints])
+    expected = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)[0][:, :, 0]
+    for k, cylinder in enumerate(machine.cylinders):
+        name = f"{cylinder.name}.length"
+        if name not in log.channels:
+            continue
+        pins = [machine.notes.get(f"{cylinder.name}.{end}.pin") for end in ("barrel", "rod")]
+        stated = [note.sigma for note in pins if note is not None and note.sigma is not None and not note.relative]
+        sensor = machine.sensor(name)
+        sigma = np.sqrt(max(sum(2 * s**2 for s in stated), (0.01 * cylinder.stroke) ** 2)
+                        + (sensor.std if sensor else 0.0) ** 2)
+        gap = float(np.mean(log.channels[name][few] - expected[:, k]))
+        if abs(gap) > FAR * sigma:
+            yield Diagnostic(Kind.LENGTH_CONTRADICTS_ANGLE, (name,), {
+                "log": where, "gap_mm": 1e3 * gap, "sigma_mm": 1e3 * float(sigma)})
