@@ -9,8 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import HydrooptError
+from hydroopt.logs.forces_from_pressures import force_noise, forces, pressures
+from hydroopt.logs.joint_angles import measured_angles
 from hydroopt.logs.log import Log
-from hydroopt.logs.readings import force_noise, forces, measured_angles, pressures
 from hydroopt.machine.sensor import Sensor
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
@@ -47,6 +48,7 @@ class Agreement:
         gap: largest mean difference [m] between a length and the geometry; NaN where none is measured.
         outside: share of the samples that lie beyond a joint's limits, the worst joint's.
         hertz: sampling rate [Hz].
+        noise: what the sensors' noise alone adds to `forces` on average.
     """
 
     forces: float
@@ -58,11 +60,12 @@ class Agreement:
     gap: float
     outside: float
     hertz: float
+    noise: float
 
     @property
     def score(self) -> float:
-        """All of it."""
-        return self.forces + self.levels + self.lengths + self.ranges + self.rate
+        """All of it beyond the sensors' noise."""
+        return self.forces - self.noise + self.levels + self.lengths + self.ranges + self.rate
 
     @cached_property
     def words(self) -> str:
@@ -76,8 +79,16 @@ class Agreement:
         return ", ".join(said)
 
 
-def agreement(model: Model, log: Log) -> Agreement | None:
-    """How a log agrees with a machine; None where it cannot be evaluated, such as lengths of an open triangle."""
+Evaluated = dict[tuple[bytes, float], tuple[Array, Array]]
+"""Regressors and nominal forces by motion: most mistakes in forces leave the motion as it is."""
+
+
+def agreement(model: Model, log: Log, evaluated: Evaluated | None = None) -> Agreement | None:
+    """How a log agrees with a machine; None where it cannot be evaluated, such as lengths of an open triangle.
+
+    `evaluated` keeps what depends on the motion alone, for other readings of the same log.
+    """
+    evaluated = {} if evaluated is None else evaluated
     try:
         angles, measured, pressed = measured_angles(model, log), forces(model, log), pressures(model, log)
     except HydrooptError:
@@ -92,16 +103,20 @@ def agreement(model: Model, log: Log) -> Agreement | None:
     q, qd, qdd = (np.einsum("w,swn->sn", kernel[k], angles[around]) / step**k for k in range(3))
     force = np.einsum("w,swn->sn", kernel[0], measured[around])
     state = (q, qd, qdd) if pressed is None else (q, qd, qdd, pressed[rows])
-    K = model.over(model.regressor, *state)[0]
-    nominal = model.over(model.inverse_dynamics, *state, model.parameters.nominal)[0][:, :, 0]
+    key = np.concatenate([values.ravel() for values in state]).tobytes(), step
+    if key not in evaluated:
+        evaluated[key] = (model.over(model.regressor, *state)[0],
+                          model.over(model.inverse_dynamics, *state, model.parameters.nominal)[0][:, :, 0])
+    K, nominal = evaluated[key]
     if not (np.all(np.isfinite(K)) and np.all(np.isfinite(nominal))):
         return None
     steady = np.abs(qd) > np.abs(qdd) * step * window / 2  # else dry friction changes its sign within the window
-    sized, levels, missed = _force_terms(model, log, K, np.stack([force, nominal]), steady,
+    sized, noise, levels, missed = _force_terms(model, log, K, np.stack([force, nominal]), steady,
                                          float(np.sqrt(np.sum(kernel[0] ** 2))))
     gap, lengths = _length_terms(model, log, angles, rows)
     outside, ranges = _range_terms(model, q, qd)
-    return Agreement(sized, levels, lengths, ranges, _rate_term(model, log, 1 / step), missed, gap, outside, 1 / step)
+    rate = _rate_term(model, log, 1 / step)
+    return Agreement(sized, levels, lengths, ranges, rate, missed, gap, outside, 1 / step, noise)
 
 
 def _window(angles: Array, log: Log) -> int:
@@ -139,8 +154,8 @@ def _rows(log: Log, window: int) -> Array:
 
 
 def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[np.bool_],
-                 averaged: float) -> tuple[float, float, float]:
-    """The weighted squares of forces with all priors, the term of their levels, and their worst relative error.
+                 averaged: float) -> tuple[float, float, float, float]:
+    """Weighted squares of forces with all priors, noise's part in them, the term of levels, the worst relative error.
 
     `both` (2, N, n) are the measured and the nominal forces; those that are not `steady` count in levels only.
     """
@@ -164,7 +179,7 @@ def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[
     allowed = np.clip(rms, np.minimum(size, np.hypot(size, spread)), np.hypot(size, spread))
     levels = float(np.sum((np.log(np.maximum(rms, 1e-12) / np.maximum(allowed, 1e-12)) / LEVEL) ** 2))
     missed = np.sqrt(np.mean((force - nominal) ** 2, axis=0)) / np.maximum(rms, 1e-12)
-    return squares, levels, float(np.max(missed))
+    return squares, float(np.sum((stated * weight) ** 2)), levels, float(np.max(missed))
 
 
 def _length_terms(model: Model, log: Log, angles: Array, rows: Array) -> tuple[float, float]:

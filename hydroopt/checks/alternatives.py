@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from itertools import combinations
+from itertools import combinations, product
 
 import numpy as np
 
@@ -15,10 +15,13 @@ from hydroopt.model.model import Model
 UNITS: Mapping[str, Mapping[str, float]] = {
     "angle": {"deg": np.pi / 180, "rad where deg is stated": 180 / np.pi},
     "length": {"mm": 1e-3, "cm": 1e-2, "m where mm is stated": 1e3},
-    "pressure": {"bar": 1e5, "psi": 6894.757, "kPa": 1e3, "MPa": 1e6, "Pa where bar is stated": 1e-5},
+    "pressure": {"bar": 1e5, "psi": 6894.757, "kPa": 1e3, "MPa": 1e6, "Pa where bar is stated": 1e-5,
+                 "Pa where psi is stated": 1 / 6894.757},
     "effort": {"thousand times its unit": 1e3, "a thousandth of its unit": 1e-3},
 }
 """Factors that mistaken units make, by the kind of channel."""
+PRESSURES = (3e5, 1e8)
+"""The highest pressure [Pa] of a hydraulic log lies in between: another unit that leads elsewhere is none."""
 
 CLOCKS: Mapping[str, float] = {"milliseconds": 1e-3, "microseconds": 1e-6, "nanoseconds": 1e-9,
                                "seconds where milliseconds are stated": 1e3, "minutes": 60.0}
@@ -87,59 +90,88 @@ class Clock:
         return replace(log, t=log.t * self.factor)
 
 
-Alternative = Scaled | Raised | Exchanged | Clock
+@dataclass(frozen=True)
+class Together:
+    """Several mistakes at once that hide one another: units of everything that a log holds."""
+
+    parts: tuple[Scaled | Clock, ...]
+
+    @property
+    def channels(self) -> tuple[str, ...]:
+        """All channels concerned."""
+        return tuple(name for part in self.parts for name in part.channels)
+
+    @property
+    def words(self) -> str:
+        """What is read otherwise."""
+        return " and ".join(part.words for part in self.parts)
+
+    def of(self, log: Log) -> Log:
+        """The log read so."""
+        for part in self.parts:
+            log = part.of(log)
+        return log
+
+
+Alternative = Scaled | Raised | Exchanged | Clock | Together
 
 
 def alternatives(model: Model, log: Log) -> Iterator[Alternative]:
-    """All single mistakes that are looked for in a log."""
+    """All mistakes that are looked for in a log: single ones, and units of everything at once."""
     here, machine = set(log.channels), model.machine
-    turning = [f"{joint}.q" for joint in machine.joints
-               if f"{joint}.q" in here and machine.link(joint).joint.type == "revolute"]
     angles = [f"{joint}.q" for joint in machine.joints if f"{joint}.q" in here]
+    turning = [name for name in angles if machine.channel_units[name] == "rad"]
     lengths = {f"{c.name}.length": c for c in machine.cylinders if f"{c.name}.length" in here}
-    yield from _signs(angles)
-    yield from _units("angle", turning)
-    yield from _units("length", [*lengths, *(name for name in angles if name not in turning)])
+    chambers = [a.chambers for a in machine.actuators if not isinstance(a, Drive) and set(a.chambers) <= here]
+    clocks = [Clock(factor, f"the time in {unit}") for unit, factor in CLOCKS.items()]
+    pressures = _pressure_units(log, [name for pair in chambers for name in pair])
+    yield from (*_signs(angles), *_units("angle", turning),
+                *_units("length", [*lengths, *(name for name in angles if name not in turning)]), *clocks, *pressures)
     for name, cylinder in lengths.items():
         yield Raised((name,), cylinder.dead_length, f"{name} counted from the retracted cylinder")
     yield from (Exchanged(((a, b),), f"{a} and {b} exchanged")
                 for group in (turning, list(lengths)) for a, b in combinations(group, 2))
-    yield from _forces(model, here)
-    yield from (Clock(factor, f"the time in {unit}") for unit, factor in CLOCKS.items())
+    for one, other in chambers:
+        yield Exchanged(((one, other),), f"{one} and {other} exchanged")
+        yield from (each for name in (one, other) for each in _pressure_units(log, [name]))
+    for a, b in combinations(chambers, 2):
+        yield Exchanged(tuple(zip(a, b, strict=True)), f"{', '.join(a)} exchanged with {', '.join(b)}")
+    yield from _efforts(model, here, {name for pair in chambers for name in pair})
+    degrees = [Scaled(tuple(turning), UNITS["angle"]["deg"], f"{', '.join(turning)} in deg")] if turning else []
+    for parts in product([None, *degrees], [None, *pressures], [None, *clocks[:1]]):
+        held = tuple(part for part in parts if part is not None)
+        if len(held) > 1:
+            yield Together(held)
 
 
-def _signs(names: list[str]) -> Iterator[Alternative]:
+def _signs(names: list[str]) -> Iterator[Scaled]:
     for name in names:
         yield Scaled((name,), -1.0, f"the sign of {name} reversed")
     if len(names) > 1:
         yield Scaled(tuple(names), -1.0, f"the signs of {', '.join(names)} reversed")
 
 
-def _units(kind: str, names: list[str]) -> Iterator[Alternative]:
+def _units(kind: str, names: list[str]) -> Iterator[Scaled]:
     groups = [(name,) for name in names] + ([tuple(names)] if len(names) > 1 else [])
     for group in groups:
         for unit, factor in UNITS[kind].items():
             yield Scaled(group, factor, f"{', '.join(group)} in {unit}")
 
 
-def _forces(model: Model, here: set[str]) -> Iterator[Alternative]:
-    """Mistakes in what forces are measured by."""
+def _pressure_units(log: Log, names: list[str]) -> list[Scaled]:
+    """Units in which these pressures would be those of a hydraulic machine."""
+    highest = max((float(np.max(np.abs(log.channels[name]))) for name in names), default=0.0)
+    what = names[0] if len(names) == 1 else "all pressures"
+    return [Scaled(tuple(names), factor, f"{what} in {unit}") for unit, factor in UNITS["pressure"].items()
+            if PRESSURES[0] <= factor * highest <= PRESSURES[1]]
+
+
+def _efforts(model: Model, here: set[str], chambers: set[str]) -> Iterator[Alternative]:
+    """Mistakes in forces and torques that are read directly."""
     machine = model.machine
-    chambers = {a.name: a.chambers for a in machine.actuators
-                if not isinstance(a, Drive) and set(a.chambers) <= here}
-    efforts = [name for joint, a in zip(machine.joints, machine.actuators, strict=True)
-               if (name := f"{a.name}.force" if isinstance(a, Cylinder) else f"{joint}.tau") in here
-               and a.name not in chambers]
-    for one, other in chambers.values():
-        yield Exchanged(((one, other),), f"{one} and {other} exchanged")
-    for a, b in combinations(chambers.values(), 2):
-        yield Exchanged(tuple(zip(a, b, strict=True)), f"{', '.join(a)} exchanged with {', '.join(b)}")
-    yield from (Exchanged(((a, b),), f"{a} and {b} exchanged") for a, b in combinations(efforts, 2))
-    yield from _signs(efforts)
-    yield from _units("effort", efforts)
-    for pair in chambers.values():
-        yield from (each for each in _units("pressure", list(pair)) if isinstance(each, Scaled))
-    everything = tuple(name for pair in chambers.values() for name in pair)
-    if len(chambers) > 1:
-        for unit, factor in UNITS["pressure"].items():
-            yield Scaled(everything, factor, f"all pressures in {unit}")
+    names = [name for joint, a in zip(machine.joints, machine.actuators, strict=True)
+             if (name := f"{a.name}.force" if isinstance(a, Cylinder) else f"{joint}.tau") in here
+             and not chambers & set(a.effort_factors)]
+    yield from (Exchanged(((a, b),), f"{a} and {b} exchanged") for a, b in combinations(names, 2))
+    yield from _signs(names)
+    yield from _units("effort", names)

@@ -6,11 +6,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hydroopt.checks.agreement import Agreement, agreement, stated_rate
+from hydroopt.checks.agreement import Agreement, Evaluated, agreement, stated_rate
 from hydroopt.checks.alternatives import Alternative, alternatives
 from hydroopt.logs.any_log import AnyLog
+from hydroopt.logs.joint_angles import angle_channels
 from hydroopt.logs.log import Log
-from hydroopt.logs.readings import channels_used
 from hydroopt.logs.stream import LogStream
 from hydroopt.model.model import Model
 from hydroopt.results.diagnostic import Diagnostic
@@ -62,17 +62,18 @@ def examine(model: Model, log: AnyLog) -> tuple[Diagnostic, ...]:
 
 def _sample(model: Model, log: AnyLog) -> Log:
     assert isinstance(log, LogStream)
-    return log.sample(sorted(channels_used(model, log)[0]))
+    return log.sample(sorted(angle_channels(model, log)))
 
 
 def _mistakes(model: Model, log: Log) -> tuple[list[tuple[tuple[str, ...], dict[str, object]]], Log]:
     """Channels and evidence of each mistake, and the log with all of them corrected."""
     found: list[tuple[tuple[str, ...], dict[str, object]]] = []
-    now = agreement(model, log)
+    evaluated: Evaluated = {}
+    now = agreement(model, log, evaluated)
     for _ in range(MISTAKES):
         if now is not None and now.score <= LOWER:
             break
-        scored = _scored(model, log, now)
+        scored = _scored(model, log, now, evaluated)
         if not scored:
             break
         least, (best, agreed) = scored[0][0], scored[0][1:]
@@ -85,11 +86,12 @@ def _mistakes(model: Model, log: Log) -> tuple[list[tuple[tuple[str, ...], dict[
     return found, log
 
 
-def _scored(model: Model, log: Log, now: Agreement | None) -> list[tuple[float, Alternative, Agreement]]:
+def _scored(model: Model, log: Log, now: Agreement | None,
+            evaluated: Evaluated) -> list[tuple[float, Alternative, Agreement]]:
     """Alternatives that agree far better than the log as read, the best first."""
     limit = np.inf if now is None else min(BETTER * now.score, now.score - LOWER)
     results = [(made.score, one, made) for one in alternatives(model, log)
-               if (made := agreement(model, one.of(log))) is not None and made.score < limit]
+               if (made := agreement(model, one.of(log), evaluated)) is not None and made.score < limit]
     return sorted(results, key=lambda each: each[0])
 
 

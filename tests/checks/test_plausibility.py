@@ -1,0 +1,104 @@
+"""Gross mistakes in a log are named before any fit; sound logs are left in peace."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydroopt.checks.alternatives import alternatives
+from hydroopt.checks.plausibility import examine
+from hydroopt.logs.log import Log
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.model import Model
+from hydroopt.results.wording import Kind
+from hydroopt.simulation.simulate import random_trajectory, random_truth, simulate
+
+Channels = Mapping[str, np.ndarray]
+
+
+@pytest.fixture(scope="module")
+def cat215b() -> Model:
+    return Model(load_machine("cat215b"))
+
+
+@pytest.fixture(scope="module")
+def sound(cat215b: Model) -> Log:
+    motion = random_trajectory(cat215b, duration=16.0, rate=50.0, seed=11)
+    return simulate(cat215b, motion, random_truth(cat215b, 12), seed=13)
+
+
+def scaled(names: Callable[[str], bool], factor: float) -> Callable[[Channels], Channels]:
+    return lambda channels: {name: factor * x if names(name) else x for name, x in channels.items()}
+
+
+def exchanged(one: str, other: str) -> Callable[[Channels], Channels]:
+    return lambda channels: {**channels, one: channels[other], other: channels[one]}
+
+
+def without_lengths(log: Log) -> Log:
+    return replace(log, channels={name: x for name, x in log.channels.items() if ".length" not in name})
+
+
+MISTAKES = {
+    "the sign of boom.q reversed": scaled(lambda name: name == "boom.q", -1.0),
+    "swing.q, boom.q, stick.q in deg": scaled(lambda name: name.endswith(".q"), 180 / np.pi),
+    "all pressures in bar": scaled(lambda name: ".p_" in name, 1e-5),
+    "boom_cylinder.p_head and boom_cylinder.p_rod exchanged": exchanged("boom_cylinder.p_head", "boom_cylinder.p_rod"),
+    "boom.q and stick.q exchanged": exchanged("boom.q", "stick.q"),
+    "swing.q, boom.q, stick.q in deg and all pressures in bar": lambda channels: scaled(
+        lambda name: name.endswith(".q"), 180 / np.pi)(scaled(lambda name: ".p_" in name, 1e-5)(channels)),
+}
+
+
+def test_a_reversed_sign_is_named_without_lengths(cat215b: Model, sound: Log) -> None:
+    reading, log = "the sign of boom.q reversed", without_lengths(sound)
+    found = examine(cat215b, replace(log, channels=MISTAKES[reading](log.channels)))
+    assert [each.evidence.get("reading") for each in found] == [reading]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("lengths", [True, False])
+def test_each_mistake_is_named(cat215b: Model, sound: Log, lengths: bool) -> None:
+    log = sound if lengths else without_lengths(sound)
+    for reading, mistake in MISTAKES.items():
+        found = examine(cat215b, replace(log, channels=mistake(log.channels)))
+        assert [each.evidence.get("reading") for each in found] == [reading]
+
+
+@pytest.mark.slow
+def test_milliseconds_taken_for_seconds_are_named(cat215b: Model, sound: Log) -> None:
+    found = examine(cat215b, replace(sound, t=1e3 * sound.t))
+    assert [(each.kind, each.evidence["reading"]) for each in found] == [(Kind.LOG_MISREAD, "the time in milliseconds")]
+
+
+@pytest.mark.slow
+def test_what_no_data_can_tell_apart_is_named_together(cat215b: Model, sound: Log) -> None:
+    """The swing has no gravity: its sign and its chambers' order are one and the same to its forces."""
+    found = examine(cat215b, replace(sound, channels=scaled(lambda name: name == "swing.q", -1.0)(sound.channels)))
+    assert [set(each.subject) for each in found] == [{"swing.q", "swing_motor.p_a", "swing_motor.p_b"}]
+
+
+def test_a_length_beside_its_angle_is_said(cat215b: Model, sound: Log) -> None:
+    off = {**sound.channels, "boom_cylinder.length": sound.channels["boom_cylinder.length"] + 0.2}
+    found = examine(cat215b, replace(sound, channels=off))
+    assert [(each.kind, each.subject) for each in found] == [(Kind.LENGTH_CONTRADICTS_ANGLE, ("boom_cylinder.length",))]
+
+
+def test_readings_change_what_they_name_and_nothing_else(cat215b: Model, sound: Log) -> None:
+    for other in alternatives(cat215b, sound):
+        read = other.of(sound)
+        changed = {name for name, x in sound.channels.items() if not np.array_equal(x, read.channels[name])}
+        changed |= set() if np.array_equal(read.t, sound.t) else {"t"}
+        assert changed == set(other.channels), other.words
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["cat215b", "patu655_lift", "kr300", "ur10"])
+def test_sound_logs_of_other_truths_raise_nothing(name: str) -> None:
+    model = Model(load_machine(name))
+    for seed in range(10):
+        motion = random_trajectory(model, duration=16.0, rate=50.0, seed=seed)
+        assert examine(model, simulate(model, motion, random_truth(model, seed), seed=seed)) == ()
