@@ -51,8 +51,8 @@ QUARANTINE = {
     "pint": ("units",),
     "pydantic": ("machine", "logs.column_map"),
     "tomlkit": ("machine.machine_file",),
-    "dask": ("study.workers",),
-    "distributed": ("study.workers",),
+    "dask": ("study.scheduler",),
+    "distributed": ("study.scheduler",),
 }
 
 

@@ -44,7 +44,8 @@ Rate = Annotated[float | None, typer.Option(help=(
     "sensor, or 50."))]
 Workers = Annotated[int | None, typer.Option(help="Processes; the number of cores if not given.", min=1)]
 Scheduler = Annotated[str | None, typer.Option(
-    help="Address of a Dask scheduler whose workers compute, e.g. tcp://host:8786.")]
+    help="Address of a Dask scheduler whose workers compute, e.g. tcp://host:8786; tls://host:8786 uses the "
+    "certificates of Dask's configuration.")]
 
 app = typer.Typer(cls=Group, add_completion=False, rich_markup_mode=None)
 

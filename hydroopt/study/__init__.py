@@ -1,1 +1,1 @@
-"""Studies: many independent cells of one computation, run in parallel on Dask and stored one by one."""
+"""Studies: many independent cells of one computation, run in parallel and stored one by one."""

@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Generator, Sequence
 from contextlib import closing
 from pathlib import Path
 
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.files import write_files
+from hydroopt.study import processes
 from hydroopt.study.directory import Directory
-from hydroopt.study.study import Study
+from hydroopt.study.study import Outcome, Study
 from hydroopt.study.table import Table
 
 
@@ -26,8 +27,9 @@ def run(study: Study, directory: str | Path, *, scheduler: str | None = None, wo
         study: what to compute.
         directory: gets ``study.json``, ``cells/INDEX.json`` and, at the end, ``results.csv``.
         scheduler: address of a Dask scheduler whose workers compute the cells, such as ``tcp://host:8786``; they need
-            this hydroopt, but no access to the directory. By default processes of this computer; then a script needs
-            the usual ``if __name__ == "__main__"``.
+            this hydroopt, but no access to the directory. ``tls://host:8786`` uses the certificates of Dask's
+            configuration. By default processes of this computer; then a script needs the usual
+            ``if __name__ == "__main__"``.
         workers: number of processes, if there is no scheduler.
         say: receives messages about progress.
 
@@ -43,11 +45,9 @@ def run(study: Study, directory: str | Path, *, scheduler: str | None = None, wo
     outcomes = place.read()
     missing = [k for k in range(len(study.cells)) if k not in outcomes]
     if missing:
-        from hydroopt.study.workers import computed  # noqa: PLC0415 (its libraries take a second to import)
-
         began, before = time.monotonic(), len(outcomes)
         say(f"{len(missing)} of {len(study.cells)} cells to compute, starting")
-        with closing(computed(study, missing, scheduler, workers, say)) as results:
+        with closing(_computed(study, missing, scheduler, workers, say)) as results:
             for index, outcome in results:
                 outcomes[index] = place.write(index, outcome)
                 each = (time.monotonic() - began) / (len(outcomes) - before)
@@ -59,6 +59,16 @@ def run(study: Study, directory: str | Path, *, scheduler: str | None = None, wo
         raise SolverError(f"no cell succeeded: {next(iter(table.failures)).rstrip('.').replace('; ', ', ')}",
                           where=str(directory), remedy="correct the cause and choose another directory with -o")
     return table
+
+
+def _computed(study: Study, indices: Sequence[int], scheduler: str | None, workers: int,
+              say: Callable[[str], None]) -> Generator[tuple[int, Outcome]]:
+    """Outcomes of cells as they finish."""
+    if scheduler is None:
+        return processes.computed(study, indices, workers)
+    from hydroopt.study.scheduler import computed  # noqa: PLC0415 (Dask takes a second to import)
+
+    return computed(study, indices, scheduler, say)
 
 
 def span(seconds: float) -> str:

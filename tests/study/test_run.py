@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -12,10 +13,14 @@ import sys
 import time
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
+import dask
 import psutil
 import pytest
+from distributed import Client
 from threadpoolctl import threadpool_limits
 
 from fixtures import quick
@@ -59,6 +64,14 @@ def workers(of: int | None = None) -> list[psutil.Process]:
     return found
 
 
+def reachable() -> list[object]:
+    """Sockets by which others could send work to this process or to one that it started."""
+    here = psutil.Process()
+    own = [socket for socket in here.net_connections("inet") if socket.status == psutil.CONN_LISTEN]
+    return own + [socket for child in here.children(recursive=True) for socket in child.net_connections("all")
+                  if socket.laddr]  # a pair of sockets without names belongs to the two processes that hold it
+
+
 @contextmanager
 def process(*arguments: str, **options: object) -> Iterator[subprocess.Popen[bytes]]:
     running = subprocess.Popen([sys.executable, *arguments], env=HERE, stdout=subprocess.DEVNULL,
@@ -100,20 +113,30 @@ def test_a_study_killed_at_half_goes_on_and_a_worker_killed_costs_nothing(tmp_pa
 
 
 @pytest.mark.slow
+@pytest.mark.skipif(shutil.which("openssl") is None, reason="no certificates")
 def test_workers_of_a_scheduler_elsewhere_give_the_same_bits(tmp_path: Path) -> None:
-    """They share no directory with the study, and one of them is killed."""
+    """They share no directory with the study, and one of them is killed; nobody takes part without the certificate."""
     study, away = quick.study(30, pause=0.05), tmp_path / "away"
     away.mkdir()
-    address = tmp_path / "scheduler.json"
-    arguments = ("--scheduler-file", str(address))
+    address, key, certificate = (tmp_path / name for name in ("scheduler.json", "key.pem", "certificate.pem"))
+    subprocess.run(["openssl", "req", "-x509", "-newkey", "rsa:2048", "-nodes", "-keyout", key, "-out", certificate,
+                    "-days", "2", "-subj", "/CN=study"], check=True, capture_output=True)
+    arguments = ("--scheduler-file", str(address), "--protocol", "tls", "--tls-ca-file", str(certificate),
+                 "--tls-cert", str(certificate), "--tls-key", str(key))
     options = ("--nthreads", "1", "--no-nanny", "--no-dashboard")
     with process("-m", "distributed.cli.dask_scheduler", "--port", "0", "--no-dashboard", *arguments,
                  cwd=away) as scheduler:
         until(address.exists)
-        with (process("-m", "distributed.cli.dask_worker", *arguments, *options, cwd=away),
+        at = json.loads(address.read_text("utf-8"))["address"]
+        with pytest.raises(ProblemError, match="the certificates in Dask's configuration cannot be used"):
+            run(study, tmp_path / "out", scheduler=at)
+        with pytest.raises(OSError, match="closed"):
+            Client(at.replace("tls", "tcp"), timeout=5)
+        given = {f"DASK_DISTRIBUTED__COMM__TLS__{name}": str(file) for name, file in
+                 (("CA_FILE", certificate), ("CLIENT__CERT", certificate), ("CLIENT__KEY", key))}
+        with (dask.config.set(dask.config.merge(dask.config.config, dask.config.collect_env(given))),
+              process("-m", "distributed.cli.dask_worker", *arguments, *options, cwd=away),
               process("-m", "distributed.cli.dask_worker", *arguments, *options, cwd=away) as second):
-            at = json.loads(address.read_text("utf-8"))["address"]
-
             def say(text: str) -> None:
                 if text.startswith("10 of 30 cells"):
                     second.kill()
@@ -133,7 +156,7 @@ def test_workers_of_a_scheduler_elsewhere_give_the_same_bits(tmp_path: Path) -> 
 
 def test_what_is_no_scheduler_is_refused_soon(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A server that takes the call and never says a word."""
-    monkeypatch.setattr("hydroopt.study.workers.PATIENCE", 0.5)
+    monkeypatch.setattr("hydroopt.study.scheduler.PATIENCE", 0.5)
     with socket.socket() as server:
         server.bind(("127.0.0.1", 0))
         server.listen()
@@ -143,13 +166,36 @@ def test_what_is_no_scheduler_is_refused_soon(tmp_path: Path, monkeypatch: pytes
     assert time.monotonic() - began < 20  # a busy machine takes its time, but not for ever
 
 
+def test_an_address_that_asks_for_certificates_is_refused_without(tmp_path: Path) -> None:
+    with pytest.raises(ProblemError, match=r"--scheduler tls://127.0.0.1:1: the certificates in Dask's configuration "
+                       r"cannot be used \(it states none\); set DASK_DISTRIBUTED__COMM__TLS__CA_FILE"):
+        run(quick.study(3), tmp_path, scheduler="tls://127.0.0.1:1")
+
+
+class Unloadable:
+    """Ends the process that unpickles it, as a script does that starts a study without asking whether it is main."""
+
+    def __reduce__(self) -> tuple[object, tuple[int]]:
+        return os._exit, (3,)
+
+
+def test_processes_that_cannot_start_are_an_error(tmp_path: Path) -> None:
+    work: Any = Unloadable()
+    with pytest.raises(ProblemError, match="a process for its cells ended before it could start; in a script"):
+        run(replace(quick.study(3), function=work), tmp_path, workers=2)
+    assert not list((tmp_path / "cells").glob("*.json"))
+    assert not workers()
+
+
 def test_the_command_starts_without_distributed() -> None:
     code = "import hydroopt.cli, sys; sys.exit(bool({'distributed', 'tornado'} & sys.modules.keys()))"
     assert subprocess.run([sys.executable, "-c", code], env=HERE, check=False).returncode == 0
 
 
 def test_cells_that_fail_or_kill_are_recorded_and_do_no_harm(tmp_path: Path) -> None:
-    table = run(quick.study(8, bad=2, deadly=5), tmp_path, workers=1)
+    sockets: list[object] = []
+    table = run(quick.study(8, bad=2, deadly=5), tmp_path, workers=1, say=lambda _: sockets.extend(reachable()))
+    assert not sockets
     assert [k for k, outcome in enumerate(table.outcomes) if "error" in outcome] == [2, 5]
     assert table.outcomes[2]["error"] == "cell 2: the data show nothing; measure more."
     assert "cell 5: the process that computed it died repeatedly" in table.outcomes[5]["error"]

@@ -1,27 +1,28 @@
-"""Cells on Dask: processes of this computer, or the workers of another scheduler.
+"""Cells on the workers of a Dask scheduler.
 
 No other module imports Dask, and this one is imported only if there are cells to compute.
+
+Who can send work to the scheduler runs code on its workers, and they on it. With an address ``tls://host:8786`` all of
+them, this client too, prove who they are by the certificates that Dask's configuration states (distributed.comm.tls).
 """
 
 from __future__ import annotations
 
 import asyncio
 import logging
-import os
 import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
 from typing import Any
 
 import dask
-import numpy as np
-from distributed import Client, Future, KilledWorker, LocalCluster, Worker, WorkerPlugin, get_worker, rpc
-from threadpoolctl import threadpool_limits
+from distributed import Client, Future, KilledWorker, Security, Worker, WorkerPlugin, get_worker, rpc
 
-from hydroopt.errors import HydrooptError, ProblemError, SolverError
-from hydroopt.interrupt import blocked, deferred
+from hydroopt.errors import ProblemError, SolverError
+from hydroopt.interrupt import deferred
+from hydroopt.study.cell import outcome
 from hydroopt.study.study import Outcome, Study, Values
 from hydroopt.versions import versions
 
@@ -43,25 +44,20 @@ class _Work(WorkerPlugin):  # type: ignore[misc]
         if versions() != self.versions:
             raise RuntimeError(f"the worker has {versions()} instead of {self.versions}")
         self.turn = threading.Lock()
-        os.environ["OMP_NUM_THREADS"] = "1"  # compiled kernels read it, too
 
     def cell(self, values: Values) -> Outcome:
         assert self.turn is not None
-        # one cell at a time: CasADi's symbols and the limit of threads are shared by all threads
-        with self.turn, threadpool_limits(limits=1):
-            try:
-                return {"result": dict(self.function(**values))}
-            except (HydrooptError, ArithmeticError, np.linalg.LinAlgError) as error:
-                return {"error": str(error)}
+        with self.turn:  # one cell at a time: CasADi's symbols and the limit of threads are shared by all threads
+            return outcome(self.function, values)
 
 
 def _cell(name: str, values: Values) -> Outcome:
     work: Any = get_worker().plugins[name]
-    outcome: Outcome = work.cell(values)
-    return outcome
+    found: Outcome = work.cell(values)
+    return found
 
 
-def computed(study: Study, indices: Sequence[int], scheduler: str | None, workers: int,
+def computed(study: Study, indices: Sequence[int], scheduler: str,
              say: Callable[[str], None]) -> Generator[tuple[int, Outcome]]:
     """Outcomes of some cells, in the order in which they finish.
 
@@ -69,61 +65,68 @@ def computed(study: Study, indices: Sequence[int], scheduler: str | None, worker
         ProblemError: there is no scheduler at the address, or its workers cannot be used.
         SolverError: the scheduler was lost.
     """
-    with _client(scheduler, min(workers, len(indices))) as client:
+    with _client(scheduler) as client:
         work = _Work(study)
         _hand_out(client, work, scheduler, say)
         try:
             suspects = []
-            for index, outcome in _finished(client, study, work.name, indices, say):
-                if outcome is None:
+            for index, found in _finished(client, study, work.name, indices, say):
+                if found is None:
                     suspects.append(index)
                 else:
-                    yield index, outcome
+                    yield index, found
             for index in suspects:  # one by one, so that a crash affects no other cell
-                for _, outcome in _finished(client, study, work.name, [index], say):
-                    yield index, outcome or {"error": f"cell {index}: the process that computed it died "
-                                             "repeatedly; check whether the memory suffices."}
+                for _, found in _finished(client, study, work.name, [index], say):
+                    yield index, found or {"error": f"cell {index}: the process that computed it died "
+                                           "repeatedly; check whether the memory suffices."}
         finally:
-            if scheduler is not None and client.status == "running":
-                client.unregister_worker_plugin(work.name)
+            if client.status == "running":
+                with suppress(OSError):  # the connection has just been lost
+                    client.unregister_worker_plugin(work.name)
 
 
 @contextmanager
-def _client(scheduler: str | None, workers: int) -> Iterator[Client]:
+def _client(scheduler: str) -> Iterator[Client]:
     # the study itself reports lost processes and connections
     for name in [*logging.root.manager.loggerDict, "asyncio"]:
         if name.partition(".")[0] in ("distributed", "tornado", "asyncio"):
             logging.getLogger(name).setLevel(logging.CRITICAL + 1)
     with dask.config.set(CONFIG):
-        if scheduler is None:
-            with blocked():  # only this process receives Ctrl-C
-                cluster = LocalCluster(n_workers=workers, threads_per_worker=1, processes=True, memory_limit=0,
-                                       dashboard_address=None, silence_logs=logging.CRITICAL + 1,
-                                       # or the scheduler would listen at port 8787, which only one study can have
-                                       scheduler_kwargs={"dashboard_address": "127.0.0.1:0"})
-            with cluster, Client(cluster, set_as_default=False) as client:
-                yield client
-            return
+        security = _security(scheduler)
         try:
-            asyncio.run(asyncio.wait_for(_answer(scheduler), PATIENCE))
-            client = Client(scheduler, timeout=PATIENCE, set_as_default=False)
+            asyncio.run(asyncio.wait_for(_answer(scheduler, security), PATIENCE))
+            client = Client(scheduler, timeout=PATIENCE, set_as_default=False, security=security)
         except (OSError, ValueError) as error:
             raise ProblemError(f"no Dask scheduler answers at this address ({_short(error)})", where=f"--scheduler "
                                f"{scheduler}", remedy="start one with 'dask scheduler' and give the address that it "
-                               "prints, such as tcp://host:8786") from None
+                               "prints, such as tcp://host:8786 or tls://host:8786") from None
         with client:
             yield client
 
 
-async def _answer(address: str) -> None:
+def _security(scheduler: str) -> Security:
+    """The certificates that Dask's configuration states, which an address tls://... needs."""
+    security = Security()
+    try:
+        if scheduler.startswith("tls://") and security.get_connection_args("client").get("ssl_context") is None:
+            raise ValueError("it states none")
+    except (OSError, ValueError) as error:
+        raise ProblemError(
+            f"the certificates in Dask's configuration cannot be used ({_short(error)})",
+            where=f"--scheduler {scheduler}", remedy="set DASK_DISTRIBUTED__COMM__TLS__CA_FILE, "
+            "DASK_DISTRIBUTED__COMM__TLS__CLIENT__CERT and DASK_DISTRIBUTED__COMM__TLS__CLIENT__KEY") from None
+    return security
+
+
+async def _answer(address: str, security: Security) -> None:
     """Check that a scheduler listens: a client would wait forever for another kind of server."""
-    async with rpc(address) as remote:
+    async with rpc(address, connection_args=security.get_connection_args("client")) as remote:
         kind = (await remote.identity())["type"]
     if kind != "Scheduler":
         raise ValueError(f"this is a {kind.lower()}")
 
 
-def _hand_out(client: Client, work: _Work, scheduler: str | None, say: Callable[[str], None]) -> None:
+def _hand_out(client: Client, work: _Work, scheduler: str, say: Callable[[str], None]) -> None:
     try:
         if not client.scheduler_info()["workers"]:
             say("waiting for workers")
@@ -168,13 +171,13 @@ def _finished(client: Client, study: Study, name: str, indices: Sequence[int],
             if status == "cancelled":
                 raise _lost()
             try:
-                outcome = future.result()
+                found = future.result()
             except KilledWorker:
-                outcome = None
+                found = None
             except CancelledError:
                 raise _lost() from None
             del waiting[future.key]
-            yield keys[future.key], outcome
+            yield keys[future.key], found
 
 
 def _lost() -> SolverError:
