@@ -241,6 +241,22 @@ class Machine(MachineDescription):
         stated |= {known[name].path: note for name, note in (notes or {}).items()}
         return self._rebuilt(data, stated)
 
+    def with_joint_limits(self, limits: Mapping[str, tuple[float, float]]) -> Machine:
+        """The machine with other limits (lower, upper) [rad or m] of some joints.
+
+        Raises:
+            MachineError: a lower limit is not below the upper one.
+
+        >>> from hydroopt.machine.machine_file import load_machine
+        >>> load_machine("cat215b").with_joint_limits({"boom": (-1.0, 0.4)}).link("boom").joint.range
+        (-1.0, 0.4)
+        """
+        data = self.model_dump(exclude={"notes"})
+        for link in data["links"]:
+            if link["name"] in limits:
+                link["joint"] |= dict(zip(("lower", "upper"), limits[link["name"]], strict=True))
+        return self._rebuilt(data, self.notes)
+
     def without_bodies(self, owners: Collection[str]) -> Machine:
         """The machine without the bodies of these links, barrels and rods, nor what is stated of them.
 

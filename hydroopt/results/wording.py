@@ -134,6 +134,7 @@ class Kind(StrEnum):
     UNIQUENESS_NOT_EXAMINED = "uniqueness not examined"
     OTHER_SOLUTIONS = "initial guesses lead elsewhere"
     HELD_AT_BOUND = "held at a bound"
+    JOINT_LIMITS_NARROWED = "joint limits narrowed"
     NOT_IDENTIFIED_BY_POSES = "not identified by poses"
 
 
@@ -145,6 +146,10 @@ CONTRADICTIONS = REFUTATIONS | frozenset({
     Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED})
 """Kinds that make an answer suspect."""
 WORDS: dict[Kind, Words] = {
+    Kind.JOINT_LIMITS_NARROWED: Words(
+        "With the calibrated geometry the stroke of {cylinder} moves {subject} from {after_deg[0]:.2f} to "
+        "{after_deg[1]:.2f} deg; the machine file's limits, {before_deg[0]:.2f} to {before_deg[1]:.2f} deg, gave way.",
+        "Check that no pose lies beyond; if one does, correct dead length and stroke."),
     Kind.IMPOSSIBLE_NOMINAL_BODIES: Words(
         "No body can have the mass, centre of mass and inertia that the machine file states of {subject}: a principal "
         "moment of inertia is negative or exceeds the sum of the other two.",

@@ -125,6 +125,8 @@ def optimum(problem: CalibrationProblem, method: str, start: Array) -> tuple[flo
     solve = joint.maximum_likelihood if method == JOINT else link_by_link.sequential_least_squares
     start = np.clip(start, problem.parameters.lower, problem.parameters.upper)
     theta, q = solve(problem, start, guess_unsensed(problem, start))
+    # a solver keeps bounds to its tolerance only; a machine must keep them to the last digit
+    theta = np.clip(theta, problem.parameters.lower, problem.parameters.upper)
     return _cost(problem, theta, q), theta, q
 
 

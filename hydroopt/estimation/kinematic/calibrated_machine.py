@@ -2,20 +2,39 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
 from hydroopt.errors import HydrooptError
 from hydroopt.estimation.kinematic.solution import KinematicSolution
+from hydroopt.machine.joint_limits import NarrowedLimits, within_strokes
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, read_machine
 
 
-def calibrated_machine(solution: KinematicSolution) -> Machine:
+class CalibratedMachine(NamedTuple):
+    """The machine with the calibrated geometry, and the joint limits that its strokes narrowed."""
+
+    machine: Machine
+    narrowed: tuple[NarrowedLimits, ...]
+
+
+class MachineText(NamedTuple):
+    """Text of the calibrated machine's file; or "" and the reason why no machine can have this geometry."""
+
+    text: str = ""
+    reason: str = ""
+    narrowed: tuple[NarrowedLimits, ...] = ()
+
+
+def calibrated_machine(solution: KinematicSolution) -> CalibratedMachine:
     """The machine with the calibrated geometry and its confidences.
 
-    A vector keeps the largest of its confidences, and correlations are lost; angles of locked joints belong to the
-    poses and are not written.
+    Joint limits beyond the ends of a stroke give way to it, since limits are often assumed or rounded. A vector keeps
+    the largest of its confidences, and correlations are lost; angles of locked joints belong to the poses and are not
+    written.
 
     Raises:
         MachineError: no machine can have this geometry.
@@ -43,17 +62,18 @@ def calibrated_machine(solution: KinematicSolution) -> Machine:
             written[path] = max(written.get(path, 0.0), float(std))
             before = before.model_copy(update={"sigma": written[path], "relative": False})
         notes[name] = of_paths[path] = before.model_copy(update={"source": source})
-    return machine.with_values(values, notes)
+    return CalibratedMachine(*within_strokes(machine.with_values(values, notes)))
 
 
-def machine_text(solution: KinematicSolution) -> tuple[str, str]:
-    """Text of the calibrated machine's file, or "" and the reason why no machine can have this geometry."""
+def machine_text(solution: KinematicSolution) -> MachineText:
+    """The calibrated machine's file, where a machine can have this geometry."""
     try:
-        text = dump_machine(calibrated_machine(solution))
+        made = calibrated_machine(solution)
+        text = dump_machine(made.machine)
         read_machine(text, where="the calibrated machine")
     except (HydrooptError, ValueError) as error:
-        return "", _reason(solution.problem.model.machine, error)
-    return text, ""
+        return MachineText(reason=_reason(solution.problem.model.machine, error))
+    return MachineText(text, narrowed=made.narrowed)
 
 
 def _reason(machine: Machine, error: Exception) -> str:

@@ -72,8 +72,8 @@ class Calibration(KinematicSolution, Answer):
             prediction = loop_fit(*predicted(problem, problem.start, problem.validation))
         before = len(problem.poses if self.all_poses is None else self.all_poses.problem.poses)
         return tuple(diagnostics.diagnose(
-            self, nominal_prediction=prediction, impossible=self._machine_text[1], left_out=self.left_out,
-            poses_left_out=before - len(problem.poses)))
+            self, nominal_prediction=prediction, impossible=self._written.reason,
+            narrowed=self._written.narrowed, left_out=self.left_out, poses_left_out=before - len(problem.poses)))
 
     @cached_property
     def parameters(self) -> ParameterTable:
@@ -102,10 +102,10 @@ class Calibration(KinematicSolution, Answer):
         Raises:
             MachineError: no machine can have this geometry.
         """
-        return calibrated_machine.calibrated_machine(self)
+        return calibrated_machine.calibrated_machine(self).machine
 
     @cached_property
-    def _machine_text(self) -> tuple[str, str]:
+    def _written(self) -> calibrated_machine.MachineText:
         return calibrated_machine.machine_text(self)
 
     @property
@@ -167,7 +167,7 @@ class Calibration(KinematicSolution, Answer):
         files = {"parameters.csv": self.parameters.to_csv(), "residuals.csv": csv_text(self._residual_rows()),
                  "fit.csv": csv_text([{"data": data, "channel": channel, **fit.as_dict()}
                                       for data, table in self.fit.items() for channel, fit in table.items()])}
-        text = self._machine_text[0]
+        text = self._written.text
         return files | ({f"{self.machine_name}.toml": text} if text else {})
 
     def _residual_rows(self) -> list[dict[str, Any]]:

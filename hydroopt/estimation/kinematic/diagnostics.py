@@ -9,6 +9,7 @@ import numpy as np
 
 from hydroopt.estimation.kinematic.solution import JOINT, KinematicSolution
 from hydroopt.estimation.kinematic.suspects import Suspect, SuspectKind
+from hydroopt.machine.joint_limits import NarrowedLimits
 from hydroopt.results.diagnostic import Diagnostic, listed
 from hydroopt.results.fit import Fit
 from hydroopt.results.wording import Kind
@@ -28,13 +29,15 @@ FEW = 3
 
 
 def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fit], impossible: str,
-             left_out: Sequence[Suspect], poses_left_out: int) -> Iterator[Diagnostic]:
+             narrowed: Sequence[NarrowedLimits], left_out: Sequence[Suspect],
+             poses_left_out: int) -> Iterator[Diagnostic]:
     """All diagnostics, the gravest first.
 
     Args:
         solution: the calibration.
         nominal_prediction: fit of the held-out poses by the nominal geometry, by channel.
         impossible: why no machine can have the geometry; "" where one can.
+        narrowed: joint limits of the calibrated machine that gave way to strokes.
         left_out: suspects whose poses were left out, and how many poses these are.
     """
     if left_out:
@@ -52,6 +55,10 @@ def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fi
                  if bound)
     if held:
         yield Diagnostic(Kind.HELD_AT_BOUND, held)
+    for limits in narrowed:
+        yield Diagnostic(Kind.JOINT_LIMITS_NARROWED, (limits.joint,), {
+            "cylinder": limits.cylinder, "before_deg": np.degrees(limits.before).tolist(),
+            "after_deg": np.degrees(limits.after).tolist()})
     if impossible:
         yield Diagnostic(Kind.NO_CALIBRATED_MACHINE, (), {
             "reason": impossible.rstrip("."), "remedy": "Correct limits in the machine file, or fix parameters"})

@@ -1,0 +1,64 @@
+"""Joint limits that strokes permit: limits of a machine file are often assumed or rounded, strokes are not."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from hydroopt.machine.actuators import Cylinder
+from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.machine import Machine
+from hydroopt.spatial.cylinder_triangle import Triangle, triangle_angle
+
+INSIDE = 1e-6
+"""How far inside the end of a stroke, or inside a dead point, a limit is set [rad]."""
+
+
+class NarrowedLimits(NamedTuple):
+    """Limits (lower, upper) [rad] of a joint before and after, and the cylinder whose stroke ends sooner."""
+
+    joint: str
+    cylinder: str
+    before: tuple[float, float]
+    after: tuple[float, float]
+
+
+def within_strokes(machine: Machine) -> tuple[Machine, tuple[NarrowedLimits, ...]]:
+    """The machine with limits that no stroke contradicts, and which limits this narrowed.
+
+    Only cylinders on one revolute joint count. A joint whose cylinder fits nowhere keeps its limits: the check of the
+    machine file says what is wrong.
+
+    >>> from hydroopt.machine.machine_file import load_machine
+    >>> narrower, changes = within_strokes(load_machine("cat215b").with_values({"boom_cylinder.dead_length": 1.3}))
+    >>> [(change.joint, change.cylinder) for change in changes]
+    [('boom', 'boom_cylinder')]
+    """
+    geometry, changes = Geometry(machine), []
+    for cylinder in machine.cylinders:
+        found = geometry.triangle(cylinder)
+        if found is None:
+            continue
+        joint, sides = found
+        lower, upper = machine.link(joint).joint.range
+        reach = _reach(cylinder, sides, (lower + upper) / 2)
+        if reach is None:
+            continue
+        after = max(lower, reach[0]), min(upper, reach[1])
+        if after != (lower, upper) and after[0] < after[1]:
+            changes.append(NarrowedLimits(joint, cylinder.name, (lower, upper), after))
+    return machine.with_joint_limits({change.joint: change.after for change in changes}), tuple(changes)
+
+
+def _reach(cylinder: Cylinder, sides: Triangle, middle: float) -> tuple[float, float] | None:
+    """Angles [rad] about the one given that the stroke covers without a dead point; None if there are none."""
+    fixed, moving, offset, lateral = (float(side) for side in sides)
+    branch = 1 if np.sin(middle + offset) > 0 else -1
+    shortest, longest = (float(np.hypot(fixed + sign * moving, lateral)) for sign in (-1, 1))
+    ends = np.clip([cylinder.dead_length, cylinder.dead_length + cylinder.stroke], shortest, longest)
+    if ends[0] >= ends[1]:
+        return None
+    # at a clipped end pins and axis lie in one line, a dead point
+    low, high = sorted(float(triangle_angle(sides, end, branch, middle)) for end in ends)
+    return low + INSIDE, high - INSIDE
