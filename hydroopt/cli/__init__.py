@@ -35,7 +35,26 @@ class Deferred(TyperCommand):
         if group is None:
             group = typer.Typer(add_completion=False, rich_markup_mode=None)
             group.command(self.name)(getattr(module, self.key))
-        return typer.main.get_command(group).make_context(info_name, args, parent, **extra)
+        command = typer.main.get_command(group)
+        return command.make_context(info_name, _each_file_named(command, args), parent, **extra)
+
+
+def _each_file_named(command: Any, arguments: list[str]) -> list[str]:
+    """Arguments with the option of files before each of its files: ``--validate a b`` as ``--validate a --validate b``.
+
+    A shell's pattern stands for several files: those after the first must not count as other arguments.
+    """
+    takes_files = {name for option in command.params if getattr(option, "multiple", False)
+                   and "LOG" in (option.metavar or "") for name in option.opts}
+    named: list[str] = []
+    option = ""
+    for argument in arguments:
+        if argument.startswith("-"):
+            option = argument if argument in takes_files else ""
+        elif option and named[-1] != option:
+            named.append(option)
+        named.append(argument)
+    return named
 
 
 class Group(TyperGroup):

@@ -32,7 +32,8 @@ def calibrate(
     machine: MachineName,
     logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Tables of poses (.csv, .parquet).")],
     output: Directory,
-    validate: Annotated[list[Path] | None, typer.Option(help="Table of poses for validation; repeatable.")] = None,
+    validate: Annotated[list[Path] | None, typer.Option(
+        metavar="LOG...", help="Tables of poses for validation.")] = None,
     holdout_stage: Annotated[list[str] | None, typer.Option(
         help="Stage that is held out for validation; repeatable.")] = None,
     map_file: MapFile = None,

@@ -35,6 +35,7 @@ def excite(
     machine: MachineName,
     output: Directory,
     log: Annotated[list[Path] | None, typer.Option(
+        metavar="LOG...",
         help="Log already measured, to which the motion is to add; repeatable.")] = None,
     map_file: MapFile = None,
     duration: Annotated[float, typer.Option(help="The motion takes at most so long [s].")] = 33.0,

@@ -37,7 +37,7 @@ Treat = Annotated[list[str] | None, typer.Option(
 
 AsParquet = Annotated[bool, typer.Option("--parquet", help="Write Parquet instead of CSV.")]
 TrainingLogs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="Training logs (.csv, .parquet, .mat).")]
-ValidationLogs = Annotated[list[Path] | None, typer.Option(help="Validation log; repeatable.")]
+ValidationLogs = Annotated[list[Path] | None, typer.Option(metavar="LOG...", help="Validation logs.")]
 Holdout = Annotated[float, typer.Option(
     help="Part of the end of every log that is held out for validation.", min=0.0, max=0.9)]
 LossName = Annotated[str, typer.Option(help="squares, huber or student_t.")]
