@@ -80,7 +80,7 @@ def control(
         variants = [*([before] if before else ()), *([reduced(complete)] if FEEDFORWARD in kinds else ()), complete]
         setting = Setting(plant, motion, *truth(true, plant, seed=seed), plant.parameters.nominal,
                           rate_of(plant, rate, motion), seed if noise else None, sensitivity, gain)
-        comparison = replace(compare(setting, variants, kinds, say=say), source=origin.text, options={
+        comparison = replace(compare(setting, variants, kinds, progress=say), source=origin.text, options={
             "trajectory": str(trajectory), "truth": true, "seed": seed, "noise": noise, "sensitivity": sensitivity,
             "gain": gain, "controllers": list(kinds)})
         say("writing the report and the code")

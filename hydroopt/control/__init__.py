@@ -1,1 +1,1 @@
-"""The closed loop: linear models, controllers, and what a calibrated model buys on the machine."""
+"""Closed-loop control: linear models, controllers, and their comparison in simulation."""

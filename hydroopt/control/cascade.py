@@ -1,4 +1,4 @@
-"""Position, force and valve in cascade: feedback of lengths and pressures about what a motion demands."""
+"""Cascade control of position, force and valve: feedback of lengths and pressures added to a feedforward."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ class Gains:
     Attributes:
         position: speed per error of the length [1/s].
         force: speed per error of the force [m/(s·N) or rad/(s·N·m)].
-        integral_time: time in which the integral of an error asks for as much as the error itself [s].
+        integral_time: T_i of the integral action on the length's error [s].
         filter_time: time constant of a low pass on all feedback [s]; 0 for none.
     """
 
@@ -33,14 +33,14 @@ class Gains:
 class Cascade:
     """v = v_r + K_x·(e + ∫e/T_i) + K_f·(f_r − f), and the command at which the valve gives this speed.
 
-    e is the error of the actuator's length, f its force by the pressures, v_r and f_r what the motion demands. Read
-    from outside to inside: the position loop asks for a force f_r + K_x/K_f·(e + ∫e/T_i), the force loop for a speed
-    beside that of the motion, and the valve's flow equation is solved for the command (position, force, valve: as in
-    Sirouspour and Salcudean 2001, with linear feedback in place of their Lyapunov design). A force that is off by Δf so
-    puts the length off by K_f/K_x·Δf until the integral has found it.
+    e is the error of the actuator's length, f its force computed from pressures; v_r and f_r are speed and force of the
+    reference. The outer position loop demands the force f_r + K_x/K_f·(e + ∫e/T_i), the force loop adds a speed to
+    v_r, and the valve's flow equation is solved for the command (position, force, valve: as in Sirouspour and
+    Salcudean 2001, with linear feedback in place of their Lyapunov design). An error Δf of the feedforward force
+    causes a length error of K_f/K_x·Δf until the integral action has removed it.
 
-    With the demand of gravity alone (v_r = 0) it is the PI controller with gravity compensation, with that of a motion
-    the computed-force feedforward.
+    With v_r = 0 and the static forces as f_r this is PI control with gravity compensation; with speeds and forces of
+    the motion it is computed-force feedforward.
     """
 
     def __init__(self, valves: Valves, demand: Demand, gains: Gains, period: float) -> None:
@@ -53,22 +53,22 @@ class Cascade:
         self._integral[:] = self._filtered[:] = 0.0
 
     def command(self, k: int, reading: Reading) -> Array:
-        """Commands (n,) at a sample, as the sensors show the machine."""
+        """Commands (n,) at sample k from the readings."""
         demand, gains = self.demand, self.gains
         error = demand.length[k] - reading.length
-        feedback = gains.position * (error + self._integral) + gains.force * (demand.shown[k] - reading.force)
+        feedback = gains.position * (error + self._integral) + gains.force * (demand.measured_force[k] - reading.force)
         self._filtered = self._pole * self._filtered + (1 - self._pole) * feedback
-        ahead = demand.ahead
-        command, opening = self.valves.command(ahead.speed[k] + self._filtered, ahead.force_rate[k], ahead.length[k],
-                                               ahead.pressure[k], reading.supply)
-        # a valve that is fully open lets no integral grow
+        preview = demand.preview
+        command, opening = self.valves.command(preview.speed[k] + self._filtered, preview.force_rate[k],
+                                               preview.length[k], preview.pressure[k], reading.supply)
+        # anti-windup: the integral is held while the valve is fully open
         self._integral += np.where(np.abs(opening) < 1, self.period * error / gains.integral_time, 0.0)
         return command
 
     def linear(self, point: Point) -> control.StateSpace:
-        """Small changes of commands per small changes of q, forces and supply pressure.
+        """The linearised controller: from q, forces and supply pressure to commands.
 
-        Two states each: integral and filter.
+        It has two states per actuator: integral and filter.
         """
         gains, pole = self.gains, np.diag(self._pole)
         n = len(pole)

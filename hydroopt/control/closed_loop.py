@@ -1,4 +1,4 @@
-"""The closed loop over time: the true plant between the samples, sensors that err, commands that come late."""
+"""Simulation of the closed loop: the true plant between samples, sensors with errors, commands with delays."""
 
 from __future__ import annotations
 
@@ -14,12 +14,13 @@ from hydroopt.logs.sensors import measure
 from hydroopt.model.plant import Plant
 from hydroopt.spatial.inertia import Array
 
-BEYOND = 0.2
-"""Part of a joint's range beyond its limits at which a simulation ends: the machine would have hit its stops."""
+OVERRUN = 0.2
+"""Part of a joint's range by which it may exceed its limits; beyond that the machine hits its stops and the run
+ends."""
 
 
 class Controller(Protocol):
-    """What closes the loop."""
+    """A sampled controller."""
 
     def reset(self) -> None:
         """Return to the initial state."""
@@ -30,16 +31,16 @@ class Controller(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class Run:
-    """What the machine did.
+    """One simulated run of the closed loop.
 
     Attributes:
         t: times (N,) of the samples.
         q: joint positions (N, n).
-        u: commands (N, n) as the valves got them.
+        u: commands (N, n) after saturation, before the valves' delays.
         pressure: of the chambers (N, n, 2) [Pa].
         flow: into the valves (N, n) [m³/s].
         p_supply: (N,) [Pa].
-        stopped: why it ended early, in words; "" if it did not. Arrays then end there.
+        stopped: why the run ended early, in words, with arrays that end there; "" if it did not.
     """
 
     t: Array
@@ -52,12 +53,13 @@ class Run:
 
     @property
     def energy(self) -> float:
-        """Drawn from the supply [J]."""
+        """Energy drawn from the supply [J]."""
         return float(np.trapezoid(self.p_supply * np.sum(self.flow, axis=1), self.t))
 
 
 class Sensors:
-    """Readings of all that a controller needs, each with the errors and at the rate that the machine file states."""
+    """Readings of angles, chamber pressures and supply pressure, with the errors and rates that the machine file
+    states."""
 
     def __init__(self, plant: Plant, offsets: Array, period: float, seed: int | None) -> None:
         machine = plant.machine
@@ -66,12 +68,12 @@ class Sensors:
             names += each.chambers
         self.channels = [*names, "pump.p_supply"]
         self.sensors = [machine.sensor(name) for name in self.channels]
-        # a sensor slower than the controller is read anew at some of the samples only
+        # a sensor slower than the controller holds its last reading in between
         self.every = [max(1, round(1 / (sensor.rate * period))) if sensor and sensor.rate else 1
                       for sensor in self.sensors]
         self.areas = np.array([each.areas for each in plant.actuators])
         self.added = np.zeros(len(self.channels))
-        # what a transducer adds to the force is in the pressure of chamber a
+        # the offset of the measured force is added to the pressure of chamber a
         self.added[len(machine.joints):-1:2] = offsets / self.areas[:, 0]
         self.rng = None if seed is None else np.random.default_rng(seed)
         self.held = np.zeros(len(self.channels))
@@ -88,7 +90,7 @@ class Sensors:
 
 def simulate(demands: Demands, controller: Controller, psi: Array, theta: Array, *,
              seed: int | None = 0) -> Run:
-    """Let a controller drive the machine along a motion, from a start on it.
+    """Simulate a controller that drives the machine along a motion and starts on it.
 
     Args:
         demands: plant, motion and samples.
@@ -106,31 +108,31 @@ def simulate(demands: Demands, controller: Controller, psi: Array, theta: Array,
     first = demands.reference.at(t[:1])
     steady = plant.steady(first.q[0], first.qd[0], psi, theta)
     sensors = Sensors(plant, offset(plant.model, psi), period, seed)
-    late = Late(np.array([each.valve.delay for each in plant.actuators]), period, steady.u)
-    steps = {seconds: plant.integrator(seconds, psi, theta) for seconds in late.pieces}
+    delay = CommandDelay(np.array([each.valve.delay for each in plant.actuators]), period, steady.u)
+    steps = {seconds: plant.integrator(seconds, psi, theta) for seconds in delay.pieces}
     lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
-    room = BEYOND * (upper - lower)
+    overrun = OVERRUN * (upper - lower)
     x, tank, stopped = steady.x, plant.supply[1], ""
     rows: list[tuple[Array, ...]] = []
     controller.reset()
     for k in range(len(t)):
-        outputs = plant.outputs.call({"x": x, "u": late.now, "supply": plant.supply, "psi": psi, "theta": theta})
+        outputs = plant.outputs.call({"x": x, "u": delay.current, "supply": plant.supply, "psi": psi, "theta": theta})
         q, flow = (np.asarray(outputs[key]).ravel() for key in ("q", "flow"))
         pressure, p_supply = np.asarray(outputs["pressure"]), float(outputs["p_supply"])
-        if np.any((q < lower - room) | (q > upper + room)):
+        if np.any((q < lower - overrun) | (q > upper + overrun)):
             stopped = f"the machine hits its stops at {t[k]:.2f} s"
             break
-        shown = sensors.read(k, q, pressure, p_supply)
-        p = shown[n:-1].reshape(n, 2)
-        angles = shown[:n].copy()
+        readings = sensors.read(k, q, pressure, p_supply)
+        p = readings[n:-1].reshape(n, 2)
+        angles = readings[:n].copy()
         length = np.asarray(plant.actuator_motion(angles, angles)[0]).ravel()
         force = sensors.areas[:, 0] * p[:, 0] - sensors.areas[:, 1] * p[:, 1]
-        reading = Reading(angles, length, force, np.array([shown[-1], tank]))
+        reading = Reading(angles, length, force, np.array([readings[-1], tank]))
         u = np.clip(controller.command(k, reading), *demands.valves.limits)
         rows.append((q, u, pressure, flow, np.array(p_supply)))
         try:
-            for seconds, held in late.after(u):
-                x = np.asarray(steps[seconds](x, held, plant.supply)).ravel()
+            for seconds, command in delay.push(u):
+                x = np.asarray(steps[seconds](x, command, plant.supply)).ravel()
         except RuntimeError:
             raise SolverError(f"the plant cannot be integrated beyond {t[k]:.2f} s", where="control",
                               remedy="check the numbers of its circuits, or lower the gains") from None
@@ -138,8 +140,8 @@ def simulate(demands: Demands, controller: Controller, psi: Array, theta: Array,
     return Run(t[:len(rows)], q, u, pressure, flow, supply, stopped)
 
 
-class Late:
-    """Commands on their way: which are in force in which part of a sampling period."""
+class CommandDelay:
+    """The valves' delays: which commands act in which part of a sampling period."""
 
     def __init__(self, delays: Array, period: float, u: Array) -> None:
         self.whole = np.floor(delays / period * (1 + 1e-12)).astype(int)
@@ -148,14 +150,15 @@ class Late:
         self.starts, self.lengths = edges[:-1], np.diff(edges)
         self.pieces = set(self.lengths.tolist())
         self.part = part
-        self.past = np.tile(u, (int(np.max(self.whole)) + 2, 1))  # newest first
-        self.now = u
+        self.history = np.tile(u, (int(np.max(self.whole)) + 2, 1))  # newest first
+        self.current = u
 
-    def after(self, u: Array) -> list[tuple[float, Array]]:
-        """Lengths of the pieces of the next period with the commands in force in each."""
-        self.past = np.vstack([u, self.past[:-1]])
+    def push(self, u: Array) -> list[tuple[float, Array]]:
+        """Enter new commands; returns the pieces of the next period, each with its length [s] and the commands acting
+        in it."""
+        self.history = np.vstack([u, self.history[:-1]])
         each = np.arange(len(u))
-        pieces = [(float(length), self.past[self.whole + (self.part > start), each])
+        pieces = [(float(length), self.history[self.whole + (self.part > start), each])
                   for start, length in zip(self.starts, self.lengths, strict=True)]
-        self.now = pieces[-1][1]
+        self.current = pieces[-1][1]
         return pieces

@@ -1,4 +1,4 @@
-"""Which controller follows a motion best: all candidates on the same machine, with the same errors of the sensors."""
+"""Comparison of controllers on one motion: all candidates on the same machine, with the same sensor errors."""
 
 from __future__ import annotations
 
@@ -41,15 +41,15 @@ METHOD = "simulation of closed loops"
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Comparison(Answer):
-    """All candidates on one motion.
+    """The outcomes of all candidates on one motion.
 
     Attributes:
         setting: machine, motion and truth.
         gains: of the cascade.
-        points: of the motion, then of the workspace, at which margins were taken.
+        points: of the motion, then of the workspace, at which margins were computed.
         outcomes: in the order of the candidates.
         reference: joint positions (N, n) to follow.
-        source: where the machine's parameters are from.
+        source: origin of the machine's parameters, in words.
         options: of the command, kept in the JSON file.
     """
 
@@ -76,7 +76,7 @@ class Comparison(Answer):
 
     @property
     def machine_id(self) -> MachineId:
-        """Which machine it is about."""
+        """Name, parameter set and digest of the machine."""
         return MachineId.of(self.machine)
 
     @property
@@ -110,20 +110,20 @@ class Comparison(Answer):
                 for outcome in self.outcomes}
 
     def _tracking(self, outcome: Outcome, k: int) -> Fit:
-        error, wanted = outcome.error[:, k], self.reference[:len(outcome.error), k]
+        error, reference = outcome.error[:, k], self.reference[:len(outcome.error), k]
         rms, spread, size = (float(value) for value in (
-            np.sqrt(np.mean(error**2)), np.ptp(wanted), np.sqrt(np.mean(wanted**2))))
-        return Fit(rms, float(1 - np.var(error) / np.var(wanted)) if spread else float("nan"),
+            np.sqrt(np.mean(error**2)), np.ptp(reference), np.sqrt(np.mean(reference**2))))
+        return Fit(rms, float(1 - np.var(error) / np.var(reference)) if spread else float("nan"),
                    rms / size if size else float("inf"), self.machine.channel_units[f"{self.machine.joints[k]}.q"],
                    float(np.max(np.abs(error))), rms / spread if spread else float("inf"))
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:
-        """None: everything is simulated."""
+        """Empty: everything is simulated."""
         return ()
 
     def details(self) -> Mapping[str, Any]:
-        """Options, the winner, and of every candidate its errors, pressures, energy and least margins."""
+        """Options, the best candidate, and errors, pressures, energy and smallest margins of every candidate."""
         return {**self.options, "origin": self.source, "rate": self.setting.rate,
                 "truth_text": self.setting.true.text, "winner": self.winner.name,
                 "candidates": [self._candidate(each) for each in self.outcomes]}
@@ -147,8 +147,8 @@ class Comparison(Answer):
                 for k, (joint, each) in enumerate(zip(self.machine.joints, self.setting.plant.actuators, strict=True))]
 
     def files(self) -> Mapping[str, str | bytes]:
-        """Tables of tracking errors and of margins; and reference, positions and commands of all that reached the end.
-        """
+        """Tables of tracking errors and of margins; reference, positions and commands of all runs that reached the
+        end."""
         tracking = [{"controller": outcome.name, "parameters": outcome.variant.name, **each}
                     for outcome in self.outcomes for each in self._joints(outcome)]
         margins = [{"controller": outcome.name, **margin.as_dict()}
@@ -180,25 +180,25 @@ class Comparison(Answer):
         return "\n".join(lines)
 
     def psi_of(self, variant: ModelVariant) -> Array:
-        """Parameters ψ (p,) of the complete model that make a variant's forces: zero for bodies that it lacks."""
+        """Parameters ψ (p,) of the complete model with the forces of a variant: zero for bodies that it lacks."""
         positions = variant.model.parameters.positions
         return np.array([variant.psi[positions[name]] if name in positions else 0.0
                          for name in self.setting.plant.model.parameters.names])
 
     @property
     def winner(self) -> Outcome:
-        """The least RMS error of the tip, of all that do not need the truth."""
+        """The outcome with the smallest RMS error of the tip, among those that do not use the true parameters."""
         return min((o for o in self.outcomes if o.variant.name != TRUE), key=lambda o: o.tip_rms)
 
     @property
     def feedforward(self) -> Outcome | None:
-        """The best of the feedforwards that do not need the truth."""
-        own = [o for o in self.outcomes if o.kind == FEEDFORWARD and o.variant.name != TRUE]
-        return min(own, key=lambda o: o.tip_rms, default=None)
+        """The best feedforward that does not use the true parameters."""
+        candidates = [o for o in self.outcomes if o.kind == FEEDFORWARD and o.variant.name != TRUE]
+        return min(candidates, key=lambda o: o.tip_rms, default=None)
 
 
 def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[str] = (PI, FEEDFORWARD, LQG), *,
-            say: Callable[[str], None] = lambda _: None) -> Comparison:
+            progress: Callable[[str], None] = lambda _: None) -> Comparison:
     """Let every candidate follow the motion.
 
     Gains are tuned once, by the parameters that count as complete, and are the same for PI and all feedforwards.
@@ -207,10 +207,10 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
         setting: machine, motion and truth.
         variants: models to give to controllers, the complete one among them; the true one is added.
         kinds: of controllers.
-        say: is called with a sentence on the progress.
+        progress: is called with a sentence on the progress.
 
     Raises:
-        ProblemError: the motion asks for more than pump or valves give, or a loop is unstable on the way.
+        ProblemError: the motion demands more than pump or valves give, or a loop is unstable at a point of the motion.
         SolverError: the plant could not be integrated.
     """
     best = next(each for each in variants if each.name == COMPLETE)
@@ -218,43 +218,43 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
     refuse_flow(setting.plant, setting.reference.at(setting.t))
     demand = demands.by(best.model, best.psi)
     refuse_opening(setting.plant, setting.t, demand, demands.valves)
-    say("tuning")
-    way, space = setting.points(best.psi, setting.theta)
-    plants = setting.plants([*way, *space], best.psi, setting.theta)
-    gains = tuned(plants, [*way, *space], demands.valves, setting.sensitivity)
+    progress("tuning")
+    on_motion, in_workspace = setting.points(best.psi, setting.theta)
+    plants = setting.plants([*on_motion, *in_workspace], best.psi, setting.theta)
+    gains = tuned(plants, [*on_motion, *in_workspace], demands.valves, setting.sensitivity)
     gains = replace(gains, position=setting.gain * gains.position)
     candidates: list[tuple[str, str, ModelVariant, Cascade | Lqg]] = []
     if PI in kinds:
-        still = demands.by(best.model, best.psi, gravity_only=True)
-        candidates.append(("PI with gravity compensation", PI, best, Cascade(demands.valves, still, gains, period)))
+        static = demands.by(best.model, best.psi, gravity_only=True)
+        candidates.append(("PI with gravity compensation", PI, best, Cascade(demands.valves, static, gains, period)))
     if FEEDFORWARD in kinds:
         candidates += [(f"feedforward {each.name}", FEEDFORWARD, each, Cascade(
             demands.valves, demands.by(each.model, each.psi), gains, period)) for each in (*variants, setting.true)]
     if LQG in kinds:
         noise = reading_noise(setting.plant)
-        designs = [design(plant, at, demands.valves, gains.position, noise)
-                   for plant, at in zip(plants, way, strict=False)]
-        nearest = np.minimum(np.arange(len(setting.t)) * len(way) // len(setting.t), len(way) - 1)
+        designs = [design(plant, each, demands.valves, gains.position, noise)
+                   for plant, each in zip(plants, on_motion, strict=False)]
+        nearest = np.minimum(np.arange(len(setting.t)) * len(on_motion) // len(setting.t), len(on_motion) - 1)
         candidates.append(("LQG", LQG, best, Lqg(demands.valves, demand, designs, nearest.tolist(), period)))
-    way, space = setting.points(setting.true.psi, setting.true_theta)
-    true_plants = setting.plants([*way, *space], setting.true.psi, setting.true_theta)
+    on_motion, in_workspace = setting.points(setting.true.psi, setting.true_theta)
+    true_plants = setting.plants([*on_motion, *in_workspace], setting.true.psi, setting.true_theta)
     path, outcomes = setting.reference.at(setting.t), []
-    looked: dict[type, tuple[tuple[Margin, ...], Bode]] = {}  # all cascades have the same loops
+    analysed: dict[type, tuple[tuple[Margin, ...], Bode]] = {}  # all cascades have the same loops
     for name, kind, variant, controller in candidates:
-        say(name)
-        if type(controller) not in looked:
-            looked[type(controller)] = _margins(true_plants, [*way, *space], controller, demands)
-        found, bode = looked[type(controller)]
-        refuse_unstable(name, [m for m in found if m.point in {at.name for at in way}])
+        progress(name)
+        if type(controller) not in analysed:
+            analysed[type(controller)] = _margins(true_plants, [*on_motion, *in_workspace], controller, demands)
+        found, bode = analysed[type(controller)]
+        refuse_unstable(name, [m for m in found if m.point in {each.name for each in on_motion}])
         run = simulate(demands, controller, setting.true.psi, setting.true_theta, seed=setting.seed)
-        wanted = path.q[:len(run.t)]
-        away = np.linalg.norm(tip(setting.plant, run.q) - tip(setting.plant, wanted), axis=1)
-        outcomes.append(Outcome(name, kind, variant, run, run.q - wanted, away, found, bode))
-    return Comparison(setting, gains, (*way, *space), tuple(outcomes), path.q)
+        reference = path.q[:len(run.t)]
+        tip_error = np.linalg.norm(tip(setting.plant, run.q) - tip(setting.plant, reference), axis=1)
+        outcomes.append(Outcome(name, kind, variant, run, run.q - reference, tip_error, found, bode))
+    return Comparison(setting, gains, (*on_motion, *in_workspace), tuple(outcomes), path.q)
 
 
 def tip(plant: Plant, q: Array) -> Array:
-    """Where the last link's far end is (N, 3) [m]."""
+    """Positions (N, 3) [m] of the last link's far end in the base frame."""
     model = plant.model
     return np.asarray(model.over(model.forward_kinematics, q)[-1][:, :3, 3])
 
@@ -264,8 +264,8 @@ def _margins(plants: Sequence[control.StateSpace], points: Sequence[Point], cont
     names = [each.actuator.name for each in demands.plant.actuators]
     found: list[Margin] = []
     curves = []
-    for plant, at in zip(plants, points, strict=True):
-        here, omega, L = margins(plant, controller.linear(at), names, at.name)
+    for plant, point in zip(plants, points, strict=True):
+        here, omega, L = margins(plant, controller.linear(point), names, point.name)
         found += here
-        curves.append((min(m.distance for m in here), Bode(at.name, omega, L)))
+        curves.append((min(m.distance for m in here), Bode(point.name, omega, L)))
     return tuple(found), min(curves, key=lambda curve: curve[0])[1]

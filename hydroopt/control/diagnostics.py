@@ -1,4 +1,4 @@
-"""What a reader should know before trusting a comparison of controllers."""
+"""Diagnostics of a comparison of controllers: small margins, runs that ended early, saturated valves."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.wording import Kind
 
-ENOUGH_DB, ENOUGH_DEG = 6.0, 45.0
+SMALL_DB, SMALL_DEG = 6.0, 45.0
 """Gain and phase margins below which a loop is reported."""
 SATURATED = 0.01
 """Part of the time for which a valve may be fully open."""
@@ -31,12 +31,12 @@ def _margins(setting: Setting, outcomes: Sequence[Outcome], feedforward: Outcome
         for each in setting.plant.actuators:
             gain, phase = (outcome.worst(each.actuator.name, key) for key in ("gain", "phase"))
             if outcome.kind == FEEDFORWARD and outcome is not feedforward:
-                continue  # its loops are those of the best one
+                continue  # all feedforwards have the same loops
             if unstable := next((m for m in (gain, phase) if m.damping < 0), None):
                 yield Diagnostic(Kind.UNSTABLE_ELSEWHERE, (outcome.name,), {"point": unstable.point})
                 break
             decibels, degrees = 20 * np.log10(gain.gain), np.degrees(phase.phase)
-            if decibels < ENOUGH_DB or degrees < ENOUGH_DEG:
+            if decibels < SMALL_DB or degrees < SMALL_DEG:
                 yield Diagnostic(Kind.SMALL_MARGINS, (outcome.name,), {
                     "loop": each.actuator.name, "gain_db": float(decibels), "gain_point": gain.point,
                     "phase_deg": float(degrees), "phase_point": phase.point})
@@ -46,7 +46,7 @@ def _runs(setting: Setting, outcomes: Sequence[Outcome]) -> Iterator[Diagnostic]
     low, high = setting.demands.valves.limits
     for outcome in outcomes:
         if outcome.run.stopped:
-            yield Diagnostic(Kind.RUN_STOPPED, (outcome.name,), {"why": outcome.run.stopped})
+            yield Diagnostic(Kind.RUN_STOPPED, (outcome.name,), {"reason": outcome.run.stopped})
         part = np.mean((outcome.run.u <= low) | (outcome.run.u >= high), axis=0)
         for k, each in enumerate(setting.plant.actuators):
             if part[k] > SATURATED:

@@ -1,4 +1,4 @@
-"""What pump and valves can sustain, and what is refused before a motion or a loop is simulated."""
+"""Checks before a simulation: flow of the pump, openings of the valves, stability of the loops."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array
 
 SPARE = 0.02
-"""Part of the pump's flow that a steady motion leaves to leaks."""
+"""Part of the pump's flow that is reserved for leaks in a steady motion."""
 
 
 def flow_demand(plant: Plant, q: Array, qd: Array) -> Array:
@@ -28,7 +28,7 @@ def flow_demand(plant: Plant, q: Array, qd: Array) -> Array:
 def steady_speeds(plant: Plant, q: Array, qd: Array, least: Array) -> Array:
     """Joint speeds (n,) near `qd`, none slower than `least` (n,), that the pump sustains in a posture `q` (n,).
 
-    A slow joint is raised to its least speed, since a shut valve closes no loop. If all joints together then take more
+    A slower joint gets its least speed, since the loop of a shut valve is open. If all joints together then take more
     than the pump gives, the faster ones are slowed in proportion.
     """
     most = plant.machine.pump.max_flow if plant.machine.pump else None
@@ -75,14 +75,15 @@ def refuse_opening(plant: Plant, t: Array, demand: Demand, valves: Valves) -> No
 
 
 def openings(demand: Demand, valves: Valves, supply: Array) -> Array:
-    """Of the valves (N, n) along a motion, cut at fully open."""
-    ahead = demand.ahead
-    return np.array([np.asarray(valves.function(ahead.speed[k], ahead.force_rate[k], ahead.length[k], ahead.pressure[k],
-                                                supply)[1]).ravel() for k in range(len(ahead.speed))])
+    """Openings (N, n) of the valves along a motion, −1 to 1, saturated at fully open."""
+    preview = demand.preview
+    return np.array([np.asarray(valves.function(preview.speed[k], preview.force_rate[k], preview.length[k],
+                                                preview.pressure[k], supply)[1]).ravel()
+                     for k in range(len(preview.speed))])
 
 
 def refuse_unstable(name: str, margins: Sequence[Margin]) -> None:
-    """Refuse a controller whose loops do not hold the machine.
+    """Refuse a controller with an unstable loop.
 
     Raises:
         ProblemError: a loop is unstable; the sentence states loop, posture and gain margin.

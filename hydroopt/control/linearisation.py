@@ -11,15 +11,15 @@ from hydroopt.model.plant import Plant, Steady
 from hydroopt.spatial.inertia import Array
 
 
-def state_space(plant: Plant, at: Steady, psi: Array, theta: Array, *, supply: Array | None = None,
+def state_space(plant: Plant, steady: Steady, psi: Array, theta: Array, *, supply: Array | None = None,
                 outputs: Sequence[str] | None = None) -> control.StateSpace:
     """The machine near a state as δẋ = A·δx + B·δu, y = C·δx, with named states, inputs and outputs, see `signal`.
 
-    A machine that moves steadily does not rest in q: the linear model holds as long as the posture has hardly changed.
+    Positions change in a steady motion: the linear model holds while the posture has hardly changed.
 
     Args:
         plant: the machine.
-        at: state and commands about which it is linearised, such as those of `Plant.steady`.
+        steady: state and commands about which it is linearised, such as those of `Plant.steady`.
         psi: dynamic parameters (p,).
         theta: hydraulic ones.
         supply: pressures (2,) of supply and tank; those of the machine file if None.
@@ -28,7 +28,7 @@ def state_space(plant: Plant, at: Steady, psi: Array, theta: Array, *, supply: A
     Raises:
         ProblemError: the machine file states no supply pressure.
     """
-    A, B = plant.jacobians(at.x, at.u, plant.supply if supply is None else supply, psi, theta)
+    A, B = plant.jacobians(steady.x, steady.u, plant.supply if supply is None else supply, psi, theta)
     names = list(plant.states)
     chosen = list(outputs or names[:len(plant.machine.joints)])
     C = np.eye(len(names))[[names.index(name) for name in chosen]]
@@ -38,5 +38,5 @@ def state_space(plant: Plant, at: Steady, psi: Array, theta: Array, *, supply: A
 
 
 def signal(name: str) -> str:
-    """What python-control, which allows no dots, calls a state, command or output."""
+    """Name of a state, command or output in python-control, which allows no dots."""
     return name.replace(".", "_")

@@ -1,4 +1,4 @@
-"""Gain and phase margins, distances and dampings of the loops that a sampled controller closes."""
+"""Gain and phase margins, Nyquist distances and damping ratios of the loops of a sampled controller."""
 
 from __future__ import annotations
 
@@ -12,23 +12,23 @@ from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 
 FREQUENCIES = 400
-"""At which loops are looked at, up to half the sampling rate."""
+"""Number of frequencies at which loops are analysed, up to half the sampling rate."""
 SLOWEST = 2e-4
-"""Lowest of these, as a part of the sampling rate."""
+"""The lowest of these frequencies, as a part of the sampling rate."""
 
 
 class Margin(NamedTuple):
     """How far a loop is from instability.
 
     Attributes:
-        point: where, in words.
+        point: name of the operating point.
         loop: the actuator at whose command the loop is cut, all others closed.
-        gain: by which factor the gain may grow, infinite if by any; where the loop is unstable, less than one.
-        gain_at: frequency [rad/s] of that.
-        phase: by how much the phase may fall [rad]; infinite if the gain never reaches one.
-        phase_at: frequency [rad/s] of that.
-        distance: least distance of the Nyquist curve from −1.
-        damping: least damping ratio of the closed loop's poles; negative where it is unstable.
+        gain: gain margin as a factor; infinite if there is none to reach, less than one where the loop is unstable.
+        gain_at: its frequency [rad/s], where the phase crosses −180 degrees.
+        phase: phase margin [rad]; infinite if the gain never reaches one.
+        phase_at: its frequency [rad/s], where the gain crosses one.
+        distance: smallest distance of the Nyquist curve from −1.
+        damping: smallest damping ratio of the closed loop's poles; negative where it is unstable.
     """
 
     point: str
@@ -62,7 +62,8 @@ def responses(plant: control.StateSpace, feedback: control.StateSpace, omega: Ar
 
 
 def one_by_one(G: Array, which: Sequence[int] = ()) -> Array:
-    """L (n, …) of each loop, or of some, from the responses (…, n, n) of all commands to themselves round the loops."""
+    """L (n, …) of each loop, or of some, from the responses (…, n, n) of all commands to commands through plant and
+    controller."""
     n = G.shape[-1]
     loops = []
     for i in which or range(n):
@@ -74,7 +75,7 @@ def one_by_one(G: Array, which: Sequence[int] = ()) -> Array:
 
 
 def poles(plant: control.StateSpace, feedback: control.StateSpace) -> Array:
-    """Of the closed loop, in the z plane."""
+    """Poles of the closed loop, in the z plane."""
     return np.asarray(control.feedback(plant, feedback, sign=1).poles())
 
 
@@ -90,11 +91,11 @@ def margins(plant: control.StateSpace, feedback: control.StateSpace, names: Sequ
     for name, loop in zip(names, L, strict=True):
         gains, phases, distances, gain_at, phase_at, _ = control.stability_margins(
             control.FrequencyResponseData(loop, omega, smooth=True), returnall=True)
-        # of an unstable loop the factor counts that would bring it back
-        own = [(g, w) for g, w in zip(gains, gain_at, strict=True) if (g > 1) == (damping >= 0)]
-        gain, at = min(own, key=lambda pair: abs(np.log(pair[0])), default=(np.inf, np.nan))
+        # for an unstable loop the factor that would stabilise it
+        crossings = [(g, w) for g, w in zip(gains, gain_at, strict=True) if (g > 1) == (damping >= 0)]
+        gain, frequency = min(crossings, key=lambda pair: abs(np.log(pair[0])), default=(np.inf, np.nan))
         phase, crossing = min(((abs((p + 180) % 360 - 180), w) for p, w in zip(phases, phase_at, strict=True)),
                               default=(np.inf, np.nan))
-        found.append(Margin(where, name, float(gain), float(at), float(np.radians(phase)), float(crossing),
+        found.append(Margin(where, name, float(gain), float(frequency), float(np.radians(phase)), float(crossing),
                             float(min(distances, default=np.inf)), damping))
     return found, omega, L

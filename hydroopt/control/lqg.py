@@ -10,25 +10,25 @@ import numpy as np
 
 from hydroopt.control.reference import Demand
 from hydroopt.control.sampled_plant import Point, Reading
-from hydroopt.control.tuning import SLOWNESS
+from hydroopt.control.tuning import INTEGRAL_RATIO
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.machine.machine import Machine
 from hydroopt.model.plant import Plant
 from hydroopt.spatial.inertia import Array
 
-CAUTION = 0.7
-"""Part of the cascade's position gain that is aimed at: what a model knows of resonances, postures change."""
-UNKNOWN = 1e-2
-"""Standard deviation of a disturbance of every state, as a part of its typical size, from sample to sample."""
-EXACT = 1e-4
-"""Standard deviation of an output for which no sensor is stated, as a part of its typical size."""
+BANDWIDTH_SHARE = 0.7
+"""Bandwidth of the regulator as a part of the cascade's position gain, since resonances change with the posture."""
+PROCESS_NOISE = 1e-2
+"""Standard deviation of the process noise of every state per sample, as a part of its typical size."""
+DEFAULT_NOISE = 1e-4
+"""Standard deviation of the measurement noise where no sensor is stated, as a part of the typical size."""
 
 
 class Design(NamedTuple):
-    """Gains about a point of the motion, for deviations from it.
+    """Gains for deviations from a point of the motion.
 
     Attributes:
-        point: where.
+        point: the operating point.
         A, B, C: of the sampled plant, its inputs being the demanded speeds.
         feedback: speeds per state and per integral of the lengths' errors.
         filter: states per innovation, Kalman's gain for the state at the next sample.
@@ -43,10 +43,10 @@ class Design(NamedTuple):
 
 
 def design(plant: control.StateSpace, point: Point, valves: Valves, bandwidth: Array, noise: Array) -> Design:
-    """By the Riccati equations of regulator and filter (Åström and Wittenmark 1997).
+    """Regulator and Kalman filter by their Riccati equations (Åström and Wittenmark 1997).
 
-    Speeds are weighed against lengths so that an actuator which were nothing but an integrator would get the part
-    `CAUTION` of the gain `bandwidth`, and against integrals so that these took the cascade's integral time of it.
+    The weights are those with which an actuator that is a pure integrator gets the position gain
+    `BANDWIDTH_SHARE`·`bandwidth`, and `INTEGRAL_RATIO` as the ratio of integral time and time constant.
 
     Args:
         plant: sampled about the point, with delays; its states are scaled.
@@ -58,30 +58,31 @@ def design(plant: control.StateSpace, point: Point, valves: Valves, bandwidth: A
     n, period = len(bandwidth), float(plant.dt)
     A, C, size = plant.A, plant.C, len(plant.A)
     slopes = valves.slopes(point.speed, point.length, point.pressure, point.supply)
-    # what the supply's pressure does to the commands is part of the plant
+    # the feedback of the supply pressure to the commands is part of the plant
     B = plant.B * slopes.speed
     A = A + plant.B @ np.outer(slopes.supply, C[-1])
     to_length = point.lever_arm @ C[:n]
     both = np.block([[A, np.zeros((size, n))], [period * to_length, np.eye(n)]])
     driven = np.vstack([B, np.zeros((n, n))])
-    weights = np.vstack([np.hstack([CAUTION * bandwidth[:, None] * to_length, np.zeros((n, n))]),
-                         np.hstack([np.zeros((n, size)), np.diag((CAUTION * bandwidth) ** 2 / SLOWNESS)])])
+    weights = np.vstack([np.hstack([BANDWIDTH_SHARE * bandwidth[:, None] * to_length, np.zeros((n, n))]),
+                         np.hstack([np.zeros((n, size)),
+                                    np.diag((BANDWIDTH_SHARE * bandwidth) ** 2 / INTEGRAL_RATIO)])])
     K, _, _ = control.dlqr(both, driven, weights.T @ weights, np.eye(n))
-    disturbed = np.hstack([B * np.abs(point.speed), UNKNOWN * np.eye(size)])
-    # outputs are counted in standard deviations of their noise
+    disturbed = np.hstack([B * np.abs(point.speed), PROCESS_NOISE * np.eye(size)])
+    # outputs are scaled by the standard deviations of their noise
     L, _, _ = control.dlqe(A, disturbed, C / noise[:, None], np.eye(n + size), np.eye(len(noise)))
     return Design(point, A, B, C, np.asarray(K), np.asarray(L) / noise)
 
 
 def reading_noise(plant: Plant) -> Array:
-    """Standard deviations (2·n + 1,) of what q, forces and the supply's pressure are read with."""
+    """Standard deviations (2·n + 1,) of the readings of q, forces and supply pressure."""
     machine, found = plant.machine, []
     for joint in machine.joints:
-        found.append(_std(machine, f"{joint}.q", EXACT))
+        found.append(_std(machine, f"{joint}.q", DEFAULT_NOISE))
     for each in plant.actuators:
-        found.append(float(np.linalg.norm([area * _std(machine, name, 1e7 * EXACT)
+        found.append(float(np.linalg.norm([area * _std(machine, name, 1e7 * DEFAULT_NOISE)
                                            for area, name in zip(each.areas, each.chambers, strict=True)])))
-    return np.array([*found, _std(machine, "pump.p_supply", 1e7 * EXACT)])
+    return np.array([*found, _std(machine, "pump.p_supply", 1e7 * DEFAULT_NOISE)])
 
 
 def _std(machine: Machine, channel: str, without: float) -> float:
@@ -92,9 +93,9 @@ def _std(machine: Machine, channel: str, without: float) -> float:
 
 
 class Lqg:
-    """Speeds v = v_r − K·x̂ − K_i·∫e from the deviations of all states as a Kalman filter sees them.
+    """LQG control: speeds v = v_r − K·x̂ − K_i·∫e, with x̂ the Kalman filter's estimate of the deviations of all states.
 
-    The gains are those of the nearest point in time; commands follow from speeds as in the cascade.
+    The gains are those of the nearest point in time; commands are computed from speeds as in the cascade.
     """
 
     def __init__(self, valves: Valves, demand: Demand, designs: Sequence[Design], nearest: Sequence[int],
@@ -108,31 +109,33 @@ class Lqg:
         self._integral = np.zeros(self.demand.length.shape[1])
 
     def command(self, k: int, reading: Reading) -> Array:
-        """Commands (n,) at a sample, as the sensors show the machine."""
-        ahead, one = self.demand.ahead, self.designs[self.nearest[k]]
+        """Commands (n,) at sample k from the readings."""
+        preview, active = self.demand.preview, self.designs[self.nearest[k]]
         size = len(self._state)
-        speed = -one.feedback[:, :size] @ self._state - one.feedback[:, size:] @ self._integral
-        command, opening = self.valves.command(ahead.speed[k] + speed, ahead.force_rate[k], ahead.length[k],
-                                               ahead.pressure[k], reading.supply)
-        readings = np.array([*(reading.q - self.demand.q[k]), *(reading.force - self.demand.shown[k]),
-                         reading.supply[0] - one.point.supply[0]])
-        self._state = one.A @ self._state + one.B @ speed + one.filter @ (readings - one.C @ self._state)
+        speed = -active.feedback[:, :size] @ self._state - active.feedback[:, size:] @ self._integral
+        command, opening = self.valves.command(preview.speed[k] + speed, preview.force_rate[k], preview.length[k],
+                                               preview.pressure[k], reading.supply)
+        readings = np.array([*(reading.q - self.demand.q[k]), *(reading.force - self.demand.measured_force[k]),
+                         reading.supply[0] - active.point.supply[0]])
+        self._state = active.A @ self._state + active.B @ speed + active.filter @ (readings - active.C @ self._state)
         error = reading.length - self.demand.length[k]
         self._integral += np.where(np.abs(opening) < 1, self.period * error, 0.0)
         return command
 
     def linear(self, point: Point) -> control.StateSpace:
-        """Small changes of commands per small changes of q, forces and supply pressure.
+        """The linearised controller: from q, forces and supply pressure to commands.
 
-        The gains are those of the point that is nearest in posture, among those of the same directions first.
+        The gains are those of the point with the same directions of motion, if there is one, that is nearest in
+        posture.
         """
-        one = min(self.designs, key=lambda d: (int(np.sum(np.sign(d.point.speed) != np.sign(point.speed))),
+        active = min(self.designs, key=lambda d: (int(np.sum(np.sign(d.point.speed) != np.sign(point.speed))),
                                                float(np.linalg.norm(d.point.q - point.q))))
-        n, size = len(point.q), len(one.A)
+        n, size = len(point.q), len(active.A)
         slopes = self.valves.slopes(point.speed, point.length, point.pressure, point.supply)
         by_speed = np.diag(slopes.speed)
-        A = np.block([[one.A - one.filter @ one.C - one.B @ one.feedback[:, :size], -one.B @ one.feedback[:, size:]],
+        A = np.block([[active.A - active.filter @ active.C - active.B @ active.feedback[:, :size],
+                       -active.B @ active.feedback[:, size:]],
                       [np.zeros((n, size)), np.eye(n)]])
-        B = np.vstack([one.filter, np.hstack([self.period * point.lever_arm, np.zeros((n, n + 1))])])
+        B = np.vstack([active.filter, np.hstack([self.period * point.lever_arm, np.zeros((n, n + 1))])])
         D = np.hstack([np.zeros((n, 2 * n)), slopes.supply[:, None]])
-        return control.StateSpace(A, B, -by_speed @ one.feedback, D, self.period)
+        return control.StateSpace(A, B, -by_speed @ active.feedback, D, self.period)

@@ -1,4 +1,4 @@
-"""With which parameters controllers are given a machine: nominal, reduced, complete and true ones."""
+"""Models given to controllers: with nominal, reduced, complete and true parameters."""
 
 from __future__ import annotations
 
@@ -19,11 +19,11 @@ NOMINAL, REDUCED, COMPLETE, TRUE = "nominal", "reduced", "complete", "true"
 
 
 class ModelVariant(NamedTuple):
-    """A model with parameters that a controller is given, or with the true ones.
+    """A model with the parameters that a controller uses, or with the true ones.
 
     Attributes:
         name: `NOMINAL`, `REDUCED`, `COMPLETE` or `TRUE`.
-        text: where it is from.
+        text: origin of the parameters, in words.
         model: complete, or reduced.
         psi: its parameters (p,).
     """
@@ -42,20 +42,21 @@ class Truth(NamedTuple):
 
 
 def reduced(complete: ModelVariant, *, seed: int = 0) -> ModelVariant:
-    """The reduced model that comes nearest to a complete one: what identifying it from exact forces would give.
+    """The reduced model nearest to a complete one, as identification from exact forces would give it.
 
-    Its parameters stand in for barrels and rods as far as they can: least squares over the forces of a random
-    motion, with the smallest changes where these leave a choice.
+    Its parameters absorb barrels and rods as far as possible: least squares over the forces of a random motion, with
+    the minimum-norm change where the solution is not unique.
     """
     model, small = complete.model, Model(complete.model.machine, actuator_inertia=False)
     motion = simulate.random_trajectory(model, duration=60.0, rate=5.0, seed=seed)
     start = complete.psi[list(model.parameters.select(small.parameters.names))]
-    lost = simulate.forces(model, motion, complete.psi) - simulate.forces(small, motion, start)
+    difference = simulate.forces(model, motion, complete.psi) - simulate.forces(small, motion, start)
     K = small.over(small.regressor if small.linear else small.linearised, motion.q, motion.qd, motion.qdd,
                    *([] if small.linear else [start]))[0]
     scale = small.parameters.scale
-    size = np.sqrt(np.mean(np.square(simulate.forces(model, motion, complete.psi)), axis=0))
-    change, *_ = np.linalg.lstsq((K * scale / size[:, None]).reshape(-1, len(scale)), (lost / size).ravel(), rcond=1e-8)
+    typical = np.sqrt(np.mean(np.square(simulate.forces(model, motion, complete.psi)), axis=0))
+    change, *_ = np.linalg.lstsq((K * scale / typical[:, None]).reshape(-1, len(scale)),
+                                 (difference / typical).ravel(), rcond=1e-8)
     return ModelVariant(REDUCED, "the reduced model nearest to the complete one", small, start + change * scale)
 
 
@@ -77,43 +78,43 @@ def nominal_of(estimate: Path, complete: Model) -> ModelVariant | None:
     return ModelVariant(NOMINAL, "the machine file before identification", complete, psi) if rows else None
 
 
-def truth(stated: str, plant: Plant, *, seed: int) -> Truth:
+def truth(source: str, plant: Plant, *, seed: int) -> Truth:
     """The true parameters of a simulated machine.
 
     Valves and oil are those of the machine file, unless a truth.json of driven valves says otherwise.
 
     Args:
-        stated: 'nominal', 'random' within the file's confidences, or a truth.json that `simulate` wrote.
+        source: 'nominal', 'random' within the file's confidences, or a truth.json that `simulate` wrote.
         plant: the machine.
         seed: of a random truth.
 
     Raises:
         ProblemError: there is no such file, or it is of another machine.
-        IdentifiabilityError: a body's confidences leave practically no possible body.
+        IdentifiabilityError: hardly any body within the stated confidences is physically consistent.
     """
     model, theta = plant.model, plant.parameters.nominal
-    if stated == "nominal":
+    if source == "nominal":
         return Truth(ModelVariant(TRUE, "the machine file itself", model, model.parameters.nominal), theta)
-    if stated == "random":
+    if source == "random":
         return Truth(ModelVariant(TRUE, "drawn from the confidences of the machine file", model,
                                simulate.random_truth(model, seed)), theta)
-    file = Path(stated)
+    file = Path(source)
     if not file.is_file():
-        raise ProblemError(f"'{stated}' is not a truth", where="--truth",
+        raise ProblemError(f"'{source}' is not a truth", where="--truth",
                            remedy="use nominal, random, or the truth.json that simulate wrote")
     content = _read(file)
     values, machine = content.get("parameters"), content.get("machine")
     names = model.parameters.names
     try:
         psi = np.array([float(values[name]) for name in names])  # type: ignore[index]
-        theta = np.array([float(values.get(name, own)) for name, own in  # type: ignore[union-attr]
+        theta = np.array([float(values.get(name, default)) for name, default in  # type: ignore[union-attr]
                           zip(plant.parameters.names, theta, strict=True)])
     except (TypeError, KeyError, ValueError):
         missing = next((name for name in names if not isinstance(values, dict) or name not in values), names[0])
-        raise ProblemError(f"the truth of '{machine}' does not state '{missing}'", where=stated,
+        raise ProblemError(f"the truth of '{machine}' does not state '{missing}'", where=source,
                            remedy=f"simulate {model.machine.name} with the same parameters") from None
     if not (np.all(np.isfinite(psi)) and np.all(np.isfinite(theta))):
-        raise ProblemError("a true parameter is not a number", where=stated, remedy="simulate again")
+        raise ProblemError("a true parameter is not a number", where=source, remedy="simulate again")
     return Truth(ModelVariant(TRUE, "the truth of a simulated log", model, psi), theta)
 
 
@@ -123,5 +124,5 @@ def _read(file: Path) -> dict[str, Any]:
     except (OSError, ValueError, RecursionError):
         content = None
     if not isinstance(content, dict):
-        raise ProblemError("this file cannot be read as JSON", where=str(file), remedy="have it written again")
+        raise ProblemError("this file cannot be read as JSON", where=str(file), remedy="run simulate again")
     return content

@@ -29,14 +29,14 @@ class Outcome:
     """What one controller achieved on the motion.
 
     Attributes:
-        name: ``feedforward complete``.
+        name: such as ``feedforward complete``.
         kind: `PI`, `FEEDFORWARD` or `LQG`.
-        variant: the model and parameters it was given.
+        variant: the model and parameters that it uses.
         run: what the machine did.
         error: of the joints (N, n) [rad or m].
         tip: distance (N,) [m] of the last link's far end from where it should be.
         margins: of all loops at all points.
-        bode: of its loops at the point where one comes nearest to −1.
+        bode: of its loops at the point with the smallest Nyquist distance.
     """
 
     name: str
@@ -54,6 +54,7 @@ class Outcome:
         return float(np.sqrt(np.mean(self.tip**2))) if not self.run.stopped else np.inf
 
     def worst(self, loop: str, key: str, points: Sequence[str] = ()) -> Margin:
-        """The margin of a loop that is least by gain or phase, over some points or all."""
-        own = [margin for margin in self.margins if margin.loop == loop and (not points or margin.point in points)]
-        return min(own, key=lambda margin: float(getattr(margin, key)))
+        """The smallest margin of a loop by `key`, ``gain`` or ``phase``, over some points or all."""
+        candidates = [margin for margin in self.margins
+                      if margin.loop == loop and (not points or margin.point in points)]
+        return min(candidates, key=lambda margin: float(getattr(margin, key)))

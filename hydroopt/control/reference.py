@@ -1,4 +1,4 @@
-"""What a motion demands of the actuators: lengths, speeds and forces, as far ahead as the valves need."""
+"""The reference of a controller: lengths, speeds and forces of the actuators, with preview for the valves' delays."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from hydroopt.spatial.inertia import Array
 
 
 class Reference:
-    """A motion to follow, between its samples by polynomials of the fifth degree; it rests where it ends."""
+    """A motion to follow, interpolated by polynomials of the fifth degree; after its end it stays at rest."""
 
     def __init__(self, motion: Trajectory) -> None:
         self.start, self.end = float(motion.t[0]), float(motion.t[-1])
-        course = BPoly.from_derivatives(motion.t, np.stack([motion.q, motion.qd, motion.qdd], axis=1))
-        self._orders = course, course.derivative(), course.derivative(2)
+        spline = BPoly.from_derivatives(motion.t, np.stack([motion.q, motion.qd, motion.qdd], axis=1))
+        self._orders = spline, spline.derivative(), spline.derivative(2)
 
     def at(self, t: Array) -> Trajectory:
         """Positions, speeds and accelerations (N, n) at times (N,)."""
@@ -32,38 +32,38 @@ class Reference:
 
 
 def lead(valves: Valves, period: float) -> Array:
-    """By how much (n,) [s] a command comes before its effect: half a sample, delay of the valve, lag of its spool."""
+    """Time (n,) [s] from a command to its effect: half a sample, delay of the valve, lag of its spool."""
     plant, place = valves.plant, valves.plant.parameters.positions
-    ahead = []
+    leads = []
     for each in plant.actuators:
         lag = 0.0
         if each.spool_states:
             frequency, damping = (float(valves.theta[place[f"{each.actuator.name}.{key}"]])
                                   for key in ("natural_frequency", "damping"))
             lag = 2 * damping / (2 * np.pi * frequency)
-        ahead.append(period / 2 + each.valve.delay + lag)
-    return np.array(ahead)
+        leads.append(period / 2 + each.valve.delay + lag)
+    return np.array(leads)
 
 
 @dataclass(frozen=True, eq=False)
 class Demand:
-    """What a controller aims at, (N, n) in the order of the actuators.
+    """The reference (N, n) of a controller, in the order of the actuators.
 
     Attributes:
-        q: of the joints now.
-        length: of the actuators now [m or rad].
-        shown: what their transducers show of the force now, offsets included [N or N·m].
-        ahead: length, speed, force, its rate, and pressures (N, n, 2) when the command takes effect.
+        q: joint positions [rad or m].
+        length: of the actuators [m or rad].
+        measured_force: force that the transducers measure, offsets included [N or N·m].
+        preview: the reference at the time when the command takes effect.
     """
 
     q: Array
     length: Array
-    shown: Array
-    ahead: Ahead
+    measured_force: Array
+    preview: Preview
 
 
-class Ahead(NamedTuple):
-    """What a motion demands when a command takes effect, (N, n); pressures (N, n, 2)."""
+class Preview(NamedTuple):
+    """Length, speed, force and its rate (N, n), and pressures (N, n, 2), when a command takes effect."""
 
     length: Array
     speed: Array
@@ -73,11 +73,11 @@ class Ahead(NamedTuple):
 
 
 class Demands:
-    """What a motion demands by different models.
+    """References of one motion, with forces by different models.
 
     Attributes:
         plant: the machine.
-        valves: as the controller knows them.
+        valves: with the parameters that the controller uses.
         reference: the motion.
         t: times (N,) of the samples.
     """
@@ -86,48 +86,50 @@ class Demands:
         self.plant, self.valves, self.reference, self.t = valves.plant, valves, reference, t
 
     def by(self, model: Model, psi: Array, *, gravity_only: bool = False) -> Demand:
-        """By a complete or reduced model with parameters ψ (p,).
+        """The reference with forces by a complete or reduced model with parameters ψ (p,).
 
-        With `gravity_only` speeds are zero, and forces are those that hold the machine still. Pressures are those of
-        chambers that the valves fill and empty as the forces need it: p_a' by the flow, p_b by force and p_a.
+        With `gravity_only` speeds are zero and forces are static. Pressures are integrated for these forces: p_a'
+        follows from the flow through the valve, p_b from force and p_a.
 
         Raises:
             ProblemError: the supply's pressure does not suffice for a force.
             SolverError: the pressures could not be integrated.
         """
-        late = lead(self.valves, period := float(self.t[1] - self.t[0]))
+        leads = lead(self.valves, period := float(self.t[1] - self.t[0]))
         # half a period resolves a jump of dry friction
-        times = np.arange(self.t[0], self.t[-1] + np.max(late) + period, period / 2)
+        times = np.arange(self.t[0], self.t[-1] + np.max(leads) + period, period / 2)
         path = self.reference.at(times)
         if gravity_only:
             path = Trajectory(times, path.q, 0 * path.q, 0 * path.q)
         length, speed = (part[:, :, 0] for part in self.plant.model.over(self.plant.actuator_motion, path.q, path.qd))
-        shown = forces(model, path, psi)
-        force = shown - offset(model, psi)
+        measured = forces(model, path, psi)
+        force = measured - offset(model, psi)
         self._refuse_force(times, force)
         rate = np.diff(force, axis=0, append=force[-1:]) / np.diff(times, append=times[-1] + period)[:, None]
         pressure = self._pressures(times, length, speed, force, rate)
-        now = np.zeros_like(late)
-        early = [self._at(times, values, late) for values in (length, speed, force, *pressure)]
-        # a command is held, and so has to bring the whole change of the force while it is
-        change = self._at(times, force, late + period / 2) - self._at(times, force, late - period / 2)
-        ahead = Ahead(early[0], early[1], early[2], change / period, np.stack(early[3:], axis=2))
-        return Demand(self.reference.at(self.t).q, self._at(times, length, now), self._at(times, shown, now), ahead)
+        now = np.zeros_like(leads)
+        shifted = [self._at(times, values, leads) for values in (length, speed, force, *pressure)]
+        # a command is held for a period, and so must produce the whole change of the force in it
+        change = self._at(times, force, leads + period / 2) - self._at(times, force, leads - period / 2)
+        preview = Preview(shifted[0], shifted[1], shifted[2], change / period, np.stack(shifted[3:], axis=2))
+        return Demand(self.reference.at(self.t).q, self._at(times, length, now), self._at(times, measured, now),
+                      preview)
 
-    def _at(self, times: Array, values: Array, late: Array) -> Array:
-        return np.column_stack([np.interp(self.t + late[k], times, values[:, k]) for k in range(len(late))])
+    def _at(self, times: Array, values: Array, leads: Array) -> Array:
+        return np.column_stack([np.interp(self.t + leads[k], times, values[:, k]) for k in range(len(leads))])
 
     def _pressures(self, times: Array, length: Array, speed: Array, force: Array, rate: Array) -> tuple[Array, Array]:
-        """Of both chambers (M, n) along a motion whose forces they make."""
+        """Pressures [Pa] of both chambers, (M, n) each, that produce the forces of a motion."""
         supply, (a, b) = self.plant.supply, np.array([each.areas for each in self.plant.actuators]).T
         start = np.asarray(self.valves.steady(speed[0], force[0], supply)).ravel()
 
         def rates(t: float, p_a: Array) -> Array:
             k = min(int((t - times[0]) / (times[1] - times[0])), len(times) - 2)
             part = (t - times[k]) / (times[1] - times[0])
-            now, swept, strength = (values[k] + part * (values[k + 1] - values[k]) for values in (length, speed, force))
-            both = np.column_stack([p_a, (a * p_a - strength) / b])
-            return np.asarray(self.valves.function(swept, rate[k], now, both, supply)[2]).ravel()
+            length_now, speed_now, force_now = (values[k] + part * (values[k + 1] - values[k])
+                                                for values in (length, speed, force))
+            both = np.column_stack([p_a, (a * p_a - force_now) / b])
+            return np.asarray(self.valves.function(speed_now, rate[k], length_now, both, supply)[2]).ravel()
 
         found = solve_ivp(rates, (times[0], times[-1]), start, "LSODA", times, rtol=1e-5, atol=1e3)
         if not found.success:
@@ -143,12 +145,12 @@ class Demands:
         if beyond[k, i] >= 0:
             raise ProblemError(
                 f"at {times[k]:.2f} s the motion demands {force[k, i]:.4g} {self.plant.model.force_units[i]} of "
-                f"'{self.plant.actuators[i].actuator.name}', which {pump / 1e5:.0f} bar do not make",
-                where="--trajectory", remedy="move where less is to be held, or correct masses or the pump's pressure")
+                f"'{self.plant.actuators[i].actuator.name}', which {pump / 1e5:.0f} bar cannot produce",
+                where="--trajectory", remedy="choose a motion with smaller loads, or correct masses or pump pressure")
 
 
 def offset(model: Model, psi: Array) -> Array:
-    """What the transducers add (n,) [N or N·m]."""
+    """Offsets (n,) of the measured forces [N or N·m]."""
     names = model.parameters.positions
     return np.array([next((float(psi[names[f"{a.name}.{kind}"]]) for kind in ("f_offset", "tau_offset")
                            if f"{a.name}.{kind}" in names), 0.0) for a in model.machine.actuators])

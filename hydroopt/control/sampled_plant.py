@@ -1,6 +1,6 @@
-"""The plant as a sampled controller meets it about a point of its motion.
+"""The sampled linear plant about an operating point.
 
-Commands are held between the samples and arrive later by the delays of the valves; both enter exactly.
+Commands are held between samples and delayed by the valves; both are exact.
 """
 
 from __future__ import annotations
@@ -17,9 +17,10 @@ from hydroopt.spatial.inertia import Array
 
 
 class Reading(NamedTuple):
-    """What a controller gets at a sample: lengths and forces (n,) of the actuators, pressures (2,) of the supply.
+    """The input of a controller at a sample: lengths and forces (n,) of the actuators, pressures (2,) of supply and
+    tank.
 
-    `q` (n,) are the joints' angles that the lengths follow from.
+    Lengths are computed from the joint positions `q` (n,).
     """
 
     q: Array
@@ -30,10 +31,10 @@ class Reading(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Point:
-    """A posture with speeds at which the machine moves steadily.
+    """An operating point: a posture with speeds at which the machine moves steadily.
 
     Attributes:
-        name: in words.
+        name: such as ``motion at 2.0 s``.
         q, qd: of the joints (n,).
         length, speed: of the actuators (n,).
         pressure: of their chambers (n, 2) [Pa].
@@ -57,14 +58,14 @@ class Linear(Protocol):
     """A controller that can be linearised."""
 
     def linear(self, point: Point) -> control.StateSpace:
-        """From q, forces and the supply's pressure to commands."""
+        """The linear system from q, forces and supply pressure to commands."""
 
 
 def point(plant: Plant, name: str, q: Array, qd: Array, psi: Array, theta: Array) -> Point:
     """A point of steady motion.
 
     Raises:
-        ProblemError: the supply cannot move the machine so.
+        ProblemError: the supply cannot move the machine at these speeds.
     """
     steady = plant.steady(q, qd, psi, theta)
     outputs = plant.outputs.call({"x": steady.x, "u": steady.u, "supply": plant.supply, "psi": psi, "theta": theta})
@@ -73,15 +74,15 @@ def point(plant: Plant, name: str, q: Array, qd: Array, psi: Array, theta: Array
     return Point(name, q, qd, length, speed, np.asarray(outputs["pressure"]), lever_arm, plant.supply, steady)
 
 
-def linearised(plant: Plant, at: Point, psi: Array, theta: Array) -> control.StateSpace:
+def linearised(plant: Plant, operating_point: Point, psi: Array, theta: Array) -> control.StateSpace:
     """From commands to q, forces of the actuators and the supply's pressure; states are divided by `plant.scale`.
 
-    Of deviations from a motion: that lever arms change along it turns an actuator's error of length into one of the
-    joint by the arm that there is at that time, and makes no error grow, so that it is left out.
+    States are deviations from the motion. The change of lever arms along the motion is left out: it only changes the
+    ratio between errors of lengths and of angles and amplifies none.
     """
     n, scale, names = len(plant.inputs), plant.scale, plant.states
-    own = state_space(plant, at.steady, psi, theta, supply=at.supply)
-    A = own.A.copy()
+    system = state_space(plant, operating_point.steady, psi, theta, supply=operating_point.supply)
+    A = system.A.copy()
     A[[".p_" in name for name in names], :n] = 0.0
     C = np.zeros((2 * n + 1, len(names)))
     C[:n, :n] = np.eye(n)
@@ -89,15 +90,15 @@ def linearised(plant: Plant, at: Point, psi: Array, theta: Array) -> control.Sta
         C[n + k, [names.index(name) for name in each.chambers]] = each.areas[0], -each.areas[1]
     C[-1] = [name == "pump.p_supply" for name in names]
     outputs = [*names[:n], *(f"{each.actuator.name}.force" for each in plant.actuators), "pump.p_supply"]
-    return control.StateSpace(A * scale / scale[:, None], own.B / scale[:, None], C * scale, 0,
-                              states=own.state_labels, inputs=own.input_labels,
+    return control.StateSpace(A * scale / scale[:, None], system.B / scale[:, None], C * scale, 0,
+                              states=system.state_labels, inputs=system.input_labels,
                               outputs=[f"{signal(name)}_measured" for name in outputs])
 
 
 def sampled(system: control.StateSpace, delays: Array, period: float) -> control.StateSpace:
     """A system whose commands are held from sample to sample and arrive later by `delays` (n,) [s].
 
-    What was commanded and has not arrived is a state of its own (Åström and Wittenmark 1997).
+    Commands that do not act yet are additional states (Åström and Wittenmark 1997).
     """
     A, B = system.A, system.B
     whole = np.floor(delays / period * (1 + 1e-12)).astype(int)

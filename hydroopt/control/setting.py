@@ -1,4 +1,4 @@
-"""A machine, a motion to follow and what is true of it: what all controllers have in common."""
+"""The setting that all controllers share: machine, motion to follow and true parameters."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ from hydroopt.model.workspace import SHARE, top_speed
 from hydroopt.simulation.simulate import Trajectory, sampling_rate
 from hydroopt.spatial.inertia import Array
 
-ON_THE_WAY = 6
+MOTION_POINTS = 6
 """Points of the motion at which loops are analysed, and about which the LQG controller is designed."""
-WORKSPACE = 16
-"""Postures all over the joints' ranges at which they are, too."""
+WORKSPACE_POINTS = 16
+"""Postures over the joints' ranges at which loops are analysed as well."""
 EDGE = 0.05
 """Part of a joint's range at each end that is left out."""
 
@@ -39,11 +39,11 @@ class Setting:
         motion: to follow.
         true: the machine's true model and dynamic parameters.
         true_theta: its hydraulic parameters.
-        theta: those that all controllers are given.
+        theta: hydraulic parameters that all controllers use.
         rate: of the controller [Hz].
         seed: of the sensors' errors; None for none.
-        sensitivity: to which gains are tuned.
-        gain: by which the tuned position gains are multiplied.
+        sensitivity: largest sensitivity for which gains are tuned.
+        gain: factor on the tuned position gains.
     """
 
     plant: Plant
@@ -69,7 +69,7 @@ class Setting:
 
     @cached_property
     def demands(self) -> Demands:
-        """What it demands."""
+        """References of the motion."""
         return Demands(Valves(self.plant, self.theta), self.reference, self.t)
 
     @cached_property
@@ -78,9 +78,9 @@ class Setting:
         return np.array([each.valve.delay for each in self.plant.actuators])
 
     def points(self, psi: Array, theta: Array) -> tuple[list[Point], list[Point]]:
-        """Points of the motion, and all over the workspace, of a machine with parameters ψ and θ.
+        """Operating points of the motion and over the workspace, of a machine with parameters ψ and θ.
 
-        Everywhere joints move at least at the part `SHARE` of their greatest speeds, see `steady_speeds`.
+        Joints move at least at the part `SHARE` of their greatest speeds, see `steady_speeds`.
 
         Raises:
             ProblemError: the supply cannot move the machine at a point of the motion.
@@ -88,25 +88,25 @@ class Setting:
         machine = self.plant.machine
         least = SHARE * np.array([top_speed(self.plant, joint) for joint in machine.joints])
         lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
-        moments = self.t[0] + (np.arange(ON_THE_WAY) + 0.5) / ON_THE_WAY * (self.t[-1] - self.t[0])
+        moments = self.t[0] + (np.arange(MOTION_POINTS) + 0.5) / MOTION_POINTS * (self.t[-1] - self.t[0])
         path = self.reference.at(moments)
-        way = []
+        on_motion = []
         for t, q, qd in zip(moments, path.q, path.qd, strict=True):
             speeds = steady_speeds(self.plant, q, qd, least)
-            way.append(point(self.plant, f"motion at {t:.1f} s", q, speeds, psi, theta))
-        n, space = len(least), list[Point]()
-        for k, share in enumerate(qmc.Halton(2 * n, scramble=False).random(WORKSPACE + 1)[1:]):
+            on_motion.append(point(self.plant, f"motion at {t:.1f} s", q, speeds, psi, theta))
+        n, in_workspace = len(least), list[Point]()
+        for k, share in enumerate(qmc.Halton(2 * n, scramble=False).random(WORKSPACE_POINTS + 1)[1:]):
             direction = np.where(share[n:] < 0.5, -1.0, 1.0)
             q = lower + (upper - lower) * (EDGE + (1 - 2 * EDGE) * share[:n])
             try:
-                space.append(point(self.plant, f"workspace {k + 1}", q, direction * least, psi, theta))
-            except ProblemError:  # the supply need not reach every posture
+                in_workspace.append(point(self.plant, f"workspace {k + 1}", q, direction * least, psi, theta))
+            except ProblemError:  # the supply may be too weak for some postures
                 continue
-        return way, space
+        return on_motion, in_workspace
 
     def plants(self, points: Sequence[Point], psi: Array, theta: Array) -> list[control.StateSpace]:
         """The sampled plant with the valves' delays about each point."""
-        return [sampled(linearised(self.plant, at, psi, theta), self.delays, 1 / self.rate) for at in points]
+        return [sampled(linearised(self.plant, each, psi, theta), self.delays, 1 / self.rate) for each in points]
 
 
 def rate_of(plant: Plant, rate: float | None, motion: Trajectory) -> float:

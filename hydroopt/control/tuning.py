@@ -17,12 +17,12 @@ from hydroopt.spatial.inertia import Array
 
 SENSITIVITY = 1.3
 """Largest sensitivity |1/(1 + L)| of a loop: 1.3 keeps a gain margin of 12.7 dB and a phase margin of 45 degrees."""
-SLOWNESS = 5.0
+INTEGRAL_RATIO = 5.0
 """Integral time in time constants of the position loop."""
 FORCE_GAINS = (0.0, *np.geomspace(0.01, 1.0, 9))
 """Force gains that are tried, as parts of the speed at full flow per largest force."""
 FILTER_TIMES = (0.0, 0.1, 0.2, 0.4, 0.8)
-"""Time constants [s] of low passes that are tried: what keeps feedback off a resonance that it cannot damp."""
+"""Time constants [s] of low passes that are tried: they suppress feedback at resonances that it cannot damp."""
 SWEEPS = 2
 SLOWEST_LOOP = 0.1
 """Position gain [1/s] from which on gains are tried, each higher than the one before by `STEP`."""
@@ -57,7 +57,7 @@ class _Loops:
         by_length, by_force = (part[:, :, None] for part in self.feedback(gains))
         G = self.supply + by_length * self.length + by_force * self.force
         others = [j for j in range(self.n) if j != k]
-        # what all commands do where the one of this loop is one
+        # response of all commands to a unit command of this loop
         along = np.zeros((*G.shape[:2], self.n, 1), dtype=complex)
         along[..., k, 0] = 1.0
         along[..., others, :] = np.linalg.solve(np.eye(self.n - 1) - G[..., others, :][..., others],
@@ -66,7 +66,7 @@ class _Loops:
 
 
 class _Loop(NamedTuple):
-    """What comes back (points, ω) of one command by the supply, and by its actuator's length and force."""
+    """Responses (points, ω) of supply pressure, length and force to one command, all other loops closed."""
 
     supply: Array
     length: Array
@@ -81,26 +81,26 @@ def tuned(plants: Sequence[control.StateSpace], points: Sequence[Point], valves:
           largest: float = SENSITIVITY) -> Gains:
     """Position and force gains with the fastest position loops whose sensitivity stays below `largest`.
 
-    Each actuator in turn, all others closed, gets of all force gains tried the one that admits the highest position
-    gain. The limits that the sensitivity sets to the margins are those of Åström and Hägglund 2006: a gain
-    margin of at least M/(M − 1) and a phase margin of at least 2·arcsin(1/(2·M)).
+    Each actuator in turn, with all other loops closed, gets the force gain that admits the highest position gain. The
+    limits that the sensitivity sets to the margins are those of Åström and Hägglund 2006: a gain margin of at least
+    M/(M − 1) and a phase margin of at least 2·arcsin(1/(2·M)).
 
     Args:
         plants: sampled, with delays, at each point.
         points: at which the robustness has to hold.
-        valves: as the controller knows them.
+        valves: with the parameters that the controller uses.
         largest: sensitivity that is allowed.
 
     Raises:
         ProblemError: an actuator has no gains that are robust enough.
     """
-    loops, full = _Loops(plants, points, valves), valves.quickness
+    loops, full = _Loops(plants, points, valves), valves.speed_per_force
     n = loops.n
-    gains = Gains(np.zeros(n), np.zeros(n), np.full(n, SLOWNESS / SLOWEST_LOOP), np.zeros(n))
+    gains = Gains(np.zeros(n), np.zeros(n), np.full(n, INTEGRAL_RATIO / SLOWEST_LOOP), np.zeros(n))
 
     def robust(k: int, position: float, force: float, filter_time: float) -> bool:
         gains.position[k], gains.force[k], gains.filter_time[k] = position, force, filter_time
-        gains.integral_time[k] = SLOWNESS / max(position, SLOWEST_LOOP)
+        gains.integral_time[k] = INTEGRAL_RATIO / max(position, SLOWEST_LOOP)
         return loop.sensitivity(*(part[:, k] for part in loops.feedback(gains))) <= largest
 
     for _ in range(SWEEPS):
@@ -108,7 +108,7 @@ def tuned(plants: Sequence[control.StateSpace], points: Sequence[Point], valves:
             loop, best = loops.cut(gains, k), (0.0, 0.0, 0.0)
             for filter_time in FILTER_TIMES:
                 for part in FORCE_GAINS:
-                    # upwards step by step: beyond instability a sensitivity may be low again
+                    # upwards step by step, since the sensitivity may be low again beyond instability
                     if not robust(k, 0.0, part * full[k], filter_time):
                         break
                     position = SLOWEST_LOOP

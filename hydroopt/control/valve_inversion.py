@@ -1,4 +1,4 @@
-"""What a controller knows of the valves: the command at which an actuator's force changes as it should at a speed."""
+"""Inversion of the valves: the command at which an actuator has a given speed and rate of force."""
 
 from __future__ import annotations
 
@@ -14,17 +14,17 @@ from hydroopt.model.plant import Plant
 from hydroopt.spatial.inertia import Array
 
 RAMP = 0.003
-"""Opening below which the command passes through the dead band in proportion to it instead of jumping over it."""
+"""Opening below which the command crosses the dead band linearly instead of in a jump."""
 DROP = 1e5
-"""Pressure drop [Pa] below which an edge is not counted on: what a wide open valve could not give, a feedback finds."""
+"""Least pressure drop [Pa] across an edge that the inversion assumes; feedback corrects what is missing below it."""
 
 
 def command(valve: Valve, opening: ca.SX, value: Value) -> ca.SX:
-    """Command at which the edges of a valve open so far, −1 to 1 (positive P→A): the inverse of its dead bands.
+    """Command for an opening of −1 to 1 (positive P→A): the inverse of the valve's dead bands.
 
     Beyond the ramp it undoes `displaced` and `openings`, whose rounded corner h = (x + √(x² + w²))/2 has the inverse
-    x = h − w²/(4·h). Within, it is a smooth inverse, so that noise about zero does not make the spool leap (Tao and
-    Kokotovic 1996).
+    x = h − w²/(4·h). Within, it is a smooth inverse, so that noise about zero does not make the spool jump
+    (Tao and Kokotovic 1996).
     """
     side, size, width = ca.sign(opening), ca.fabs(opening), valve.rounding
 
@@ -35,16 +35,16 @@ def command(valve: Valve, opening: ca.SX, value: Value) -> ca.SX:
     reverse = forward if valve.dead_band_reverse is None else value("dead_band_reverse") / abs(valve.span)
     dead = (1 + side) / 2 * forward + (1 - side) / 2 * reverse
     spool = ca.fmax(value("overlap") + beyond(size * (1 - value("overlap"))), 0)
-    wanted = ca.fmax(dead + beyond(spool * (1 - dead)), 0)
-    return valve.neutral + valve.span * side * ca.fmin(1.0, size / RAMP) * wanted
+    spool_command = ca.fmax(dead + beyond(spool * (1 - dead)), 0)
+    return valve.neutral + valve.span * side * ca.fmin(1.0, size / RAMP) * spool_command
 
 
 def opening(each: ActuatorHydraulics, speed: ca.SX, force_rate: ca.SX, length: ca.SX, pressure: ca.SX, supply: ca.SX,
             value: Value) -> ca.SX:
-    """Opening, −1 to 1, at which an actuator's force changes at a rate while it moves at a speed.
+    """Opening, −1 to 1, at which an actuator moves at a speed while its force changes at a rate.
 
-    f' = A_a·p_a' − A_b·p_b' is that of a shut valve, by motion and leaks, and what the edges add, which is in
-    proportion to the opening; solved for it (the innermost step of Sirouspour and Salcudean 2001).
+    f' = A_a·p_a' − A_b·p_b' is the rate with a shut valve, due to motion and leaks, plus a part that is proportional
+    to the opening. It is solved for the opening (the innermost step of Sirouspour and Salcudean 2001).
 
     Args:
         each: the actuator.
@@ -56,7 +56,7 @@ def opening(each: ActuatorHydraulics, speed: ca.SX, force_rate: ca.SX, length: c
         value: of the numbers of its circuit.
     """
     (a, b), (p_a, p_b), (pump, tank) = each.areas, ca.vertsplit(pressure), ca.vertsplit(supply)
-    # edges that let nothing pass leave the leaks
+    # with closed edges only the leaks remain
     leaks = each.flows(ca.SX(0), p_a, p_b, supply, lambda key: 0.0 if key in (*EDGES, "rated_flow") else value(key))
     shut = each.pressure_rates(leaks, p_a, p_b, length, speed, value)
     unit = each.pressure_rates(Flows(ca.SX(1), ca.SX(1), ca.SX(0)), p_a, p_b, length, ca.SX(0), value)
@@ -72,19 +72,19 @@ def opening(each: ActuatorHydraulics, speed: ca.SX, force_rate: ca.SX, length: c
 
 
 class Slopes(NamedTuple):
-    """How commands (n,) change with the demanded speeds (n,) of the same actuators and with the supply's pressure."""
+    """Derivatives of the commands (n,) by the demanded speeds (n,) of the same actuators and by the supply pressure."""
 
     speed: Array
     supply: Array
 
 
 class Valves:
-    """The valves of a machine by the parameters θ that a controller has.
+    """The valves of a machine with the parameters θ that a controller uses.
 
     Attributes:
         plant: the machine.
         theta: hydraulic parameters.
-        limits: lowest and highest commands (n,) to which each valve is driven.
+        limits: lowest and highest command (n,) of each valve.
     """
 
     def __init__(self, plant: Plant, theta: Array) -> None:
@@ -101,10 +101,10 @@ class Valves:
         commands, openings, rates = [], [], []
         for k, each in enumerate(self.plant.actuators):
             value, p = self.plant.value(each, ca.SX(ca.DM(self.theta))), pressure[k, :].T
-            wide = ca.fmin(ca.fmax(opening(each, speed[k], rate[k], length[k], p, supply, value), -1.0), 1.0)
-            openings.append(wide)
-            commands.append(command(each.valve, wide, value))
-            spool = value("overlap") * ca.sign(wide) + wide * (1 - value("overlap"))
+            saturated = ca.fmin(ca.fmax(opening(each, speed[k], rate[k], length[k], p, supply, value), -1.0), 1.0)
+            openings.append(saturated)
+            commands.append(command(each.valve, saturated, value))
+            spool = value("overlap") * ca.sign(saturated) + saturated * (1 - value("overlap"))
             rates.append(each.pressure_rates(each.flows(spool, p[0], p[1], supply, value), p[0], p[1], length[k],
                                              speed[k], value)[0])
         return ca.Function("valves", [speed, rate, length, pressure, supply],
@@ -118,7 +118,7 @@ class Valves:
         return np.asarray(commands).ravel(), np.asarray(openings).ravel()
 
     @property
-    def quickness(self) -> Array:
+    def speed_per_force(self) -> Array:
         """Speed (n,) through a fully open valve without load per largest force [m/(s·N) or rad/(s·N·m)]."""
         found, pump = [], self.plant.supply[0]
         for each in self.plant.actuators:
@@ -144,7 +144,7 @@ class Valves:
                                              ca.densify(ca.jacobian(out, given[4]))])
 
     def slopes(self, speed: Array, length: Array, pressure: Array, supply: Array) -> Slopes:
-        """Of the commands, at speeds that open the valves beyond the ramp while forces stay as they are."""
+        """Derivatives of the commands, at speeds that open the valves beyond the ramp and constant forces."""
         still = np.zeros_like(speed)
         by_speed, by_supply = (np.asarray(part) for part in self._derivatives(speed, still, length, pressure, supply))
         return Slopes(np.diag(by_speed).copy(), by_supply[:, 0].copy())

@@ -179,7 +179,7 @@ WORDS: dict[Kind, Words] = {
     Kind.SMALL_MARGINS: Words(
         "{subject} leaves the loop of {loop} margins of only {gain_db:.1f} dB ({gain_point}) and {phase_deg:.0f} "
         "degrees ({phase_point})."),
-    Kind.RUN_STOPPED: Words("With {subject} {why}."),
+    Kind.RUN_STOPPED: Words("With {subject} {reason}."),
     Kind.BEST_RUN_STOPPED: Words(
         "Even the best controller, {subject}, ends before the motion does.",
         "Drive a slower motion, or correct the machine's valves and pump."),

@@ -9,11 +9,11 @@ from numpy.testing import assert_allclose
 from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
 
 from hydroopt.control.loop_margins import poles
-from hydroopt.control.lqg import CAUTION, UNKNOWN, Design, Lqg, design, reading_noise
-from hydroopt.control.reference import Ahead, Demand
+from hydroopt.control.lqg import BANDWIDTH_SHARE, PROCESS_NOISE, Design, Lqg, design, reading_noise
+from hydroopt.control.reference import Demand, Preview
 from hydroopt.control.sampled_plant import Point, linearised, sampled
 from hydroopt.control.sampled_plant import point as steady_point
-from hydroopt.control.tuning import SLOWNESS
+from hydroopt.control.tuning import INTEGRAL_RATIO
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
@@ -40,8 +40,8 @@ def weights(one: Design, at: Point) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     A = np.zeros((size + 1, size + 1))
     A[:size, :size], A[size, :size], A[size, size] = one.A, PERIOD * length[0], 1.0
     Q = np.zeros_like(A)
-    Q[:size, :size] = (CAUTION * BANDWIDTH[0]) ** 2 * length.T @ length
-    Q[size, size] = ((CAUTION * BANDWIDTH[0]) ** 2 / SLOWNESS) ** 2
+    Q[:size, :size] = (BANDWIDTH_SHARE * BANDWIDTH[0]) ** 2 * length.T @ length
+    Q[size, size] = ((BANDWIDTH_SHARE * BANDWIDTH[0]) ** 2 / INTEGRAL_RATIO) ** 2
     return A, np.vstack([one.B, [[0.0]]]), Q
 
 
@@ -70,7 +70,7 @@ def test_no_other_feedback_costs_less(made) -> None:
 
 def test_filter_solves_the_riccati_equation(made) -> None:
     one, _, _, noise, at = made
-    disturbed = np.hstack([one.B * np.abs(at.speed), UNKNOWN * np.eye(len(one.A))])
+    disturbed = np.hstack([one.B * np.abs(at.speed), PROCESS_NOISE * np.eye(len(one.A))])
     scaled = one.C / noise[:, None]
     P = solve_discrete_are(one.A.T, scaled.T, disturbed @ disturbed.T, np.eye(len(noise)))
     gain = np.linalg.solve(np.eye(len(noise)) + scaled @ P @ scaled.T, scaled @ P @ one.A.T).T / noise
@@ -83,7 +83,7 @@ def test_poles_are_those_of_regulator_and_filter(made) -> None:
     A, B, _ = weights(one, at)
     apart = np.concatenate([np.linalg.eigvals(A - B @ one.feedback), np.linalg.eigvals(one.A - one.filter @ one.C)])
     none = np.zeros((1, 1))
-    aim = Demand(none, none, none, Ahead(none, none, none, none, np.zeros((1, 1, 2))))
+    aim = Demand(none, none, none, Preview(none, none, none, none, np.zeros((1, 1, 2))))
     together = poles(held, Lqg(valves, aim, [one], [0], PERIOD).linear(at))
     # zero is a pole of several samples of delay at once, which rounding spreads to its third root
     assert_allclose(np.sort(np.abs(together)), np.sort(np.abs(apart)), atol=1e-5)

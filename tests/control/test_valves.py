@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from hydroopt.control.closed_loop import Late
+from hydroopt.control.closed_loop import CommandDelay
 from hydroopt.control.valve_inversion import command
 from hydroopt.machine.valves import Valve
 from hydroopt.model.hydraulics import displaced, openings
@@ -38,14 +38,14 @@ def test_edges_open_as_far_as_the_command_was_made_for(kind: str) -> None:
     assert float(function(0.0)[0]) == valve.neutral
 
 
-def test_commands_are_in_force_when_their_delay_is_over() -> None:
+def test_commands_act_when_their_delay_is_over() -> None:
     """Against the held signal itself, looked up at every time less the delay."""
     period, delays = 0.02, np.array([0.0, 0.02, 0.05, 0.013])
     rng = np.random.default_rng(4)
     sent = rng.standard_normal((12, 4))
-    late, t, pieces = Late(delays, period, sent[0]), 0.0, []
+    delay, t, pieces = CommandDelay(delays, period, sent[0]), 0.0, []
     for k in range(len(sent)):
-        for length, held in late.after(sent[k]):
+        for length, held in delay.push(sent[k]):
             pieces.append((t + length / 2, held))
             t += length
     assert t == pytest.approx(len(sent) * period)
