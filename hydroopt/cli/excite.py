@@ -90,7 +90,7 @@ def excite(
         problem = excitation_problem(described, basis, criterion=criterion or "D", focus=focus or (), priors=priors,
                                      logs=logs, rate=rate, resting=resting)
         motion = solve(problem, starts=starts, seed=seed, seconds=seconds, processes=processes or os.cpu_count() or 1,
-                       say=say)
+                       progress=say)
         say("computing the expected accuracy, writing the report and the code")
         code = Code(described, origin, routines=["excitation"], course=Course(motion.function, basis.duration))
         pages: dict[str, str | bytes] = {"report.html": report.render(motion)}

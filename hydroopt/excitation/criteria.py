@@ -1,7 +1,7 @@
 """Criteria of experiment design: functions of the information matrix, with exact derivatives.
 
-D: logarithm of the determinant of the covariance (its geometric mean counts); A: sum of the variances; E: the greatest
-variance of any combination; condition: logarithm of the condition number of the weighted regressor.
+D: logarithm of the determinant of the covariance, divided by its size; A: sum of the variances; E: logarithm of the
+largest variance of any combination; condition: logarithm of the condition number of the weighted regressor.
 """
 
 from __future__ import annotations
@@ -26,9 +26,9 @@ from hydroopt.spatial.inertia import Array
 
 CRITERIA = ("D", "A", "E", "condition")
 SLOW = 0.02
-"""Speed [rad/s, m/s] over which Coulomb friction changes its sign where derivatives are taken."""
-FAINT = 1e-5
-"""Prior information on every scaled parameter, the root of it: next to none, but no criterion is infinite."""
+"""Speed [rad/s, m/s] over which the sign of Coulomb friction is smoothed for derivatives."""
+FAINT_INFORMATION = 1e-5
+"""Square root of the information added to every scaled parameter: negligible, but it keeps every criterion finite."""
 
 
 class DesignParameters(NamedTuple):
@@ -36,12 +36,12 @@ class DesignParameters(NamedTuple):
 
     Attributes:
         structure: identifiability by ideal motion; its basis is that of β = grouping @ ψ.
-        columns: of the regressor (r,) that go with the basis.
-        scale: (r,) sizes in which the parameters are measured.
+        columns: (r,) of the regressor that belong to the basis.
+        scale: (r,) typical sizes of the parameters.
         weight: (n,) inverse standard deviation of the actuators' forces.
         prior: (r, r) information before the motion, in scaled parameters: zero, or priors and earlier logs.
-        focus: positions in the basis that count; all if empty.
-        focus_names: the parameters, parts or groups that make the focus.
+        focus: positions in the basis to which the criterion is restricted; all if empty.
+        focus_names: the names of parameters, parts or groups in focus.
         bayesian: whether the machine file's priors are part of `prior`.
         measured: (p, p) information on ψ of logs already measured, part of `prior`; None without logs.
     """
@@ -63,9 +63,10 @@ class DesignParameters(NamedTuple):
 
 
 def presumed_noise(model: Model) -> Array:
-    """Standard deviation (n,) of the actuators' forces [N, N·m] before anything is measured.
+    """Standard deviation (n,) of the actuators' forces [N, N·m] that is assumed before anything is measured.
 
-    By the accuracy of their sensors; where the file states none, a tenth of the typical force in random states.
+    It follows from the accuracy of the sensors; where the file states none it is a tenth of the RMS force in random
+    states.
     """
     states = random_states(model, 400, np.random.default_rng(0))
     K = model.over(model.regressor, *states)[0] * np.hypot(model.parameters.scale, model.parameters.nominal)
@@ -81,10 +82,10 @@ def design_parameters(model: Model, sigma: Array, *, focus: Sequence[str] = (), 
     Args:
         model: whose parameters.
         sigma: (n,) standard deviation of the actuators' forces [N, N·m].
-        focus: what alone counts: a parameter, a part (``stick``), ``payload`` (the body of the last link) or
-            ``friction``.
+        focus: names to which the criterion is restricted: a parameter, a part (``stick``), ``payload`` (the body of the
+            last link) or ``friction``.
         bayesian: whether the machine file's priors count as information.
-        measured: (p, p) information of earlier logs on ψ; that on a base parameter is the one on its column.
+        measured: (p, p) information of earlier logs on ψ; a base parameter has that of its column.
 
     Raises:
         ProblemError: no parameter begins with a name of `focus`.
@@ -109,14 +110,14 @@ def design_parameters(model: Model, sigma: Array, *, focus: Sequence[str] = (), 
 def _focused(model: Model, structure: Identifiability, focus: Sequence[str]) -> tuple[int, ...]:
     places: list[int] = []
     for name in focus:
-        last = model.machine.links[-1].name  # a payload becomes part of it
-        own = (list(range(len(model.parameters)))[model.parameters.bodies.get(last, slice(0))] if name == "payload"
+        last = model.machine.links[-1].name  # it carries the payload
+        members = (list(range(len(model.parameters)))[model.parameters.bodies.get(last, slice(0))] if name == "payload"
                else model.parameters.matching(name))
-        if not own:
+        if not members:
             raise ProblemError(f"no parameter is called '{name}' or begins with it", where="focus",
                                remedy=f"use payload, friction, a part such as {model.machine.links[-1].name} or a "
                                       f"parameter such as {model.parameters.names[0]}")
-        touched = np.flatnonzero(np.any(structure.grouping[:, own] != 0, axis=1))
+        touched = np.flatnonzero(np.any(structure.grouping[:, members] != 0, axis=1))
         if not touched.size:
             raise IdentifiabilityError(f"no motion excites '{name}'", where="focus",
                                        remedy="focus on another parameter")
@@ -124,7 +125,7 @@ def _focused(model: Model, structure: Identifiability, focus: Sequence[str]) -> 
     return tuple(places)
 
 
-def checked(criterion: str, focus: Sequence[object]) -> None:
+def refuse_criterion(criterion: str, focus: Sequence[object]) -> None:
     """Refuse an unknown criterion, or a focus where the criterion takes none.
 
     Raises:
@@ -138,7 +139,7 @@ def checked(criterion: str, focus: Sequence[object]) -> None:
                            remedy="leave out the focus, or use D, A or E")
 
 
-def judged(criterion: str, factor: Array, focus: Array) -> tuple[float, Array]:
+def criterion_value(criterion: str, factor: Array, focus: Array) -> tuple[float, Array]:
     """A criterion of the information RᵀR, and its derivative (r, r) by that matrix.
 
     Args:
@@ -166,25 +167,27 @@ def judged(criterion: str, factor: Array, focus: Array) -> tuple[float, Array]:
 
 
 class Information:
-    """The information that motions carry, and the derivative of a criterion with respect to the joints' states."""
+    """Information of motions on the parameters, and the derivative of a criterion with respect to the joints'
+    states."""
 
     def __init__(self, model: Model, parameters: DesignParameters, criterion: str) -> None:
-        checked(criterion, parameters.focus)
+        refuse_criterion(criterion, parameters.focus)
         self.model, self.parameters, self.criterion = model, parameters, criterion
-        at, scale = model.at, parameters.weight[:, None] * parameters.scale
+        states, scale = model.at, parameters.weight[:, None] * parameters.scale
         columns = parameters.columns.tolist()
         K = model.dynamics.regressor(actuator_inertia=model.actuator_inertia)[:, columns] * ca.DM(scale)
-        exact = program(ca.Function("base_regressor", [*at], [K]))
+        exact = program(ca.Function("base_regressor", [*states], [K]))
         self.regressor, self.smooth = exact.function(), exact.function(lambda v: v / ca.sqrt(v**2 + SLOW**2))
-        K = self.smooth(*at)
+        K = self.smooth(*states)
         G = ca.SX.sym("G", K.numel())
-        pull = ca.dot(ca.vec(K), G)
+        product = ca.dot(ca.vec(K), G)
         values, vectors = np.linalg.eigh(parameters.prior)
-        # information added to all parameters alike would make standstill the best conditioned motion
-        faint = 0.0 if criterion == "condition" else FAINT
+        # equal information on all parameters would make standstill the motion with the best condition number
+        faint = 0.0 if criterion == "condition" else FAINT_INFORMATION
         self.prior_root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T
         self.faint_root = np.sqrt(np.maximum(values, faint**2))[:, None] * vectors.T
-        self.pull = ca.Function("pull", [*at, G], [ca.vertcat(*(ca.gradient(pull, x) for x in at))])
+        self.state_gradient = ca.Function(
+            "state_gradient", [*states, G], [ca.vertcat(*(ca.gradient(product, x) for x in states))])
 
     def __reduce__(self) -> tuple[type[Information], tuple[object, ...]]:
         return Information, (self.model, self.parameters, self.criterion)
@@ -192,7 +195,7 @@ class Information:
     def factor(self, q: Array, qd: Array, qdd: Array, rate: float) -> Array:
         """R (r, r) with RᵀR the information on the scaled parameters of states (N, n), each weighted as `rate` samples.
 
-        Squaring the regressor would lose half of the digits, and it is badly conditioned.
+        The regressor is ill-conditioned, and forming its square would lose half of the digits.
         """
         K = self.model.over(self.regressor, q, qd, qdd)[0]
         return self._factor(self.prior_root, K, rate)
@@ -212,8 +215,8 @@ class Information:
         value, by_matrix = self.of(self._factor(self.faint_root, K, rate))
         G = 2 * rate * (K @ by_matrix)
         columns = G.transpose(0, 2, 1).reshape(len(q), -1)  # CasADi's order, column by column
-        return value, self.model.over(self.pull, q, qd, qdd, columns)[0][:, :, 0]
+        return value, self.model.over(self.state_gradient, q, qd, qdd, columns)[0][:, :, 0]
 
     def of(self, factor: Array) -> tuple[float, Array]:
         """The criterion of the information RᵀR, and its derivative (r, r) by that matrix."""
-        return judged(self.criterion, factor, np.eye(len(factor))[list(self.parameters.focus) or slice(None)])
+        return criterion_value(self.criterion, factor, np.eye(len(factor))[list(self.parameters.focus) or slice(None)])

@@ -10,7 +10,7 @@ from threadpoolctl import threadpool_limits
 
 from hydroopt import excitation_problem, load_machine
 from hydroopt.excitation.motion.basis import Fourier
-from hydroopt.excitation.motion.design import BACK_OFF, design, drawn, rest
+from hydroopt.excitation.motion.design import BACK_OFF, design, random_motion, resting_posture
 from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.excitation.motion.sqp import KEPT, WIDEST, sequential_quadratic_programming
 
@@ -61,25 +61,25 @@ def _ours(program: ExcitationProblem, start: np.ndarray, target: float) -> tuple
         if value <= target:
             reached = min(reached, time.perf_counter() - began)
 
-    still, rng = rest(program, np.random.default_rng(0)), np.random.default_rng(99)
+    still, rng = resting_posture(program, np.random.default_rng(0)), np.random.default_rng(99)
     while math.isinf(reached) and time.perf_counter() - began < PATIENCE:
         found = sequential_quadratic_programming(program, start, BACK_OFF, time.monotonic() + PATIENCE,
                                                  lambda: not math.isinf(reached), heard)
         values.append(program.value(found))
-        start = drawn(program, still, rng)
+        start = random_motion(program, still, rng)
     return reached, len(values), values[0]
 
 
 def excitation() -> None:
     """CAT 215B, 33 s, 10 harmonics, D-optimal, all limits of the machine file."""
     program = excitation_problem(load_machine("cat215b"), Fourier(29.0, 10))
-    still = rest(program, np.random.default_rng(0))
+    still = resting_posture(program, np.random.default_rng(0))
     print(f"{'start':>5} {'D there':>8} {'SLSQP s':>8} {'its D':>8} {'ours s to it':>13} {'ratio':>6} "
           f"{'starts':>7} {'D of the first':>14}")
     times = []
     with threadpool_limits(1):
         for seed in range(1, 9):
-            start = drawn(program, still, np.random.default_rng(seed))
+            start = random_motion(program, still, np.random.default_rng(seed))
             taken, value = _baseline(program, start)
             if math.isinf(value):
                 print(f"{seed:5d} {program.value(start):8.3f} {taken:8.1f}     SLSQP ends without keeping the limits")

@@ -5,15 +5,15 @@ from __future__ import annotations
 import numpy as np
 
 from hydroopt import Model, identification_problem, load_machine, simulate, solve
-from hydroopt.excitation.motion.design import drawn, rest
+from hydroopt.excitation.motion.design import random_motion, resting_posture
 from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.simulation.simulate import Trajectory
 
 
 def random_motions(program: ExcitationProblem, seeds: range) -> list[tuple[float, np.ndarray]]:
     """Criterion and variables of a random feasible motion of each seed."""
-    still = rest(program, np.random.default_rng(0))
-    motions = [drawn(program, still, np.random.default_rng((7, seed))) for seed in seeds]
+    still = resting_posture(program, np.random.default_rng(0))
+    motions = [random_motion(program, still, np.random.default_rng((7, seed))) for seed in seeds]
     return [(program.value(x), x) for x in motions]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 from hydroopt import excitation_problem, load_machine, random_trajectory
 from hydroopt.excitation.criteria import presumed_noise
 from hydroopt.excitation.motion.basis import Fourier
-from hydroopt.excitation.motion.design import design, drawn, rest
+from hydroopt.excitation.motion.design import design, random_motion, resting_posture
 from hydroopt.excitation.motion.excitation import Excitation
 from hydroopt.excitation.motion.expected_accuracy import expected_accuracy
 from hydroopt.simulation import simulate
@@ -38,10 +38,11 @@ def scatter(path, structure, found) -> tuple[np.ndarray, np.ndarray]:
 def unseen_errors(model, program, found) -> dict[str, float]:
     """Median over logs and motions of the RMS of noise-free forces, in standard deviations of the sensors."""
     sigma, truth = presumed_noise(model), model.parameters.nominal
-    still = rest(program, np.random.default_rng(0))
+    still = resting_posture(program, np.random.default_rng(0))
     motions = {
-        "of_the_same_kind": [Excitation(program, drawn(program, still, np.random.default_rng((8, k)))).trajectory
-                             for k in range(UNSEEN)],
+        "of_the_same_kind": [
+            Excitation(program, random_motion(program, still, np.random.default_rng((8, k)))).trajectory
+            for k in range(UNSEEN)],
         "over_all_ranges": [random_trajectory(model, duration=33.28, rate=50, seed=100 + k) for k in range(UNSEEN)]}
     return {kind: float(np.median([
         np.sqrt(np.mean(((simulate.forces(model, path, psi) - simulate.forces(model, path, truth)) / sigma) ** 2))

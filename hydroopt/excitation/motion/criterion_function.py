@@ -1,4 +1,4 @@
-"""A criterion that NumPy computes, as a function in CasADi's expressions."""
+"""A criterion computed by NumPy, as a CasADi function with a gradient."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class CriterionFunction(ca.Callback):  # type: ignore[misc]
         self.construct("criterion", {})
 
     def get_sparsity_in(self, _: int) -> ca.Sparsity:
-        """Of x."""
+        """Sparsity of x."""
         return ca.Sparsity.dense(self._size, 1)
 
     def eval(self, arguments: list[Any]) -> list[Any]:
@@ -30,7 +30,7 @@ class CriterionFunction(ca.Callback):  # type: ignore[misc]
         return [self._value(np.asarray(arguments[0]).ravel())]
 
     def has_jacobian(self) -> bool:
-        """It has."""
+        """True: the gradient is exact."""
         return True
 
     def get_jacobian(self, *_: Any) -> ca.Function:

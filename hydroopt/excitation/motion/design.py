@@ -1,8 +1,8 @@
 """The motion with the most information on a machine's parameters within all of its limits (Gautier and Khalil 1992).
 
 Coefficients of the motion are the variables of a nonlinear problem with exact first derivatives, which is solved from
-many starts, in processes side by side. What it returns is checked at the controller's rate and, if a limit
-is touched in between, drawn towards a posture of rest until none is: a motion that breaks a limit never comes out.
+many starts, in parallel processes. What it returns is refuse_criterion at the controller's rate and, if a limit
+is violated in between, scaled towards a posture at rest until none is: a returned motion satisfies all limits.
 """
 
 from __future__ import annotations
@@ -33,16 +33,16 @@ from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import sampling_rate
 from hydroopt.spatial.inertia import Array
 
-POSTURES = 2000
-"""Random postures among which one to rest in is sought."""
-DRAWN = 4
-"""Random motions of which the best is a start."""
+RESTING_POSTURES = 2000
+"""Random postures among which the resting posture is chosen."""
+RANDOM_MOTIONS = 4
+"""Random motions, of which the best is an initial guess."""
 BACK_OFF, ROUNDS = 0.001, 4
-"""Part of every limit's range that is left as room, and how often it is widened if it was not enough."""
+"""Part of every limit's range by which bounds are tightened, and how often this is increased."""
 TIGHT = 0.02
-"""Part of a limit's scale within which it counts as touched."""
+"""Part of a limit's scale within which it counts as active."""
 STILL = 1e-6
-"""Speed [rad/s, m/s] that is none."""
+"""Speed [rad/s, m/s] below which a motion counts as standstill."""
 Report = Callable[[int, float], None]
 
 
@@ -55,12 +55,12 @@ def excitation_problem(machine: Machine, basis: Basis, *, criterion: str = "D", 
         machine: with all of its limits.
         basis: functions of time, of which the motion is a sum: `Fourier` or `Spline`.
         criterion: ``D``, ``A``, ``E`` or ``condition``.
-        focus: parameters, parts, ``payload`` or ``friction``, which alone count.
+        focus: parameters, parts, ``payload`` or ``friction`` to which the criterion is restricted.
         priors: whether the machine file's confidences count as information (Bayesian design).
-        logs: already measured, to whose information the motion adds.
+        logs: already measured; their information is added to that of the motion.
         rate: samples per second of the controller; by default the highest that the file states for a joint's sensor,
             or 50.
-        resting: joints that rest, and where [rad, m].
+        resting: joints that rest, with their positions [rad, m].
 
     Raises:
         ProblemError: an argument is wrong; the sentence states a remedy.
@@ -88,66 +88,66 @@ def excitation_problem(machine: Machine, basis: Basis, *, criterion: str = "D", 
 
 
 def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, seconds: float = 60.0, processes: int = 1,
-           say: Callable[[str], None] = lambda _: None) -> Excitation:
+           progress: Callable[[str], None] = lambda _: None) -> Excitation:
     """The best motion found from several starts; Ctrl-C ends the search and keeps it.
 
     Args:
         problem: see `excitation_problem`.
         starts: random motions from which the search starts.
-        seed: of these.
-        seconds: after which the best motion so far is taken; at least one start is begun.
-        processes: how many starts go on at the same time; with more than one, a script that calls this needs the usual
+        seed: of the random motions.
+        seconds: time limit, after which the best motion so far is returned; at least one start is begun.
+        processes: how many starts run at the same time; with more than one, a script that calls this needs the usual
             ``if __name__ == "__main__"``.
-        say: is called with a sentence on the progress.
+        progress: is called with a sentence on the progress.
 
     Raises:
-        ProblemError: not even rest keeps all limits, or nothing but rest; the limits in conflict are named.
+        ProblemError: no posture at rest, or no motion, satisfies all limits; the limits in conflict are named.
         SolverError: a process ended without an answer.
-        KeyboardInterrupt: there was Ctrl-C before there was a motion.
+        KeyboardInterrupt: Ctrl-C was pressed before a motion was found.
     """
     if not (starts >= 1 and processes >= 1 and seconds > 0):
         raise ProblemError("the search has no start, process or time", where="excitation",
                            remedy="give at least one start, one process and some seconds")
-    still = rest(problem, np.random.default_rng(seed))
+    at_rest = resting_posture(problem, np.random.default_rng(seed))
     found: list[tuple[Array, float]] = []
     criterion, best = problem.information.criterion, np.inf
 
     def report(start: int, value: float) -> None:
         nonlocal best
         best = min(best, value)
-        say(f"start {start + 1} of {starts}: {criterion} = {value:.4g}, best {best:.4g}")
+        progress(f"start {start + 1} of {starts}: {criterion} = {value:.4g}, best {best:.4g}")
 
     processes, end = min(processes, starts), time.time() + seconds
     with deferred() as interrupted:
         if processes == 1:
             for start in range(starts):
-                found.append(_attempt(problem, still, (seed, start), end, interrupted, report))
+                found.append(_attempt(problem, at_rest, (seed, start), end, interrupted, report))
                 if interrupted():
                     break
         else:
-            found += _in_parallel(problem, still, seed, starts, processes, end, interrupted, report)
+            found += _in_parallel(problem, at_rest, seed, starts, processes, end, interrupted, report)
         stopped = interrupted()
     moving = [each for each in found if np.max(np.abs(problem.states(each[0], problem.fine).qd)) > STILL]
     if moving:
         return Excitation(problem, min(moving, key=lambda each: each[1])[0], seed, starts, stopped)
     if stopped:
         raise KeyboardInterrupt
-    raise ProblemError(f"{', '.join(_obstacles(problem, still))} cannot be kept by any motion that was tried, however "
-                       "small", where="excitation",
+    raise ProblemError(f"{', '.join(_conflicting_limits(problem, at_rest))} cannot be kept by any motion that was "
+                       "tried, however small", where="excitation",
                        remedy="correct these limits in the machine file, or give more time")
 
 
 def _attempt(problem: ExcitationProblem, rest: Array, seed: tuple[int, int], end: float,
              interrupted: Callable[[], bool],
              report: Report) -> tuple[Array, float]:
-    """The best motion that a start leads to, and its value; rest if the time, by ``time.time()``, is over."""
+    """The best motion found from a start, and its value; the posture at rest if ``time.time()`` is beyond `end`."""
     end += time.monotonic() - time.time()
-    if interrupted() or (time.monotonic() > end and seed[1] > 0):  # the first goes as far as to a random motion
+    if interrupted() or (time.monotonic() > end and seed[1] > 0):  # the first start always yields a random motion
         return rest, np.inf
-    # the matrices are too small to gain from threads, which only get in each other's way
+    # the matrices are too small for threads
     with threadpool_limits(limits=1, user_api="blas"):
         rng = np.random.default_rng(seed)
-        best = min((drawn(problem, rest, rng) for _ in range(DRAWN)), key=problem.value)
+        best = min((random_motion(problem, rest, rng) for _ in range(RANDOM_MOTIONS)), key=problem.value)
         x, back_off = best, BACK_OFF
         for _ in range(ROUNDS):
             x = sequential_quadratic_programming(problem, x, back_off, end, interrupted,
@@ -155,13 +155,13 @@ def _attempt(problem: ExcitationProblem, rest: Array, seed: tuple[int, int], end
             over = problem.excess(x, problem.fine)
             if over <= 0:
                 break
-            back_off += BACK_OFF / 4 + 1.5 * over  # a limit is broken between the times at which it was kept
+            back_off += BACK_OFF / 4 + 1.5 * over  # violated between the times of the grid
         best = min(best, shrunk(problem, x, rest), key=problem.value)
         return best, problem.value(best)
 
 
 class _Worker:
-    """What a process of the pool holds."""
+    """State of a process of the pool."""
 
     problem: ExcitationProblem
     rest: Array
@@ -193,7 +193,7 @@ def _in_parallel(problem: ExcitationProblem, rest: Array, seed: int, starts: int
                     report(*values.get())
                 if interrupted() and not stop.is_set():
                     stop.set()
-                    for attempt in running:  # what has not begun need not
+                    for attempt in running:  # starts that have not begun
                         attempt.cancel()
             return [attempt.result() for attempt in attempts if not attempt.cancelled()]
     except BrokenProcessPool:
@@ -202,30 +202,30 @@ def _in_parallel(problem: ExcitationProblem, rest: Array, seed: int, starts: int
 
 
 def shrunk(problem: ExcitationProblem, x: Array, rest: Array, *, rough: bool = False) -> Array:
-    """The motion nearest to x, on the way to rest, that keeps all limits at the controller's rate and on the grid.
+    """x scaled towards rest as little as needed to satisfy all limits at the controller's rate and on the grid.
 
-    A rough one keeps them at the few nodes, and may be a little nearer to rest.
+    With `rough` they are checked at the nodes only, and the scale has fewer digits.
     """
     times = (problem.nodes,) if rough else (problem.fine, problem.grid)
 
-    def keeps(part: float) -> bool:
-        at = rest + part * (x - rest)
-        return bool(np.all(np.isfinite(at))) and all(problem.excess(at, rows) <= 0 for rows in times)
+    def feasible(part: float) -> bool:
+        scaled = rest + part * (x - rest)
+        return bool(np.all(np.isfinite(scaled))) and all(problem.excess(scaled, rows) <= 0 for rows in times)
 
-    if keeps(1.0):
+    if feasible(1.0):
         return x
     low, high = 0.0, 1.0
     for _ in range(8 if rough else 30):
         middle = (low + high) / 2
-        low, high = (middle, high) if keeps(middle) else (low, middle)
+        low, high = (middle, high) if feasible(middle) else (low, middle)
     return np.asarray(rest + low * (x - rest))
 
 
-def rest(problem: ExcitationProblem, rng: np.random.Generator) -> Array:
-    """The posture in which all limits are kept by the most, of many random ones and then of ever nearer ones.
+def resting_posture(problem: ExcitationProblem, rng: np.random.Generator) -> Array:
+    """The random posture with the largest distance to all limits at rest, refined by random postures near it.
 
     Raises:
-        ProblemError: a limit is broken in all of them; those in conflict are named.
+        ProblemError: every posture violates a limit; those in conflict are named.
     """
     limits, best = problem.limits, problem.mean
     least = np.full(len(limits.rows), np.inf)
@@ -236,7 +236,7 @@ def rest(problem: ExcitationProblem, rng: np.random.Generator) -> Array:
     if np.max(worst) > 0:
         never = dict.fromkeys(limits.rows[k].name for k in np.flatnonzero(least > 0))
         broken = dict.fromkeys(limits.rows[k].name for k in np.flatnonzero(worst > 0))
-        # of limits that can each be kept, those that hold the posture where it is conflict with the broken ones
+        # if each limit alone can be satisfied, the active ones conflict with the violated ones
         tight = dict.fromkeys(limits.rows[k].name for k in np.flatnonzero((worst <= 0) & (worst > -TIGHT)))
         what = "in any posture" if never else "together in any posture"
         raise ProblemError(f"{', '.join(never or broken | tight)} cannot be kept {what}", where="excitation",
@@ -244,8 +244,8 @@ def rest(problem: ExcitationProblem, rng: np.random.Generator) -> Array:
     return problem.posture(best)
 
 
-def _obstacles(problem: ExcitationProblem, rest: Array) -> list[str]:
-    """Names of limits that a slight random motion about rest breaks."""
+def _conflicting_limits(problem: ExcitationProblem, rest: Array) -> list[str]:
+    """Names of limits that a small random motion about rest violates."""
     slight = rest + STILL * np.random.default_rng(0).standard_normal(len(rest))
     values = problem.limits.values(*problem.states(slight, problem.grid))
     broken = np.flatnonzero(np.max(problem.limits.excess(values), axis=0) > 0)
@@ -253,27 +253,28 @@ def _obstacles(problem: ExcitationProblem, rest: Array) -> list[str]:
 
 
 def _postures(problem: ExcitationProblem, near: Array, size: float, rng: np.random.Generator) -> tuple[Array, Array]:
-    """A posture (n,) and random ones within a part of the joints' ranges, (P, n), and their excesses (P, m) at rest."""
+    """A posture (n,) and random ones near it, (P, n), within a part `size` of the joints' ranges; their excesses (P,
+    m)."""
     joints = problem.machine.joints
     low, high = np.array([problem.machine.link(joint).joint.range for joint in joints]).T
-    drawn = rng.uniform(low, high, (POSTURES, len(low)))
+    drawn = rng.uniform(low, high, (RESTING_POSTURES, len(low)))
     q = np.vstack([near, drawn if size == 1 else np.clip(near + size * (drawn - (low + high) / 2), low, high)])
-    for joint, at in problem.resting.items():
-        q[:, joints.index(joint)] = at
+    for joint, position in problem.resting.items():
+        q[:, joints.index(joint)] = position
     return q, problem.limits.excess(problem.limits.values(q, 0 * q, 0 * q))
 
 
-def drawn(problem: ExcitationProblem, rest: Array, rng: np.random.Generator) -> Array:
-    """A random motion: about a random posture every joint as far as the limits let it go by itself, then all together.
+def random_motion(problem: ExcitationProblem, rest: Array, rng: np.random.Generator) -> Array:
+    """A random motion about a random posture: each joint's amplitude alone within the limits, then scaled together.
 
-    `rest` is where it rests if nothing else keeps the limits.
+    `rest` is the posture to use where no random posture satisfies the limits.
     """
     q, excess = _postures(problem, problem.mean, 1.0, rng)
     kept = np.flatnonzero(np.max(excess, axis=1) <= 0)
     rest = problem.posture(q[rng.choice(kept)]) if kept.size else rest
     shape = (len(problem.basis.names), len(problem.active))
     wave = rng.standard_normal(shape)
-    wave -= np.outer(problem.one, wave.mean(axis=0))  # the posture is its middle
+    wave -= np.outer(problem.one, wave.mean(axis=0))  # so that the posture is its mean
     total = np.zeros(shape)
     for k in range(shape[1]):
         alone = np.zeros(shape)

@@ -1,4 +1,4 @@
-"""The limits of a machine, as rows of numbers with bounds, each with a name that a user knows.
+"""The limits of a machine as bounded functions of the joints' state, each with a name for messages.
 
 Joint positions, speeds and accelerations; cylinder strokes and speeds; the pump's flow; chamber pressures or torques by
 the nominal dynamics with a margin for its uncertainty; workspace, ground and obstacles; tipping over.
@@ -25,9 +25,9 @@ from hydroopt.spatial.inertia import Array
 
 
 class Row(NamedTuple):
-    """A quantity over a motion: its name, unit, bounds, and typical size, in which its excess is measured.
+    """A limited quantity: name, unit, bounds, and the scale by which its values are divided.
 
-    It cannot be below its `floor`, whatever the function says.
+    Values below `floor` do not occur on the machine and count as `floor`.
     """
 
     name: str
@@ -44,7 +44,7 @@ class Limits:
     Attributes:
         rows: what is bounded (m,), in the order of the function's output.
         function: casadi.Function (q, qd, qdd) → (m,). It does not contain the bounds, so that machines that differ
-            only in these share its kernel.
+            only in bounds share its kernel.
         derivatives: of it, (m, n) each, by q, qd and qdd.
         scale: (m,) of the rows.
         lower, upper: bounds (m,), divided by the scales.
@@ -55,18 +55,19 @@ class Limits:
         self.model = model
         machine = model.machine
         self.margin = np.zeros(len(machine.actuators)) if margin is None else margin
-        self._found: list[tuple[Row, ca.SX]] = []
+        self._entries: list[tuple[Row, ca.SX]] = []
         self._joints()
         self._cylinders()
         self._pump()
         self._efforts()
-        self._places()
+        self._positions()
         self._tipping()
-        self.rows = tuple(row for row, _ in self._found)
+        self.rows = tuple(row for row, _ in self._entries)
         self.scale = np.array([row.scale for row in self.rows])
-        at, values = model.at, ca.vertcat(*(value for _, value in self._found))
-        self.function = ca.Function("limits", [*at], [values], ["q", "qd", "qdd"], ["value"])
-        self.derivatives = ca.Function("limits_derivatives", [*at], [ca.densify(ca.jacobian(values, x)) for x in at],
+        states, values = model.at, ca.vertcat(*(value for _, value in self._entries))
+        self.function = ca.Function("limits", [*states], [values], ["q", "qd", "qdd"], ["value"])
+        self.derivatives = ca.Function("limits_derivatives", [*states],
+                                       [ca.densify(ca.jacobian(values, x)) for x in states],
                                        ["q", "qd", "qdd"], ["by_q", "by_qd", "by_qdd"])
         self.lower = np.array([row.lower for row in self.rows]) / self.scale
         self.upper = np.array([row.upper for row in self.rows]) / self.scale
@@ -85,24 +86,24 @@ class Limits:
         return first, second, third
 
     def excess(self, values: Array) -> Array:
-        """By how much (N, m) values (N, m) exceed their bounds; at most zero if kept, infinite if there is none."""
+        """By how much (N, m) values (N, m) exceed their bounds: at most zero if satisfied, infinite if not a number."""
         found = np.maximum(values - self.upper, self.lower - values)
         return np.where(np.isfinite(found), found, np.inf)
 
     def _add(self, name: str, unit: str, value: ca.SX, lower: float = -np.inf, upper: float = np.inf,
              scale: float | None = None, floor: float = -np.inf) -> None:
         sizes = [abs(bound) for bound in (lower, upper) if np.isfinite(bound) and bound]
-        self._found.append((Row(name, unit, lower, upper, scale or (max(sizes) if sizes else 1.0), floor), value))
+        self._entries.append((Row(name, unit, lower, upper, scale or (max(sizes) if sizes else 1.0), floor), value))
 
     def _joints(self) -> None:
-        machine, at = self.model.machine, self.model.at
+        machine, states = self.model.machine, self.model.at
         for k, name in enumerate(machine.joints):
             joint = machine.link(name).joint
             unit = "m" if joint.type == "prismatic" else "rad"
             lower, upper = joint.range
-            self._add(f"{name} position", unit, at.q[k], lower, upper, upper - lower)
-            for what, limit, value, per in (("speed", joint.max_speed, at.qd[k], "/s"),
-                                            ("acceleration", joint.max_acceleration, at.qdd[k], "/s^2")):
+            self._add(f"{name} position", unit, states.q[k], lower, upper, upper - lower)
+            for what, limit, value, per in (("speed", joint.max_speed, states.qd[k], "/s"),
+                                            ("acceleration", joint.max_acceleration, states.qdd[k], "/s^2")):
                 if limit is not None:
                     self._add(f"{name} {what}", unit + per, value, -limit, limit)
 
@@ -118,8 +119,8 @@ class Limits:
         machine = self.model.machine
         if machine.pump is None or machine.pump.max_flow is None:
             return
-        # each actuator demands what its growing chamber takes; the greatest sum of all combinations counts, two to the
-        # power of the actuators, since a maximum has no derivative
+        # the flow of an actuator depends on its direction, and a maximum has no derivative: one row for each of the
+        # 2^n combinations of directions
         demands = [chamber_flows(actuator, self.model.dynamics.rates[k])
                    for k, actuator in enumerate(machine.actuators) if isinstance(actuator, Cylinder | Motor)]
         for chosen in itertools.product(*demands) if demands else ():
@@ -142,10 +143,10 @@ class Limits:
             for chamber, area, other, sign in zip(actuator.chambers, areas, areas[::-1], (1, -1), strict=True):
                 most = actuator.relief_pressure - margin / area
                 self._add(" ".join(chamber.split(".")), "Pa", (sign * force[k] + other * BACK_PRESSURE) / area,
-                          upper=most if most >= BACK_PRESSURE else -np.inf,  # nothing is as low as that
+                          upper=most if most >= BACK_PRESSURE else -np.inf,  # cannot be satisfied
                           scale=actuator.relief_pressure, floor=BACK_PRESSURE)
 
-    def _places(self) -> None:
+    def _positions(self) -> None:
         machine, dynamics = self.model.machine, self.model.dynamics
         ends = {link.name: (dynamics.links[link.name].pose @ dynamics.geometry.far_end(link.name)).origin
                 for link in machine.links}
@@ -172,9 +173,9 @@ class Limits:
         for owner in owners:
             motion = dynamics.body_motion(owner)
             wrench = body_regressor(motion) @ ca.DM(psi[columns[owner]])
-            own = motion.pose.rotation @ wrench[:3]
-            force += own
-            moment += motion.pose.rotation @ wrench[3:] + ca.cross(motion.pose.origin, own)
+            body_force = motion.pose.rotation @ wrench[:3]
+            force += body_force
+            moment += motion.pose.rotation @ wrench[3:] + ca.cross(motion.pose.origin, body_force)
         weight = -machine.footprint.mass * ca.DM(gravity_in_base(machine))
         force += weight
         moment += ca.cross(ca.DM(machine.footprint.com), weight)
@@ -182,16 +183,16 @@ class Limits:
         total = machine.gravity * (machine.footprint.mass + sum(psi[columns[owner].start] for owner in owners)) or 1.0
         for k, corner in enumerate(corners):
             edge = corners[(k + 1) % len(corners)] - corner
-            # about each edge the ground's push must turn inwards, or the machine leaves the ground
-            held = ca.dot(ca.DM(edge / np.linalg.norm(edge)), moment - ca.cross(ca.DM(corner), force))
-            self._add(f"tipping over edge {k + 1}", "N*m", held, 0.0, scale=total)
+            # about each edge of the footprint the moment of the ground's force must not be negative
+            restoring = ca.dot(ca.DM(edge / np.linalg.norm(edge)), moment - ca.cross(ca.DM(corner), force))
+            self._add(f"tipping over edge {k + 1}", "N*m", restoring, 0.0, scale=total)
 
 
 def margins(model: Model, samples: int = 400, seed: int = 0) -> Array:
-    """How much more force [N, N·m] (n,) than by the nominal parameters an actuator may need.
+    """Reserve of force [N, N·m] (n,) of each actuator for the uncertainty of the nominal parameters.
 
-    Twice the standard deviation that the machine file's confidences leave, in the median of random states within the
-    joints' limits; what the file gives no confidence of counts as exact.
+    Twice the standard deviation of its force by the machine file's confidences, the median over random states within
+    the joints' limits; parameters without a stated confidence count as exact.
     """
     states = random_states(model, samples, np.random.default_rng(seed))
     K = model.over(model.regressor, *states)[0]

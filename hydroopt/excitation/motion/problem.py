@@ -69,7 +69,7 @@ class ExcitationProblem:
             if not lower <= position <= upper:
                 unit = information.model.machine.channel_units[f"{name}.q"]
                 raise ProblemError(f"joint '{name}' cannot rest at {position:.4g} {unit}: its range is {lower:.4g} to "
-                                   f"{upper:.4g} {unit}", where="excitation", remedy="let it rest within its range")
+                                   f"{upper:.4g} {unit}", where="excitation", remedy="give a position within its range")
         self.active, self.idle = ([k for k, joint in enumerate(joints) if (joint in self.resting) == rests]
                                   for rests in (False, True))
         if not self.active:
@@ -112,7 +112,7 @@ class ExcitationProblem:
 
         Args:
             x0: initial guess (k,); by default rest in the middle of the joints' ranges.
-            back_off: part of each limit's range that is left as room.
+            back_off: part of each limit's range by which bounds are tightened.
 
         Example:
             >>> import hydroopt as ho
@@ -204,7 +204,7 @@ class ExcitationProblem:
         return np.asarray((total * self.size).ravel())
 
     def constraints(self, x: Array) -> Array:
-        """What is limited (N, m) at the times of `grid`, divided by its scale."""
+        """Limited quantities (N, m) at the times of `grid`, divided by their scales."""
         return self.limits.values(*self.states(x, self.grid))
 
     def slopes(self, x: Array) -> tuple[Array, Array, Array]:
@@ -213,26 +213,26 @@ class ExcitationProblem:
                                 for part in self.limits.slopes(*self.states(x, self.grid)))
         return first, second, third
 
-    def jacobian(self, slopes: tuple[Array, Array, Array], taken: NDArray[np.bool_]) -> Array:
-        """Derivatives (k, len(x)) of those constraints (N, m) that are taken."""
-        node, row = np.nonzero(taken)
+    def jacobian(self, slopes: tuple[Array, Array, Array], active: NDArray[np.bool_]) -> Array:
+        """Jacobian (k, len(x)) of the constraints in the active set (N, m)."""
+        node, row = np.nonzero(active)
         found = sum(part[node, row][:, None, :] * rows[node][:, :, None]
                     for part, rows in zip(slopes, self.grid, strict=True))
         return np.asarray(found).reshape(len(node), len(self.basis.names) * len(self.active))
 
-    def pushed(self, slopes: tuple[Array, Array, Array], step: Array) -> Array:
-        """Change (N, m) of all constraints, to first order, by a step (len(x),)."""
+    def directional_derivative(self, slopes: tuple[Array, Array, Array], step: Array) -> Array:
+        """Directional derivative (N, m) of all constraints along a step (len(x),)."""
         moved = np.reshape(step, (-1, len(self.active)))
         return np.asarray(sum(np.einsum("tma,ta->tm", part, rows @ moved)
                               for part, rows in zip(slopes, self.grid, strict=True)))
 
-    def pulled(self, slopes: tuple[Array, Array, Array], multipliers: Array) -> Array:
-        """Sum (len(x),) of the constraints' derivatives times multipliers (N, m)."""
+    def weighted_gradient(self, slopes: tuple[Array, Array, Array], multipliers: Array) -> Array:
+        """Gradient (len(x),) of the sum of all constraints, weighted by multipliers (N, m)."""
         return np.asarray(sum(rows.T @ np.einsum("tma,tm->ta", part, multipliers)
                               for part, rows in zip(slopes, self.grid, strict=True))).ravel()
 
     def excess(self, x: Array, rows: Rows) -> float:
-        """By how much a limit is exceeded at most, in parts of its scale; at most zero if all are kept."""
+        """The largest excess over a limit, as a part of its scale; at most zero if all are satisfied."""
         return float(np.max(self.limits.excess(self.limits.values(*self.states(x, rows)))))
 
     @cached_property
@@ -242,10 +242,10 @@ class ExcitationProblem:
         return np.asarray(np.any([np.any(part != 0, axis=(0, 2)) for part in self.slopes(x)], axis=0))
 
     def bounds(self, back_off: float) -> tuple[Array, Array]:
-        """Lower and upper bounds (m,) of `constraints`, with a part of each range left as room where joints move it."""
+        """Lower and upper bounds (m,) of `constraints`, tightened by a part of each range where joints change them."""
         lower, upper = self.limits.lower, self.limits.upper
-        room = back_off * self._moved * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
-        return lower + room, upper - room
+        tightening = back_off * self._moved * np.where(np.isfinite(upper - lower), upper - lower, 1.0)
+        return lower + tightening, upper - tightening
 
 
 def _samples(basis: Basis, rate: float) -> int:

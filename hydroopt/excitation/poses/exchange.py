@@ -22,7 +22,7 @@ from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures
 from hydroopt.spatial.inertia import Array
 
-FAINT = 1e-6
+FAINT_INFORMATION = 1e-6
 """Prior information, in units of the information of an average pose: makes every determinant positive."""
 HELPS = 1e-9
 """Relative gain of the criterion from which on an exchange of two poses helps."""
@@ -124,7 +124,7 @@ class _Design:
         shared = linear.shared[:, free] @ to_w
         self.rows: Array = rows.reshape(groups, -1, *rows.shape[1:])
         self.rank = linear.rank.reshape(groups, -1).max(axis=1)
-        self.prior = shared.T @ shared + FAINT * np.eye(len(factor))
+        self.prior = shared.T @ shared + FAINT_INFORMATION * np.eye(len(factor))
         self.open = len(factor) - (int(np.linalg.matrix_rank(shared)) if len(shared) else 0)
         self.focus = (to_w / data.scale[:, None])[_places(problem, total, focus)]
         if not focus and criterion != "D":
@@ -186,7 +186,7 @@ class _Design:
                     better = np.max(score) > score[pose] + HELPS
                     taken[np.argmax(score) if better else pose] = True
                     helped |= bool(better)
-        if np.linalg.eigvalsh(self.information(chosen))[0] < 2 * FAINT:
+        if np.linalg.eigvalsh(self.information(chosen))[0] < 2 * FAINT_INFORMATION:
             raise ProblemError(f"{count} poses of each stage do not identify all combinations that more poses would",
                                where="pose plan", remedy="ask for more poses, or fix parameters")
         return chosen

@@ -13,7 +13,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference.listing import named_row, table
 from hydroopt.estimation.kinematic.observability import Linearised, Observability, linearise, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
-from hydroopt.excitation.criteria import checked
+from hydroopt.excitation.criteria import refuse_criterion
 from hydroopt.logs.poses import Texts
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
@@ -178,7 +178,7 @@ def pose_problem(machine: Machine, count: int, *, stages: Sequence[str] | None =
     15
     """
     criterion = criterion or ("A" if focus else "D")
-    checked(criterion, focus)
+    refuse_criterion(criterion, focus)
     problem = PoseProblem(machine, count, _groups(machine, stages), criterion, tuple(focus), priors, dict(fixed or {}))
     if count < 1:
         raise ProblemError(f"{count} poses cannot be planned", where="pose plan", remedy="ask for at least one pose")

@@ -16,7 +16,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference.identifiability import structural
 from hydroopt.excitation.criteria import CRITERIA, Information, design_parameters, presumed_noise
 from hydroopt.excitation.motion.basis import Basis, Fourier, Spline
-from hydroopt.excitation.motion.design import design, drawn, excitation_problem, rest
+from hydroopt.excitation.motion.design import design, excitation_problem, random_motion, resting_posture
 from hydroopt.excitation.motion.limits import Limits, margins
 from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.excitation.motion.sqp import sequential_quadratic_programming
@@ -66,9 +66,9 @@ def test_derivatives_are_those_of_finite_differences(basis: Basis, resting: dict
     change = (of.constraints(x + h * step) - of.constraints(x - h * step)) / (2 * h)
     slopes = of.slopes(x)
     size = np.max(np.abs(change), axis=0) + 1e-9  # what a resting joint limits does not change
-    assert np.max(np.abs(of.pushed(slopes, step) - change) / size) < 1e-6
+    assert np.max(np.abs(of.directional_derivative(slopes, step) - change) / size) < 1e-6
     weights = np.random.default_rng(2).standard_normal(change.shape) / size
-    assert of.pulled(slopes, weights) @ step == pytest.approx(np.sum(weights * change), rel=1e-5)
+    assert of.weighted_gradient(slopes, weights) @ step == pytest.approx(np.sum(weights * change), rel=1e-5)
     taken = np.random.default_rng(3).uniform(size=change.shape) < 0.05
     assert np.max(np.abs(of.jacobian(slopes, taken) @ step - change[taken]) / (taken * size)[taken]) < 1e-6
 
@@ -202,8 +202,8 @@ def test_nothing_to_try_is_refused() -> None:
 def test_joint_that_rests_at_the_end_of_its_range_is_no_hindrance(end: int) -> None:
     """Room is left only where something moves; else no start would ever be improved."""
     asked = excitation_problem(CAT, Spline(8.0, 5), resting={"stick": CAT.link("stick").joint.range[end]})
-    still = rest(asked, np.random.default_rng(0))
-    start = drawn(asked, still, np.random.default_rng(1))
+    still = resting_posture(asked, np.random.default_rng(0))
+    start = random_motion(asked, still, np.random.default_rng(1))
     found = sequential_quadratic_programming(asked, start, 0.002, time.monotonic() + 60, lambda: False, lambda _: None)
     assert asked.value(found) < asked.value(start) - 0.1
     assert asked.excess(found, asked.grid) <= 0
@@ -212,7 +212,7 @@ def test_joint_that_rests_at_the_end_of_its_range_is_no_hindrance(end: int) -> N
 def test_ipopt_by_hand_finds_no_better_motion_from_the_same_start() -> None:
     """The program that the user gets, against our own solver's optimum, near which IPOPT starts and from afar."""
     problem = excitation_problem(load_machine("patu655_lift"), Fourier(6.0, 2, 1, 1.0), rate=50.0)
-    start = drawn(problem, rest(problem, np.random.default_rng(0)), np.random.default_rng(1))
+    start = random_motion(problem, resting_posture(problem, np.random.default_rng(0)), np.random.default_rng(1))
     found = sequential_quadratic_programming(problem, start, 0.0, time.monotonic() + 60, lambda: False, lambda _: None)
     program = problem.nlp(start)
     assert program.g_names[: len(problem.limits.rows)] == tuple(row.name for row in problem.limits.rows)
