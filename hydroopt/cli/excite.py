@@ -69,7 +69,7 @@ def excite(
     """
     from hydroopt.codegen import parameter_source
     from hydroopt.codegen.folder import Code
-    from hydroopt.codegen.routines import Course
+    from hydroopt.codegen.routines import DesignedMotion
     from hydroopt.excitation.motion.design import excitation_problem
     from hydroopt.files import refuse_directory
     from hydroopt.logs.stream import open_log
@@ -92,7 +92,8 @@ def excite(
         motion = solve(problem, starts=starts, seed=seed, seconds=seconds, processes=processes or os.cpu_count() or 1,
                        progress=say)
         say("computing the expected accuracy, writing the report and the code")
-        code = Code(described, origin, routines=["excitation"], course=Course(motion.function, basis.duration))
+        code = Code(described, origin, routines=["excitation"],
+                    designed_motion=DesignedMotion(motion.function, basis.duration))
         pages: dict[str, str | bytes] = {"report.html": report.render(motion)}
         written = code.files_for(output / "c")
         motion.save(output, pages=pages | {f"c/{name}": text for name, text in written.items()},

@@ -89,7 +89,7 @@ def _hydraulics(machine: Machine, output: Path | None, *, as_json: bool) -> None
     for row in rows:
         if row["unreachable"]:
             typer.echo(f"{row['joint']} at {row['speed']:.3g} {row['speed_unit']}: no steady motion in "
-                       f"{row['unreachable']} postures; in the first, {row['why']}.")
+                       f"{row['unreachable']} postures; in the first, {row['reason']}.")
     if output is not None:
         typer.echo(f"{output / 'hydraulics.html'}")
 

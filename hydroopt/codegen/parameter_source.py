@@ -1,4 +1,4 @@
-"""What C is generated from: a machine file, or the folder of an estimate."""
+"""Source of the parameters of generated C and controllers: a machine file, or the folder of an estimate."""
 
 from __future__ import annotations
 
@@ -15,22 +15,22 @@ from hydroopt.results.answer import Status, load
 
 
 class Origin(NamedTuple):
-    """Where the values of the parameters are from, in words, and the digest of what they were read from."""
+    """Origin of the parameters in words, and the digest of the file that they were read from."""
 
     text: str
     sha256: str
 
 
-def read(given: str, *, parameter_set: str | None = None) -> tuple[Machine, Origin]:
+def read(source: str, *, parameter_set: str | None = None) -> tuple[Machine, Origin]:
     """A machine with its nominal values, or the calibrated one of an estimate's folder.
 
     Raises:
         MachineError: the machine cannot be read.
         ProblemError: the folder holds no estimate, one that failed, or no calibrated machine.
     """
-    folder = Path(given)
-    if given in bundled() or not folder.is_dir():
-        machine = load_machine(given, parameter_set=parameter_set)
+    folder = Path(source)
+    if source in bundled() or not folder.is_dir():
+        machine = load_machine(source, parameter_set=parameter_set)
         return machine, Origin(f"nominal values of the machine {machine.name}", machine.sha256)
     if parameter_set is not None:
         raise ProblemError("an estimate has one set of parameters", where="--set", remedy="leave it out")
@@ -50,5 +50,5 @@ def read(given: str, *, parameter_set: str | None = None) -> tuple[Machine, Orig
 
 
 def _plain(text: str) -> str:
-    """Text that cannot end a comment."""
+    """Text without characters that could end a C comment."""
     return "".join(c for c in text if c.isascii() and (c.isalnum() or c in " :._+-"))[:60]

@@ -13,7 +13,7 @@ from hydroopt.spatial.inertia import Array
 
 STATES = 4
 MARGIN = 0.1
-"""Part of a joint's range at each end that is left out, so that rounding leaves no stroke."""
+"""Part of a joint's range at each end that is left out, so that rounding exceeds no stroke."""
 
 
 def vectors(interface: Interface, function: ca.Function, keys: list[tuple[str, str]], *,
@@ -26,17 +26,17 @@ def vectors(interface: Interface, function: ca.Function, keys: list[tuple[str, s
         keys: those pairs.
         single: whether the code computes in single precision.
     """
-    given = states(interface, single=single)
-    outputs = dict(zip(keys, results(function, given), strict=True))
+    inputs = states(interface, single=single)
+    outputs = dict(zip(keys, results(function, inputs), strict=True))
     routines = {name for name, _ in keys}
     read = {name for routine in routines for name in interface.routines[routine].reads}
-    return {"inputs": {name: array for name, array in given.items() if name in read}, "outputs": outputs,
-            "states": STATES, "params": {name: given[name] for name in given if name in interface.values}} | (
+    return {"inputs": {name: array for name, array in inputs.items() if name in read}, "outputs": outputs,
+            "states": STATES, "params": {name: inputs[name] for name in inputs if name in interface.values}} | (
         {"load": _load_update(outputs)} if "payload_update" in routines else {})
 
 
 def states(interface: Interface, count: int = STATES, seed: int = 0, *, single: bool = False) -> dict[str, Array]:
-    """All that routines read, (count, size) each, and the parameters (size,); as floats can hold it if `single`."""
+    """Random inputs of all routines, (count, size) each, and parameters (size,); rounded to float if `single`."""
     rng = np.random.default_rng(seed)
     machine, chain = interface.machine, interface.chain
 
@@ -49,27 +49,27 @@ def states(interface: Interface, count: int = STATES, seed: int = 0, *, single: 
     q = between({joint: ranges[joint] for joint in machine.joints})
     n = len(machine.joints)
     model = interface.complete
-    given = {
+    inputs = {
         "q": q, "qd": rng.uniform(-1, 1, (count, n)), "qdd": rng.uniform(-1, 1, (count, n)),
         "length": np.array([np.asarray(model.cylinder_kinematics(each, 0 * each, 0 * each)[0]).ravel()
                             [:len(machine.cylinders)] for each in q]),
         "speed": rng.uniform(-0.3, 0.3, (count, len(machine.cylinders))),
         "reading": rng.uniform(1e5, 2e7, (count, len(interface.kinds["reading"].names))),
         "chain_q": between({joint: ranges[joint] for joint in chain.joints}), "fixture": rng.uniform(-3, 3, (count, 3))}
-    given["stroke"] = given["length"] - np.array([c.dead_length for c in machine.cylinders])
-    given |= {name: _generic(name, array, rng) for name, array in interface.values.items()}
+    inputs["stroke"] = inputs["length"] - np.array([c.dead_length for c in machine.cylinders])
+    inputs |= {name: _generic(name, array, rng) for name, array in interface.values.items()}
     if "valve_feedforward" in interface.routines:
-        given |= {"speed_added": rng.uniform(-0.1, 0.1, (count, n)), "force_rate": rng.uniform(-1e5, 1e5, (count, n)),
+        inputs |= {"speed_added": rng.uniform(-0.1, 0.1, (count, n)), "force_rate": rng.uniform(-1e5, 1e5, (count, n)),
                   "pressure_a": rng.uniform(1e6, 2e7, (count, n)), "pressure_b": rng.uniform(1e6, 2e7, (count, n)),
                   "supply": np.tile([2.5e7, 3e5], (count, 1))}
-    if interface.course is not None:
-        given["t"] = rng.uniform(0, interface.course.duration, (count, 1))
-    given = {name: given[name] for name in interface.inputs}
-    return {name: array.astype(np.float32).astype(float) if single else array for name, array in given.items()}
+    if interface.designed_motion is not None:
+        inputs["t"] = rng.uniform(0, interface.designed_motion.duration, (count, 1))
+    inputs = {name: inputs[name] for name in interface.inputs}
+    return {name: array.astype(np.float32).astype(float) if single else array for name, array in inputs.items()}
 
 
 def _generic(name: str, array: Array, rng: np.random.Generator) -> Array:
-    """Parameters without the zeros and right angles of a machine file, which would hide what is wrong with others."""
+    """Parameters without the zeros and right angles of a machine file, which would hide errors."""
     if name in ("shortest", "longest"):
         return np.full(len(array), 0.0 if name == "shortest" else 100.0)
     if name == "psi":
@@ -77,10 +77,10 @@ def _generic(name: str, array: Array, rng: np.random.Generator) -> Array:
     return np.asarray(array + rng.uniform(-0.05, 0.05, len(array)) * (1 if name == "geometry" else array))
 
 
-def results(function: ca.Function, given: dict[str, Array]) -> list[Array]:
-    """Outputs (count, rows, columns) of a function by CasADi's own evaluation, state after state."""
-    count = max(len(array) for array in given.values() if array.ndim == 2)
-    rows = [function.call([ca.DM(array[k] if array.ndim == 2 else array) for array in given.values()])
+def results(function: ca.Function, inputs: dict[str, Array]) -> list[Array]:
+    """Outputs (count, rows, columns) of a function, evaluated by CasADi state by state."""
+    count = max(len(array) for array in inputs.values() if array.ndim == 2)
+    rows = [function.call([ca.DM(array[k] if array.ndim == 2 else array) for array in inputs.values()])
             for k in range(count)]
     return [np.array([np.asarray(row[i].full()) for row in rows]) for i in range(function.n_out())]
 

@@ -1,4 +1,4 @@
-"""What the C takes of a controller: stack and flash of each routine, as a compiler makes them."""
+"""Stack and flash that each routine of the generated C needs on a controller, measured with a compiler."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ CORTEX_M4F = ("-mcpu=cortex-m4", "-mthumb", "-mfloat-abi=hard", "-mfpu=fpv4-sp-d
 
 
 class Target(NamedTuple):
-    """A compiler with its flags, and the tool that reads what it makes."""
+    """A compiler with its flags, and the tool that reads section sizes of its object files."""
 
     command: str
     flags: tuple[str, ...]
@@ -23,7 +23,7 @@ class Target(NamedTuple):
 
 
 class Size(NamedTuple):
-    """Bytes of stack, calls to the C library not counted, and of flash."""
+    """Bytes of stack, without calls to the C library, and of flash."""
 
     stack: int
     flash: int
@@ -34,7 +34,7 @@ TARGETS = (Target("arm-none-eabi-gcc", CORTEX_M4F, "arm-none-eabi-size", "Cortex
 
 
 def sizes(files: Mapping[str, str]) -> tuple[dict[str, Size], str]:
-    """Size of each function of the sources, and how it was measured; empty where there is no compiler to ask.
+    """Size of each function of the sources, and how it was measured; empty if no compiler is found.
 
     Args:
         files: texts of all files by name; those whose names end in ``.c`` are compiled, the self-test left out.
@@ -43,9 +43,9 @@ def sizes(files: Mapping[str, str]) -> tuple[dict[str, Size], str]:
         if shutil.which(target.command) and shutil.which(target.size):
             try:
                 return _measured(files, target)
-            except (OSError, subprocess.SubprocessError):  # it may lack the headers of a C library
+            except (OSError, subprocess.SubprocessError):  # headers of a C library may be missing
                 continue
-    return {}, "No compiler was found to measure stack and flash with: gcc -fstack-usage and size tell them."
+    return {}, "Stack and flash were not measured, as no compiler was found; gcc -fstack-usage and size report them."
 
 
 def _measured(files: Mapping[str, str], target: Target) -> tuple[dict[str, Size], str]:
@@ -60,13 +60,13 @@ def _measured(files: Mapping[str, str], target: Target) -> tuple[dict[str, Size]
             subprocess.run([target.command, "-std=c99", "-O2", *target.flags, "-ffunction-sections", "-fstack-usage",
                             "-c", name], cwd=folder, check=True, capture_output=True)
             for line in (Path(folder) / name).with_suffix(".su").read_text("utf-8").splitlines():
-                place, taken, _ = line.split("\t")
-                stack[place.rpartition(":")[2]] = int(taken)
+                place, size, _ = line.split("\t")
+                stack[place.rpartition(":")[2]] = int(size)
             table = subprocess.run([target.size, "-A", f"{name[:-2]}.o"], cwd=folder, check=True, capture_output=True,
                                    text=True).stdout
-            for function, taken in re.findall(r"^\.text\.(\w+)\s+(\d+)", table, re.MULTILINE):
-                flash[function] = int(taken)
+            for function, size in re.findall(r"^\.text\.(\w+)\s+(\d+)", table, re.MULTILINE):
+                flash[function] = int(size)
     version = subprocess.run([target.command, "-dumpfullversion"], check=True, capture_output=True, text=True).stdout
-    return ({name: Size(stack.get(name, 0), taken) for name, taken in flash.items()},
+    return ({name: Size(stack.get(name, 0), size) for name, size in flash.items()},
             f"Stack and flash in bytes, for {target.name} by {target.command} {version.strip()} "
-            f"{' '.join(('-O2', *target.flags))}; what the mathematical library takes is not in them.")
+            f"{' '.join(('-O2', *target.flags))}; without the mathematical library.")

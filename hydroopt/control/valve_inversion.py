@@ -22,9 +22,9 @@ DROP = 1e5
 def command(valve: Valve, opening: ca.SX, value: Value) -> ca.SX:
     """Command for an opening of −1 to 1 (positive P→A): the inverse of the valve's dead bands.
 
-    Beyond the ramp it undoes `displaced` and `openings`, whose rounded corner h = (x + √(x² + w²))/2 has the inverse
-    x = h − w²/(4·h). Within, it is a smooth inverse, so that noise about zero does not make the spool jump
-    (Tao and Kokotovic 1996).
+    Beyond the ramp it undoes `spool_position` and `openings`, whose rounded corner h = (x + √(x² + w²))/2 has the
+    inverse x = h − w²/(4·h). Within, it is a smooth inverse, so that noise about zero does not make the spool jump (Tao
+    and Kokotovic 1996).
     """
     side, size, width = ca.sign(opening), ca.fabs(opening), valve.rounding
 

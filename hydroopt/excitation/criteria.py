@@ -173,7 +173,7 @@ class Information:
     def __init__(self, model: Model, parameters: DesignParameters, criterion: str) -> None:
         refuse_criterion(criterion, parameters.focus)
         self.model, self.parameters, self.criterion = model, parameters, criterion
-        states, scale = model.at, parameters.weight[:, None] * parameters.scale
+        states, scale = model.coordinates, parameters.weight[:, None] * parameters.scale
         columns = parameters.columns.tolist()
         K = model.dynamics.regressor(actuator_inertia=model.actuator_inertia)[:, columns] * ca.DM(scale)
         exact = program(ca.Function("base_regressor", [*states], [K]))

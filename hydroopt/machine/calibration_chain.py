@@ -1,4 +1,4 @@
-"""What closes a machine's chain for kinematic calibration: calibrator, fixtures, distances, stages (chapter 3)."""
+"""The closed chain of kinematic calibration: calibrator, fixtures, tracker, distances, stages (chapter 3)."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from hydroopt.machine.quantity import Angle, ImpossibleError, Length, Lengths, N
 class Calibrator(Noun):
     """A sensed linkage from the far end of a machine's link to a ball that sits in a fixture (Section 3.5.1).
 
-    Its links follow each other as those of the machine do, the first one on `parent`. `tip` is the ball's centre (3,)
+    Its links form a serial chain, the first one on the machine's link `parent`. `tip` is the ball's centre (3,)
     [m] in the frame at the far end of the last link. Without links of its own it is a rigid tool with a ball.
     """
 
@@ -33,10 +33,10 @@ class Calibrator(Noun):
 
 
 class Fixture(Noun):
-    """A passive ball joint at rest in the base frame (the task of Section 3.3.2): `position` (3,) [m].
+    """A passive ball joint fixed in the base frame (the task of Section 3.3.2): `position` (3,) [m].
 
     `play` [m] is the standard deviation, in each direction, of the ball's centre in its socket. A fixture that `moves`
-    stands at another place in every stage, and `position` is only a first guess of all of them.
+    has another position in every stage, and `position` is the initial guess of all of them.
     """
 
     name: Name
@@ -46,14 +46,14 @@ class Fixture(Noun):
 
 
 class Tracker(Noun):
-    """An instrument that tracks the tip: where it stands in the base frame (3,) [m], and its roll, pitch, yaw [rad]."""
+    """An instrument that tracks the tip: its position in the base frame (3,) [m], and its roll, pitch, yaw [rad]."""
 
     position: Lengths = (0.0, 0.0, 0.0)
     orientation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
 
 
 class Distance(Noun):
-    """A known distance [m] between two fixtures: what gives a closed chain its scale (Section 3.6.4)."""
+    """A known distance [m] between two fixtures: it determines the scale of a closed chain (Section 3.6.4)."""
 
     name: Name
     between: tuple[Name, Name]
@@ -61,11 +61,12 @@ class Distance(Noun):
 
 
 class Stage(Noun):
-    """Poses measured one after another: which joints move unsensed, and about where the others are locked [rad].
+    """Poses measured one after another: which joints move without a sensor, and the approximate angles [rad] of locked
+    ones.
 
-    A locked joint keeps its unknown angle through the stages that follow until one of them moves it. Leaking cylinders
-    let it drift evenly during a stage, by an angle whose standard deviation is `drift` [rad]. Joints whose readings a
-    log gives are sensed and need not be named.
+    A locked joint keeps its unknown angle in the following stages until one of them moves it. Leaking cylinders let it
+    drift linearly during a stage, by an angle with the standard deviation `drift` [rad]. Joints with readings in the
+    pose table need not be named.
     """
 
     name: Name

@@ -46,10 +46,10 @@ class Valve(Noun):
     """A proportional directional valve with four metering edges.
 
     A command off `neutral` by more than the `dead_band` (`dead_band_reverse` on the side that retracts) moves the
-    spool; at `full` it is fully displaced towards P→A and B→T, which extends a cylinder and turns a motor positively,
-    and as far on the other side of `neutral` towards P→B and A→T. These three and the dead bands have the unit
-    `command`. An edge opens when the spool has travelled `overlap`, a part of its full travel; a negative one is an
-    underlap. `rounding`, likewise a part of the travel, is the range over which dead band and edges set in: the
+    spool; at `full` it is fully spool_position towards P→A and B→T, which extends a cylinder and turns a motor
+    positively, and as far on the other side of `neutral` towards P→B and A→T. These three and the dead bands have the
+    unit `command`. An edge opens when the spool has travelled `overlap`, a part of its full travel; a negative one is
+    an underlap. `rounding`, likewise a part of the travel, is the range over which dead band and edges set in: the
     clearance between spool and housing (Eryilmaz and Wilson 2006). Fully open, an edge lets its flow pass at the
     pressure drop `rated_drop`; `rated_flow` is that of all edges for which none is stated. Below `laminar_drop` an
     edge's flow is laminar. The spool follows as a system of second order with `natural_frequency` and `damping`, or at

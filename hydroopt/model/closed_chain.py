@@ -1,6 +1,6 @@
-"""Closed chains: tip in its fixture, cylinder lengths and taped distances as functions of geometry and angles.
+"""Closed chains: tip in its fixture, cylinder lengths and measured distances as functions of geometry and angles.
 
-Every number of the machine file that states a confidence is a parameter; all others are taken as exact.
+Every number of the machine file with a stated confidence is a parameter; all others are exact.
 """
 
 from __future__ import annotations
@@ -28,16 +28,16 @@ class KinematicModel:
     """Geometry of a machine with its calibrator, for the calibration of chapter 3.
 
     Attributes:
-        machine: what is modelled.
+        machine: the machine that is modelled.
         links: all links, the calibrator's last; `joints` are the moving ones, in the order of q (n,) [rad, m].
-        parameters: the geometry g (p,) that is not taken as exact, with its priors.
+        parameters: the geometry g (p,) with stated confidences, as priors.
         tip: casadi.Function (g, q) -> ball's centre (3,) [m] in the base frame (Eq. 3.17).
         closure: (g, q, fixture (3,)) -> tip − fixture (3,) [m]: the loop's residual where all joints are known.
         far_ends: (g, q) -> far ends of the chain's links (3, number of links) [m] in the base frame.
         axes: (g, q) -> directions of the joints' axes (3, n) in the base frame.
         strokes: (g, q) -> strokes of the cylinders and distances of their pins (c,) [m] (Eq. 3.26 in space).
         lengths: (g, q) -> readings of the cylinders' length transducers (c,) [m] (Eq. 3.26 in space).
-        observed: (g, q, fixture (3,)) -> all of the above that a pose table can hold, (m,), see `channels`.
+        observed: (g, q, fixture (3,)) -> all predicted readings of a pose (m,), see `channels`.
 
     >>> import hydroopt, numpy as np
     >>> model = hydroopt.KinematicModel(hydroopt.load_machine("panda_mukca"))
@@ -55,26 +55,27 @@ class KinematicModel:
         g, q, fixture = (ca.SX.sym("g", len(self.parameters)), ca.SX.sym("q", len(self.joints)),
                          ca.SX.sym("fixture", 3))
         self.geometry = Geometry(machine, {name: g[k] for k, name in enumerate(self.parameters.names)})
-        loaded = self._loaded(q)
-        poses = self._poses(loaded)
+        deflected = self._deflected(q)
+        poses = self._poses(deflected)
         chain = [link.name for link in machine.chain]
         ends = [poses[name] @ self.geometry.far_end(name) for name in chain]
         tip = ends[-1].point(self.geometry.point("tip")) if machine.calibrator else ca.SX(3, 1)
         ends_of = ca.horzcat(*(end.origin for end in ends)) if ends else ca.SX(3, 0)
-        distances = ca.vertcat(*(self._pin_distance(cylinder, loaded) for cylinder in machine.cylinders))
-        # a transducer reads the stroke; what it is added to is the nominal dead length
+        distances = ca.vertcat(*(self._pin_distance(cylinder, deflected) for cylinder in machine.cylinders))
+        # a transducer measures the stroke, to which the nominal dead length is added
         dead = [self.geometry.value[f"{cylinder.name}.dead_length"] for cylinder in machine.cylinders]
         self.strokes = ca.Function("strokes", [g, q], [distances - ca.vertcat(*dead), distances], ["g", "q"],
                                    ["stroke", "distance"])
         lengths = distances + ca.vertcat(*(c.dead_length - d for c, d in zip(machine.cylinders, dead, strict=True)))
-        # the last far end may lie in the fixture, where a plain norm has no derivative
-        taped = ca.vertcat(*(ca.sqrt(ca.sumsqr(end.origin - fixture) + TINY**2) for end in ends))
+        # the last far end may coincide with the fixture, where a norm has no derivative
+        distances_to_fixture = ca.vertcat(*(ca.sqrt(ca.sumsqr(end.origin - fixture) + TINY**2) for end in ends))
         self.tip = ca.Function("tip", [g, q], [tip], ["g", "q"], ["tip"])
         self.closure = ca.Function("closure", [g, q, fixture], [tip - fixture], ["g", "q", "fixture"], ["gap"])
         self.far_ends = ca.Function("far_ends", [g, q], [ends_of], ["g", "q"], ["ends"])
         self.lengths = ca.Function("lengths", [g, q], [lengths], ["g", "q"], ["lengths"])
         tracked = self._tracked(tip)
-        self.observed = ca.Function("observed", [g, q, fixture], [ca.vertcat(tip - fixture, lengths, tracked, taped)],
+        self.observed = ca.Function("observed", [g, q, fixture],
+                                    [ca.vertcat(tip - fixture, lengths, tracked, distances_to_fixture)],
                                     ["g", "q", "fixture"], ["observed"])
         frames = {name: self._before(poses, name) for name in self.joints}
         self.axes = ca.Function("axes", [g, q], [ca.horzcat(*(frame.rotation[:, 2] for frame in frames.values()))],
@@ -117,7 +118,7 @@ class KinematicModel:
         return ca.Function("closure_jacobian", [g, q, fixture], [gap, ca.jacobian(gap, q)],
                            ["g", "q", "fixture"], ["gap", "by_q"])
 
-    def seen_from(self, joint: str) -> ca.Function:
+    def tip_in_frame(self, joint: str) -> ca.Function:
         """(g, q) -> tip (3,) [m] in the frame at the far end of the link before a joint, the frame of Eq. 3.22.
 
         With the joint at zero this is the vector s of Eq. 3.24, for a revolute joint with d added to its z.
@@ -130,8 +131,8 @@ class KinematicModel:
         """Evaluate a function at N poses, see `Runner.over`."""
         return self._runner.over(function, *columns)
 
-    def _loaded(self, q: ca.SX) -> ca.SX:
-        """Joint vector after every joint has given way under gravity by its compliance."""
+    def _deflected(self, q: ca.SX) -> ca.SX:
+        """Joint vector with the deflection of every joint under gravity by its compliance."""
         value = self.geometry.value
         if not any(f"{link.name}.compliance" in value for link in self.links):
             return q
@@ -142,8 +143,8 @@ class KinematicModel:
         """Frames P_i of all links in the base frame."""
         poses, variables = {BASE: identity()}, self._named(q)
         for link in self.links:
-            own = self.geometry.joint(link.name, variables.get(link.name, 0.0))
-            poses[link.name] = poses[link.parent] @ self.geometry.far_end(link.parent) @ own
+            joint_pose = self.geometry.joint(link.name, variables.get(link.name, 0.0))
+            poses[link.name] = poses[link.parent] @ self.geometry.far_end(link.parent) @ joint_pose
         return poses
 
     def _named(self, q: ca.SX) -> dict[str, ca.SX]:
@@ -176,23 +177,23 @@ def _gravity_torque(machine: Machine, links: tuple[Link, ...], poses: dict[str, 
 
 
 def _parameters(machine: Machine, numbers: tuple[Number, ...]) -> ParameterSet:
-    """The numbers that state a confidence, with Gaussian priors about their nominal values."""
+    """The numbers with a stated confidence, with Gaussian priors about their nominal values."""
     free, sigmas = [], []
-    unseen = {gas.name for gas in machine.gas_cylinders}  # nothing measures their length
+    unmeasured = {gas.name for gas in machine.gas_cylinders}  # no sensor measures their length
     for number in numbers:
-        if number.name.partition(".")[0] in unseen:
+        if number.name.partition(".")[0] in unmeasured:
             continue
         note = machine.notes.get(number.path)
-        beside = [other.value for other in numbers if other.path == number.path]
-        sigma = None if note is None else note.spread(*beside)
+        values = [other.value for other in numbers if other.path == number.path]
+        sigma = None if note is None else note.spread(*values)
         if sigma:
             free.append(number)
             sigmas.append(sigma)
     scale = np.array(sigmas)
-    # what gravity bends gives way, and never the other way
+    # a compliance and a dead length cannot be negative
     positive = (ParameterKind.COMPLIANCE, ParameterKind.DEAD_LENGTH)
-    least = [0.0 if number.kind in positive else -np.inf for number in free]
-    lower = np.array([_bound(machine, number.path, "lower", low) for number, low in zip(free, least, strict=True)])
+    lowest = [0.0 if number.kind in positive else -np.inf for number in free]
+    lower = np.array([_bound(machine, number.path, "lower", low) for number, low in zip(free, lowest, strict=True)])
     upper = np.array([_bound(machine, number.path, "upper", np.inf) for number in free])
     return ParameterSet(tuple(number.name for number in free), tuple(number.kind for number in free),
                         tuple(number.unit for number in free), np.array([number.value for number in free]),

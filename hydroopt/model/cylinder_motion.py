@@ -1,4 +1,4 @@
-"""How barrels and rods move: carried by two pins, turning about neither's own accord (Section 4.3.3)."""
+"""Motion of barrels and rods, which their two pins determine (Section 4.3.3)."""
 
 from __future__ import annotations
 
@@ -15,8 +15,8 @@ from hydroopt.spatial.poses import Pose
 class CylinderMotion(NamedTuple):
     """Length, its rates, and the two bodies of a cylinder.
 
-    `barrel_turn` and `rod_turn` [rad/s] are the rates at which the pins turn about the bodies' z axes, relative to
-    the links that carry them.
+    `barrel_turn` and `rod_turn` [rad/s] are the rotation rates of the bodies about their z axes,
+    relative to the links that carry the pins.
     """
 
     length: ca.SX
@@ -29,24 +29,24 @@ class CylinderMotion(NamedTuple):
 
 
 def cylinder_motion(geometry: Geometry, cylinder: Cylinder | GasCylinder, links: dict[str, Motion],
-                    at: Coordinates) -> CylinderMotion:
-    """Motion of a cylinder between its pins, reckoned in the axis frame of the joint that orients it.
+                    coordinates: Coordinates) -> CylinderMotion:
+    """Motion of a cylinder between its pins, computed in the axis frame of the joint that orients it.
 
-    Seen from there only the joints between the pins move the cylinder; the frame's own motion is added last. With
+    In this frame only the joints between the pins move the cylinder; the frame's own motion is added last. With
     d = l·x from pin to pin, y·ḋ = l·ω_z and z·ḋ = −l·ω_y; the axis stays in the plane of x and z, which gives ω_x.
     """
     machine = geometry.machine
     driven = machine.axis_of(cylinder)
     before = machine.link(driven).parent
-    q = {joint: at.q[k] for k, joint in enumerate(machine.joints)}
+    q = {joint: coordinates.q[k] for k, joint in enumerate(machine.joints)}
     pins = [geometry.pin(cylinder, end, q) for end in ("barrel", "rod")]
-    speeds = [_rate(pin, at) for pin in pins]
-    accelerations = [_rate(speed, at) for speed in speeds]
+    speeds = [_rate(pin, coordinates) for pin in pins]
+    accelerations = [_rate(speed, coordinates) for speed in speeds]
     d, dd, ddd = (rod - barrel for barrel, rod in (pins, speeds, accelerations))
     length = ca.norm_2(d)
     x = d / length
-    # the axis of the driven joint, made perpendicular to the centre line: in a planar triangle it is so already; a
-    # cylinder may lie along the axis of a sliding joint, whose x axis serves instead
+    # the axis of the driven joint, made perpendicular to the centre line: in a planar triangle it already is; a
+    # cylinder may be parallel to the axis of a prismatic joint, whose x axis is used instead
     axis = UP
     if machine.link(driven).joint.type == "prismatic":
         axis = ca.SX(geometry.joint(driven, 0.0).rotation[:, 0])
@@ -66,25 +66,25 @@ def cylinder_motion(geometry: Geometry, cylinder: Cylinder | GasCylinder, links:
     rotation, rotation_rate = ca.vertcat(turn_x, turn_y, turn_z), ca.vertcat(rate_x, rate_y, rate_z)
     bodies = [frame.carry(Pose(turn, pins[k]), turn.T @ speeds[k], turn.T @ accelerations[k], rotation, rotation_rate)
               for k in (0, 1)]
-    pin_turns = [turn_z - ca.dot(z, _rotation(geometry, before, end.link, q, at))
+    pin_turns = [turn_z - ca.dot(z, _rotation(geometry, before, end.link, q, coordinates))
                  for end in (cylinder.barrel, cylinder.rod)]
     return CylinderMotion(length, speed, acceleration, *bodies, *pin_turns)
 
 
-def _rotation(geometry: Geometry, viewer: str, link: str, q: dict[str, ca.SX], at: Coordinates) -> ca.SX:
-    """Rotation rate (3,) [rad/s] of a link relative to the far end of another, written there."""
+def _rotation(geometry: Geometry, viewer: str, link: str, q: dict[str, ca.SX], coordinates: Coordinates) -> ca.SX:
+    """Rotation rate (3,) [rad/s] of a link relative to the far end of another, in the frame there."""
     machine = geometry.machine
     total = STILL
     for joint in machine.joints_between(viewer, link):
         if machine.link(joint).joint.type == "revolute":
             axis = geometry.relative_pose(viewer, joint, q).rotation[:, 2]
             sign = 1 if joint in machine.ancestry(link) else -1
-            total = total + sign * axis * at.qd[machine.joints.index(joint)]
+            total = total + sign * axis * coordinates.qd[machine.joints.index(joint)]
     return total
 
 
-def _rate(expression: ca.SX, at: Coordinates) -> ca.SX:
+def _rate(expression: ca.SX, coordinates: Coordinates) -> ca.SX:
     """Time derivative of an expression in q and q̇."""
     flat = ca.vec(expression)
-    rate = ca.jtimes(flat, ca.vertcat(at.q, at.qd), ca.vertcat(at.qd, at.qdd))
+    rate = ca.jtimes(flat, ca.vertcat(coordinates.q, coordinates.qd), ca.vertcat(coordinates.qd, coordinates.qdd))
     return ca.reshape(rate, expression.shape)

@@ -1,4 +1,4 @@
-"""The flow that a motion demands of the pump: every actuator draws what its growing chamber sweeps."""
+"""The flow that a motion demands of the pump: the volume rates of all growing chambers."""
 
 from __future__ import annotations
 
@@ -11,8 +11,8 @@ from hydroopt.machine.machine import Machine
 from hydroopt.spatial.inertia import Array
 
 TOLERANCE = 1e-3
-"""Part of the pump's flow by which a motion that is to be followed may exceed it: what interpolation between the
-samples of a designed motion adds."""
+"""Part of the pump's flow by which a motion that is to be followed may exceed it: the effect of
+interpolation between the samples of a designed motion."""
 
 
 def chamber_flows(actuator: Cylinder | Motor, speed: Any) -> tuple[Any, Any]:

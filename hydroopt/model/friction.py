@@ -10,7 +10,8 @@ from hydroopt.machine.actuators import Cylinder, Drive, Motor
 
 
 def sign_of(speed: ca.SX, dead_zone: float | None) -> ca.SX:
-    """Direction of a motion, zero within the dead zone; smooth where `sign` is replaced by something smooth."""
+    """Sign of a speed, zero within the dead zone [m/s or rad/s]; smooth if CasADi's `sign` is replaced by a smooth
+    function."""
     if dead_zone is None:
         return ca.sign(speed)
     return (ca.sign(speed - dead_zone) + ca.sign(speed + dead_zone)) / 2

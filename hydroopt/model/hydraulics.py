@@ -1,7 +1,7 @@
 """Valves, chambers and the pump: flows and pressures as expressions, all in SI, pressures above ambient.
 
-Merritt 1967 and Jelali and Kroll 2003 give orifice, chamber and valve; where an equation of theirs has a corner it is
-rounded over a width that a part of the machine accounts for, so that every expression has derivatives.
+Merritt 1967 and Jelali and Kroll 2003 give orifice, chamber and valve; corners of
+their equations are rounded over a width with a physical reason, so that every expression has derivatives.
 """
 
 from __future__ import annotations
@@ -18,20 +18,20 @@ from hydroopt.model.flow_demand import chamber_flows
 AMBIENT = 101325.0
 """Absolute pressure [Pa] above which all others are counted."""
 VACUUM = 1e3
-"""Absolute pressure [Pa] below which oil tears, and its air is not followed further."""
+"""Absolute pressure [Pa] below which oil cavitates; the law of its free air ends there."""
 CUT_OFF = 0.03
-"""Part of the set pressure over which a pump turns from full flow to none."""
+"""Part of the set pressure over which a pump goes from full flow to zero."""
 CORNER = 0.1
 """Part of that over which the corners are rounded."""
-YIELDING = 5e5
-"""Excess of pressure [Pa] at which a relief valve lets the rated flow of the valve beside it pass."""
-SUCTION = 5e4
-"""Lack of pressure [Pa] at which a check valve to the tank does: vacuum leaves no more than that of the atmosphere."""
-FIRM = 0.02
-"""Part of these over which such a valve sets in."""
+RELIEF_OVERPRESSURE = 5e5
+"""Overpressure [Pa] at which a relief valve passes the rated flow of the actuator's valve."""
+CHECK_VALVE_SUCTION = 5e4
+"""Pressure below the tank's [Pa] at which an anticavitation check valve passes that flow; at most one atmosphere."""
+RELIEF_ROUNDING = 0.02
+"""Part of these pressures over which the opening of such a valve is rounded."""
 
 Value = Callable[[str], ca.SX | float]
-"""Tells the value of a number of the hydraulics by its key in the machine file, such as `dead_band`."""
+"""Function from the key of a number in the machine file, such as `dead_band`, to its value or symbol."""
 
 
 def hinge(x: ca.SX, width: ca.SX | float) -> ca.SX:
@@ -42,24 +42,24 @@ def hinge(x: ca.SX, width: ca.SX | float) -> ca.SX:
 def orifice(conductance: ca.SX, upstream: ca.SX, downstream: ca.SX, laminar_drop: float) -> ca.SX:
     """Flow [m³/s] through a sharp edge: K·√Δp, but laminar below `laminar_drop` [Pa].
 
-    K·Δp/(Δp² + Δp_lam²)^¼ is smooth and odd in Δp; where |Δp| is thrice Δp_lam it is off K·√Δp by 2.6 % (in the
-    manner of Ellman and Piché 1999; the transition itself: Merritt 1967).
+    K·Δp/(Δp² + Δp_lam²)^¼ is smooth and odd in Δp; at |Δp| = 3·Δp_lam it differs from K·√Δp by 2.6 % (similar to
+    Ellman and Piché 1999; the transition itself: Merritt 1967).
     """
     drop = upstream - downstream
     return conductance * drop / ca.sqrt(ca.sqrt(drop**2 + laminar_drop**2))
 
 
-def displaced(valve: Valve, command: ca.SX, value: Value) -> ca.SX:
-    """Where a command wants the spool, −1 to 1 (positive towards P→A), dead bands included.
+def spool_position(valve: Valve, command: ca.SX, value: Value) -> ca.SX:
+    """Position of the spool, −1 to 1 (positive towards P→A), that a command demands, dead bands included.
 
-    Beyond full opening it saturates.
+    It saturates at full opening.
     """
     span = valve.span
-    wanted = ca.fmax(-1.0, ca.fmin(1.0, (command - valve.neutral) / span))
+    position = ca.fmax(-1.0, ca.fmin(1.0, (command - valve.neutral) / span))
     forward = value("dead_band") / abs(span)
     reverse = forward if valve.dead_band_reverse is None else value("dead_band_reverse") / abs(span)
     width = valve.rounding
-    return hinge(wanted - forward, width) / (1 - forward) - hinge(-wanted - reverse, width) / (1 - reverse)
+    return hinge(position - forward, width) / (1 - forward) - hinge(-position - reverse, width) / (1 - reverse)
 
 
 class Openings(NamedTuple):
@@ -87,7 +87,8 @@ def compressibility(oil: Oil, pressure: ca.SX, value: Value, air: str = "oil.air
     """Reciprocal of the bulk modulus [1/Pa] of oil with free air, whose part is that key, at a pressure above ambient.
 
     The air, compressed by p·Vⁿ = const, is a part of the volume at that pressure (Gholizadeh, Burton, Schoenau 2011).
-    Oil bears no tension: at vacuum it gives way to cavities, which close again when the pressure returns.
+    Oil carries no tension:
+    at vacuum cavities form, which close again when the pressure returns.
     """
     absolute = hinge(pressure + AMBIENT - VACUUM, VACUUM) + VACUUM
     part = value(air)
@@ -115,7 +116,7 @@ class ActuatorHydraulics:
         self.actuator, self.circuit, self.oil, self.valve = actuator, circuit, oil, circuit.valve
         self.areas = actuator.areas
         self.spool_states = 2 if self.valve.natural_frequency is not None else 0
-        """How many states the spool has."""
+        """Number of states of the spool: 0 or 2."""
 
     @property
     def chambers(self) -> tuple[str, str]:
@@ -129,10 +130,10 @@ class ActuatorHydraulics:
         stroke = length - self.actuator.dead_length
         return self.areas[0] * stroke, self.areas[1] * (self.actuator.stroke - stroke)
 
-    def spool_rates(self, spool: ca.SX, spool_rate: ca.SX, wanted: ca.SX, value: Value) -> tuple[ca.SX, ca.SX]:
+    def spool_rates(self, spool: ca.SX, spool_rate: ca.SX, commanded: ca.SX, value: Value) -> tuple[ca.SX, ca.SX]:
         """Rates of the spool's place and speed: a system of second order (Jelali and Kroll 2003)."""
         omega = 2 * ca.pi * value("natural_frequency")
-        return spool_rate, omega**2 * (wanted - spool) - 2 * value("damping") * omega * spool_rate
+        return spool_rate, omega**2 * (commanded - spool) - 2 * value("damping") * omega * spool_rate
 
     def flows(self, spool: ca.SX, p_a: ca.SX, p_b: ca.SX, supply: ca.SX, value: Value) -> Flows:
         """Flows through the valve, the leaks, and the relief and check valves at the ports.
@@ -140,9 +141,9 @@ class ActuatorHydraulics:
         Args:
             spool: its place, −1 to 1.
             p_a: pressure in chamber a [Pa].
-            p_b: pressure in chamber b.
-            supply: pressures (2,) of supply and tank.
-            value: of the numbers of the machine file.
+            p_b: pressure in chamber b [Pa].
+            supply: pressures (2,) of supply and tank [Pa].
+            value: gives the numbers of the machine file.
         """
         valve, circuit = self.valve, self.circuit
         pump, tank = supply[0], supply[1]
@@ -162,16 +163,17 @@ class ActuatorHydraulics:
                 into[port] -= value(f"leakage_{port}") * (pressure - tank)
             full = conductance(valve, f"flow_p{port}", value) * valve.rated_drop**0.5
             if self.actuator.relief_pressure is not None:
-                into[port] -= full * hinge((pressure - self.actuator.relief_pressure) / YIELDING, FIRM)
+                excess = pressure - self.actuator.relief_pressure
+                into[port] -= full * hinge(excess / RELIEF_OVERPRESSURE, RELIEF_ROUNDING)
             if circuit.anticavitation:
-                into[port] += full * hinge((tank - pressure) / SUCTION, FIRM)
+                into[port] += full * hinge((tank - pressure) / CHECK_VALVE_SUCTION, RELIEF_ROUNDING)
         return Flows(into["a"], into["b"], pa + pb)
 
     def pressure_rates(self, flows: Flows, p_a: ca.SX, p_b: ca.SX, length: ca.SX, speed: ca.SX,
                        value: Value) -> tuple[ca.SX, ca.SX]:
         """Rates [Pa/s] of both chambers' pressures: net flow by capacity (Merritt 1967).
 
-        The walls of hoses give way as well, and add the volume of the hose by the modulus of its walls.
+        The walls of hoses yield too: the volume of a hose is divided by the modulus of its walls.
         """
         rates = []
         for port, pressure, into, volume, swept in zip(
@@ -186,12 +188,11 @@ class ActuatorHydraulics:
         return rates[0], rates[1]
 
     def opening_for(self, force: ca.SX, speed: ca.SX, supply: ca.SX, value: Value) -> tuple[ca.SX, ca.SX, ca.SX]:
-        """Place of the spool and both chambers' pressures at which a force and a speed hold steadily.
+        """Spool position and both chambers' pressures in steady motion at a force and a speed.
 
-        Of sharp edges without leaks: the same spool opens the edge that feeds and the one that drains, so that
+        For sharp edges without leaks: the same spool opens the edge that feeds and the one that drains, so that
         A_a·p_supply − A_b·p_tank − f = (v/x)²·(A_a³/K_pa² + A_b³/K_bt²) when extending, and likewise when retracting
-        (as in Merritt 1967, for unequal areas and edges). What remains of the supply's pressure has to be
-        positive; it is NaN where it is not.
+        (as in Merritt 1967, for unequal areas and edges). The result is NaN where the supply pressure does not suffice.
         """
         a, b = self.areas
         pump, tank = supply[0], supply[1]
@@ -200,7 +201,7 @@ class ActuatorHydraulics:
         out = a**3 / k_pa**2 + b**3 / k_bt**2
         back = b**3 / k_pb**2 + a**3 / k_at**2
         left_out, left_back = a * pump - b * tank - force, b * pump - a * tank + force
-        extends = (1 + ca.sign(ca.sign(speed) + 0.5)) / 2  # 1 or 0: generated C knows no branches
+        extends = (1 + ca.sign(ca.sign(speed) + 0.5)) / 2  # 1 or 0, since generated C has no branches
         retracts = 1 - extends
         opening = speed * ca.sqrt(extends * out / left_out + retracts * back / left_back)
         p_a = (extends * (pump - left_out * a**2 / (k_pa**2 * out))
@@ -210,7 +211,7 @@ class ActuatorHydraulics:
 
 
 def pump_flow(most: float, set_pressure: ca.SX, pressure: ca.SX) -> ca.SX:
-    """Flow [m³/s] of a pressure-compensated pump: none at its set pressure, all of it from a little below.
+    """Flow [m³/s] of a pressure-compensated pump: zero at its set pressure, full flow from slightly below.
 
     A straight cut-off (Merritt 1967) with rounded corners.
     """

@@ -1,4 +1,4 @@
-"""Where every link is and how it moves: poses, velocities and accelerations down the tree, in SX."""
+"""Poses, velocities and accelerations of all links along the kinematic tree, in SX."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ class Coordinates(NamedTuple):
 
 
 class Motion(NamedTuple):
-    """Motion of a frame P fixed to a body; all vectors (3,) are written in P itself.
+    """Motion of a frame P fixed to a body; all vectors (3,) are expressed in P.
 
     `acceleration` is that of the origin minus gravity, p̈ − g, as it stands in Eq. 4.14.
     """
@@ -35,7 +35,7 @@ class Motion(NamedTuple):
     rotation_rate: ca.SX
 
     def carry(self, inner: Pose, velocity: ca.SX, acceleration: ca.SX, rotation: ca.SX, rotation_rate: ca.SX) -> Motion:
-        """Motion of a frame that moves relative to this one; its relative motion is written in the frame itself."""
+        """Motion of a frame that moves relative to this one; its relative motion is expressed in that frame."""
         back, r = inner.rotation.T, inner.origin
         turning = back @ self.rotation
         return Motion(
@@ -68,14 +68,14 @@ def base_motion(machine: Machine) -> Motion:
     return Motion(identity(), STILL, -gravity_in_base(machine), STILL, STILL)
 
 
-def link_motions(geometry: Geometry, at: Coordinates) -> dict[str, Motion]:
+def link_motions(geometry: Geometry, symbols: Coordinates) -> dict[str, Motion]:
     """Motion of the frame P_i of every link, and of the base, by the outward recursion of Newton and Euler."""
     machine = geometry.machine
     motions = {BASE: base_motion(machine)}
     for link in machine.links:
         q, qd, qdd = (0.0, 0.0, 0.0)
         if link.name in machine.joints:
-            q, qd, qdd = (column[machine.joints.index(link.name)] for column in at)
+            q, qd, qdd = (column[machine.joints.index(link.name)] for column in symbols)
         step = geometry.far_end(link.parent) @ geometry.joint(link.name, q)
         slide, turn = (UP, STILL) if link.joint.type == "prismatic" else (STILL, UP)
         motions[link.name] = motions[link.parent].carry(step, slide * qd, slide * qdd, turn * qd, turn * qdd)

@@ -1,7 +1,7 @@
 """The same generalised forces from kinetic and potential energy: Lagrange's equations by automatic differentiation.
 
-Only positions enter; velocities, accelerations and forces come from differentiating them, so that this way shares no
-dynamics with `regressor`. It is slower and serves as its witness.
+It uses positions and differentiates them for velocities, accelerations and forces, so that it shares no dynamics with
+`regressor`. It is slower and verifies the regressor in tests.
 """
 
 from __future__ import annotations
@@ -16,10 +16,10 @@ from hydroopt.spatial.poses import unskew
 
 def energies(dynamics: Dynamics, owner: str, phi: ca.SX) -> tuple[ca.SX, ca.SX]:
     """Kinetic and potential energy [J] of a body with the inertial parameters φ (10,) in its frame."""
-    at = dynamics.at
+    symbols = dynamics.coordinates
     pose = dynamics.body_motion(owner).pose
-    velocity = pose.rotation.T @ ca.jtimes(pose.origin, at.q, at.qd)
-    turn = ca.reshape(ca.jtimes(ca.vec(pose.rotation), at.q, at.qd), 3, 3)
+    velocity = pose.rotation.T @ ca.jtimes(pose.origin, symbols.q, symbols.qd)
+    turn = ca.reshape(ca.jtimes(ca.vec(pose.rotation), symbols.q, symbols.qd), 3, 3)
     rotation = unskew(pose.rotation.T @ turn)
     m, mc = phi[0], phi[1:4]
     xx, xy, xz, yy, yz, zz = (phi[k] for k in range(4, len(NAMES)))
@@ -31,9 +31,9 @@ def energies(dynamics: Dynamics, owner: str, phi: ca.SX) -> tuple[ca.SX, ca.SX]:
 
 
 def joint_forces(dynamics: Dynamics, owner: str, phi: ca.SX) -> ca.SX:
-    """Generalised forces (n,) that one body demands: d/dt ∂T/∂q̇ − ∂T/∂q + ∂V/∂q."""
-    at: Coordinates = dynamics.at
+    """Generalised forces (n,) due to one body: d/dt ∂T/∂q̇ − ∂T/∂q + ∂V/∂q."""
+    symbols: Coordinates = dynamics.coordinates
     kinetic, potential = energies(dynamics, owner, phi)
-    momentum = ca.gradient(kinetic, at.qd)
-    state, rate = ca.vertcat(at.q, at.qd), ca.vertcat(at.qd, at.qdd)
-    return ca.jtimes(momentum, state, rate) - ca.gradient(kinetic, at.q) + ca.gradient(potential, at.q)
+    momentum = ca.gradient(kinetic, symbols.qd)
+    state, rate = ca.vertcat(symbols.q, symbols.qd), ca.vertcat(symbols.qd, symbols.qdd)
+    return ca.jtimes(momentum, state, rate) - ca.gradient(kinetic, symbols.q) + ca.gradient(potential, symbols.q)

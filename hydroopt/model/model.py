@@ -50,9 +50,9 @@ class Model:
                                remedy="give a Machine, such as load_machine('cat215b') returns")
         self.machine = machine
         self.actuator_inertia = actuator_inertia
-        self.at = coordinates(machine)
+        self.coordinates = coordinates(machine)
         self.geometry = Geometry(machine)
-        self.dynamics = Dynamics(self.geometry, self.at)
+        self.dynamics = Dynamics(self.geometry, self.coordinates)
         self._runner = Runner()
 
     def __repr__(self) -> str:
@@ -75,7 +75,7 @@ class Model:
         for link in self.machine.links:
             pose = self.dynamics.links[link.name].pose @ self.geometry.far_end(link.name)
             ends[link.name] = ca.vertcat(ca.horzcat(pose.rotation, pose.origin), ca.DM([[0, 0, 0, 1]]))
-        return _dense("forward_kinematics", [self.at.q], list(ends.values()), ["q"], list(ends))
+        return _dense("forward_kinematics", [self.coordinates.q], list(ends.values()), ["q"], list(ends))
 
     @cached_property
     def cylinder_kinematics(self) -> ca.Function:
@@ -83,17 +83,17 @@ class Model:
         motions = [self.dynamics.cylinders[c.name] for c in self.machine.all_cylinders]
         length, speed, acceleration = (ca.vertcat(*[getattr(m, key) for m in motions])
                                        for key in ("length", "speed", "acceleration"))
-        lever_arm = ca.jacobian(length, self.at.q) if motions else ca.SX(0, len(self.machine.joints))
-        rate = ca.reshape(ca.jtimes(ca.vec(lever_arm), self.at.q, self.at.qd), lever_arm.shape)
-        return _dense("cylinder_kinematics", [*self.at], [length, speed, acceleration, lever_arm, rate],
+        lever_arm = ca.jacobian(length, self.coordinates.q) if motions else ca.SX(0, len(self.machine.joints))
+        rate = ca.reshape(ca.jtimes(ca.vec(lever_arm), self.coordinates.q, self.coordinates.qd), lever_arm.shape)
+        return _dense("cylinder_kinematics", [*self.coordinates], [length, speed, acceleration, lever_arm, rate],
                            ["q", "qd", "qdd"], ["length", "speed", "acceleration", "lever_arm", "lever_arm_rate"])
 
     @cached_property
     def triangles(self) -> Mapping[str, tuple[ca.Function, ca.Function]]:
         """For every cylinder on one revolute joint: angle → length and length → angle (Eq. 3.26, 3.27).
 
-        The second takes the branch on which the lever arm has the sign that it has over the joint's range, and gives
-        NaN for a length at which the triangle is open.
+        The second function takes the branch with the sign of the lever arm in the joint's range, and returns NaN for a
+        length at which the triangle cannot close.
         """
         pairs = {}
         for cylinder in self.machine.cylinders:
@@ -121,7 +121,7 @@ class Model:
         return bool(self.machine.sealed)
 
     def refuse_seals(self, where: str) -> None:
-        """Refuse a machine whose forces depend on pressures, where there are none.
+        """Refuse a machine with friction of seals, where no pressures are available.
 
         Raises:
             ProblemError: names the cylinders.
@@ -133,14 +133,14 @@ class Model:
 
     @cached_property
     def _state(self) -> dict[str, ca.SX]:
-        """What forces depend on: q, qd, qdd, and the pressures if they do on these."""
-        return self.at._asdict() | ({"pressure": self.dynamics.pressure} if self.needs_pressure else {})
+        """Inputs of the forces: q, qd, qdd, and pressures if the model `needs_pressure`."""
+        return self.coordinates._asdict() | ({"pressure": self.dynamics.pressure} if self.needs_pressure else {})
 
     @cached_property
     def regressor(self) -> ca.Function:
         """(q, qd, qdd[, pressure]) → K (n, p), actuator forces per parameter (Eq. 4.55).
 
-        `pressure` (n,) [Pa] is an input where the model `needs_pressure`: p_head + p_rod of each cylinder, 0 for other
+        `pressure` (n,) [Pa] is an input if the model `needs_pressure`: p_head + p_rod of each cylinder, 0 for other
         actuators. Of a model that is not `linear` K is the derivative of the forces at the nominal parameters.
         """
         K = self.dynamics.regressor(actuator_inertia=self.actuator_inertia)
@@ -148,7 +148,7 @@ class Model:
 
     @cached_property
     def regressor_pattern(self) -> NDArray[np.bool_]:
-        """Which entries (n, p) of the regressor are not zero whatever the motion, and the point of linearisation."""
+        """Which entries (n, p) of the regressor are structurally nonzero."""
         made = program(self.regressor if self.linear else self.linearised)
         return np.array([made.number(entry) != 0.0 for entry in made.outputs[0].entries]).reshape(
             self.regressor.size_out(0))
@@ -170,10 +170,11 @@ class Model:
 
     @cached_property
     def force_by_motion(self) -> ca.Function:
-        """(q, qd, qdd[, pressure], psi) → derivatives (n, n) of forces by q, qd, qdd, dry friction's steps aside."""
+        """(q, qd, qdd[, pressure], psi) → derivatives (n, n) of forces by q, qd, qdd; jumps of dry friction count as
+        zero."""
         given = self._state | {"psi": ca.SX.sym("psi", len(self.parameters))}
         force = self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
-        return _dense("force_by_motion", [*given.values()], [ca.jacobian(force, x) for x in self.at],
+        return _dense("force_by_motion", [*given.values()], [ca.jacobian(force, x) for x in self.coordinates],
                       [*given], ["by_q", "by_qd", "by_qdd"])
 
     @cached_property
@@ -183,7 +184,7 @@ class Model:
         total = ca.SX.zeros(len(self.machine.joints))
         for owner in dynamic_parameters.bodies(self.machine, actuator_inertia=self.actuator_inertia):
             total += lagrange.joint_forces(self.dynamics, owner, psi[self.parameters.bodies[owner]])
-        return _dense("lagrange_forces", [*self.at, psi], [self.dynamics.at_actuators(total)],
+        return _dense("lagrange_forces", [*self.coordinates, psi], [self.dynamics.at_actuators(total)],
                            ["q", "qd", "qdd", "psi"], ["force"])
 
     @cached_property
@@ -208,7 +209,8 @@ class Model:
 
     @cached_property
     def force_from_pressure(self) -> Mapping[str, Mapping[str, float]]:
-        """For every actuator the factor [N/Pa, N·m/Pa or 1] of each channel its force is made of (Eq. 4.33, 4.61)."""
+        """For every actuator the channels that its force is computed from, with factors [N/Pa, N·m/Pa or 1] (Eq. 4.33,
+        4.61)."""
         return {actuator.name: actuator.effort_factors for actuator in self.machine.actuators}
 
     def over(self, function: ca.Function, *columns: Array, out: list[Array] | None = None) -> list[Array]:
@@ -218,5 +220,5 @@ class Model:
 
 def _dense(name: str, inputs: list[ca.SX], outputs: list[ca.SX], input_names: list[str],
            output_names: list[str]) -> ca.Function:
-    """A function of few operations whose outputs are full matrices, so that their layout is that of every machine's."""
+    """A function with few operations and dense outputs, so that their layout is the same for every machine."""
     return program(ca.Function(name, inputs, outputs, input_names, output_names)).function()

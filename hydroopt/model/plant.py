@@ -20,16 +20,17 @@ from hydroopt.model.hydraulics import (
     Value,
     compressibility,
     conductance,
-    displaced,
     pump_flow,
+    spool_position,
 )
 from hydroopt.model.model import Model
 from hydroopt.parameters import hydraulic as hydraulic_parameters
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array
 
-CREEP = 1e-3
-"""Speed [m/s or rad/s] over which dry friction turns round in the plant: sign(v) becomes tanh(v/CREEP)."""
+SIGN_WIDTH = 1e-3
+"""Speed [m/s or rad/s] over which the sign of dry friction is smoothed in the plant: sign(v) becomes
+tanh(v/SIGN_WIDTH)."""
 PRESSURE = 1e7
 """Typical pressure [Pa] of states."""
 
@@ -49,9 +50,9 @@ class Plant:
     a volume. Commands u (n,) are in the unit of each valve, without its delay. `supply` (2,) are the pressures [Pa] of
     supply and tank; where the pump states a volume, the first is what the pump is set to.
 
-    Transducer offsets among ψ do not act here. Dry friction turns round over the speed `CREEP`.
+    Offsets of transducers in ψ have no effect here. The sign of dry friction is smoothed over the speed `SIGN_WIDTH`.
 
-    A `Machine` may stand in for its model.
+    A `Machine` may be given instead of its model.
 
     Raises:
         ProblemError: an actuator states no circuit or is not hydraulic, or there is none.
@@ -155,7 +156,7 @@ class Plant:
         for k, each in enumerate(self.actuators):
             value = self.value(each, theta)
             p_a, p_b = (at[name] for name in each.chambers)
-            spool = displaced(each.valve, u[k], value)
+            spool = spool_position(each.valve, u[k], value)
             if each.spool_states:
                 wanted, spool = spool, at[f"{each.actuator.name}.spool"]
                 rates += each.spool_rates(spool, at[f"{each.actuator.name}.spool_rate"], wanted, value)
@@ -185,22 +186,23 @@ class Plant:
     @cached_property
     def actuator_motion(self) -> ca.Function:
         """(q, qd) → length and speed (n,) of every actuator; of a motor, angle and speed of its joint."""
-        dynamics, at = self.model.dynamics, self.model.at
+        dynamics, symbols = self.model.dynamics, self.model.coordinates
         lengths = [dynamics.cylinders[each.actuator.name].length if isinstance(each.actuator, Cylinder)
-                   else at.q[self.machine.joints.index(each.actuator.joint)] for each in self.actuators]
-        return ca.Function("actuator_motion", [at.q, at.qd], [ca.vertcat(*lengths), ca.densify(dynamics.rates)],
+                   else symbols.q[self.machine.joints.index(each.actuator.joint)] for each in self.actuators]
+        return ca.Function("actuator_motion", [symbols.q, symbols.qd],
+                           [ca.vertcat(*lengths), ca.densify(dynamics.rates)],
                            ["q", "qd"], ["length", "speed"])
 
     @cached_property
     def _forces(self) -> ca.Function:
         """The inverse dynamics with rounded dry friction and without offsets of transducers."""
-        smooth = program(self.model.inverse_dynamics).function(lambda speed: ca.tanh(speed / CREEP))
+        smooth = program(self.model.inverse_dynamics).function(lambda speed: ca.tanh(speed / SIGN_WIDTH))
         given = [ca.SX.sym(name, *smooth.size_in(name)) for name in smooth.name_in()]
         acting = ca.DM([kind is not ParameterKind.FORCE_OFFSET for kind in self.model.parameters.kinds])
         return ca.Function("forces", given, [smooth(*given[:-1], given[-1] * acting)], smooth.name_in(), ["force"])
 
     def _demand(self, q: ca.SX, qd: ca.SX, qdd: ca.SX, pressure: ca.SX, psi: ca.SX) -> ca.SX:
-        """Forces (n,) that a motion demands of the actuators; `pressure` (n, 2) rubs at the seals."""
+        """Forces (n,) that a motion demands of the actuators, with the friction of seals at `pressure` (n, 2)."""
         both = [pressure[:, 0] + pressure[:, 1]] if self.model.needs_pressure else []
         force: ca.SX = self._forces(q, qd, qdd, *both, psi)
         return force
@@ -246,7 +248,7 @@ class Plant:
     def integrator(self, step: float, psi: Array, theta: Array, *, tolerance: float = 1e-7) -> ca.Function:
         """(x, u, supply) → x after `step` seconds of constant commands, by CVODES (backward differences).
 
-        `tolerance` is the error that one of its steps may leave in each state, relative to it.
+        `tolerance` is the relative error tolerance of its steps.
         """
         z, u, supply = ca.SX.sym("z", len(self.states)), ca.SX.sym("u", len(self.inputs)), ca.SX.sym("supply", 2)
         rates = self.rates(z * self.scale, u, supply, psi, theta) / self.scale
@@ -267,8 +269,8 @@ class Plant:
             supply: pressures (2,) of supply and tank; those of the machine file if None.
 
         Raises:
-            ProblemError: the supply cannot move the machine so, oil cannot follow, or the file states no supply
-                pressure.
+            ProblemError: the supply cannot move the machine at these speeds, a chamber would fall below vacuum, or
+                the file states no supply pressure.
         """
         supply = self.supply if supply is None else supply
         n, names = len(q), [each.actuator.name for each in self.actuators]
@@ -325,7 +327,7 @@ class Plant:
 
     @cached_property
     def _balance(self) -> ca.Function:
-        """(z, q, qd, supply, psi, theta) → what flows and forces leave over, and its Jacobian.
+        """(z, q, qd, supply, psi, theta) → residuals of flows and forces, and their Jacobian.
 
         z are the openings, the pressures of chambers a and b, and the supply's.
         """
@@ -348,10 +350,10 @@ class Plant:
         return ca.Function("balance", [z, q, qd, given, psi, theta], [gap, ca.jacobian(gap, z)])
 
     def _command_for(self, k: int, opening: float, theta: Array) -> float:
-        """Command that holds a spool at a place, −1 to 1."""
+        """Command that holds a spool at a position, −1 to 1."""
         each = self.actuators[k]
         command, valve = ca.SX.sym("command"), each.valve
-        wanted = ca.Function("wanted", [command], [displaced(valve, command, self.value(each, ca.DM(theta)))])
+        wanted = ca.Function("wanted", [command], [spool_position(valve, command, self.value(each, ca.DM(theta)))])
         ends = valve.neutral - valve.span, valve.full
         if not float(wanted(ends[0])) <= opening <= float(wanted(ends[1])):
             raise ProblemError(f"no command moves the spool of '{each.actuator.name}' to {100 * opening:.0f} %",

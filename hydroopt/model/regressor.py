@@ -1,7 +1,8 @@
-"""Actuator forces, linear in the dynamic parameters but for Stribeck's: f = K(q, q̇, q̈)·ψ (Eq. 4.14 to 4.56).
+"""Regressor: actuator forces f = K(q, q̇, q̈)·ψ, linear in all parameters but Stribeck speeds (Eq. 4.14 to 4.56).
 
 The thesis eliminates the pin forces of every cylinder by hand (Eq. 4.23 to 4.44). Projecting each body's wrench on the
-motion that the joints allow removes them all at once, for any tree and any place of the pins: pin forces do no work.
+motion that the joints allow removes them all at once, for any tree and any position of the pins, since pin forces do no
+work.
 """
 
 from __future__ import annotations
@@ -38,14 +39,14 @@ def _bullet(w: ca.SX) -> ca.SX:
 class Dynamics:
     """All expressions of a machine's dynamics in one set of symbols; `Model` turns them into functions."""
 
-    def __init__(self, geometry: Geometry, at: Coordinates) -> None:
-        self.geometry, self.at = geometry, at
+    def __init__(self, geometry: Geometry, coordinates: Coordinates) -> None:
+        self.geometry, self.coordinates = geometry, coordinates
         self.machine: Machine = geometry.machine
         self.pressure = ca.SX.sym("pressure", len(self.machine.actuators))
         """Sum of the pressures [Pa] in both chambers of each cylinder, which only the friction of seals depends on."""
-        self.links = link_motions(geometry, at)
+        self.links = link_motions(geometry, coordinates)
         self.cylinders: dict[str, CylinderMotion] = {
-            c.name: cylinder_motion(geometry, c, self.links, at)
+            c.name: cylinder_motion(geometry, c, self.links, coordinates)
             for c in self.machine.all_cylinders}
         self.rates = ca.vertcat(*[self._rate_of(a) for a in self.machine.actuators])
         self.transmission = self._transmission()
@@ -54,12 +55,12 @@ class Dynamics:
     def _rate_of(self, actuator: Cylinder | Motor | Drive) -> ca.SX:
         if isinstance(actuator, Cylinder):
             return self.cylinders[actuator.name].speed
-        return self.at.qd[self.machine.joints.index(actuator.joint)]
+        return self.coordinates.qd[self.machine.joints.index(actuator.joint)]
 
     def _transmission(self) -> ca.SX:
-        full = ca.jacobian(self.rates, self.at.qd)
+        full = ca.jacobian(self.rates, self.coordinates.qd)
         sparse = ca.SX(*full.shape)
-        # joints that carry both ends of a cylinder cannot change its length: zero, though the expression hides it
+        # joints that carry both ends of a cylinder do not change its length: the entry is zero, also symbolically
         for k, actuator in enumerate(self.machine.actuators):
             between = (self.machine.joints_between(actuator.barrel.link, actuator.rod.link)
                        if isinstance(actuator, Cylinder) else (actuator.joint,))
@@ -76,12 +77,12 @@ class Dynamics:
         return self.cylinders[name].barrel if end == "barrel" else self.cylinders[name].rod
 
     def joint_regressor(self, owner: str) -> ca.SX:
-        """Generalised forces (n, 10) that one body demands at the joints, by d'Alembert's principle."""
+        """Generalised forces (n, 10) due to one body at the joints, by d'Alembert's principle."""
         return self._allowed(owner).T @ body_regressor(self.body_motion(owner))
 
     def _allowed(self, owner: str) -> ca.SX:
         motion = self.body_motion(owner)
-        return ca.jacobian(ca.vertcat(motion.velocity, motion.rotation), self.at.qd)
+        return ca.jacobian(ca.vertcat(motion.velocity, motion.rotation), self.coordinates.qd)
 
     def at_actuators(self, generalised: ca.SX) -> ca.SX:
         """Actuator forces (n, ·) that do the same work as generalised forces (n, ·)."""
@@ -107,7 +108,7 @@ class Dynamics:
         return ca.horzcat(*[columns[name] for name in parameters.names])
 
     def forces(self, psi: ca.SX, *, actuator_inertia: bool = True) -> ca.SX:
-        """K·ψ (n,) in fewer operations: each body's wrench is found before it is projected on the joints."""
+        """K·ψ (n,) in fewer operations: each body's wrench is computed before it is projected on the joints."""
         parameters = parameter_set(self.machine, actuator_inertia=actuator_inertia)
         place = parameters.positions
         total = ca.SX.zeros(len(self.machine.joints))
@@ -122,7 +123,7 @@ class Dynamics:
         return total
 
     def _friction_columns(self, parameters: ParameterSet, psi: ca.SX) -> dict[str, ca.SX]:
-        machine, qd = self.machine, self.at.qd
+        machine, qd = self.machine, self.coordinates.qd
         n = len(machine.joints)
         columns: dict[str, ca.SX] = {}
         for k, (joint, actuator) in enumerate(zip(machine.joints, machine.actuators, strict=True)):
@@ -137,7 +138,7 @@ class Dynamics:
                     share = ca.jacobian(turn, qd).T * ca.sign(turn)
                     columns[f"{actuator.name}.{pin}"] = self.at_actuators(share)
             elif isinstance(actuator, Drive):
-                inertial = unit * actuator.gear**2 * self.at.qdd[k]
+                inertial = unit * actuator.gear**2 * self.coordinates.qdd[k]
                 columns[f"{actuator.name}.rotor_inertia"] = self.at_actuators(inertial)
         return columns
 
@@ -145,8 +146,8 @@ class Dynamics:
         columns: dict[str, ca.SX] = {}
         for gas in self.machine.gas_cylinders:
             motion = self.cylinders[gas.name]
-            share = ca.jacobian(motion.speed, self.at.qd).T
-            # what the gas pushes the actuators need not: its force, along the lengthening, enters with a minus
+            share = ca.jacobian(motion.speed, self.coordinates.qd).T
+            # the force of the gas relieves the actuators and enters with a minus sign
             columns[f"{gas.name}.precharge"] = -self.at_actuators(share * gas_force(gas, motion.length))
         return columns
 

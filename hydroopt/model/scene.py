@@ -20,7 +20,7 @@ UP = np.array([0.0, 0.0, 1.0])
 class Plane(NamedTuple):
     """A vertical plane by its horizontal direction in the world.
 
-    `zeroed` joints turn the whole plane and stand at zero; `moving` ones move the machine within it.
+    `zeroed` joints turn the whole plane and are set to zero; `moving` ones move the machine within it.
     """
 
     across: Array

@@ -13,14 +13,14 @@ from hydroopt.model.plant import Plant, Steady
 from hydroopt.spatial.inertia import Array
 
 SHARE = 0.1
-"""Part of its greatest speed at which a joint moves where it is linearised: at rest, valves are shut."""
+"""Part of its greatest speed at which a joint moves where it is linearised, since valves are shut at rest."""
 
 
 class Mode(NamedTuple):
-    """How one joint answers its own valve, all other joints and the supply's pressure held.
+    """Response of one joint to its valve, with all other joints and the supply pressure held.
 
-    `frequency` [Hz] and `damping` of the joint on its oil, NaN where it does not swing; `gain` is the steady speed of
-    the joint per unit of command [rad/s or m/s, per V, A or 1].
+    `frequency` [Hz] and `damping` of the joint on its oil, NaN where it does not oscillate; `gain` is the steady speed
+    of the joint per unit of command [rad/s or m/s, per V, A or 1].
     """
 
     frequency: float
@@ -29,15 +29,16 @@ class Mode(NamedTuple):
 
 
 STILL = Mode(np.nan, np.nan, np.nan)
-"""What is said of a place at which the supply cannot move the joint."""
+"""The mode of a posture in which the supply cannot move the joint."""
 
 
 class Sweep(NamedTuple):
     """One joint over its range in one direction.
 
     `speed` [rad/s or m/s] is that of the joint, positive if it moves towards its upper limit; `position` (N,) are the
-    joint's, `modes` (N, M) what was found there with the other joints in M postures, the first in the middle of their
-    ranges; `why` says what hinders the first posture in which it cannot move steadily so, "" if there is none.
+    joint's, `modes` (N, M) the response there with the other joints in M postures, the first in the middle of their
+    ranges; `reason` states why the
+    joint cannot move steadily in the first posture without a mode, "" if there is none.
     """
 
     joint: str
@@ -45,7 +46,7 @@ class Sweep(NamedTuple):
     speed: float
     position: Array
     modes: tuple[tuple[Mode, ...], ...]
-    why: str
+    reason: str
 
     def each(self, key: str) -> Array:
         """Values (N, M) of `frequency`, `damping` or `gain`."""
@@ -53,7 +54,7 @@ class Sweep(NamedTuple):
 
 
 def sweeps(plant: Plant, psi: Array, theta: Array, *, positions: int = 9, postures: int = 5) -> list[Sweep]:
-    """How every joint answers its valve over its range, in both directions.
+    """Responses of all joints to their valves over their ranges, in both directions.
 
     Each is linearised while it moves at a tenth of its greatest speed (see `top_speed`) and the others rest.
 
@@ -74,11 +75,11 @@ def sweeps(plant: Plant, psi: Array, theta: Array, *, positions: int = 9, postur
     found = []
     for k, joint in enumerate(joints):
         lower, upper = ranges[k]
-        # at the very ends chambers may be empty and levers short
+        # at the ends of the range chambers may be empty and lever arms short
         places = np.linspace(lower + 0.02 * (upper - lower), upper - 0.02 * (upper - lower), positions)
         top = top_speed(plant, joint)
         for speed in (SHARE * top, -SHARE * top):
-            rows, why = [], ""
+            rows, reason = [], ""
             for place in places:
                 row = []
                 for share in spread:
@@ -87,12 +88,12 @@ def sweeps(plant: Plant, psi: Array, theta: Array, *, positions: int = 9, postur
                     try:
                         at = plant.steady(q, qd, psi, theta, supply)
                     except ProblemError as error:
-                        why = why or error.what
+                        reason = reason or error.what
                         row.append(STILL)
                     else:
                         row.append(mode(plant, joint, at, psi, theta))
                 rows.append(tuple(row))
-            found.append(Sweep(joint, plant.actuators[k].actuator.name, speed, places, tuple(rows), why))
+            found.append(Sweep(joint, plant.actuators[k].actuator.name, speed, places, tuple(rows), reason))
     return found
 
 
@@ -127,7 +128,7 @@ def top_speed(plant: Plant, joint: str) -> float:
     return float(min(flow, most or np.inf) / (each.areas[0] * lever))
 
 
-def mode(plant: Plant, joint: str, at: Steady, psi: Array, theta: Array) -> Mode:
+def mode(plant: Plant, joint: str, steady: Steady, psi: Array, theta: Array) -> Mode:
     """Frequency and damping of a joint on its oil, and the steady gain from its valve to its speed, others held.
 
     The least damped pair of poles of the joint with its chambers is taken, the spool's own poles aside: for these the
@@ -136,7 +137,7 @@ def mode(plant: Plant, joint: str, at: Steady, psi: Array, theta: Array) -> Mode
     Args:
         plant: the machine.
         joint: which.
-        at: state about which it is linearised.
+        steady: state about which it is linearised.
         psi: dynamic parameters (p,).
         theta: hydraulic ones.
 
@@ -145,9 +146,9 @@ def mode(plant: Plant, joint: str, at: Steady, psi: Array, theta: Array) -> Mode
     """
     joints, states = plant.machine.joints, list(plant.states)
     k, n = joints.index(joint), len(joints)
-    A, B = (np.array(part) for part in plant.jacobians(at.x, at.u, plant.supply, psi, theta))
-    # what the actuator has to push if the other joints cannot give way
-    mass = np.asarray(plant.mass(at.x[:n], psi))
+    A, B = (np.array(part) for part in plant.jacobians(steady.x, steady.u, plant.supply, psi, theta))
+    # inertia that the actuator moves with the other joints held
+    mass = np.asarray(plant.mass(steady.x[:n], psi))
     if mass[k, k] == 0:
         raise ProblemError(f"nothing that '{joint}' moves has a mass or inertia", where=plant.machine.name,
                            remedy="state the bodies of its links in the machine file")

@@ -35,7 +35,7 @@ def rows(plant: Plant, sweeps: Sequence[Sweep]) -> list[dict[str, Any]]:
             row |= {key: _finite(values[len(values) // 2, 0]),
                     f"{key}_min": _finite(reached.min(initial=np.inf)),
                     f"{key}_max": _finite(reached.max(initial=-np.inf))}
-        row |= {"unreachable": int(np.sum(~np.isfinite(sweep.each("gain")))), "why": sweep.why}
+        row |= {"unreachable": int(np.sum(~np.isfinite(sweep.each("gain")))), "reason": sweep.reason}
         table.append(row)
     return table
 

@@ -51,7 +51,7 @@ class Regressor:
 
     def casadi(self, flags: tuple[str, ...] = FLAGS) -> dict[str, Contender]:
         """CasADi's own C of the expressions as they are written, and after hydroopt simplified them."""
-        written = ca.Function("as_written", [*self.model.at], [self.model.dynamics.regressor()])
+        written = ca.Function("as_written", [*self.model.coordinates], [self.model.dynamics.regressor()])
         return {"CasADi, as written": self.generated(written, flags),
                 "CasADi, simplified": self.generated(self.function, flags)}
 

@@ -10,7 +10,7 @@ from numpy.testing import assert_allclose
 from hydroopt.control.closed_loop import CommandDelay
 from hydroopt.control.valve_inversion import command
 from hydroopt.machine.valves import Valve
-from hydroopt.model.hydraulics import displaced, openings
+from hydroopt.model.hydraulics import openings, spool_position
 
 VALVES = {
     "overlapped": {"dead_band": 0.05, "overlap": 0.03},
@@ -27,7 +27,7 @@ def test_edges_open_as_far_as_the_command_was_made_for(kind: str) -> None:
 
     share = ca.SX.sym("share")
     told = command(valve, share, value)
-    edges = openings(valve, displaced(valve, told, value), value)
+    edges = openings(valve, spool_position(valve, told, value), value)
     function = ca.Function("edges", [share], [told, edges.pa, edges.at])
     wide = np.concatenate([-np.linspace(0.02, 0.98, 60), np.linspace(0.02, 0.98, 60)])
     told_values, pa, at = (np.array(part).ravel() for part in function.map(len(wide))(wide.reshape(1, -1)))

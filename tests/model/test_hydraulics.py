@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 import hydroopt as ho
-from hydroopt.model.hydraulics import AMBIENT, compressibility, displaced, hinge, openings, orifice, pump_flow
+from hydroopt.model.hydraulics import AMBIENT, compressibility, hinge, openings, orifice, pump_flow, spool_position
 from hydroopt.model.plant import Plant
 
 
@@ -53,7 +53,7 @@ def test_a_command_reaches_from_the_dead_band_to_full_opening():
     subject = plant()
     valve, value = subject.actuators[0].valve, value_of(subject)
     commands = [5.7, 5.3, 6.1, 3.9, 7.5, 3.0, (5.2 + 3.9) / 2]  # neutral, inside, inside, full, back, beyond, half way
-    spool = [number(displaced(valve, ca.DM(u), value)) for u in commands]
+    spool = [number(spool_position(valve, ca.DM(u), value)) for u in commands]
     assert np.allclose(spool, [0, 0, 0, 1, -1, 1, 0.5], atol=1e-3)
     ways = [openings(valve, ca.DM(x), value) for x in (0.6, -0.6)]
     found = [[number(part) for part in way] for way in ways]

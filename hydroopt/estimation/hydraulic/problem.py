@@ -26,7 +26,7 @@ from hydroopt.logs.readings import reading
 from hydroopt.logs.smoothing import SmoothingSpline, condition
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.machine import Machine
-from hydroopt.model.hydraulics import displaced
+from hydroopt.model.hydraulics import spool_position
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
@@ -325,7 +325,7 @@ def _placed(plant: Plant, k: int, command: Array) -> Array:
     """Where a command (N,) wants the spool, by the nominal dead bands."""
     owner, nominal = plant.actuators[k].actuator.name, plant.parameters
     symbol = ca.SX.sym("u")
-    wanted = displaced(plant.actuators[k].valve, symbol,
+    wanted = spool_position(plant.actuators[k].valve, symbol,
                        lambda key: float(nominal.nominal[nominal.index(f"{owner}.{key}")]))
     return np.asarray(ca.Function("wanted", [symbol], [wanted])(command)).ravel()
 

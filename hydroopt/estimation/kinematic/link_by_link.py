@@ -144,7 +144,7 @@ def _about_axis(part: CalibrationProblem, joint: str, theta: Array) -> tuple[Row
     """
     model, layout, total = part.model, part.layout, len(part.parameters)
     g, q = ca.SX.sym("g", len(model.parameters)), ca.SX.sym("q", len(model.joints))
-    tip = model.seen_from(joint)(g, q)
+    tip = model.tip_in_frame(joint)(g, q)
     circle = ca.vertcat(ca.norm_2(tip[:2]), tip[2])
     function = ca.Function("circle", [g, q], [circle, ca.jacobian(circle, g), ca.jacobian(circle, q)])
     place = np.unique(layout.fixture[:, 0], return_inverse=True)[1]

@@ -64,7 +64,7 @@ class Limits:
         self._tipping()
         self.rows = tuple(row for row, _ in self._entries)
         self.scale = np.array([row.scale for row in self.rows])
-        states, values = model.at, ca.vertcat(*(value for _, value in self._entries))
+        states, values = model.coordinates, ca.vertcat(*(value for _, value in self._entries))
         self.function = ca.Function("limits", [*states], [values], ["q", "qd", "qdd"], ["value"])
         self.derivatives = ca.Function("limits_derivatives", [*states],
                                        [ca.densify(ca.jacobian(values, x)) for x in states],
@@ -96,7 +96,7 @@ class Limits:
         self._entries.append((Row(name, unit, lower, upper, scale or (max(sizes) if sizes else 1.0), floor), value))
 
     def _joints(self) -> None:
-        machine, states = self.model.machine, self.model.at
+        machine, states = self.model.machine, self.model.coordinates
         for k, name in enumerate(machine.joints):
             joint = machine.link(name).joint
             unit = "m" if joint.type == "prismatic" else "rad"
