@@ -60,7 +60,8 @@ class Names:
         if len(enumerator) > LONGEST:
             raise MachineError(
                 f"{quoted(name)} would be called {enumerator[:20]}... with {len(enumerator)} characters, more than "
-                f"the {LONGEST} that are significant in C", where=self.start, remedy="shorten the name or give a shorter --prefix")
+                f"the {LONGEST} that are significant in C", where=self.start,
+                remedy="shorten the name or give a shorter --prefix")
         if self._owners.setdefault(enumerator, f"{kind} {name}") != f"{kind} {name}":
             other = self._owners[enumerator].partition(" ")[2]
             raise MachineError(f"{quoted(name)} and '{other}' would both be called {enumerator}", where=self.start,
