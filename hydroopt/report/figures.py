@@ -263,8 +263,8 @@ def _change_column(ax: Axes, column: Sequence[tuple[str, list[Change]]], reach: 
 def _timeline(estimate: Estimate) -> list[Stretch]:
     """All logs one after the other."""
     logs: list[Stretch] = []
-    sets = (("training", [e.shown for e in estimate.problem.experiments], estimate.predictions["train"]),
-            ("validation", [e.shown for e in estimate.problem.validation], estimate.predictions["validation"]))
+    sets = (("training", [e.plotted for e in estimate.problem.experiments], estimate.predictions["train"]),
+            ("validation", [e.plotted for e in estimate.problem.validation], estimate.predictions["validation"]))
     spans = [data.motion.t[-1] - data.motion.t[0] for _, some, _ in sets for data in some]
     gap, end = 0.012 * sum(spans), 0.0
     for role, some, predicted in sets:

@@ -136,6 +136,6 @@ def _totals(estimate: Estimate) -> list[tuple[str, str, Row]]:
 
 def _log(role: str, data: AnyExperiment) -> dict[str, Any]:
     log = data.log
-    return {"role": role, "name": log.name, "path": log.path, "samples": log.size, "taken": data.taken,
+    return {"role": role, "name": log.name, "path": log.path, "samples": log.size, "taken": data.sample_count,
             "duration": plain(log.duration), "rows": f"{log.rows[0]} to {log.rows[1]}",
             "sha256": log.sha256, "findings": [f.text for f in log.findings], "notes": data.notes}

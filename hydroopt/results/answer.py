@@ -60,7 +60,7 @@ class Answer(ABC):
     @property
     @abstractmethod
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """What to know before trusting it, the gravest first."""
+        """Diagnostics, the most severe first."""
 
     @property
     def findings(self) -> tuple[Diagnostic, ...]:
@@ -173,7 +173,7 @@ class SavedAnswer(Answer):
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """What to know before trusting it, the gravest first."""
+        """Diagnostics, the most severe first."""
         return self._diagnostics
 
     @property

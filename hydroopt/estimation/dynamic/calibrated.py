@@ -52,7 +52,7 @@ def calibrated_machine(estimate: Identification) -> Machine:
     try:
         left_out = dynamic_parameters.bodies(machine).keys() - problem.parameters.bodies.keys()
         return machine.without_bodies(left_out).with_values(values, notes)
-    except MachineError as error:  # what no bound or constraint says, such as seals as wide as the rod side
+    except MachineError as error:  # limits without bound or constraint, such as seals as wide as the rod side
         raise ProblemError(error.what, where=where,
                            remedy="state a confidence or bounds of it, or identify with method 'sdp'") from None
 

@@ -1,4 +1,4 @@
-"""What has changed since the last calibration: friction that rose, an offset that drifted, a body that grew."""
+"""Change detection between two sessions: friction, offsets and bodies that differ."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class Difference(Quantity):
 
     @property
     def finding(self) -> Diagnostic:
-        """What was found, in a sentence."""
+        """The result in a sentence."""
         if not self.identifiable:
             kind = Kind.CHANGE_CONFOUNDED if self.partners else Kind.CHANGE_NOT_IDENTIFIABLE
             return Diagnostic(kind, (self.name,), {"partners": ", ".join(self.partners)} if self.partners else {})
@@ -126,14 +126,14 @@ def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: S
                   intervals: bool = True, seed: int = 0) -> Change:
     """Which parameters changed between two sessions, by one least squares over both.
 
-    All other parameters are the same in both and held by the first session and the machine file's priors; bodies are
+    All other parameters are equal in both and determined by the first session and the machine file's priors; bodies are
     physically consistent, and friction is not negative, in both sessions. Values and intervals satisfy that; the tests
     are those of least squares without such limits, whose distribution is known. Residuals carry less information by
     the factor of their correlation time.
 
     Args:
         machine: nominal description, the same for both sessions.
-        before: logs, or the folder that `hydroopt identify` made of them.
+        before: logs, or the folder that `hydroopt identify` wrote from them.
         after: logs, or such a folder.
         parts: what may have changed: ``friction``, ``offset``, parameters, or parts whose parameters all may. By
             default friction and offsets.
@@ -207,7 +207,7 @@ def named_parts(parameters: ParameterSet, parts: Iterable[str]) -> tuple[str, ..
 
 
 def holm(p_values: Array) -> Array:
-    """p-values (c,) corrected for their number so that any false one is as rare as stated (Holm 1979); NaN stay."""
+    """p-values (c,) with Holm's correction for multiple tests (Holm 1979); NaN stay."""
     corrected = np.full(len(p_values), np.nan)
     order = [k for k in np.argsort(p_values) if np.isfinite(p_values[k])]
     least = 0.0

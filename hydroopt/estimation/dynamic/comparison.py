@@ -30,7 +30,7 @@ from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
 
 AFTER = "after."
-"""What the name of a parameter's second value begins with."""
+"""Prefix of the names of second values."""
 
 ROUNDING = 1e-10
 """Part of the largest singular value below which a direction of the shared parameters is rounding error."""
@@ -89,7 +89,7 @@ class TwoSessionProblem(IdentificationProblem):
 
     @property
     def where(self) -> str:
-        """What errors say."""
+        """Subject for error messages."""
         return f"comparison of two sessions of {self.model.machine.name}"
 
     def _rows_at(self, x: Array, before: StoredInformation, after: StoredInformation) -> tuple[Array, Array]:
@@ -119,7 +119,7 @@ def joined(*sets: ParameterSet) -> ParameterSet:
                         tuple(unit for one in sets for unit in one.units), nominal, lower, upper, scale, information)
 
 
-def stated_twice(parameters: ParameterSet, names: Collection[str]) -> list[int]:
+def doubled(parameters: ParameterSet, names: Collection[str]) -> list[int]:
     """Positions of the parameters that need a second value if those of these names may change.
 
     Where one of a body's may change, the whole body has two values, so that it is physically consistent both times.
@@ -129,7 +129,7 @@ def stated_twice(parameters: ParameterSet, names: Collection[str]) -> list[int]:
             if name in names or (kind.is_inertial and parameters.owner(name) in owners)]
 
 
-def copied(parameters: ParameterSet, places: Sequence[int]) -> ParameterSet:
+def second_parameters(parameters: ParameterSet, places: Sequence[int]) -> ParameterSet:
     """The second values of parameters, with their bounds and without a prior."""
     at = list(places)
     return ParameterSet(tuple(AFTER + parameters.names[k] for k in at), tuple(parameters.kinds[k] for k in at),
@@ -140,11 +140,12 @@ def copied(parameters: ParameterSet, places: Sequence[int]) -> ParameterSet:
 def two_session_problem(model: Model, names: Sequence[str]) -> TwoSessionProblem:
     """The problem in which parameters of these names may have changed between two sessions."""
     parameters, p = model.parameters, len(model.parameters)
-    twice = stated_twice(parameters, names)
+    twice = doubled(parameters, names)
     chosen, copies = np.eye(p)[twice], [parameters.names[k] for k in twice]
     positions = [p + copies.index(name) for name in names]
     tied = tuple(Constraint(f"{name} unchanged", partial(_unchanged, name)) for name in copies if name not in names)
-    return TwoSessionProblem(model, (), constraints=tied, unknowns=joined(parameters, copied(parameters, twice)),
+    return TwoSessionProblem(model, (), constraints=tied,
+                      unknowns=joined(parameters, second_parameters(parameters, twice)),
                       second=np.hstack([np.eye(p) - chosen.T @ chosen, chosen.T]),
                       null=np.vstack([np.eye(p), chosen]), change=np.eye(p + len(twice))[:, positions],
                       labels=tuple(names))
@@ -155,7 +156,7 @@ def _unchanged(name: str, x: Named) -> Any:
 
 
 def folded(A: Array, b: Array) -> tuple[Array, Array]:
-    """R (P, P) and r (P,) of ``‖R·x − r‖² = ‖A·x − b‖²`` less what no x can change."""
+    """R (P, P) and r (P,) of ``‖R·x − r‖² = ‖A·x − b‖²`` without the part that no x changes."""
     return split(triangle(np.column_stack([A, b])))[:2]
 
 
@@ -210,7 +211,7 @@ def wald(problem: TwoSessionProblem, A: Array, b: Array, readings: float) -> Wal
     left, s, axes = np.linalg.svd(C, full_matrices=False)
     identified = s > RANK_TOLERANCE
     k = int(np.sum(identified))
-    freedom = readings - float(np.sum(U[: len(A)] ** 2)) - k  # what priors determine costs no readings
+    freedom = readings - float(np.sum(U[: len(A)] ** 2)) - k  # priors use no degrees of freedom
     if not k or freedom < 1:
         raise IdentifiabilityError("these logs do not identify a change of these parameters", where=problem.where,
                                    remedy="drive longer motions that excite them, in both sessions")
@@ -251,7 +252,7 @@ def _orthonormal(columns: Array) -> Array:
 
 
 def _without(basis: Array, columns: Array) -> Array:
-    """Columns less their projection; twice, so that they stay perpendicular to rounding."""
+    """Columns minus their projection; twice, so that they are orthogonal to rounding."""
     for _ in range(2):
         columns = columns - basis @ (basis.T @ columns)
     return columns

@@ -1,4 +1,4 @@
-"""What to know before trusting an identification, as typed diagnostics."""
+"""Diagnostics of an identification."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ _EFFECTS = {ParameterKind.MASS: "gravity", ParameterKind.FIRST_MOMENT: "gravity"
 
 
 def diagnose(found: Identification) -> tuple[Diagnostic, ...]:
-    """All diagnostics of an identification, the gravest first; none if nothing is worth knowing."""
+    """All diagnostics of an identification, the most severe first."""
     return (*machine_diagnostics(found.problem.model.machine), *_prediction(found), *_sampling(found),
             *_consistency(found), *_findings(found), *_residuals(found),
             *_assumptions(found), *_active(found), *_identifiability(found),
@@ -38,7 +38,7 @@ def diagnose(found: Identification) -> tuple[Diagnostic, ...]:
 
 
 def _prediction(found: Identification) -> Iterator[Diagnostic]:
-    """How the estimate predicts data that it was not computed from."""
+    """Prediction errors on validation data."""
     if "validation" not in found.fit:
         yield Diagnostic(Kind.NO_VALIDATION)
         return
@@ -75,11 +75,11 @@ def _consistency(found: Identification) -> Iterator[Diagnostic]:
 
 
 def _findings(found: Identification) -> Iterator[Diagnostic]:
-    """What the logs themselves show; rows and columns left out are no findings about the machine."""
+    """Findings of data quality in the logs, without the rows and columns that were left out."""
     texts = [(data.log.path or data.log.name, finding.text)
              for data in (*found.problem.experiments, *found.problem.validation) for finding in data.log.findings
              if finding.kind not in ("rows", "ignored")]
-    for log, text in dict.fromkeys(texts):  # both parts of a log that was split carry its findings
+    for log, text in dict.fromkeys(texts):  # both parts of a split log have the same findings
         yield Diagnostic(Kind.FINDING, (log,), {"text": text})
 
 
@@ -98,7 +98,7 @@ def _residuals(found: Identification) -> Iterator[Diagnostic]:
 
 
 def _assumptions(found: Identification) -> Iterator[Diagnostic]:
-    """Priors that nobody stated, and priors that are too weak to hold a body."""
+    """Priors that were assumed, and priors that are too weak for a body."""
     model = found.problem.model
     silent = tuple(owner for owner, owned in bodies(model.machine, actuator_inertia=model.actuator_inertia).items()
                    if not any(note.sigma for path, note in model.machine.notes.items()

@@ -1,4 +1,4 @@
-"""The answer of an identification: what was found, whether it can be believed, and the folder it is saved in."""
+"""The answer of an identification: parameters, status, diagnostics, and the files that are saved."""
 
 from __future__ import annotations
 
@@ -59,7 +59,7 @@ class Estimate(Identification, Answer):
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """What to know before trusting the estimate, the gravest first."""
+        """Diagnostics of the estimate, the most severe first."""
         return diagnostics.diagnose(self)
 
     @cached_property
@@ -83,7 +83,7 @@ class Estimate(Identification, Answer):
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:
-        """The logs it is from."""
+        """The logs that were used."""
         return inputs_of(self.problem)
 
     @cached_property
@@ -96,7 +96,7 @@ class Estimate(Identification, Answer):
     @cached_property
     def scenes(self) -> list[Scene]:
         """The machine at the mean pose of the training motion, then at the extremes that its joints reached."""
-        return range_scenes(self.problem.model, np.concatenate([each.shown.motion.q
+        return range_scenes(self.problem.model, np.concatenate([each.plotted.motion.q
                                                                 for each in self.problem.experiments]))
 
     def details(self) -> Mapping[str, Any]:
@@ -132,7 +132,7 @@ class Estimate(Identification, Answer):
                                       for data, table in self.fit.items() for channel, fit in table.items()]),
                  INFORMATION: information_csv(model.machine, self.problem.parameters.names,
                                               self.weighted_residuals.triangles)}
-        with contextlib.suppress(ProblemError):  # a diagnostic says why
+        with contextlib.suppress(ProblemError):  # a diagnostic states the reason
             files[f"{self.machine_name}.toml"] = dump_machine(self.machine)
         return files
 

@@ -1,4 +1,4 @@
-"""One log made ready for dynamics: smooth motion and actuator forces."""
+"""An experiment: smoothed motion and actuator forces of one log."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.estimation.dynamic.folding import ROWS, ActuatorTriangles
-from hydroopt.estimation.dynamic.friction_sign import SELDOM, dry_friction_known, slowest
+from hydroopt.estimation.dynamic.friction_sign import FEW_MOVING, dry_friction_known, speed_threshold
 from hydroopt.estimation.inference.correlation import correlation_time
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.forces_from_pressures import force_channels, forces, pressures
@@ -26,19 +26,19 @@ class AnyExperiment(Protocol):
 
     @property
     def log(self) -> AnyLog:
-        """Where it comes from."""
+        """The log that it was made of."""
 
     @property
-    def taken(self) -> int:
-        """How many samples take part."""
+    def sample_count(self) -> int:
+        """Number of samples used."""
 
     @property
-    def shown(self) -> Experiment:
-        """The part that figures show."""
+    def plotted(self) -> Experiment:
+        """The part that is plotted."""
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was done to the log, in plain words."""
+        """How the log was treated, in sentences."""
 
     def loaded(self, purpose: str) -> Experiment:
         """The experiment with all samples in memory, which `purpose` needs.
@@ -51,22 +51,23 @@ class AnyExperiment(Protocol):
         """Add the equations, linearised at `psi` (p,); `weights` (N, n) multiply squared residuals."""
 
     def moments(self, psi: Array) -> Array:
-        """Sums (5, n) over the samples that take part: 1, force, force², error and error² of the prediction by ψ."""
+        """Sums (5, n) over the samples used: 1, force, force², error and error² of the prediction by ψ."""
 
     def correlation_times(self, psi: Array) -> tuple[Array, Array]:
-        """Correlation time (n,) of the residuals of each actuator in samples, and how many samples it is of (n,)."""
+        """Correlation time (n,) of each actuator's residuals in samples, and the number (n,) of residuals it was
+        computed from."""
 
 
 @dataclass(frozen=True, eq=False)
 class Experiment:
     """Motion (N, n) and measured actuator forces (N, n) [N or N·m] of one log, all samples in memory.
 
-    `inside` (N,) is False near the ends of a stretch, where derivatives of noisy angles are worse: those samples take
-    no part in estimation and validation. `moving` (N, n) is False where a joint is too slow for the sign of its
-    velocity, and so of its dry friction, to be known (Eq. 4.51), unless it is so slow that there is none by the dead
-    zone of its actuator: those take no part in estimation. `remarks` say which channels were not used and how measured
-    lengths compare with the geometry. `pressure` (N, n) [Pa] is p_head + p_rod of each cylinder whose seals' friction
-    depends on it and 0 for all other actuators; None where no friction does.
+    `inside` (N,) is False near the ends of a stretch, where derivatives of noisy angles are worse: those samples are
+    not used for estimation and validation. `moving` (N, n) is False where the sign of a joint's velocity, and so of its
+    dry friction, is not known (Eq. 4.51, see `friction_sign`): those samples are not used for estimation. `remarks`
+    state which channels were not used and how measured lengths compare with the geometry. `pressure` (N, n) [Pa] is
+    p_head + p_rod of each cylinder whose seals' friction depends on it and 0 for all other actuators; None where no
+    friction does.
     """
 
     model: Model
@@ -78,27 +79,27 @@ class Experiment:
     pressure: Array | None = None
 
     def inputs(self, rows: slice | NDArray[np.intp] = slice(None)) -> tuple[Array, ...]:
-        """What the model's regressor and inverse dynamics take: q, qd, qdd and, if they do, pressure (·, n)."""
+        """Inputs of the model's regressor and inverse dynamics: q, qd, qdd and, where needed, pressure (·, n)."""
         motion = (self.motion.q[rows], self.motion.qd[rows], self.motion.qdd[rows])
         return motion if self.pressure is None else (*motion, self.pressure[rows])
 
     @property
     def inside(self) -> NDArray[np.bool_]:
-        """Samples that take part (N,)."""
+        """Samples that are used (N,)."""
         return self.motion.interior
 
     @property
-    def taken(self) -> int:
-        """How many samples take part."""
+    def sample_count(self) -> int:
+        """Number of samples used."""
         return int(np.sum(self.inside))
 
     @property
-    def shown(self) -> Experiment:
-        """What figures show of it: all."""
+    def plotted(self) -> Experiment:
+        """The part that is plotted: all of it."""
         return self
 
     def loaded(self, purpose: str) -> Experiment:
-        """The experiment itself; one that is read in pieces refuses."""
+        """The experiment itself; one that is streamed raises an error."""
         return self
 
     def equations(self, psi: Array | None = None, rows: slice | NDArray[np.intp] = slice(None),
@@ -115,7 +116,7 @@ class Experiment:
         return made, self.force[rows] - made[1][:, :, 0] + made[0] @ psi
 
     def chunks(self, psi: Array | None = None) -> Iterator[tuple[NDArray[np.intp], Array, Array]]:
-        """Sample indices, K (m, n, p) and f (m, n) of samples that take part; the next chunk may overwrite K."""
+        """Sample indices, K (m, n, p) and f (m, n) of samples used; the next chunk may overwrite K."""
         used = np.flatnonzero(self.inside)
         reused: list[Array] | None = None
         for start in range(0, len(used), ROWS):
@@ -138,20 +139,21 @@ class Experiment:
         return self.model.over(self.model.inverse_dynamics, *self.inputs(), psi)[0][:, :, 0]
 
     def moments(self, psi: Array) -> Array:
-        """Sums (5, n) over the samples that take part: 1, force, force², error and error² of the prediction by ψ."""
+        """Sums (5, n) over the samples used: 1, force, force², error and error² of the prediction by ψ."""
         force, predicted = self.force[self.inside], self.predicted(psi)[self.inside]
         error = force - predicted
         return np.array([x.sum(axis=0) for x in (np.ones_like(force), force, force**2, error, error**2)])
 
     def correlation_times(self, psi: Array) -> tuple[Array, Array]:
-        """Correlation time (n,) of the residuals of each actuator in samples, and how many samples it is of (n,)."""
+        """Correlation time (n,) of each actuator's residuals in samples, and the number (n,) of residuals it was
+        computed from."""
         residual, used = self.force - self.predicted(psi), self.inside[:, None] & self.moving
         times = [correlation_time(r, u, self.motion.segment) for r, u in zip(residual.T, used.T, strict=True)]
         return np.array(times), np.sum(used, axis=0).astype(float)
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was done to the log, in plain words."""
+        """How the log was treated, in sentences."""
         still = np.sum(self.inside[:, None] & ~self.moving, axis=0)
         left_out = f"{int(np.sum(~self.inside))} of {len(self.inside)} samples at the ends of stretches left out"
         return (*self.motion.notes, left_out,
@@ -159,11 +161,11 @@ class Experiment:
 
 
 def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Experiment:
-    """Condition a log.
+    """Make an experiment of a log: smooth its motion and compute its forces.
 
     Joint angles are read from ``<joint>.q`` or, where a log lacks them, from the length of the cylinder that moves the
     joint. Forces are those of the pressures (Eq. 4.33, 4.61) or, where a log lacks one of them, ``<cylinder>.force`` or
-    ``<joint>.tau``. What else the log holds is named in the notes.
+    ``<joint>.tau``. Channels that are not used are named in the notes.
 
     Raises:
         LogError: a channel is missing or in a unit that does not suit its joint, or a length at which a triangle is
@@ -173,9 +175,9 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
     angles = measured_angles(model, log)
     motion = condition(log.t, angles, log.segment, smoothing, angle_noise(model, log),
                        names=model.machine.joints, where=log.path or log.name)
-    slow, noise = slowest(angles, motion)
+    slow, noise = speed_threshold(angles, motion)
     moving = np.abs(motion.qd) > slow
-    moving &= np.mean(moving, axis=0) > SELDOM
+    moving &= np.mean(moving, axis=0) > FEW_MOVING
     return Experiment(model, log, motion, forces(model, log), dry_friction_known(model, motion, moving, noise),
                       remarks(model, log, angles), pressures(model, log))
 
@@ -197,12 +199,12 @@ def _unused(log: Log, used: set[str]) -> tuple[str, ...]:
 
 
 def _length_check(model: Model, log: Log, used: set[str], angles: Array) -> Iterator[str]:
-    """What measured cylinder lengths say about the geometry, where they did not give the angle themselves."""
-    checked = [(k, f"{c.name}.length") for k, c in enumerate(model.machine.cylinders)
+    """Differences of measured cylinder lengths from the geometry, for lengths that angles were not computed from."""
+    lengths = [(k, f"{c.name}.length") for k, c in enumerate(model.machine.cylinders)
                if f"{c.name}.length" in log.channels and f"{c.name}.length" not in used]
-    if not checked:
+    if not lengths:
         return
     expected = model.over(model.cylinder_kinematics, angles, 0 * angles, 0 * angles)[0][:, :, 0]
-    for k, channel in checked:
+    for k, channel in lengths:
         off = 1e3 * (log.channel(channel) - expected[:, k])
         yield f"{channel} differs from the geometry by {np.mean(off):.1f} mm mean, {np.std(off):.1f} mm std"

@@ -1,4 +1,4 @@
-"""Motion and parameters fitted together: angles err as pressures do, and both inform on the motion.
+"""Motion and parameters fitted together, with errors in angles and in pressures.
 
 The motion of each joint is a quintic spline q(t) = B(t)·c. With parameters ψ it is the most probable one:
 
@@ -30,7 +30,7 @@ from hydroopt.spatial.inertia import Array
 
 DEGREE, ORDER = 5, 6
 FINER = 2.0
-"""The fitted motion may be this much faster than the smoothed one: the forces hold it back where the angles do not."""
+"""Ratio of the bandwidths of fitted and smoothed motion; the forces limit the fitted one."""
 KNOTS_PER_PERIOD = 2.0
 """Knots per period of the fastest motion admitted."""
 STEPS = 30
@@ -275,7 +275,7 @@ def fit(model: Model, fitted: Sequence[Fitted], covariance: Array, weights: Sequ
         R, r, rest = _joined([sweep for some in sweeps for sweep in some])
         target = most_probable(R, r)
         length = float(np.linalg.norm(R @ (target - psi)))
-        part = 1.0 if length < last else part / 2  # a step longer than the one before went too far
+        part = 1.0 if length < last else part / 2  # the step before was too long
         if length < CONVERGED:
             return FittedMotion(fitted, sweeps, target, R, r, rest)
         psi = psi + part * (target - psi)

@@ -28,10 +28,10 @@ class ActuatorTriangles:
         self.samples = np.zeros(n)
         self.sums = np.zeros((n, p + 1))
 
-    def fold(self, K: Array, force: Array, taken: NDArray[np.bool_]) -> None:
+    def fold(self, K: Array, force: Array, used: NDArray[np.bool_]) -> None:
         """Add rows K (N, n, p) with forces (N, n) where they are `taken` (N, n)."""
         for i, columns in enumerate(self.columns):
-            rows = np.flatnonzero(taken[:, i])
+            rows = np.flatnonzero(used[:, i])
             if not len(rows):
                 continue
             size = len(columns)
@@ -44,14 +44,14 @@ class ActuatorTriangles:
             self.samples[i] += len(rows)
 
     def add(self, other: ActuatorTriangles) -> None:
-        """Add what another has folded."""
+        """Add the triangles of another."""
         for i, block in enumerate(other.compact):
             self.compact[i] = _blocked_triangle(np.asfortranarray(np.vstack([self.compact[i], block])))
         self.samples += other.samples
         self.sums += other.sums
 
     def only(self, actuators: NDArray[np.bool_]) -> ActuatorTriangles:
-        """Nothing but the rows of some actuators (n,)."""
+        """The rows of some actuators (n,) only."""
         part = copy(self)
         part.compact = [block * here for block, here in zip(self.compact, actuators, strict=True)]
         part.samples, part.sums = self.samples * actuators, self.sums * actuators[:, None]

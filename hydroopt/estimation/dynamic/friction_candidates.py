@@ -1,4 +1,4 @@
-"""Sets of friction terms that were compared by their prediction of held-out data, and the one chosen."""
+"""Sets of friction terms compared by their prediction of held-out data, and the chosen set."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ class Candidate:
         training: RMS error of the training data; NaN, as the others, where it could not be fitted.
         held_out: RMS error of held-out data; `std` its standard error.
         chosen: whether this set was chosen.
-        reason: why it was, or was not, in words.
+        reason: why it was chosen or not, in words.
     """
 
     terms: str

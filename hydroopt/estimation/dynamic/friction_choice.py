@@ -37,24 +37,24 @@ CANDIDATES = ("none", "viscous", "coulomb", "coulomb+viscous", "coulomb+viscous+
 """The sets that are compared by default."""
 STRIBECK_SPEED, DEAD_ZONE = 0.3, 0.05
 """Where the file states none: initial Stribeck speed and dead zone, as parts of an actuator's RMS speed."""
-TRIED = (0.35, 0.7, 1.4, 2.8)
-"""Initial Stribeck speeds, as parts of that: Gauss-Newton steps find the local optimum."""
-SLOWEST = 0.25
+INITIAL_SPEEDS = (0.35, 0.7, 1.4, 2.8)
+"""Factors on the initial Stribeck speed: Gauss-Newton steps find the local optimum from each."""
+LOWEST_SPEED = 0.25
 """Lower bound of a Stribeck speed as a part of the initial one: below, it acts where friction is not identifiable."""
 BLOCKS, LONG = (6, 40), 10.0
-"""Least and greatest number of blocks of held-out samples, and how many correlation times long they should be."""
+"""Smallest and largest number of blocks of held-out samples, and their length in correlation times."""
 
 
 def terms_of(text: str, machine: Machine | None = None) -> tuple[str, ...]:
     """The terms that a text such as ``coulomb+viscous+stribeck`` or ``none`` names, in the order of `TERMS`.
 
     Raises:
-        ProblemError: a term is unknown, cannot be without another one, or has no meaning for the machine.
+        ProblemError: a term is unknown, needs another one, or does not apply to the machine.
     """
     named = [] if text.strip() == "none" else [term.strip() for term in text.split("+")]
     for term in named:
         if term not in TERMS:
-            raise ProblemError(f"'{term}' is no friction term", where=f"friction '{text}'",
+            raise ProblemError(f"'{term}' is not a friction term", where=f"friction '{text}'",
                                remedy=f"use none, or {', '.join(TERMS)} joined by +")
     for term, others in (("reverse", ("coulomb", "viscous")), ("dead_zone", ("coulomb", "stribeck", "seal"))):
         if term in named and not set(named) & set(others):
@@ -83,10 +83,10 @@ def with_friction(machine: Machine, terms: str, *, speeds: Mapping[str, float] |
     Raises:
         ProblemError: a term is unknown or has no meaning for this machine.
     """
-    wanted = terms_of(terms, machine)
+    named = terms_of(terms, machine)
     if speeds is None:
         model = Model(machine)
-        speeds = _typical(model, [random_states(model, 400, np.random.default_rng(0))])
+        speeds = _rms_speeds(model, [random_states(model, 400, np.random.default_rng(0))])
     alike = {name: one.friction for one in machine.identical for name in one.friction}
     speeds = {name: float(np.mean([speeds[other] for other in alike.get(name, (name,))])) for name in speeds}
     fading = {name: STRIBECK_SPEED * speed * (scales or {}).get(name, 1.0) for name, speed in speeds.items()}
@@ -95,36 +95,36 @@ def with_friction(machine: Machine, terms: str, *, speeds: Mapping[str, float] |
     parts: dict[str, tuple[Any, ...]] = {}
     initial = {name: {"stribeck_speed": fading[name], "dead_zone": DEAD_ZONE * speeds[name]} for name in speeds}
     for kind in ("cylinders", "motors", "drives"):
-        parts[kind] = tuple(_refitted(part, wanted, initial[part.name], notes) for part in getattr(machine, kind))
+        parts[kind] = tuple(_refitted(part, named, initial[part.name], notes) for part in getattr(machine, kind))
     return Machine.model_validate(machine.model_dump(exclude={"notes", *parts}) | parts | {"notes": notes})
 
 
-def _refitted(part: Cylinder | Motor | Drive, wanted: Sequence[str], initial: Mapping[str, float],
+def _refitted(part: Cylinder | Motor | Drive, terms: Sequence[str], initial: Mapping[str, float],
               notes: dict[str, Any]) -> Any:
     """An actuator with other friction terms, with `initial` values or zero; their confidences go into `notes`."""
-    stated, at = part.friction.model_dump(), f"{part.name}.friction"
-    made = {key: value for key, value in stated.items() if key in ("offset", "barrel_pin", "rod_pin")}
-    for term in wanted:
+    stated, path = part.friction.model_dump(), f"{part.name}.friction"
+    values = {key: value for key, value in stated.items() if key in ("offset", "barrel_pin", "rod_pin")}
+    for term in terms:
         if term == "reverse":
-            for key in {"coulomb", "viscous"} & set(wanted):
-                own = f"{key}_reverse" if stated[f"{key}_reverse"] is not None else key
-                made[f"{key}_reverse"] = stated[own] or 0.0
-                if f"{at}.{own}" in notes:
-                    notes[f"{at}.{key}_reverse"] = notes[f"{at}.{own}"]
+            for key in {"coulomb", "viscous"} & set(terms):
+                source = f"{key}_reverse" if stated[f"{key}_reverse"] is not None else key
+                values[f"{key}_reverse"] = stated[source] or 0.0
+                if f"{path}.{source}" in notes:
+                    notes[f"{path}.{key}_reverse"] = notes[f"{path}.{source}"]
         elif term != "seal" or isinstance(part, Cylinder):
             for key in ("stribeck", "stribeck_speed") if term == "stribeck" else (term,):
-                made[key] = initial.get(key, 0.0) if stated[key] is None else stated[key]
+                values[key] = initial.get(key, 0.0) if stated[key] is None else stated[key]
             if term == "stribeck" and stated["stribeck_speed"] is None:
-                notes[f"{at}.stribeck_speed"] = Note(sigma=1.0, relative=True,
-                                                     lower=SLOWEST * initial["stribeck_speed"],
+                notes[f"{path}.stribeck_speed"] = Note(sigma=1.0, relative=True,
+                                                     lower=LOWEST_SPEED * initial["stribeck_speed"],
                                                      source="assumed: from the speeds driven")
     for key in stated:
-        if made.get(key) is None:
-            notes.pop(f"{at}.{key}", None)
-    return part.model_copy(update={"friction": type(part.friction).model_validate(made)})
+        if values.get(key) is None:
+            notes.pop(f"{path}.{key}", None)
+    return part.model_copy(update={"friction": type(part.friction).model_validate(values)})
 
 
-def _typical(model: Model, motions: Sequence[tuple[Array, ...]]) -> dict[str, float]:
+def _rms_speeds(model: Model, motions: Sequence[tuple[Array, ...]]) -> dict[str, float]:
     """RMS speed [m/s, rad/s] of each actuator, by name, over motions q, qd, qdd."""
     squares, count = np.zeros(len(model.machine.actuators)), 0
     cylinders = [cylinder.name for cylinder in model.machine.all_cylinders]
@@ -134,7 +134,7 @@ def _typical(model: Model, motions: Sequence[tuple[Array, ...]]) -> dict[str, fl
             rates = strokes[:, cylinders.index(actuator.name)] if isinstance(actuator, Cylinder) else motion[1][:, k]
             squares[k] += np.sum(rates**2)
         count += len(motion[0])
-    # what never moves has no speed that could be typical of it
+    # an actuator that never moves has no typical speed
     return {actuator.name: float(np.sqrt(square / count)) or 1.0
             for actuator, square in zip(model.machine.actuators, squares, strict=True)}
 
@@ -149,11 +149,11 @@ def friction_problem(machine: Machine, logs: Sequence[AnyLog], validation: Seque
     Raises:
         ProblemError, LogError: see `with_friction` and `identification_problem`.
     """
-    terms_of(terms, machine)  # before anything that takes long
+    terms_of(terms, machine)  # before long computations
     logs, validation = (in_memory(some, "a choice of friction") for some in (logs, validation))
     plain = identification_problem(with_friction(machine, "none"), logs, (), smoothing=smoothing,
                                    actuator_inertia=actuator_inertia)
-    speeds = _typical(plain.model, [data.inputs() for data in in_memory(plain.experiments, "a choice of friction")])
+    speeds = _rms_speeds(plain.model, [data.inputs() for data in in_memory(plain.experiments, "a choice of friction")])
 
     def made(scales: Mapping[str, float] | None = None) -> IdentificationProblem:
         return identification_problem(with_friction(machine, terms, speeds=speeds, scales=scales), logs, validation,
@@ -168,15 +168,15 @@ def _best_start(problem: IdentificationProblem) -> dict[str, float]:
     parameters, actuators = problem.parameters, problem.model.machine.actuators
     heights, at = (parameters.places(kind) for kind in (ParameterKind.STRIBECK_FRICTION, ParameterKind.STRIBECK_SPEED))
     squares = []
-    for part in TRIED:
+    for part in INITIAL_SPEEDS:
         point = parameters.nominal.copy()
-        point[heights], point[at] = 0.0, part * parameters.nominal[at]  # nothing depends on the speeds to first order
+        point[heights], point[at] = 0.0, part * parameters.nominal[at]  # zero force: its speed has no effect
         data = compress(problem.model, problem.experiments, psi=point)
         sigma = np.linalg.norm(data.triangles[:, :, -1], axis=1) / np.sqrt(np.maximum(data.samples, 1.0))
         R, r, _ = data.weighted(np.where(sigma > 0, sigma, 1.0))
         squares.append(data.squares(base_least_squares(R, r, parameters.names, RANK_TOLERANCE)[0]))
     best = np.argmin(squares, axis=0)
-    return {actuator.name: TRIED[k] for actuator, k in zip(actuators, best, strict=True)}
+    return {actuator.name: INITIAL_SPEEDS[k] for actuator, k in zip(actuators, best, strict=True)}
 
 
 def choose_friction(machine: Machine, logs: Sequence[AnyLog], validation: Sequence[AnyLog],
@@ -189,18 +189,17 @@ def choose_friction(machine: Machine, logs: Sequence[AnyLog], validation: Sequen
 
     Held-out samples are cut into blocks longer than the residuals' correlation time; errors of two sets are compared
     block by block. The smallest set whose mean squared error exceeds the smallest one by at most the standard error of
-    that difference is chosen. That error has two parts: the scatter of the blocks, and what the additional parameters
-    of the larger set gain by chance from the noise they were fitted to, one part in the number of independent samples
-    each.
+    that difference is chosen. That error has two parts: the scatter of the blocks, and the gain by chance of the larger
+    set's additional parameters from fitting noise, 1/(number of independent samples) for each.
 
     Args:
         machine: nominal description; what it states of friction is a prior where a set has the term.
         logs: training data.
-        validation: held-out data to judge by.
+        validation: held-out data for the comparison.
         candidates: sets of terms such as ``coulomb+viscous+stribeck``; `CANDIDATES` if None, those with seals only
             where all pressures were measured.
         smoothing, actuator_inertia: see `identification_problem`.
-        prepare: what is done with each problem before it is solved, such as ``lambda p: p.with_loss("huber")``.
+        prepare: function applied to each problem before it is solved, such as ``lambda p: p.with_loss("huber")``.
         method, tolerance, ridge, intervals, seed: see `identify`; intervals are those of the chosen set.
 
     Returns:
@@ -245,7 +244,7 @@ def choose_friction(machine: Machine, logs: Sequence[AnyLog], validation: Sequen
                 raise
             failed[name] = error.what
     size = {name: _size(problem, name) for name, problem in problems.items()}
-    rows, blocks = _judged(fitted, failed, size)
+    rows, blocks = _compared(fitted, failed, size)
     chosen = next(row.terms for row in rows if row.chosen)
     estimate = fitted[chosen] if not intervals else identify(problems[chosen], method, tolerance=tolerance, ridge=ridge,
                                                           seed=seed)
@@ -261,30 +260,31 @@ def _size(problem: IdentificationProblem, terms: str) -> tuple[int, int]:
     return len(of_actuators), len(terms_of(terms))
 
 
-def _judged(fitted: Mapping[str, Estimate], failed: Mapping[str, str],
+def _compared(fitted: Mapping[str, Estimate], failed: Mapping[str, str],
             size: Mapping[str, tuple[int, int]]) -> tuple[list[Candidate], int]:
     """All candidates with their errors and the one chosen, and the number of blocks."""
-    train, unseen = ({name: _errors(estimate, getattr(estimate.problem, which), estimate.predictions[key])
+    train, held_out = ({name: _errors(estimate, getattr(estimate.problem, which), estimate.predictions[key])
                       for name, estimate in fitted.items()}
                      for which, key in (("experiments", "train"), ("validation", "validation")))
     sigma = np.sqrt(np.min([np.mean(error**2, axis=0) for error in train.values()], axis=0))
     sigma = np.where(sigma > 0, sigma, 1.0)
-    closest = min(fitted, key=lambda name: float(np.mean((train[name] / sigma) ** 2)))
-    samples = len(unseen[closest])
-    wanted = samples / (LONG * np.max(fitted[closest].correlation_time))
+    best_fit = min(fitted, key=lambda name: float(np.mean((train[name] / sigma) ** 2)))
+    samples = len(held_out[best_fit])
+    wanted = samples / (LONG * np.max(fitted[best_fit].correlation_time))
     count = int(np.clip(wanted, BLOCKS[0], min(BLOCKS[1], samples)))
     blocks = {name: np.array([np.mean(part) for part in np.array_split(np.mean((error / sigma) ** 2, axis=1), count)])
-              for name, error in unseen.items()}
+              for name, error in held_out.items()}
     best = min(fitted, key=lambda name: float(np.mean(blocks[name])))
-    # as much as parameters that are not there may gain or lose by the noise that they were fitted to
-    independent = sum(float(np.sum(np.sum(e.inside[:, None] & e.moving, axis=0) / fitted[closest].correlation_time))
-                      for e in in_memory(fitted[closest].problem.experiments, "a choice of friction"))
-    apart = {}
+    # the squared error that superfluous parameters gain or lose by fitting noise
+    independent = sum(float(np.sum(np.sum(e.inside[:, None] & e.moving, axis=0) / fitted[best_fit].correlation_time))
+                      for e in in_memory(fitted[best_fit].problem.experiments, "a choice of friction"))
+    differences = {}
     for name in fitted:
         mean, error = _mean_and_error(blocks[name] - blocks[best])
-        apart[name] = mean, float(np.hypot(error, abs(size[name][0] - size[best][0]) / independent))
-    near = [name for name in fitted if size[name] <= size[best] and apart[name][0] <= STANDARD_ERRORS * apart[name][1]]
-    chosen = min(near, key=lambda name: (size[name], float(np.mean(blocks[name]))))
+        differences[name] = mean, float(np.hypot(error, abs(size[name][0] - size[best][0]) / independent))
+    eligible = [name for name, (mean, error) in differences.items()
+                if size[name] <= size[best] and mean <= STANDARD_ERRORS * error]
+    chosen = min(eligible, key=lambda name: (size[name], float(np.mean(blocks[name]))))
     rows = []
     for name in size:
         if name in failed:
@@ -294,17 +294,18 @@ def _judged(fitted: Mapping[str, Estimate], failed: Mapping[str, str],
         rms = float(np.sqrt(mean))
         rows.append(Candidate(name, size[name][0], float(np.sqrt(np.mean((train[name] / sigma) ** 2))), rms,
                               error / (2 * rms) if rms else 0.0, name == chosen,
-                              _why(name, chosen, best, apart[name], size)))
+                              _reason(name, chosen, best, differences[name], size)))
     return rows, count
 
 
-def _why(name: str, chosen: str, best: str, apart: tuple[float, float], size: Mapping[str, tuple[int, int]]) -> str:
-    difference = f"squared error larger by {apart[0]:.2g} ± {apart[1]:.2g}"
+def _reason(name: str, chosen: str, best: str, difference: tuple[float, float],
+            size: Mapping[str, tuple[int, int]]) -> str:
+    text = f"squared error larger by {difference[0]:.2g} ± {difference[1]:.2g}"
     if name == best:
         return "smallest held-out error" if name == chosen else f"better than {chosen}, but not by its standard error"
     if name == chosen:
-        return f"fewer terms than {best}, and {difference} only"
-    return f"{'' if size[name] <= size[best] else 'more terms, and '}{difference} than of {best}"
+        return f"fewer terms than {best}, and {text} only"
+    return f"{'' if size[name] <= size[best] else 'more terms, and '}{text} than of {best}"
 
 
 def _errors(estimate: Estimate, data: Sequence[Experiment], predicted: Sequence[Array]) -> Array:

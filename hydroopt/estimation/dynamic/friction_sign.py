@@ -11,23 +11,26 @@ from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
 NOISE_FACTOR, OVERSHOOT, STANDSTILL = 4.0, 0.15, 1e-6
-"""A joint counts as standing still below this many standard deviations of its velocity's noise, below this part of its
-RMS speed (smoothing lets an abrupt stop ring, so that slower readings may have the wrong sign), and below this speed in
-rad/s or m/s."""
+"""The sign of a joint's velocity is unknown below this many standard deviations of its noise, below this part of its
+RMS speed (after an abrupt stop smoothing oscillates, so that slower readings may have the wrong sign), and below this
+speed in rad/s or m/s."""
 
-SELDOM = 0.01
-"""A joint that seems to move in less than this part of the samples stands still: noise alone does as much."""
+FEW_MOVING = 0.01
+"""A joint that moves in less than this part of the samples counts as standing still, since noise has the same
+effect."""
 
 
-def slowest(angles: Array, motion: Motion) -> tuple[Array, Array]:
-    """Speed (n,) of each joint below which its sign is not known, or smoothing lets it ring; and its noise (n,)."""
+def speed_threshold(angles: Array, motion: Motion) -> tuple[Array, Array]:
+    """Speed (n,) of each joint below which its sign is not known, and the noise (n,) of its speed."""
     rms_speed, noise = np.sqrt(np.mean(motion.qd**2, axis=0)), NOISE_FACTOR * _velocity_noise(angles, motion)
     return np.maximum(np.maximum(noise, OVERSHOOT * rms_speed), STANDSTILL), noise
 
 
 def dry_friction_known(model: Model, motion: Motion, moving: NDArray[np.bool_], noise: Array) -> NDArray[np.bool_]:
-    """`moving` (N, n), but where there are dead zones: well inside them there is no dry friction, near their ends it is
-    not known. `noise` (n,) is what the joints' speeds may be off."""
+    """Where dry friction is known (N, n): where joints are `moving`, and inside dead zones, where it is zero.
+
+    Near the ends of a dead zone it is not known. `noise` (n,) bounds the errors of the joints' speeds.
+    """
     machine = model.machine
     known = moving.copy()
     for k, (joint, actuator) in enumerate(zip(machine.joints, machine.actuators, strict=True)):
@@ -51,7 +54,7 @@ def dry_friction_known(model: Model, motion: Motion, moving: NDArray[np.bool_], 
 def _velocity_noise(angles: Array, motion: Motion) -> Array:
     """Standard deviation of the smoothed velocities (n,): white noise, low-passed and differentiated.
 
-    σ_v² = ∫₀^f (2πν)²·2σ²Δt dν with the smoother's bandwidth f and the σ of what it took out.
+    σ_v² = ∫₀^f (2πν)²·2σ²Δt dν with the smoother's bandwidth f and the σ of its residuals.
     """
     sigma = np.std(angles - motion.q, axis=0)
     step = float(np.median(np.diff(motion.t)))

@@ -1,4 +1,4 @@
-"""What an estimator found: parameters with uncertainty, and how they predict training and validation data."""
+"""The result of an estimator: parameters with uncertainty, and their fit to training and validation data."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class TotalMass(NamedTuple):
 
 
 class Intervals(StrEnum):
-    """Where standard deviations and intervals come from, or why there are none."""
+    """Origin of standard deviations and intervals, or the reason why there are none."""
 
     LEAST_SQUARES = "weighted least squares"
     SAMPLED = "sampled posterior"
@@ -49,11 +49,11 @@ class Intervals(StrEnum):
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Identification:
-    """A solved identification problem, before anything is judged or written.
+    """A solved identification problem, without diagnostics and files.
 
     Attributes:
-        problem: what was solved.
-        algorithm: how, one of `hydroopt.estimation.dynamic.identify.METHODS`.
+        problem: the problem.
+        algorithm: one of `hydroopt.estimation.dynamic.identify.METHODS`.
         psi: (p,) parameters that predict forces. Where only base parameters are identifiable, those nearest to nominal
             with these base parameters; for ridge and truncated SVD the solution of the method.
         value, std, ci95: (p,), (p,), (p, 2) per parameter, NaN where it is not identifiable.
@@ -133,8 +133,8 @@ class Identification:
     @cached_property
     def predictions(self) -> Mapping[str, list[Array]]:
         """Predicted forces (N, n) of the shown part of every training and validation experiment."""
-        return {"train": [self.predict(e.shown) for e in self.problem.experiments],
-                "validation": [self.predict(e.shown) for e in self.problem.validation]}
+        return {"train": [self.predict(e.plotted) for e in self.problem.experiments],
+                "validation": [self.predict(e.plotted) for e in self.problem.validation]}
 
     @cached_property
     def fit(self) -> dict[str, dict[str, Fit]]:

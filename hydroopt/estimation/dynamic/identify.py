@@ -1,4 +1,4 @@
-"""From a problem to an estimate: weights, compression, the chosen estimator, and its uncertainty."""
+"""Identification: weights of residuals, compression, the chosen estimator, and its uncertainty."""
 
 from __future__ import annotations
 
@@ -25,15 +25,15 @@ Method = Literal["sdp", "qp", "nlp", "wls", "ridge", "tsvd"]
 METHODS: tuple[Method, ...] = get_args(Method)
 Weighted = WeightedResiduals[IdentificationProblem]
 _LINEAR = ("wls", "ridge", "tsvd")
-STEPS, SMALLEST = 60, 1e-6
-"""Gauss-Newton steps at most, and the least part of one that is tried."""
-SETTLED = 1e-7
-"""Relative change of parameters that is none."""
-NIL, ROUGH = 1e-6, 0.1
-"""Change of what is minimised, in squared standard deviations, that is none: as a rule, and where no part of a step
-leads further down."""
-FAINT = 1e-4
-"""Stribeck force, as a part of the standard deviation of residuals, that is none."""
+MAX_STEPS, SMALLEST_STEP = 60, 1e-6
+"""Largest number of Gauss-Newton steps, and smallest step length as a part of the full step."""
+CONVERGED = 1e-7
+"""Relative change of parameters below which the steps have converged."""
+DECREASE_TOLERANCE, LOOSE_TOLERANCE = 1e-6, 0.1
+"""Decrease of the objective, in squared standard deviations, below which the steps have converged; the second one holds
+where the line search finds no decrease."""
+NEGLIGIBLE_FORCE = 1e-4
+"""Stribeck force, as a part of the standard deviation of residuals, that counts as zero."""
 
 
 def identify(problem: IdentificationProblem, method: Method = "sdp", *, tolerance: float = RANK_TOLERANCE,
@@ -50,8 +50,8 @@ def identify(problem: IdentificationProblem, method: Method = "sdp", *, toleranc
             ``nlp``.
         tolerance: part of the largest singular value below which a direction counts as not identifiable.
         ridge: strength λ for ``ridge``, relative to the largest eigenvalue; chosen by cross-validation if None.
-        intervals: whether to sample the posterior. The estimate is then its mean, else its most probable point; the
-            mean of consistent machines is consistent, is nearer to the truth and lies inside its intervals.
+        intervals: whether to sample the posterior. The estimate is then its mean, otherwise its most probable point;
+            the mean of consistent machines is consistent, is nearer to the truth and lies inside its intervals.
         seed: of that sampling.
 
     Raises:
@@ -70,7 +70,7 @@ def identify(problem: IdentificationProblem, method: Method = "sdp", *, toleranc
     if method in _LINEAR and added:
         raise ProblemError(f"method '{method}' cannot honour {', '.join(added)}", where="identification",
                            remedy="use qp, sdp or nlp")
-    # the matrices are too small to gain from threads, which only get in each other's way
+    # the matrices are too small for threads
     with threadpool_limits(limits=1, user_api="blas"):
         return _solve(problem, method, tolerance, ridge, intervals, seed)
 
@@ -86,42 +86,43 @@ def _solve(problem: IdentificationProblem, method: Method, tolerance: float, rid
     if problem.model.linear:
         return _solve_at(problem, parameters.nominal, method, tolerance, ridge, intervals, seed)
     speeds = np.array([kind is ParameterKind.STRIBECK_SPEED for kind in parameters.kinds])
-    bent = speeds | np.array([kind is ParameterKind.STRIBECK_FRICTION for kind in parameters.kinds])
+    nonlinear = speeds | np.array([kind is ParameterKind.STRIBECK_FRICTION for kind in parameters.kinds])
     owners = [actuator.name for actuator in problem.model.machine.actuators]
-    heights = {k: owners.index(parameters.owner(parameters.names[k]))
+    stribeck_forces = {k: owners.index(parameters.owner(parameters.names[k]))
                for k in parameters.places(ParameterKind.STRIBECK_FRICTION)}
-    point, faint = parameters.nominal.copy(), np.full(len(owners), np.inf)
-    for _ in range(STEPS):
-        for k, actuator in heights.items():  # so that nothing depends on the speed where there is next to no force
-            point[k] *= abs(point[k]) > faint[actuator]
-        found = _solve_at(problem, point, method, tolerance, ridge, False, seed)
-        faint = FAINT * found.sigma
-        unobserved = speeds & (np.array(found.identifiability.category) == identifiability.NONE)
-        target = np.where(unobserved, point, np.where(speeds, np.clip(found.psi, parameters.lower, parameters.upper),
-                                                  found.psi))
+    point, negligible = parameters.nominal.copy(), np.full(len(owners), np.inf)
+    for _ in range(MAX_STEPS):
+        for k, actuator in stribeck_forces.items():  # a speed without force is not identifiable
+            point[k] *= abs(point[k]) > negligible[actuator]
+        estimate = _solve_at(problem, point, method, tolerance, ridge, False, seed)
+        negligible = NEGLIGIBLE_FORCE * estimate.sigma
+        unobserved = speeds & (np.array(estimate.identifiability.category) == identifiability.NONE)
+        target = np.where(unobserved, point, np.where(speeds, np.clip(estimate.psi, parameters.lower, parameters.upper),
+                                                  estimate.psi))
         step = target - point
-        rests = np.all(np.abs(step)[bent] <= SETTLED * np.abs(point)[bent])
-        before = _misfit(found, point)
-        gain, part = before - _misfit(found, target), 1.0
-        if (rests or abs(gain) <= NIL) and np.all((target == found.psi)[speeds & ~unobserved]):
-            return _solve_at(problem, target, method, tolerance, ridge, intervals, seed) if intervals else found
-        # instruments do not minimise residuals, which then say nothing about how far to go
-        while gain <= 0 and part > SMALLEST and not problem.instruments:
+        converged = np.all(np.abs(step)[nonlinear] <= CONVERGED * np.abs(point)[nonlinear])
+        before = _misfit(estimate, point)
+        decrease, part = before - _misfit(estimate, target), 1.0
+        within_bounds = np.all((target == estimate.psi)[speeds & ~unobserved])
+        if (converged or abs(decrease) <= DECREASE_TOLERANCE) and within_bounds:
+            return _solve_at(problem, target, method, tolerance, ridge, intervals, seed) if intervals else estimate
+        # no line search with instruments, which do not minimise residuals
+        while decrease <= 0 and part > SMALLEST_STEP and not problem.instruments:
             part /= 2
-            gain = before - _misfit(found, point + part * step)
-        if part <= SMALLEST:
-            if abs(before - _misfit(found, target)) > ROUGH:
+            decrease = before - _misfit(estimate, point + part * step)
+        if part <= SMALLEST_STEP:
+            if abs(before - _misfit(estimate, target)) > LOOSE_TOLERANCE:
                 break
-            return _solve_at(problem, target, method, tolerance, ridge, intervals, seed) if intervals else found
+            return _solve_at(problem, target, method, tolerance, ridge, intervals, seed) if intervals else estimate
         point = point + part * step
     names = ", ".join(np.array(parameters.names)[speeds])
-    raise SolverError(f"Gauss-Newton steps do not come to rest: these data do not determine {names}",
+    raise SolverError(f"Gauss-Newton steps did not converge: these data do not determine {names}",
                       where=f"identification of {problem.model.machine.name}",
-                      remedy="use a method that heeds bounds and priors (sdp, qp, nlp), or leave out 'stribeck'")
+                      remedy="use a method with bounds and priors (sdp, qp, nlp), or leave out 'stribeck'")
 
 
 def _misfit(estimate: Estimate, psi: Array) -> float:
-    """What an estimate's method minimises, weighted as it was, at ψ (p,) and without linearisation."""
+    """The objective of an estimate's method at ψ (p,), with the same weights and without linearisation."""
     weighted, total = estimate.weighted_residuals, 0.0
     if estimate.method not in _LINEAR:
         total += weighted.problem.prior_misfit(psi)
@@ -146,18 +147,18 @@ def _solve_at(problem: IdentificationProblem, point: Array, method: Method, tole
     weighted = weighted_residuals(
         problem, tolerance, least_squares if method in _LINEAR else lambda R, r: constrained(R, r).psi, point)
     psi, _, from_data = linear.base_least_squares(weighted.R, weighted.r, problem.parameters.names, tolerance)
-    _trust(weighted.R, weighted.r, psi, from_data, where)
+    _check_normal_equations(weighted.R, weighted.r, psi, from_data, where)
     if method in _LINEAR:
         return _linear_estimate(weighted, method, tolerance, ridge)
     solution = constrained(weighted.R, weighted.r)
     return _constrained_estimate(weighted, method, solution, from_data, tolerance, intervals, seed)
 
 
-def _trust(R: Array, r: Array, psi: Array, from_data: Identifiability, where: str) -> None:
-    """Check least squares by its normal equations: what is left over must be perpendicular to every base column.
+def _check_normal_equations(R: Array, r: Array, psi: Array, from_data: Identifiability, where: str) -> None:
+    """Check least squares by its normal equations: the residual must be orthogonal to every base column.
 
     Raises:
-        SolverError: it is not, because directions of rounding errors were taken for information.
+        SolverError: it is not, because the tolerance counts rounding errors as information.
     """
     basis = R[:, list(from_data.basis)]
     slope = np.max(np.abs(basis.T @ (r - R @ psi)) / np.linalg.norm(basis, axis=0), initial=0.0)
@@ -179,8 +180,8 @@ def _linear_estimate(weighted: Weighted, method: str, tolerance: float, ridge: f
         psi, strength = linear.ridge(R, r, ridge, rows=weighted.rows, rest=weighted.rest)
         note = f"ridge strength {strength:.3g}; a shrunk estimate is biased, so that it has no valid interval"
     elif method == "tsvd":
-        psi, kept = linear.truncated_svd(R, r, tolerance)
-        note = f"{kept} directions kept; those cut off are biased to zero, so that there is no valid interval"
+        psi, rank = linear.truncated_svd(R, r, tolerance)
+        note = f"{rank} directions kept; those cut off are biased to zero, so that there is no valid interval"
     if method != "wls":
         source = Intervals.BIASED
         value = np.where(np.array(from_data.category) == identifiability.FULL, psi, np.nan)
@@ -206,7 +207,7 @@ def _constrained_estimate(weighted: Weighted, method: str, solution: sdp.Optimum
             source = Intervals.SAMPLED
             std, ci = posterior.interval()
             base_std, _ = posterior.interval(from_data.grouping)
-            # the most probable point lies on active constraints, with the posterior's mass to one side of it
+            # the most probable point lies on active constraints, and the posterior on one side of it
             psi = solution.psi if posterior.mean is None else posterior.mean
             kind = "the most probable ones" if posterior.mean is None else "posterior means"
             note = f"values are {kind}; {posterior.note}"
@@ -244,7 +245,7 @@ def _assemble(weighted: Weighted, method: str, psi: Array, value: Array, std: Ar
               intervals: Intervals, seed: int, posterior: uncertainty.Posterior | None = None) -> Estimate:
     problem = weighted.problem_at(psi)
     bound = [""] * len(problem.parameters)
-    for condition in reversed(problem.requirements(consistent=True)):  # of several that hold, the first is named
+    for condition in reversed(problem.requirements(consistent=True)):  # the first of several is named
         for k in np.flatnonzero(np.any(condition.rows, axis=0)) if condition.name in active else ():
             bound[k] = condition.name
     return Estimate(

@@ -1,4 +1,4 @@
-"""A second reading of a motion, whose errors are not those of the first: what instrumental variables are made of."""
+"""Instrumental variables: a second reading of a motion, with independent errors."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def _second_angle(model: Model, data: Experiment, joint: str) -> Array:
     actuator = model.machine.actuators[model.machine.joints.index(joint)]
     log, channel = data.log, f"{actuator.name}.length"
     if f"{joint}.q" not in log.channels or channel not in log.channels or actuator.name not in model.triangles:
-        beside = f"record '{channel}' beside '{joint}.q', or " if actuator.name in model.triangles else ""
+        record = f"record '{channel}' beside '{joint}.q', or " if actuator.name in model.triangles else ""
         raise ProblemError(f"the joint '{joint}' has no second reading", where=log.path or log.name,
-                           remedy=f"{beside}give a log of the motion that was driven")
+                           remedy=f"{record}give a log of the motion that was driven")
     return angle_from_length(model, log, channel)

@@ -18,10 +18,10 @@ from hydroopt.estimation.dynamic.comparison import (
     TwoSessionOptimum,
     TwoSessionProblem,
     Wald,
-    copied,
+    doubled,
     joined,
+    second_parameters,
     solve_both,
-    stated_twice,
     wald,
 )
 from hydroopt.estimation.dynamic.stored_information import StoredInformation, refuse_shared_samples, stored_information
@@ -133,7 +133,7 @@ def payload(machine: Machine, unloaded: Sequence[Log] | str | Path, loaded: Sequ
 
     Args:
         machine: nominal description without the load, the same for both sessions.
-        unloaded: logs, or the folder that `hydroopt identify` made of them.
+        unloaded: logs, or the folder that `hydroopt identify` wrote from them.
         loaded: logs, or such a folder.
         link: that carries the load; the last one by default.
         friction_changes: whether friction may differ between the sessions: in gears it grows with the load.
@@ -172,7 +172,7 @@ def payload(machine: Machine, unloaded: Sequence[Log] | str | Path, loaded: Sequ
         total = sum(owned.body.m for owned in bodies(machine).values())
         problem = _problem(model, columns, names, gain, mass=0.1 * total)
         test = wald(problem, *problem.rows(first, second), readings)
-        if np.isfinite(test.std[0]):  # what is about the load's size decides how weak the prior is
+        if np.isfinite(test.std[0]):  # the load's approximate size sets the width of the prior
             problem = _problem(model, columns, names, gain, mass=max(abs(float(test.value[0])), float(test.std[0])))
         A, b = problem.rows(first, second)
         test = wald(problem, A, b, readings)
@@ -213,9 +213,9 @@ def _carried(model: Model, link: str) -> Array:
 def _problem(model: Model, columns: Array, names: Sequence[str], gain: float, *, mass: float) -> TwoSessionProblem:
     """Two sessions of which the second has one more body, of about this mass within the machine's reach."""
     parameters, p, n = model.parameters, len(model.parameters), len(model.machine.actuators) if gain else 0
-    twice = stated_twice(parameters, names)
+    twice = doubled(parameters, names)
     chosen, c = np.eye(p)[twice], len(twice)
-    unknowns = joined(parameters, _load(model.machine, mass), copied(parameters, twice), _gains(model, gain))
+    unknowns = joined(parameters, _load(model.machine, mass), second_parameters(parameters, twice), _gains(model, gain))
     nothing = np.zeros((10, p))
     return TwoSessionProblem(
         model, (), unknowns=unknowns, labels=(*unknowns.names[p : p + 10], *names),

@@ -46,7 +46,7 @@ class IdentificationProblem:
     """Weighted residuals f − K·ψ of some experiments, priors and constraints on ψ: an optimisation model.
 
     `identification_problem` makes one; each method returns a new one. It prints as variables, objective and
-    constraints; `nlp` and `cvxpy` hand it on to tools of the user's own.
+    constraints; `nlp` and `cvxpy` export it to other tools.
 
     >>> import hydroopt as ho
     >>> model = ho.Model(ho.load_machine("cat215b"))
@@ -64,7 +64,7 @@ class IdentificationProblem:
     Attributes:
         model: what predicts the forces; its parameters carry nominal values, bounds and the file's confidences.
         experiments: training data.
-        validation: data that the estimate is judged by and not fitted to.
+        validation: data for validation only.
         force_std: (n,) standard deviation of each actuator's force reading; NaN where unknown. It is re-estimated
             from the residuals when `reweight` is set.
         constraints, priors, physics: what was added by name.
@@ -97,7 +97,7 @@ class IdentificationProblem:
 
     @property
     def where(self) -> str:
-        """What is being solved, for error messages."""
+        """Subject for error messages."""
         return f"identification of {self.model.machine.name}"
 
     @property
@@ -111,7 +111,7 @@ class IdentificationProblem:
         The relation is called with parameters in cvxpy for the convex methods and in CasADi for ``nlp``.
 
         Raises:
-            ProblemError: the name is taken.
+            ProblemError: the name exists already.
         """
         self._refuse_taken(name)
         return replace(self, constraints=(*self.constraints, Constraint(name, relation)))
@@ -120,7 +120,7 @@ class IdentificationProblem:
                    sigma: float) -> IdentificationProblem:
         """With a linear expression (or one parameter's name) known to be ``value ± sigma``, in SI.
 
-        It adds to what the machine file already says.
+        It is added to the priors of the machine file.
 
         Raises:
             ProblemError: the expression is not linear in the parameters, sigma is not positive, or the name is taken.
@@ -156,7 +156,7 @@ class IdentificationProblem:
         return self._with(physics.equal(name, self.parameters, row, value))
 
     def identical(self, name: str, owners: Sequence[str]) -> IdentificationProblem:
-        """With parts built alike: bodies of equal inertial parameters, or actuators of equal friction.
+        """With identical parts: bodies of equal inertial parameters, or actuators of equal friction.
 
         Raises:
             ProblemError: an unknown owner, fewer than two, bodies mixed with actuators, or the name is taken.
@@ -167,7 +167,7 @@ class IdentificationProblem:
         """With a body whose mass is symmetric about a plane of its frame: ``xy``, ``xz`` or ``yz``.
 
         Raises:
-            ProblemError: an unknown body or plane, or the file or an earlier call says so already.
+            ProblemError: an unknown body or plane, or the file or an earlier call states it already.
         """
         return self._with(physics.symmetry(self.parameters, owner, plane))
 
@@ -188,13 +188,13 @@ class IdentificationProblem:
         if distance not in ("gaussian", "log-det"):
             raise ProblemError(f"'{distance}' is not a distance", where="distance", remedy="use gaussian or log-det")
         changed = replace(self, distance=distance)
-        assert changed.bodies is not None  # raises where there is none
+        assert changed.bodies is not None  # raises where there is no such distance
         return changed
 
     def _refuse_taken(self, name: str) -> None:
         if name in {*self.constraint_names, *(p.name for p in (*self.stated_priors, *self.priors))}:
             raise ProblemError("two constraints or priors have the same name", where=f"'{name}'",
-                               remedy="give each a name of its own")
+                               remedy="give each its own name")
 
     def fix(self, name: str, value: float | None = None) -> IdentificationProblem:
         """With a parameter held at a value (SI), or at its nominal one.
@@ -313,7 +313,7 @@ class IdentificationProblem:
 
     @cached_property
     def square_rows(self) -> tuple[Array, Array]:
-        """The same of the priors that are squares indeed: without what a log-det distance says of bodies."""
+        """Rows and right-hand side of the quadratic priors only, without the log-det distance of bodies."""
         information = self.parameters.information.copy()
         for body in self.bodies if self.distance == "log-det" else ():
             information[body.columns, body.columns] = 0.0
@@ -368,7 +368,7 @@ class IdentificationProblem:
 
     def _rows(self, information: Array, mean: Array) -> tuple[Array, Array]:
         diagonal = np.diag(information)
-        size = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))  # so that units do not decide what counts as known
+        size = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))  # so that the rank does not depend on units
         values, vectors = np.linalg.eigh(information / np.outer(size, size))
         known = values > 1e-12
         root = np.sqrt(values[known])[:, None] * vectors[:, known].T * size
@@ -383,7 +383,7 @@ class IdentificationProblem:
 
     def __str__(self) -> str:
         parameters, machine = self.parameters, self.model.machine
-        samples = sum(e.taken for e in self.experiments)
+        samples = sum(e.sample_count for e in self.experiments)
         lines = [f"{self.where}: {samples} samples in {_counted(len(self.experiments), 'training log')}",
                  f"variables ψ ({len(parameters)})", *listing.variables(parameters, self.fixed), "minimise the sum of"]
         for actuator, std, unit in zip(machine.actuators, self.force_std, self.model.force_units, strict=True):
@@ -407,7 +407,7 @@ def _counted(count: int, noun: str) -> str:
 
 
 def _refuse_repetition(logs: Sequence[AnyLog]) -> None:
-    """The same samples twice would count twice, or judge an estimate by what it was fitted to."""
+    """Refuse the same samples twice: they would count twice, or validate an estimate by its training data."""
     for k, log in enumerate(logs):
         for other in logs[:k]:
             same = log is other or (log.sha256 and log.sha256 == other.sha256)
@@ -422,9 +422,9 @@ def identification_problem(machine: Machine | Model, logs: Sequence[AnyLog],
     """The dynamic identification problem of a machine and its logs.
 
     Args:
-        machine: nominal description, with its confidences; or a model of it, which spares building one.
+        machine: nominal description, with its confidences; or its model, which need not be built again then.
         logs: training data.
-        validation: logs to judge the estimate by.
+        validation: logs for validation only.
         smoothing: how angles are differentiated; a smoothing spline by default.
         actuator_inertia: whether barrels and rods belong to the model that is built.
 

@@ -53,12 +53,13 @@ def _chunks(experiments: Sequence[Experiment],
 def compress_jointly(model: Model, experiments: Sequence[Experiment], covariance: Array,
                      weights: Sequence[Array] | None = None, *,
                      psi: Array | None = None) -> tuple[Array, Array, float]:
-    """R (p, p), r (p,) and the rest, as of `CompressedRegressor.weighted`, when the actuators' residuals err together.
+    """R (p, p), r (p,) and the rest, as of `CompressedRegressor.weighted`, with residuals that correlate between
+    actuators.
 
     Args:
         model, experiments, weights, psi: as of `compress`.
-        covariance: (n, n) of the actuators' residuals in one sample; where some of them take no part, what the
-            covariance says of the others counts.
+        covariance: (n, n) of the actuators' residuals in one sample; where some of them are not used, that of the
+            others.
     """
     p = len(model.parameters)
     R = np.zeros((p + 1, p + 1))
@@ -76,8 +77,8 @@ def compress_instrumented(model: Model, experiments: Sequence[Experiment], instr
     """R (p, p) and r (p,) of ``Zᵀ·(f − K·ψ) ≈ 0``: least squares on the rows projected on the instruments Z.
 
     Z is the regressor of a motion whose errors are not those of the measured one (a reference, a second sensor, a
-    repetition): its columns do not correlate with the noise in K, so that noisy angles no longer pull parameters to
-    zero (two-stage least squares; Janot, Vandanjon, Gautier 2014, "A generic instrumental variable approach for
+    repetition): its columns do not correlate with the noise in K, so that noisy angles no longer bias parameters
+    towards zero (two-stage least squares; Janot, Vandanjon, Gautier 2014, "A generic instrumental variable approach for
     industrial robot identification").
 
     Args:
@@ -93,7 +94,7 @@ def compress_instrumented(model: Model, experiments: Sequence[Experiment], instr
         if weights is not None:
             block = block * np.sqrt(weights[which][rows])[:, :, None]
         R = triangle(R, block[experiments[which].moving[rows]])
-    # directions that the instruments do not excite would let the noise of K in
+    # directions that the instruments do not excite would add the noise of K
     excited = list(analyse(R[:p, :p], model.parameters.names).basis)
     order = [*excited, *range(p, 2 * p + 1)]
     on_instruments = triangle(R[:, order])[: len(excited), len(excited) :]

@@ -1,4 +1,4 @@
-"""The information that the logs of one session carry, small enough to keep until the machine is measured again."""
+"""The information of one session's logs about the parameters, saved for later comparisons."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ class StoredInformation:
                                                           self.samples, strict=True)}
 
 
-def stored_information(model: Model, given: Sequence[Log] | str | Path,
+def stored_information(model: Model, source: Sequence[Log] | str | Path,
                        smoothing: Smoothing | None = None) -> StoredInformation:
     """The information of logs, or that of the folder which `hydroopt identify` wrote from them.
 
@@ -79,13 +79,13 @@ def stored_information(model: Model, given: Sequence[Log] | str | Path,
         raise ProblemError("forces are not linear in a Stribeck speed, but comparing sessions needs linear forces",
                            where=model.machine.name, remedy="leave 'stribeck' and 'stribeck_speed' out of the machine "
                            "file that sessions are compared with")
-    if isinstance(given, str | Path):
-        return _read(model, Path(given))
-    problem = identification_problem(model.machine, given, smoothing=smoothing)
+    if isinstance(source, str | Path):
+        return _read(model, Path(source))
+    problem = identification_problem(model.machine, source, smoothing=smoothing)
     weighted = weighted_residuals(problem, RANK_TOLERANCE, lambda R, r: gaussian_posterior(problem, R, r).offset,
                                   model.parameters.nominal)
     inputs = [{"path": log.path or log.name, "sha256": log.sha256 or None, "samples": len(log.t),
-               "first_sample": int(log.sample[0]), "last_sample": int(log.sample[-1])} for log in given]
+               "first_sample": int(log.sample[0]), "last_sample": int(log.sample[-1])} for log in source]
     return StoredInformation(weighted.triangles, weighted.sigma, weighted.correlation_time, weighted.samples,
                              tuple(inputs))
 
@@ -100,7 +100,7 @@ def refuse_shared_samples(before: StoredInformation, after: StoredInformation) -
         for other in before.inputs:
             if (one["sha256"] and one["sha256"] == other["sha256"] and one["first_sample"] <= other["last_sample"]
                     and other["first_sample"] <= one["last_sample"]):
-                raise ProblemError("the same samples stand before and after", where=str(one["path"]),
+                raise ProblemError("the same samples are in both sessions", where=str(one["path"]),
                                    remedy="give another log on one side")
 
 

@@ -1,4 +1,4 @@
-"""A log that is too long for memory, made ready for dynamics piece by piece, each of which is folded and forgotten."""
+"""An experiment of a log that does not fit in memory: smoothed and folded piece by piece."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment, channels_used, experiment, remarks
 from hydroopt.estimation.dynamic.folding import ROWS, ActuatorTriangles
-from hydroopt.estimation.dynamic.friction_sign import SELDOM, slowest
+from hydroopt.estimation.dynamic.friction_sign import FEW_MOVING, speed_threshold
 from hydroopt.estimation.inference.correlation import Lagged
 from hydroopt.kernels.native import threads
 from hydroopt.logs import streamed_smoothing
@@ -32,10 +32,10 @@ from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
 WORKERS = 4
-"""Threads at most: one reads the file, which keeps no more of them busy, and each holds a piece in memory."""
+"""Largest number of threads; each holds a piece in memory, and reading the file limits the speed with more."""
 
 LAGS = 2**13
-"""Lags up to which residuals of a log in pieces are compared."""
+"""Largest lag of the autocorrelation of a streamed log's residuals."""
 
 Rows = tuple[int, int]
 Given = TypeVar("Given")
@@ -43,14 +43,14 @@ Made = TypeVar("Made")
 
 
 class Totals:
-    """What is kept of all samples: the triangles of those in which a joint moves and of those in which it stands still,
-    how often each joint moves, how many samples there are, how many of them take part, and what was found in them.
+    """Totals over all samples: triangles of samples in which a joint moves and of those in which it stands still, how
+    often each joint moves, numbers of samples and of samples used, and findings of data quality.
     """
 
     def __init__(self, model: Model) -> None:
         self.moved, self.still = ActuatorTriangles(model), ActuatorTriangles(model)
         self.moving = np.zeros(len(model.machine.joints))
-        self.samples = self.taken = 0
+        self.samples = self.sample_count = 0
         self.findings: tuple[Finding, ...] = ()
 
     def add(self, other: Totals) -> None:
@@ -58,13 +58,13 @@ class Totals:
         self.moved.add(other.moved)
         self.still.add(other.still)
         self.moving += other.moving
-        self.samples, self.taken = self.samples + other.samples, self.taken + other.taken
+        self.samples, self.sample_count = self.samples + other.samples, self.sample_count + other.sample_count
         self.findings += other.findings
 
 
 @dataclass(frozen=True, eq=False)
 class StreamedExperiment:
-    """As an `Experiment`, but of a log that is read in pieces, whenever something is asked of it.
+    """An experiment of a log that is read in pieces, on each access.
 
     One smoothing weight for each joint serves all pieces. It, and how slow counts as standing still, are chosen by a
     sample of the log, from where the joints move, or by all of it if it is short. Pieces overlap so far that their
@@ -79,7 +79,7 @@ class StreamedExperiment:
 
     @cached_property
     def _sample(self) -> tuple[Smoother, Experiment]:
-        """How all pieces are smoothed, and a sample of the log that is smoothed so."""
+        """The smoothing of all pieces, and a sample of the log with it."""
         model, log = self.model, self.stream.sample(self._angle_channels)
         angles, where = measured_angles(model, log), self.stream.path
         edges = np.flatnonzero(np.diff(log.segment)) + 1
@@ -90,7 +90,7 @@ class StreamedExperiment:
             raise LogError(f"a motion of {np.min(chosen.bandwidth):.2g} Hz is too slow to be smoothed in pieces",
                            where=where, remedy="keep every tenth sample, or state a higher --bandwidth")
         motion = chosen.motion(log.t, angles, log.segment, np.ones(log.size, bool), where)
-        moving = np.abs(motion.qd) > slowest(angles, motion)[0]
+        moving = np.abs(motion.qd) > speed_threshold(angles, motion)[0]
         return chosen, Experiment(model, log, motion, forces(model, log), moving, remarks(model, log, angles),
                                   pressures(model, log))
 
@@ -101,11 +101,11 @@ class StreamedExperiment:
     @cached_property
     def _slow(self) -> Array:
         sample = self._sample[1]
-        return slowest(measured_angles(self.model, sample.log), sample.motion)[0]
+        return speed_threshold(measured_angles(self.model, sample.log), sample.motion)[0]
 
     @cached_property
     def totals(self) -> Totals:
-        """All pieces folded: one pass over the log.
+        """Totals of all pieces: one pass over the log.
 
         Raises:
             LogError: a piece cannot be used, with its rows.
@@ -118,8 +118,8 @@ class StreamedExperiment:
 
     @property
     def moves(self) -> np.ndarray:
-        """Which joints (n,) move more often than noise makes them seem to."""
-        return self.totals.moving > SELDOM * self.totals.samples
+        """Which joints (n,) move in more samples than noise explains."""
+        return self.totals.moving > FEW_MOVING * self.totals.samples
 
     @property
     def folded(self) -> ActuatorTriangles:
@@ -127,12 +127,12 @@ class StreamedExperiment:
         return self.totals.moved.only(self.moves)
 
     @property
-    def taken(self) -> int:
-        """How many samples take part."""
-        return self.totals.taken
+    def sample_count(self) -> int:
+        """Number of samples used."""
+        return self.totals.sample_count
 
     @property
-    def shown(self) -> Experiment:
+    def plotted(self) -> Experiment:
         """What figures show of it: a block from the middle of the sample, or all of a short log."""
         sample = self._sample[1]
         if self.stream.size <= sample.log.size:
@@ -147,13 +147,13 @@ class StreamedExperiment:
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """What was done to the log, in plain words."""
+        """How the log was treated, in sentences."""
         chosen, sample = self._sample
-        totals, shown = self.totals, self.shown.log
-        still = totals.taken - self.folded.samples
-        left_out, stood = totals.samples - totals.taken, still.astype(int).tolist()
+        totals, plotted = self.totals, self.plotted.log
+        still = totals.sample_count - self.folded.samples
+        left_out, stood = totals.samples - totals.sample_count, still.astype(int).tolist()
         return (f"read in pieces of {self.stream.piece} samples; {sample.log.size} samples chose the smoothing, and "
-                f"figures show samples {shown.rows[0]} to {shown.rows[1]}", *chosen.notes,
+                f"figures show samples {plotted.rows[0]} to {plotted.rows[1]}", *chosen.notes,
                 f"{left_out} of {totals.samples} samples at the ends of stretches left out",
                 f"standing still (no sign of friction) per joint: {stood} samples", *sample.remarks)
 
@@ -183,7 +183,7 @@ class StreamedExperiment:
         """As of `Experiment`: one more pass over the log."""
         totals = self.totals
         mean = -(totals.moved.sums @ np.append(psi, -1.0)) / np.maximum(totals.moved.samples, 1.0)
-        drops = "drop" in self.stream.treatment.values()  # what another channel makes drop has to drop again
+        drops = "drop" in self.stream.treatment.values()  # other channels cause drops as well
         used = None if drops else channels_used(self.model, self.stream)
         windows = self.stream.windows((self._margin, LAGS + self._margin), used)
         sums = [Lagged(LAGS) for _ in mean]
@@ -195,12 +195,12 @@ class StreamedExperiment:
 
     @property
     def _margin(self) -> int:
-        """Rows that pieces overlap by."""
+        """Number of rows by which pieces overlap."""
         return int(np.ceil(self._sample[0].margin / self.stream.survey.step)) + 1
 
     def _over(self, work: Callable[[Given], Made], given: Iterable[Given]) -> Iterator[Made]:
-        """What `work` makes of all that is given, in its order, some of it at once; little of it waits in memory."""
-        _ = self._slow, self.model.regressor, self.model.inverse_dynamics  # made before threads ask for them
+        """Results of `work` on all inputs, in their order, computed in parallel with few results in memory."""
+        _ = self._slow, self.model.regressor, self.model.inverse_dynamics  # created before threads use them
         waiting: deque[Future[Made]] = deque()
         with threadpool_limits(limits=1, user_api="blas"), ThreadPoolExecutor(self.workers) as pool:
             try:
@@ -233,7 +233,7 @@ class StreamedExperiment:
         data = self._prepared(log, core)
         totals.samples, totals.moving = int(b - a), np.sum(data.moving[a:b], axis=0).astype(float)
         taken = a + np.flatnonzero(data.inside[a:b])
-        totals.taken = len(taken)
+        totals.sample_count = len(taken)
         reused: list[Array] | None = None
         for start in range(0, len(taken), ROWS):
             rows = taken[start : start + ROWS]
@@ -244,7 +244,7 @@ class StreamedExperiment:
         return totals
 
     def _lagged(self, psi: Array, mean: Array, samples: Samples, core: Rows) -> list[Lagged]:
-        """Products of the residuals of one piece with those behind them."""
+        """Products of the residuals of one piece with later ones, for the autocorrelation."""
         log, model = self.stream.treated(samples, (1, 0)), self.model
         a, b = np.searchsorted(log.sample, [core[0], core[1] + 1])
         sums = [Lagged(LAGS) for _ in mean]
@@ -279,7 +279,7 @@ def streamed_experiment(model: Model, stream: LogStream, smoothing: Smoothing | 
 
 @singledispatch
 def prepared(log: AnyLog, model: Model, smoothing: Smoothing | None = None) -> AnyExperiment:
-    """A log made ready for dynamics: at once, or in pieces where it is read in pieces.
+    """The experiment of a log, in memory or streamed.
 
     Raises:
         LogError: a channel is missing, or a log is too short.

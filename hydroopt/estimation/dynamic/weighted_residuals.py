@@ -28,13 +28,13 @@ from hydroopt.spatial.inertia import Array
 
 Loss = Literal["squares", "huber", "student_t"]
 HUBER = 1.345
-"""Residual, in its standard deviations, beyond which Huber's loss no longer grows with the square."""
+"""Residual, in its standard deviations, beyond which Huber's loss is linear."""
 MostProbable = Callable[[Array, Array], Array]
 """From (R, r) to the parameters ψ (p,) that an estimator takes."""
 
 
 class ResidualProblem(InferenceProblem, Protocol):
-    """What weighting residuals needs to know of a problem; its attributes are those of `IdentificationProblem`."""
+    """The part of a problem that weighting its residuals needs; attributes as of `IdentificationProblem`."""
 
     @property
     def model(self) -> Model:
@@ -87,7 +87,7 @@ class WeightedResiduals(Generic[Problem]):
             their rows are mixed.
         sigma: (n,) standard deviation of each actuator's residual.
         correlation: (n, n) of the actuators' residuals with one another; the unit matrix unless requested.
-        correlation_time: (n,) how many samples in a row residuals repeat themselves.
+        correlation_time: (n,) of the residuals, in samples.
         fit: of motion and parameters together, where requested.
     """
 
@@ -123,7 +123,7 @@ class WeightedResiduals(Generic[Problem]):
 
     @property
     def notes(self) -> tuple[str, ...]:
-        """How angles and channels were dealt with, in plain words."""
+        """How angles and channels were treated, in sentences."""
         notes = []
         if self.problem.fitted_motion:
             notes.append("motion and parameters are fitted together; the fit of the training data is that of the "
@@ -140,12 +140,12 @@ class WeightedResiduals(Generic[Problem]):
 
 def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostProbable,
            point: Array | None = None) -> WeightedResiduals[Problem]:
-    """Weigh residuals and condense them.
+    """Weight residuals and compress them.
 
     Args:
         problem: whose.
         tolerance: part of the largest singular value below which a direction is not identifiable.
-        most_probable: the estimator, which a fitted motion is fitted with.
+        most_probable: the estimator with which a motion is fitted.
         point: (p,) parameters at which forces are linearised that are not linear in them; the nominal ones if None.
 
     Raises:
@@ -163,7 +163,7 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
     sigma, weights = _sigma(problem, data, tolerance), None
     if problem.loss != "squares":
         data, sigma, weights = _robust(problem, data, sigma, point)
-    # where forces are not linear, least squares without bounds may lead to where their linearisation means nothing
+    # for nonlinear forces, least squares without bounds may leave the range in which the linearisation holds
     psi = _least_squares(problem, *data.weighted(sigma)[:2], tolerance) if model.linear else point
     correlation = _correlation(problem, psi) if problem.correlated else np.eye(len(sigma))
     fit, where = None, f"identification of {model.machine.name}"
@@ -171,7 +171,7 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
         fit = fitted_motion.fit(model, fitted_motion.initial_guess(model, loaded), _covariance(correlation, sigma),
                                 weights, psi, most_probable, where)
         problem, psi = problem.with_experiments(fit.experiments(fit.psi)), fit.psi
-    # residuals that repeat themselves carry less information than as many independent ones
+    # correlated residuals carry less information than as many independent ones
     times = _correlation_times(problem, psi)
     wide = sigma * np.sqrt(times)
     if fit is not None:
@@ -271,7 +271,7 @@ def _residuals(problem: ResidualProblem, psi: Array) -> list[Array]:
 
 
 def _taken(problem: ResidualProblem, residuals: Sequence[Array]) -> list[Array]:
-    """Residuals with NaN where they take no part."""
+    """Residuals, NaN where they are not used."""
     return [np.where(e.inside[:, None] & e.moving, res, np.nan)
             for res, e in zip(residuals, _loaded(problem), strict=True)]
 
@@ -291,7 +291,7 @@ def _correlation(problem: ResidualProblem, psi: Array) -> Array:
                 centred = both - both.mean(axis=0)
                 size = np.linalg.norm(centred, axis=0)
                 correlation[i, j] = correlation[j, i] = centred[:, 0] @ centred[:, 1] / np.prod(size)
-    # pairs from different samples need not fit together: the nearest of those that do
+    # correlations from different samples may not be positive definite: the nearest matrix that is
     values, vectors = np.linalg.eigh(correlation)
     possible = vectors @ np.diag(np.maximum(values, 1e-3)) @ vectors.T
     size = np.sqrt(np.diag(possible))

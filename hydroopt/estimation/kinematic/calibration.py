@@ -66,7 +66,7 @@ class Calibration(KinematicSolution, Answer):
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """What to know before trusting the calibration, the gravest first."""
+        """Diagnostics of the calibration, the most severe first."""
         problem, prediction = self.problem, {}
         if problem.validation is not None:
             prediction = loop_fit(*predicted(problem, problem.start, problem.validation))

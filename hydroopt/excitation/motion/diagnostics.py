@@ -1,4 +1,4 @@
-"""What a reader should know before a designed motion is driven."""
+"""Diagnostics of a designed motion."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ UNIMPROVED = 0.9
 
 def excitation_diagnostics(problem: ExcitationProblem, accuracy: ExpectedAccuracy, *,
                            stopped: bool) -> tuple[Diagnostic, ...]:
-    """What the search, the machine file and the expected accuracy leave open, the gravest first."""
+    """Diagnostics of search, machine file and expected accuracy, the most severe first."""
     return (*_search(stopped=stopped), *_unlimited(problem), *_unstated(problem), *_biased(accuracy),
             *_unimproved(problem, accuracy))
 

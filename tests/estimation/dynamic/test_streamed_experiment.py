@@ -64,7 +64,7 @@ def test_pieces_tell_what_the_whole_tells(cat215b: Model, path: Path) -> None:
             assert (other.rms, other.vaf, other.relative) == pytest.approx((fit.rms, fit.vaf, fit.relative), rel=1e-6)
     left_out = "samples at the ends of stretches left out"
     for one, other in zip(whole.problem.experiments, pieces.problem.experiments, strict=True):
-        assert one.taken == other.taken
+        assert one.sample_count == other.sample_count
         assert [n for n in one.notes if left_out in n or "still" in n] == [
             n for n in other.notes if left_out in n or "still" in n]
 
@@ -118,7 +118,7 @@ def test_memory_does_not_grow_with_the_log(cat215b: Model, log: Log, tmp_path: P
         Log("long", t, {name: np.tile(x, copies) for name, x in log.channels.items()}).write(tmp_path / "log.parquet")
         data = streamed_experiment(cat215b, stream(tmp_path / "log.parquet", piece=2000))
         tracemalloc.start()
-        assert data.taken > 0.9 * t.size
+        assert data.sample_count > 0.9 * t.size
         assert np.all(data.correlation_times(cat215b.parameters.nominal)[0] >= 1)
         peaks.append(tracemalloc.get_traced_memory()[1])
         tracemalloc.stop()
