@@ -1,4 +1,4 @@
-"""What can go wrong, each in one sentence: what it is, where it is, and what to do about it."""
+"""The errors of hydroopt: each message is one sentence that states what is wrong, where, and what to do."""
 
 
 class HydrooptError(Exception):
@@ -18,23 +18,63 @@ class HydrooptError(Exception):
 
 
 class MachineError(HydrooptError):
-    """A machine description is incomplete, contradictory or geometrically impossible."""
+    """A machine description is incomplete, contradictory or geometrically impossible.
+
+    >>> import hydroopt
+    >>> hydroopt.read_machine("colour = 'yellow'")
+    Traceback (most recent call last):
+    ...
+    hydroopt.errors.MachineError: machine: colour: this key is unknown; correct its spelling or remove it.
+    """
 
 
 class LogError(HydrooptError):
-    """A measurement file is damaged, lacks a channel or states an impossible value."""
+    """A measurement file is damaged, lacks a channel or states an impossible value.
+
+    >>> import hydroopt
+    >>> hydroopt.read_log("missing.csv")
+    Traceback (most recent call last):
+    ...
+    hydroopt.errors.LogError: missing.csv: there is no such file; check the path.
+    """
 
 
 class ProblemError(HydrooptError):
-    """A problem, option or constraint was stated in a way that cannot be solved as asked."""
+    """A problem, an option or a constraint cannot be used as stated.
+
+    >>> import hydroopt
+    >>> hydroopt.solve("no problem")
+    Traceback (most recent call last):
+    ...
+    hydroopt.errors.ProblemError: solve: a str cannot be solved; give one of IdentificationProblem, ...
+    """
 
 
 class IdentifiabilityError(HydrooptError):
-    """The data cannot answer the question: nothing would be left to estimate."""
+    """The data do not identify what is to be estimated.
+
+    >>> import hydroopt
+    >>> from dataclasses import replace
+    >>> model = hydroopt.Model(hydroopt.load_machine("patu655_lift"))
+    >>> motion = hydroopt.random_trajectory(model, duration=5, rate=20, seed=1)
+    >>> standstill = replace(motion, q=0 * motion.q, qd=0 * motion.q, qdd=0 * motion.q)
+    >>> log = hydroopt.simulate(model, standstill, seed=1)
+    >>> hydroopt.solve(hydroopt.identification_problem(model, [log]))
+    Traceback (most recent call last):
+    ...
+    hydroopt.errors.IdentifiabilityError: ...: no joint moves in the training logs; ...
+    """
 
 
 class SolverError(HydrooptError):
-    """A solver gave no trustworthy answer (infeasible, not converged, or its answer failed our check)."""
+    """A solver gave no trustworthy answer: infeasible, not converged, or its answer failed the check.
+
+    The command line returns 3 and marks the result as failed.
+
+    >>> SolverError("IPOPT failed: it ran out of iterations", where="calibration of crane",
+    ...             remedy="start from a better nominal model").exit_code
+    3
+    """
 
     exit_code = 3
 

@@ -48,6 +48,13 @@ def solve(problem: Any, *arguments: Any, **options: Any) -> Any:
     Raises:
         ProblemError: this is no problem that hydroopt can solve, or what the solver of its kind says.
         SolverError, IdentifiabilityError: as the solver of its kind says.
+
+    >>> import hydroopt
+    >>> model = hydroopt.Model(hydroopt.load_machine("patu655_lift"))
+    >>> log = hydroopt.simulate(model, hydroopt.random_trajectory(model, duration=10, rate=20, seed=1))
+    >>> estimate = hydroopt.solve(hydroopt.identification_problem(model, [log]), "wls")
+    >>> estimate.method
+    'wls'
     """
     solvers: dict[type, Callable[..., Any]] = {
         IdentificationProblem: identify, CalibrationProblem: calibrate, HydraulicProblem: identify_hydraulics,

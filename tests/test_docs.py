@@ -1,9 +1,12 @@
-"""The map of thesis equations in docs/architecture.md agrees with the docstrings."""
+"""The map of thesis equations in docs/architecture.md agrees with the docstrings, and these have examples."""
 
+import inspect
 import re
 from pathlib import Path
 
 import pytest
+
+import hydroopt
 
 ROOT = Path(__file__).parents[1]
 DOCUMENT = (ROOT / "docs/architecture.md").read_text("utf-8")
@@ -50,3 +53,13 @@ def test_every_file_exists(path: str) -> None:
 
 def test_it_fits_on_two_screens() -> None:
     assert len(DOCUMENT.splitlines()) <= 120
+
+
+def test_every_public_name_has_an_example() -> None:
+    """Its own, which runs with the tests, or that of the function that it refers to."""
+    texts = {name: inspect.getdoc(getattr(hydroopt, name)) or "" for name in hydroopt.__all__}
+    own = {name for name, text in texts.items() if ">>> " in text}
+    lacking = {name for name, text in texts.items() if name not in own
+               and not set(re.findall(r"See `(\w+)`", text)) & own}
+    assert len(texts) > 50
+    assert not lacking

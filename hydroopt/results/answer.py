@@ -21,7 +21,11 @@ if TYPE_CHECKING:
 
 
 class Status(StrEnum):
-    """Whether an answer can be believed: `OK`, `SUSPECT` (converged, but something contradicts it), or `FAILED`."""
+    """Whether an answer can be trusted: `OK`, `SUSPECT` (converged, but something contradicts it), or `FAILED`.
+
+    >>> Status("suspect") is Status.SUSPECT
+    True
+    """
 
     OK = "ok"
     SUSPECT = "suspect"
@@ -29,9 +33,19 @@ class Status(StrEnum):
 
 
 class Answer(ABC):
-    """An answer of any job; `hydroopt.load` gives back what `save` wrote.
+    """The answer of any job; `hydroopt.load` reads what `save` wrote.
 
-    Each job's class adds what only it knows; what is said here, all can say.
+    It has a status, diagnostics, a table of parameters, a fit and files; the class of each job adds its own results.
+
+    >>> import hydroopt
+    >>> model = hydroopt.Model(hydroopt.load_machine("patu655_lift"))
+    >>> log = hydroopt.simulate(model, hydroopt.random_trajectory(model, duration=10, rate=20, seed=1))
+    >>> answer = hydroopt.solve(hydroopt.identification_problem(model, [log]), "wls")
+    >>> isinstance(answer, hydroopt.Answer), answer.machine_name
+    (True, 'patu655_lift')
+    >>> answer.save("crane")
+    >>> hydroopt.load("crane").parameters["lift_cylinder.f_coulomb"].unit
+    'N'
     """
 
     job: json_file.Job
@@ -212,13 +226,20 @@ class SavedAnswer(Answer):
 
 
 def load(directory: str | Path) -> SavedAnswer:
-    """The answer that a command or `Answer.save` left in a directory.
+    """The answer that a command or `Answer.save` wrote into a directory.
 
     Args:
-        directory: its folder.
+        directory: such as ``out/crane``, with ``estimate.json`` or the JSON file of another job.
 
     Raises:
         ProblemError: there is no answer, or it is damaged or of another version.
+
+    >>> load("out")
+    Traceback (most recent call last):
+    ...
+    hydroopt.errors.ProblemError: out: this folder holds no estimate; name the folder that a hydroopt command wrote.
+
+    See `Answer` for one that is there.
     """
     folder = Path(directory)
     content = json_file.read(folder)

@@ -79,6 +79,9 @@ class Change(TwoSessionAnswer):
         level: below which a p-value is significant.
         single_changes: which parameter alone could explain the joint test.
         sampled: whether intervals were requested.
+
+    Example:
+        See `detect_change`.
     """
 
     differences: tuple[Difference, ...]

@@ -81,7 +81,13 @@ def with_friction(machine: Machine, terms: str, *, speeds: Mapping[str, float] |
         scales: factors on the initial Stribeck speeds, by actuator.
 
     Raises:
-        ProblemError: a term is unknown or has no meaning for this machine.
+        ProblemError: a term is unknown or does not apply to this machine.
+
+    Example:
+        >>> import hydroopt as ho
+        >>> machine = ho.with_friction(ho.load_machine("patu655_lift"), "viscous", speeds={"lift_cylinder": 0.1})
+        >>> machine.cylinders[0].friction.coulomb is None, machine.cylinders[0].friction.viscous
+        (True, 330.0)
     """
     named = terms_of(terms, machine)
     if speeds is None:

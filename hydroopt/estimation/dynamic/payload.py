@@ -59,6 +59,9 @@ class Payload(TwoSessionAnswer):
         phi: (10,) the most probable load that is physically consistent.
         friction: changes of friction between the sessions, if they were allowed.
         gains: relative errors of the actuators' force readings, if they were allowed.
+
+    Example:
+        See `payload`.
     """
 
     link: str

@@ -67,7 +67,14 @@ class Excitation(Answer):
         stopped: whether the search was interrupted.
 
     Example:
-        See `excitation_problem`.
+        >>> import hydroopt as ho
+        >>> from hydroopt.excitation.motion.basis import Fourier
+        >>> problem = ho.excitation_problem(ho.load_machine("patu655_lift"), Fourier(period=6.0, harmonics=2))
+        >>> x = problem.posture(problem.mean)  # what `solve` finds; here the mean posture and one sine
+        >>> x[problem.basis.names.index("sin1")] = 0.2
+        >>> motion = ho.Excitation(problem, x)
+        >>> motion.trajectory.q.shape, motion.limits[0].name
+        ((1001, 1), 'lift position')
     """
 
     job = Job.EXCITATION

@@ -52,6 +52,9 @@ class ExcitationProblem:
     Raises:
         ProblemError: the motion is faster than the valves, a resting joint is unknown or out of its range, all rest, or
             there would be too many samples.
+
+    Example:
+        See `excitation_problem`, which makes one.
     """
 
     def __init__(self, information: Information, limits: Limits, basis: Basis, rate: float,

@@ -163,7 +163,7 @@ def test_pressures_are_inputs_where_seals_feel_them() -> None:
 
 
 @pytest.mark.parametrize(("text", "place"), [
-    ("coulomb+sticky", "'sticky' is no friction term"), ("", "'' is no friction term"),
+    ("coulomb+sticky", "'sticky' is not a friction term"), ("", "'' is not a friction term"),
     ("reverse", "'reverse' has no term to change"), ("viscous+dead_zone", "'dead_zone' has no term to change")])
 def test_terms_must_be_known_and_have_something_to_change(text: str, place: str) -> None:
     with pytest.raises(ProblemError, match=place):
