@@ -12,7 +12,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "hydroopt"
 
 ROOMS = (
-    ("errors", "interrupt", "versions"),
+    ("errors", "interrupt", "versions", "matplotlib_import"),
     ("files", "units"),
     ("spatial",),
     ("kernels",),
@@ -39,7 +39,7 @@ ROOMS = (
 
 QUARANTINE = {
     "casadi": ("spatial", "machine", "kernels", "model", "codegen", "estimation", "excitation", "control"),
-    "control": ("control",),
+    "control": ("control.python_control",),
     "cvxpy": ("estimation.inference",),
     "piqp": ("excitation.motion.sqp",),
     "matplotlib": ("report",),

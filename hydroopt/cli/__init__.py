@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import os
 import sys
 from importlib import import_module
 from pathlib import Path
@@ -91,6 +92,7 @@ def main() -> None:
     """Run the command. Bad input ends in one sentence and exit code 2, a failed solver in 3."""
     code: Any = 130
     arguments = sys.argv[1:]
+    os.environ["PYTHONSAFEPATH"] = "1"  # a command's own processes import nothing from the working directory
     try:
         code = app(arguments or ["--help"], prog_name="hydroopt", standalone_mode=False) or (0 if arguments else 2)
     except HydrooptError as error:

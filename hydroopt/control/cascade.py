@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import control
 import numpy as np
 
+from hydroopt.control.python_control import control
 from hydroopt.control.reference import Demand
 from hydroopt.control.sampled_plant import Point, Reading
 from hydroopt.control.valve_inversion import Valves

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
-import control
 import numpy as np
 
 from hydroopt.control.cascade import Cascade, Gains
@@ -18,6 +17,7 @@ from hydroopt.control.loop_margins import Margin, margins
 from hydroopt.control.lqg import Lqg, design, reading_noise
 from hydroopt.control.model_variants import COMPLETE, TRUE, ModelVariant
 from hydroopt.control.outcome import FEEDFORWARD, LQG, PI, Bode, Outcome
+from hydroopt.control.python_control import control
 from hydroopt.control.reference import Demands
 from hydroopt.control.sampled_plant import Linear, Point
 from hydroopt.control.setting import Setting

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import control
 import numpy as np
 
+from hydroopt.control.python_control import control
 from hydroopt.model.plant import Plant, Steady
 from hydroopt.spatial.inertia import Array
 

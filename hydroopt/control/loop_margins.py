@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import control
 import numpy as np
 
+from hydroopt.control.python_control import control
 from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 

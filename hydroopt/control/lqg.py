@@ -5,9 +5,9 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import control
 import numpy as np
 
+from hydroopt.control.python_control import control
 from hydroopt.control.reference import Demand
 from hydroopt.control.sampled_plant import Point, Reading
 from hydroopt.control.tuning import INTEGRAL_RATIO

@@ -8,10 +8,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
-import control
 import numpy as np
 
 from hydroopt.control.linearisation import signal, state_space
+from hydroopt.control.python_control import control
 from hydroopt.model.plant import Plant, Steady
 from hydroopt.spatial.inertia import Array
 

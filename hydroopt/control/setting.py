@@ -6,12 +6,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
-import control
 import numpy as np
 from scipy.stats import qmc
 
 from hydroopt.control.feasibility import steady_speeds
 from hydroopt.control.model_variants import ModelVariant
+from hydroopt.control.python_control import control
 from hydroopt.control.reference import Demands, Reference
 from hydroopt.control.sampled_plant import Point, linearised, point, sampled
 from hydroopt.control.tuning import SENSITIVITY

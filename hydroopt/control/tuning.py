@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import NamedTuple
 
-import control
 import numpy as np
 
 from hydroopt.control.cascade import Gains
 from hydroopt.control.loop_margins import frequencies
+from hydroopt.control.python_control import control
 from hydroopt.control.sampled_plant import Point
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError

@@ -30,7 +30,7 @@ INK, GREY, LIGHT, BLUE, ORANGE, GREEN = "#1f2933", "#8a96a3", "#e4e9ee", "#0072b
 SHADE = "#fdf3e4"
 """Okabe and Ito's palette, which colour-blind readers can tell apart; `SHADE` lies behind validation data."""
 
-STYLE: dict[Any, Any] = {
+STYLE: dict[Any, Any] = {key: value for key, value in matplotlib.rcParamsDefault.items() if "backend" not in key} | {
     "font.family": "sans-serif", "font.sans-serif": ["DejaVu Sans", "Arial", "Helvetica"], "font.size": 8,
     "axes.titlesize": 9, "axes.titleweight": "bold", "axes.titlelocation": "left", "axes.titlepad": 4,
     "axes.labelsize": 8, "axes.labelcolor": INK, "axes.edgecolor": GREY, "axes.linewidth": 0.7,
@@ -41,7 +41,7 @@ STYLE: dict[Any, Any] = {
     "svg.fonttype": "none", "svg.hashsalt": "hydroopt", "text.parse_math": False, "path.simplify": True,
     "axes.formatter.useoffset": False,
 }
-"""One look for all figures; text stays text, so that pages are small and can be searched."""
+"""One look for all figures, whatever the user's settings; text stays text, so that pages are small and searchable."""
 
 WIDTH = 11.0
 POINTS = 2000
