@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+from functools import cache
 from itertools import chain
 from pathlib import Path
 
@@ -60,7 +61,9 @@ def name_of(file: Path) -> str:
     return ".".join(file.relative_to(PACKAGE).with_suffix("").parts)
 
 
-MODULES = {name_of(file): ast.parse(file.read_text("utf-8")) for file in sorted(PACKAGE.rglob("*.py"))}
+@cache
+def modules() -> dict[str, ast.Module]:
+    return {name_of(file): ast.parse(file.read_text("utf-8")) for file in sorted(PACKAGE.rglob("*.py"))}
 
 
 def imports(tree: ast.AST) -> set[str]:
@@ -74,10 +77,10 @@ def imports(tree: ast.AST) -> set[str]:
 def inside(module: str) -> set[str]:
     """Modules of hydroopt that a module imports."""
     found = set()
-    for name in imports(MODULES[module]):
+    for name in imports(modules()[module]):
         parts = name.split(".")
-        while parts[0] == "hydroopt" and len(parts) > 1 and ".".join(parts[1:]) not in MODULES:
-            if ".".join([*parts[1:], "__init__"]) in MODULES:
+        while parts[0] == "hydroopt" and len(parts) > 1 and ".".join(parts[1:]) not in modules():
+            if ".".join([*parts[1:], "__init__"]) in modules():
                 parts.append("__init__")
                 break
             parts.pop()
@@ -96,17 +99,17 @@ def floor(module: str) -> int:
 
 
 def test_every_module_stands_in_a_room() -> None:
-    assert {module for module in MODULES if not room(module)} <= {"estimation.__init__", "excitation.__init__"}
+    assert {module for module in modules() if not room(module)} <= {"estimation.__init__", "excitation.__init__"}
 
 
 def test_rooms_import_only_rooms_above_them() -> None:
-    wrong = {f"{module} imports {other}" for module in MODULES for other in inside(module)
+    wrong = {f"{module} imports {other}" for module in modules() for other in inside(module)
              if room(module) and room(other) != room(module) and floor(other) >= floor(module)}
     assert not wrong
 
 
 def test_no_module_needs_itself() -> None:
-    graph = {module: inside(module) for module in MODULES}
+    graph = {module: inside(module) for module in modules()}
     while free := [module for module, needs in graph.items() if not needs & graph.keys()]:
         for module in free:
             del graph[module]
@@ -114,7 +117,7 @@ def test_no_module_needs_itself() -> None:
 
 
 def test_third_party_libraries_stay_in_quarantine() -> None:
-    foreign = {module: {name.split(".")[0] for name in imports(tree)} for module, tree in MODULES.items()}
+    foreign = {module: {name.split(".")[0] for name in imports(tree)} for module, tree in modules().items()}
     users = {library: {module for module, names in foreign.items() if library in names} for library in QUARANTINE}
     strays = {f"{module} imports {library}" for library, found in users.items() for module in found
               if not any(f"{module}.".startswith(f"{home}.") for home in QUARANTINE[library])}
@@ -130,7 +133,7 @@ SOLE_CALLERS = {
 
 @pytest.mark.parametrize(("call", "home"), SOLE_CALLERS.items())
 def test_dangerous_calls_stand_in_one_module(call: str, home: str) -> None:
-    named = {module for module, tree in MODULES.items() for node in ast.walk(tree)
+    named = {module for module, tree in modules().items() for node in ast.walk(tree)
              if call in (getattr(node, "attr", None), getattr(node, "id", None), getattr(node, "name", None))}
     assert named == {home}
 
@@ -156,7 +159,7 @@ def at_run_time(tree: ast.Module) -> set[str]:
 def test_pages_compute_nothing() -> None:
     found = {module: {name.removeprefix("hydroopt.") for name in at_run_time(tree)
                       if name.startswith("scipy") or name.split(".")[:2] in [["hydroopt", room] for room in COMPUTING]}
-             for module, tree in MODULES.items() if module.startswith("report.")}
+             for module, tree in modules().items() if module.startswith("report.")}
     assert {module: names for module, names in found.items() if names} == IMPORTED_BY_PAGES
 
 

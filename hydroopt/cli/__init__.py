@@ -20,14 +20,18 @@ COMMANDS = ("show", "simulate", "identify", "identify-valves", "identify-payload
 
 
 class Deferred(TyperCommand):
-    """A command whose module has not been imported yet: the list of commands needs its name and help alone."""
+    """A command whose module has not been imported yet: the list of commands needs its name and short help alone."""
 
     def __init__(self, name: str) -> None:
+        super().__init__(name)
         self.key = name.replace("-", "_")
+
+    def get_short_help_str(self, limit: int = 45) -> str:
+        """The first paragraph of the command's help, from its source."""
         source = ast.parse(Path(__file__).with_name(f"{self.key}.py").read_text("utf-8"))
         function = next(node for node in source.body if isinstance(node, ast.FunctionDef) and node.name == self.key)
-        help_text = ast.get_docstring(function) or ""
-        super().__init__(name, help=help_text, short_help=help_text.partition("\n\n")[0])
+        self.short_help = (ast.get_docstring(function) or "").partition("\n\n")[0]
+        return super().get_short_help_str(limit)
 
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
         """The context of the command itself."""

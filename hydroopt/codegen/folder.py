@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Collection, Mapping, Sequence
-from functools import cached_property
+from functools import cache, cached_property, partial
 from pathlib import Path
 
 import casadi as ca
@@ -176,10 +176,6 @@ class Code:
         """Absolute value beyond which an input is refused; smaller ones cannot overflow in single precision."""
         return LARGEST.get(name, 1e5)
 
-    def number(self, value: float) -> str:
-        """A number in C."""
-        return ("-" if value < 0 else "") + literal(abs(value), single=self.single)
-
     def _statements(self, routine: Routine) -> list[str]:
         shapes = {field.name: self.interface.size(field) for field in self.interface.structs[routine.gives].fields}
         keys = {f"out{k}": key for k, (name, key) in enumerate(self.keys) if name == routine.name}
@@ -189,7 +185,7 @@ class Code:
             if key == ":guards":
                 guard = routine.guards[k]
                 value = f"{self.call('fabs')}({{}})" if guard.absolute else "({})"
-                return (f"if (!({value} {guard.relation} {self.number(guard.limit)})) "
+                return (f"if (!({value} {guard.relation} {_number(guard.limit, single=self.single)})) "
                         f"{{{{ return {self.upper}_{guard.status}; }}}}")
             if key == ":length":
                 return f"length[{k}] = {{}};"
@@ -237,17 +233,30 @@ class Code:
             self.type, self.single, self.call))
 
     def _render(self, template: str, **more: object) -> str:
-        environment = Environment(loader=PackageLoader("hydroopt.codegen", "templates"), undefined=StrictUndefined,
-                                  trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True)
-        environment.filters |= {"wrap": _comment, "number": self.number, "numbers": self._numbers}
-        return environment.get_template(template).render(
+        return _environment(self.single).get_template(template).render(
             code=self, p=self.name, P=self.upper, kinds=KINDS, type=self.type, f="f" if self.single else "",
             gravity=[round(float(g), 6) + 0.0 for g in np.asarray(gravity_in_base(self.interface.machine)).ravel()],
             statuses=STATUSES, version=version(), **more)
 
-    def _numbers(self, values: Array) -> str:
-        text = ", ".join(self.number(value) for value in np.ravel(values))
-        return textwrap.fill(text, 116, initial_indent="    ", subsequent_indent="    ", break_long_words=False)
+
+@cache
+def _environment(single: bool) -> Environment:
+    """The templates, each compiled once a process, for ``float`` or ``double``."""
+    made = Environment(loader=PackageLoader("hydroopt.codegen", "templates"), undefined=StrictUndefined,
+                       trim_blocks=True, lstrip_blocks=True, keep_trailing_newline=True)
+    made.filters |= {"wrap": _comment, "number": partial(_number, single=single),
+                     "numbers": partial(_numbers, single=single)}
+    return made
+
+
+def _number(value: float, *, single: bool) -> str:
+    """A number in C."""
+    return ("-" if value < 0 else "") + literal(abs(value), single=single)
+
+
+def _numbers(values: Array, *, single: bool) -> str:
+    text = ", ".join(_number(value, single=single) for value in np.ravel(values))
+    return textwrap.fill(text, 116, initial_indent="    ", subsequent_indent="    ", break_long_words=False)
 
 
 def _generated(file: Path) -> bool:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from importlib.resources import files
 
 import jinja2
@@ -9,6 +10,7 @@ import jinja2
 from hydroopt.report.numbers import NONE, plain
 
 
+@cache
 def page(name: str) -> jinja2.Template:
     """A template of the folder ``templates``; all share one style."""
     folder = files("hydroopt.report").joinpath("templates")

@@ -9,6 +9,7 @@ import pytest
 from typer.testing import CliRunner
 
 import hydroopt
+from fixtures.tiers import tiered
 from hydroopt.cli import app
 from hydroopt.results.wording import Kind
 
@@ -68,7 +69,7 @@ def test_quiet_is_quiet(tmp_path: Path) -> None:
     assert run("simulate", "patu655_lift", "-o", str(tmp_path), "--duration", "5", "--quiet") == ""
 
 
-@pytest.mark.parametrize("machine", hydroopt.bundled())
+@pytest.mark.parametrize("machine", tiered(hydroopt.bundled(), lambda machine: machine in ("cat215b", "patu655_lift")))
 def test_show(machine: str) -> None:
     facts = json.loads(run("show", machine, "--json"))
     assert facts["machine"]["name"] == machine

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
+import shutil
 import sys
 from collections.abc import Iterator
 from pathlib import Path
@@ -12,6 +13,7 @@ import pytest
 from typer.testing import CliRunner
 
 from hydroopt.cli import app
+from hydroopt.errors import StoppedError
 from hydroopt.study.montecarlo import VARIED
 
 QUICK = ("patu655_lift", "--duration", "6", "--method", "wls")
@@ -61,6 +63,22 @@ def test_the_same_command_again_computes_nothing(montecarlo: tuple[Path, str]) -
     assert {file.name: file.stat().st_mtime_ns for file in (out / "cells").iterdir()} == before
 
 
+def test_an_interrupted_study_says_how_to_go_on(montecarlo: tuple[Path, str], tmp_path: Path,
+                                                monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted(*_: object) -> None:
+        raise KeyboardInterrupt
+    monkeypatch.setattr("hydroopt.study.processes.computed", interrupted)
+    out = shutil.copytree(montecarlo[0], tmp_path / "out")
+    for name in ("cells/1.json", "cells/3.json", "results.csv"):
+        (out / name).unlink()
+    done = CliRunner().invoke(app, ["study", "montecarlo", *QUICK, "--cells", "5", "-o", str(out)])
+    assert isinstance(done.exception, StoppedError)
+    assert done.exception.exit_code == 130
+    assert "interrupted after 3 of 5 cells, which are kept; run the same command again" in str(done.exception)
+    assert len(list((out / "cells").glob("*.json"))) == 3
+    assert not (out / "results.csv").exists()
+
+
 def test_help_names_what_a_sweep_varies() -> None:
     said = run("sweep", "--help")
     assert all(name in said for name in VARIED)
@@ -77,6 +95,7 @@ def terminal(tmp_path: Path) -> Iterator[tuple[object, Path]]:
     running.close()
 
 
+@pytest.mark.slow
 def test_ctrl_c_keeps_the_cells_and_says_how_to_go_on(terminal: tuple[object, Path]) -> None:
     running, out = terminal
     running.until(lambda: "of 2000 cells, " in running.shown and " left" in running.last)

@@ -131,7 +131,7 @@ def test_words_that_cannot_begin_names_are_refused_as_prefix(name: str, codegen)
     outcome.refused("--prefix", f"'{name[:30]}")
 
 
-@pytest.mark.parametrize("name", ["int", "While", "x_", LONG])
+@pytest.mark.parametrize("name", tiered(["int", "While", "x_", LONG], lambda name: name == "While"))
 def test_machines_whose_name_cannot_begin_names_take_a_prefix(name: str, codegen) -> None:
     codegen.of(description(machine=name)).refused(f"'{name.lower()[:30]}", "--prefix")
     outcome = codegen.of(description(machine=name), "--prefix", "own", "--functions", "inverse_dynamics")
@@ -141,7 +141,7 @@ def test_machines_whose_name_cannot_begin_names_take_a_prefix(name: str, codegen
 
 @pytest.mark.parametrize("name", tiered(
     ["math", "stddef", "stdio", "features", "test", "all", "clean", "check", "install", "help", "a", "x" * 31, "null",
-     "jac"], lambda name: name in ("math", "clean", "check", "jac")))
+     "jac"], lambda name: name in ("math", "check")))
 def test_words_of_libraries_and_build_tools_build_or_are_refused(name: str, codegen) -> None:
     """Also with the folder among those in which headers in angle brackets are sought, as CMake does."""
     outcome = codegen.of(description(), "--prefix", name, "--functions", "inverse_dynamics")
@@ -178,7 +178,7 @@ def test_names_that_are_the_same_in_capitals_are_refused(names: dict[str, str], 
     codegen.of(description(**names)).refused(clash, "rename")
 
 
-@pytest.mark.parametrize("part", ["link", "cylinder", "second"])
+@pytest.mark.parametrize("part", tiered(["link", "cylinder", "second"], lambda part: part == "cylinder"))
 def test_long_names_are_refused(part: str, codegen) -> None:
     codegen.of(description(**{part: LONG})).refused("'aaaaaaaaaa", "shorten")
     codegen.of(description(**{part: "a" * 50})).refused("'aaaaaaaaaa", "shorten")
@@ -329,7 +329,8 @@ def test_an_estimate_has_one_set_of_parameters(codegen) -> None:
     codegen(estimate(codegen.home, GOOD, description()), "--set", "other").refused("--set")
 
 
-@pytest.mark.parametrize("text", ["*/ int evil; /*", "a\nb\u202e", "??/\\", "x" * 1000])
+@pytest.mark.parametrize("text", tiered(["*/ int evil; /*", "a\nb\u202e", "??/\\", "x" * 1000],
+                                        lambda text: "evil" in text))
 def test_words_of_an_estimate_cannot_leave_their_comment(text: str, codegen) -> None:
     given = estimate(codegen.home, GOOD | {"method": text, "created": text}, description())
     outcome = codegen(given, "--functions", "inverse_dynamics")

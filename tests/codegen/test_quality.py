@@ -37,8 +37,8 @@ SINGLE = {f"{name}f" for name in ("sin", "cos", "tan", "asin", "acos", "atan", "
 """What single precision may call: the last two are for a compiler to call where a struct is copied."""
 SANITIZE = ("-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sanitize-recover=all")
 FUZZED = (("cat215b", "double"), ("patu655_lift", "float"), ("kr300", "float"))
-QUICK = {("patu655_lift", "float"), ("patu655_lift", "double"), ("kr300", "float"), ("cat215b", "double")}
-"""Machines and precisions whose code a compiler turns out soon; the others are slow."""
+QUICK = {("patu655_lift", "float"), ("patu655_lift", "double")}
+"""Machines and precisions whose code is generated and compiled in a second; the others are slow."""
 
 
 def tool(name: str) -> str:
@@ -89,7 +89,7 @@ def copied(source: Path, target: Path) -> Path:
 @pytest.mark.parametrize("compiler", ["gcc", "clang"])
 @pytest.mark.parametrize(("machine", "real"), tiered([
     *((machine, "float") for machine in bundled()), *((machine, "double") for machine in MACHINES),
-    ("cat215b folded", "float"), ("spatial", "double")], lambda *case: case in QUICK))
+    ("cat215b folded", "float"), ("spatial", "double")], lambda *case: case in {*QUICK, ("cat215b", "double")}))
 def test_compilers_do_not_warn(machine: str, real: str, compiler: str, folder) -> None:
     place = folder(machine, real)
     must([tool(compiler), *STRICT, "-fsyntax-only", *sorted(file.name for file in place.glob("*.c"))], place)
@@ -105,7 +105,7 @@ def test_header_serves_cpp(compiler: str, folder) -> None:
 @pytest.mark.parametrize(("machine", "routine"), tiered([
     *(("patu655_lift", name) for name in ROUTINES), ("cat215b", "cylinder_state"), ("cat215b", "payload_update"),
     ("cat215b folded", "forward_kinematics"), ("panda_mukca", "actuator_forces")],
-    lambda machine, routine: machine == "patu655_lift"))
+    lambda machine, routine: (machine, routine) in {("patu655_lift", "joint_state"), ("patu655_lift", "closure")}))
 def test_each_routine_can_be_had_alone(machine: str, routine: str, tmp_path: Path) -> None:
     place = write(library.files(library.subject(machine, "float", routine)), tmp_path / "alone")
     for compiler in ("gcc", "clang"):
@@ -190,7 +190,7 @@ def floating(text: str) -> list[str]:
     return [each for each in found if not each.startswith("0x")]
 
 
-@pytest.mark.parametrize("machine", MACHINES)
+@pytest.mark.parametrize("machine", tiered(MACHINES, lambda machine: (machine, "float") in QUICK))
 def test_literals_of_single_precision_say_so(machine: str, folder) -> None:
     place = folder(machine, "float")
     count = 0
@@ -206,7 +206,7 @@ def test_literals_of_single_precision_say_so(machine: str, folder) -> None:
     assert count > 100
 
 
-@pytest.mark.parametrize("machine", ["cat215b", "panda_mukca"])
+@pytest.mark.parametrize("machine", tiered(["cat215b", "panda_mukca"], lambda machine: machine == "cat215b"))
 def test_literals_of_double_precision_are_exact(machine: str, folder) -> None:
     values = library.subject(machine, "double").interface.values
     found = set(map(float, floating((folder(machine, "double") / f"{machine}_params.h").read_text("utf-8"))))
@@ -228,7 +228,7 @@ def test_no_state_is_kept_and_nothing_is_allocated_or_printed(machine: str, real
     assert not re.search(r"\bgoto\b|\bwhile\b|\bsetjmp\b", text)
 
 
-@pytest.mark.parametrize("machine", MACHINES)
+@pytest.mark.parametrize("machine", tiered(MACHINES, lambda machine: machine in ("patu655_lift", "cat215b")))
 def test_no_function_calls_itself_by_whatever_way(machine: str, folder) -> None:
     place = folder(machine, "double")
     text = "".join(code_without_comments((place / name).read_text("utf-8"))
@@ -254,6 +254,7 @@ def test_cppcheck_finds_nothing(machine: str, real: str, folder) -> None:
           "--inline-suppr", "--quiet", "."], place)
 
 
+@pytest.mark.slow
 def test_misra_remarks_are_counted(folder) -> None:
     """Only counted: which rules are broken on purpose stands in the folder's README."""
     place = folder("patu655_lift", "float")
@@ -299,6 +300,7 @@ def test_self_test_can_be_called_from_another_program(folder, tmp_path: Path) ->
     must(["./other"], place)
 
 
+@pytest.mark.slow
 def test_self_test_fails_if_a_routine_is_wrong(folder, tmp_path: Path) -> None:
     """In every function of the sources the first product that goes into a result is doubled in turn."""
     place = copied(folder("patu655_lift", "double"), tmp_path / "elsewhere")
@@ -337,9 +339,10 @@ def test_self_test_fails_if_a_literal_is_wrong(real: str, folder, tmp_path: Path
 
 # the same bytes
 
-def test_texts_are_the_same_however_often_they_are_made(folder) -> None:
-    again = library.files(library.subject.__wrapped__("cat215b", "double"))
-    assert {file.name: file.read_text("utf-8") for file in folder("cat215b", "double").iterdir()} == again
+@pytest.mark.parametrize("machine", tiered(["patu655_lift", "cat215b"], lambda machine: machine == "patu655_lift"))
+def test_texts_are_the_same_however_often_they_are_made(machine: str, folder) -> None:
+    again = library.files(library.subject.__wrapped__(machine, "double"))
+    assert {file.name: file.read_text("utf-8") for file in folder(machine, "double").iterdir()} == again
 
 
 @pytest.mark.slow

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 from fixtures.periodic import PERIOD, PERIODIC
+from hydroopt.estimation.dynamic.estimate import Estimate
+from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.logs.log import Log
 from hydroopt.machine.links import Note
@@ -57,6 +59,12 @@ def noisy(cat215b: Model, cat_truth: np.ndarray, record: Logs) -> Identification
     """Two motions of the excavator as its own sensors see them, and a third to judge by."""
     logs = record(cat215b, cat_truth, (1, 2, 99), noise=True)
     return identification_problem(cat215b.machine, logs[:-1], logs[-1:], smoothing=PERIODIC)
+
+
+@pytest.fixture(scope="session")
+def noisy_estimate(noisy: IdentificationProblem) -> Estimate:
+    """The physically consistent estimate of these motions, with intervals."""
+    return identify(noisy, "sdp")
 
 
 WHEEL = {

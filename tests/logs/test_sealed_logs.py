@@ -111,6 +111,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return place
 
 
+@pytest.mark.slow
 def test_show_simulate_and_identify_know_all_terms(place: Path) -> None:
     facts = json.loads(run("show", place / "crane.toml", "--json"))
     own = {one["name"].rpartition(".")[2]: one for one in facts["parameters"] if one["name"].startswith("lift_cyl")}

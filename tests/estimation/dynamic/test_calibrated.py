@@ -20,44 +20,39 @@ from hydroopt.parameters.dynamic import parameter_set
 
 
 @pytest.fixture(scope="module")
-def estimate(noisy: IdentificationProblem) -> Estimate:
-    return identify(noisy, "sdp")
-
-
-@pytest.fixture(scope="module")
-def calibrated(estimate: Estimate) -> Machine:
-    return calibrated_machine(estimate)
+def calibrated(noisy_estimate: Estimate) -> Machine:
+    return calibrated_machine(noisy_estimate)
 
 
 def test_survives_being_written_and_read(calibrated: Machine) -> None:
     assert read_machine(dump_machine(calibrated)) == calibrated
 
 
-def test_nominal_parameters_are_the_estimate(calibrated: Machine, estimate: Estimate) -> None:
+def test_nominal_parameters_are_the_estimate(calibrated: Machine, noisy_estimate: Estimate) -> None:
     parameters = parameter_set(read_machine(dump_machine(calibrated)))
-    assert parameters.names == estimate.problem.parameters.names
-    np.testing.assert_allclose(parameters.nominal, estimate.psi, rtol=1e-12, atol=0)
+    assert parameters.names == noisy_estimate.problem.parameters.names
+    np.testing.assert_allclose(parameters.nominal, noisy_estimate.psi, rtol=1e-12, atol=0)
 
 
-def test_predicts_the_same_forces(calibrated: Machine, estimate: Estimate) -> None:
-    data, model = estimate.problem.validation[0], Model(calibrated)
+def test_predicts_the_same_forces(calibrated: Machine, noisy_estimate: Estimate) -> None:
+    data, model = noisy_estimate.problem.validation[0], Model(calibrated)
     forces = predict(model, data, model.parameters.nominal)
-    np.testing.assert_allclose(forces, estimate.predictions["validation"][0], rtol=1e-9, atol=1e-6)
+    np.testing.assert_allclose(forces, noisy_estimate.predictions["validation"][0], rtol=1e-9, atol=1e-6)
 
 
-def test_confidences_are_those_found_and_keep_their_source(calibrated: Machine, estimate: Estimate) -> None:
-    std = dict(zip(estimate.problem.parameters.names, estimate.std, strict=True))
+def test_confidences_are_those_found_and_keep_their_source(calibrated: Machine, noisy_estimate: Estimate) -> None:
+    std = dict(zip(noisy_estimate.problem.parameters.names, noisy_estimate.std, strict=True))
     note = calibrated.notes["boom.body.m"]
     assert (note.sigma, note.relative) == (pytest.approx(std["boom.m"]), False)
     assert note.source.startswith("identified by sdp from motion 1, motion 2")
     assert calibrated.notes["boom.body.mc"].sigma == pytest.approx(max(std[f"boom.mc_{axis}"] for axis in "xyz"))
     assert calibrated.notes["stick_cylinder.friction.coulomb"].sigma == pytest.approx(std["stick_cylinder.f_coulomb"])
     assert "boom.body.com" not in calibrated.notes
-    assert calibrated.notes["boom.joint.a"] == estimate.problem.model.machine.notes["boom.joint.a"]
+    assert calibrated.notes["boom.joint.a"] == noisy_estimate.problem.model.machine.notes["boom.joint.a"]
 
 
-def test_geometry_sensors_and_limits_stay(calibrated: Machine, estimate: Estimate) -> None:
-    nominal = estimate.problem.model.machine
+def test_geometry_sensors_and_limits_stay(calibrated: Machine, noisy_estimate: Estimate) -> None:
+    nominal = noisy_estimate.problem.model.machine
     assert calibrated.sensors == nominal.sensors
     for one, other in zip(calibrated.links, nominal.links, strict=True):
         assert one.joint.model_copy(update={"friction": None}) == other.joint.model_copy(update={"friction": None})

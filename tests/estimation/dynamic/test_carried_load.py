@@ -33,6 +33,7 @@ def test_a_load_is_weighed_exactly():
     assert inertia.smallest_eigenvalue(found.phi) > 0
 
 
+@pytest.mark.slow
 def test_an_excavators_load_is_weighed_exactly(cat215b, cat_truth, record):
     loaded = cat_truth.copy()
     k = cat215b.parameters.index("stick.m")

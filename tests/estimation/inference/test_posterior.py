@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from scipy.stats import truncnorm, wishart
 
+from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.inference.posterior import _pivots, sample
@@ -171,10 +172,9 @@ def test_a_whole_identification_at_a_bound(wheel: Model) -> None:
 
 
 @pytest.mark.slow
-def test_an_active_inequality_keeps_its_intervals(noisy: IdentificationProblem) -> None:
+def test_an_active_inequality_keeps_its_intervals(noisy: IdentificationProblem, noisy_estimate: Estimate) -> None:
     """A half-space that cuts off the most probable point is sampled up to its edge."""
-    free = identify(noisy, "sdp")
-    limit = free["boom.m"] + free["stick.m"] - 300
+    limit = noisy_estimate["boom.m"] + noisy_estimate["stick.m"] - 300
     cut = identify(noisy.subject_to("light", lambda p: p["boom.m"] + p["stick.m"] <= limit), "sdp")
     assert "light" in cut.active
     assert np.isfinite(cut.std[cut.problem.parameters.index("boom.m")])

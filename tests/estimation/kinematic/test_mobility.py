@@ -221,9 +221,9 @@ def test_lines_and_json(excavator: Mobility) -> None:
 
 @pytest.mark.parametrize("name", ["cat215b", "panda_mukca", "patu655_lift", "kr300"])
 def test_takes_little_time(name: str) -> None:
-    machine, began = load_machine(name), time.perf_counter()
+    machine, began = load_machine(name), time.process_time()
     mobility(machine)
-    assert time.perf_counter() - began < 2
+    assert time.process_time() - began < 2
 
 
 def test_rigid_tool_on_a_planar_robot() -> None:
