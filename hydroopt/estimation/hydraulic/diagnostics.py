@@ -1,4 +1,4 @@
-"""What a reader should know before trusting identified valves, oil and friction."""
+"""Diagnostics of identified valves, oil and friction."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
 MISFIT = 1.5
-"""How many times a sensor's standard deviation the residuals must be for the model not to explain them."""
+"""Ratio of residuals and sensor noise from which on the model does not explain a channel."""
 NOTHING = 1e-6
 """Part of the prior's information below which the data carry none."""
 

@@ -14,11 +14,11 @@ from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
 
 POINTS = 3
-"""Collocation points of an interval; the last one is its end."""
+"""Number of collocation points of an interval; the last one is its end."""
 WIDEST = 100.0
 """Standard deviation of an unknown first state, in units of its scale."""
 ACCURACY = 1e-10
-"""Default error of a simulation's steps."""
+"""Default error tolerance of a simulation's steps."""
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,7 +1,7 @@
 """Parameters of any dynamics ẋ = f(x, u, θ), y = h(x, u, θ) from what sensors recorded: one bounded nonlinear program.
 
-Unknowns are θ and the states of every record, at its samples and between them. The dynamics are constraints, so that
-a start far off does not run away as a simulation would (multiple shooting, Bock 1987, every interval being one). With
+Unknowns are θ and the states of every record, at its samples and between them. The dynamics are constraints, so that a
+poor initial guess does not diverge as a simulation would (multiple shooting, Bock 1987, every interval being one). With
 Gaussian errors of the readings and Gaussian priors the answer is the most probable one. IPOPT finds it with the
 constrained Gauss-Newton Hessian; the information on θ is what is left when the dynamics have eliminated the states.
 """
@@ -31,7 +31,7 @@ PATIENCE, NEAR = 60, 0.1
 """Steps that the Gauss-Newton Hessian gets to come near (the exact one gets twice as many), and IPOPT's error, in
 squares of σ, that counts as near."""
 ASTRAY = 3.0
-"""How many times the stated errors must be exceeded for another start to be tried."""
+"""Ratio of residuals and stated errors from which on another start is tried."""
 ROUGHLY = 1e-6
 """Error of the steps of a simulation to start from."""
 UNKNOWN = 0.5
@@ -217,9 +217,9 @@ def _without(columns: Array, rows: Array) -> Array:
 def multiple_shooting(problem: ShootingProblem, start: Array | ShootingEstimate | None = None) -> ShootingEstimate:
     """The most probable parameters and motion, from `start` (p,), an estimate nearby, or the nominal parameters.
 
-    The initial guess is a simulation from the start or, if that fails, the measured states. The Gauss-Newton
-    Hessian leads near, if it does; the exact one goes on, since the other creeps where much is left unexplained. Finer
-    intervals than the samples' come last.
+    The initial guess is a simulation from the start or, if that fails, the measured states. The Gauss-Newton Hessian
+    comes first; the exact one continues, since the former converges slowly with large residuals. Intervals finer than
+    the samples' come last.
 
     Raises:
         SolverError: IPOPT failed or its answer failed our check.

@@ -1,4 +1,4 @@
-"""Our own check of what a solver returns."""
+"""The check of a solver's solution: feasibility and stationarity."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from hydroopt.errors import SolverError
 
 @dataclass(frozen=True)
 class Certificate:
-    """What we recomputed from a solution, each relative to the size of the terms it balances.
+    """Residuals of the optimality conditions, recomputed from a solution and relative to the size of their terms.
 
     `violation` of the worst constraint and `stationarity`, the gradient of the Lagrangian.
     """

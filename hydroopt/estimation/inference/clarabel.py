@@ -1,4 +1,4 @@
-"""Convex programs by Clarabel through cvxpy: its answers in plain words, and our own check of them."""
+"""Convex programs solved by Clarabel through cvxpy: status messages and a check of the solution."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ def solve_convex(problem: cp.Problem, where: str) -> bool:
     if not problem.is_dcp():
         raise SolverError("a constraint is not convex", where=where, remedy="use method 'nlp'")
     try:
-        with warnings.catch_warnings():  # an inaccurate answer is judged by our own certificate
+        with warnings.catch_warnings():  # the certificate decides about an inaccurate answer
             warnings.simplefilter("ignore", UserWarning)
             problem.solve(solver=cp.CLARABEL, tol_gap_abs=1e-10, tol_gap_rel=1e-10, tol_feas=1e-10)
     except cp.SolverError as error:

@@ -1,7 +1,7 @@
-"""What physics and the machine file demand of bodies, as conditions on ψ of three kinds that every solver understands.
+"""Conditions on ψ from physics and the machine file, of three kinds that every solver supports.
 
 A condition is linear in ψ and zero, non-negative, or a positive semidefinite matrix; the convex solver, IPOPT and the
-sampler know no others.
+sampler support these.
 """
 
 from __future__ import annotations
@@ -22,10 +22,10 @@ from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 
 UPPER = np.triu_indices(4)
-"""Where the ten entries of a symmetric 4-by-4 matrix stand, row by row."""
+"""Indices of the ten entries of a symmetric 4-by-4 matrix, row by row."""
 
 MARGIN = 1e-7
-"""Smallest eigenvalue allowed to a semidefinite condition: keeps bodies strictly possible despite rounding."""
+"""Smallest eigenvalue allowed to a semidefinite condition, so that bodies are possible despite rounding."""
 
 
 @dataclass(frozen=True, eq=False)

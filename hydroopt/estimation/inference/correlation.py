@@ -1,4 +1,4 @@
-"""How long residuals repeat themselves: the factor by which samples outnumber independent pieces of information."""
+"""Correlation time of residuals: the number of samples that carry as much information as one independent sample."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from hydroopt.spatial.inertia import Array
 def correlation_time(residual: Array, taken: NDArray[np.bool_], segment: NDArray[np.int64]) -> float:
     """Integrated autocorrelation time in samples, 1 for white noise and never less.
 
-    The autocorrelation is taken over pairs of samples that both take part and lie in one stretch. Its sum ends where
+    The autocorrelation is taken over pairs of used samples of one stretch. Its sum ends where
     two neighbouring lags are no longer positive together; until then they may not grow (Geyer 1992, initial monotone
     sequence).
 
     Args:
         residual: (N,) residuals.
-        taken: (N,) which of them take part.
+        taken: (N,) which of them are used.
         segment: (N,) the uninterrupted stretch that each belongs to.
     """
     lagged = Lagged(len(residual))
@@ -52,7 +52,7 @@ class Lagged:
         pairs, products = self.pairs, self.products
         if pairs[0] < 3.5:
             return 1.0
-        enough = pairs > 0.05 * pairs[0]  # beyond, too few pairs are left to say anything
+        enough = pairs > 0.05 * pairs[0]  # beyond, there are too few pairs
         lags = len(pairs) if np.all(enough) else int(np.argmin(enough))
         if products[0] <= 0 or lags < 2:
             return 1.0

@@ -1,4 +1,4 @@
-"""What a set of equations determines of parameters: rank, base parameters, conditioning, collinearity."""
+"""Identifiability of parameters from a regressor: rank, base parameters, conditioning, collinearity."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ class Identifiability:
 def significant(values: Array, tolerance: float) -> NDArray[np.bool_]:
     """Which singular values or eigenvalues (k,) count: those above `tolerance` times the largest.
 
-    Every rank decision is this one; the tolerances that it takes stand above.
+    Every rank decision calls this function with one of the tolerances above.
 
     >>> significant(np.array([5.0, 1e-3, 1e-9]), RANK_TOLERANCE)
     array([ True,  True, False])

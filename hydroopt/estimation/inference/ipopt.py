@@ -1,4 +1,4 @@
-"""Nonlinear programs by IPOPT: its options, its answers in plain words, and our own check of them."""
+"""Nonlinear programs solved by IPOPT: options, status messages and a check of the solution."""
 
 from __future__ import annotations
 

@@ -1,9 +1,9 @@
-"""Intervals that stay honest when constraints are active: samples of the posterior, cut off where bodies end to exist.
+"""Intervals that remain valid when constraints are active: samples of the posterior, truncated by the constraints.
 
-Residuals and priors make a Gaussian posterior; bounds, physical consistency, what is stated of bodies and the user's
-constraints cut it, and a log-det distance bends it. Its samples are drawn by elliptical slice sampling (Murray, Adams,
-MacKay 2010), many chains side by side. Covariances of the unconstrained problem would be wrong at an active constraint,
-and those of the active set alone too small.
+Residuals and priors make a Gaussian posterior; bounds, physical consistency, statements about bodies and the user's
+constraints truncate it, and a log-det distance makes it non-Gaussian. Its samples are drawn by elliptical slice
+sampling (Murray, Adams, MacKay 2010), many chains side by side. Covariances of the unconstrained problem would be wrong
+at an active constraint, and those of the active set alone too small.
 """
 
 from __future__ import annotations
@@ -28,8 +28,8 @@ from hydroopt.spatial.inertia import Array
 Mask = NDArray[np.bool_]
 
 CHAINS, WARM_UP, SWEEPS, KEEP_EVERY, BLOCK, TRIES = 128, 60, 16, 2, 8, 6
-"""Chains side by side, sweeps until they have settled and of which every second is kept, coordinates moved together,
-places tried for each move."""
+"""Number of chains; sweeps of a warm-up and of sampling, of which every second is kept; coordinates moved together;
+proposals of each move."""
 
 DRIFT, ROUNDS = 0.5, 4
 """Chains have settled when their mean moves by less than this many of its standard deviations over half a warm-up; they
@@ -210,7 +210,7 @@ def _elliptical_step(state: Array, slack: Array, log_density: Array, block: NDAr
         new = inequalities.log_density(linear, partial(_stepped, state, np.tile(waiting, len(tries)), block, flat))
         good = new.reshape(angle.shape) > threshold[waiting]
         found = np.flatnonzero(good.any(axis=0))
-        pick = np.argmax(good[:, found], axis=0) * len(waiting) + found  # the first good one
+        pick = np.argmax(good[:, found], axis=0) * len(waiting) + found  # the first accepted one
         state[np.ix_(block, waiting[found])] += flat[:, pick]
         slack[:, waiting[found]] = linear[:, pick]
         log_density[waiting[found]] = new[pick]
@@ -230,7 +230,7 @@ def _pivots(upper: Array) -> Array:
     All are positive where the matrix is positive definite, and their product then is its determinant.
     """
     a, b, c, d, e, f, g, h, i, j = upper
-    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # past a pivot that fails the rest is void
+    with np.errstate(divide="ignore", invalid="ignore", over="ignore"):  # after a failed pivot the rest is invalid
         e, f, g, h, i, j = e - b * b / a, f - b * c / a, g - b * d / a, h - c * c / a, i - c * d / a, j - d * d / a
         h, i, j = h - f * f / e, i - f * g / e, j - g * g / e
         return np.stack([a, e, h, j - i * i / h])

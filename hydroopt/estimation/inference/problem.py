@@ -1,4 +1,4 @@
-"""What the solvers and the sampler need of a problem; each kind of estimation provides it."""
+"""The interface of a problem for solvers and sampler; each kind of estimation implements it."""
 
 from __future__ import annotations
 
@@ -14,11 +14,11 @@ Distance = Literal["gaussian", "log-det"]
 
 
 class InferenceProblem(Protocol):
-    """Parameters, priors and constraints; the residuals are handed to the solvers as ``‖R·ψ − r‖²``."""
+    """Parameters, priors and constraints; solvers get the residuals as ``‖R·ψ − r‖²``."""
 
     @property
     def where(self) -> str:
-        """What is being solved, for error messages."""
+        """Subject for error messages."""
 
     @property
     def parameters(self) -> ParameterSet:

@@ -23,7 +23,7 @@ NamedConstraints = list[tuple[str, list[Any]]]
 
 @dataclass(frozen=True, eq=False)
 class Optimum:
-    """ψ (p,) and the names of the constraints that hold it back."""
+    """ψ (p,) and the names of the active constraints."""
 
     psi: Array
     active: tuple[str, ...]
@@ -109,7 +109,7 @@ def convex_program(problem: InferenceProblem, R: Array, r: Array, rest: float = 
     parameters, offset = problem.parameters, posterior.offset
     squares, right = problem.square_rows
     wide = (offset - parameters.nominal) / (WIDEST * parameters.scale)
-    # what z = 0 costs, which whitened coordinates leave out
+    # the cost at z = 0, which whitened coordinates leave out
     rest += float(np.sum((R @ offset - r) ** 2) + np.sum((squares @ offset - right) ** 2) + np.sum(wide**2))
     rest -= float(np.sum(posterior.right**2)) if _distant(problem) else 0.0
     psi = posterior.offset + posterior.slope @ z

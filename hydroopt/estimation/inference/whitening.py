@@ -21,8 +21,8 @@ WIDEST = 1e6
 class GaussianPosterior:
     """ψ = offset + slope·z with independent standard normal z (k,); the constrained estimate minimises ‖z‖².
 
-    The columns of `slope` (p, k) are the principal axes, from what the data know best to what only the priors know, so
-    that a solver moves each by its own uncertainty however far these are apart.
+    The columns of `slope` (p, k) are the principal axes, from the best determined
+    direction to those that only priors determine, so that a solver scales each by its uncertainty.
 
     Where bodies have a log-det distance, z is only about normal, and the estimate minimises ``‖root·z − right‖²`` and
     these distances.
@@ -36,10 +36,10 @@ class GaussianPosterior:
     def conditioned_on(self, conditions: Sequence[Condition]) -> GaussianPosterior | None:
         """The Gaussian where those conditions hold that are equalities; None if these contradict each other.
 
-        They may repeat themselves.
+        Redundant ones are allowed.
 
         Raises:
-            ProblemError: they leave nothing open.
+            ProblemError: they fix all parameters.
         """
         exact = [c for c in conditions if c.kind == "zero"]
         if not exact:

@@ -1,4 +1,4 @@
-"""Readings that cannot be what their column says: degrees taken for radians, columns exchanged."""
+"""Checks of columns against the machine: degrees given as radians, exchanged columns."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Diagnostics of a kinematic calibration: what to know before trusting it."""
+"""Diagnostics of a kinematic calibration."""
 
 from __future__ import annotations
 
@@ -17,9 +17,9 @@ from hydroopt.results.wording import Kind
 CORRELATED = 0.95
 """Correlation from which on two estimates count as hardly separated."""
 LITTLE = 0.8
-"""Part of the prior's standard deviation above which the data hold next to no information."""
+"""Part of the prior's standard deviation above which the data carry hardly any information."""
 FAR = 3.0
-"""Change in standard deviations of the prior that calls for a second look."""
+"""Change in standard deviations of the prior from which on it is reported."""
 FAR_LARGER, LARGE, SMALL = 10.0, 1.5, 0.5
 """Errors, relative to those stated, that make an answer suspect, and above and below which a diagnostic says so."""
 OVERFITTED = 2.0
@@ -31,7 +31,7 @@ FEW = 3
 def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fit], impossible: str,
              narrowed: Sequence[NarrowedLimits], left_out: Sequence[Suspect],
              poses_left_out: int) -> Iterator[Diagnostic]:
-    """All diagnostics, the gravest first.
+    """All diagnostics, the most severe first.
 
     Args:
         solution: the calibration.

@@ -32,7 +32,7 @@ FIRST, LAST = 5e-2, 5e-11
 SETTLED = 1e-10
 """Relative decrease of the sum of squares below which an iteration has converged."""
 ROUNDOFF = 1e-14
-"""Root mean square [m] that a step must promise to explain."""
+"""Smallest predicted decrease [m], as a root mean square, for which a step is made."""
 STEPS = 100
 """Iterations after which a part p counts as converged."""
 STIFFEST = 1e6
@@ -223,7 +223,8 @@ def _minimise(rows: Rows, x: Array, unknown: NDArray[np.intp], scale: Array) -> 
     """Least squares by Eqs. 3.42 and 3.43: x, which of the unknown ones are identified, iterations and rms [m].
 
     Singular values below a part p of the largest are zeroed; p shrinks once the iteration has converged, until this
-    frees directions without a gain. A step that climbs is repeated with a damping that grows from p² of the largest.
+    frees directions without a gain. A step that increases the sum is repeated with a damping that grows from p² of the
+    largest.
     """
     residual, jacobian = rows(x)
     square, p, iterations, rank = float(residual @ residual), FIRST, 0, 0
@@ -258,7 +259,7 @@ def _minimise(rows: Rows, x: Array, unknown: NDArray[np.intp], scale: Array) -> 
 
 
 def _refuse(problem: CalibrationProblem) -> None:
-    """Raise what this method cannot use."""
+    """Refuse what this method cannot use."""
     layout, model, where = problem.layout, problem.model, f"poses of {problem.poses.name}"
     other = "use the method 'joint'"
     if not np.any(layout.fixture >= 0):

@@ -1,4 +1,4 @@
-"""Mobility of closed chains, what their poses identify, and why a set-up cannot work (Sections 3.3.2 and 3.6.4).
+"""Mobility of closed chains, identifiability from their poses, and defects of a set-up (Sections 3.3.2 and 3.6.4).
 
 Everything is derived from random closed postures of the machine file's nominal geometry, read without noise: mobility
 from the rank of the loop's Jacobian, identifiability from that of the linearised calibration problem.
@@ -135,7 +135,8 @@ def obstacles(machine: Machine) -> tuple[str, ...]:
 
 
 def mobility(machine: Machine, *, count: int = 30, seed: int = 0) -> Mobility:
-    """What the kinematic calibration of a machine can do and cannot, from so many poses of every stage and fixture."""
+    """Mobility and identifiability of a machine's kinematic calibration, from `count` poses of every stage and
+    fixture."""
     cylinders = {cylinder.name: _triangle(machine, cylinder, count) for cylinder in machine.cylinders
                  if _read(machine, *_triangle_channels(machine, cylinder))}
     if machine.calibrator is None or not (machine.fixtures or machine.tracker):
@@ -239,7 +240,7 @@ class _Visit:
                              unsensed=len(self.unread) + BALL * bool(self.fixtures))
 
     def reasons(self) -> Iterator[tuple[str, str]]:
-        """What is wrong with the chain (Sections 3.3.2 and 3.5.1), and the remedy."""
+        """Defects of the chain (Sections 3.3.2 and 3.5.1), and remedies."""
         names = self.model.joints
         degrees = self.grubler if self.rank_mobility is None else self.rank_mobility
         if degrees < 1:

@@ -1,4 +1,4 @@
-"""Residuals of poses, how closely they are followed, and held-out poses predicted."""
+"""Residuals of poses, their fit, and the prediction of held-out poses."""
 
 from __future__ import annotations
 

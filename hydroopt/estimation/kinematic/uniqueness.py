@@ -1,4 +1,4 @@
-"""Whether a calibration is the only solution: what its null space and several initial guesses show."""
+"""Uniqueness of a calibration, from its null space and several initial guesses."""
 
 from __future__ import annotations
 
