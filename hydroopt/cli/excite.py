@@ -21,7 +21,7 @@ from hydroopt.cli.options import (
     ParameterSetName,
     Quiet,
     progress,
-    refuse_idle,
+    refuse_given,
 )
 from hydroopt.errors import ProblemError
 
@@ -31,7 +31,6 @@ if TYPE_CHECKING:
 
 
 def excite(
-    context: typer.Context,
     machine: MachineName,
     output: Directory,
     log: Annotated[list[Path] | None, typer.Option(
@@ -41,8 +40,9 @@ def excite(
     duration: Annotated[float, typer.Option(help="The motion takes at most so long [s].")] = 33.0,
     period: Annotated[float | None, typer.Option(
         help="Of the Fourier series [s]; else what entry and exit leave of the duration.")] = None,
-    harmonics: Annotated[int, typer.Option(help="Of the Fourier series.", min=1)] = 10,
-    blend: Annotated[float, typer.Option(help="Of the Fourier series' entry and of its exit [s].", min=0.1)] = 2.0,
+    harmonics: Annotated[int | None, typer.Option(help="Of the Fourier series; 10 if not given.", min=1)] = None,
+    blend: Annotated[float | None, typer.Option(
+        help="Of the Fourier series' entry and of its exit [s]; 2 if not given.", min=0.1)] = None,
     pieces: Annotated[int | None, typer.Option(
         help="A spline of the fifth degree of so many pieces instead of the Fourier series.", min=1)] = None,
     rest: Annotated[list[str] | None, typer.Option(
@@ -79,12 +79,13 @@ def excite(
 
     began = time.perf_counter()
     if pieces is not None:
-        refuse_idle(context, ("period", "harmonics", "blend"), "a spline has none", "leave it out, or --pieces")
+        refuse_given({"--period": period, "--harmonics": harmonics, "--blend": blend}, "a spline has none",
+                     "leave it out, or --pieces")
     if not log:
-        refuse_idle(context, ("map_file",), "there is no log that it could describe", "leave it out, or give --log")
+        refuse_given({"--map": map_file}, "there is no log that it could describe", "leave it out, or give --log")
     refuse_directory(output, (FILES[Job.EXCITATION], "report.html", "trajectory.csv", "trajectory.parquet"))
     described, origin = parameter_source.read(machine, parameter_set=parameter_set)
-    basis, resting = _basis(duration, period, harmonics, blend, pieces), _resting(described, rest or ())
+    basis, resting = _basis(duration, pieces, period, harmonics or 10, blend or 2.0), _resting(described, rest or ())
     with progress(f"preparing {described.name}", quiet) as say:
         logs = [open_log(path, mapping=map_file) for path in log or ()]
         problem = excitation_problem(described, basis, criterion=criterion or "D", focus=focus or (), priors=priors,
@@ -102,7 +103,7 @@ def excite(
     print_answer(motion, output, quiet=quiet, as_json=as_json)
 
 
-def _basis(duration: float, period: float | None, harmonics: int, blend: float, pieces: int | None) -> Basis:
+def _basis(duration: float, pieces: int | None, period: float | None, harmonics: int, blend: float) -> Basis:
     from hydroopt.excitation.motion.basis import Fourier, Spline
 
     if not 0 < duration < 1e5:

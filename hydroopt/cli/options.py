@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, TypeVar
@@ -85,16 +85,15 @@ def loss_of(text: str, where: str) -> Loss:
     return text  # type: ignore[return-value]
 
 
-def refuse_idle(context: typer.Context, options: Collection[str], why: str, remedy: str) -> None:
-    """Refuse options that would have no effect.
+def refuse_given(options: Mapping[str, object], why: str, remedy: str) -> None:
+    """Refuse options that would have no effect: those of these values by name that are not None.
 
     Raises:
         ProblemError: one of them was given.
     """
-    for option in context.command.params:
-        source = context.get_parameter_source(option.name or "")
-        if option.name in options and source is not None and source.name == "COMMANDLINE":
-            raise ProblemError(why, where=option.opts[0], remedy=remedy)
+    for option, value in options.items():
+        if value is not None:
+            raise ProblemError(why, where=option, remedy=remedy)
 
 
 def reliefs(machine: Machine) -> dict[str, tuple[float, float]]:

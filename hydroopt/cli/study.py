@@ -24,6 +24,7 @@ from hydroopt.cli.options import (
     parameter_values,
     progress,
     reading,
+    refuse_given,
 )
 from hydroopt.errors import ProblemError, StoppedError
 
@@ -170,13 +171,12 @@ Summary = Callable[["Study", "Table"], dict[str, Any]]
 def _montecarlo(cells: int, seed: int, method: str, motion: Path | None, map_file: Path | None,
                 duration: float | None, rate: float | None,
                 grid: dict[str, list[float]]) -> Callable[[Machine], tuple[Study, Summary]]:
-    for value, option in ((duration, "--duration"), (rate, "--rate")):
-        if motion is not None and value is not None:
-            raise ProblemError("a given motion has its own duration and rate", where=option,
-                               remedy="leave it out, or --motion")
-    if map_file is not None and motion is None:
-        raise ProblemError("there is no log whose columns it could map", where="--map",
-                           remedy="leave it out, or give --motion")
+    if motion is not None:
+        refuse_given({"--duration": duration, "--rate": rate}, "a given motion has its own duration and rate",
+                     "leave it out, or --motion")
+    else:
+        refuse_given({"--map": map_file}, "there is no log whose columns it could map",
+                     "leave it out, or give --motion")
 
     def prepare(described: Machine) -> tuple[Study, Summary]:
         from hydroopt.cli.identify import method_of
@@ -203,9 +203,8 @@ def _run(machine: str, parameter_set: str | None, prepare: Callable[[Machine], t
     from hydroopt.report import study as report
     from hydroopt.study.run import run
 
-    if scheduler is not None and workers is not None:
-        raise ProblemError("the scheduler has its own workers", where="--workers",
-                           remedy="leave it out, or --scheduler")
+    if scheduler is not None:
+        refuse_given({"--workers": workers}, "the scheduler has its own workers", "leave it out, or --scheduler")
     described = load_machine(machine, parameter_set=parameter_set)
     with progress(f"preparing {described.name}", quiet) as say:
         prepared, summary = prepare(described)

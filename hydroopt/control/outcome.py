@@ -49,6 +49,16 @@ class Outcome:
     bode: Bode
 
     @property
+    def in_cascade(self) -> bool:
+        """Whether its loops are those of the cascade, which are the same whatever is fed forward."""
+        return self.kind != LQG
+
+    @property
+    def uses_model(self) -> bool:
+        """Whether it knows which forces the motion takes; without them it lags behind."""
+        return self.kind != PI
+
+    @property
     def tip_rms(self) -> float:
         """Root mean square [m] of the distance of the tip; infinite if the machine hit its stops."""
         return float(np.sqrt(np.mean(self.tip**2))) if not self.run.stopped else np.inf

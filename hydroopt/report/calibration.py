@@ -18,8 +18,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
-from hydroopt.estimation.kinematic.diagnostics import correlated_pairs
-from hydroopt.report.figures import BLUE, GREEN, GREY, INK, LIGHT, ORANGE, SHADE, STYLE, WIDTH, Change, changes, svg
+from hydroopt.report.figures import BLUE, GREEN, GREY, INK, LIGHT, ORANGE, SHADE, STYLE, WIDTH, changes, changes_of, svg
 from hydroopt.report.numbers import NONE, Row, plain, quantity, unit_text
 from hydroopt.report.page import page
 from hydroopt.results.answer import Status
@@ -79,8 +78,9 @@ def render(c: Calibration) -> str:
 
 
 def _drawings(c: Calibration) -> dict[str, Markup]:
-    drawn = {"residuals": residuals(c), "chain": chains(c), "changes": changes(_changes(c)),
-             "correlations": correlations(c), "workspace": workspace(c)}
+    drawn = {"residuals": residuals(c), "chain": chains(c),
+             "changes": changes(changes_of(c.parameters, priors_only=True)), "correlations": correlations(c),
+             "workspace": workspace(c)}
     return {name: Markup(svg(figure, name)) for name, figure in drawn.items() if figure is not None}
 
 
@@ -122,30 +122,12 @@ def _parameter(c: Calibration, k: int) -> Parameter:
     if name in c.correlations:
         other, r = c.correlations[name]
         partner = f"{other} {r:+.2f}".replace("-", "−") if abs(r) >= 0.1 else ""
-        strong = (min(name, other), max(name, other)) in correlated_pairs(c)
+        strong = (min(name, other), max(name, other)) in c.correlated_pairs
     low, high = (factor * float(v) for v in c.ci95[k])
     std = float(c.std[k])
     numbers = quantity(factor * float(c.theta[k]) if c.determined[k] else np.nan, factor * std, (low, high),
                        factor * float(parameters.nominal[k]))
     return Parameter(name.rpartition(".")[2], unit, numbers, c.category(name), partner, np.isnan(std), strong)
-
-
-def _changes(c: Calibration) -> list[tuple[str, list[Change]]]:
-    """Changes of the geometry against the machine file, in standard deviations of its confidences."""
-    parameters = c.problem.parameters
-    known = np.diag(parameters.information) > 0
-    groups = []
-    for owner, rows in _owners(c).items():
-        group = []
-        for k in rows:
-            if known[k] and np.isfinite(c.std[k]):
-                change, low, high = ((float(x) - float(parameters.nominal[k])) / float(parameters.scale[k])
-                                     for x in (c.theta[k], *c.ci95[k]))
-                name = parameters.names[k]
-                group.append(Change(name.rpartition(".")[2], change, low, high, c.category(name) == "full", True))
-        if group:
-            groups.append((owner, group))
-    return groups
 
 
 def _tables(c: Calibration) -> list[dict[str, Any]]:

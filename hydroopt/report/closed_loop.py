@@ -10,7 +10,6 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.ticker import FuncFormatter, NullFormatter
 
-from hydroopt.control.outcome import LQG, PI, Outcome
 from hydroopt.report import hydraulics
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE, STYLE, WIDTH, svg, thin
 from hydroopt.report.numbers import NONE, plain
@@ -18,6 +17,7 @@ from hydroopt.report.page import page
 
 if TYPE_CHECKING:
     from hydroopt.control.comparison import Comparison
+    from hydroopt.control.outcome import Outcome
 
 COLOURS = (GREY, ORANGE, BLUE, GREEN, INK, "#cc79a7")
 UNITS = {"rad": ("deg", 180 / np.pi), "m": ("mm", 1e3)}
@@ -60,7 +60,7 @@ def _row(comparison: Comparison, outcome: Outcome) -> dict[str, Any]:
 def _cut(comparison: Comparison) -> list[Outcome]:
     """One outcome for each kind of loops: those of the cascade are the same whatever it is fed forward."""
     cascade = comparison.feedforward or comparison.outcomes[0]
-    return [outcome for outcome in comparison.outcomes if outcome is cascade or outcome.kind == LQG]
+    return [outcome for outcome in comparison.outcomes if outcome is cascade or not outcome.in_cascade]
 
 
 def _loops(comparison: Comparison, outcome: Outcome) -> list[tuple[str, ...]]:
@@ -74,7 +74,7 @@ def _loops(comparison: Comparison, outcome: Outcome) -> list[tuple[str, ...]]:
             found = outcome.worst(name, key, points)
             value = 20 * np.log10(found.gain) if key == "gain" else np.degrees(found.phase)
             cells.append(f"{plain(float(value), 3)} ({found.point})" if np.isfinite(value) else NONE)
-        rows.append((outcome.name if outcome.kind == LQG else "cascade", name, *cells))
+        rows.append(("cascade" if outcome.in_cascade else outcome.name, name, *cells))
     return rows
 
 
@@ -103,7 +103,7 @@ def _errors(comparison: Comparison) -> Figure:
 def _shown(comparison: Comparison, k: int | None) -> tuple[float, float]:
     """Range of errors of all but the PI controller, whose lag would hide what the others do."""
     machine = comparison.setting.plant.machine
-    own = [o for o in comparison.outcomes if o.kind != PI] or list(comparison.outcomes)
+    own = [o for o in comparison.outcomes if o.uses_model] or list(comparison.outcomes)
     if k is None:
         return 0.0, 1.1e3 * max(float(np.max(o.tip)) for o in own)
     factor = UNITS[machine.channel_units[f"{machine.joints[k]}.q"]][1]

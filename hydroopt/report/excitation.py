@@ -12,12 +12,10 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Circle, Rectangle
 
-from hydroopt.excitation.motion.basis import Fourier
 from hydroopt.machine.machine import BASE
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, LIGHT, ORANGE, STYLE, WIDTH, svg, thin
 from hydroopt.report.numbers import NONE, percent, plain, quantity, unit_text
 from hydroopt.report.page import page
-from hydroopt.simulation.simulate import BACK_PRESSURE
 
 if TYPE_CHECKING:
     from hydroopt.excitation.motion.excitation import Excitation, Use
@@ -51,16 +49,14 @@ def render(excitation: Excitation) -> str:
     machine, basis = problem.machine, problem.basis
     figures = {"motion": _panels(excitation, _motion(excitation)), "efforts": _panels(excitation, _efforts(excitation)),
                "path": _path(excitation)}
-    series = (f"{basis.harmonics} harmonics of {plain(basis.period)} s, {basis.repeats}×" if isinstance(basis, Fourier)
-              else f"spline of {len(basis.names)} points")
     still = ", ".join(f"{joint} at {_shown(position, machine.channel_units[f'{joint}.q'])}"
                       for joint, position in problem.resting.items())
     return page("excitation.html").render(
-        machine=machine, excitation=excitation, diagnostics=excitation.diagnostics, series=series, still=still,
+        machine=machine, excitation=excitation, diagnostics=excitation.diagnostics, series=basis.text, still=still,
         criterion=IN_WORDS[problem.information.criterion], focus=bool(problem.parameters.focus),
         value=plain(excitation.value), condition=plain(excitation.condition_number, 3),
         duration=plain(basis.duration), fastest=plain(basis.fastest, 3), rate=plain(problem.rate),
-        back=plain(1e-5 * BACK_PRESSURE), known=bool(np.any(problem.parameters.prior)),
+        back=plain(1e-5 * problem.limits.back_pressure), known=bool(np.any(problem.parameters.prior)),
         limits=[_limit(use) for use in excitation.limits], base=_base(excitation),
         groups=_groups(excitation), sigma=_sigma(excitation, accuracy),
         figures={name: Markup(svg(figure, name)) for name, figure in figures.items() if figure is not None})

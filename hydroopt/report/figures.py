@@ -199,14 +199,15 @@ class Change(NamedTuple):
     prior: bool
 
 
-def changes_of(table: ParameterTable) -> list[tuple[str, list[Change]]]:
+def changes_of(table: ParameterTable, *, priors_only: bool = False) -> list[tuple[str, list[Change]]]:
     """The parameters that have an interval, by owner: change against the nominal value and its 95 % interval.
 
-    In units of the prior's standard deviation, or of the estimate's own where there is no prior.
+    In units of the prior's standard deviation, or of the estimate's own where there is no prior; with `priors_only`
+    those without a prior are left out.
     """
     groups: dict[str, list[Change]] = {}
     for name, one in table.items():
-        size = one.prior_std or one.std
+        size = one.prior_std or (None if priors_only else one.std)
         if one.value is None or one.nominal is None or one.ci95 is None or not size:
             continue
         change, low, high = ((x - one.nominal) / size for x in (one.value, *one.ci95))

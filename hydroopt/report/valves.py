@@ -11,7 +11,7 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
-from hydroopt.report.figures import BLUE, GREY, ORANGE, STYLE, WIDTH, Change, changes, svg, thin
+from hydroopt.report.figures import BLUE, GREY, ORANGE, STYLE, WIDTH, changes, changes_of, svg, thin
 from hydroopt.report.hydraulics import section
 from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
 from hydroopt.report.page import page
@@ -40,7 +40,7 @@ def render(estimate: HydraulicEstimate) -> str:
     lines = [Parameter(name, unit_text(each.unit), quantity(
         _or_nan(each.value), _or_nan(each.std), each.ci95 or (np.nan, np.nan), _or_nan(each.nominal)),
         each.identifiability, each.bound or "") for name, each in estimate.parameters.items()]
-    drawn = {"runs": free_runs(estimate), "changes": changes(_changes(estimate))}
+    drawn = {"runs": free_runs(estimate), "changes": changes(changes_of(estimate.parameters))}
     return page("valves.html").render(
         machine=problem.plant.machine, estimate=estimate, diagnostics=estimate.diagnostics,
         hydraulics=section(problem.plant, estimate.sweeps) if estimate.sweeps else None, fit=_fit(estimate),
@@ -79,20 +79,6 @@ def _cells(fit: Fit | None) -> tuple[str, str, str, str]:
     return (_in_print(fit.rms, fit.unit)[0], _in_print(_or_nan(fit.largest), fit.unit)[0],
             percent(_or_nan(fit.of_range)),
             percent(fit.vaf))
-
-
-def _changes(estimate: HydraulicEstimate) -> list[tuple[str, list[Change]]]:
-    """Changes against the machine file, in standard deviations of its confidences."""
-    parameters, found = estimate.problem.parameters, estimate.shooting
-    groups: dict[str, list[Change]] = {}
-    for k, name in enumerate(parameters.names):
-        if np.all(np.isfinite(found.ci95[k])):
-            change, low, high = ((float(x) - float(parameters.nominal[k])) / float(parameters.scale[k])
-                                 for x in (found.theta[k], *found.ci95[k]))
-            owner, _, element = name.rpartition(".")
-            groups.setdefault(owner, []).append(Change(element, change, low, high, found.category(name) == "full",
-                                                       True))
-    return list(groups.items())
 
 
 def free_runs(estimate: HydraulicEstimate) -> Figure:

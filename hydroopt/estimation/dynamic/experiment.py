@@ -25,6 +25,10 @@ class AnyExperiment(Protocol):
     """What estimation needs of an experiment, whether its samples are in memory or streamed from a file."""
 
     @property
+    def model(self) -> Model:
+        """What relates its motion to forces."""
+
+    @property
     def log(self) -> AnyLog:
         """The log that it was made of."""
 

@@ -7,7 +7,6 @@ from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Self
 
-import casadi as ca
 import numpy as np
 
 from hydroopt.errors import ProblemError
@@ -18,8 +17,9 @@ from hydroopt.estimation.dynamic.weighted_residuals import HUBER, Loss, weighted
 from hydroopt.estimation.inference import conditions as physics
 from hydroopt.estimation.inference import listing, nlp, sdp
 from hydroopt.estimation.inference.conditions import Condition, ScaledBody
-from hydroopt.estimation.inference.constraints import Constraint, Expression, Named, Prior
+from hydroopt.estimation.inference.constraints import Constraint, Expression
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
+from hydroopt.estimation.inference.priors import Prior, linear_prior, prior_squares, stated_priors
 from hydroopt.estimation.inference.problem import Distance
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.estimation.inference.whitening import gaussian_posterior
@@ -29,7 +29,6 @@ from hydroopt.logs.frames import refuse_others
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Motion, Smoothing
 from hydroopt.logs.stream import LogStream
-from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterSet
@@ -95,6 +94,13 @@ class IdentificationProblem:
     instruments: tuple[Motion, ...] = ()
     distance: Distance = "gaussian"
 
+    def __post_init__(self) -> None:
+        for data in (*self.experiments, *self.validation):
+            if data.model is not self.model and data.model.parameters.names != self.model.parameters.names:
+                raise ProblemError("the log was prepared with a model that has other parameters than the problem's",
+                                   where=data.log.path or data.log.name,
+                                   remedy="give the problem and its experiments the same model")
+
     @property
     def where(self) -> str:
         """Subject for error messages."""
@@ -125,19 +131,8 @@ class IdentificationProblem:
         Raises:
             ProblemError: the expression is not linear in the parameters, sigma is not positive, or the name is taken.
         """
-        if not (0 < sigma < np.inf and np.isfinite(value)):
-            raise ProblemError(f"{value} ± {sigma} is not a prior", where=f"prior '{name}'",
-                               remedy="give a finite value and a positive sigma, or a constraint")
         self._refuse_taken(name)
-        symbols = ca.SX.sym("p", len(self.parameters))
-        named = Named(self.parameters, lambda k: symbols[k])
-        result = ca.SX(named[expression] if isinstance(expression, str) else expression(named))
-        row = ca.jacobian(result, symbols)
-        if result.shape != (1, 1) or ca.depends_on(row, symbols) or not row.nnz():
-            raise ProblemError("the expression is not one linear sum of parameters", where=f"prior '{name}'",
-                               remedy="use a constraint with method 'nlp' for anything else")
-        at_zero = ca.Function("prior", [symbols], [row, result])(ca.DM.zeros(symbols.shape))
-        prior = Prior(name, np.asarray(ca.DM(at_zero[0])).ravel(), value - float(at_zero[1]), sigma)
+        prior = linear_prior(self.parameters, name, expression, value, sigma)
         return replace(self, priors=(*self.priors, prior))
 
     def with_total_mass(self, name: str, bodies: Sequence[str], value: float,
@@ -292,11 +287,7 @@ class IdentificationProblem:
     @cached_property
     def stated_priors(self) -> tuple[Prior, ...]:
         """Total masses that the machine file states with a confidence."""
-        notes = self.model.machine.notes
-        spreads = [(total, notes.get(f"{total.name}.value", Note()).spread(total.value))
-                   for total in self.model.machine.total_masses]
-        return tuple(Prior(total.name, physics.total_mass(self.parameters, total.name, total.bodies), total.value,
-                           sigma) for total, sigma in spreads if sigma is not None)
+        return stated_priors(self.model.machine, self.parameters)
 
     @cached_property
     def prior_rows(self) -> tuple[Array, Array]:
@@ -309,7 +300,7 @@ class IdentificationProblem:
         for body in self.bodies if self.distance == "log-det" else ():
             mean[body.columns] *= body.spread
             information[body.columns, body.columns] = body.information
-        return self._rows(information, mean)
+        return prior_squares(information, mean, (*self.stated_priors, *self.priors))
 
     @cached_property
     def square_rows(self) -> tuple[Array, Array]:
@@ -317,7 +308,7 @@ class IdentificationProblem:
         information = self.parameters.information.copy()
         for body in self.bodies if self.distance == "log-det" else ():
             information[body.columns, body.columns] = 0.0
-        return self._rows(information, self.parameters.nominal)
+        return prior_squares(information, self.parameters.nominal, (*self.stated_priors, *self.priors))
 
     def with_experiments(self, experiments: Sequence[AnyExperiment]) -> Self:
         """With other training data."""
@@ -365,16 +356,6 @@ class IdentificationProblem:
         rows, right = self.square_rows
         distances = sum(body.distance(psi[body.columns]) for body in self.bodies if body.weight)
         return float(np.sum((rows @ psi - right) ** 2)) + distances
-
-    def _rows(self, information: Array, mean: Array) -> tuple[Array, Array]:
-        diagonal = np.diag(information)
-        size = np.sqrt(np.where(diagonal > 0, diagonal, 1.0))  # so that the rank does not depend on units
-        values, vectors = np.linalg.eigh(information / np.outer(size, size))
-        known = values > 1e-12
-        root = np.sqrt(values[known])[:, None] * vectors[:, known].T * size
-        priors = (*self.stated_priors, *self.priors)
-        return (np.vstack([root, *[prior.row / prior.sigma for prior in priors]]),
-                np.concatenate([root @ mean, [prior.value / prior.sigma for prior in priors]]))
 
     def __repr__(self) -> str:
         return (f"{type(self).__name__}({self.model.machine.name}: {len(self.parameters)} parameters, "

@@ -87,17 +87,9 @@ class HydraulicEstimate(Answer):
         return ParameterTable([
             row(name, stated.kinds[k], stated.units[k], nominal=float(stated.nominal[k]),
                 prior_std=float(prior_std[k]), value=float(found.theta[k]), std=float(found.std[k]),
-                ci95=found.ci95[k].tolist(), bound=self._bound(k), identifiability=found.category(name))
+                ci95=found.ci95[k].tolist(), bound=stated.nearest_bound(k, found.theta[k]) if found.at_bound[k] else "",
+                identifiability=found.category(name))
             for k, name in enumerate(stated.names)])
-
-    def _bound(self, k: int) -> str:
-        """The active bound of a parameter."""
-        parameters, value = self.problem.parameters, self.shooting.theta[k]
-        if not self.shooting.at_bound[k]:
-            return ""
-        low = value - parameters.lower[k] < parameters.upper[k] - value
-        return (f"{parameters.names[k]} {'>=' if low else '<='} "
-                f"{parameters.lower[k] if low else parameters.upper[k]:.9g} {parameters.units[k]}")
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:

@@ -1,4 +1,4 @@
-"""What a user adds to a problem: relations and priors between named parameters, in any solver's own symbols."""
+"""What a user adds to a problem: relations between named parameters, in any solver's own symbols."""
 
 from __future__ import annotations
 
@@ -10,7 +10,6 @@ import casadi as ca
 
 from hydroopt.errors import ProblemError
 from hydroopt.parameters.parameter_set import ParameterSet
-from hydroopt.spatial.inertia import Array
 
 
 class Named(Mapping[str, Any]):
@@ -32,15 +31,26 @@ class Named(Mapping[str, Any]):
 Expression = Callable[[Named], Any]
 
 
+def relation_in_casadi(constraint: Constraint, named: Named) -> ca.SX:
+    """A constraint in CasADi, ``left == right`` or ``left <= right``.
+
+    Raises:
+        ProblemError: it is not one relation, or its function takes no symbols of CasADi.
+    """
+    relation = constraint.evaluated(named)
+    if not isinstance(relation, ca.SX) or not relation.is_scalar() or relation.n_dep() != 2 \
+            or relation.op() not in (ca.OP_EQ, ca.OP_LE, ca.OP_LT):
+        raise no_relation(constraint)
+    return relation
+
+
 def as_casadi(constraint: Constraint, named: Named) -> tuple[ca.SX, bool]:
     """Left minus right side of a constraint in CasADi, and whether the two must be equal (else left ≤ right).
 
     Raises:
-        ProblemError: it is not a relation.
+        ProblemError: as `relation_in_casadi`.
     """
-    relation = constraint.evaluated(named)
-    if not isinstance(relation, ca.SX) or relation.n_dep() != 2 or relation.op() not in (ca.OP_EQ, ca.OP_LE, ca.OP_LT):
-        raise no_relation(constraint)
+    relation = relation_in_casadi(constraint, named)
     return relation.dep(0) - relation.dep(1), relation.op() == ca.OP_EQ
 
 
@@ -70,13 +80,3 @@ class Constraint:
         except Exception as error:
             raise ProblemError(f"its function failed ({error})".replace("\n", " "), where=f"constraint '{self.name}'",
                                remedy="state one relation, left == right, left <= right or left >= right") from error
-
-
-@dataclass(frozen=True)
-class Prior:
-    """A linear expression of parameters known to be ``value ± sigma`` (SI, one standard deviation)."""
-
-    name: str
-    row: Array
-    value: float
-    sigma: float

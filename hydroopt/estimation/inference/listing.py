@@ -9,7 +9,8 @@ import numpy as np
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference.conditions import Condition
-from hydroopt.estimation.inference.constraints import Constraint, Named, Prior
+from hydroopt.estimation.inference.constraints import Constraint, Named, relation_in_casadi
+from hydroopt.estimation.inference.priors import Prior
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
 
@@ -96,10 +97,10 @@ def _sum(parameters: ParameterSet, row: Array) -> str:
 def _user_row(parameters: ParameterSet, constraint: Constraint) -> tuple[str, str, str]:
     symbols = [ca.SX.sym(name) for name in parameters.names]
     try:
-        relation = constraint.evaluated(Named(parameters, symbols.__getitem__))
-        used = np.array(ca.which_depends(relation.dep(0) - relation.dep(1), ca.vertcat(*symbols), 1, False))
-    except (ProblemError, AttributeError, TypeError, ValueError, NotImplementedError, RuntimeError):
+        relation = relation_in_casadi(constraint, Named(parameters, symbols.__getitem__))
+    except ProblemError:
         return constraint.name, "stated in cvxpy", ""
+    used = np.array(ca.which_depends(relation.dep(0) - relation.dep(1), ca.vertcat(*symbols), 1, False))
     text = str(relation)
     return constraint.name, text if len(text) <= 80 else f"{text[:77]}…", _units(parameters, used)
 

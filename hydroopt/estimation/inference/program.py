@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
-import casadi as ca
 import numpy as np
 
 from hydroopt.errors import ProblemError
@@ -53,11 +52,11 @@ class NonlinearProgram:
     x0: Array
     lbx: Array
     ubx: Array
-    g: Any = field(default_factory=lambda: ca.SX(0, 1))
+    g: Any = None
     g_names: tuple[str, ...] = ()
     lbg: Array = field(default_factory=lambda: np.zeros(0))
     ubg: Array = field(default_factory=lambda: np.zeros(0))
-    p: Any = field(default_factory=lambda: ca.SX(0, 1))
+    p: Any = None
     p_names: tuple[str, ...] = ()
     p_value: Array = field(default_factory=lambda: np.zeros(0))
     g_units: tuple[str, ...] = ()
@@ -65,6 +64,9 @@ class NonlinearProgram:
     objective: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
+        for symbol in ("g", "p"):
+            if getattr(self, symbol) is None:  # none, of the type that x has: SX or MX
+                object.__setattr__(self, symbol, type(self.x)(0, 1))
         sizes = {
             "x": (self.x.numel(), self.x_names, self.x_units, self.x0, self.lbx, self.ubx),
             "p": (self.p.numel(), self.p_names, self.p_units or self.p_names, self.p_value),

@@ -14,8 +14,6 @@ from hydroopt.results.diagnostic import Diagnostic, listed
 from hydroopt.results.fit import Fit
 from hydroopt.results.wording import Kind
 
-CORRELATED = 0.95
-"""Correlation from which on two estimates count as hardly separated."""
 LITTLE = 0.8
 """Part of the prior's standard deviation above which the data carry hardly any information."""
 FAR = 3.0
@@ -62,14 +60,6 @@ def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fi
     if impossible:
         yield Diagnostic(Kind.NO_CALIBRATED_MACHINE, (), {
             "reason": impossible.rstrip("."), "remedy": "Correct limits in the machine file, or fix parameters"})
-
-
-def correlated_pairs(solution: KinematicSolution) -> dict[tuple[str, str], float]:
-    """Pairs that are hardly separated, at least one of them geometry, with their correlations, the strongest first."""
-    geometry = solution.problem.model.parameters.positions
-    pairs = {(min(name, other), max(name, other)): r for name, (other, r) in solution.correlations.items()
-             if abs(r) > CORRELATED and (name in geometry or other in geometry)}
-    return dict(sorted(pairs.items(), key=lambda item: -abs(item[1])))
 
 
 def _suspects(solution: KinematicSolution) -> Iterator[Diagnostic]:
@@ -127,7 +117,7 @@ def _identifiability(solution: KinematicSolution) -> Iterator[Diagnostic]:
                  if not np.isfinite(std) and name not in gone)
     if lost:
         yield Diagnostic(Kind.NOT_DETERMINED, lost)
-    pairs = correlated_pairs(solution)
+    pairs = solution.correlated_pairs
     if pairs:
         words = [f"{one} and {other} ({r:.3f})".replace("-", "−") for (one, other), r in pairs.items()]
         yield Diagnostic(Kind.CORRELATED_ESTIMATES, tuple(dict.fromkeys(name for pair in pairs for name in pair)),

@@ -239,10 +239,3 @@ def spread(model: KinematicModel, identified: Observability, by_g: Array) -> Arr
     covariance = np.where(lost[:, None] | lost, 0.0, covariance)
     variance = np.einsum("nik,kl,nil->n", by_own, covariance, by_own, optimize=True)
     return np.where(blurred, np.nan, np.sqrt(np.maximum(variance, 0.0)))
-
-
-def tip_uncertainty(problem: CalibrationProblem, theta: Array, identified: Observability, q: Array) -> Array:
-    """Standard deviation (N,) [m] of the tip's position at joint vectors (N, n), as `spread`."""
-    model = problem.model
-    by_g = model.over(model.observed_jacobians, theta[: len(model.parameters)], q, np.zeros(3))[1][:, :3]
-    return spread(model, identified, by_g)

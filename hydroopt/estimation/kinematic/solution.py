@@ -19,6 +19,9 @@ from hydroopt.spatial.inertia import Array
 JOINT, HIERARCHICAL = "joint", "hierarchical"
 METHODS = (JOINT, HIERARCHICAL)
 
+CORRELATED = 0.95
+"""Correlation from which on two estimates count as hardly separated."""
+
 
 @dataclass(frozen=True, eq=False, repr=False)
 class KinematicSolution:
@@ -114,3 +117,11 @@ class KinematicSolution:
         """For each free parameter the one with the strongest correlation to it, and that correlation."""
         found = {name: self.observability.strongest(k) for k, name in enumerate(self.observability.names)}
         return {name: pair for name, pair in found.items() if np.isfinite(pair[1])}
+
+    @cached_property
+    def correlated_pairs(self) -> dict[tuple[str, str], float]:
+        """Pairs that are hardly separated, at least one of them geometry, with their correlations, strongest first."""
+        geometry = self.problem.model.parameters.positions
+        pairs = {(min(name, other), max(name, other)): r for name, (other, r) in self.correlations.items()
+                 if abs(r) > CORRELATED and (name in geometry or other in geometry)}
+        return dict(sorted(pairs.items(), key=lambda item: -abs(item[1])))

@@ -50,6 +50,11 @@ class Basis(ABC):
     def names(self) -> tuple[str, ...]:
         """Of the coefficients of a joint."""
 
+    @property
+    @abstractmethod
+    def text(self) -> str:
+        """What it is, in a few words."""
+
     @abstractmethod
     def expressions(self, t: ca.SX) -> tuple[ca.SX, ca.SX, ca.SX]:
         """The functions and their derivatives (m, 1) at a time t, constant before the start and after the end.
@@ -94,6 +99,11 @@ class Fourier(Basis):
     def fastest(self) -> float:
         """The highest frequency [Hz]: of the series, or of a blend, which is half a period at least."""
         return max(self.harmonics / self.period, 1 / (2 * self.blend) if self.blend > 0 else 0.0)
+
+    @property
+    def text(self) -> str:
+        """Harmonics, period and repetitions."""
+        return f"{self.harmonics} harmonics of {self.period:.4g} s, {self.repeats}×"
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -150,6 +160,11 @@ class Spline(Basis):
     def fastest(self) -> float:
         """Frequency [Hz] that a spline of these knots carries: half a period takes a stretch or more."""
         return self.pieces / (2 * self.time)
+
+    @property
+    def text(self) -> str:
+        """Number of control points."""
+        return f"spline of {len(self.names)} points"
 
     @property
     def names(self) -> tuple[str, ...]:

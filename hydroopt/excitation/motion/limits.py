@@ -49,7 +49,10 @@ class Limits:
         scale: (m,) of the rows.
         lower, upper: bounds (m,), divided by the scales.
         margin: (n,) force [N, N·m] that each actuator keeps in reserve.
+        back_pressure: [Pa] in the chamber that does not push.
     """
+
+    back_pressure = BACK_PRESSURE
 
     def __init__(self, model: Model, margin: Array | None = None) -> None:
         self.model = model
@@ -142,9 +145,9 @@ class Limits:
             areas = actuator.areas
             for chamber, area, other, sign in zip(actuator.chambers, areas, areas[::-1], (1, -1), strict=True):
                 most = actuator.relief_pressure - margin / area
-                self._add(" ".join(chamber.split(".")), "Pa", (sign * force[k] + other * BACK_PRESSURE) / area,
-                          upper=most if most >= BACK_PRESSURE else -np.inf,  # cannot be satisfied
-                          scale=actuator.relief_pressure, floor=BACK_PRESSURE)
+                self._add(" ".join(chamber.split(".")), "Pa", (sign * force[k] + other * self.back_pressure) / area,
+                          upper=most if most >= self.back_pressure else -np.inf,  # cannot be satisfied
+                          scale=actuator.relief_pressure, floor=self.back_pressure)
 
     def _positions(self) -> None:
         machine, dynamics = self.model.machine, self.model.dynamics

@@ -60,6 +60,13 @@ def test_geometry_sensors_and_limits_stay(calibrated: Machine, noisy_estimate: E
         assert (one.barrel.pin, one.rod.pin, one.areas) == (other.barrel.pin, other.rod.pin, other.areas)
 
 
+def test_experiments_of_a_model_with_other_parameters_are_refused(noisy: IdentificationProblem) -> None:
+    small = Model(noisy.model.machine, actuator_inertia=False)
+    for some in ((noisy.experiments, ()), ((), noisy.validation)):
+        with pytest.raises(ProblemError, match="a model that has other parameters than the problem's"):
+            IdentificationProblem(small, *some, force_std=noisy.force_std)
+
+
 def test_reduced_model_predicts_the_same_after_reloading(noisy: IdentificationProblem) -> None:
     """The links took over what barrels and rods demand, so that these must not be counted again."""
     small = Model(noisy.model.machine, actuator_inertia=False)

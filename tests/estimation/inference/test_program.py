@@ -14,6 +14,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
+from hydroopt.estimation.inference.constraints import Constraint, Named, as_casadi
 from hydroopt.estimation.inference.nlp import nonlinear_program
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.estimation.inference.whitening import gaussian_posterior
@@ -166,3 +167,18 @@ def test_a_problem_prints_as_an_optimisation_model(constrained: IdentificationPr
     assert repr(problem) == ("IdentificationProblem(cat215b: 82 parameters, 2 training logs, loss squares, "
                              "3 constraints)")
     assert "boom_cylinder.sigma" in str(problem.nlp())
+
+
+def test_a_program_in_matrix_symbols_has_empty_parts_of_their_type() -> None:
+    x = ca.MX.sym("x", 2)
+    program = NonlinearProgram(x=x, f=ca.sumsqr(x - 0.5), x_names=("a", "b"), x_units=("m", "m"), x0=np.zeros(2),
+                               lbx=-np.ones(2), ubx=np.ones(2))
+    assert {type(part) for part in program.as_dict().values()} == {ca.MX}
+    np.testing.assert_allclose(by_hand(program)[0], 0.5, atol=1e-9)
+
+
+def test_several_relations_at_once_are_refused(noisy: IdentificationProblem) -> None:
+    parameters = noisy.parameters
+    both = Constraint("both", lambda p: ca.vertcat(p["boom.m"], p["stick.m"]) <= 3000.0)
+    with pytest.raises(ProblemError, match="constraint 'both': it does not return a relation"):
+        as_casadi(both, Named(parameters, [ca.SX.sym(name) for name in parameters.names].__getitem__))

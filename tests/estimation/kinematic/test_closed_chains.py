@@ -12,7 +12,7 @@ from hydroopt import load_machine
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic import joint, link_by_link
 from hydroopt.estimation.kinematic.calibrate import calibrate
-from hydroopt.estimation.kinematic.observability import linearise, observability, tip_uncertainty
+from hydroopt.estimation.kinematic.observability import linearise, observability, spread
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.estimation.kinematic.residuals import predicted
 from hydroopt.estimation.kinematic.solution import METHODS
@@ -397,7 +397,8 @@ def test_tip_uncertainty_is_the_scatter_of_the_tip(model: KinematicModel, machin
     problem = held(calibration_problem(machine, read(model, closed, None), priors=False))
     seen = observability(problem, linearise(problem, problem.start, problem.angles(problem.start, closed[0])))
     at = closed[0][:3]
-    stated = tip_uncertainty(problem, problem.start, seen, at)
+    by_geometry = model.over(model.observed_jacobians, model.parameters.nominal, at, np.zeros(3))[1][:, :3]
+    stated = spread(model, seen, by_geometry)
     rng = np.random.default_rng(0)
     draws = rng.multivariate_normal(np.zeros(len(seen.names)), seen.covariance, 4000, method="eigh")
     own = [model.parameters.names.index(name) for name in seen.names if name in model.parameters.names]
