@@ -38,6 +38,8 @@ class Compiler:
     def compile(self, source: str, folder: Path) -> Path:
         """A shared library of C `source`, in `folder`, which also takes the compiler's temporary files.
 
+        The compiler works there, since linkers look for some libraries in their working directory.
+
         Raises:
             OSError: the compiler cannot be started.
             subprocess.SubprocessError: it fails or exceeds its time limit.
@@ -45,7 +47,7 @@ class Compiler:
         built = folder / "kernel.so"
         command = (*self.command, *FLAGS, "-x", "c", "-", "-o", str(built), *self.libraries)
         try:
-            _run(command, source.encode(), COMPILING, {**os.environ, "TMPDIR": str(folder)})
+            _run(command, source.encode(), COMPILING, folder)
         except subprocess.TimeoutExpired:
             self.hangs = True
             raise
@@ -57,7 +59,8 @@ def compiler() -> Compiler | None:
     """``$CC``, ``cc``, ``gcc`` or ``clang``; None, with a notice, where none of them works."""
     for stated in filter(None, (os.environ.get("CC"), "cc", "gcc", "clang")):
         try:
-            command = tuple(shlex.split(stated)) or (stated,)
+            program, *options = shlex.split(stated) or [stated]
+            command = (os.path.abspath(program) if os.path.dirname(program) else program, *options)
             macros = _run((*command, *FLAGS[:2], "-dM", "-E", "-x", "c", "-"), b"#include <math.h>\n", PROBING)
             return Compiler(command, macros)
         except (OSError, ValueError, subprocess.SubprocessError) as error:
@@ -67,11 +70,12 @@ def compiler() -> Compiler | None:
     return None
 
 
-def _run(command: tuple[str, ...], given: bytes, seconds: float, environment: dict[str, str] | None = None) -> bytes:
+def _run(command: tuple[str, ...], given: bytes, seconds: float, folder: Path | None = None) -> bytes:
     """Standard output of a command; it and all processes that it started are ended after `seconds`, and by Ctrl-C."""
+    environment = None if folder is None else {**os.environ, "TMPDIR": str(folder)}
     group = {"process_group": 0} if os.name == "posix" else {}
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                          env=environment, **group) as running:  # type: ignore[call-overload]
+                          env=environment, cwd=folder, **group) as running:  # type: ignore[call-overload]
         try:
             out, said = running.communicate(given, seconds)
         except BaseException:

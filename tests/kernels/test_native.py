@@ -219,6 +219,17 @@ def test_a_compiler_that_hangs_is_ended_with_all_that_it_started(folder: Path, c
     assert not list(folder.iterdir())
 
 
+def test_a_compiler_finds_nothing_in_the_working_directory(folder: Path, compiled: list[Path],
+                                                           monkeypatch: pytest.MonkeyPatch) -> None:
+    """GNU's linker would look for libgcc_s.so.1 there; a compiler's own path may be relative to it."""
+    where = folder.parents[1] / "where"
+    command = Path(script(folder, f'pwd >{where}; exec cc "$@"'))
+    monkeypatch.chdir(command.parent)
+    monkeypatch.setenv("CC", f"./{command.name}")
+    assert evaluated() == RIGHT
+    assert [Path(line) for line in where.read_text().splitlines()] == compiled
+
+
 def test_a_compiler_that_fails_says_why_without_control_characters(folder: Path, monkeypatch: pytest.MonkeyPatch,
                                                                    caplog: pytest.LogCaptureFixture) -> None:
     monkeypatch.setenv("CC", script(folder, r"printf 'out of\n\033[2Jmemory' >&2; exit 1"))
