@@ -1,10 +1,17 @@
 """The errors of hydroopt: each message is one sentence that states what is wrong, where, and what to do."""
 
+LONGEST = 299
+"""Characters of the longest sentence; what is quoted in it is shortened."""
+_LONGEST_WORD = 48
+_LEAST = (("what", 110), ("where", 80), ("remedy", 100))
+"""To how many characters the parts of a sentence may be shortened, in the order in which they are."""
+
 
 class HydrooptError(Exception):
     """Base of all errors that a user can cause and correct; `exit_code` is what the command line returns.
 
-    The sentence reads "<where>: <what>; <remedy>.". `where` names the file, key, channel, sample or body.
+    The sentence reads "<where>: <what>; <remedy>.". `where` names the file, key, channel, sample or body. It has at
+    most `LONGEST` characters and none that changes how a terminal shows it, whatever names of the data it quotes.
 
     >>> print(LogError("there is no channel 'boom.q'", where="run.csv", remedy="add a column 'boom.q [deg]'"))
     run.csv: there is no channel 'boom.q'; add a column 'boom.q [deg]'.
@@ -13,8 +20,18 @@ class HydrooptError(Exception):
     exit_code = 2
 
     def __init__(self, what: str, *, where: str, remedy: str) -> None:
-        self.what, self.where, self.remedy = what, where, remedy
-        super().__init__(f"{where}: {what}; {remedy}.")
+        parts = {"what": what, "where": where, "remedy": remedy}
+        room = LONGEST - len(": ; .")
+        if sum(map(len, parts.values())) > room:
+            parts = {name: " ".join(shortened(word, _LONGEST_WORD) for word in part.split(" "))
+                     for name, part in parts.items()}
+        parts = {name: visible(part) for name, part in parts.items()}
+        for name, least in _LEAST:
+            excess = sum(map(len, parts.values())) - room
+            if excess > 0:
+                parts[name] = shortened(parts[name], max(least, len(parts[name]) - excess))
+        self.what, self.where, self.remedy = parts["what"], parts["where"], parts["remedy"]
+        super().__init__(f"{self.where}: {self.what}; {self.remedy}.")
 
 
 class MachineError(HydrooptError):
@@ -83,3 +100,30 @@ class StoppedError(HydrooptError):
     """Ctrl-C ended what can go on later from where it was."""
 
     exit_code = 130
+
+
+def visible(text: str, *, keep: str = "") -> str:
+    """The text with escapes for characters that show nothing, move the cursor or reverse the direction of writing.
+
+    Args:
+        text: may quote anything.
+        keep: characters of these that stay, such as line ends.
+
+    >>> visible("pump\\x1b[2J")
+    'pump\\\\x1b[2J'
+    """
+    if text.isprintable():
+        return text
+    return "".join(c if c.isprintable() or c in keep or c == "\N{NO-BREAK SPACE}" else ascii(c)[1:-1] for c in text)
+
+
+def shortened(text: str, most: int) -> str:
+    """The text, without its middle where it has more than `most` characters.
+
+    >>> shortened("a path that is much too long/run.csv", 20)
+    'a path th…ng/run.csv'
+    """
+    if len(text) <= most:
+        return text
+    head = (most - 1) // 2
+    return f"{text[:head]}…{text[len(text) - (most - 1 - head):]}"

@@ -1,5 +1,6 @@
 """The only place where units are converted; everything inside hydroopt is SI (m, rad, kg, s, N, Pa)."""
 
+import math
 import re
 from functools import cache
 from pathlib import Path
@@ -13,7 +14,16 @@ _registry: "pint.UnitRegistry[float]" = pint.UnitRegistry(Path(__file__).with_na
 _ANGLES = {"radian", "milliradian", "degree", "arcminute", "arcsecond", "grade", "turn", "revolution",
            "revolutions_per_minute", "revolutions_per_second"}
 _COEFFICIENT = {"N*m*s/rad"}  # a friction coefficient may be stated per radian or not
-_ABSURD = re.compile(r"\d{3}|(\^|\*\*)[^*/]*(\^|\*\*)|.{60}")  # pint would compute m^9^9^9 for hours
+_ABSURD = re.compile(r"\d{3}|(\^|\*\*)[^*/]*(\^|\*\*)")  # pint would compute m^9^9^9 for hours
+
+SMALLEST = 1e-60
+"""Smallest magnitude [SI] of a number that is not zero: powers of smaller ones underflow."""
+LARGEST = {"m": 1e8, "rad": 1e6, "s": 1e10, "Hz": 1e6, "kg": 1e9, "N": 1e12, "N*m": 1e12, "Pa": 1e13, "m/s": 1e5,
+           "rad/s": 1e6, "m/s^2": 1e7, "rad/s^2": 1e9}
+"""Largest magnitude by SI unit that a machine file or a log may state: far beyond every machine, so that what is
+computed from it stays finite."""
+LARGEST_OTHERS = 1e15
+"""The same for all other units [SI]."""
 
 _TROUBLE = (pint.errors.PintError, AttributeError, TypeError, ValueError, AssertionError, TokenError, SyntaxError,
             ArithmeticError, LookupError)
@@ -31,7 +41,7 @@ def factor(unit: str, si: str, *, where: str = "unit") -> float:
     Raises:
         UnitError: the unit is unknown or measures something else than `si`.
     """
-    if _ABSURD.search(unit):
+    if len(unit) > 60 or _ABSURD.search(unit):
         raise _wrong(unit, si, where)
     try:
         quantity = _registry.Quantity(1.0, unit)
@@ -57,11 +67,36 @@ def to_si(text: str, si: str, *, where: str) -> float:
     except ValueError:
         raise UnitError(f"'{text:.60}' is not a number followed by a unit", where=where,
                         remedy=f"write it as in \"1.5 {si}\"") from None
-    if si == "1" and unit.strip() in ("", "1"):
-        return value
-    if not unit.strip():
+    if not unit.strip() and si != "1":
         raise UnitError(f"'{text:.60}' has no unit", where=where, remedy=f"add one of the kind of '{si}'")
-    return value * factor(unit.strip(), si, where=where)
+    if unit.strip() not in ("", "1") or si != "1":
+        value *= factor(unit.strip(), si, where=where)
+    if not plausible(value, si):
+        raise UnitError(f"{implausible(value, si)}", where=where, remedy="correct it")
+    return value
+
+
+def largest(si: str) -> float:
+    """Largest magnitude of a quantity in the SI unit `si` that is accepted."""
+    return LARGEST.get(si, LARGEST_OTHERS)
+
+
+def plausible(value: float, si: str) -> bool:
+    """Whether a machine could have this value [`si`].
+
+    >>> plausible(1e308, "Pa"), plausible(3.5e7, "Pa")
+    (False, True)
+    """
+    return value == 0 or SMALLEST <= abs(value) <= largest(si)
+
+
+def implausible(value: float, si: str) -> str:
+    """What is wrong with a value [`si`] that is not `plausible`."""
+    if not math.isfinite(value):
+        return "must be a finite number"
+    unit = "" if si == "1" else f" {si}"
+    return (f"{value:.6g}{unit} is beyond any machine (at most {largest(si):g}{unit})" if abs(value) > 1
+            else f"{value:.6g}{unit} is so small that it must be zero")
 
 
 def same_kind(unit: str, si: str) -> bool:
@@ -84,4 +119,7 @@ def spread_to_si(text: str, like: str, *, where: str) -> float:
     if not same_kind(unit, unit):
         raise UnitError(f"the value's unit '{unit:.40}' is unknown", where=where, remedy="correct it")
     in_unit = to_si(text, unit, where=where)
-    return float(_registry.Quantity(in_unit, unit).to_base_units().magnitude)
+    value = float(_registry.Quantity(in_unit, unit).to_base_units().magnitude)
+    if not plausible(value, ""):
+        raise UnitError(implausible(value, "SI units"), where=where, remedy="correct it")
+    return value

@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parents[1] / "hydroopt"
 
 ROOMS = (
     ("errors", "interrupt", "versions", "matplotlib_import"),
-    ("files", "units"),
+    ("input_file", "files", "units"),
     ("spatial",),
     ("kernels",),
     ("machine",),

@@ -13,13 +13,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from hydroopt.units import UnitError, factor, same_kind, spread_to_si, to_si
+from hydroopt.units import LARGEST, LARGEST_OTHERS, SMALLEST, UnitError, factor, same_kind, spread_to_si, to_si
 from hydroopt.units import _registry as ours
 
 UNITS = [("mm", "m", 1e-3), ("in", "m", 0.0254), ("deg", "rad", math.pi / 180), ("rpm", "rad/s", math.pi / 30),
          ("bar", "Pa", 1e5), ("psi", "Pa", 6894.757293168), ("L/min", "m^3/s", 1 / 60000), ("t", "kg", 1000.0),
          ("kN*m", "N*m", 1000.0), ("cm^2", "m^2", 1e-4), ("%", "1", 0.01), ("ms", "s", 1e-3), ("m", "m", 1.0)]
-FINITE = st.floats(allow_nan=False, allow_infinity=False)
+FINITE = st.floats(-1e4, 1e4, allow_subnormal=False).filter(lambda x: x == 0 or abs(x) > 1e-50)
 
 
 @given(value=FINITE, unit=st.sampled_from(UNITS))
@@ -51,7 +51,20 @@ def test_any_text_is_a_number_or_is_refused_with_its_place(text: str, si: str) -
     assert isinstance(found, float) or (found.where == "boom.a" and found.remedy)
 
 
-@given(value=st.floats(0, 1e6), unit=st.sampled_from(UNITS))
+@pytest.mark.parametrize("si", [*LARGEST, "m^2", "1"])
+def test_numbers_beyond_any_machine_are_refused(si: str) -> None:
+    """Products of what passes stay finite, and quotients too."""
+    most = LARGEST.get(si, LARGEST_OTHERS)
+    for text in (f"{most!r}", f"{-most!r}", f"{SMALLEST!r}", "0", "-0.0", f"{most / 7!r}"):
+        assert to_si(f"{text} {si}", si, where="here") == float(text)
+    for text in ("inf", "-inf", "nan", "1e308", "1e309", "-1e200", f"{1.01 * most!r}", "1e-61", "-5e-324", "1" * 309):
+        with pytest.raises(UnitError, match=r"^here: .*; correct it\.$") as caught:
+            to_si(f"{text} {si}", si, where="here")
+        assert len(str(caught.value)) < 120
+    assert math.isfinite(max(*LARGEST.values(), LARGEST_OTHERS) ** 4 / SMALLEST ** 4)
+
+
+@given(value=FINITE.map(abs), unit=st.sampled_from(UNITS))
 def test_an_uncertainty_is_of_the_kind_of_its_value(value: float, unit: tuple[str, str, float]) -> None:
     name, si, _ = unit
     spread = spread_to_si(f"{value!r} {name}", f"3 {name}", where="here")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import hashlib
-import re
 from pathlib import Path
 from typing import NamedTuple
 
 from hydroopt.errors import ProblemError
+from hydroopt.input_file import is_directory
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import bundled, load_machine
 from hydroopt.results import json_file
@@ -29,14 +29,12 @@ def read(source: str, *, parameter_set: str | None = None) -> tuple[Machine, Ori
         ProblemError: the folder holds no estimate, one that failed, or no calibrated machine.
     """
     folder = Path(source)
-    if source in bundled() or not folder.is_dir():
+    if source in bundled() or not is_directory(folder):
         machine = load_machine(source, parameter_set=parameter_set)
         return machine, Origin(f"nominal values of the machine {machine.name}", machine.sha256)
     if parameter_set is not None:
         raise ProblemError("an estimate has one set of parameters", where="--set", remedy="leave it out")
     answer = load(folder)
-    if not re.fullmatch(r"[A-Za-z]\w{0,199}", answer.machine_name, re.ASCII):
-        raise json_file.not_an_answer(folder)
     file = json_file.find(folder)
     if answer.status is Status.FAILED:
         raise ProblemError("the estimate failed, so that there is nothing to export", where=str(file),

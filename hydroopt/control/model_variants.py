@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import json
+import os
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 
 from hydroopt.errors import ProblemError
+from hydroopt.input_file import read_json
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.results.answer import load
@@ -98,11 +99,10 @@ def truth(source: str, plant: Plant, *, seed: int) -> Truth:
     if source == "random":
         return Truth(ModelVariant(TRUE, "drawn from the confidences of the machine file", model,
                                simulate.random_truth(model, seed)), theta)
-    file = Path(source)
-    if not file.is_file():
+    if not os.path.isfile(source):
         raise ProblemError(f"'{source}' is not a truth", where="--truth",
                            remedy="use nominal, random, or the truth.json that simulate wrote")
-    content = _read(file)
+    content = read_json(source, ProblemError)
     values, machine = content.get("parameters"), content.get("machine")
     names = model.parameters.names
     try:
@@ -116,13 +116,3 @@ def truth(source: str, plant: Plant, *, seed: int) -> Truth:
     if not (np.all(np.isfinite(psi)) and np.all(np.isfinite(theta))):
         raise ProblemError("a true parameter is not a number", where=source, remedy="simulate again")
     return Truth(ModelVariant(TRUE, "the truth of a simulated log", model, psi), theta)
-
-
-def _read(file: Path) -> dict[str, Any]:
-    try:
-        content = json.loads(file.read_bytes())
-    except (OSError, ValueError, RecursionError):
-        content = None
-    if not isinstance(content, dict):
-        raise ProblemError("this file cannot be read as JSON", where=str(file), remedy="run simulate again")
-    return content

@@ -1,13 +1,22 @@
 """Headers `name [unit]` of the columns of a file, CSV or Parquet: which channel a column holds, in which unit."""
 
-import re
-
 from hydroopt.errors import LogError
 from hydroopt.logs.channels import si_unit
 from hydroopt.logs.column_map import ColumnMap, Labels, LogMap, TextColumn
 from hydroopt.units import UnitError
 
-_HEADER = re.compile(r"^(?P<name>[^\[\]]*?)\s*(?:\[(?P<unit>[^\[\]]*)\])?$")
+
+def parts_of(header: str) -> tuple[str, str | None]:
+    """Name and unit of a header `name [unit]`; the header itself and None of any other.
+
+    >>> parts_of("boom.q [deg]"), parts_of("boom.q")
+    (('boom.q', 'deg'), ('boom.q', None))
+    """
+    header = header.strip()
+    name, found, rest = header.partition("[")
+    if not found or "]" in name or not rest.endswith("]") or "[" in rest or "]" in rest[:-1]:
+        return header, None
+    return name.rstrip(), rest[:-1]
 
 
 def map_of_header(header: list[str], where: str, *, poses: bool = False) -> tuple[LogMap, tuple[str, ...]]:
@@ -23,8 +32,7 @@ def map_of_header(header: list[str], where: str, *, poses: bool = False) -> tupl
     labels: dict[str, TextColumn] = {}
     ignored: list[str] = []
     for index, text in enumerate(header):
-        match = _HEADER.match(text.strip())
-        name, unit = (match["name"], match["unit"]) if match else (text.strip(), None)
+        name, unit = parts_of(text)
         here = f"{where}, column {index + 1} '{text.strip()}'"
         if name in columns or name in labels:
             raise LogError(f"{'channel' if name in columns else 'label'} '{name}' occurs twice", where=here,

@@ -1,9 +1,8 @@
 """A column map: a TOML file that says which columns of a file with other headers are which channels."""
 
 import re
-import tomllib
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import (
     BaseModel,
@@ -16,6 +15,7 @@ from pydantic import (
 )
 
 from hydroopt.errors import HydrooptError, LogError
+from hydroopt.input_file import read_text, toml
 from hydroopt.logs.channels import si_unit
 from hydroopt.units import to_si
 
@@ -149,13 +149,7 @@ def read_map(path: str | Path, *, poses: bool = False) -> LogMap:
         LogError: the file is missing, is not TOML, or a key is unknown, missing or of the wrong kind.
     """
     where = str(path)
-    try:
-        data: dict[str, Any] = tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except OSError as error:
-        raise LogError(f"the map cannot be read ({error.strerror or error})", where=where,
-                       remedy="give the path of a TOML file") from None
-    except (ValueError, RecursionError) as error:  # a ValueError is bad TOML, no text or a number of a thousand digits
-        raise LogError(f"the map is not TOML ({error})", where=where, remedy="correct that line") from None
+    data = toml(read_text(path, LogError, noun="map"), LogError, where=where)
     try:
         layout = LogMap.model_validate(data)
     except ValidationError as error:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
@@ -10,7 +9,7 @@ import numpy as np
 
 from hydroopt.errors import LogError
 from hydroopt.logs.channels import si_unit
-from hydroopt.logs.column_headers import map_of_header
+from hydroopt.logs.column_headers import map_of_header, parts_of
 from hydroopt.logs.column_map import Labels, LogMap, TextColumn
 from hydroopt.logs.table import Array, Table, in_si
 
@@ -46,7 +45,7 @@ def columns_of_frame(frame: pd.DataFrame, units: Mapping[str, str] | None, where
     series = [frame.iloc[:, k] for k in range(len(names))]
     moments = _moments(frame.index)
     if moments is not None:
-        if any(_bare(name) == "t" for name in names):
+        if any(parts_of(name)[0] == "t" for name in names):
             raise LogError("the time is stated both in a column and in the index", where=where,
                            remedy="remove one, for example with frame.reset_index(drop=True)")
         names, series = ["t", *names], [moments, *series]
@@ -54,7 +53,7 @@ def columns_of_frame(frame: pd.DataFrame, units: Mapping[str, str] | None, where
     for k, name in enumerate(names):
         if (moment := _moments(series[k])) is not None:
             series[k] = moment
-            header.append(f"{_bare(name)} [s]")
+            header.append(f"{parts_of(name)[0]} [s]")
         else:
             header.append(_header(name, stated.pop(name, None), where, poses=poses))
     if stated:
@@ -92,13 +91,9 @@ def refuse_others(given: object, kinds: tuple[type, ...], noun: str, where: str)
         raise LogError(f"this is one {noun}, not a list", where=where, remedy=f"put the {noun} in brackets")
 
 
-def _bare(name: str) -> str:
-    return re.sub(r"\s*\[[^\[\]]*\]$", "", name)
-
-
 def _header(name: str, unit: str | None, where: str, *, poses: bool) -> str:
     """The header `name [unit]` of a column; labels and columns that are no channels have no unit."""
-    if name != _bare(name):
+    if name != parts_of(name)[0]:
         if unit is not None:
             raise LogError(f"column '{name}' has a unit in its name and '{unit}' in units", where=where,
                            remedy="state it once")

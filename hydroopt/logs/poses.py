@@ -148,6 +148,7 @@ class Poses:
         (2, ['low', 'low'], 'rad')
         """
         table, layout, _, values, si = columns_of_frame(frame, units, name, poses=True)
+        refuse_damage(table.damage, table.rows, name)
         stage, fixture, pose = _labels(layout, table, {})
         return cls(name, stage, fixture, pose, t=values.pop("t", np.empty(0)), channels=values, units=si)
 
@@ -213,8 +214,8 @@ def read_poses(path: str | Path, *, mapping: LogMap | str | Path | None = None) 
         layout, _ = map_of_header(file.header, where, poses=True)
     labels = [label for _, label in layout.labels or Labels()]
     table = file.read(layout.keys, [label.column for label in labels if isinstance(label, TextColumn)])
-    refuse_damage(table.damage, table.rows, where)
     values, units = in_si(layout, table, where)
+    refuse_damage(table.damage, table.rows, where)
     if not units:
         raise LogError("there is no channel", where=where, remedy="add columns such as 'boom.q [deg]' or 'tip.x [m]'")
     words = {"folder": Path(path).absolute().parent.name, "file": Path(path).stem}

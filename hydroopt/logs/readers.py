@@ -16,7 +16,6 @@ from hydroopt.logs.column_map import Key, LogMap
 from hydroopt.logs.matlab import MatFile
 from hydroopt.logs.table import Array, RawKey, Table, check_size, find_column, refuse_damage, selected, unreadable
 
-_IMPLAUSIBLE = 1e30
 BATCH = 2**16
 """Rows decoded at a time, and bytes read at a time, of a Parquet file that is read in pieces."""
 
@@ -99,8 +98,6 @@ class CsvFile:
                                f"{rows[good[bad]]}, column {position + 1} {name}", remedy=
                                "correct the cell, or select sound rows with 'rows = [first, last]' in a map")
             values[good] = cells
-            for row in rows[np.abs(np.where(np.isfinite(values), values, 0)) > _IMPLAUSIBLE]:
-                damage.setdefault(int(row), "numbers beyond 1e30")
             columns[key] = values
         return Table(columns, rows, damage, self._texts(texts, sound, width, np.array(good, int), rows.size))
 

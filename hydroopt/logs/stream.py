@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import os
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
@@ -18,7 +19,7 @@ from hydroopt.logs.log import Log, full_layout, given_layout, left_out, read_log
 from hydroopt.logs.quality import Finding
 from hydroopt.logs.readers import ParquetFile
 from hydroopt.logs.spline import MIN_SAMPLES, Grid
-from hydroopt.logs.table import FORMATS, in_si
+from hydroopt.logs.table import FORMATS, in_si, refuse_damage
 from hydroopt.logs.treatment import Samples, choose, treat
 
 Array = NDArray[np.float64]
@@ -138,6 +139,7 @@ class LogStream:
             "columns": {name: column for name, column in self.layout.columns.items() if name in wanted}})
         for table in ParquetFile(Path(self.path), self.path, self.layout).pieces(layout.keys, ranges):
             values, _ = in_si(layout, table, self.path)
+            refuse_damage(table.damage, table.rows, self.path)
             yield Samples(values.pop("t"), values, table.rows)
 
     @cached_property
@@ -239,7 +241,7 @@ def open_log(path: str | Path, *, mapping: LogMap | str | Path | None = None,
     """
     layout = given_layout(mapping, str(path))
     kind = (layout.format if layout else None) or FORMATS.get(Path(path).suffix.lower())
-    if kind == "parquet" and Path(path).is_file() and Path(path).stat().st_size:
+    if kind == "parquet" and os.path.isfile(path) and os.path.getsize(path):
         file = ParquetFile(Path(path), str(path), layout)
         if file.meta.num_rows > STREAMED and (rows := file.selected)[1] - rows[0] >= STREAMED:
             return stream(path, mapping=layout, treatment=treatment, limits=limits)

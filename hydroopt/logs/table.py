@@ -13,9 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hydroopt.errors import LogError
+from hydroopt.input_file import read_bytes
 from hydroopt.logs.channels import si_unit
 from hydroopt.logs.column_map import Key, LogMap
-from hydroopt.units import factor
+from hydroopt.units import factor, largest
 
 Array = NDArray[np.float64]
 RawKey = Key | tuple[str, int | None]
@@ -49,26 +50,19 @@ def load(path: str | Path, declared: str | None) -> tuple[bytes, str, str]:
     """
     file, where = Path(path), str(path)
     kind = declared or FORMATS.get(file.suffix.lower())
-    if not file.exists():
-        raise LogError("there is no such file", where=where, remedy="check the path")
-    if not file.is_file():
-        raise LogError("this is a directory or device, not a file", where=where, remedy="name one log file")
-    if kind is None:
+    if kind is None and os.path.isfile(file):
         raise LogError(f"'{file.suffix}' is not a kind of log that can be read", where=where,
                        remedy=f"use {', '.join(FORMATS)} or state 'format' in a map")
-    if (size := file.stat().st_size) > FILE_LIMIT:
+    size = os.path.getsize(file) if os.path.isfile(file) else 0
+    if size > FILE_LIMIT:
         raise LogError(f"the file has {size / 1e9:.1f} GB", where=where,
                        remedy="convert it to Parquet, which is read in pieces, or split it into parts below 2 GiB")
     if kind == "csv" and (need := EXPANSION * size) > (have := _memory()):
         raise LogError(f"the text of {size / 1e9:.1f} GB takes about {need / 1e9:.0f} GB of memory, of which there are "
                        f"{have / 1e9:.0f} GB", where=where,
                        remedy="convert it to Parquet, which is read in pieces, or split it")
-    try:
-        data = file.read_bytes()
-    except OSError as error:
-        raise LogError(f"the file cannot be read ({error.strerror})", where=where,
-                       remedy="check its permissions") from None
-    if not data.strip():
+    data = read_bytes(file, LogError, most=FILE_LIMIT, noun="log file")
+    if not data.strip() or kind is None:
         raise LogError("the file is empty", where=where, remedy="record it again")
     return data, hashlib.sha256(data).hexdigest(), kind
 
@@ -82,15 +76,21 @@ def _memory() -> float:
 
 
 def in_si(layout: LogMap, table: Table, where: str) -> tuple[dict[str, Array], dict[str, str]]:
-    """Channels (N,) of a map in SI, the time `t` among them, and the SI unit of each but the time."""
+    """Channels (N,) of a map in SI, the time `t` among them, and the SI unit of each but the time.
+
+    Rows with numbers beyond any machine become part of the table's damage.
+    """
     values: dict[str, Array] = {}
     units: dict[str, str] = {}
     for name, column in layout.columns.items():
         si = si_unit(name, column.unit)
         raw = [table.columns[key] for key in column.keys]
-        difference = raw[0] if len(raw) == 1 else raw[0] - raw[1]
         with np.errstate(over="ignore", invalid="ignore"):
+            difference = raw[0] if len(raw) == 1 else raw[0] - raw[1]
             values[name] = column.factor * factor(column.unit, si) * difference + column.shift(si, where)
+        stated = np.all(np.isfinite(raw), axis=0)
+        for row in table.rows[stated & ~(np.abs(values[name]) <= largest(si))]:
+            table.damage.setdefault(int(row), f"{name} beyond {largest(si):g} {si}")
         units[name] = si
     return values, {name: unit for name, unit in units.items() if name != "t"}
 

@@ -6,12 +6,12 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
-from difflib import get_close_matches
 from typing import Any, Self
 
 from pydantic import ModelWrapValidatorHandler, ValidationError, model_validator
 
 from hydroopt.errors import MachineError
+from hydroopt.input_file import similar
 from hydroopt.machine import addresses
 from hydroopt.machine.actuators import Cylinder, Drive, Motor
 from hydroopt.machine.description import BASE, MachineDescription
@@ -232,7 +232,7 @@ class Machine(MachineDescription):
         known, where = self.numbers, f"machine '{self.name}'"
         for name in (*values, *(notes or {})):
             if name not in known:
-                close = get_close_matches(name, known, n=3) or list(known)[:3]
+                close = similar(name, known)
                 raise MachineError(f"no number has the address '{name}'", where=where,
                                    remedy=f"did you mean {' or '.join(close)}")
         data = self.model_dump(exclude={"notes"})

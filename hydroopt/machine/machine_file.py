@@ -7,7 +7,6 @@ adds its confidence (``sigma`` absolute or in %), bounds (``lower``, ``upper``) 
 from __future__ import annotations
 
 import math
-import tomllib
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -17,6 +16,7 @@ import tomlkit
 from pydantic import BaseModel, ValidationError
 
 from hydroopt.errors import MachineError
+from hydroopt.input_file import read_text, toml
 from hydroopt.machine import cylinder_checks, prior_checks
 from hydroopt.machine.actuators import Cylinder, TorqueFriction
 from hydroopt.machine.links import Joint, JointFriction, Note
@@ -72,13 +72,7 @@ def load_machine(machine: str | Path, *, parameter_set: str | None = None) -> Ma
     if path.suffix != ".toml":
         raise MachineError("this is neither a bundled machine nor a .toml or .urdf file", where=name,
                            remedy=f"name a .toml or .urdf file or one of {', '.join(bundled())}")
-    try:
-        text = path.read_text("utf-8-sig")
-    except UnicodeDecodeError:
-        raise MachineError("the file is not text", where=name, remedy="give a TOML file in UTF-8") from None
-    except OSError as error:
-        raise MachineError(f"cannot be read ({error.strerror})", where=name, remedy="check the path") from None
-    return read_machine(text, where=name, parameter_set=parameter_set)
+    return read_machine(read_text(path, MachineError, noun="machine file"), where=name, parameter_set=parameter_set)
 
 
 def read_machine(text: str, *, where: str = "machine", parameter_set: str | None = None) -> Machine:
@@ -99,12 +93,7 @@ def read_machine(text: str, *, where: str = "machine", parameter_set: str | None
     >>> machine
     Machine('pendulum': 1 joint, 1 drive)
     """
-    if "\0" in text:
-        raise MachineError("the file is not text", where=where, remedy="give a TOML file in UTF-8")
-    try:
-        data: dict[str, Any] = tomllib.loads(text)
-    except (ValueError, RecursionError) as error:  # a ValueError is bad TOML or a number of a thousand digits
-        raise MachineError(f"is not valid TOML ({error})", where=where, remedy="correct that line") from None
+    data = toml(text, MachineError, where=where)
     if not data:
         raise MachineError("the file is empty", where=where, remedy="describe a machine in it")
     if "notes" in data:
@@ -272,7 +261,7 @@ def _in_plain_words(error: ValidationError, data: dict[str, Any]) -> tuple[str, 
         known = sorted({key for noun in Noun.__subclasses__() for key in noun.model_fields})
         if first["loc"][-1] in known:
             return "this key has no meaning here", place, "remove it"
-        like = get_close_matches(str(first["loc"][-1]), known, 1, 0.75)
+        like = get_close_matches(str(first["loc"][-1])[:80], known, 1, 0.75)
         better = f"write '{like[0]}'" if like else "correct its spelling"
         return "this key is unknown", place, f"{better} or remove it"
     said = str(node if isinstance(node, bool | int | float | str) else first["input"])

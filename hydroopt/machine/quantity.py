@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Annotated, Any
 
 from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationInfo
 
-from hydroopt.units import UnitError, to_si
+from hydroopt.units import UnitError, implausible, plausible, to_si
 
 CHANNEL_UNITS = {"q": ("rad", "m"), "qd": ("rad/s", "m/s"), "qdd": ("rad/s^2", "m/s^2"), "tau": ("N*m", "N"),
                  "length": ("m",), "force": ("N",), "p_head": ("Pa",), "p_rod": ("Pa",), "p_a": ("Pa",), "p_b": ("Pa",),
@@ -66,6 +67,9 @@ class Quantity:
             raise ImpossibleError(f"{str(value).lower()} is not a number", "write a number with its unit")
         if self.si != "1" and isinstance(value, int | float) and (info.context or {}).get("from_file"):
             raise ImpossibleError(f"{value:.9g} has no unit", f"write it as \"{value:.9g} {self.si}\"")
+        if (isinstance(value, int | float) and (info.context or {}).get("from_file") and math.isfinite(value)
+                and not plausible(value, self.si)):
+            raise ImpossibleError(implausible(value, self.si), "correct it")
         return value
 
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Iterable, Sequence
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Literal, NamedTuple
 from xml.etree import ElementTree
@@ -17,6 +16,7 @@ from xml.etree import ElementTree
 import numpy as np
 
 from hydroopt.errors import MachineError
+from hydroopt.input_file import JSON_LIMIT, read_text, similar
 from hydroopt.machine.actuators import Drive
 from hydroopt.machine.links import Body, Joint, Link
 from hydroopt.machine.machine import BASE, Machine
@@ -24,7 +24,7 @@ from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 
 _NEARLY_PARALLEL = math.sin(math.radians(2))
-_LARGEST = 1e12  # products of larger numbers overflow
+_LARGEST = 1e9
 _NO = (0.0, 0.0, 0.0)
 _NONE = ""  # stands for the joint that carries the root; a URDF joint may well be called "base"
 _TYPES: dict[str, Literal["revolute", "prismatic"]] = {
@@ -270,14 +270,10 @@ class _Node:
 def _xml(file: str) -> ElementTree.Element:
     """The <robot> of a file."""
     try:
-        text = Path(file).read_text("utf-8-sig")
+        text = read_text(file, MachineError, noun="URDF file", most=JSON_LIMIT)
         if "<!DOCTYPE" in text or "<!ENTITY" in text:  # a few lines of entities can expand to gigabytes
             raise MachineError("it declares a document type or entities", where=file, remedy="remove <!DOCTYPE ...>")
         root = ElementTree.fromstring(text)
-    except OSError as error:
-        raise MachineError(f"cannot be read ({error.strerror})", where=file, remedy="check the path") from None
-    except ValueError:
-        raise MachineError("the file is not text", where=file, remedy="give a URDF file in UTF-8") from None
     except ElementTree.ParseError as error:
         raise MachineError(f"is not valid XML ({error})", where=file, remedy="correct that line") from None
     if root.tag != "robot":
@@ -374,7 +370,7 @@ def _named(name: str, taken: set[str], prefix: str = "joint") -> str:
 
 def _like(name: str, known: Iterable[str]) -> str:
     """Known names that resemble one, or the first ones."""
-    return " or ".join(get_close_matches(name, list(known), 4) or list(known)[:4])
+    return " or ".join(similar(name, known, 4))
 
 
 def _pose(rotation: Array, origin: Sequence[float] | Array = _NO) -> Array:

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cached_property
 
 import numpy as np
 
 from hydroopt.errors import ProblemError
+from hydroopt.input_file import similar
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.spatial.inertia import Array
 
@@ -95,7 +95,7 @@ class ParameterSet:
         try:
             return self.positions[name]
         except KeyError:
-            close = get_close_matches(name, self.names, n=3) or list(self.names[:3])
+            close = similar(name, self.names)
             raise ProblemError("no parameter has this name", where=f"parameter '{name}'",
                                remedy=f"did you mean {' or '.join(close)}") from None
 

@@ -158,7 +158,8 @@ class SavedAnswer(Answer):
 
     def __init__(self, directory: Path, saved: Mapping[str, Any]) -> None:
         self.directory, self.saved, self.job = directory, saved, json_file.Job(saved["job"])
-        self._status = Status(saved["status"])
+        self._status, self._method = Status(saved["status"]), str(saved["method"])
+        self._inputs = tuple(dict(entry) for entry in saved["inputs"])
         self._diagnostics = tuple(Diagnostic.from_dict(entry) for entry in saved.get("diagnostics", ()))
         self._findings = tuple(Diagnostic.from_dict(entry) for entry in saved.get("findings", ()))
         self._parameters = ParameterTable.from_dicts(saved.get("parameters", ()))
@@ -173,7 +174,7 @@ class SavedAnswer(Answer):
     @property
     def method(self) -> str:
         """How it was computed."""
-        return str(self.saved["method"])
+        return self._method
 
     @property
     def status(self) -> Status:
@@ -208,7 +209,7 @@ class SavedAnswer(Answer):
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:
         """The files it is from."""
-        return tuple(self.saved["inputs"])
+        return self._inputs
 
     @property
     def machine_file(self) -> Path | None:
@@ -245,5 +246,5 @@ def load(directory: str | Path) -> SavedAnswer:
     content = json_file.read(folder)
     try:
         return SavedAnswer(folder, content)
-    except (KeyError, ValueError, TypeError, AttributeError):
+    except (LookupError, ValueError, TypeError, AttributeError, ArithmeticError):
         raise json_file.not_an_answer(folder) from None

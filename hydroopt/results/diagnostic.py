@@ -58,9 +58,11 @@ class Diagnostic:
         """The diagnostic that `as_dict` wrote.
 
         Raises:
-            ValueError, KeyError: this is not such an entry.
+            ValueError, LookupError, TypeError, AttributeError: this is not such an entry.
         """
-        return cls(Kind(entry["kind"]), tuple(entry["subject"]), dict(entry["evidence"]))
+        found = cls(Kind(entry["kind"]), tuple(map(str, entry["subject"])), dict(entry["evidence"]))
+        _ = str(found)  # the evidence is complete
+        return found
 
 
 def listed(names: Sequence[str], most: int = NAMED) -> str:

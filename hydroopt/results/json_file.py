@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import re
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
 from enum import StrEnum
@@ -12,11 +13,14 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hydroopt.errors import HydrooptError, ProblemError
 from hydroopt.files import write_files
+from hydroopt.input_file import read_json, read_text
 from hydroopt.versions import versions
 
 if TYPE_CHECKING:
     from hydroopt.machine.machine import Machine
 
+TABLE_LIMIT = 256 * 1000**2
+"""Largest file beside the JSON file that is read [bytes]."""
 SCHEMA = 2
 """Version of the JSON files; it changes when a key changes its meaning or goes."""
 
@@ -101,7 +105,8 @@ def forget(directory: str | Path, machine_name: str) -> None:
 def text_files(directory: Path, job: Job, machine_name: str) -> dict[str, str]:
     """The files that stand beside an answer's JSON file."""
     names = [name for name in (*TABLES, f"{machine_name}.toml") if name.endswith((".csv", ".txt", ".toml", ".html"))]
-    return {name: (directory / name).read_text(encoding="utf-8") for name in names if (directory / name).is_file()}
+    return {name: read_text(directory / name, ProblemError, noun="file of the answer", most=TABLE_LIMIT)
+            for name in names if (directory / name).is_file()}
 
 
 def find(directory: Path) -> Path:
@@ -125,17 +130,18 @@ def read(directory: Path) -> dict[str, Any]:
     """
     file = find(directory)
     try:
-        content = json.loads(file.read_bytes())
+        content = read_json(file, ProblemError)
         schema = content["schema"]
         known = {"job", "status"} <= content.keys() and {*MachineId._fields} <= content["machine"].keys()
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        known = known and re.fullmatch(r"[A-Za-z]\w{0,199}", content["machine"]["name"], re.ASCII) is not None
+    except (ProblemError, KeyError, TypeError, AttributeError):
         raise not_an_answer(directory) from None
     if schema != SCHEMA:
         raise ProblemError(f"its schema is {schema!r}, and this version of hydroopt reads {SCHEMA}", where=str(file),
                            remedy="run the command again with this version")
     if not known:
         raise not_an_answer(directory)
-    return dict(content)
+    return content
 
 
 def not_an_answer(directory: Path) -> ProblemError:

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass
 from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 from hydroopt.errors import ProblemError
+from hydroopt.input_file import similar
 from hydroopt.results.tables import csv_text, number, with_limits
 
 if TYPE_CHECKING:
@@ -63,9 +64,12 @@ class ParameterRow:
         Raises:
             ValueError, KeyError, TypeError: this is not such an entry.
         """
-        values = {field.name: entry[field.name] for field in fields(cls)}
-        low_high = values["ci95"]
-        return cls(**values | {"ci95": None if low_high is None else (float(low_high[0]), float(low_high[1]))})
+        words: dict[str, Any] = {key: str(entry[key]) for key in ("name", "kind", "unit", "identifiability")}
+        numbers: dict[str, Any] = {key: None if entry[key] is None else float(entry[key])
+                   for key in ("nominal", "prior_std", "value", "std")}
+        bound, ci95 = entry["bound"], entry["ci95"]
+        return cls(**words, **numbers, bound=None if bound is None else str(bound),
+                   ci95=None if ci95 is None else (float(ci95[0]), float(ci95[1])))
 
 
 def row(name: str, kind: str, unit: str, *, nominal: float = math.nan, prior_std: float = math.nan,
@@ -109,9 +113,7 @@ class ParameterTable(Mapping[str, ParameterRow]):
         try:
             return self._by_name[name]
         except KeyError:
-            from difflib import get_close_matches  # noqa: PLC0415 (only for the sentence)
-
-            close = get_close_matches(name, list(self._by_name), n=3) or list(self._by_name)[:3]
+            close = similar(name, self._by_name)
             raise ProblemError("no parameter has this name", where=f"parameter '{name}'",
                                remedy=f"did you mean {' or '.join(close)}") from None
 

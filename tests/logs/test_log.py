@@ -9,6 +9,7 @@ from scipy.io import savemat
 
 from hydroopt.errors import HydrooptError, LogError, ProblemError
 from hydroopt.logs.log import Log, LogMap, read_log, read_map
+from hydroopt.logs.stream import stream
 
 ROOT = Path(__file__).parents[2]
 DATA = ROOT.parent / "shared" / "data"
@@ -253,7 +254,7 @@ BAD_MAPS = {
     "suffix": (T_LINE + '"a.w" = {column = "a", unit = "deg"}', "not a channel"),
     "no time": ('[columns]\n"a.q" = {column = "a", unit = "deg"}', "'t' is missing"),
     "rows": ("rows = [5, 2]\n" + T_LINE, "rows"),
-    "not toml": ("[columns", "not TOML"),
+    "not toml": ("[columns", "not valid TOML"),
 }
 
 
@@ -298,6 +299,26 @@ def test_a_byte_of_a_matlab_file_ends_in_a_sentence(tmp_path, at, value, pattern
     (tmp_path / "log.mat").write_bytes(data)
     with pytest.raises(LogError, match=pattern):
         read_log(tmp_path / "log.mat", mapping=layout)
+
+
+@pytest.mark.parametrize("value", [1e308, -1e200, 1e31])
+@pytest.mark.parametrize("kind", ["csv", "parquet", "mat", "streamed"])
+def test_numbers_beyond_any_machine_are_refused_in_every_format(tmp_path, kind, value):
+    q = np.linspace(0, 1, 9)
+    q[4] = value
+    if kind == "mat":
+        savemat(tmp_path / "log.mat", {"t": np.arange(9.0)[:, None], "q": q[:, None]})
+        layout = LogMap.model_validate({"columns": {"t": {"variable": "t", "unit": "s"},
+                                                    "a.q": {"variable": "q", "unit": "rad"}}})
+    else:
+        layout = None
+        Log("made", np.arange(9.0), {"a.q": q}).write(tmp_path / f"log.{kind.replace('streamed', 'parquet')}")
+    def read():
+        return (stream(tmp_path / "log.parquet").survey if kind == "streamed"
+                else read_log(tmp_path / f"log.{kind}", mapping=layout))
+
+    with pytest.raises(LogError, match=r"data row 5 is damaged \(5: a\.q beyond 1e\+06 rad\)"):
+        read()
 
 
 def test_a_matlab_file_that_takes_too_long_is_refused(tmp_path, monkeypatch):

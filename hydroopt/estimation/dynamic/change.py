@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from difflib import get_close_matches
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.comparison import TwoSessionProblem, Wald, solve_both, two_session_problem, wald
 from hydroopt.estimation.dynamic.stored_information import refuse_shared_samples, stored_information
 from hydroopt.estimation.dynamic.two_session_answer import Quantity, TwoSessionAnswer, probability, rounded
+from hydroopt.input_file import similar
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import Machine
@@ -202,7 +202,7 @@ def named_parts(parameters: ParameterSet, parts: Iterable[str]) -> tuple[str, ..
         own = parameters.matching(part)
         if not own:
             owners = dict.fromkeys(map(parameters.owner, parameters.names))
-            close = get_close_matches(part, [*owners, *parameters.names], n=3) or parameters.names[:2]
+            close = similar(part, [*owners, *parameters.names])
             raise ProblemError(f"no parameter is called '{part}' or belongs to it", where="parts",
                                remedy=f"did you mean {' or '.join(close)}")
         chosen.update(own)
