@@ -6,7 +6,7 @@ import pytest
 from scipy.integrate import simpson
 
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.model.plant import CREEP, Plant
+from hydroopt.model.plant import SIGN_WIDTH, Plant
 from oracles.mujoco_tree import MujocoTree
 from oracles.pinocchio_tree import PinocchioTree
 from oracles.subjects import model, random_bodies
@@ -71,7 +71,7 @@ def test_what_pressures_put_in_is_what_bodies_hold_and_friction_takes(motion):
         owner = name.partition(".")[0]
         speed = (seen["speed"][:, owners.index(owner)] if owner in owners
                  else x[:, n + plant.machine.joints.index(owner)])
-        lost += simpson(value * speed * np.tanh(speed / CREEP), dx=STEP)
+        lost += simpson(value * speed * np.tanh(speed / SIGN_WIDTH), dx=STEP)
     gained = tree.energy(x[-1, :n], x[-1, n:2 * n]) - tree.energy(x[0, :n], x[0, n:2 * n])
     assert lost > 1e-3 * size
     assert abs(work - lost - gained) < 1e-5 * size
