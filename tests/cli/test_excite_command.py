@@ -72,7 +72,7 @@ def written(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
 
 # files
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", tiered(KINDS, lambda kind: kind == "series"))
 def test_files_are_there_and_say_what_was_asked(kind: str, written: Callable[..., Path]) -> None:
     directory = written(*KINDS[kind])
     said, (machine, *_) = content(directory), KINDS[kind]
@@ -178,6 +178,7 @@ def test_deviations_before_are_the_file_s(kind: str, written: Callable[..., Path
     assert np.any(after < 0.6 * before)
 
 
+@pytest.mark.slow
 def test_parquet_holds_the_same_and_takes_the_place_of_the_other(written: Callable[..., Path], tmp_path: Path) -> None:
     first = written(*SERIES)
     shutil.copytree(first, tmp_path / "out")
@@ -190,6 +191,7 @@ def test_parquet_holds_the_same_and_takes_the_place_of_the_other(written: Callab
         np.testing.assert_array_equal(one.channel(name), other.channel(name))
 
 
+@pytest.mark.slow
 def test_json_is_the_file_and_summary_names_the_report(tmp_path: Path) -> None:
     printed = json.loads(excite(*SERIES, "-o", tmp_path / "json", "--json"))
     assert printed == content(tmp_path / "json")
@@ -366,6 +368,7 @@ def test_priors_are_asked_for(written: Callable[..., Path]) -> None:
     assert said["value"] == pytest.approx(content(written(*SERIES))["value"], abs=0.1)  # they tell little here
 
 
+@pytest.mark.slow
 def test_log_already_measured_is_taken_into_account(written: Callable[..., Path], tmp_path: Path) -> None:
     done = CliRunner().invoke(app, ["simulate", "patu655_lift", "-o", str(tmp_path), "--duration", "20", "--quiet"])
     assert done.exit_code == 0

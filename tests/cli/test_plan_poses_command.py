@@ -16,6 +16,7 @@ def plan_poses(*arguments: object) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_poses_are_planned_by_a_criterion(tmp_path: Path) -> None:
     printed = plan_poses("cat215b", "-n", 4, "--criterion", "E", "--seed", 3, "-o", tmp_path)
     assert {file.name for file in tmp_path.iterdir()} == {"sheet.txt", "poses.csv", "plan.json", "parameters.csv"}

@@ -48,6 +48,7 @@ def by_name(comparison: Comparison, name: str) -> Outcome:
     return next(outcome for outcome in comparison.outcomes if outcome.name == name)
 
 
+@pytest.mark.slow
 def test_an_exact_model_without_noise_tracks(exact: Comparison) -> None:
     """The tip, whose lever is 7 m long, stays within millimetres of a motion over most of the joint's range."""
     setting, complete = exact.setting, by_name(exact, "feedforward complete")
@@ -57,6 +58,7 @@ def test_an_exact_model_without_noise_tracks(exact: Comparison) -> None:
     assert by_name(exact, "LQG").tip_rms < 5e-3
 
 
+@pytest.mark.slow
 def test_wrong_bodies_cost_accuracy_and_feedforward_buys_it(exact: Comparison) -> None:
     complete = by_name(exact, "feedforward complete").tip_rms
     assert by_name(exact, "feedforward nominal").tip_rms > 2 * complete

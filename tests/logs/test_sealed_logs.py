@@ -132,6 +132,7 @@ def test_show_simulate_and_identify_know_all_terms(place: Path) -> None:
     assert calibrated.stribeck_speed == pytest.approx(found["lift_cylinder.v_stribeck"]["value"], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_friction_is_chosen_and_said(place: Path) -> None:
     said = run("identify", place / "plain.toml", place / "run1/log.csv", "--validate", place / "run2/log.csv",
                "--friction", "none,coulomb+viscous,coulomb+viscous+stribeck+seal", "-o", place / "chosen")

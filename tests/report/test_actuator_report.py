@@ -36,6 +36,7 @@ def left(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_everything_is_left_and_says_the_same(left: Path) -> None:
     content = json.loads((left / "out" / "estimate.json").read_text())
     assert {path.name for path in (left / "out").iterdir()} == FILES
@@ -52,6 +53,7 @@ def test_everything_is_left_and_says_the_same(left: Path) -> None:
     assert content["fit"]["validation"]["jack.length"]["rms"] < 1e-3
 
 
+@pytest.mark.slow
 def test_intervals_hold_what_was_simulated(left: Path) -> None:
     truth = json.loads((left / "log" / "truth.json").read_text())["parameters"]
     content = json.loads((left / "out" / "estimate.json").read_text())
@@ -59,6 +61,7 @@ def test_intervals_hold_what_was_simulated(left: Path) -> None:
     assert sum(inside) >= len(inside) - 2
 
 
+@pytest.mark.slow
 def test_the_machine_file_holds_the_answer(left: Path) -> None:
     content = json.loads((left / "out" / "estimate.json").read_text())
     machine = load_machine(str(left / "out" / "crane.toml"))
@@ -69,6 +72,7 @@ def test_the_machine_file_holds_the_answer(left: Path) -> None:
     assert "identified from" in note.source
 
 
+@pytest.mark.slow
 def test_the_page_shows_free_runs_and_diagnostics(left: Path) -> None:
     page = (left / "out" / "report.html").read_text()
     for title in ("Diagnostics", "Free run", "Parameters", "Weights", "Data"):
@@ -78,6 +82,7 @@ def test_the_page_shows_free_runs_and_diagnostics(left: Path) -> None:
     assert "http" not in page.replace("http://www.w3.org", "")
 
 
+@pytest.mark.slow
 def test_commands_drive_a_machine_again(left: Path) -> None:
     run("simulate", CRANE, "--commands", str(left / "log" / "log.csv"), "--no-noise", "-o", str(left / "again"))
     first, again = (table(left / name / "log.csv") for name in ("log", "again"))

@@ -232,6 +232,7 @@ def test_command_on_real_poses(tmp_path: Path) -> None:
     assert (loaded.machine_file is None) == bool(of_kind(loaded.diagnostics, Kind.NO_CALIBRATED_MACHINE))
 
 
+@pytest.mark.slow
 def test_command_leaves_out_what_does_not_fit(tmp_path: Path) -> None:
     arguments = mukca("high", "front_center", "mid_right", "back_right")
     text = run(*arguments, "--without-suspects", "--fix", "panda_joint5.compliance=0 rad/(N*m)", "-o", str(tmp_path))

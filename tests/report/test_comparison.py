@@ -39,6 +39,7 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return root
 
 
+@pytest.mark.slow
 def test_a_folder_tells_what_its_logs_told(made: Path) -> None:
     before, after = (read_log(made / name / "log.csv") for name in "ab")
     from_logs, from_folder = (detect_change(CRANE, first, [after]) for first in ([before], made / "kept"))

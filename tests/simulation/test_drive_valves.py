@@ -30,6 +30,7 @@ def swing(seconds=2.0, rate=50):
     return Trajectory(t, q[:, None], qd[:, None], np.gradient(qd, t)[:, None])
 
 
+@pytest.mark.slow
 def test_a_driven_machine_moves_as_scipy_says(plant):
     motion = swing()
     commands = commands_for(plant, motion)

@@ -38,6 +38,7 @@ def crane() -> Model:
     return Model(load_machine("patu655_lift"))
 
 
+@pytest.mark.slow
 def test_a_cell_is_what_a_user_would_do_by_hand(crane: Model) -> None:
     from hydroopt.study.study import seeds
 
@@ -94,6 +95,7 @@ def test_the_summary_counts_what_the_cells_say(crane: Model) -> None:
     assert point["prediction"]["lift_cylinder"]["median"] == 1.5
 
 
+@pytest.mark.slow
 def test_a_sweep_is_a_product_in_which_better_sensors_predict_better(crane: Model) -> None:
     study = montecarlo(crane.machine, cells=4, method="wls", vary={"accuracy": [0.1, 4.0], "duration": [15.0, 25.0]})
     assert len({cell["seed"] for cell in study.cells}) == len(study.cells) == 16

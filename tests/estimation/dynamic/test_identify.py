@@ -195,6 +195,7 @@ def test_standstill_takes_no_part(wheel: Model) -> None:
     np.testing.assert_allclose(estimates[0].value, estimates[1].value, rtol=0.05)
 
 
+@pytest.mark.slow
 def test_cylinder_length_stands_in_for_a_missing_angle(cat215b: Model, exact_logs: list[Log],
                                                        noisy: IdentificationProblem,
                                                        noisy_estimate: Estimate) -> None:

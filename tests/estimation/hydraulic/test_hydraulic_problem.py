@@ -56,6 +56,7 @@ def without_noise(plant, motion, off, steps):
     return shooting.multiple_shooting(replace(problem.shooting, parameters=moved)), known
 
 
+@pytest.mark.slow
 def test_all_of_a_valve_and_its_oil_is_recovered():
     """Without dry friction, which turns round within a part of a sample that no collocation follows to 1e-4."""
     smooth = _machine(CRANE.read_text().replace('value = "1500 N"', 'value = "0 N"'))
@@ -89,6 +90,7 @@ def test_a_log_is_explained_and_an_unseen_one_predicted(crane, log):
         estimate.shooting.std[known.index("jack.dead_band")])
 
 
+@pytest.mark.slow
 def test_bodies_are_found_as_far_as_forces_show_them(crane):
     text = CRANE.read_text().replace('m = "490 kg"', 'm = { value = "490 kg", sigma = "10 %" }')
     psi = crane.model.parameters.nominal.copy()
@@ -162,6 +164,7 @@ def _without(log, channel):
     return replace(log, channels={name: x for name, x in log.channels.items() if name != channel})
 
 
+@pytest.mark.slow
 def test_the_problem_prints_itself_and_ipopt_finds_the_same_optimum(crane):
     """By the program that the user gets, with derivatives by CasADi, against the first of our two solves."""
     problem = hydraulic_problem(crane.machine, [driven(crane, swing(30, 3, 1), seed=1)])

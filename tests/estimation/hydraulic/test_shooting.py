@@ -55,6 +55,7 @@ def recorded(dynamics, t, seed=0, noise=0.0):
     return Record(t, u, y, guess), states
 
 
+@pytest.mark.slow
 def test_recovers_stiff_dynamics_simulated_by_cvodes():
     dynamics = cylinder()
     t = np.cumsum(np.random.default_rng(3).uniform(0.005, 0.015, 500))

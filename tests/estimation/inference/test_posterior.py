@@ -50,6 +50,7 @@ def test_gaussian_where_no_constraint_is_near(free_wheel: IdentificationProblem)
     )
 
 
+@pytest.mark.slow
 def test_priors_sharpen_what_data_say(one_body: Callable[..., IdentificationProblem]) -> None:
     problem = one_body(np.array([500.0, 0, 0, 0, 90, 0, 0, 90, 0, 90]), (2.0, 1.0, 0.5))
     rng = np.random.default_rng(1)
@@ -106,6 +107,7 @@ def test_positive_definite_is_what_eigenvalues_say() -> None:
     np.testing.assert_array_equal(np.all(_pivots(matrices[:, upper[0], upper[1]].T) > 0, axis=0), expected)
 
 
+@pytest.mark.slow
 def test_samples_stay_on_a_linear_equality_and_inside_inequalities(free_wheel: IdentificationProblem) -> None:
     held = (free_wheel.subject_to("sum", lambda p: p["drive.tau_coulomb"] + 2 * p["drive.tau_viscous"] == 12)
             .subject_to("order", lambda p: p["drive.tau_coulomb"] >= p["drive.tau_viscous"])
@@ -123,6 +125,7 @@ def test_samples_stay_on_a_linear_equality_and_inside_inequalities(free_wheel: I
     assert np.std(samples[:, 0]) == pytest.approx(1.0, rel=0.05)
 
 
+@pytest.mark.slow
 def test_fixed_parameter_has_no_spread_and_a_curved_equality_no_intervals(noisy: IdentificationProblem) -> None:
     fixed = identify(noisy.fix("boom.m", 1700.0))
     k = noisy.parameters.index("boom.m")

@@ -81,6 +81,7 @@ def test_ipopt_by_hand_finds_the_estimate(constrained: IdentificationProblem, ch
     assert program.values(x)["swing.m"] == pytest.approx(8000.0)
 
 
+@pytest.mark.slow
 def test_a_user_appends_a_constraint_in_casadi(constrained: IdentificationProblem) -> None:
     program = constrained.nlp()
     x, free = by_hand(program)

@@ -166,6 +166,7 @@ def test_a_prior_weighs_as_much_as_its_sigma_says(one_body: OneBody) -> None:
     assert np.sum(posterior.slope[0] ** 2) == pytest.approx(0.8, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_solving_changes_nothing(noisy: IdentificationProblem) -> None:
     before = noisy.parameters.nominal.copy()
     first, again = (identify(noisy, "sdp", seed=7) for _ in range(2))

@@ -333,6 +333,7 @@ def test_a_slipped_sensor_is_named(model: KinematicModel, machine: Machine,
     assert ("offset", "yoke") in named or ("stage", "boom_moves") in named, named
 
 
+@pytest.mark.slow
 def test_sound_data_raise_no_alarm(model: KinematicModel, machine: Machine,
                                    closed: tuple[np.ndarray, list[str]]) -> None:
     for seed in range(5):
