@@ -17,10 +17,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-import dask
 import psutil
 import pytest
-from distributed import Client
 from threadpoolctl import threadpool_limits
 
 from fixtures import quick
@@ -116,6 +114,9 @@ def test_a_study_killed_at_half_goes_on_and_a_worker_killed_costs_nothing(tmp_pa
 @pytest.mark.skipif(shutil.which("openssl") is None, reason="no certificates")
 def test_workers_of_a_scheduler_elsewhere_give_the_same_bits(tmp_path: Path) -> None:
     """They share no directory with the study, and one of them is killed; nobody takes part without the certificate."""
+    import dask
+    from distributed import Client
+
     study, away = quick.study(30, pause=0.05), tmp_path / "away"
     away.mkdir()
     address, key, certificate = (tmp_path / name for name in ("scheduler.json", "key.pem", "certificate.pem"))
