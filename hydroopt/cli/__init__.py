@@ -12,7 +12,9 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
-from hydroopt.errors import HydrooptError
+from hydroopt.cli import limits
+from hydroopt.cli.terminal import echo
+from hydroopt.errors import HydrooptError, ProblemError
 
 COMMANDS = ("show", "simulate", "identify", "identify-valves", "identify-payload", "compare", "calibrate",
             "plan-poses", "excite", "control", "study", "codegen")
@@ -39,7 +41,7 @@ class Deferred(TyperCommand):
         group = getattr(module, "app", None)
         if group is None:
             group = typer.Typer(add_completion=False, rich_markup_mode=None)
-            group.command(self.name)(getattr(module, self.key))
+            group.command(self.name, cls=limits.Command)(getattr(module, self.key))
         command = typer.main.get_command(group)
         return command.make_context(info_name, _each_file_named(command, args), parent, **extra)
 
@@ -100,7 +102,7 @@ def main() -> None:
     try:
         code = app(arguments or ["--help"], prog_name="hydroopt", standalone_mode=False) or (0 if arguments else 2)
     except HydrooptError as error:
-        typer.echo(f"hydroopt: {_visible(str(error))}", err=True)
+        echo(f"hydroopt: {error}", err=True)
         sys.exit(error.exit_code)
     except _USAGE_ERROR as error:
         code = 2
@@ -108,7 +110,7 @@ def main() -> None:
     except (KeyboardInterrupt, typer.Abort):
         pass
     if code == 130:  # typer's exit code of an interrupt
-        typer.echo("hydroopt: interrupted; no result was written", err=True)
+        echo("hydroopt: interrupted; no result was written", err=True)
     sys.exit(code)
 
 
@@ -118,10 +120,5 @@ def _explain(error: Any) -> None:
     command = context.command_path if context else "hydroopt"
     what = " ".join(error.format_message().split()).rstrip(".?").replace(". Did you mean", ", did you mean")
     place = command.partition(" ")[2]
-    sentence = f"{place + ': ' if place else ''}{what[:1].lower()}{what[1:]}; see '{command} --help'."
-    typer.echo(f"hydroopt: {_visible(sentence)}", err=True)
-
-
-def _visible(text: str) -> str:
-    """A sentence without control characters: a quoted name may contain any."""
-    return "".join(c if c.isprintable() else ascii(c)[1:-1] for c in text)
+    error = ProblemError(f"{what[:1].lower()}{what[1:]}", where=place, remedy=f"see '{command} --help'")
+    echo(f"hydroopt: {str(error).removeprefix(': ')}", err=True)

@@ -8,8 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import typer
-
+from hydroopt.cli.terminal import echo
 from hydroopt.errors import SolverError
 
 if TYPE_CHECKING:
@@ -45,10 +44,10 @@ def print_answer(answer: Answer, directory: Path, text: str = "", *, quiet: bool
     from hydroopt.results.diagnostic import sentences
 
     if as_json:
-        typer.echo(json.dumps(json_file.read(directory), indent=1))
+        echo(json.dumps(json_file.read(directory), indent=1))
     elif not quiet:
-        typer.echo(text or str(answer))
+        echo(text or str(answer))
         for sentence in sentences(answer.diagnostics):
-            typer.echo(f"  ! {sentence}")
+            echo(f"  ! {sentence}")
         if (directory / "report.html").is_file():
-            typer.echo(f"{directory / 'report.html'}")
+            echo(f"{directory / 'report.html'}")

@@ -7,6 +7,7 @@ from typing import Annotated
 import typer
 
 from hydroopt.cli.options import Directory, ParameterSetName, Quiet, progress
+from hydroopt.cli.terminal import echo
 
 
 def codegen(
@@ -33,6 +34,6 @@ def codegen(
                     fold_geometry=fold_geometry)
         files = code.write(output)
     for diagnostic in machine_diagnostics(described):
-        typer.echo(f"! {diagnostic}", err=True)
+        echo(f"! {diagnostic}", err=True)
     if not quiet:
-        typer.echo(f"{output}: {', '.join(files)}")
+        echo(f"{output}: {', '.join(files)}")

@@ -12,6 +12,7 @@ import typer
 from hydroopt.cli.answers import print_answer
 from hydroopt.cli.options import AsJson, ControllerRate, Directory, MapFile, ParameterSetName, Quiet, progress
 from hydroopt.errors import ProblemError
+from hydroopt.input_file import is_directory
 
 KINDS = ("pi", "feedforward", "lqg")
 
@@ -75,7 +76,7 @@ def control(
     motion = reference_motion(described, read_log(trajectory, mapping=map_file))
     with progress(f"closing the loop on {described.name}", quiet) as say:
         complete = ModelVariant(COMPLETE, origin.text, model, model.parameters.nominal)
-        estimated = machine not in bundled() and Path(machine).is_dir()
+        estimated = machine not in bundled() and is_directory(machine)
         before = nominal_of(Path(machine), model) if estimated else None
         variants = [*([before] if before else ()), *([reduced(complete)] if FEEDFORWARD in kinds else ()), complete]
         setting = Setting(plant, motion, *truth(true, plant, seed=seed), plant.parameters.nominal,

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from hydroopt.errors import ProblemError
+from hydroopt.input_file import is_directory
 
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.weighted_residuals import Loss
@@ -187,7 +188,7 @@ def session_of(machine: Machine, paths: Sequence[Path], option: str, map_file: P
     """
     from hydroopt.logs.log import read_log
 
-    if not any(path.is_dir() for path in paths):
+    if not any(is_directory(path) for path in paths):
         return reading(read_log, machine, map_file, treat)(paths)
     if len(paths) > 1:
         raise ProblemError("a directory stands for a whole session", where=option,

@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from hydroopt.cli.options import AsJson, MachineName, ParameterSetName, progress
-from hydroopt.errors import ProblemError
+from hydroopt.cli.terminal import echo
+from hydroopt.errors import ProblemError, visible
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -42,10 +43,10 @@ def show(
                            remedy="leave it out, or add --hydraulics")
     facts = machine_facts(described)
     if as_json:
-        typer.echo(json.dumps(facts, indent=1))
+        echo(json.dumps(facts, indent=1))
         return
     console = Console()
-    console.print(f"[bold]{described.name}[/bold] {escape(described.description)}")
+    console.print(f"[bold]{described.name}[/bold] {escape(visible(described.description, keep=chr(10)))}")
     for diagnostic in facts["diagnostics"]:
         console.print(f"! {escape(diagnostic['text'])} {escape(diagnostic['remedy'])}", soft_wrap=True)
     tables = {"Joints": facts["joints"], "Cylinders": [_cylinder_row(cylinder) for cylinder in facts["cylinders"]],
@@ -82,16 +83,16 @@ def _hydraulics(machine: Machine, output: Path | None, *, as_json: bool) -> None
         if output is not None:
             write_files(output, {"hydraulics.html": workspace.render(plant, found), "hydraulics.csv": csv(rows)})
     if as_json:
-        typer.echo(json.dumps(rows, indent=1))
+        echo(json.dumps(rows, indent=1))
         return
     Console().print(_table("Joints on their oil, each moving at a tenth of its greatest speed",
                            [_mode_row(row) for row in rows], wrap=True))
     for row in rows:
         if row["unreachable"]:
-            typer.echo(f"{row['joint']} at {row['speed']:.3g} {row['speed_unit']}: no steady motion in "
+            echo(f"{row['joint']} at {row['speed']:.3g} {row['speed_unit']}: no steady motion in "
                        f"{row['unreachable']} postures; in the first, {row['reason']}.")
     if output is not None:
-        typer.echo(f"{output / 'hydraulics.html'}")
+        echo(f"{output / 'hydraulics.html'}")
 
 
 def _mode_row(row: dict[str, Any]) -> dict[str, Any]:

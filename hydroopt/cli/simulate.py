@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from hydroopt.cli.options import AsParquet, Directory, MachineName, MapFile, ParameterSetName, Quiet, progress
+from hydroopt.cli.terminal import echo
 from hydroopt.errors import ProblemError
 
 if TYPE_CHECKING:
@@ -101,7 +102,7 @@ def simulate(
         {"machine": described.name, "sha256": described.sha256, "seed": seed, "noise": noise, "parameters": named},
         indent=1)})
     if not quiet:
-        typer.echo(f"{file}: {len(log.t)} samples, channels {', '.join(log.channels)}")
+        echo(f"{file}: {len(log.t)} samples, channels {', '.join(log.channels)}")
 
 
 def _random(model: Model, duration: float | None, rate: float | None, seed: int) -> Trajectory:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hydroopt.cli import Group
+from hydroopt.cli import Group, limits
 from hydroopt.cli.options import (
     AsJson,
     Directory,
@@ -26,6 +26,7 @@ from hydroopt.cli.options import (
     reading,
     refuse_given,
 )
+from hydroopt.cli.terminal import echo
 from hydroopt.errors import ProblemError, StoppedError
 
 if TYPE_CHECKING:
@@ -59,7 +60,7 @@ def study() -> None:
     """
 
 
-@app.command()
+@app.command(cls=limits.Command)
 def montecarlo(
     machine: MachineName,
     output: Directory,
@@ -81,7 +82,7 @@ def montecarlo(
     _run(machine, parameter_set, prepare, output, workers, scheduler, quiet=quiet, as_json=as_json)
 
 
-@app.command()
+@app.command(cls=limits.Command)
 def sweep(
     machine: MachineName,
     output: Directory,
@@ -106,7 +107,7 @@ def sweep(
     _run(machine, parameter_set, prepare, output, workers, scheduler, quiet=quiet, as_json=as_json)
 
 
-@app.command()
+@app.command(cls=limits.Command)
 def bootstrap(
     machine: MachineName,
     logs: TrainingLogs,
@@ -134,7 +135,7 @@ def bootstrap(
     _run(machine, parameter_set, prepare, output, workers, scheduler, quiet=quiet, as_json=as_json)
 
 
-@app.command()
+@app.command(cls=limits.Command)
 def multistart(
     machine: MachineName,
     poses: Annotated[list[Path], typer.Argument(metavar="POSES...", help="Pose tables (.csv, .parquet).")],
@@ -217,7 +218,7 @@ def _run(machine: str, parameter_set: str | None, prepare: Callable[[Machine], t
         say("writing the report")
         content = report.save(prepared, table, summary(prepared, table), output)
     if as_json:
-        typer.echo(json.dumps(content, indent=1))
+        echo(json.dumps(content, indent=1))
     elif not quiet:
         _print(content, output)
 
@@ -238,31 +239,33 @@ def _grid(stated: Sequence[str]) -> dict[str, list[float]]:
         if not numbers or name in grid:
             raise ProblemError(f"'{text}' is not NAME=VALUE,VALUE,... with numbers and a name of its own",
                                where="--vary", remedy="write e.g. --vary accuracy=0.5,1,2")
+        for number in numbers:
+            limits.refuse(name, number, f"--vary {name}")
         grid[name] = numbers
     return grid
 
 
 def _print(content: dict[str, Any], output: Path) -> None:
-    typer.echo(f"{content['machine']['name']}: {content['study']}, {content['cells']} cells, "
+    echo(f"{content['machine']['name']}: {content['study']}, {content['cells']} cells, "
                f"{content['failed']} failed")
     for point in content.get("points", ()):
         values = ", ".join(f"{key} {value:g}" for key, value in point["values"].items())
-        typer.echo(f"  {values or 'given motion'}: {_percent(point['coverage'])} of the 95 % intervals contain the "
+        echo(f"  {values or 'given motion'}: {_percent(point['coverage'])} of the 95 % intervals contain the "
                    "true value")
         for name, rms in point["prediction"].items():
             if rms["median"] is not None:
-                typer.echo(f"    unseen forces of {name}: RMS {rms['median']:.3g} σ in the median, "
+                echo(f"    unseen forces of {name}: RMS {rms['median']:.3g} σ in the median, "
                            f"{rms['q95']:.3g} σ at 95 %")
     if content["study"] == "bootstrap":
         ratios = sorted(row["scatter_over_stated"] for row in content["base_parameters"]
                         if row["scatter_over_stated"] is not None)
         if ratios:
-            typer.echo(f"  scatter over stated σ of base parameters: {ratios[len(ratios) // 2]:.3g} in the median, "
+            echo(f"  scatter over stated σ of base parameters: {ratios[len(ratios) // 2]:.3g} in the median, "
                        f"{ratios[0]:.3g} to {ratios[-1]:.3g}")
     for optimum in content.get("optima", ())[:5]:
-        typer.echo(f"  {optimum['starts']} starts lead to a sum of squares of {optimum['cost']:.6g}, "
+        echo(f"  {optimum['starts']} starts lead to a sum of squares of {optimum['cost']:.6g}, "
                    f"{optimum['farthest_std']:.3g} σ from the best")
-    typer.echo(f"{output / 'report.html'}")
+    echo(f"{output / 'report.html'}")
 
 
 def _percent(part: float | None) -> str:

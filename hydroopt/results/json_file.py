@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import json
+import os
 import re
 from collections.abc import Mapping, Sequence
 from datetime import UTC, datetime
@@ -116,7 +117,7 @@ def find(directory: Path) -> Path:
         ProblemError: there is none.
     """
     for name in dict.fromkeys(FILES.values()):
-        if (directory / name).is_file():
+        if os.path.isfile(directory / name):
             return directory / name
     raise ProblemError("this folder holds no estimate", where=str(directory),
                        remedy="name the folder that a hydroopt command wrote")

@@ -53,7 +53,7 @@ def random_trajectory(model: Model, *, duration: float, rate: float, seed: int, 
     if not (duration > 0 and rate > 0 and duration * rate >= 2):
         raise ProblemError(f"a motion of {duration} s at {rate} Hz has no samples", where="simulate",
                            remedy="give a positive duration and rate")
-    if duration * rate > 1e7:
+    if duration * rate > 1e7 or duration > 1e6:
         raise ProblemError(f"{duration * rate:.1e} samples do not fit in memory", where="simulate",
                            remedy="shorten the duration or lower the rate")
     rng = np.random.default_rng(seed)

@@ -11,6 +11,7 @@ import tomlkit
 from hypothesis import given
 from hypothesis import strategies as st
 
+from fixtures.bad_input_cases import DIGGER
 from hydroopt.errors import MachineError
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.links import Note
@@ -340,3 +341,19 @@ def test_bodies_of_tables_1_and_13(excavator: Machine) -> None:
             assert body is not None
             assert body.phi[0] == m
             np.testing.assert_allclose(body.phi[1:4], mc, atol=1.0)  # Table 13 rounds to 1 kg·m
+
+
+@pytest.mark.parametrize(("old", "new", "pattern"), [
+    ('bore = "140 mm"', 'bore = "1e200 m"', r"cylinders\[stick_cylinder\]\.bore: 1e\+200 m is beyond"),
+    ('rod_diameter = "89 mm"', 'rod_diameter = "1e-200 m"', "so small"),
+    ('sigma = "20 %"', 'sigma = "1e-200 %"', r"sigma: .*so small"),
+    ('sigma = "20 %"', 'sigma = "20 %", lower = "inf kg"', r"lower: .*finite"),
+    ('sigma = "20 %"', 'sigma = "1e308 kg"', r"sigma: .*beyond"),
+    ("gear = 307", f"gear = {10**308}", "64 bits"),
+    ("gear = 307", "gear = 1e300", r"gear: .*beyond"),
+    ('name = "digger"', f'name = "digger"\nbandwidth = "{10**309} Hz"', r"bandwidth: .*finite")])
+def test_numbers_beyond_any_machine_are_refused(old, new, pattern):
+    assert DIGGER.count(old) == 1
+    with pytest.raises(MachineError, match=pattern) as caught:
+        read_machine(DIGGER.replace(old, new))
+    assert len(str(caught.value)) < 160

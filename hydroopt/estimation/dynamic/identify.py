@@ -67,6 +67,9 @@ def identify(problem: IdentificationProblem, method: Method = "sdp", *, toleranc
     if problem.distance == "log-det" and method not in ("sdp", "nlp"):
         raise ProblemError(f"method '{method}' has no log-det distance", where="identification",
                            remedy="use sdp or nlp")
+    if ridge is not None and not 0 < ridge < float("inf"):
+        raise ProblemError(f"a ridge strength of {ridge:g} is not positive and finite", where="--ridge",
+                           remedy="give a positive one, or method wls for none")
     if method in _LINEAR and added:
         raise ProblemError(f"method '{method}' cannot honour {', '.join(added)}", where="identification",
                            remedy="use qp, sdp or nlp")
