@@ -5,7 +5,7 @@ READY := $(VENV)/.ready
 # the workers fill the cores
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/pytest
 
-.PHONY: demo test test-all lint studies studies-quick bench wheel clean
+.PHONY: demo test test-all lint studies studies-quick fuzz bench wheel clean
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -36,6 +36,10 @@ studies: $(READY)
 
 studies-quick: $(READY)
 	$(BIN)/python -m studies --quick
+
+# spoilt inputs and commands: figures to out/fuzz/table.md
+fuzz: $(READY)
+	PYTHONPATH=tests OMP_NUM_THREADS=1 nice $(BIN)/python -m fuzz
 
 bench: $(READY)
 	$(BIN)/python -m studies.bench
