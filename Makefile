@@ -5,7 +5,7 @@ READY := $(VENV)/.ready
 # the workers fill the cores
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/pytest
 
-.PHONY: demo test test-all lint studies studies-quick fuzz bench wheel clean
+.PHONY: demo test test-all lint studies studies-quick fuzz kills bench wheel clean
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -43,6 +43,10 @@ fuzz: $(READY)
 
 bench: $(READY)
 	$(BIN)/python -m studies.bench
+
+# kill every command 500 times at random moments
+kills: $(READY)
+	OMP_NUM_THREADS=1 $(BIN)/python -m studies.kills
 
 # the sdist, and the wheel built from it
 wheel: $(READY)

@@ -2,12 +2,23 @@
 
 import os.path
 import sys
+from typing import Any
 
 # `python -m hydroopt` looks for modules in the working directory before all others; ours are not there, unless we are
 if sys.argv[:1] == ["-m"] and not sys.flags.safe_path and sys.path[0] != os.path.dirname(os.path.dirname(__file__)):
     del sys.path[0]
 
-import lazy_loader
 
-# a name is imported from its module when it is used first; __init__.pyi lists all of them
-__getattr__, __dir__, __all__ = lazy_loader.attach_stub(__name__, __file__)
+def __getattr__(name: str) -> Any:
+    """A public name from its module: __init__.pyi lists all of them. Nothing is imported before one is used."""
+    if name.startswith("__") and name != "__all__":
+        raise AttributeError(name)
+    import lazy_loader  # noqa: PLC0415 (so that the command can catch Ctrl-C before anything is imported)
+
+    names = globals()
+    names["__getattr__"], names["__dir__"], names["__all__"] = lazy_loader.attach_stub(__name__, __file__)
+    return names["__all__"] if name == "__all__" else names["__getattr__"](name)
+
+
+def __dir__() -> list[str]:
+    return list(__getattr__("__all__"))

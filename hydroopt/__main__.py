@@ -1,5 +1,38 @@
-"""`python -m hydroopt`."""
+"""The process of the command `hydroopt`, also as `python -m hydroopt`: what holds before anything is imported."""
 
-from hydroopt.cli import main
+import os
+import signal
+import sys
+from types import FrameType
 
-main()
+INTERRUPTED = b"hydroopt: interrupted; no result was written\n"
+
+
+def main() -> None:
+    """Run the command, with standard streams that can always be written, and Ctrl-C at any moment."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # else whoever started it lets Ctrl-C be ignored
+        signal.signal(signal.SIGINT, _end)
+    from hydroopt import interrupt  # noqa: PLC0415
+    from hydroopt.cli import main as run  # noqa: PLC0415
+    from hydroopt.cli.streams import open_streams  # noqa: PLC0415
+
+    streams = open_streams()
+    code = 1
+    try:
+        interrupt.remember()
+        run()
+    except SystemExit as ended:
+        code = ended.code if isinstance(ended.code, int) else 1
+    finally:
+        interrupt.end_at_once(code)
+    sys.exit(streams.close(code))
+
+
+def _end(_: int, __: FrameType | None) -> None:
+    """End while the command is being imported, when there is nothing to clean up."""
+    os.write(2, INTERRUPTED)
+    os._exit(130)
+
+
+if __name__ == "__main__":
+    main()

@@ -12,13 +12,35 @@ from typing import Any
 import typer
 from typer.core import TyperCommand, TyperGroup
 
+from hydroopt import interrupt
 from hydroopt.cli import limits
 from hydroopt.cli.terminal import echo
-from hydroopt.errors import HydrooptError, ProblemError
+from hydroopt.errors import HydrooptError, ProblemError, StoppedError
 
 COMMANDS = ("show", "simulate", "identify", "identify-valves", "identify-payload", "compare", "calibrate",
             "plan-poses", "excite", "control", "study", "codegen")
 """A command is the function of its name in the module of its name; the docstring of that function is its help."""
+
+
+class Command(limits.Command):
+    """A command that keeps other processes from writing into its folder until it ends."""
+
+    def invoke(self, ctx: Any) -> Any:
+        """Run the command."""
+        output = ctx.params.get("output")
+        if output is None:
+            return super().invoke(ctx)
+        from hydroopt.files import claimed, temporary_files
+
+        with claimed(output) as claim:
+            temporary_files(output)
+            try:
+                return super().invoke(ctx)
+            except KeyboardInterrupt:
+                if claim.written:
+                    raise StoppedError("interrupted after the result was written", where=str(output),
+                                       remedy="use it as it is") from None
+                raise
 
 
 class Deferred(TyperCommand):
@@ -41,7 +63,7 @@ class Deferred(TyperCommand):
         group = getattr(module, "app", None)
         if group is None:
             group = typer.Typer(add_completion=False, rich_markup_mode=None)
-            group.command(self.name, cls=limits.Command)(getattr(module, self.key))
+            group.command(self.name, cls=Command)(getattr(module, self.key))
         command = typer.main.get_command(group)
         return command.make_context(info_name, _each_file_named(command, args), parent, **extra)
 
@@ -101,14 +123,17 @@ def main() -> None:
     os.environ["PYTHONSAFEPATH"] = "1"  # a command's own processes import nothing from the working directory
     try:
         code = app(arguments or ["--help"], prog_name="hydroopt", standalone_mode=False) or (0 if arguments else 2)
-    except HydrooptError as error:
-        echo(f"hydroopt: {error}", err=True)
-        sys.exit(error.exit_code)
-    except _USAGE_ERROR as error:
-        code = 2
-        _explain(error)
-    except (KeyboardInterrupt, typer.Abort):
-        pass
+    except BaseException as error:
+        if isinstance(error, StoppedError) or (isinstance(error, HydrooptError) and not interrupt.pressed()):
+            echo(f"hydroopt: {error}", err=True)
+            sys.exit(error.exit_code)
+        if interrupt.pressed() or isinstance(error, KeyboardInterrupt | typer.Abort):
+            pass  # whatever a library has made of Ctrl-C
+        elif isinstance(error, _USAGE_ERROR):
+            code = 2
+            _explain(error)
+        else:
+            raise
     if code == 130:  # typer's exit code of an interrupt
         echo("hydroopt: interrupted; no result was written", err=True)
     sys.exit(code)

@@ -85,15 +85,11 @@ def control(
             "trajectory": str(trajectory), "truth": true, "seed": seed, "noise": noise, "sensitivity": sensitivity,
             "gain": gain, "controllers": list(kinds)})
         say("writing the report and the code")
-        pages: dict[str, str | bytes] = {"report.html": report.render(comparison)}
+        pages: dict[str, str | bytes | None] = {"report.html": report.render(comparison)}
         best = comparison.feedforward
-        code, written = None, dict[str, str]()
         if best is not None:
             code = Code(described, Origin(f"{best.variant.text} ({best.variant.name})", origin.sha256),
                         routines=["valve_feedforward"], psi=comparison.psi_of(best.variant))
-            written = code.files_for(output / "c")
-        comparison.save(output, pages=pages | {f"c/{name}": text for name, text in written.items()},
-                        wall_s=time.perf_counter() - began)
-        if code is not None:
-            code.remove_earlier(output / "c", written)
+            pages |= {f"c/{name}": text for name, text in code.files_for(output / "c").items()}
+        comparison.save(output, pages=pages, wall_s=time.perf_counter() - began)
     print_answer(comparison, output, quiet=quiet, as_json=as_json)

@@ -95,11 +95,9 @@ def excite(
         say("computing the expected accuracy, writing the report and the code")
         code = Code(described, origin, routines=["excitation"],
                     designed_motion=DesignedMotion(motion.function, basis.duration))
-        pages: dict[str, str | bytes] = {"report.html": report.render(motion)}
-        written = code.files_for(output / "c")
-        motion.save(output, pages=pages | {f"c/{name}": text for name, text in written.items()},
-                    wall_s=time.perf_counter() - began, parquet=parquet)
-        code.remove_earlier(output / "c", written)
+        pages: dict[str, str | bytes | None] = {"report.html": report.render(motion)}
+        pages |= {f"c/{name}": text for name, text in code.files_for(output / "c").items()}
+        motion.save(output, pages=pages, wall_s=time.perf_counter() - began, parquet=parquet)
     print_answer(motion, output, quiet=quiet, as_json=as_json)
 
 

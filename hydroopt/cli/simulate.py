@@ -95,14 +95,12 @@ def simulate(
             path = (_random(model, duration, rate, seed) if motion is None
                     else reference_motion(described, read_log(motion, mapping=map_file)))
             log = simulation.simulate(model, path, psi, noise=noise, seed=seed, name=described.name)
-    write_files(output, {})  # the directory
-    file = output / ("log.parquet" if parquet else "log.csv")
-    log.write(file)
-    write_files(output, {"truth.json": json.dumps(
+    name = "log.parquet" if parquet else "log.csv"
+    write_files(output, {name: log.encoded(parquet=parquet), "truth.json": json.dumps(
         {"machine": described.name, "sha256": described.sha256, "seed": seed, "noise": noise, "parameters": named},
         indent=1)})
     if not quiet:
-        echo(f"{file}: {len(log.t)} samples, channels {', '.join(log.channels)}")
+        echo(f"{output / name}: {len(log.t)} samples, channels {', '.join(log.channels)}")
 
 
 def _random(model: Model, duration: float | None, rate: float | None, seed: int) -> Trajectory:

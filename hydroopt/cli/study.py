@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from hydroopt.cli import Group, limits
+from hydroopt.cli import Command, Group, limits
 from hydroopt.cli.options import (
     AsJson,
     Directory,
@@ -60,7 +60,7 @@ def study() -> None:
     """
 
 
-@app.command(cls=limits.Command)
+@app.command(cls=Command)
 def montecarlo(
     machine: MachineName,
     output: Directory,
@@ -82,7 +82,7 @@ def montecarlo(
     _run(machine, parameter_set, prepare, output, workers, scheduler, quiet=quiet, as_json=as_json)
 
 
-@app.command(cls=limits.Command)
+@app.command(cls=Command)
 def sweep(
     machine: MachineName,
     output: Directory,
@@ -107,7 +107,7 @@ def sweep(
     _run(machine, parameter_set, prepare, output, workers, scheduler, quiet=quiet, as_json=as_json)
 
 
-@app.command(cls=limits.Command)
+@app.command(cls=Command)
 def bootstrap(
     machine: MachineName,
     logs: TrainingLogs,
@@ -135,7 +135,7 @@ def bootstrap(
     _run(machine, parameter_set, prepare, output, workers, scheduler, quiet=quiet, as_json=as_json)
 
 
-@app.command(cls=limits.Command)
+@app.command(cls=Command)
 def multistart(
     machine: MachineName,
     poses: Annotated[list[Path], typer.Argument(metavar="POSES...", help="Pose tables (.csv, .parquet).")],

@@ -30,10 +30,10 @@ def folder() -> Path:
         OSError: the folder cannot be made or read, or the user has no home.
     """
     stated = os.environ.get("HYDROOPT_CACHE")
-    usual = platformdirs.user_cache_dir("hydroopt")
-    if not stated and not os.path.isabs(usual):  # or it would lie in the working directory
-        raise FileNotFoundError("this user has no home")
-    path = Path(os.path.realpath(stated or usual))
+    try:
+        path = Path(os.path.realpath(stated or platformdirs.user_cache_path("hydroopt")))
+    except RuntimeError:
+        raise FileNotFoundError("this user has no home") from None
     for part in reversed([part for part in (path, *path.parents) if not part.exists()]):
         part.mkdir(mode=0o700, exist_ok=True)
     if not path.is_dir():

@@ -16,7 +16,7 @@ from hydroopt.logs.column_map import LogMap, for_log, read_map
 from hydroopt.logs.frames import columns_of_frame, frame_of_columns
 from hydroopt.logs.quality import Finding
 from hydroopt.logs.readers import open_file
-from hydroopt.logs.table import Table, frozen, in_si, load, refuse_damage, write_columns
+from hydroopt.logs.table import Table, encoded_columns, frozen, in_si, load, refuse_damage, write_columns
 from hydroopt.logs.treatment import Samples, choose, treat
 
 if TYPE_CHECKING:
@@ -147,6 +147,10 @@ class Log:
                                remedy="choose a fraction between 0 and 1")
         cut = round(fraction * self.t.size)
         return self.slice(0, cut), self.slice(cut, self.t.size)
+
+    def encoded(self, *, parquet: bool = False) -> bytes:
+        """The content of the file that `write` writes, CSV or Parquet."""
+        return encoded_columns(self._columns(), parquet=parquet)
 
     def write(self, path: str | Path) -> None:
         """Write as CSV or Parquet, by extension, with headers `name [SI unit]`; complete or not at all.

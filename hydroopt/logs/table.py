@@ -3,7 +3,6 @@
 import hashlib
 import io
 import os
-import tempfile
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -12,7 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from hydroopt.errors import LogError
+from hydroopt.errors import LogError, ProblemError
+from hydroopt.files import write_file
 from hydroopt.input_file import read_bytes
 from hydroopt.logs.channels import si_unit
 from hydroopt.logs.column_map import Key, LogMap
@@ -131,19 +131,10 @@ def write_columns(path: str | Path, columns: Mapping[str, NDArray[Any]], what: s
     if target.suffix.lower() not in (".csv", ".parquet"):
         raise LogError(f"'{target.suffix}' is not a kind of {what} that can be written", where=str(path),
                        remedy="use .csv or .parquet")
-    content = encoded_columns(columns, parquet=target.suffix.lower() == ".parquet")
-    temporary = ""
     try:
-        handle, temporary = tempfile.mkstemp(dir=target.parent, prefix=f".{target.name}.")
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, target)
-    except OSError as error:
-        if temporary:
-            Path(temporary).unlink(missing_ok=True)
-        raise LogError(f"the {what} cannot be written ({error.strerror})", where=str(path),
-                       remedy="check the directory and its permissions") from None
+        write_file(target, encoded_columns(columns, parquet=target.suffix.lower() == ".parquet"))
+    except ProblemError as error:
+        raise LogError(f"the {what} {error.what}", where=str(path), remedy=error.remedy) from None
 
 
 def encoded_columns(columns: Mapping[str, NDArray[Any]], *, parquet: bool = False) -> bytes:

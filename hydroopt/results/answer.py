@@ -123,13 +123,13 @@ class Answer(ABC):
         """The table of parameters as a pandas DataFrame indexed by name."""
         return self.parameters.to_frame()
 
-    def save(self, directory: str | Path, *, pages: Mapping[str, str | bytes] | None = None,
+    def save(self, directory: str | Path, *, pages: Mapping[str, str | bytes | None] | None = None,
              wall_s: float = float("nan")) -> None:
         """Write everything that the answer knows into a directory, whole or not at all; an earlier answer there goes.
 
         Args:
             directory: created if need be.
-            pages: further files by name, such as the report (`hydroopt.report`).
+            pages: further files by name, such as the report (`hydroopt.report`); None removes one.
             wall_s: how long the job took [s].
 
         Raises:
@@ -223,7 +223,7 @@ class SavedAnswer(Answer):
 
     def files(self) -> Mapping[str, str]:
         """The text files beside the JSON file."""
-        return json_file.text_files(self.directory, self.job, self.machine_name)
+        return json_file.text_files(self.directory, self.saved)
 
 
 def load(directory: str | Path) -> SavedAnswer:

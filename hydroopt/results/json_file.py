@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
 from datetime import UTC, datetime
 from enum import StrEnum
-from pathlib import Path
+from hashlib import sha256
+from pathlib import Path, PurePath
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from hydroopt.errors import HydrooptError, ProblemError
-from hydroopt.files import write_files
+from hydroopt.files import claimed, encoded, finish, write_files
 from hydroopt.input_file import read_json, read_text
 from hydroopt.versions import versions
 
@@ -43,12 +44,8 @@ FILES = {Job.IDENTIFICATION: "estimate.json", Job.CALIBRATION: "estimate.json", 
          Job.EXCITATION: "excitation.json", Job.POSE_PLAN: "plan.json",
          Job.CHANGE: "comparison.json", Job.PAYLOAD: "payload.json", Job.CONTROL: "control.json"}
 """The JSON file of each job."""
-TABLES = ("report.html", "parameters.csv", "base_parameters.csv", "fit.csv", "residuals.csv", "free_run.csv",
-          "information.csv", "trajectory.csv", "trajectory.parquet", "poses.csv", "sheet.txt",
-          "comparison.csv", "payload.csv", "tracking.csv", "margins.csv", "runs.csv")
-"""Other files of answers, which the next answer in the same directory replaces."""
 COMMON = ("schema", "job", "machine", "created", "inputs", "method", "versions", "status", "findings",
-          "diagnostics", "parameters", "fit", "wall_s")
+          "diagnostics", "parameters", "fit", "wall_s", "files")
 """Keys of the JSON file that all answers have."""
 
 
@@ -74,15 +71,18 @@ def header(job: Job, machine: MachineId, method: str,
 
 
 def write(directory: str | Path, job: Job, content: Mapping[str, Any],
-          files: Mapping[str, str | bytes]) -> None:
-    """Write an answer, its JSON file last; what an earlier answer left in the directory goes.
+          files: Mapping[str, str | bytes | None]) -> None:
+    """Write an answer, its JSON file last; what an earlier answer left in the directory goes, and what is None.
 
     Raises:
         ProblemError: the directory cannot be written.
     """
-    text = json.dumps(content, indent=1, allow_nan=False)
-    forget(directory, content["machine"]["name"])
-    write_files(directory, {**files, FILES[job]: text})
+    digests = {name: sha256(encoded(data)).hexdigest() for name, data in files.items() if data is not None}
+    text = json.dumps({**content, "files": digests}, indent=1, allow_nan=False)
+    with claimed(directory):
+        earlier = dict.fromkeys(_left_by_answers(Path(directory)))
+        earlier.pop(FILES[job], None)
+        write_files(directory, {**earlier, **files, FILES[job]: text})
 
 
 def write_failure(directory: str | Path, job: Job, machine: MachineId, method: str,
@@ -96,18 +96,33 @@ def write_failure(directory: str | Path, job: Job, machine: MachineId, method: s
     write(directory, job, content, {})
 
 
-def forget(directory: str | Path, machine_name: str) -> None:
-    """Remove an earlier answer from a directory, so that none of it is taken for part of the next."""
-    for name in (*dict.fromkeys(FILES.values()), *TABLES, f"{machine_name}.toml"):
-        with contextlib.suppress(OSError):  # it is not there, or is a directory, which writing will report
-            (Path(directory) / name).unlink()
-
-
-def text_files(directory: Path, job: Job, machine_name: str) -> dict[str, str]:
-    """The files that stand beside an answer's JSON file."""
-    names = [name for name in (*TABLES, f"{machine_name}.toml") if name.endswith((".csv", ".txt", ".toml", ".html"))]
+def text_files(directory: Path, content: Mapping[str, Any]) -> dict[str, str]:
+    """The files that stand beside an answer's JSON file of this content."""
+    names = [name for name in _listed(content) if name.endswith((".csv", ".txt", ".toml", ".html"))]
     return {name: read_text(directory / name, ProblemError, noun="file of the answer", most=TABLE_LIMIT)
             for name in names if (directory / name).is_file()}
+
+
+def _left_by_answers(directory: Path) -> Iterator[str]:
+    """Names of the files that earlier answers left in a directory and nobody has changed since."""
+    for json_name in dict.fromkeys(FILES.values()):
+        try:
+            content = json.loads((directory / json_name).read_bytes())
+        except (OSError, ValueError, RecursionError):
+            continue
+        if isinstance(content, dict) and {"schema", "job"} <= content.keys():
+            yield json_name
+            for name, digest in _listed(content).items():
+                with suppress(OSError, ValueError):
+                    if sha256((directory / name).read_bytes()).hexdigest() == digest:
+                        yield name
+
+
+def _listed(content: Mapping[str, Any]) -> dict[str, str]:
+    """Digests of the files that a JSON file says stand beside it, by name; what points elsewhere is left out."""
+    files = content.get("files")
+    return {name: digest for name, digest in (files if isinstance(files, dict) else {}).items()
+            if not PurePath(name).is_absolute() and ".." not in PurePath(name).parts}
 
 
 def find(directory: Path) -> Path:
@@ -116,6 +131,7 @@ def find(directory: Path) -> Path:
     Raises:
         ProblemError: there is none.
     """
+    finish(directory)
     for name in dict.fromkeys(FILES.values()):
         if os.path.isfile(directory / name):
             return directory / name

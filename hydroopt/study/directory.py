@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-import shutil
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -26,19 +25,15 @@ class Directory:
             ProblemError: it holds the cells of another study, or cannot be written.
         """
         self.path, self.study = Path(path), study
-        self.cells = self.path / "cells"
         refuse(self.path, study)
         write_files(self.path, {IDENTITY: json.dumps(study.identity, indent=1)})
-        write_files(self.cells, {})
-        for left in self.cells.glob(".unfinished-*"):  # of a process that was killed
-            shutil.rmtree(left, ignore_errors=True)
 
     def read(self) -> dict[int, Outcome]:
         """Outcomes of the finished cells, by index; a cell that cannot be read counts as unfinished."""
         found: dict[int, Outcome] = {}
         for index, cell in enumerate(self.study.cells):
             try:
-                content = json.loads((self.cells / f"{index}.json").read_text("utf-8"))
+                content = json.loads((self.path / f"cells/{index}.json").read_text("utf-8"))
                 kept = {key: content[key] for key in ("result", "error") if key in content}
                 if content["cell"] == cell and len(kept) == 1 and isinstance(kept.get("result", {}), dict):
                     found[index] = kept
@@ -54,8 +49,8 @@ class Directory:
         """
         if "result" in outcome:
             outcome = {"result": {key: _value(value) for key, value in outcome["result"].items()}}
-        write_files(self.cells, {f"{index}.json": json.dumps({"cell": self.study.cells[index], **outcome},
-                                                             allow_nan=False)})
+        write_files(self.path, {f"cells/{index}.json": json.dumps({"cell": self.study.cells[index], **outcome},
+                                                                  allow_nan=False)})
         return outcome
 
 

@@ -5,17 +5,15 @@ Nothing listens anywhere, so that no other user of the computer can reach them.
 
 from __future__ import annotations
 
-import os
-import threading
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from itertools import repeat
-from multiprocessing import get_context, parent_process
+from multiprocessing import get_context
 from multiprocessing.connection import Connection, wait
 
 from hydroopt.errors import ProblemError
-from hydroopt.interrupt import blocked, deferred
+from hydroopt.interrupt import blocked, deferred, end_with_parent
 from hydroopt.study.cell import outcome
 from hydroopt.study.study import Outcome, Study, Values
 
@@ -65,18 +63,11 @@ class _Worker:
 
 def _serve(line: Connection, function: Callable[..., Values]) -> None:
     """Compute the cells that come through the line, until it breaks."""
-    threading.Thread(target=_end_with_parent, daemon=True).start()
+    end_with_parent()
     with suppress(EOFError, OSError):
         line.send({})  # ready
         while True:
             line.send(outcome(function, line.recv()))
-
-
-def _end_with_parent() -> None:
-    parent = parent_process()
-    assert parent is not None
-    parent.join()
-    os._exit(1)
 
 
 def _finished(study: Study, indices: Sequence[int], workers: int) -> Iterator[tuple[int, Outcome | None]]:

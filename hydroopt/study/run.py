@@ -8,7 +8,7 @@ from contextlib import closing
 from pathlib import Path
 
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.files import write_files
+from hydroopt.files import claimed, write_files
 from hydroopt.study import processes
 from hydroopt.study.directory import Directory
 from hydroopt.study.study import Outcome, Study
@@ -34,13 +34,19 @@ def run(study: Study, directory: str | Path, *, scheduler: str | None = None, wo
         say: receives messages about progress.
 
     Raises:
-        ProblemError: the directory holds another study or cannot be written; the scheduler or its workers
-            cannot be used.
+        ProblemError: the directory holds another study or cannot be written, or another process writes there; the
+            scheduler or its workers cannot be used.
         SolverError: no cell succeeded, or the scheduler was lost.
     """
     if not study.cells or workers < 1:
         raise ProblemError("a study needs at least one cell and one worker", where=f"study '{study.name}'",
                            remedy="increase --cells or --workers")
+    with claimed(directory):
+        return _run(study, directory, scheduler, workers, say)
+
+
+def _run(study: Study, directory: str | Path, scheduler: str | None, workers: int,
+         say: Callable[[str], None]) -> Table:
     place = Directory(directory, study)
     outcomes = place.read()
     missing = [k for k in range(len(study.cells)) if k not in outcomes]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -55,12 +56,33 @@ def test_what_is_loaded_says_the_same(tmp_path: Path) -> None:
     assert (tmp_path / "again" / "parameters.csv").read_text() == (tmp_path / "parameters.csv").read_text()
 
 
-def test_the_next_answer_leaves_nothing_of_the_one_before(tmp_path: Path) -> None:
-    (tmp_path / "excitation.json").write_text("{}")
-    (tmp_path / "crane.toml").write_text("")
-    (tmp_path / "mine.txt").write_text("kept")
+class Design(Example):
+    """An answer of another job, whose table a user fills in."""
+
+    job = json_file.Job.POSE_PLAN
+
+    def files(self) -> Mapping[str, str]:
+        return {"poses.csv": "to measure", "sheet.txt": "to print"}
+
+
+def test_the_next_answer_leaves_nothing_of_the_one_before_but_what_is_the_user_s(tmp_path: Path) -> None:
+    (tmp_path / "tracking.csv").write_text("the user's, though answers have files of this name")
+    Design().save(tmp_path, pages={"c/crane.c": "code"})
+    (tmp_path / "poses.csv").write_text("measured")
     Example().save(tmp_path)
-    assert {file.name for file in tmp_path.iterdir()} == {"estimate.json", "parameters.csv", "mine.txt"}
+    assert {file.name for file in tmp_path.rglob("*") if file.is_file()} == {
+        "estimate.json", "parameters.csv", "poses.csv", "tracking.csv"}
+
+
+def test_no_file_elsewhere_is_removed_or_read_whatever_an_answer_lists(tmp_path: Path) -> None:
+    (tmp_path / "mine.csv").write_text("mine")
+    Example().save(tmp_path / "out")
+    content = json.loads((tmp_path / "out/estimate.json").read_text())
+    content["files"] |= dict.fromkeys(["../mine.csv", str(tmp_path / "mine.csv")], sha256(b"mine").hexdigest())
+    (tmp_path / "out/estimate.json").write_text(json.dumps(content))
+    assert load(tmp_path / "out").files().keys() == {"parameters.csv"}
+    Example().save(tmp_path / "out")
+    assert (tmp_path / "mine.csv").read_text() == "mine"
 
 
 @pytest.mark.parametrize(("text", "what"), [

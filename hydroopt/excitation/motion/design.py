@@ -26,7 +26,7 @@ from hydroopt.excitation.motion.expected_accuracy import measured_information
 from hydroopt.excitation.motion.limits import Limits, margins
 from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.excitation.motion.sqp import sequential_quadratic_programming
-from hydroopt.interrupt import blocked, deferred, ignore
+from hydroopt.interrupt import blocked, deferred, end_with_parent, ignore
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
@@ -171,6 +171,7 @@ class _Worker:
     @classmethod
     def start(cls, problem: ExcitationProblem, rest: Array, stop: Event, values: Queue[tuple[int, float]]) -> None:
         ignore()
+        end_with_parent()
         cls.problem, cls.rest, cls.stop, cls.values = problem, rest, stop, values
 
     @classmethod

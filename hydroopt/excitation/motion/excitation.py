@@ -163,7 +163,7 @@ class Excitation(Answer):
                         f"{joint}.qdd [{unit}/s^2]": path.qdd[:, k]}
         return {f"trajectory.{'parquet' if parquet else 'csv'}": encoded_columns(columns, parquet=parquet)}
 
-    def save(self, directory: str | Path, *, pages: Mapping[str, str | bytes] | None = None,
+    def save(self, directory: str | Path, *, pages: Mapping[str, str | bytes | None] | None = None,
              wall_s: float = float("nan"), parquet: bool = False) -> None:
         """As `Answer.save`, the trajectory as CSV or Parquet.
 

@@ -15,7 +15,6 @@ from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.dynamic.estimate import Estimate, inputs_of
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
-from hydroopt.files import write_files
 from hydroopt.logs.log import read_log
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, load_machine, read_machine
@@ -172,23 +171,6 @@ def test_information_from_data_is_what_the_prior_lacks(estimate: Estimate) -> No
         assert one.information_from_data == pytest.approx(max(0.0, 1 - (one.std / one.prior_std) ** 2))
     free = identify(estimate.problem, "wls")
     assert {one.information_from_data for one in free.parameters.rows if one.std is not None} == {1.0}
-
-
-def test_a_disk_that_fails_in_between_leaves_nothing_half_written(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    (tmp_path / "one").write_text("old")
-    real = Path.write_bytes
-
-    def fail(self: Path, data: bytes) -> int:
-        if self.name == "two":
-            real(self, data[:3])
-            raise OSError(28, "No space left on device")
-        return real(self, data)
-    monkeypatch.setattr(Path, "write_bytes", fail)
-    with pytest.raises(ProblemError, match=r"No space left on device.*-o"):
-        write_files(tmp_path, {"one": "new text", "two": "more text"})
-    assert {file.name: file.read_text() for file in tmp_path.iterdir()} == {"one": "old"}
 
 
 def test_a_place_that_is_no_folder_is_refused(estimate: Estimate, tmp_path: Path) -> None:

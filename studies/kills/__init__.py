@@ -1,0 +1,1 @@
+"""Commands killed at random moments: what stands in the folder, what still runs, what was said."""
