@@ -162,7 +162,8 @@ class LogStream:
             for name, x in samples.channels.items():
                 starts = np.arange(0, x.size, BLOCK)
                 low, high = np.fmin.reduceat(x, starts), np.fmax.reduceat(x, starts)
-                ranges[name].append(high - low)
+                with np.errstate(invalid="ignore"):  # of infinities
+                    ranges[name].append(high - low)
                 extremes[name] = (min(extremes[name][0], float(np.fmin.reduce(low))),
                                   max(extremes[name][1], float(np.fmax.reduce(high))))
         empty = [name for name, (low, high) in extremes.items() if not low <= high]

@@ -120,3 +120,10 @@ def test_only_long_parquet_files_are_read_in_pieces(tmp_path: Path, monkeypatch:
     (tmp_path / "bad.parquet").write_bytes(b"PAR1 and nothing more")
     with pytest.raises(LogError, match="not a readable Parquet file"):
         open_log(tmp_path / "bad.parquet")
+
+
+def test_a_survey_of_infinite_readings_warns_of_nothing(tmp_path):
+    q = np.linspace(0, 1, 50)
+    q[10:] = np.inf
+    Log("made", np.arange(50.0), {"boom.q": q}).write(tmp_path / "log.parquet")
+    assert stream(tmp_path / "log.parquet").survey.extremes["boom.q"][0] == 0
