@@ -150,7 +150,8 @@ def _rows(log: Log, window: int) -> Array:
     half = window // 2
     k = np.arange(half, log.size - half)
     k = k[log.segment[k - half] == log.segment[k + half]]
-    return k[np.unique(np.linspace(0, k.size - 1, SAMPLES).astype(int))] if k.size else k
+    rows: Array = k[np.unique(np.linspace(0, k.size - 1, SAMPLES).astype(int))] if k.size else k
+    return rows
 
 
 def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[np.bool_],

@@ -125,8 +125,11 @@ def alternatives(model: Model, log: Log) -> Iterator[Alternative]:
     chambers = [a.chambers for a in machine.actuators if not isinstance(a, Drive) and set(a.chambers) <= here]
     clocks = [Clock(factor, f"the time in {unit}") for unit, factor in CLOCKS.items()]
     pressures = _pressure_units(log, [name for pair in chambers for name in pair])
-    yield from (*_signs(angles), *_units("angle", turning),
-                *_units("length", [*lengths, *(name for name in angles if name not in turning)]), *clocks, *pressures)
+    yield from _signs(angles)
+    yield from _units("angle", turning)
+    yield from _units("length", [*lengths, *(name for name in angles if name not in turning)])
+    yield from clocks
+    yield from pressures
     for name, cylinder in lengths.items():
         yield Raised((name,), cylinder.dead_length, f"{name} counted from the retracted cylinder")
     yield from (Exchanged(((a, b),), f"{a} and {b} exchanged")

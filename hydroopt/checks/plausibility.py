@@ -18,6 +18,8 @@ from hydroopt.results.wording import Kind
 
 BETTER, LOWER = 0.5, 100.0
 """The best alternative reading must have at most this part of the score as read, and be lower by so much."""
+MISSED = 0.1
+"""By how much of the forces another reading may miss the nominal ones more than the log as read."""
 TIED = 10.0
 """Alternatives whose scores differ by less are not told apart."""
 MISTAKES = 3
@@ -91,8 +93,14 @@ def _scored(model: Model, log: Log, now: Agreement | None,
     """Alternatives that agree far better than the log as read, the best first."""
     limit = np.inf if now is None else min(BETTER * now.score, now.score - LOWER)
     results = [(made.score, one, made) for one in alternatives(model, log)
-               if (made := agreement(model, one.of(log), evaluated)) is not None and made.score < limit]
+               if (made := agreement(model, one.of(log), evaluated)) is not None and made.score < limit
+               and (now is None or _worse_in_nothing(made, now))]
     return sorted(results, key=lambda each: each[0])
+
+
+def _worse_in_nothing(made: Agreement, now: Agreement) -> bool:
+    """Whether another reading contradicts neither joint limits nor nominal forces more than the log as read."""
+    return made.outside <= max(now.outside, BEYOND) and made.missed <= now.missed + MISSED
 
 
 def _contradictions(model: Model, log: Log, where: str) -> Iterator[Diagnostic]:

@@ -68,6 +68,8 @@ def identify(
         "Friction terms of all actuators instead of the file's: coulomb, viscous, stribeck, reverse, seal, dead_zone "
         "joined by +, or none. 'auto', or several sets separated by commas: the one that predicts held-out data best "
         "with the fewest terms."))] = None,
+    force: Annotated[bool, typer.Option("--force", help=(
+        "Save the calibrated machine even if the logs contradict the machine file as they are read."))] = False,
     reduced: Annotated[bool, typer.Option("--reduced", help="Leave out the inertia of barrels and rods.")] = False,
     seed: IntervalSeed = 0,
     parameter_set: ParameterSetName = None,
@@ -79,7 +81,7 @@ def identify(
     from hydroopt.estimation.dynamic.friction_choice import choose_friction, friction_problem
     from hydroopt.estimation.dynamic.problem import identification_problem
     from hydroopt.logs.stream import open_log
-    from hydroopt.machine.machine_file import load_machine
+    from hydroopt.machine.machine_file import dump_machine, load_machine
     from hydroopt.report import identification
     from hydroopt.results.json_file import Job
     from hydroopt.solving import solve
@@ -110,11 +112,15 @@ def identify(
                 estimate = choose_friction(described, train, held_out, sets or None, smoothing=way,
                                            actuator_inertia=full, prepare=prepared, method=chosen, tolerance=tolerance,
                                            ridge=ridge, seed=seed)
-        estimate.save(output, pages={"report.html": identification.render(estimate)},
-                      wall_s=time.perf_counter() - began)
+        pages = {"report.html": identification.render(estimate)}
+        if force and estimate.refuted:
+            pages[f"{estimate.machine_name}.toml"] = dump_machine(estimate.machine)
+        estimate.save(output, pages=pages, wall_s=time.perf_counter() - began)
     choice = estimate.friction_choice
     text = str(estimate) if choice is None else f"{choice}\n{choice.rule}\n{estimate}"
     print_answer(estimate, output, text, quiet=quiet, as_json=as_json)
+    if estimate.refuted and not force:
+        raise typer.Exit(3)
 
 
 def _with_noisy_angles(problem: IdentificationProblem, motion: str, instruments: list[str] | None,

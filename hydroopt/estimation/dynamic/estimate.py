@@ -17,14 +17,16 @@ from hydroopt.estimation.dynamic.experiment import AnyExperiment
 from hydroopt.estimation.dynamic.identification import Identification
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.stored_information import INFORMATION, information_csv
+from hydroopt.estimation.dynamic.training_logs import contradictions
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine
 from hydroopt.model.scene import Scene, range_scenes
 from hydroopt.results.answer import Answer
-from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
+from hydroopt.results.wording import REFUTATIONS
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -59,8 +61,15 @@ class Estimate(Identification, Answer):
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Diagnostics of the estimate, the most severe first."""
-        return diagnostics.diagnose(self)
+        """What contradicts the logs as they are read, then the diagnostics of the estimate, the most severe first."""
+        problem = self.problem
+        return (*contradictions(problem.model, (*problem.experiments, *problem.validation)),
+                *diagnostics.diagnose(self))
+
+    @property
+    def refuted(self) -> bool:
+        """Whether the logs contradict the machine file as they are read, so that no calibrated machine is saved."""
+        return bool(of_kind(self.diagnostics, *REFUTATIONS))
 
     @cached_property
     def machine(self) -> Machine:
@@ -133,7 +142,7 @@ class Estimate(Identification, Answer):
                  INFORMATION: information_csv(model.machine, self.problem.parameters.names,
                                               self.weighted_residuals.triangles)}
         with contextlib.suppress(ProblemError):  # a diagnostic states the reason
-            files[f"{self.machine_name}.toml"] = dump_machine(self.machine)
+            files |= {} if self.refuted else {f"{self.machine_name}.toml": dump_machine(self.machine)}
         return files
 
 

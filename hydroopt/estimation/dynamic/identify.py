@@ -11,6 +11,7 @@ from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.identification import Intervals
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
+from hydroopt.estimation.dynamic.training_logs import explained
 from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals, misfit, weighted_residuals
 from hydroopt.estimation.inference import identifiability, nlp, sdp
 from hydroopt.estimation.inference import least_squares as linear
@@ -75,7 +76,10 @@ def identify(problem: IdentificationProblem, method: Method = "sdp", *, toleranc
                            remedy="use qp, sdp or nlp")
     # the matrices are too small for threads
     with threadpool_limits(limits=1, user_api="blas"):
-        return _solve(problem, method, tolerance, ridge, intervals, seed)
+        try:
+            return _solve(problem, method, tolerance, ridge, intervals, seed)
+        except SolverError as error:
+            raise explained(error, problem.model, problem.experiments) from None
 
 
 def _solve(problem: IdentificationProblem, method: Method, tolerance: float, ridge: float | None, intervals: bool,

@@ -12,7 +12,7 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.experiment import AnyExperiment
 from hydroopt.estimation.dynamic.instruments import instrument
-from hydroopt.estimation.dynamic.streamed_experiment import prepared
+from hydroopt.estimation.dynamic.training_logs import prepared, refuse_repetition
 from hydroopt.estimation.dynamic.weighted_residuals import HUBER, Loss, weighted_residuals
 from hydroopt.estimation.inference import conditions as physics
 from hydroopt.estimation.inference import listing, nlp, sdp
@@ -387,16 +387,6 @@ def _counted(count: int, noun: str) -> str:
     return f"{count} {noun}{'s' * (count != 1)}"
 
 
-def _refuse_repetition(logs: Sequence[AnyLog]) -> None:
-    """Refuse the same samples twice: they would count twice, or validate an estimate by its training data."""
-    for k, log in enumerate(logs):
-        for other in logs[:k]:
-            same = log is other or (log.sha256 and log.sha256 == other.sha256)
-            if same and log.rows[0] <= other.rows[1] and other.rows[0] <= log.rows[1]:
-                raise ProblemError("the same samples are given twice", where=log.path or log.name,
-                                   remedy="give each log once, and hold out another one or --holdout to judge by")
-
-
 def identification_problem(machine: Machine | Model, logs: Sequence[AnyLog],
                            validation: Sequence[AnyLog] = (), *,
                            smoothing: Smoothing | None = None, actuator_inertia: bool = True) -> IdentificationProblem:
@@ -422,7 +412,7 @@ def identification_problem(machine: Machine | Model, logs: Sequence[AnyLog],
     """
     for some in (logs, validation):
         refuse_others(some, (Log, LogStream), "log", "identification")
-    _refuse_repetition([*logs, *validation])
+    refuse_repetition([*logs, *validation])
     if not logs:
         raise ProblemError("there is no training log", where="identification", remedy="give at least one")
     model = machine if isinstance(machine, Model) else Model(machine, actuator_inertia=actuator_inertia)

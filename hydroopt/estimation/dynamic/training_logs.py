@@ -1,0 +1,59 @@
+"""Logs made ready for identification: no samples twice, and mistakes in them by name."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from hydroopt.checks.plausibility import examine
+from hydroopt.errors import HydrooptError, LogError, ProblemError, SolverError
+from hydroopt.estimation.dynamic import streamed_experiment
+from hydroopt.estimation.dynamic.experiment import AnyExperiment
+from hydroopt.logs.any_log import AnyLog
+from hydroopt.logs.smoothing import Smoothing
+from hydroopt.model.model import Model
+from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.wording import Kind
+
+
+def prepared(log: AnyLog, model: Model, smoothing: Smoothing | None) -> AnyExperiment:
+    """A log as an experiment.
+
+    Raises:
+        LogError, ProblemError: it cannot be used; the mistake in it that explains this is named, if there is one.
+    """
+    try:
+        return streamed_experiment.prepared(log, model, smoothing)
+    except HydrooptError:
+        try:
+            misread = of_kind(examine(model, log), Kind.LOG_MISREAD)
+        except HydrooptError:
+            misread = ()
+        if misread:
+            raise LogError(misread[0].text.rstrip("."), where=log.path or log.name,
+                           remedy=misread[0].remedy.rstrip(".")) from None
+        raise
+
+
+def contradictions(model: Model, experiments: Sequence[AnyExperiment]) -> tuple[Diagnostic, ...]:
+    """What contradicts the machine file in the logs as they are read; of the parts of a split log, in its first."""
+    logs: dict[str, AnyLog] = {}
+    for data in experiments:
+        logs.setdefault(data.log.sha256 or str(id(data.log)), data.log)
+    return tuple(found for log in logs.values() for found in examine(model, log))
+
+
+def explained(error: SolverError, model: Model, experiments: Sequence[AnyExperiment]) -> SolverError:
+    """The error with the mistake in a log that explains it, if there is one."""
+    misread = of_kind(contradictions(model, experiments), Kind.LOG_MISREAD)
+    return SolverError(f"{error.what}. {misread[0].text.rstrip('.')}", where=error.where,
+                       remedy=misread[0].remedy.rstrip(".")) if misread else error
+
+
+def refuse_repetition(logs: Sequence[AnyLog]) -> None:
+    """Refuse the same samples twice: they would count twice, or validate an estimate by its training data."""
+    for k, log in enumerate(logs):
+        for other in logs[:k]:
+            same = log is other or (log.sha256 and log.sha256 == other.sha256)
+            if same and log.rows[0] <= other.rows[1] and other.rows[0] <= log.rows[1]:
+                raise ProblemError("the same samples are given twice", where=log.path or log.name,
+                                   remedy="give each log once, and hold out another one or --holdout to judge by")

@@ -1,0 +1,43 @@
+"""A log that contradicts the machine file makes the answer suspect, and no machine is made of it."""
+
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import hydroopt as ho
+from hydroopt.cli import app
+from hydroopt.results.answer import Status
+from hydroopt.results.wording import Kind
+
+
+@pytest.fixture(scope="module")
+def log() -> ho.Log:
+    model = ho.Model(ho.load_machine("cat215b"))
+    motion = ho.random_trajectory(model, duration=16.0, rate=50.0, seed=1)
+    return ho.simulate(model, motion, ho.random_truth(model, seed=1), seed=1)
+
+
+def test_a_reversed_sign_is_named_first_and_no_machine_is_saved(log: ho.Log) -> None:
+    flipped = replace(log, channels={**log.channels, "boom.q": -log.channels["boom.q"]})
+    estimate = ho.solve(ho.identification_problem(ho.load_machine("cat215b"), [flipped]), "wls", intervals=False)
+    assert estimate.status is Status.SUSPECT
+    assert (estimate.diagnostics[0].kind, estimate.diagnostics[0].subject) == (Kind.LOG_MISREAD, ("boom.q",))
+    assert "cat215b.toml" not in estimate.files()
+
+
+def test_a_sound_log_is_not_refuted(log: ho.Log) -> None:
+    estimate = ho.solve(ho.identification_problem(ho.load_machine("cat215b"), [log]), "wls", intervals=False)
+    assert not estimate.refuted
+
+
+def test_the_command_ends_with_3_unless_forced(log: ho.Log, tmp_path: Path) -> None:
+    bar = {name: values / 1e5 if ".p_" in name else values for name, values in log.channels.items()}
+    replace(log, channels=bar).to_frame().to_parquet(tmp_path / "bar.parquet")
+    arguments = ["identify", "cat215b", str(tmp_path / "bar.parquet"), "--method", "wls", "-o", str(tmp_path / "out")]
+    done = CliRunner().invoke(app, arguments)
+    assert done.exit_code == 3, done.output
+    assert "contradicts the machine file" in done.output
+    assert not (tmp_path / "out/cat215b.toml").exists()
+    assert ho.load(tmp_path / "out").status is Status.SUSPECT
