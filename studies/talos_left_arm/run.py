@@ -116,6 +116,6 @@ def run() -> dict | None:
                     f"strongest_correlation_{name}": strongest(solved)}
         if name == "offsets":
             seen = observability(nine, judged(nine, solved.theta)[1])
-            results["unseen_combinations"] = [list(names) for names in seen.combinations]
+            results["unseen_combinations"] = sorted(list(names) for names in seen.combinations)
         results |= told(problem, solved, name) if name != "base_and_tip" else {}
     return results
