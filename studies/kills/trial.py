@@ -71,6 +71,8 @@ def run(arguments: list[str], folder: Path, name: str, moment: Moment, duration:
         os.dup2(stream, 2)
         os.dup2(os.open(os.devnull, os.O_WRONLY), 1)
         os.environ |= {MARK: name, "HYDROOPT_CACHE": str(cache), "OMP_NUM_THREADS": "1"}
+        # a shell lets what it begins in the background ignore Ctrl-C
+        signal.signal(signal.SIGINT, signal.SIG_DFL if moment.fresh else signal.default_int_handler)
         if moment.fresh:
             os.execv(sys.executable, [sys.executable, "-m", "studies.kills.trial", json.dumps(moment), str(events),
                                       *arguments])
