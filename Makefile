@@ -39,7 +39,7 @@ studies-quick: $(READY)
 
 # spoilt inputs and commands: figures to out/fuzz/table.md
 fuzz: $(READY)
-	PYTHONPATH=tests OMP_NUM_THREADS=1 nice $(BIN)/python -m fuzz
+	PYTHONPATH=tests OMP_NUM_THREADS=1 nice $(BIN)/python -m fuzzing
 
 bench: $(READY)
 	$(BIN)/python -m studies.bench

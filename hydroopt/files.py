@@ -73,6 +73,8 @@ def claimed(directory: str | Path, *, patience: float = 0.0) -> Iterator[Claim]:
         ProblemError: the folder cannot be written.
     """
     target = Path(directory)
+    if _is_file(target):
+        raise ProblemError("this is a file", where=str(directory), remedy="choose another directory with -o")
     own = _claims.get(_identity(target)) if target.is_dir() else None
     if own is not None:
         yield own
@@ -219,12 +221,18 @@ def refuse_directory(directory: Path, names: tuple[str, ...]) -> None:
     Raises:
         ProblemError: it is a file, or holds a directory where a file must be.
     """
-    if directory.exists() and not directory.is_dir():
+    if _is_file(directory):
         raise ProblemError("this is a file", where=str(directory), remedy="choose another directory with -o")
     for name in names:
         if (directory / name).is_dir():
             raise ProblemError("this is a directory", where=str(directory / name),
                                remedy="choose another directory with -o")
+
+
+def _is_file(directory: Path) -> bool:
+    """Whether something that is no directory stands there."""
+    with _reported(directory):
+        return directory.exists() and not directory.is_dir()
 
 
 def _move_into_place(target: Path) -> None:

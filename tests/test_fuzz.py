@@ -5,9 +5,8 @@ from __future__ import annotations
 import sys
 
 import pytest
-
-from fuzz import commands, kinds
-from fuzz.isolation import each
+from fuzzing import commands, kinds
+from fuzzing.isolation import each
 
 COUNTS = {"machine file": 40, "MATLAB content": 40, "MATLAB file": 2, "estimate folder": 25, "truth": 25}
 """How many inputs of a kind; 60 of all others."""

@@ -12,7 +12,7 @@ from hydroopt import excitation_problem, load_machine
 from hydroopt.excitation.motion.basis import Fourier
 from hydroopt.excitation.motion.design import BACK_OFF, design, random_motion, resting_posture
 from hydroopt.excitation.motion.problem import ExcitationProblem
-from hydroopt.excitation.motion.sqp import KEPT, WIDEST, sequential_quadratic_programming
+from hydroopt.excitation.motion.sqp import FEASIBLE, LARGEST_RADIUS, sequential_quadratic_programming
 
 PATIENCE = 300.0
 """Seconds after which the baseline is stopped."""
@@ -38,14 +38,15 @@ def _baseline(program: ExcitationProblem, start: np.ndarray) -> tuple[float, flo
 
     def watch(x: np.ndarray) -> None:
         nonlocal best
-        if np.min(room(x)) >= -KEPT:  # it may end where limits are broken
+        if np.min(room(x)) >= -FEASIBLE:  # it may end where limits are broken
             best = min(best, program.value(x))
         if time.perf_counter() - began > PATIENCE:
             raise _OutOfTimeError
 
     with contextlib.suppress(_OutOfTimeError):
-        minimize(program.value, start, method="SLSQP", bounds=[(-WIDEST, WIDEST)] * len(start), callback=watch,
-                 constraints={"type": "ineq", "fun": room}, options={"maxiter": 1000, "ftol": 1e-5})
+        minimize(program.value, start, method="SLSQP", callback=watch,
+                 bounds=[(-LARGEST_RADIUS, LARGEST_RADIUS)] * len(start), constraints={"type": "ineq", "fun": room},
+                 options={"maxiter": 1000, "ftol": 1e-5})
     return time.perf_counter() - began, best
 
 

@@ -2,7 +2,7 @@
 
     python -m studies.kills [KILLS] [--seed SEED] [--jobs NAME,NAME]
 
-The store is studies/kills/results.json.
+The figures stand in out/kills.json.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ from studies.kills.trial import (
     run,
     state,
 )
-from studies.show import table
+from studies.show import OUT, table
 
 SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 CLOCKS = (("events", False), ("events", True), ("time", False))
@@ -135,7 +135,8 @@ def main() -> None:
     results = {"seed": options.seed, "total": {key: int(total[key]) for key in FIGURES},
                "commands": {f"{name} {number.name}": {key: int(counts[key]) for key in FIGURES}
                             for (name, number), counts in figures.items()}}
-    (Path(__file__).parent / "results.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    OUT.mkdir(parents=True, exist_ok=True)
+    (OUT.parent / "kills.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     raise SystemExit(1 if any(total[key] for key in COUNTED) else 0)
 
 

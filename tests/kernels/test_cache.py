@@ -111,7 +111,10 @@ def test_a_temporary_folder_that_others_can_replace_is_refused(tmp_path: Path, m
 def test_without_a_home_nothing_is_kept_in_the_working_directory(tmp_path: Path,
                                                                  monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.delenv("HYDROOPT_CACHE", raising=False)
-    monkeypatch.setattr("platformdirs.user_cache_dir", lambda name: f"~/.cache/{name}")  # as for a user without a home
+    def homeless(name: str) -> Path:
+        raise RuntimeError(name)
+
+    monkeypatch.setattr("platformdirs.user_cache_path", homeless)  # as for a user without a home
     monkeypatch.chdir(tmp_path)
     with pytest.raises(OSError, match="no home"):
         cache.folder()

@@ -18,8 +18,8 @@ from pathlib import Path
 from typing import Any
 
 import hydroopt
-from fuzz import commands, kinds
-from fuzz.isolation import HANG, MEMORY, Done, each
+from fuzzing import commands, kinds
+from fuzzing.isolation import HANG, MEMORY, Done, each
 
 BATCH = 250
 LANE: list[Callable[[int], tuple[str, list[Done]]]] = []

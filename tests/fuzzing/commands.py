@@ -15,7 +15,7 @@ from pathlib import Path
 
 import typer
 
-from fuzz import kinds, mutation
+from fuzzing import kinds, mutation
 from hydroopt import cli
 from hydroopt.errors import LONGEST
 

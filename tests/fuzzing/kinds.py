@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from fixtures.bad_input_cases import DIGGER
-from fuzz import mutation
+from fuzzing import mutation
 from hydroopt.cli.options import smoothing_of, treatment_of
 from hydroopt.codegen import parameter_source
 from hydroopt.control.model_variants import nominal_of, truth
