@@ -175,7 +175,7 @@ def test_information_from_data_is_what_the_prior_lacks(estimate: Estimate) -> No
 
 def test_a_place_that_is_no_folder_is_refused(estimate: Estimate, tmp_path: Path) -> None:
     (tmp_path / "file").touch()
-    with pytest.raises(ProblemError, match=r"cannot be written.*choose another directory"):
+    with pytest.raises(ProblemError, match=r"(is a file|cannot be written)"):
         estimate.save(tmp_path / "file")
 
 
