@@ -20,6 +20,7 @@ from hydroopt.estimation.inference.certificate import Certificate
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, Identifiability
 from hydroopt.estimation.inference.whitening import gaussian_posterior
 from hydroopt.parameters.parameter_set import ParameterKind
+from hydroopt.results.diagnostic import listed
 from hydroopt.spatial.inertia import Array
 
 Method = Literal["sdp", "qp", "nlp", "wls", "ridge", "tsvd"]
@@ -45,10 +46,9 @@ def identify(problem: IdentificationProblem, method: Method = "sdp", *, toleranc
         problem: what to solve.
         method: ``sdp`` priors, bounds and physically possible bodies (default); ``qp`` the same without the bodies;
             ``nlp`` as ``sdp`` but by IPOPT, for constraints that are not convex; ``wls`` weighted least squares on base
-            parameters (Eq. 4.58); ``ridge`` (Eq. 4.59); ``tsvd`` truncated singular values (Eq. 4.60). What the machine
-            file states (confidences, bounds, shapes, symmetries, total masses, identical parts) binds the first three;
-            the last three ignore it, and refuse what was added to the problem. A log-det distance needs ``sdp`` or
-            ``nlp``.
+            parameters (Eq. 4.58); ``ridge`` (Eq. 4.59); ``tsvd`` truncated singular values (Eq. 4.60). The last three
+            know no confidences, and refuse a problem with constraints: bounds, shapes, symmetries, total masses and
+            identical parts of the machine file, and all that was added. A log-det distance needs ``sdp`` or ``nlp``.
         tolerance: part of the largest singular value below which a direction counts as not identifiable.
         ridge: strength λ for ``ridge``, relative to the largest eigenvalue; chosen by cross-validation if None.
         intervals: whether to sample the posterior. The estimate is then its mean, otherwise its most probable point;
@@ -63,16 +63,14 @@ def identify(problem: IdentificationProblem, method: Method = "sdp", *, toleranc
     if method not in METHODS:
         raise ProblemError(f"'{method}' is not a method", where="identification",
                            remedy=f"use one of {', '.join(METHODS)}")
-    added = [*(c.name for c in problem.constraints), *(p.name for p in problem.priors),
-             *(c.name for c in problem.physics), *problem.fixed]
     if problem.distance == "log-det" and method not in ("sdp", "nlp"):
         raise ProblemError(f"method '{method}' has no log-det distance", where="identification",
                            remedy="use sdp or nlp")
     if ridge is not None and not 0 < ridge < float("inf"):
         raise ProblemError(f"a ridge strength of {ridge:g} is not positive and finite", where="--ridge",
                            remedy="give a positive one, or method wls for none")
-    if method in _LINEAR and added:
-        raise ProblemError(f"method '{method}' cannot honour {', '.join(added)}", where="identification",
+    if method in _LINEAR and (stated := problem.stated_constraints):
+        raise ProblemError(f"method '{method}' cannot honour {listed(stated, 5)}", where="identification",
                            remedy="use qp, sdp or nlp")
     # the matrices are too small for threads
     with threadpool_limits(limits=1, user_api="blas"):

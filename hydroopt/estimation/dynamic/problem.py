@@ -73,6 +73,7 @@ class IdentificationProblem:
         correlated: whether the actuators' residuals in one sample may correlate; their correlation is estimated.
         fitted_motion: whether motion and parameters are fitted together, instead of smoothing the motion beforehand.
         instruments: for each experiment another motion at its samples, whose errors are not those of the measured one.
+        data_alone: whether statements of the machine file about bodies and bounds are left out.
         distance: of a body from its nominal one: ``gaussian`` takes the file's confidences of its ten numbers, and
             ``log-det`` the entropic divergence of pseudo-inertias, which knows no frame, weighted by the confidence of
             the mass (`hydroopt.estimation.inference.conditions.scaled_bodies`).
@@ -92,6 +93,7 @@ class IdentificationProblem:
     correlated: bool = False
     fitted_motion: bool = False
     instruments: tuple[Motion, ...] = ()
+    data_alone: bool = False
     distance: Distance = "gaussian"
 
     def __post_init__(self) -> None:
@@ -256,6 +258,28 @@ class IdentificationProblem:
         return replace(self, instruments=tuple(instrument(self.model, data, logs[k] if logs else None)
                                                for k, data in enumerate(held)))
 
+    def by_data_alone(self) -> IdentificationProblem:
+        """Without shapes, symmetries, total masses, identical parts and bounds of the machine file, for method ``wls``.
+
+        >>> import hydroopt as ho
+        >>> model = ho.Model(ho.load_machine("cat215b"))
+        >>> motion = ho.random_trajectory(model, duration=5.0, rate=20.0, seed=1)
+        >>> problem = identification_problem(model, [ho.simulate(model, motion, model.parameters.nominal)])
+        >>> problem.by_data_alone().stated_constraints
+        ()
+        """
+        return replace(self, data_alone=True)
+
+    @property
+    def stated_constraints(self) -> tuple[str, ...]:
+        """What the machine file or the user demands of ψ, apart from confidences and physically consistent bodies."""
+        machine = self.model.machine
+        bounded = [] if self.data_alone else [
+            f"the bounds of {name}" for name in self.parameters.names if name in machine.numbers
+            and (note := machine.notes.get(machine.numbers[name].path)) and (note.lower, note.upper) != (None, None)]
+        return (*self.constraint_names, *(prior.name for prior in (*self.stated_priors, *self.priors)), *self.fixed,
+                *bounded)
+
     @property
     def constraint_names(self) -> tuple[str, ...]:
         """Names of what the machine file states and of what was added."""
@@ -270,7 +294,8 @@ class IdentificationProblem:
     def conditions(self) -> tuple[Condition, ...]:
         """What the machine file states of its bodies, and what was added of this kind."""
         model = self.model
-        stated = physics.stated(model.machine, self.parameters, actuator_inertia=model.actuator_inertia)
+        stated = () if self.data_alone else physics.stated(model.machine, self.parameters,
+                                                           actuator_inertia=model.actuator_inertia)
         return (*stated, *self.physics)
 
     def statements(self, *, consistent: bool) -> tuple[Condition, ...]:
@@ -287,7 +312,7 @@ class IdentificationProblem:
     @cached_property
     def stated_priors(self) -> tuple[Prior, ...]:
         """Total masses that the machine file states with a confidence."""
-        return stated_priors(self.model.machine, self.parameters)
+        return () if self.data_alone else stated_priors(self.model.machine, self.parameters)
 
     @cached_property
     def prior_rows(self) -> tuple[Array, Array]:

@@ -56,7 +56,7 @@ def measured_information(machine: Machine, logs: Sequence[AnyLog]) -> Array:
         LogError: a log that cannot be used.
         IdentifiabilityError: no joint moves in them.
     """
-    problem = identification_problem(machine, list(logs))
+    problem = identification_problem(machine, list(logs)).by_data_alone()
     estimate = identify(problem, "wls")
     R, _, _ = compress(problem.model, problem.experiments, psi=estimate.psi).weighted(
         estimate.sigma * np.sqrt(estimate.correlation_time))
@@ -79,7 +79,7 @@ def expected_accuracy(model: Model, motion: Trajectory, structure: Identifiabili
     """
     machine, psi = model.machine, model.parameters.nominal
     log = simulate(model, motion, seed=seed, name="expected")
-    problem = identification_problem(machine, [log])
+    problem = identification_problem(machine, [log]).by_data_alone()
     estimate, noise = identify(problem, "wls"), presumed_noise(model)
     (data,) = in_memory(problem.experiments, "the expected accuracy")
     stated = np.isfinite(force_noise(model))  # else the simulated log has no noise

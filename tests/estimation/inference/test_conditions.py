@@ -294,15 +294,25 @@ def test_equalities_hold_to_rounding_and_are_named(
 
 
 @pytest.mark.parametrize("method", ["wls", "ridge", "tsvd"])
-def test_linear_methods_ignore_the_file_and_refuse_what_was_added(
+def test_linear_methods_refuse_what_the_file_states(
     problems: tuple[IdentificationProblem, IdentificationProblem], method: Any
 ) -> None:
-    estimate = identify(problems[1], method)
+    with pytest.raises(ProblemError, match=rf"'{method}' cannot honour .*boom about xy.* and 4 more; use qp"):
+        identify(problems[1], method)
+    alone = problems[1].by_data_alone()
+    estimate = identify(alone, method)
     assert abs(estimate.psi[estimate.problem.parameters.index("boom.I_xz")]) > 0
     assert estimate.active == ()
-    for added in (problems[1].symmetric("stick", "xy"), problems[1].with_total_mass("all", ["boom", "swing"], 9e3)):
+    for added in (alone.symmetric("stick", "xy"), alone.with_total_mass("all", ["boom", "swing"], 9e3)):
         with pytest.raises(ProblemError, match=f"'{method}' cannot honour"):
             identify(added, method)
+
+
+def test_bounds_of_the_file_are_constraints_and_confidences_are_not() -> None:
+    assert one_body(mass=Note(sigma=1.0)).stated_constraints == ()
+    bounded = one_body(mass=Note(sigma=1.0, upper=50.0))
+    assert bounded.stated_constraints == ("the bounds of arm.m",)
+    assert bounded.by_data_alone().stated_constraints == ()
 
 
 @pytest.mark.parametrize("method", ["wls", "ridge", "tsvd", "qp"])
