@@ -61,8 +61,8 @@ _turn = threading.RLock()
 def claimed(directory: str | Path, *, patience: float = 0.0) -> Iterator[Claim]:
     """Keep other processes from writing into a folder; it is created if need be, and removed if it stays empty.
 
-    What killed processes left there is completed or removed. The system releases the claim when this process ends. File
-    systems without locks keep nobody from writing.
+    What killed processes left there is completed or removed. The system releases the claim when this process ends. On a
+    file system without locks, other processes can write at the same time.
 
     Args:
         directory: the folder.
@@ -102,8 +102,10 @@ def claimed(directory: str | Path, *, patience: float = 0.0) -> Iterator[Claim]:
 
 
 @contextmanager
-def scratch(folder: Path) -> Iterator[Path]:
+def scratch(folder: Path, *, mode: int = 0o777) -> Iterator[Path]:
     """A new folder within `folder`, removed at the end; if the process is killed, `clean` removes it.
+
+    Its permissions are `mode`, less what the umask takes.
 
     Raises:
         OSError: it cannot be created.
@@ -112,7 +114,7 @@ def scratch(folder: Path) -> Iterator[Path]:
     try:
         while own is folder:
             own = folder / f"{UNFINISHED}{os.urandom(6).hex()}"
-            own.mkdir()
+            own.mkdir(mode)
             try:
                 lock = _lock(own)
             except (BlockingIOError, FileNotFoundError):  # a process that cleans has just removed it
@@ -230,7 +232,7 @@ def refuse_directory(directory: Path, names: tuple[str, ...]) -> None:
 
 
 def _is_file(directory: Path) -> bool:
-    """Whether something that is no directory stands there."""
+    """Whether the path exists and is not a directory."""
     with _reported(directory):
         return directory.exists() and not directory.is_dir()
 

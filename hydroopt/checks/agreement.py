@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,7 +43,7 @@ class Agreement:
         lengths: mean squares of lengths' differences from the geometry, in units of `GAP`, weighted and bounded.
         ranges: share of samples beyond joint limits or too fast, weighted.
         rate: logarithm of the ratio of the sampling rate to the stated one, weighted.
-        missed: RMS of the forces' nominal error as a part of the RMS force, the worst actuator's.
+        missed: RMS of each actuator's nominal error as a part of its RMS force, by actuator.
         gap: largest mean difference [m] between a length and the geometry; NaN where none is measured.
         outside: share of the samples that lie beyond a joint's limits, the worst joint's.
         hertz: sampling rate [Hz].
@@ -56,7 +55,7 @@ class Agreement:
     lengths: float
     ranges: float
     rate: float
-    missed: float
+    missed: dict[str, float]
     gap: float
     outside: float
     hertz: float
@@ -67,15 +66,16 @@ class Agreement:
         """All of it beyond the sensors' noise."""
         return self.forces - self.noise + self.levels + self.lengths + self.ranges + self.rate
 
-    @cached_property
-    def words(self) -> str:
-        """The evidence in words."""
-        said = [f"nominal forces are off by {100 * self.missed:.0f} %"]
-        if np.isfinite(self.gap):
-            said.append(f"lengths by {1e3 * self.gap:.0f} mm")
-        if self.outside > 0.005:
-            said.append(f"{100 * self.outside:.0f} % of the angles lie beyond joint limits")
-        said.append(f"the rate is {self.hertz:.3g} Hz")
+    def words(self, other: Agreement) -> str:
+        """In words what this reading agrees in better or worse than another; of forces, those that change most."""
+        actuator = max(self.missed, key=lambda name: abs(self.missed[name] - other.missed[name]))
+        said = [f"misfit {self.score:.3g}, nominal forces of {actuator} off by {100 * self.missed[actuator]:.0f} %"]
+        if abs(self.gap - other.gap) > 1e-3:
+            said.append(f"lengths off by {1e3 * self.gap:.0f} mm")
+        if abs(self.outside - other.outside) > 0.005:
+            said.append(f"{100 * self.outside:.0f} % of the angles beyond joint limits")
+        if abs(self.hertz / other.hertz - 1) > 0.01:
+            said.append(f"a rate of {self.hertz:.3g} Hz")
         return ", ".join(said)
 
 
@@ -155,8 +155,8 @@ def _rows(log: Log, window: int) -> Array:
 
 
 def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[np.bool_],
-                 averaged: float) -> tuple[float, float, float, float]:
-    """Weighted squares of forces with all priors, noise's part in them, the term of levels, the worst relative error.
+                 averaged: float) -> tuple[float, float, float, dict[str, float]]:
+    """Weighted squares of forces with all priors, noise's part in them, the term of levels, relative errors.
 
     `both` (2, N, n) are the measured and the nominal forces; those that are not `steady` count in levels only.
     """
@@ -180,7 +180,8 @@ def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[
     allowed = np.clip(rms, np.minimum(size, np.hypot(size, spread)), np.hypot(size, spread))
     levels = float(np.sum((np.log(np.maximum(rms, 1e-12) / np.maximum(allowed, 1e-12)) / LEVEL) ** 2))
     missed = np.sqrt(np.mean((force - nominal) ** 2, axis=0)) / np.maximum(rms, 1e-12)
-    return squares, float(np.sum((stated * weight) ** 2)), levels, float(np.max(missed))
+    names = (actuator.name for actuator in model.machine.actuators)
+    return squares, float(np.sum((stated * weight) ** 2)), levels, dict(zip(names, missed.tolist(), strict=True))
 
 
 def _length_terms(model: Model, log: Log, angles: Array, rows: Array) -> tuple[float, float]:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hydroopt.checks.agreement import Agreement, Evaluated, agreement, stated_rate
+from hydroopt.checks.agreement import MARGIN, Agreement, Evaluated, agreement, stated_rate
 from hydroopt.checks.alternatives import Alternative, alternatives
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.joint_angles import angle_channels
@@ -21,7 +21,7 @@ BETTER, LOWER = 0.5, 100.0
 MISSED = 0.1
 """By how much of the forces another reading may miss the nominal ones more than the log as read."""
 TIED = 10.0
-"""Alternatives whose scores differ by less are not told apart."""
+"""Alternatives whose scores differ by less are named together."""
 MISTAKES = 3
 """How many mistakes of one log are looked for, one after the other."""
 BEYOND = 0.02
@@ -82,8 +82,9 @@ def _mistakes(model: Model, log: Log) -> tuple[list[tuple[tuple[str, ...], dict[
         tied = [other for score, other, _ in scored if score < least + TIED]
         channels = tuple(dict.fromkeys(name for one in tied for name in one.channels))
         found.append((channels, {
-            "reading": " or ".join(one.words for one in tied), "as_read": now.words if now else "no posture fits",
-            "read_so": agreed.words, "score_as_read": now.score if now else None, "score_read_so": least}))
+            "reading": " or ".join(one.words for one in tied), "read_so": agreed.words(now or agreed),
+            "as_read": now.words(agreed) if now else "no posture fits",
+            "score_as_read": now.score if now else None, "score_read_so": least}))
         log, now = best.of(log), agreed
     return found, log
 
@@ -99,8 +100,12 @@ def _scored(model: Model, log: Log, now: Agreement | None,
 
 
 def _worse_in_nothing(made: Agreement, now: Agreement) -> bool:
-    """Whether another reading contradicts neither joint limits nor nominal forces more than the log as read."""
-    return made.outside <= max(now.outside, BEYOND) and made.missed <= now.missed + MISSED
+    """Whether another reading contradicts neither joint limits nor nominal forces more than the log as read.
+
+    A wrong reading can have the better score where the priors are wide: the sum of all terms alone is no evidence.
+    """
+    return made.outside <= max(now.outside, BEYOND) and all(
+        missed <= now.missed[name] + MISSED for name, missed in made.missed.items())
 
 
 def _contradictions(model: Model, log: Log, where: str) -> Iterator[Diagnostic]:
@@ -110,7 +115,7 @@ def _contradictions(model: Model, log: Log, where: str) -> Iterator[Diagnostic]:
         if f"{joint}.q" not in log.channels:
             continue
         q, (low, high) = log.channels[f"{joint}.q"], machine.link(joint).joint.range
-        slack = 0.02 * (high - low)
+        slack = MARGIN * (high - low)
         share = float(np.mean((q < low - slack) | (q > high + slack)))
         if share > BEYOND:
             yield Diagnostic(Kind.BEYOND_JOINT_LIMITS, (f"{joint}.q",), {

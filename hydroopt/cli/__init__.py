@@ -5,9 +5,10 @@ from __future__ import annotations
 import ast
 import os
 import sys
+from collections.abc import Collection
 from importlib import import_module
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -60,21 +61,21 @@ class Deferred(TyperCommand):
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
         """The context of the command itself."""
         module = import_module(f"{__name__}.{self.key}")
-        group = getattr(module, "app", None)
-        if group is None:
-            group = typer.Typer(add_completion=False, rich_markup_mode=None)
-            group.command(self.name, cls=Command)(getattr(module, self.key))
+        if hasattr(module, "app"):
+            return typer.main.get_command(module.app).make_context(info_name, args, parent, **extra)
+        function, group = getattr(module, self.key), typer.Typer(add_completion=False, rich_markup_mode=None)
+        group.command(self.name, cls=Command)(function)
         command = typer.main.get_command(group)
-        return command.make_context(info_name, _each_file_named(command, args), parent, **extra)
+        files = {name for name, kind in get_type_hints(function).items() if list[Path] in (kind, *get_args(kind))}
+        takes_files = {text for option in command.params if option.name in files for text in option.opts}
+        return command.make_context(info_name, _each_file_named(takes_files, args), parent, **extra)
 
 
-def _each_file_named(command: Any, arguments: list[str]) -> list[str]:
+def _each_file_named(takes_files: Collection[str], arguments: list[str]) -> list[str]:
     """Arguments with the option of files before each of its files: ``--validate a b`` as ``--validate a --validate b``.
 
     A shell's pattern stands for several files: those after the first must not count as other arguments.
     """
-    takes_files = {name for option in command.params if getattr(option, "multiple", False)
-                   and "LOG" in (option.metavar or "") for name in option.opts}
     named: list[str] = []
     option = ""
     for argument in arguments:

@@ -1,4 +1,4 @@
-"""An answer on the command line: printed when it is there, and its failure saved when there is none."""
+"""Commands print an answer, and save why there is none."""
 
 from __future__ import annotations
 

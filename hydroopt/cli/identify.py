@@ -55,7 +55,7 @@ def identify(
     bandwidth: Bandwidth = None,
     motion: Annotated[str, typer.Option(help=(
         "smoothed beforehand, or fitted together with the parameters from angles and forces."))] = "smoothed",
-    instruments: Annotated[list[str] | None, typer.Option(metavar="LOG", help=(
+    instruments: Annotated[list[Path] | None, typer.Option(metavar="LOG", help=(
         "Second reading of each log's motion (the reference that was driven, a repetition), or 'lengths' of cylinders: "
         "instrumental variables; repeatable."))] = None,
     correlated: Annotated[bool, typer.Option("--correlated", help=(
@@ -123,7 +123,7 @@ def identify(
         raise typer.Exit(3)
 
 
-def _with_noisy_angles(problem: IdentificationProblem, motion: str, instruments: list[str] | None,
+def _with_noisy_angles(problem: IdentificationProblem, motion: str, instruments: list[Path] | None,
                        map_file: Path | None) -> IdentificationProblem:
     from hydroopt.logs.log import read_log
 
@@ -133,7 +133,7 @@ def _with_noisy_angles(problem: IdentificationProblem, motion: str, instruments:
     if motion == "fitted":
         problem = problem.with_fitted_motion()
     if instruments:
-        problem = problem.with_instruments([] if instruments == ["lengths"]
+        problem = problem.with_instruments([] if instruments == [Path("lengths")]
                                            else [read_log(path, mapping=map_file) for path in instruments])
     return problem
 

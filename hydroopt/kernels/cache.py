@@ -7,19 +7,15 @@ only this user and root can write to it and to the folders above it, as ssh requ
 from __future__ import annotations
 
 import os
-import shutil
 import stat
 import tempfile
-import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 import platformdirs
 
-UNFINISHED = ".unfinished-"
-STALE = 3600.0
-"""Prefix of folders in which something is being made, and the age [s] from which their process must have died."""
+from hydroopt import files
 
 
 def folder() -> Path:
@@ -46,17 +42,19 @@ def folder() -> Path:
 def scratch(inside: Path | None = None) -> Iterator[Path]:
     """A new folder for this user alone, in the cache or among the system's temporary files; removed at the end.
 
+    What killed processes left in the cache is removed first.
+
     Raises:
         PermissionError: others could put something else in its place.
         OSError: there is no folder that can be written.
     """
     if inside is not None:
-        for left in inside.glob(f"{UNFINISHED}*"):
-            if time.time() - left.stat().st_mtime > STALE:
-                shutil.rmtree(left, ignore_errors=True)
-    prefix = "hydroopt-" if inside is None else UNFINISHED
-    with tempfile.TemporaryDirectory(prefix=prefix, dir=inside, ignore_cleanup_errors=True) as made:
-        path = Path(os.path.realpath(made))
+        files.clean(inside)
+        with files.scratch(inside, mode=0o700) as made:
+            yield made
+        return
+    with tempfile.TemporaryDirectory(prefix="hydroopt-", ignore_cleanup_errors=True) as temporary:
+        path = Path(os.path.realpath(temporary))
         _refuse_foreign(path)
         yield path
 

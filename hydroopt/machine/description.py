@@ -174,6 +174,16 @@ class MachineDescription(Noun):
             found += addresses.fixture_numbers(fixture)
         return {number.name: number for number in found}
 
+    def place(self, path: str) -> str:
+        """Place in the machine file of a number's path: ``links[boom].body.m`` of ``boom.body.m``."""
+        owner, _, rest = path.partition(".")
+        kinds = ("links", "cylinders", "motors", "drives", "gas_cylinders", "fixtures", "distances", "stages",
+                 "total_masses")
+        found = [kind for kind in kinds if any(part.name == owner for part in getattr(self, kind))]
+        if self.calibrator and any(link.name == owner for link in self.calibrator.links):
+            found.append("calibrator.links")
+        return f"{found[0]}[{owner}].{rest}" if found else path
+
     def effort_numbers(self, joint: str) -> tuple[Number, ...]:
         """Friction, offset and rotor of a moving joint and its actuator, in the order of Eq. 4.53, 4.54."""
         units, actuator = self.friction_units(joint), self.actuators[self.joints.index(joint)]

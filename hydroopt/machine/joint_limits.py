@@ -27,8 +27,8 @@ class NarrowedLimits(NamedTuple):
 def within_strokes(machine: Machine) -> tuple[Machine, tuple[NarrowedLimits, ...]]:
     """The machine with limits that no stroke contradicts, and which limits this narrowed.
 
-    Only cylinders on one revolute joint count. A joint whose cylinder fits nowhere keeps its limits: the check of the
-    machine file says what is wrong.
+    Only cylinders on one revolute joint count. A joint that its cylinder can move nowhere keeps its limits: the check
+    of the machine file says what is wrong.
 
     >>> from hydroopt.machine.machine_file import load_machine
     >>> narrower, changes = within_strokes(load_machine("cat215b").with_values({"boom_cylinder.dead_length": 1.3}))

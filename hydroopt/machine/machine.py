@@ -54,6 +54,7 @@ class Machine(MachineDescription):
         self._channels()
         self._site()
         self._masses()
+        self._bounds()
         return self
 
     @model_validator(mode="wrap")
@@ -209,6 +210,16 @@ class Machine(MachineDescription):
                 raise ImpossibleError(f"{', '.join(one.friction)} do not state the same terms of friction",
                                       "name actuators of one kind, and state the same terms of each",
                                       f"identical[{one.name}].friction")
+
+    def _bounds(self) -> None:
+        for number in self.numbers.values():
+            note, stated = self.notes.get(number.path, Note()), f"the value, {number.value:.9g} {number.unit}, lies"
+            if note.lower is not None and number.value < note.lower:
+                raise ImpossibleError(f"{stated} below its lower bound, {note.lower:.9g} {number.unit}",
+                                      "correct the value or the bound", self.place(number.path))
+            if note.upper is not None and number.value > note.upper:
+                raise ImpossibleError(f"{stated} above its upper bound, {note.upper:.9g} {number.unit}",
+                                      "correct the value or the bound", self.place(number.path))
 
     def with_values(self, values: Mapping[str, float], notes: Mapping[str, Note] | None = None) -> Machine:
         """The machine with other numbers, each under its address, and with what is known about them.

@@ -1,12 +1,9 @@
-"""Whether confidences, bounds and totals of a machine file can be true, and whether anything uses them."""
+"""Whether a machine file's gravity and totals can be true, and whether anything uses its confidences and bounds."""
 
 from __future__ import annotations
 
 from collections.abc import Collection, Iterator
-from difflib import get_close_matches
 
-from hydroopt.machine.addresses import Number
-from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.machine.quantity import ImpossibleError
@@ -34,8 +31,6 @@ def check(machine: Machine) -> None:
             _refuse_unused("sigma", path, calibrated, machine)
         if note.lower is not None or note.upper is not None:
             _refuse_unused("bounds", path, bounded, machine)
-    for number in numbers:
-        _refuse_outside(number, machine.notes.get(number.path, Note()), machine)
     _totals(machine)
 
 
@@ -53,19 +48,7 @@ def _further_calibrated(machine: Machine) -> Iterator[str]:
 
 def _refuse_unused(what: str, path: str, used: Collection[str], machine: Machine) -> None:
     if path not in used:
-        close = get_close_matches(path, used, n=1, cutoff=0.8)
-        better = f", or state {'them' if what == 'bounds' else 'it'} of {close[0]}" if close else ""
-        raise ImpossibleError(f"nothing uses the {what} of this number: no calibration estimates it"
-                              if what == "sigma" else "nothing uses the bounds of this number",
-                              f"remove {'them' if what == 'bounds' else 'it'}{better}", _place(machine, path))
-
-
-def _refuse_outside(number: Number, note: Note, machine: Machine) -> None:
-    low = note.lower is not None and number.value < note.lower
-    if low or (note.upper is not None and number.value > note.upper):
-        bound = f"below its lower bound, {note.lower:.6g}" if low else f"above its upper bound, {note.upper:.6g}"
-        raise ImpossibleError(f"the value, {number.value:.6g} {number.unit}, lies {bound} {number.unit}",
-                              "correct the value or the bound", _place(machine, number.path))
+        raise ImpossibleError(f"nothing uses the {what} of this number", f"remove the {what}", machine.place(path))
 
 
 def _totals(machine: Machine) -> None:
@@ -77,16 +60,3 @@ def _totals(machine: Machine) -> None:
             raise ImpossibleError(f"the bodies are weighed as {total.value:.6g} kg together, but their masses in this "
                                   f"file add up to {nominal:.6g} kg", "correct the total, its unit, or the masses",
                                   f"total_masses[{total.name}]")
-
-
-def _place(machine: Machine, path: str) -> str:
-    """The place in the file of a number's path: ``links[boom].body.m`` of ``boom.body.m``."""
-    owner, _, rest = path.partition(".")
-    kinds = ("links", "cylinders", "motors", "drives", "gas_cylinders", "fixtures", "distances", "stages",
-             "total_masses")
-    for kind in kinds:
-        if any(part.name == owner for part in getattr(machine, kind)):
-            return f"{kind}[{owner}].{rest}"
-    if machine.calibrator and any(link.name == owner for link in machine.calibrator.links):
-        return f"calibrator.links[{owner}].{rest}"
-    return path

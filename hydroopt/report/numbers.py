@@ -11,7 +11,9 @@ NONE = "—"
 """What stands where there is no number."""
 
 _SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-_SPACE, _MINUS, _DIGITS = "\u202f", "−", 6
+SPACE = "\N{NARROW NO-BREAK SPACE}"
+"""Between groups of digits, and a number and its power of ten."""
+_MINUS, _DIGITS = "−", 6
 
 
 class Row(NamedTuple):
@@ -74,10 +76,10 @@ def _written(value: float, decimals: int, exponent: int, *, trim: bool = False) 
     if not math.isfinite(value):
         return NONE
     rounded = round(value, decimals) / 10.0**exponent
-    text = f"{rounded:,.{max(0, decimals + exponent)}f}".replace(",", _SPACE).replace("-", _MINUS)
+    text = f"{rounded:,.{max(0, decimals + exponent)}f}".replace(",", SPACE).replace("-", _MINUS)
     if trim and "." in text:
         text = text.rstrip("0").rstrip(".")
     if not text.strip("−0."):
         text = text.removeprefix(_MINUS)
-    power = f"{_SPACE}×{_SPACE}10{str(exponent).translate(_SUPERSCRIPT)}"
+    power = f"{SPACE}×{SPACE}10{str(exponent).translate(_SUPERSCRIPT)}"
     return text + power if exponent and rounded else text

@@ -8,7 +8,7 @@ from importlib.resources import files
 import jinja2
 
 from hydroopt.errors import visible
-from hydroopt.report.numbers import NONE, plain
+from hydroopt.report.numbers import NONE, SPACE, plain
 
 
 @cache
@@ -24,4 +24,4 @@ def page(name: str) -> jinja2.Template:
 
 def _safe(value: object) -> object:
     """Names and other texts from files without characters that a page would not show as they are."""
-    return visible(value, keep="\n") if type(value) is str else value
+    return visible(value, keep=f"\n{SPACE}") if type(value) is str else value

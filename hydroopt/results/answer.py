@@ -69,7 +69,12 @@ class Answer(ABC):
     @property
     def status(self) -> Status:
         """Whether it can be believed: suspect where a diagnostic contradicts it."""
-        return Status.SUSPECT if of_kind(self.diagnostics, *CONTRADICTIONS) else Status.OK
+        return Status.SUSPECT if self.contradictions else Status.OK
+
+    @property
+    def contradictions(self) -> tuple[Diagnostic, ...]:
+        """The diagnostics that make it suspect."""
+        return of_kind(self.diagnostics, *CONTRADICTIONS)
 
     @property
     @abstractmethod

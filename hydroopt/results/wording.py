@@ -135,21 +135,26 @@ class Kind(StrEnum):
     OTHER_SOLUTIONS = "initial guesses lead elsewhere"
     HELD_AT_BOUND = "held at a bound"
     JOINT_LIMITS_NARROWED = "joint limits narrowed"
+    STROKE_CONTRADICTS_POSES = "poses beyond a stroke"
     NOT_IDENTIFIED_BY_POSES = "not identified by poses"
 
 
 REFUTATIONS = frozenset({Kind.LOG_MISREAD})
 """Kinds that refute an answer's data: no machine is made of it unless that is forced."""
 CONTRADICTIONS = REFUTATIONS | frozenset({
-    Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE, Kind.OTHER_SAMPLING_RATE,
+    Kind.STROKE_CONTRADICTS_POSES, Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE, Kind.OTHER_SAMPLING_RATE,
     Kind.WORSE_THAN_ZERO, Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_CHANNEL, Kind.ERRORS_FAR_LARGER,
     Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED})
 """Kinds that make an answer suspect."""
 WORDS: dict[Kind, Words] = {
     Kind.JOINT_LIMITS_NARROWED: Words(
         "With the calibrated geometry the stroke of {cylinder} moves {subject} from {after_deg[0]:.2f} to "
-        "{after_deg[1]:.2f} deg; the machine file's limits, {before_deg[0]:.2f} to {before_deg[1]:.2f} deg, gave way.",
-        "Check that no pose lies beyond; if one does, correct dead length and stroke."),
+        "{after_deg[1]:.2f} deg. The calibrated machine has these limits instead of {before_deg[0]:.2f} to "
+        "{before_deg[1]:.2f} deg."),
+    Kind.STROKE_CONTRADICTS_POSES: Words(
+        "With the calibrated geometry the stroke of {cylinder} moves {subject} from {after_deg[0]:.2f} to "
+        "{after_deg[1]:.2f} deg only, but {beyond} poses lie beyond.",
+        "Correct its dead length and stroke in the machine file."),
     Kind.IMPOSSIBLE_NOMINAL_BODIES: Words(
         "No body can have the mass, centre of mass and inertia that the machine file states of {subject}: a principal "
         "moment of inertia is negative or exceeds the sum of the other two.",

@@ -24,6 +24,11 @@ def test_sessions_take_several_logs() -> None:
     assert (found["before"], found["after"]) == ([Path("a"), Path("b")], [Path("c"), Path("d")])
 
 
+def test_logs_of_instruments_are_files_as_well() -> None:
+    found = parsed("identify", "crane", "a", "--instruments", "b", "c", "-o", "out")
+    assert (found["logs"], found["instruments"]) == ([Path("a")], [Path("b"), Path("c")])
+
+
 def test_other_options_take_one_word() -> None:
     found = parsed("identify", "crane", "--treat", "nan=drop", "a", "-o", "out", "b")
     assert found["logs"] == [Path("a"), Path("b")]

@@ -5,11 +5,11 @@ from __future__ import annotations
 import os
 import stat
 import sys
-import time
 from pathlib import Path
 
 import pytest
 
+from hydroopt.files import UNFINISHED
 from hydroopt.kernels import cache
 
 pytestmark = pytest.mark.skipif(sys.platform == "win32", reason="owners and modes of POSIX")
@@ -89,12 +89,13 @@ def test_files_of_others_are_not_read(home: Path, monkeypatch: pytest.MonkeyPatc
 
 def test_leftovers_of_killed_processes_are_removed(home: Path) -> None:
     folder = cache.folder()
-    with cache.scratch(folder) as old, cache.scratch(folder) as young:
-        (old / "cc1.s").touch()
-        os.utime(old, (time.time() - 2 * cache.STALE,) * 2)
+    old = folder / f"{UNFINISHED}old"
+    old.mkdir()
+    (old / "cc1.s").touch()
+    with cache.scratch(folder) as living:
+        assert not old.exists()
         with cache.scratch(folder):
-            assert not old.exists()
-            assert young.exists()
+            assert living.exists()
     assert not list(folder.iterdir())
 
 

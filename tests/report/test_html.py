@@ -72,6 +72,12 @@ def test_has_every_parameter_and_diagnostic(page: str, estimate: Estimate) -> No
     assert page.index("<h2>Diagnostics</h2>") < page.index("<h2>Fit</h2>")
 
 
+def test_numbers_are_shown_without_escapes(page: str) -> None:
+    assert re.search("\\d\N{NARROW NO-BREAK SPACE}\\d", page)
+    assert "\\u" not in page
+    assert "\\x" not in page
+
+
 def test_order_of_contents(page: str) -> None:
     titles = re.findall(r"<h2>(.*?)</h2>", page)
     assert titles == ["Diagnostics", "Fit", "Machine", "Parameters", "Masses of links in all", "Base parameters",

@@ -11,6 +11,9 @@ from hydroopt.machine.machine import Machine
 from hydroopt.parameters import dynamic as dynamic_parameters
 from hydroopt.spatial.inertia import Array
 
+ROUNDING = 1e-9
+"""How far beyond a bound a solver may end, relative to numbers larger than one."""
+
 
 def calibrated_machine(estimate: Identification) -> Machine:
     """Machine with the identified bodies (about their frames' origins), friction and offsets, and their confidences.
@@ -27,7 +30,10 @@ def calibrated_machine(estimate: Identification) -> Machine:
     machine, names = problem.model.machine, problem.parameters.names
     where = f"{machine.name} by {estimate.algorithm}"
     impossible = [owner for owner, smallest in estimate.consistency.items() if smallest < 0]
-    below = [name for k, name in enumerate(names) if estimate.psi[k] < problem.parameters.lower[k] - 1e-9]
+    bounded = np.clip(estimate.psi, problem.parameters.lower, problem.parameters.upper)
+    rounded = abs(bounded - estimate.psi) <= ROUNDING * np.maximum(1.0, abs(bounded))
+    psi = np.where(rounded, bounded, estimate.psi)
+    below = [name for name, value, low in zip(names, psi, problem.parameters.lower, strict=True) if value < low]
     if impossible or below:
         raise ProblemError(f"{', '.join([*impossible, *below])} cannot exist",
                            where=where, remedy="identify with method 'sdp'")
@@ -38,7 +44,7 @@ def calibrated_machine(estimate: Identification) -> Machine:
     logs = ", ".join(each.log.path or each.log.name for each in problem.experiments)
     source = f"identified by {estimate.algorithm} from {logs}"
     confidence = np.where(np.isfinite(estimate.std), estimate.std, problem.parameters.prior_std)
-    values = dict(zip(names, estimate.psi.tolist(), strict=True))
+    values = dict(zip(names, psi.tolist(), strict=True))
     notes: dict[str, Note] = {}
     for columns in problem.parameters.bodies.values():
         k = columns.start

@@ -235,8 +235,8 @@ def _calibrated(estimate: HydraulicEstimate) -> Machine:
     problem, machine = estimate.problem, estimate.problem.plant.machine
     source = f"identified from {', '.join(log.path or log.name for log in problem.logs)}"
     numbers, values, notes = machine.numbers, {}, {}
-    for name, value, std in zip(problem.parameters.names, estimate.shooting.theta.tolist(),
-                                estimate.shooting.std.tolist(), strict=True):
+    theta = np.clip(estimate.shooting.theta, problem.parameters.lower, problem.parameters.upper)  # a solver's rounding
+    for name, value, std in zip(problem.parameters.names, theta.tolist(), estimate.shooting.std.tolist(), strict=True):
         if name in numbers:  # directions of the bodies' parameters have no address
             values[name] = value
             sigma = {"sigma": std, "relative": False} if np.isfinite(std) else {}
@@ -248,7 +248,9 @@ def _calibrated(estimate: HydraulicEstimate) -> Machine:
             values |= dict(zip(parameters.names[columns], psi[columns].tolist(), strict=True))
             for element, was in (("m", "m"), ("mc_x", "com"), ("I_xx", "inertia_com")):
                 name = f"{owner}.{element}"
-                note = machine.notes.get(f"{owner}.body.{was}") or machine.notes.get(numbers[name].path)
+                note = machine.notes.get(numbers[name].path)
+                if note is None and (of_com := machine.notes.get(f"{owner}.body.{was}")) and of_com.relative:
+                    note = of_com  # an absolute confidence of a centre of mass is none of a first moment
                 if note is not None:
                     notes[name] = note.model_copy(update={"source": source})
     return machine.with_values(values, notes)

@@ -22,6 +22,8 @@ FAR_LARGER, LARGE, SMALL = 10.0, 1.5, 0.5
 """Errors, relative to those stated, that make an answer suspect, and above and below which a diagnostic says so."""
 OVERFITTED = 2.0
 """Error of held-out poses relative to that of training poses from which on a diagnostic says so."""
+ROUNDED = 1e-3
+"""How far beyond the end of a stroke a pose may lie by errors of its reading [rad]."""
 FEW = 3
 """Single poses that are named one by one."""
 
@@ -54,9 +56,11 @@ def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fi
     if held:
         yield Diagnostic(Kind.HELD_AT_BOUND, held)
     for limits in narrowed:
-        yield Diagnostic(Kind.JOINT_LIMITS_NARROWED, (limits.joint,), {
+        angles = solution.q[:, solution.problem.model.joints.index(limits.joint)]
+        beyond = int(np.sum((angles < limits.after[0] - ROUNDED) | (angles > limits.after[1] + ROUNDED)))
+        yield Diagnostic(Kind.STROKE_CONTRADICTS_POSES if beyond else Kind.JOINT_LIMITS_NARROWED, (limits.joint,), {
             "cylinder": limits.cylinder, "before_deg": np.degrees(limits.before).tolist(),
-            "after_deg": np.degrees(limits.after).tolist()})
+            "after_deg": np.degrees(limits.after).tolist(), "beyond": beyond})
     if impossible:
         yield Diagnostic(Kind.NO_CALIBRATED_MACHINE, (), {
             "reason": impossible.rstrip("."), "remedy": "Correct limits in the machine file, or fix parameters"})

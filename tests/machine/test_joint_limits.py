@@ -1,0 +1,46 @@
+"""Joint limits give way to strokes: to the angle at which the pins are as far apart as the cylinder can be."""
+
+import numpy as np
+import pytest
+
+import hydroopt as ho
+from hydroopt.machine import cylinder_checks
+from hydroopt.machine.joint_limits import INSIDE, within_strokes
+from hydroopt.machine.machine import Machine
+
+
+def pin_distance(machine: Machine, joint: str, cylinder: str, angle: float) -> float:
+    """Length of a cylinder [m] by the model's kinematics."""
+    model = ho.Model(machine)
+    q = np.zeros((1, len(machine.joints)))
+    q[0, machine.joints.index(joint)] = angle
+    names = [each.name for each in machine.all_cylinders]
+    return float(model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)[0][0, names.index(cylinder), 0])
+
+
+@pytest.mark.parametrize(("joint", "cylinder", "changed"), [
+    ("boom", "boom_cylinder", {"boom_cylinder.dead_length": 1.3}),
+    ("stick", "stick_cylinder", {"stick_cylinder.dead_length": 2.05}),
+    ("stick", "stick_cylinder", {"stick_cylinder.dead_length": 1.70})])
+def test_a_limit_is_the_end_of_the_stroke(joint: str, cylinder: str, changed: dict[str, float]) -> None:
+    machine = ho.load_machine("cat215b").with_values(changed)
+    narrower, changes = within_strokes(machine)
+    assert [(change.joint, change.cylinder) for change in changes] == [(joint, cylinder)]
+    change, part = changes[0], next(each for each in machine.cylinders if each.name == cylinder)
+    moved = [k for k in (0, 1) if change.after[k] != change.before[k]]
+    assert len(moved) == 1
+    inward = 1 if moved == [0] else -1
+    length = pin_distance(machine, joint, cylinder, change.after[moved[0]] - inward * INSIDE)
+    assert min(abs(length - part.dead_length), abs(length - part.dead_length - part.stroke)) < 1e-9
+    assert narrower.link(joint).joint.range == change.after
+    cylinder_checks.check(narrower)
+
+
+def test_limits_within_strokes_stay() -> None:
+    machine = ho.load_machine("cat215b")
+    assert within_strokes(machine) == (machine, ())
+
+
+def test_a_cylinder_that_fits_nowhere_keeps_the_limits() -> None:
+    machine = ho.load_machine("cat215b").with_values({"boom_cylinder.dead_length": 9.0})
+    assert within_strokes(machine)[1] == ()
