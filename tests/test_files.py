@@ -65,7 +65,8 @@ def content(folder: Path) -> dict[str, str]:
             if file.is_file() and not str(file.relative_to(folder)).startswith(".")}
 
 
-@pytest.mark.parametrize("before", [OLD, {}], ids=["over an old result", "into nothing"])
+@pytest.mark.parametrize("before", [
+    pytest.param(OLD, id="over an old result"), pytest.param({}, id="into nothing", marks=pytest.mark.slow)])
 def test_killed_at_any_change_a_folder_holds_the_old_result_or_the_new_one(
     tmp_path: Path, before: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -56,7 +56,8 @@ def test_a_study_and_its_processes_run_nothing_that_lies_there(hostile: Path, tm
         "--method", "nlp", "--duration", "6", "-o", str(tmp_path_factory.mktemp("out")))
 
 
-@pytest.mark.parametrize("module", ["hydroopt.report.figures", "hydroopt.control.python_control"])
+@pytest.mark.parametrize("module", [
+    "hydroopt.report.figures", pytest.param("hydroopt.control.python_control", marks=pytest.mark.slow)])
 def test_matplotlib_reads_no_settings_there(module: str, hostile: Path) -> None:
     code = f"import os, {module}, matplotlib as m; print(m.rcParams['text.usetex'], os.getcwd())"
     assert run(hostile, "-P", "-c", code) == f"False {hostile}\n"

@@ -87,7 +87,7 @@ def test_files_are_there_and_say_what_was_asked(kind: str, written: Callable[...
     np.testing.assert_allclose(t, np.arange(len(t)) / said["rate"], rtol=1e-12)
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", tiered(KINDS, lambda kind: kind == "series"))
 def test_coefficients_make_the_trajectory(kind: str, written: Callable[..., Path]) -> None:
     """By functions that are built of other parts than those of the program."""
     directory = written(*KINDS[kind])
@@ -210,7 +210,8 @@ def test_nothing_is_written_where_foreign_c_lies(tmp_path: Path) -> None:
     assert [file.name for file in tmp_path.rglob("*") if file.is_file()] == ["patu655_lift.c"]
 
 
-@pytest.mark.parametrize("flow", tiered(["1e-3 L/hour", "0.01 L/min"], lambda flow: flow == "0.01 L/min"))
+@pytest.mark.slow
+@pytest.mark.parametrize("flow", ["1e-3 L/hour", "0.01 L/min"])
 def test_machine_that_can_hardly_move_is_told_why(flow: str, tmp_path: Path) -> None:
     """By a pump that is next to none; there may be a motion nevertheless."""
     text = (Path(__file__).parents[2] / "models/cat215b.toml").read_text("utf-8")

@@ -42,7 +42,7 @@ def said(plant: Plant, given: dict[str, np.ndarray]) -> tuple[np.ndarray, np.nda
     return np.array(command), np.array(opening)
 
 
-@pytest.mark.parametrize("real", ["double", "float"])
+@pytest.mark.parametrize("real", [pytest.param("double", marks=pytest.mark.slow), "float"])
 def test_c_says_what_the_model_says(plant: Plant, real: str, tmp_path) -> None:
     made = subject(plant.machine.name, real, "valve_feedforward")
     library, given = Library(made, tmp_path / "c", "-O2"), states(plant)

@@ -49,6 +49,7 @@ def by_name(comparison: Comparison, name: str) -> Outcome:
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_an_exact_model_without_noise_tracks(exact: Comparison) -> None:
     """The tip, whose lever is 7 m long, stays within millimetres of a motion over most of the joint's range."""
     setting, complete = exact.setting, by_name(exact, "feedforward complete")
@@ -59,6 +60,7 @@ def test_an_exact_model_without_noise_tracks(exact: Comparison) -> None:
 
 
 @pytest.mark.slow
+@pytest.mark.slow
 def test_wrong_bodies_cost_accuracy_and_feedforward_buys_it(exact: Comparison) -> None:
     complete = by_name(exact, "feedforward complete").tip_rms
     assert by_name(exact, "feedforward nominal").tip_rms > 2 * complete
@@ -67,6 +69,7 @@ def test_wrong_bodies_cost_accuracy_and_feedforward_buys_it(exact: Comparison) -
     assert exact.winner.tip_rms == min(o.tip_rms for o in exact.outcomes if o.variant.name != TRUE)
 
 
+@pytest.mark.slow
 def test_loops_are_as_robust_as_their_gains_were_tuned_to_be(exact: Comparison) -> None:
     """A sensitivity of M keeps a gain margin of M/(M − 1) and a phase margin of 2·arcsin(1/(2·M))."""
     most = exact.setting.sensitivity
@@ -80,6 +83,7 @@ def test_loops_are_as_robust_as_their_gains_were_tuned_to_be(exact: Comparison) 
         assert min(margin.damping for margin in outcome.margins) > 0
 
 
+@pytest.mark.slow
 def test_energy_is_what_the_moving_chambers_take(exact: Comparison) -> None:
     """Supply pressure times the volume that the growing chamber swept, leaks and compression aside."""
     run, setting = by_name(exact, "feedforward true").run, exact.setting

@@ -12,7 +12,8 @@ def test_links_alone(name):
     agrees(model(name, actuator_inertia=False), samples=40)
 
 
-@pytest.mark.parametrize("name", ["cat215b", "lift_with_bodies", "made_up"])
+@pytest.mark.parametrize("name", [
+    "cat215b", "lift_with_bodies", pytest.param("made_up", marks=pytest.mark.slow)])
 def test_barrels_and_rods_on_their_pins(name):
     agrees(model(name), samples=40)
 

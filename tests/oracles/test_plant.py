@@ -77,6 +77,7 @@ def test_what_pressures_put_in_is_what_bodies_hold_and_friction_takes(motion):
     assert abs(work - lost - gained) < 1e-5 * size
 
 
+@pytest.mark.slow
 def test_oil_is_neither_made_nor_lost(motion):
     """Mass of oil in chamber and hose at both ends of the motion against what flowed in, by density, not by pressure.
 

@@ -91,6 +91,7 @@ def test_intervals_hold_a_noisy_load():
     assert np.mean(inside) >= 0.85  # of 48; 95 % are expected, and the study counts more
 
 
+@pytest.mark.slow
 def test_friction_may_grow_with_the_load():
     model, name = SPATIAL, "upper_drive.tau_coulomb"
     loaded = with_load(model, 1.0, COM, "fore")
@@ -108,6 +109,7 @@ def test_friction_may_grow_with_the_load():
         assert (low > 0) == (one.name == name)
 
 
+@pytest.mark.slow
 def test_a_misread_scale_is_told_by_what_is_known_of_the_arm():
     """Torques that read 8 % too much make the load 8 % too heavy, unless the machine file's masses may speak."""
     known = SPATIAL.machine.model_copy(update={"notes": {key: note.model_copy(update={"sigma": 0.01})

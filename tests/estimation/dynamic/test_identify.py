@@ -243,6 +243,7 @@ def stiff_stick(cat215b: Model, cat_truth: np.ndarray) -> IdentificationProblem:
     return identification_problem(cat215b.machine, logs, smoothing=PERIODIC)
 
 
+@pytest.mark.slow
 def test_a_joint_that_stands_still_is_not_excited(stiff_stick: IdentificationProblem) -> None:
     names = stiff_stick.parameters.names
     by_data, by_both = identify(stiff_stick, "wls"), identify(stiff_stick, "sdp")

@@ -138,6 +138,7 @@ def test_a_machine_without_circuits_or_doubts_is_refused(log):
         hydraulic_problem(_machine(exact), [log])
 
 
+@pytest.mark.slow
 def test_free_runs_are_judged_by_what_was_read(crane, log):
     problem = hydraulic_problem(crane.machine, [log])
     record = problem.records(log)[0]

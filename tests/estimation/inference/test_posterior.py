@@ -76,6 +76,7 @@ def test_truncated_normal_where_a_friction_meets_its_bound(free_wheel: Identific
     assert np.all(samples[:, 1] >= 0)
 
 
+@pytest.mark.slow
 def test_body_at_the_edge_of_existence(one_body: Callable[..., IdentificationProblem]) -> None:
     """Rejection sampling: draw from the Gaussian, keep the bodies that can exist."""
     problem = one_body(np.array([2.0, 1.5, 0, 0, 1, 0, 0, 2, 0, 2]), (0.5, 0.3, 0.5))

@@ -7,7 +7,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from fixtures.tiers import tiered
 from hydroopt import load_machine
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic import joint, link_by_link
@@ -192,6 +191,7 @@ def test_the_free_direction_of_the_base_is_named(model: KinematicModel, machine:
     assert np.isfinite(seen.std[seen.names.index("boom.a")])
 
 
+@pytest.mark.slow
 def test_other_measurements_help(model: KinematicModel, machine: Machine,
                                  closed: tuple[np.ndarray, list[str]]) -> None:
     tape = Sensor(channels=("stick.distance",), accuracy="5 mm")
@@ -260,6 +260,7 @@ def test_tracked_points_and_an_unknown_tracker(machine: Machine) -> None:
     np.testing.assert_allclose(solved["tracker.x"], truth[model.parameters.names.index("tracker.x")], atol=1e-6)
 
 
+@pytest.mark.slow
 def test_drift_is_found_and_would_hurt(model: KinematicModel, machine: Machine) -> None:
     """The stick creeps while frozen, through two stages; the file says that it may."""
     fixture, geometry = np.array(machine.fixtures[0].position), model.parameters.nominal
@@ -562,7 +563,8 @@ def recovered(arm: CalibrationProblem, method: str) -> np.ndarray:
     return np.abs(theta[: len(arm.model.parameters)] - arm_truth(arm.model))
 
 
-@pytest.mark.parametrize("method", tiered(METHODS, lambda method: method != "joint"))
+@pytest.mark.slow
+@pytest.mark.parametrize("method", METHODS)
 def test_the_bundled_arm_comes_back(arm: CalibrationProblem, method: str) -> None:
     assert np.max(recovered(arm, method)) < 1e-8
 

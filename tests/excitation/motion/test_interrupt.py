@@ -9,8 +9,6 @@ from pathlib import Path
 
 import pytest
 
-from fixtures.tiers import tiered
-
 if sys.platform == "win32":
     pytest.skip("no terminal to press Ctrl-C in", allow_module_level=True)
 
@@ -41,7 +39,8 @@ def kept(output: Path, machine: str) -> None:
     assert (output / f"c/{machine}.c").exists()
 
 
-@pytest.mark.parametrize("processes", tiered(["1", "2"], lambda processes: processes == "2"))
+@pytest.mark.slow
+@pytest.mark.parametrize("processes", ["1", "2"])
 def test_ctrl_c_keeps_the_best_motion_so_far(processes: str, terminal: Callable[[str, str], Terminal],
                                              tmp_path: Path) -> None:
     running = terminal("patu655_lift", processes)

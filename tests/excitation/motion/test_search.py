@@ -170,6 +170,7 @@ def test_limits_in_conflict_are_named(kind: str) -> None:
     assert "tipping" not in caught.value.what
 
 
+@pytest.mark.slow
 def test_posture_of_a_joint_that_rests_may_be_what_cannot_be_kept() -> None:
     """With the boom raised, the tip is never low enough; by itself either can be kept."""
     high = CAT.model_copy(update={"workspace": Workspace(lower=(-9.0, -9.0, -9.0), upper=(9.0, 9.0, -1.0))})

@@ -223,6 +223,7 @@ def test_plan_can_be_read_back(plan, tmp_path):
     np.testing.assert_array_equal(np.column_stack([poses.channels[f"{name}.q"] for name in plan.joints]), plan.q)
 
 
+@pytest.mark.slow
 def test_arms_that_sense_all_joints():
     panda = load_machine("panda_mukca")
     model = KinematicModel(panda)
