@@ -7,10 +7,12 @@ import os
 import shlex
 import signal
 import subprocess
-from contextlib import suppress
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Any
 
 FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fPIC", "-shared", "-w")
 """No fast-math: only that sqrt need not set errno. Products and sums may be fused, as the compiler does by itself."""
@@ -71,20 +73,37 @@ def compiler() -> Compiler | None:
 
 
 def _run(command: tuple[str, ...], given: bytes, seconds: float, folder: Path | None = None) -> bytes:
-    """Standard output of a command; it and all processes that it started are ended after `seconds`, and by Ctrl-C."""
+    """Standard output of a command; it and its processes end after `seconds`, by Ctrl-C, and with this process."""
     environment = None if folder is None else {**os.environ, "TMPDIR": str(folder)}
-    group = {"process_group": 0} if os.name == "posix" else {}
+    own: dict[str, Any] = {"process_group": 0} if os.name == "posix" else {}
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.PIPE,
-                          env=environment, cwd=folder, **group) as running:  # type: ignore[call-overload]
+                          env=environment, cwd=folder, **own) as running, _ending_with_us(running):
         try:
             out, said = running.communicate(given, seconds)
         except BaseException:
             with suppress(OSError):
-                os.killpg(running.pid, signal.SIGKILL) if group else running.kill()
+                os.killpg(running.pid, signal.SIGKILL) if own else running.kill()
             raise
     if running.returncode:
         raise subprocess.CalledProcessError(running.returncode, command[0], out, said)
     return bytes(out)
+
+
+@contextmanager
+def _ending_with_us(running: subprocess.Popen[bytes]) -> Iterator[None]:
+    """A shell in the group of a running command, which kills the group when this process ends, even if it is killed.
+
+    The shell waits for the end of its input, which the system closes with this process.
+    """
+    if os.name != "posix":
+        yield
+        return
+    with subprocess.Popen(("/bin/sh", "-c", "read -r _; kill -KILL 0"), stdin=subprocess.PIPE,
+                          stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, process_group=running.pid) as shell:
+        try:
+            yield
+        finally:
+            shell.kill()
 
 
 def reason(error: Exception) -> str:

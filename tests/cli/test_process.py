@@ -145,7 +145,27 @@ if __name__ == "__main__":
         assert parent.stdout is not None
         worker = int(parent.stdout.readline())
         parent.send_signal(signal.SIGKILL)
+    assert ends(worker)
+
+
+def test_a_compiler_and_what_it_starts_end_when_the_command_is_killed(tmp_path: Path) -> None:
+    started = tmp_path / "started"
+    slow = tmp_path / "cc"
+    slow.write_text(f"#!/bin/sh\nsleep 100 & echo $! $$ > {started}.part; mv {started}.part {started}; wait\n")
+    slow.chmod(0o755)
+    environment = {**os.environ, "CC": str(slow), "HYDROOPT_CACHE": str(tmp_path / "cache")}
+    with subprocess.Popen([sys.executable, "-c", "from hydroopt.kernels.compiler import compiler; compiler()"],
+                          env=environment) as parent:
+        end = time.monotonic() + 20
+        while not started.exists() and time.monotonic() < end:
+            time.sleep(0.02)
+        parent.send_signal(signal.SIGKILL)
+    assert all(ends(int(process)) for process in started.read_text().split())
+
+
+def ends(process: int) -> bool:
+    """Whether a process ends soon."""
     end = time.monotonic() + 20
-    while Path(f"/proc/{worker}").exists() and time.monotonic() < end:
+    while (running := Path(f"/proc/{process}").exists()) and time.monotonic() < end:
         time.sleep(0.05)
-    assert not Path(f"/proc/{worker}").exists()
+    return not running
