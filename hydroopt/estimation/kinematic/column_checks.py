@@ -1,30 +1,41 @@
-"""Checks of columns against the machine: degrees given as radians, exchanged columns."""
+"""Checks of columns against the machine: units, signs, exchanged columns."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
 
 from hydroopt.errors import ProblemError
+from hydroopt.estimation.kinematic.pose_layout import PoseLayout
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
+from hydroopt.estimation.kinematic.residuals import gaps
 from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
 from hydroopt.simulation.postures import limits
-from hydroopt.spatial.inertia import Array
 
 BEYOND = np.radians(20.0)
 """How far outside of a joint's limits a reading must lie to count as impossible [rad, m]."""
 BETTER = 0.2
-"""Part of the gap that must be left after exchanging two columns to say that they were exchanged."""
+"""Part of the gap that must be left if columns are read otherwise to say that they should be."""
+STILL = 0.03
+"""Part of a joint's range within which all poses must lie to suspect radians that are given as degrees."""
 LARGE = 0.1
 """Part of the chain's length that the nominal gap must reach before a mistake in the columns is looked for."""
+OTHER_ANGLES = {"have the other sign": -1.0, "be degrees given as radians": np.radians(1),
+                "be radians given as degrees": np.degrees(1)}
+"""Factors that mistaken angles make."""
+OTHER_LENGTHS = {"mm given as m": 1e-3, "cm given as m": 1e-2, "m given as mm": 1e3}
+"""Factors that mistaken lengths make."""
 POSES = 60
 """Poses that are examined."""
 
 
 def refuse_misread(problem: CalibrationProblem) -> None:
-    """Refuse readings outside of all limits, and exchanged columns.
+    """Refuse readings outside of all limits, exchanged columns, reversed signs, and other units.
+
+    A mistake is named only if the nominal machine agrees far better with the columns read otherwise.
 
     Args:
         problem: with all its poses.
@@ -32,62 +43,89 @@ def refuse_misread(problem: CalibrationProblem) -> None:
     Raises:
         ProblemError: which column, why, and what to do.
     """
+    there = np.flatnonzero(problem.layout.present.any(axis=1))
+    chosen = np.zeros(len(problem.poses), dtype=bool)
+    chosen[there[np.unique(np.linspace(0, len(there) - 1, POSES).astype(int))]] = True
+    few = problem.without(~chosen)
+    large = LARGE * sum(abs(link.joint.a) + abs(link.joint.d) for link in problem.model.machine.chain)
+    usual, outside, still = _gap(few), _outside(problem), _still(few) == 1
+    if not outside and not still and usual < large:
+        return
+    others = ((replace(few, layout=layout), words, remedy) for layout, words, remedy in _other_readings(few))
+    gap, words, remedy = min(((_gap(other), words, remedy) for other, words, remedy in others
+                              if not _outside(other) and (_still(other) == 0 if still else _still(other) < 1)),
+                             default=(np.inf, "", ""))
+    where = f"poses of {problem.poses.name}"
+    if gap < (large if still else BETTER * usual):
+        raise ProblemError(
+            f"{words}: as they stand, the nominal machine misses the poses by {usual:.2g} m, otherwise by {gap:.2g} m",
+            where=where, remedy=remedy)
+    if outside:
+        raise ProblemError(outside, where=where, remedy="check units and signs, that columns are not exchanged, the "
+                                                        "sensor's zero and the limits in the machine file")
+
+
+def _outside(problem: CalibrationProblem) -> str:
+    """Which joint's readings lie outside of its limits in most poses, in words; none: ''."""
     low, high = limits(problem.model)
     layout = problem.layout
     for k, joint in enumerate(problem.model.joints):
         reading = layout.reading[layout.sensed[:, k], k]
-        outside = _outside(reading, low[k], high[k])
-        if outside.sum() <= reading.size / 2:
-            continue
-        row = np.flatnonzero(layout.sensed[:, k])[int(np.argmax(outside))]
-        turned = _outside(np.radians(reading), low[k], high[k]).mean() < 0.1
-        raise ProblemError(
-            f"'{joint}.q' lies outside of the joint's limits in {int(outside.sum())} of {reading.size} poses, from "
-            f"data row {problem.poses.row[row]} on", where=f"poses of {problem.poses.name}",
-            remedy="these look like degrees given as radians: correct the unit" if turned else
-            "check that columns are not exchanged, the sensor's zero and the limits in the machine file")
-    _refuse_exchanged(problem)
+        outside = (reading < low[k] - BEYOND) | (reading > high[k] + BEYOND)
+        if outside.sum() > reading.size / 2:
+            row = np.flatnonzero(layout.sensed[:, k])[int(np.argmax(outside))]
+            return (f"'{joint}.q' lies outside of the joint's limits in {int(outside.sum())} of {reading.size} poses, "
+                    f"from data row {problem.poses.row[row]} on")
+    return ""
 
 
-def _outside(reading: Array, low: float, high: float) -> Array:
-    return np.asarray((reading < low - BEYOND) | (reading > high + BEYOND), dtype=float)
+def _still(problem: CalibrationProblem) -> float:
+    """Share of the sensed joints that stay within a small part of their ranges: such poses contradict no geometry."""
+    low, high = limits(problem.model)
+    sensed = problem.layout.sensed.all(axis=0)
+    still = (np.ptp(problem.layout.reading, axis=0) < STILL * (high - low))[sensed]
+    return float(still.mean()) if still.size else 0.0
 
 
-def _refuse_exchanged(problem: CalibrationProblem) -> None:
-    closed = np.flatnonzero(problem.layout.present[:, :3].all(axis=1))
-    if not closed.size:
-        return
-    chosen = np.zeros(len(problem.poses), dtype=bool)
-    chosen[closed[np.unique(np.linspace(0, len(closed) - 1, POSES).astype(int))]] = True
-    few = problem.without(~chosen)
-    usual = _gap(few)
-    reach = sum(abs(link.joint.a) + abs(link.joint.d) for link in problem.model.machine.chain)
-    if usual < LARGE * reach:
-        return
-    sensed = [k for k in range(len(problem.model.joints)) if few.layout.sensed[:, k].all()]
-    trials = []
+def _other_readings(problem: CalibrationProblem) -> Iterator[tuple[PoseLayout, str, str]]:
+    """Layouts in which columns are exchanged or have another sign or unit, with what that means and its remedy."""
+    layout, joints = problem.layout, problem.model.joints
+    sensed = [k for k in range(len(joints)) if layout.sensed[:, k].all()]
     for one, other in combinations(sensed, 2):
-        reading = few.layout.reading.copy()
+        reading = layout.reading.copy()
         reading[:, [one, other]] = reading[:, [other, one]]
-        trials.append((_gap(few, reading), problem.model.joints[one], problem.model.joints[other]))
-    if trials and (best := min(trials))[0] < BETTER * usual:
-        raise ProblemError(
-            f"the columns '{best[1]}.q' and '{best[2]}.q' seem to be exchanged: as they stand the nominal chain stays "
-            f"open by {usual:.2g} m, the other way round by {best[0]:.2g} m", where=f"poses of {problem.poses.name}",
-            remedy="exchange their headers or correct the map")
+        yield (replace(layout, reading=reading), f"the columns '{joints[one]}.q' and '{joints[other]}.q' seem to be "
+               "exchanged", "exchange their headers or correct the map")
+    for columns in [*([k] for k in sensed), sensed]:
+        named = ", ".join(f"'{joints[k]}.q'" for k in columns)
+        for what, factor in OTHER_ANGLES.items():
+            reading = layout.reading.copy()
+            reading[:, columns] *= factor
+            yield replace(layout, reading=reading), f"values of {named} seem to {what}", "correct the map or the header"
+    for name, rows in _measured(problem).items():
+        for unit, factor in OTHER_LENGTHS.items():
+            target = layout.target.copy()
+            target[:, rows] *= factor
+            yield (replace(layout, target=target), f"values of '{name}' seem to be {unit}",
+                   "correct the map or the header")
 
 
-def _gap(problem: CalibrationProblem, reading: Array | None = None) -> float:
-    """RMS [m] of the nominal gap; fixtures that may stand anywhere take the mean of their poses."""
-    if reading is not None:
-        problem = replace(problem, layout=replace(problem.layout, reading=reading))
-    q = guess_unsensed(problem, problem.start)
-    model = problem.model
-    tip = model.over(model.tip, problem.start[: len(model.parameters)], q)[0][:, :, 0]
-    gap = tip - problem.fixtures(problem.start)
-    anywhere = {f.name for f in model.machine.fixtures if f.moves}
-    for columns in np.unique(problem.layout.fixture, axis=0):
+def _measured(problem: CalibrationProblem) -> dict[str, list[int]]:
+    """Rows that compare a measured place or length with the geometry, by what is measured."""
+    found: dict[str, list[int]] = {}
+    for k, name in enumerate(problem.model.channels):
+        if not name.startswith("gap.") and problem.layout.present[:, k].any():
+            found.setdefault("tip" if name in ("tip.x", "tip.y", "tip.z") else name, []).append(k)
+    return found
+
+
+def _gap(problem: CalibrationProblem) -> float:
+    """RMS [m] by which nominal geometry misses the poses; fixtures that may stand anywhere take the mean of theirs."""
+    layout = problem.layout
+    left = np.where(layout.present, gaps(problem, problem.start, guess_unsensed(problem, problem.start)), np.nan)
+    anywhere = {f.name for f in problem.model.machine.fixtures if f.moves}
+    for columns in np.unique(layout.fixture, axis=0):
         if problem.parameters.names[columns[0]].split(".")[0] in anywhere:
-            rows = np.all(problem.layout.fixture == columns, axis=1)
-            gap[rows] = tip[rows] - tip[rows].mean(axis=0)
-    return float(np.sqrt(np.mean(np.sum(gap**2, axis=1))))
+            here = np.all(layout.fixture == columns, axis=1) & layout.present[:, :3].all(axis=1)
+            left[here, :3] -= left[here, :3].sum(axis=0) / max(1, here.sum())
+    return float(np.sqrt(np.nanmean(np.nansum(left**2, axis=1))))

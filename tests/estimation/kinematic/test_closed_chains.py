@@ -447,7 +447,7 @@ def test_degrees_given_as_radians_are_recognised(model: KinematicModel, machine:
                                                  closed: tuple[np.ndarray, list[str]]) -> None:
     poses = read(model, closed, 0)
     odd = changed(poses, **{"yoke.q": np.degrees(poses.channels["yoke.q"])})
-    with pytest.raises(ProblemError, match=r"'yoke\.q' lies outside .* look like degrees given as radians"):
+    with pytest.raises(ProblemError, match=r"values of 'yoke\.q' seem to be degrees given as radians"):
         calibrate(held(calibration_problem(machine, odd)))
 
 
@@ -457,6 +457,16 @@ def test_exchanged_columns_are_recognised(model: KinematicModel, machine: Machin
     odd = changed(poses, **{"yoke.q": poses.channels["grapple.q"], "grapple.q": poses.channels["yoke.q"]})
     with pytest.raises(ProblemError, match=r"'grapple\.q' and 'yoke\.q' seem to be exchanged"):
         calibrate(held(calibration_problem(machine, odd)))
+
+
+@pytest.mark.parametrize(("factor", "words"), [
+    (-1.0, "have the other sign"), (180 / np.pi, "be degrees given as radians"),
+    (np.pi / 180, "be radians given as degrees")])
+def test_another_sign_or_unit_of_all_angles_is_recognised(arm: CalibrationProblem, factor: float, words: str) -> None:
+    angles = [name for name in arm.poses.channels if name.endswith(".q")]
+    odd = changed(arm.poses, **{name: factor * arm.poses.channels[name] for name in angles})
+    with pytest.raises(ProblemError, match=rf"values of '{angles[0]}', .* seem to {words}"):
+        calibrate(calibration_problem(arm.model.machine, odd))
 
 
 def test_a_start_far_off_is_no_exchange(model: KinematicModel, machine: Machine,
