@@ -8,12 +8,13 @@ import numpy as np
 
 from hydroopt.checks.agreement import MARGIN, Agreement, Evaluated, agreement, stated_rate
 from hydroopt.checks.alternatives import Alternative, alternatives
+from hydroopt.errors import HydrooptError, LogError
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.joint_angles import angle_channels
 from hydroopt.logs.log import Log
 from hydroopt.logs.stream import LogStream
 from hydroopt.model.model import Model
-from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.wording import Kind
 
 BETTER, LOWER = 0.5, 100.0
@@ -60,6 +61,18 @@ def examine(model: Model, log: AnyLog) -> tuple[Diagnostic, ...]:
     where = log.path or log.name
     return (*(Diagnostic(Kind.LOG_MISREAD, channels, {"log": where, **evidence}) for channels, evidence in mistakes),
             *_contradictions(model, corrected, where))
+
+
+def misread_error(model: Model, log: AnyLog) -> LogError | None:
+    """The likeliest mistake in a log's units, signs, channels or clock as an error; None where none is found."""
+    try:
+        misread = of_kind(examine(model, log), Kind.LOG_MISREAD)
+    except HydrooptError:
+        return None
+    if not misread:
+        return None
+    return LogError(f"the machine file agrees with {misread[0].evidence['reading']}, not with the log as it is read",
+                    where=log.path or log.name, remedy=misread[0].remedy.rstrip("."))
 
 
 def _sample(model: Model, log: AnyLog) -> Log:

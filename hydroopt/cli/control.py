@@ -43,6 +43,7 @@ def control(
 
     DIR gets the figures, the margins, a report, and the best feedforward as C.
     """
+    from hydroopt.checks.plausibility import misread_error
     from hydroopt.codegen import parameter_source
     from hydroopt.codegen.folder import Code
     from hydroopt.codegen.parameter_source import Origin
@@ -73,7 +74,10 @@ def control(
     model = Model(described)
     plant = Plant(model)
     _ = plant.supply  # a machine without a supply pressure is refused before anything takes time
-    motion = reference_motion(described, read_log(trajectory, mapping=map_file))
+    log = read_log(trajectory, mapping=map_file)
+    if misread := misread_error(model, log):
+        raise misread
+    motion = reference_motion(described, log)
     with progress(f"closing the loop on {described.name}", quiet) as say:
         complete = ModelVariant(COMPLETE, origin.text, model, model.parameters.nominal)
         estimated = machine not in bundled() and is_directory(machine)

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from hydroopt.checks.plausibility import examine
-from hydroopt.errors import HydrooptError, LogError, ProblemError, SolverError
+from hydroopt.checks.plausibility import examine, misread_error
+from hydroopt.errors import HydrooptError, ProblemError, SolverError
 from hydroopt.estimation.dynamic import streamed_experiment
 from hydroopt.estimation.dynamic.experiment import AnyExperiment
 from hydroopt.logs.any_log import AnyLog
@@ -23,15 +23,8 @@ def prepared(log: AnyLog, model: Model, smoothing: Smoothing | None) -> AnyExper
     """
     try:
         return streamed_experiment.prepared(log, model, smoothing)
-    except HydrooptError:
-        try:
-            misread = of_kind(examine(model, log), Kind.LOG_MISREAD)
-        except HydrooptError:
-            misread = ()
-        if misread:
-            raise LogError(misread[0].text.rstrip("."), where=log.path or log.name,
-                           remedy=misread[0].remedy.rstrip(".")) from None
-        raise
+    except HydrooptError as error:
+        raise misread_error(model, log) or error from None
 
 
 def contradictions(model: Model, experiments: Sequence[AnyExperiment]) -> tuple[Diagnostic, ...]:
