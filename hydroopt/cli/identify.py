@@ -68,6 +68,9 @@ def identify(
         "Friction terms of all actuators instead of the file's: coulomb, viscous, stribeck, reverse, seal, dead_zone "
         "joined by +, or none. 'auto', or several sets separated by commas: the one that predicts held-out data best "
         "with the fewest terms."))] = None,
+    free: Annotated[str | None, typer.Option(help=(
+        "Faults of instruments to estimate along, separated by commas: delay, lag, clock, tilt, gain, offset, drift, "
+        "friction, one with its subject such as 'delay boom.q', or instruments."))] = None,
     force: Annotated[bool, typer.Option("--force", help=(
         "Save the calibrated machine even if the logs contradict the machine file as they are read."))] = False,
     reduced: Annotated[bool, typer.Option("--reduced", help="Leave out the inertia of barrels and rods.")] = False,
@@ -99,7 +102,8 @@ def identify(
 
     def prepared(problem: IdentificationProblem) -> IdentificationProblem:
         problem = _with_noisy_angles(problem.with_loss(kind).with_distance(far), motion, instruments, map_file)
-        return problem.with_correlated_channels() if correlated else problem
+        problem = problem.with_correlated_channels() if correlated else problem
+        return problem.free(*(word.strip() for word in free.split(","))) if free else problem
 
     with progress(f"identifying {described.name}", quiet):
         stated = partial(identification_problem, described, train, held_out, actuator_inertia=full, smoothing=way)

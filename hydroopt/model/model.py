@@ -188,6 +188,17 @@ class Model:
                            ["q", "qd", "qdd", "psi"], ["force"])
 
     @cached_property
+    def gravity_forces(self) -> ca.Function:
+        """(q, psi) → actuator forces (n, 3) per unit [m/s²] of gravity along each axis of the base frame."""
+        psi = ca.SX.sym("psi", len(self.parameters))
+        moment = ca.SX.zeros(3)
+        for owner in dynamic_parameters.bodies(self.machine, actuator_inertia=self.actuator_inertia):
+            phi, pose = psi[self.parameters.bodies[owner]], self.dynamics.body_motion(owner).pose
+            moment += phi[0] * pose.origin + pose.rotation @ phi[1:4]
+        force = self.dynamics.at_actuators(-ca.jacobian(moment, self.coordinates.q).T)
+        return _dense("gravity_forces", [self.coordinates.q, psi], [force], ["q", "psi"], ["force"])
+
+    @cached_property
     def residual(self) -> ca.Function:
         """(q, qd, qdd[, pressure], force, psi) → measured minus predicted actuator forces (n,)."""
         psi, force = ca.SX.sym("psi", len(self.parameters)), ca.SX.sym("force", len(self.machine.actuators))

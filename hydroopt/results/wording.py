@@ -78,7 +78,12 @@ class Kind(StrEnum):
     INCONSISTENT_BODIES = "bodies not physically consistent"
     NO_CALIBRATED_MACHINE = "no calibrated machine"
     RESIDUALS_ABOVE_NOISE = "residuals above the sensors' noise"
-    CORRELATED_RESIDUALS = "correlated residuals"
+    MISFIT_CAUSE = "likeliest cause of the misfit"
+    LACK_OF_FIT = "lack of fit"
+    SPIKES = "spikes"
+    LINE = "line in the spectrum"
+    DETECTABLE_FAULTS = "smallest faults that would show"
+    FREED_FAULT = "freed fault"
     NO_CONFIDENCE_STATED = "no confidence stated"
     WEAK_LOG_DET = "weak log-det distance"
     ACTIVE_CONSTRAINTS = "active constraints"
@@ -143,6 +148,7 @@ REFUTATIONS = frozenset({Kind.LOG_MISREAD})
 """Kinds that refute an answer's data: no machine is made of it unless that is forced."""
 CONTRADICTIONS = REFUTATIONS | frozenset({
     Kind.STROKE_CONTRADICTS_POSES, Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE, Kind.OTHER_SAMPLING_RATE,
+    Kind.MISFIT_CAUSE, Kind.LACK_OF_FIT,
     Kind.WORSE_THAN_ZERO, Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_CHANNEL, Kind.ERRORS_FAR_LARGER,
     Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED})
 """Kinds that make an answer suspect."""
@@ -242,9 +248,23 @@ WORDS: dict[Kind, Words] = {
     Kind.RESIDUALS_ABOVE_NOISE: Words(
         "The residuals of {subject} are {ratio:.1f} times its sensors' noise of {noise:.3g} {unit}.",
         "Angles are noisy, or the model lacks an effect: see the figure of the residuals."),
-    Kind.CORRELATED_RESIDUALS: Words(
-        "The residuals of {subject} are correlated over {samples:.0f} samples; its intervals are widened accordingly.",
-        "The model lacks an effect, or angles are noisy."),
+    Kind.MISFIT_CAUSE: Words(
+        "The likeliest cause of the misfit: {cause}, by {size:.3g} ± {std:.2g} {unit}{others}. Both halves of the data "
+        "show it alike, and it leaves no misfit.",
+        "Correct it in the log or the machine file, or estimate it along: --free '{word}'."),
+    Kind.LACK_OF_FIT: Words(
+        "The slow residuals of {subject} are not explained by noise and smoothing (probability {probability:.1g}). The "
+        "model lacks something that is not in the list of faults, or several faults at once.",
+        "Intervals hold only as far as the model does: see the figure of the residuals."),
+    Kind.SPIKES: Words(
+        "{share:.2g %} of the readings of {subject} are far off their neighbours.",
+        "Use --treat spike=interpolate or --loss huber."),
+    Kind.LINE: Words(
+        "The residuals of {subject} oscillate at {hz:.3g} Hz with an amplitude of {amplitude:.3g} {unit}.",
+        "Look for pulsation of the pump or a vibration of the machine."),
+    Kind.DETECTABLE_FAULTS: Words(
+        "These logs would have shown, with a probability of 95 %: {sizes}."),
+    Kind.FREED_FAULT: Words("Freed: {cause}, by {size:.3g} ± {std:.2g} {unit}."),
     Kind.NO_CONFIDENCE_STATED: Words(
         "The machine file states no confidence of {subject}: 100 % of their size is assumed.",
         "State how well their masses and centres of mass are known."),

@@ -12,6 +12,7 @@ import numpy as np
 from scipy import stats
 from threadpoolctl import threadpool_limits
 
+from hydroopt.checks.plausibility import examine
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.comparison import TwoSessionProblem, Wald, solve_both, two_session_problem, wald
 from hydroopt.estimation.dynamic.stored_information import refuse_shared_samples, stored_information
@@ -79,6 +80,7 @@ class Change(TwoSessionAnswer):
         level: below which a p-value is significant.
         single_changes: which parameter alone could explain the joint test.
         sampled: whether intervals were requested.
+        contradictions: what contradicts the machine file in the logs as they are read.
 
     Example:
         See `detect_change`.
@@ -88,6 +90,7 @@ class Change(TwoSessionAnswer):
     level: float
     single_changes: tuple[Diagnostic, ...]
     sampled: bool
+    contradictions: tuple[Diagnostic, ...] = ()
     job = Job.CHANGE
     roles = ("before", "after")
 
@@ -106,8 +109,8 @@ class Change(TwoSessionAnswer):
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """What the intervals assume, and which changes the logs do not identify."""
-        return (*self.of_sampling(requested=self.sampled),
+        """What contradicts the logs, what the intervals assume, and which changes the logs do not identify."""
+        return (*self.contradictions, *self.of_sampling(requested=self.sampled),
                 *(one.finding for one in self.differences if not one.identifiable))
 
     @cached_property
@@ -179,7 +182,12 @@ def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: S
         std, ci = found.posterior.interval(rows)
     return Change(machine, test.statistic, test.rank, test.freedom, test.p_value, first, second, found.posterior,
                   found.notes, tuple(_differences(problem, test, value, std, ci, level)), level,
-                  _single_changes(problem, test, level), intervals)
+                  _single_changes(problem, test, level), intervals,
+                  tuple(found for log in (*_logs(before), *_logs(after)) for found in examine(model, log)))
+
+
+def _logs(session: Sequence[Log] | str | Path) -> Sequence[Log]:
+    return () if isinstance(session, str | Path) else session
 
 
 def _usual(parameters: ParameterSet) -> list[str]:

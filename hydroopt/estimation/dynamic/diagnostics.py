@@ -20,9 +20,9 @@ from hydroopt.results.wording import Kind
 
 OVERFITTED = 2.0
 """Validation error, as a multiple of the training error, that is worth a diagnostic."""
-ABOVE_NOISE, CORRELATED, WEAK = 1.5, 3.0, 2.0
-"""Residuals as a multiple of the sensors' noise, their correlation time [samples], and the growth of bodies that a
-log-det distance permits, beyond which there is a diagnostic."""
+ABOVE_NOISE, WEAK = 1.5, 2.0
+"""Residuals as a multiple of the sensors' noise, and the growth of bodies that a log-det distance permits, beyond which
+there is a diagnostic."""
 
 _EFFECTS = {ParameterKind.MASS: "gravity", ParameterKind.FIRST_MOMENT: "gravity",
             ParameterKind.MOMENT_OF_INERTIA: "inertia", ParameterKind.STRIBECK_SPEED: "Stribeck friction"}
@@ -84,7 +84,7 @@ def _findings(found: Identification) -> Iterator[Diagnostic]:
 
 
 def _residuals(found: Identification) -> Iterator[Diagnostic]:
-    """Residuals beyond the sensors' noise, and residuals that are not white."""
+    """Residuals beyond the sensors' noise."""
     model = found.problem.model
     stated = force_noise(model, found.problem.experiments[0].log)
     for k, actuator in enumerate(model.machine.actuators):
@@ -92,9 +92,6 @@ def _residuals(found: Identification) -> Iterator[Diagnostic]:
             yield Diagnostic(Kind.RESIDUALS_ABOVE_NOISE, (actuator.name,),
                              {"ratio": number(found.sigma[k] / stated[k]) if stated[k] else None,
                               "noise": float(stated[k]), "unit": model.force_units[k]})
-    for actuator, time in zip(model.machine.actuators, found.correlation_time, strict=True):
-        if time > CORRELATED:
-            yield Diagnostic(Kind.CORRELATED_RESIDUALS, (actuator.name,), {"samples": float(time)})
 
 
 def _assumptions(found: Identification) -> Iterator[Diagnostic]:

@@ -9,12 +9,17 @@ from functools import cached_property
 from typing import Any
 
 import numpy as np
+from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic import diagnostics
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
 from hydroopt.estimation.dynamic.experiment import AnyExperiment
 from hydroopt.estimation.dynamic.identification import Identification
+from hydroopt.estimation.dynamic.misfit import diagnostics as misfit_diagnostics
+from hydroopt.estimation.dynamic.misfit.blocks import Data
+from hydroopt.estimation.dynamic.misfit.freed import Freed
+from hydroopt.estimation.dynamic.misfit.naming import Misfit, examine_fit
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.stored_information import INFORMATION, information_csv
 from hydroopt.estimation.dynamic.training_logs import contradictions
@@ -47,6 +52,9 @@ class Estimate(Identification, Answer):
         ['active constraints']
     """
 
+    freed: Freed | None = None
+    """Faults that were estimated along, with their sizes."""
+
     job = Job.IDENTIFICATION
 
     @property
@@ -61,15 +69,39 @@ class Estimate(Identification, Answer):
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """What contradicts the logs as they are read, then the diagnostics of the estimate, the most severe first."""
-        problem = self.problem
-        return (*contradictions(problem.model, (*problem.experiments, *problem.validation)),
-                *diagnostics.diagnose(self))
+        """Diagnostics of the estimate: what refutes the logs, why the model does not fit, then the rest by severity."""
+        tested = () if self.misfit is None else misfit_diagnostics.diagnose(self.misfit)
+        return (*self.contradictions, *tested, *diagnostics.diagnose(self))
+
+    @cached_property
+    def contradictions(self) -> tuple[Diagnostic, ...]:
+        """What contradicts the machine file in the logs as they are read."""
+        return contradictions(self.problem.model, (*self.problem.experiments, *self.problem.validation))
+
+    @cached_property
+    def misfit(self) -> Misfit | None:
+        """The test of fit, and the faults that explain what is left; None where the data are too few, or motion is
+        fitted or has instruments, or the logs are misread."""
+        if self.problem.fitted_motion or self.problem.instruments or self.refuted:
+            return None
+        try:
+            with threadpool_limits(limits=1, user_api="blas"):
+                data = Data(self.problem, self.psi)
+                return examine_fit(data) if data.blocks else None
+        except np.linalg.LinAlgError:
+            return None
+
+    @property
+    def findings(self) -> tuple[Diagnostic, ...]:
+        """Sizes of freed faults, and the smallest faults that would have shown."""
+        shown = None if self.misfit is None else misfit_diagnostics.detectable(self.misfit)
+        freed = () if self.freed is None else tuple(misfit_diagnostics.freed_faults(self.freed))
+        return freed if shown is None else (*freed, shown)
 
     @property
     def refuted(self) -> bool:
-        """Whether the logs contradict the machine file as they are read, so that no calibrated machine is saved."""
-        return bool(of_kind(self.diagnostics, *REFUTATIONS))
+        """Whether the logs contradict the machine file as they are read, so that no machine is saved."""
+        return bool(of_kind(self.contradictions, *REFUTATIONS))
 
     @cached_property
     def machine(self) -> Machine:
@@ -131,7 +163,17 @@ class Estimate(Identification, Answer):
                             model.machine.actuators, self.sigma, model.force_units, self.correlation_time,
                             self.weighted_residuals.samples, strict=True)},
             "active_constraints": list(self.active), "intervals": str(self.intervals), "notes": list(self.notes),
-            "seed": self.seed, **chosen}
+            "seed": self.seed, **self._test_of_fit(), **chosen}
+
+    def _test_of_fit(self) -> dict[str, Any]:
+        found = self.misfit
+        if found is None:
+            return {"test_of_fit": None}
+        faults = [{"fault": fault.name, "words": fault.words, "unit": fault.unit,
+                   "would_have_shown": number(size * fault.factor)} for fault, size in found.smallest.items()]
+        return {"test_of_fit": {"probability": dict(found.before), "probability_with_causes": dict(found.after),
+                                "noise_ratio": {name: number(ratio) for name, ratio in found.noise.items()},
+                                "spikes": dict(found.spikes), "faults": faults}}
 
     def files(self) -> Mapping[str, str]:
         """Tables as CSV, the information that the logs carry, and the calibrated machine where it can exist."""
@@ -141,8 +183,10 @@ class Estimate(Identification, Answer):
                                       for data, table in self.fit.items() for channel, fit in table.items()]),
                  INFORMATION: information_csv(model.machine, self.problem.parameters.names,
                                               self.weighted_residuals.triangles)}
+        if self.refuted:  # a machine identified from a misread log is none
+            return files
         with contextlib.suppress(ProblemError):  # a diagnostic states the reason
-            files |= {} if self.refuted else {f"{self.machine_name}.toml": dump_machine(self.machine)}
+            files[f"{self.machine_name}.toml"] = dump_machine(self.machine)
         return files
 
 

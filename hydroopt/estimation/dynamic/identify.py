@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from functools import partial
 from typing import Literal, get_args
 
 import numpy as np
@@ -10,6 +12,7 @@ from threadpoolctl import threadpool_limits
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.identification import Intervals
+from hydroopt.estimation.dynamic.misfit.freed import Freed, free
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.training_logs import explained
 from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals, misfit, weighted_residuals
@@ -75,13 +78,23 @@ def identify(problem: IdentificationProblem, method: Method = "sdp", *, toleranc
     # the matrices are too small for threads
     with threadpool_limits(limits=1, user_api="blas"):
         try:
-            return _solve(problem, method, tolerance, ridge, intervals, seed)
+            solve = _solve_with_faults if problem.freed else _solve
+            return solve(problem, method, tolerance, ridge, intervals, seed)
         except SolverError as error:
             raise explained(error, problem.model, problem.experiments) from None
 
 
+def _solve_with_faults(problem: IdentificationProblem, method: Method, tolerance: float, ridge: float | None,
+                       intervals: bool, seed: int) -> Estimate:
+    """Estimate freed faults about the parameters that follow from them, and solve with what remains uncertain."""
+    freed = free(problem, problem.parameters.nominal)
+    psi = _solve(freed.corrected(problem), method, tolerance, ridge, False, seed, freed).psi
+    freed = free(problem, psi)
+    return replace(_solve(freed.corrected(problem), method, tolerance, ridge, intervals, seed, freed), freed=freed)
+
+
 def _solve(problem: IdentificationProblem, method: Method, tolerance: float, ridge: float | None, intervals: bool,
-           seed: int) -> Estimate:
+           seed: int, freed: Freed | None = None) -> Estimate:
     """Solve at once, or by Gauss-Newton steps where forces are not linear in the parameters.
 
     Raises:
@@ -89,17 +102,19 @@ def _solve(problem: IdentificationProblem, method: Method, tolerance: float, rid
     """
     parameters = problem.parameters
     if problem.model.linear:
-        return _solve_at(problem, parameters.nominal, method, tolerance, ridge, intervals, seed)
+        return _solve_at(problem, parameters.nominal, method, tolerance, ridge, intervals, seed, freed)
     speeds = np.array([kind is ParameterKind.STRIBECK_SPEED for kind in parameters.kinds])
     nonlinear = speeds | np.array([kind is ParameterKind.STRIBECK_FRICTION for kind in parameters.kinds])
     owners = [actuator.name for actuator in problem.model.machine.actuators]
     stribeck_forces = {k: owners.index(parameters.owner(parameters.names[k]))
                for k in parameters.places(ParameterKind.STRIBECK_FRICTION)}
+    final = partial(_solve_at, problem, method=method, tolerance=tolerance, ridge=ridge, intervals=intervals, seed=seed,
+                    freed=freed)
     point, negligible = parameters.nominal.copy(), np.full(len(owners), np.inf)
     for _ in range(MAX_STEPS):
         for k, actuator in stribeck_forces.items():  # a speed without force is not identifiable
             point[k] *= abs(point[k]) > negligible[actuator]
-        estimate = _solve_at(problem, point, method, tolerance, ridge, False, seed)
+        estimate = _solve_at(problem, point, method, tolerance, ridge, False, seed, freed)
         negligible = NEGLIGIBLE_FORCE * estimate.sigma
         unobserved = speeds & (np.array(estimate.identifiability.category) == identifiability.NONE)
         target = np.where(unobserved, point, np.where(speeds, np.clip(estimate.psi, parameters.lower, parameters.upper),
@@ -110,7 +125,7 @@ def _solve(problem: IdentificationProblem, method: Method, tolerance: float, rid
         decrease, part = before - _misfit(estimate, target), 1.0
         within_bounds = np.all((target == estimate.psi)[speeds & ~unobserved])
         if (converged or abs(decrease) <= DECREASE_TOLERANCE) and within_bounds:
-            return _solve_at(problem, target, method, tolerance, ridge, intervals, seed) if intervals else estimate
+            return final(target) if intervals else estimate
         # no line search with instruments, which do not minimise residuals
         while decrease <= 0 and part > SMALLEST_STEP and not problem.instruments:
             part /= 2
@@ -118,7 +133,7 @@ def _solve(problem: IdentificationProblem, method: Method, tolerance: float, rid
         if part <= SMALLEST_STEP:
             if abs(before - _misfit(estimate, target)) > LOOSE_TOLERANCE:
                 break
-            return _solve_at(problem, target, method, tolerance, ridge, intervals, seed) if intervals else estimate
+            return final(target) if intervals else estimate
         point = point + part * step
     names = ", ".join(np.array(parameters.names)[speeds])
     raise SolverError(f"Gauss-Newton steps did not converge: these data do not determine {names}",
@@ -135,8 +150,7 @@ def _misfit(estimate: Estimate, psi: Array) -> float:
 
 
 def _solve_at(problem: IdentificationProblem, point: Array, method: Method, tolerance: float, ridge: float | None,
-              intervals: bool,
-              seed: int) -> Estimate:
+              intervals: bool, seed: int, freed: Freed | None = None) -> Estimate:
     """Solve with forces linearised at the parameters `point` (p,)."""
     where = f"identification of {problem.model.machine.name}"
 
@@ -151,6 +165,7 @@ def _solve_at(problem: IdentificationProblem, point: Array, method: Method, tole
 
     weighted = weighted_residuals(
         problem, tolerance, least_squares if method in _LINEAR else lambda R, r: constrained(R, r).psi, point)
+    weighted = weighted if freed is None else freed.widened(weighted)
     psi, _, from_data = linear.base_least_squares(weighted.R, weighted.r, problem.parameters.names, tolerance)
     _check_normal_equations(weighted.R, weighted.r, psi, from_data, where)
     if method in _LINEAR:

@@ -13,7 +13,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.experiment import AnyExperiment
 from hydroopt.estimation.dynamic.instruments import instrument
 from hydroopt.estimation.dynamic.training_logs import prepared, refuse_repetition
-from hydroopt.estimation.dynamic.weighted_residuals import HUBER, Loss, weighted_residuals
+from hydroopt.estimation.dynamic.weighted_residuals import LOSSES, Loss, weighted_residuals
 from hydroopt.estimation.inference import conditions as physics
 from hydroopt.estimation.inference import listing, nlp, sdp
 from hydroopt.estimation.inference.conditions import Condition, ScaledBody
@@ -33,11 +33,6 @@ from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
-
-LOSSES: Mapping[Loss, str] = {
-    "squares": "Σ (e/σ)²", "huber": f"Huber's loss of e/σ, linear beyond {HUBER:g}",
-    "student_t": "Student's t loss of e/σ with 4 degrees of freedom"}
-"""The losses as terms of the objective."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -77,6 +72,7 @@ class IdentificationProblem:
         distance: of a body from its nominal one: ``gaussian`` takes the file's confidences of its ten numbers, and
             ``log-det`` the entropic divergence of pseudo-inertias, which knows no frame, weighted by the confidence of
             the mass (`hydroopt.estimation.inference.conditions.scaled_bodies`).
+        freed: faults of instruments that are estimated with the parameters, see `free`.
     """
 
     model: Model
@@ -95,6 +91,7 @@ class IdentificationProblem:
     instruments: tuple[Motion, ...] = ()
     data_alone: bool = False
     distance: Distance = "gaussian"
+    freed: tuple[str, ...] = ()
 
     def __post_init__(self) -> None:
         for data in (*self.experiments, *self.validation):
@@ -204,6 +201,22 @@ class IdentificationProblem:
             raise ProblemError(f"it cannot be fixed at {value}", where=f"parameter '{name}'",
                                remedy="give a finite value")
         return replace(self, fixed={**self.fixed, name: float(self.parameters.nominal[k] if value is None else value)})
+
+    def free(self, *faults: str) -> IdentificationProblem:
+        """With faults of instruments estimated together with the parameters, their uncertainty in all intervals.
+
+        Args:
+            faults: groups such as ``delay`` (of all forces), ``lag``, ``clock``, ``tilt``, ``gain``, ``offset``,
+                ``drift``, ``friction``, a group with its subject such as ``delay boom.q``, or ``instruments`` for
+                gains, offsets, tilt and delay within what good instruments err.
+
+        Raises:
+            ProblemError: motion is fitted or has instruments, or channels correlate.
+        """
+        if self.fitted_motion or self.instruments or self.correlated:
+            raise ProblemError("freed faults cannot be combined with a fitted motion, instruments or correlated "
+                               "channels", where="faults", remedy="choose one of them")
+        return replace(self, freed=(*self.freed, *faults))
 
     def with_loss(self, loss: Loss) -> IdentificationProblem:
         """With another loss: ``squares``, ``huber`` or ``student_t``."""

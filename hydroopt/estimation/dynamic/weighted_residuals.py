@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Generic, Literal, Protocol, Self, TypeVar
 
@@ -29,6 +29,10 @@ from hydroopt.spatial.inertia import Array
 Loss = Literal["squares", "huber", "student_t"]
 HUBER = 1.345
 """Residual, in its standard deviations, beyond which Huber's loss is linear."""
+LOSSES: Mapping[Loss, str] = {
+    "squares": "Σ (e/σ)²", "huber": f"Huber's loss of e/σ, linear beyond {HUBER:g}",
+    "student_t": "Student's t loss of e/σ with 4 degrees of freedom"}
+"""The losses as terms of the objective."""
 MostProbable = Callable[[Array, Array], Array]
 """From (R, r) to the parameters ψ (p,) that an estimator takes."""
 

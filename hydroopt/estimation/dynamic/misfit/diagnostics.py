@@ -1,0 +1,49 @@
+"""What a test of fit found, as typed diagnostics."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from hydroopt.estimation.dynamic.misfit.freed import Freed
+from hydroopt.estimation.dynamic.misfit.naming import Misfit
+from hydroopt.results.diagnostic import Diagnostic, listed
+from hydroopt.results.tables import number
+from hydroopt.results.wording import Kind
+
+SPIKES = 0.003
+"""Share of spikes among a reading's samples that is worth a diagnostic."""
+
+
+def diagnose(found: Misfit) -> Iterator[Diagnostic]:
+    """Causes that may be named, or else readings that nothing listed explains; spikes and lines."""
+    for cause in found.causes:
+        fault = cause.fault
+        tied = [other.words for other in cause.tied if other.words != fault.words]
+        yield Diagnostic(Kind.MISFIT_CAUSE, fault.subject, {
+            "cause": fault.words, "word": fault.group if fault.subject == ("forces",) else fault.name,
+            "group": fault.group, "size": cause.size * fault.factor, "std": cause.std * fault.factor,
+            "unit": fault.unit, "evidence": cause.evidence, "tied": [other.name for other in cause.tied],
+            "others": f"; these data do not tell it from: {listed(tied, 3)}" if tied else ""})
+    if found.alarmed and not found.causes:
+        least = min(found.before.values())
+        yield Diagnostic(Kind.LACK_OF_FIT, found.alarmed, {"probability": least})
+    for name, share in found.spikes.items():
+        if share > SPIKES and not found.causes:  # a cause moves the steps of friction, which then look like spikes
+            yield Diagnostic(Kind.SPIKES, (name,), {"share": share})
+    for name, line in found.lines.items():
+        yield Diagnostic(Kind.LINE, (name,), {"hz": line.hertz, "amplitude": line.amplitude, "unit": line.unit})
+
+
+def detectable(found: Misfit) -> Diagnostic | None:
+    """The smallest faults that would have shown, group by group: silence about smaller ones means nothing."""
+    said = [f"{group} {low:.2g} {unit}" if high < 1.2 * low else f"{group} {low:.2g} to {high:.2g} {unit}"
+            for group, (low, high, unit) in found.shown.items()]
+    return Diagnostic(Kind.DETECTABLE_FAULTS, (), {"sizes": ", ".join(said)}) if said else None
+
+
+def freed_faults(freed: Freed) -> Iterator[Diagnostic]:
+    """The sizes of freed faults."""
+    for k, fault in enumerate(freed.faults):
+        yield Diagnostic(Kind.FREED_FAULT, fault.subject, {
+            "cause": fault.words, "group": fault.group, "size": float(freed.size[k] * fault.factor),
+            "std": number(float(freed.covariance[k, k]) ** 0.5 * fault.factor), "unit": fault.unit})

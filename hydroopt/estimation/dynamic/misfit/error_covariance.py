@@ -1,0 +1,96 @@
+"""Covariance of residuals: sensor noise, and the errors of smoothed motion that the model turns into forces.
+
+V = D + G·C·Gᵀ with D the noise of the readings, C the covariance of the smoothing splines' coefficients, and G the
+derivative of the predicted readings by these. Smoothing passes slow errors of angles, whose second derivative is a
+force: residuals of a sound log are correlated over as many samples as the smoothing averages.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import scipy.sparse as sp
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve_banded, cholesky_banded
+
+from hydroopt.logs.spline import Basis, Grid
+from hydroopt.spatial.inertia import Array
+
+KNOTS = 8.0
+"""Knots per period of the highest frequency that smoothing passes."""
+SUPPORT = 6
+"""Splines that are not zero at a time."""
+
+
+@dataclass(frozen=True, eq=False)
+class Whitened:
+    """Columns (rows, c) over their noise, what they say of the motion's errors, and what that leaves of these."""
+
+    columns: Array
+    seen: Array
+    solved: Array
+
+    def inner(self, other: Whitened) -> Array:
+        """Xᵀ·V⁻¹·Y (c, d)."""
+        return np.asarray(self.columns.T @ other.columns - self.seen.T @ other.solved)
+
+
+class ErrorCovariance:
+    """V of the rows of one stretch; `whiten` gives what inner products need, in time linear in the samples (Woodbury).
+
+    Args:
+        t: (N,) times of a stretch [s].
+        by_motion: (3, N, c, n) derivatives of c predicted readings by q, qd and qdd.
+        taken: (N, c) readings that take part; the rows are these, sample by sample.
+        noise: (c,) standard deviation of each reading.
+        angle_noise: (n,) standard deviation of the measured positions.
+        bandwidth: (n,) frequency [Hz] that smoothing passes by half.
+    """
+
+    def __init__(self, t: Array, by_motion: Array, taken: NDArray[np.bool_], noise: Array, angle_noise: Array,
+                 bandwidth: Array) -> None:
+        self.taken = taken
+        self.size = np.broadcast_to(noise, taken.shape)[taken]
+        n = by_motion.shape[3]
+        duration = float(t[-1] - t[0])
+        knots = max(3, int(np.ceil(duration * KNOTS * float(np.max(bandwidth)))))
+        basis = Basis(t, Grid(float(t[0]), duration, min(knots, t.size), 1.0))
+        self._sensitivity = self._rows(basis, by_motion)
+        self._factor = self._factored(basis, np.broadcast_to(angle_noise, n), bandwidth)
+
+    def whiten(self, columns: Array) -> Whitened:
+        """Columns (rows, c), or readings (N, c', k) of which the rows are taken."""
+        chosen = columns[self.taken] if columns.ndim == 3 else columns
+        scaled = chosen / self.size[:, None]
+        seen = np.asarray(self._sensitivity.T @ scaled)
+        return Whitened(scaled, seen, np.asarray(cho_solve_banded((self._factor, True), seen)))
+
+    def _rows(self, basis: Basis, by_motion: Array) -> sp.csr_array:
+        """G over the noise (rows, coefficients), the coefficients of all joints at one knot next to each other."""
+        N, c, n = by_motion.shape[1:]
+        values, places = np.zeros((N, c, n, SUPPORT)), np.zeros((N, SUPPORT), dtype=np.int64)
+        for order in range(3):
+            rows = basis.derivative(basis.x, order)
+            places = rows.indices.reshape(N, SUPPORT).astype(np.int64)
+            shaped = rows.data.reshape(N, 1, 1, SUPPORT) / basis.spacing**order
+            values += by_motion[order][:, :, :, None] * shaped
+        columns = np.broadcast_to((places[:, None, :] * n + np.arange(n)[:, None])[:, None], values.shape)
+        data = values[self.taken].reshape(self.size.size, n * SUPPORT) / self.size[:, None]
+        ends = np.arange(0, data.size + 1, n * SUPPORT)
+        return sp.csr_array((data.ravel(), columns[self.taken].ravel(), ends),
+                            shape=(self.size.size, n * (basis.intervals + SUPPORT - 1)))
+
+    def _factored(self, basis: Basis, noise: Array, bandwidth: Array) -> Array:
+        """Cholesky factor, in band storage, of C⁻¹ + Gᵀ·D⁻¹·G."""
+        n, half = len(noise), SUPPORT - 1
+        size = basis.intervals + SUPPORT - 1
+        inverse = np.stack([(basis.gram + 10.0 ** basis.log_weight_of(float(bandwidth[j])) * basis.penalty)
+                            / noise[j] ** 2 for j in range(n)], axis=2)  # (half + 1, size, n)
+        band = np.zeros((n * half + n, n * size))
+        band[: n * half + 1 : n] = inverse.reshape(half + 1, n * size)
+        inner = (self._sensitivity.T @ self._sensitivity).tocoo()
+        below = inner.row >= inner.col
+        rows, columns = inner.row[below].astype(np.int64), inner.col[below].astype(np.int64)
+        np.add.at(band, (rows - columns, columns), inner.data[below])
+        return np.asarray(cholesky_banded(band, lower=True))

@@ -1,0 +1,323 @@
+"""The faults of instruments and model that residuals are searched for: what each would do to the readings.
+
+A fault of size δ adds `effect(view, δ)` to the predicted readings. `scale` is a usual size: the standard deviation of
+the prior under which evidence for a fault is weighed.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+
+from hydroopt.estimation.dynamic.misfit.view import View
+from hydroopt.machine.actuators import Cylinder
+from hydroopt.model.kinematics import gravity_in_base
+from hydroopt.parameters.parameter_set import ParameterKind
+from hydroopt.spatial.inertia import Array
+
+TYPICAL = 0.03
+"""Part of the RMS force that a usual friction, gain or drift of a torque has."""
+DRIFT = 3e5
+"""Usual drift of a pressure reading over a log [Pa]."""
+
+
+@dataclass(frozen=True)
+class Fault(ABC):
+    """One fault.
+
+    Attributes:
+        group: the word that stands for it and its like in options: ``delay``.
+        subject: channels, actuators or bodies that have it.
+        words: what it is, for sentences.
+        unit: of its size as printed, `factor` times the SI size.
+        scale: usual size in SI.
+        positive: whether its size cannot be negative.
+        motion: whether its effect is not linear in its size.
+    """
+
+    group: str
+    subject: tuple[str, ...]
+    words: str
+    unit: str
+    scale: float
+    factor: float = 1.0
+    positive: bool = False
+    motion: bool = False
+
+    @abstractmethod
+    def effect(self, view: View, size: float) -> Array:
+        """Change of the predicted readings (N, c) by a fault of this size [SI]."""
+
+    def sensitivity(self, view: View, at: float = 0.0) -> Array:
+        """Derivative of the effect by the size (N, c)."""
+        if not self.motion:
+            return self.effect(view, 1.0)
+        h = 0.05 * self.scale
+        return (self.effect(view, at + h) - self.effect(view, at - h)) / (2 * h)
+
+    @property
+    def name(self) -> str:
+        """The group and the subject."""
+        return f"{self.group} {', '.join(self.subject)}"
+
+
+@dataclass(frozen=True)
+class ForcesLate(Fault):
+    """Readings of forces stand later in the log than those of angles, by the size [s]; `readings` are concerned."""
+
+    readings: tuple[int, ...] = ()
+    drifts: bool = False
+
+    def effect(self, view: View, size: float) -> Array:
+        """Forces of an earlier motion; where clocks drift, the size is what they differ by at the end."""
+        t = view.motion.t
+        shift = -size * ((t - t[0]) / (t[-1] - t[0]) if self.drifts else np.ones(t.size))
+        return _only(view.readings(*view.moved(shift)) - view.predicted, self.readings)
+
+
+@dataclass(frozen=True)
+class AngleLate(Fault):
+    """The reading of a joint's position is late by the size [s]."""
+
+    joint: int = 0
+
+    def effect(self, view: View, size: float) -> Array:
+        """Readings of the motion with this joint further on."""
+        shift = np.zeros_like(view.motion.q)
+        shift[:, self.joint] = size
+        return view.readings(*view.moved(shift)) - view.predicted
+
+
+@dataclass(frozen=True)
+class Lag(Fault):
+    """Readings follow as a first-order system of the size [s] does."""
+
+    readings: tuple[int, ...] = ()
+
+    def effect(self, view: View, size: float) -> Array:
+        """Low-passed minus true readings; the same with the other sign where a size is negative."""
+        t, true = view.motion.t, view.predicted[:, list(self.readings)]
+        step = float(np.median(np.diff(t)))
+        part = step / (abs(size) + step)
+        if part > 0.8:  # far shorter than a sample
+            slow = -abs(size) * np.gradient(true, t, axis=0)
+        else:
+            followed, state = np.empty_like(true), true[0].copy()
+            for k in range(len(true)):
+                state += part * (true[k] - state)
+                followed[k] = state
+            slow = followed - true
+        return _placed(view, np.sign(size) * slow, self.readings)
+
+
+@dataclass(frozen=True)
+class Tilt(Fault):
+    """The base is turned by the size [rad] about an axis of the base frame, against gravity as stated."""
+
+    axis: int = 0
+
+    def effect(self, view: View, size: float) -> Array:
+        """What the change of gravity does."""
+        g = np.asarray(gravity_in_base(view.model.machine), dtype=float).ravel()
+        change = np.cross(np.eye(3)[self.axis], g)
+        return np.asarray(-size * view.gravity @ change)
+
+
+@dataclass(frozen=True)
+class AngleOffset(Fault):
+    """The reading of a joint's position is too large by the size [rad or m]."""
+
+    joint: int = 0
+
+    def effect(self, view: View, size: float) -> Array:
+        """Readings of the shifted posture."""
+        q = view.motion.q.copy()
+        q[:, self.joint] -= size
+        return view.readings(q, view.motion.qd, view.motion.qdd) - view.predicted
+
+
+@dataclass(frozen=True)
+class Play(Fault):
+    """Between a joint and the reading of its position there is play of the size [rad or m]."""
+
+    joint: int = 0
+
+    def effect(self, view: View, size: float) -> Array:
+        """Readings of a joint that lags behind its sensor, on the side that it comes from."""
+        state = [view.motion.q.copy(), view.motion.qd.copy(), view.motion.qdd.copy()]
+        jumps = view.smoothed(np.sign(state[1][:, self.joint]), self.joint)
+        for values, change in zip(state, jumps, strict=True):
+            values[:, self.joint] -= 0.5 * size * change
+        return view.readings(*state) - view.predicted
+
+
+@dataclass(frozen=True)
+class Added(Fault):
+    """Something in proportion to a known course, added to one reading: a gain, a drift, a missing friction term."""
+
+    course: str = ""
+    reading: int = 0
+    weight: float = 1.0
+    channel: str = ""
+
+    def effect(self, view: View, size: float) -> Array:
+        """The course times the size."""
+        return _placed(view, size * self.weight * self._course(view)[:, None], (self.reading,))
+
+    def _course(self, view: View) -> Array:
+        t, true = view.motion.t, view.predicted[:, self.reading]
+        if self.course == "constant":
+            return np.ones(t.size)
+        if self.course == "time":
+            return np.asarray((t - t[0]) / (t[-1] - t[0]) - 0.5)
+        if self.course == "channel":
+            return view.pressures[self.channel]
+        if self.course == "reading":
+            return true
+        speed = view.speeds[:, self.reading]
+        speed = speed / max(float(np.sqrt(np.mean(speed**2))), 1e-12)
+        courses = {"viscous": speed, "quadratic": speed * np.abs(speed), "coulomb": np.sign(speed),
+                   "one way": (speed > 0).astype(float), "stribeck": np.sign(speed) * np.exp(-(3 * speed) ** 2)}
+        if self.course in courses:
+            return courses[self.course]
+        load = np.abs(true) if self.course == "load" else np.abs(_seal_pressure(view, self.reading))
+        return np.asarray(np.sign(speed) * load / max(float(np.sqrt(np.mean(load**2))), 1e-12))
+
+
+@dataclass(frozen=True)
+class Bodies(Fault):
+    """The bodies of some parts are heavier than stated by the size, as a part of it, in every number."""
+
+    owners: tuple[str, ...] = ()
+
+    def effect(self, view: View, size: float) -> Array:
+        """What their nominal numbers do."""
+        parameters = view.model.parameters
+        chosen = np.zeros(len(parameters))
+        for owner in self.owners:
+            chosen[parameters.bodies[owner]] = parameters.nominal[parameters.bodies[owner]]
+        return np.asarray(size * (view.regressor @ chosen))
+
+
+def _only(change: Array, readings: tuple[int, ...]) -> Array:
+    kept = np.zeros_like(change)
+    kept[:, list(readings)] = change[:, list(readings)]
+    return kept
+
+
+def _placed(view: View, values: Array, readings: tuple[int, ...]) -> Array:
+    made = np.zeros_like(view.predicted)
+    made[:, list(readings)] = values
+    return made
+
+
+def _seal_pressure(view: View, reading: int) -> Array:
+    actuator = view.model.machine.actuators[reading]
+    assert isinstance(actuator, Cylinder)
+    return np.asarray(sum(view.pressures[channel] for channel in actuator.chambers))
+
+
+def listed(view: View) -> Iterator[Fault]:
+    """All faults that a log's readings are searched for."""
+    machine, n = view.model.machine, len(view.model.machine.actuators)
+    everything = tuple(range(n))
+    names = tuple(a.name for a in machine.actuators)
+    yield ForcesLate("delay", ("forces",), "all force readings are late against the angles", "ms", 0.03, 1e3,
+                     motion=True, readings=everything)
+    yield ForcesLate("clock", ("forces",), "the clock of the forces drifts against that of the angles, over the log",
+                     "ms", 0.05, 1e3, motion=True, readings=everything, drifts=True)
+    yield Lag("lag", ("forces",), "all force readings lag behind", "ms", 0.03, 1e3, True, True, everything)
+    if n > 1:
+        for k, name in enumerate(names):
+            yield ForcesLate("delay", (name,), f"the force readings of {name} are late", "ms", 0.03, 1e3, motion=True,
+                             readings=(k,))
+            yield Lag("lag", (name,), f"the force readings of {name} lag behind", "ms", 0.03, 1e3, True, True, (k,))
+    yield from _of_joints(view)
+    gravity = np.abs(np.asarray(gravity_in_base(machine), dtype=float).ravel())
+    if np.any(gravity):
+        for axis in np.argsort(gravity, kind="stable")[:2].tolist():
+            yield Tilt("tilt", (f"base about {'xyz'[axis]}",), f"the base is tilted about its {'xyz'[axis]} axis",
+                       "deg", np.radians(2.0), 180 / np.pi, axis=axis)
+    for k in everything:
+        yield from _of_forces(view, k)
+    for k in range(n, len(view.names)):
+        yield from _of_lengths(view, k)
+    yield from _of_bodies(view)
+
+
+def _of_joints(view: View) -> Iterator[Fault]:
+    machine = view.model.machine
+    for j, joint in enumerate(machine.joints):
+        turns = machine.channel_units[f"{joint}.q"] == "rad"
+        unit, factor = ("deg", 180 / np.pi) if turns else ("mm", 1e3)
+        angle = np.radians(1.0) if turns else 0.01
+        if len(machine.joints) > 1 or view.lengths:
+            yield AngleLate("delay", (f"{joint}.q",), f"the readings of {joint}.q are late", "ms", 0.03, 1e3,
+                            motion=True, joint=j)
+        yield AngleOffset("offset", (f"{joint}.q",), f"{joint}.q reads too much", unit, angle, factor, motion=True,
+                          joint=j)
+        yield Play("play", (f"{joint}.q",), f"{joint} has play against its sensor", unit, 0.3 * angle, factor, True,
+                   True, j)
+
+
+def _of_forces(view: View, k: int) -> Iterator[Fault]:
+    model = view.model
+    actuator, unit = model.machine.actuators[k], model.force_units[k]
+    size = TYPICAL * float(np.sqrt(np.mean(view.measured[:, k] ** 2)))
+    name, has = actuator.name, set(_kinds_of(view, actuator.name))
+    chambers = [channel for channel in actuator.effort_factors if channel in view.pressures]
+    for channel in chambers:
+        yield Added("gain", (channel,), f"{channel} reads too much, or the area that it acts on is larger than stated",
+                    "%", TYPICAL, 100.0, course="channel", reading=k, weight=actuator.effort_factors[channel],
+                    channel=channel)
+    if not chambers:
+        yield Added("gain", (name,), f"the force readings of {name} are too large", "%", TYPICAL, 100.0,
+                    course="reading", reading=k)
+    drift = max(abs(f) for f in actuator.effort_factors.values()) * DRIFT if chambers else size
+    yield Added("drift", (name,), f"the force readings of {name} drift over the log", unit, drift, course="time",
+                reading=k)
+    if ParameterKind.FORCE_OFFSET not in has:
+        yield Added("bias", (name,), f"the force readings of {name} have an offset", unit, drift, course="constant",
+                    reading=k)
+    terms = {"viscous": (ParameterKind.VISCOUS_FRICTION, "speed-dependent (viscous) friction"),
+             "quadratic": (None, "friction with the square of the speed"),
+             "coulomb": (ParameterKind.COULOMB_FRICTION, "dry (Coulomb) friction"),
+             "one way": (None, "friction that differs between the two directions"),
+             "stribeck": (ParameterKind.STRIBECK_FRICTION, "friction that falls with speed (Stribeck)"),
+             "load": (None, "friction that grows with the load")}
+    if len(chambers) == len(actuator.effort_factors) == 2 and isinstance(actuator, Cylinder):
+        terms["seal"] = (ParameterKind.SEAL_FRICTION, "friction of seals that grows with the pressures")
+    for course, (kind, words) in terms.items():
+        if kind is None or kind not in has:
+            yield Added("friction", (name,), f"{name} has {words}, which the model lacks", unit, size, course=course,
+                        reading=k)
+
+
+def _kinds_of(view: View, owner: str) -> Iterator[ParameterKind]:
+    parameters, machine = view.model.parameters, view.model.machine
+    joint = machine.joints[[a.name for a in machine.actuators].index(owner)]
+    for name, kind in zip(parameters.names, parameters.kinds, strict=True):
+        if not kind.is_inertial and parameters.owner(name) in (owner, joint):
+            yield kind
+
+
+def _of_lengths(view: View, k: int) -> Iterator[Fault]:
+    name = view.names[k]
+    yield ForcesLate("delay", (name,), f"the readings of {name} are late", "ms", 0.03, 1e3, motion=True, readings=(k,))
+    yield Added("drift", (name,), f"the readings of {name} drift over the log", "mm", 0.01, 1e3, course="time",
+                reading=k)
+
+
+def _of_bodies(view: View) -> Iterator[Fault]:
+    owners = tuple(view.model.parameters.bodies)
+    ends = tuple(owner for owner in owners if "." in owner)
+    links = tuple(owner for owner in owners if "." not in owner)
+    groups = {"all bodies": owners, "all links": links, "all barrels and rods": ends}
+    for words, group in groups.items():
+        if len(group) > 1 and (words == "all bodies" or len(group) < len(owners)):
+            yield Bodies("bodies", (words,), f"{words} are heavier than stated", "%", 1.0, 100.0, owners=group)
+    for owner in owners:
+        yield Bodies("bodies", (owner,), f"{owner} is heavier than stated", "%", 1.0, 100.0, owners=(owner,))

@@ -1,0 +1,124 @@
+"""Faults freed as parameters: logs corrected by the likeliest sizes, and residuals that share what is left of them.
+
+Residuals f − K·ψ with an effect S·δ have the covariance W⁻¹ + S·Σ·Sᵀ, with Σ that of δ as all data and δ's prior leave
+it, ψ unknown. In the compressed residuals R·ψ − r this is I + T·Σ·Tᵀ with T = R⁻ᵀ·KᵀWS.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.estimation.dynamic.folding import triangle
+from hydroopt.estimation.dynamic.misfit.blocks import Data
+from hydroopt.estimation.dynamic.misfit.faults import Fault, listed
+from hydroopt.estimation.dynamic.misfit.naming import Search
+from hydroopt.estimation.dynamic.misfit.view import View
+from hydroopt.estimation.dynamic.problem import IdentificationProblem
+from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals
+from hydroopt.logs.any_log import in_memory
+from hydroopt.spatial.inertia import Array
+
+UNCERTAIN: Mapping[str, float] = {"gain": 0.02, "offset": np.radians(0.5), "tilt": np.radians(1.0), "delay": 0.01}
+"""Standard deviations [SI] of the faults that 'instruments' frees."""
+ROUNDS = 4
+"""Gauss-Newton steps of the sizes of freed faults."""
+
+
+@dataclass(frozen=True, eq=False)
+class Freed:
+    """Faults with the sizes (k,) and covariance (k, k) [SI] that data and priors give them about parameters ψ (p,)."""
+
+    faults: tuple[Fault, ...]
+    size: Array
+    covariance: Array
+    psi: Array
+
+    def corrected(self, problem: IdentificationProblem) -> IdentificationProblem:
+        """The problem with all forces corrected by the effects at these sizes."""
+        train, held_out = ([self._corrected(data) for data in in_memory(some, "a freed fault")]
+                           for some in (problem.experiments, problem.validation))
+        return replace(problem, experiments=tuple(train), validation=tuple(held_out), freed=())
+
+    def _corrected(self, data: Experiment) -> Experiment:
+        view = View.of(data, self.psi)
+        effect = np.sum([f.effect(view, s) for f, s in zip(self.faults, self.size, strict=True)], axis=0)
+        return replace(data, force=data.force - effect[:, : data.force.shape[1]])
+
+    def widened(self, weighted: WeightedResiduals[IdentificationProblem]) -> WeightedResiduals[IdentificationProblem]:
+        """The weighted residuals with what remains uncertain about the sizes in their covariance."""
+        p = len(weighted.r)
+        cross = np.zeros((p, len(self.faults)))
+        weight = 1 / (weighted.sigma**2 * weighted.correlation_time)
+        for data in in_memory(weighted.problem.experiments, "a freed fault"):
+            view, n = View.of(data, self.psi), data.force.shape[1]
+            S = np.stack([f.sensitivity(view, s)[:, :n] for f, s in zip(self.faults, self.size, strict=True)], axis=2)
+            taken = (data.inside[:, None] & data.moving) * weight
+            cross += np.einsum("Nnp,Nn,Nnk->pk", view.regressor[:, :n], taken, S, optimize=True)
+        scale = np.maximum(np.linalg.norm(weighted.R, axis=0), 1e-300)
+        T = np.linalg.pinv((weighted.R / scale).T, rcond=1e-9) @ (cross / scale[:, None])
+        values, vectors = np.linalg.eigh(np.eye(p) + T @ self.covariance @ T.T)
+        root = (vectors / np.sqrt(np.maximum(values, 1.0))) @ vectors.T
+        R = triangle(np.column_stack([root @ weighted.R, root @ weighted.r]))
+        full = np.zeros((p + 1, p + 1))
+        full[: len(R)] = R
+        full[p, p] = np.hypot(full[p, p], np.sqrt(weighted.rest))
+        return replace(weighted, R=full[:p, :p], r=full[:p, p], rest=float(full[p, p] ** 2), triangles=full[None])
+
+
+def chosen_faults(view: View, words: Sequence[str]) -> tuple[Fault, ...]:
+    """The faults that words stand for: a group such as ``tilt``, a group and subject such as ``delay boom.q``, or
+    ``instruments`` for gains, offsets, tilt and delay within what good instruments err.
+
+    Of delays, lags and clocks the group alone means that of all forces.
+
+    Raises:
+        ProblemError: there is no such fault of this machine and its logs.
+    """
+    every = list(listed(view))
+    found: dict[Fault, None] = {}
+    for word in words:
+        if word == "instruments":
+            usual = [f for group in UNCERTAIN for f in _of_group(every, group)]
+            found |= dict.fromkeys(replace(f, scale=UNCERTAIN[f.group]) for f in usual)
+            continue
+        some = _of_group(every, word) or [f for f in every if f.name == word]
+        if not some:
+            groups = dict.fromkeys(f.group for f in every)
+            raise ProblemError(f"'{word}' is no fault that can be freed", where=f"faults of {view.model.machine.name}",
+                               remedy=f"use instruments, {', '.join(groups)}, or one with its subject such as "
+                                      f"'{every[-1].name}'")
+        found |= dict.fromkeys(some)
+    return tuple(found)
+
+
+def _of_group(every: Sequence[Fault], group: str) -> list[Fault]:
+    some = [f for f in every if f.group == group]
+    return [f for f in some if f.subject == ("forces",)] or some
+
+
+def free(problem: IdentificationProblem, psi: Array) -> Freed:
+    """The likeliest sizes of a problem's freed faults about parameters ψ, these and the geometry unknown.
+
+    Raises:
+        ProblemError: a fault that does not exist, or a log that is read in pieces.
+    """
+    in_memory(problem.experiments, "a freed fault")
+    data = Data(problem, psi)
+    faults = chosen_faults(data.views[0], problem.freed)
+    search, sizes = Search(data, faults), np.zeros(len(faults))
+    information = np.diag([1 / fault.scale**2 for fault in faults])
+    every, covariance = np.ones(len(data.blocks), dtype=bool), np.zeros_like(information)
+    for _ in range(ROUNDS if any(fault.motion for fault in faults) else 1):
+        search.chosen = list(zip(faults, sizes.tolist(), strict=True))
+        table = search.projected(*search.present(), every, 1e-4)
+        covariance = np.linalg.inv(table[:-1, :-1] + information)
+        step = covariance @ (table[:-1, -1] - information @ sizes)
+        sizes = sizes + step
+        if np.all(np.abs(step) < 0.05 * np.sqrt(np.diag(covariance))):
+            break
+    return Freed(faults, sizes, covariance, psi)

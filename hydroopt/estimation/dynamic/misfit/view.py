@@ -1,0 +1,269 @@
+"""What tests of a fit look at: one log's readings and what the model predicts for them, with every derivative."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import make_interp_spline
+from scipy.ndimage import median_filter
+
+from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.logs.forces_from_pressures import force_noise
+from hydroopt.logs.joint_angles import angle_noise, measured_angles
+from hydroopt.logs.smoothing import Motion
+from hydroopt.logs.spline import MIN_SAMPLES, Basis, Grid
+from hydroopt.machine.actuators import Cylinder, Drive
+from hydroopt.model.model import Model
+from hydroopt.spatial.inertia import Array
+
+SPIKE = 6.0
+"""Distance from the running median, in robust standard deviations, beyond which a residual is a spike."""
+EXCESS, AGAIN, WIDER = 1.05, 3, 1.32
+"""What smoothing takes out as a multiple of the stated noise, beyond which some of it is motion; how often the rest is
+smoothed again, and by what that raises the frequency that passes by half."""
+STEP = 1e-5
+"""Step of finite differences as a part of the RMS of a coordinate."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """Residuals (N, c) of the c readings of a log: the forces of all actuators, then measured lengths of cylinders.
+
+    Attributes:
+        experiment: the log and its smoothed motion.
+        psi: (p,) parameters about which everything is linear.
+        lengths: places in the machine's cylinders of the lengths that are measured beside the angles.
+    """
+
+    experiment: Experiment
+    psi: Array
+    lengths: tuple[int, ...]
+
+    @classmethod
+    def of(cls, experiment: Experiment, psi: Array) -> View:
+        """The view of an experiment at ψ."""
+        machine, channels = experiment.model.machine, experiment.log.channels
+        beside = tuple(k for k, c in enumerate(machine.cylinders) if f"{c.name}.length" in channels and all(
+            f"{joint}.q" in channels for joint in machine.joints_between(c.barrel.link, c.rod.link)))
+        return cls(replace(experiment, motion=_unbiased(experiment)), psi, beside)
+
+    @property
+    def model(self) -> Model:
+        """The machine's model."""
+        return self.experiment.model
+
+    @property
+    def motion(self) -> Motion:
+        """The smoothed motion."""
+        return self.experiment.motion
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Actuators and length channels, reading by reading."""
+        cylinders = self.model.machine.cylinders
+        return (*(a.name for a in self.model.machine.actuators), *(f"{cylinders[k].name}.length" for k in self.lengths))
+
+    def readings(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Predicted readings (N, c) of a motion (N, n) at ψ."""
+        motion = replace(self.motion, q=q, qd=qd, qdd=qdd)
+        force = replace(self.experiment, motion=motion).predicted(self.psi)
+        return np.column_stack([force, self._lengths(q)]) if self.lengths else force
+
+    def _lengths(self, q: Array) -> Array:
+        made = self.model.over(self.model.cylinder_kinematics, q, 0 * q, 0 * q)[0][:, :, 0]
+        return made[:, list(self.lengths)]
+
+    @cached_property
+    def predicted(self) -> Array:
+        """Predicted readings (N, c) of the smoothed motion."""
+        return self.readings(self.motion.q, self.motion.qd, self.motion.qdd)
+
+    @cached_property
+    def measured(self) -> Array:
+        """Measured readings (N, c)."""
+        log, cylinders = self.experiment.log, self.model.machine.cylinders
+        lengths = [log.channels[f"{cylinders[k].name}.length"] for k in self.lengths]
+        return np.column_stack([self.experiment.force, *lengths])
+
+    @cached_property
+    def residual(self) -> Array:
+        """Measured minus predicted readings (N, c)."""
+        return self.measured - self.predicted
+
+    @cached_property
+    def spikes(self) -> NDArray[np.bool_]:
+        """Readings (N, c) far off their neighbours."""
+        off = self.residual - median_filter(self.residual, size=(7, 1), mode="nearest")
+        used = self.motion.interior
+        size = 1.4826 * np.median(np.abs(off[used]), axis=0) if used.any() else np.ones(off.shape[1])
+        return np.asarray(np.abs(off) > SPIKE * np.maximum(size, 1e-9 * np.abs(self.predicted).max(axis=0) + 1e-300))
+
+    @cached_property
+    def taken(self) -> NDArray[np.bool_]:
+        """Readings (N, c) that take part: the joint moves, and they are no spikes."""
+        return np.asarray(self.usable & ~self.spikes)
+
+    @cached_property
+    def usable(self) -> NDArray[np.bool_]:
+        """Readings (N, c) away from the ends of stretches and, of forces, from standstill and reversals."""
+        inside = self.motion.interior[:, None]
+        forces = inside & self.experiment.moving
+        return np.column_stack([forces, np.broadcast_to(inside, (len(inside), len(self.lengths)))])
+
+    @cached_property
+    def spike_share(self) -> Array:
+        """Share (c,) of the usable readings that are spikes."""
+        return np.asarray(np.sum(self.usable & self.spikes, axis=0) / np.maximum(np.sum(self.usable, axis=0), 1))
+
+    @cached_property
+    def stated_noise(self) -> Array:
+        """Standard deviation (c,) of the readings that the machine file states; NaN where it states none."""
+        machine = self.model.machine
+        sensors = [machine.sensor(name) for name in self.names[len(machine.actuators):]]
+        return np.append(force_noise(self.model, self.experiment.log), [s.std if s else np.nan for s in sensors])
+
+    @cached_property
+    def noise(self) -> Array:
+        """Standard deviation (c,) of the readings' white noise, from second differences of residuals."""
+        found, segment = np.empty(len(self.names)), self.motion.segment
+        whole = np.concatenate([[False], (segment[2:] == segment[:-2]), [False]])
+        for k in range(len(found)):
+            use = whole & self.taken[:, k] & np.roll(self.taken[:, k], 1) & np.roll(self.taken[:, k], -1)
+            at = np.flatnonzero(use)
+            r = self.residual[:, k]
+            found[k] = np.sqrt(np.mean((r[at - 1] - 2 * r[at] + r[at + 1]) ** 2) / 6) if at.size > 20 else np.nan
+        size = np.sqrt(np.mean(self.measured**2, axis=0))
+        floor = np.fmax(1e-6 * size + 1e-12, 1e-2 * np.nan_to_num(self.stated_noise))
+        return np.asarray(np.fmax(np.where(np.isfinite(found), found, np.nan_to_num(self.stated_noise)), floor))
+
+    @cached_property
+    def angle_noise(self) -> Array:
+        """Standard deviation (n,) of the measured positions: as stated, or what smoothing took out if that is more."""
+        out = measured_angles(self.model, self.experiment.log) - self.motion.q
+        took = np.sqrt(np.mean(out**2, axis=0))
+        stated = np.nan_to_num(angle_noise(self.model, self.experiment.log))
+        return np.asarray(np.maximum(np.maximum(stated, took), 1e-9))
+
+    @cached_property
+    def by_motion(self) -> Array:
+        """Derivatives (3, N, c, n) of the predicted readings by q, qd and qdd, steps of dry friction aside."""
+        state = [self.motion.q, self.motion.qd, self.motion.qdd]
+        made = np.empty((3, *self.predicted.shape, state[0].shape[1]))
+        for order in range(3):
+            sizes = STEP * np.maximum(np.sqrt(np.mean(state[order] ** 2, axis=0)), 1e-3)
+            for j, h in enumerate(sizes):
+                up, down = list(state), list(state)
+                up[order], down[order] = state[order].copy(), state[order].copy()
+                up[order][:, j] += h
+                down[order][:, j] -= h
+                made[order, :, :, j] = (self.readings(*up) - self.readings(*down)) / (2 * h)
+        return made
+
+    @cached_property
+    def regressor(self) -> Array:
+        """Derivatives (N, c, p) of the predicted readings by ψ."""
+        K = self.experiment.equations(self.psi)[0][0]
+        return np.concatenate([K, np.zeros((len(K), len(self.lengths), K.shape[2]))], axis=1)
+
+    def moved(self, shift: Array) -> tuple[Array, Array, Array]:
+        """The smoothed motion at other times: shift (N,) or (N, n) [s] later, nothing beyond the ends of a stretch."""
+        t, segment = self.motion.t, self.motion.segment
+        shift = np.broadcast_to(shift if np.ndim(shift) == 2 else np.reshape(shift, (-1, 1)), self.motion.q.shape)
+        state = np.stack([self.motion.q, self.motion.qd, self.motion.qdd])
+        out = state.copy()
+        edges = np.flatnonzero(np.diff(segment, prepend=segment[0] - 1, append=segment[-1] + 1))
+        for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+            if b - a < 8 or not np.any(shift[a:b]):
+                continue
+            curve = make_interp_spline(t[a:b], np.moveaxis(state[:, a:b], 1, 0), k=3)
+            same = np.ptp(shift[a:b], axis=1).max() == 0
+            for j in range(1 if same else out.shape[2]):
+                chosen = slice(None) if same else slice(j, j + 1)
+                made = curve(np.clip(t[a:b] + shift[a:b, j], t[a], t[b - 1]))
+                out[:, a:b, chosen] = np.moveaxis(made, 0, 1)[:, :, chosen]
+        return out[0], out[1], out[2]
+
+    def smoothed(self, course: Array, joint: int) -> Array:
+        """What smoothing makes of a course (N,) in a joint's measured position: its part of q, qd and qdd (3, N)."""
+        motion, made = self.motion, np.zeros((3, len(course)))
+        edges = np.flatnonzero(np.diff(motion.segment, prepend=motion.segment[0] - 1, append=motion.segment[-1] + 1))
+        for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+            if b - a >= MIN_SAMPLES:
+                basis = Basis(motion.t[a:b], Grid.of(motion.t[a:b]))
+                curve = basis.spline(course[a:b], basis.log_weight_of(float(motion.bandwidth[joint])))
+                made[:, a:b] = [curve(motion.t[a:b], order) for order in range(3)]
+        return made
+
+    @cached_property
+    def gravity(self) -> Array:
+        """Forces (N, c, 3) of the bodies' weights per unit [m/s²] of gravity along the axes of the base frame."""
+        q = self.motion.q
+        made = np.array(self.model.gravity_forces(q.T, self.psi))  # of many columns at once: (n, 3·N)
+        forces = made.reshape(made.shape[0], len(q), 3).transpose(1, 0, 2)
+        return np.concatenate([forces, np.zeros((len(q), len(self.lengths), 3))], axis=1)
+
+    @cached_property
+    def pressures(self) -> Mapping[str, Array]:
+        """Pressures [Pa] (N,) by channel, without the share of the force's noise that is theirs, and low-passed."""
+        log, noise = self.experiment.log, self.residual
+        found: dict[str, Array] = {}
+        for k, actuator in enumerate(self.model.machine.actuators):
+            if isinstance(actuator, Drive) or not set(actuator.chambers) <= set(log.channels):
+                continue
+            sensors = [self.model.machine.sensor(channel) for channel in actuator.chambers]
+            stds = np.array([sensor.std if sensor else np.nan for sensor in sensors])
+            factors = np.array([actuator.effort_factors[channel] for channel in actuator.chambers])
+            share = (factors * np.where(np.all(np.isfinite(stds) & (stds > 0)), stds, 1.0)) ** 2
+            for channel, factor, part in zip(actuator.chambers, factors, share / share.sum(), strict=True):
+                found[channel] = _slow(log.channels[channel] - part / factor * noise[:, k], self.window)
+        return found
+
+    @cached_property
+    def window(self) -> int:
+        """Samples (odd) that a slow signal is averaged over: a quarter of the smoothing's shortest period."""
+        step = float(np.median(np.diff(self.motion.t)))
+        return 2 * int(max(2.0, 0.125 / (float(np.max(self.motion.bandwidth)) * step))) + 1
+
+    @cached_property
+    def speeds(self) -> Array:
+        """Speeds (N, n) of the actuators [m/s or rad/s]."""
+        machine, motion = self.model.machine, self.motion
+        made = motion.qd.copy()
+        if machine.cylinders:
+            speeds = self.model.over(self.model.cylinder_kinematics, motion.q, motion.qd, motion.qdd)[1][:, :, 0]
+            for k, actuator in enumerate(machine.actuators):
+                if isinstance(actuator, Cylinder):
+                    made[:, k] = speeds[:, machine.all_cylinders.index(actuator)]
+        return made
+
+
+def _slow(x: Array, window: int) -> Array:
+    calm = median_filter(x, size=window, mode="nearest")
+    padded = np.pad(calm, window // 2, mode="edge")
+    return np.convolve(padded, np.full(window, 1.0 / window), mode="valid")
+
+
+def _unbiased(experiment: Experiment) -> Motion:
+    """The motion, smoothed again and again where a stated bandwidth smooths more than noise calls for.
+
+    There smoothing takes away some of the motion itself. Adding what it makes of the rest leaves (1 − H)⁴ of the motion
+    instead of 1 − H, with H what passes, and passes about a third more of the frequencies.
+    """
+    motion, model = experiment.motion, experiment.model
+    angles, stated = measured_angles(model, experiment.log), angle_noise(model, experiment.log)
+    took = np.sqrt(np.mean((angles - motion.q) ** 2, axis=0))
+    limit = model.machine.bandwidth or np.inf
+    forced = np.flatnonzero((motion.bandwidth > 0.98 * limit) | (took > EXCESS * stated))
+    if not forced.size:
+        return motion
+    state, view = np.stack([motion.q, motion.qd, motion.qdd]), View(experiment, np.empty(0), ())
+    for joint in forced.tolist():
+        for _ in range(AGAIN):
+            state[:, :, joint] += view.smoothed(angles[:, joint] - state[0, :, joint], joint)
+    wider = motion.bandwidth.copy()
+    wider[forced] *= WIDER
+    return replace(motion, q=state[0], qd=state[1], qdd=state[2], bandwidth=wider)

@@ -1,0 +1,96 @@
+"""Sound residuals raise no alarm, listed faults are named, others are admitted, and freed faults are estimated."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydroopt.estimation.dynamic.identify import identify
+from hydroopt.estimation.dynamic.misfit.blocks import Data
+from hydroopt.estimation.dynamic.misfit.error_covariance import ErrorCovariance
+from hydroopt.estimation.dynamic.misfit.naming import examine_fit
+from hydroopt.estimation.dynamic.problem import identification_problem
+from hydroopt.logs.log import Log
+from hydroopt.logs.spline import Basis, Grid
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.model import Model
+from hydroopt.results.wording import Kind
+from hydroopt.simulation.simulate import random_trajectory, random_truth, simulate
+
+
+@pytest.fixture(scope="module")
+def crane() -> Model:
+    return Model(load_machine("patu655_lift"))
+
+
+@pytest.fixture(scope="module")
+def sound(crane: Model) -> Log:
+    motion = random_trajectory(crane, duration=30.0, rate=50.0, seed=3)
+    return simulate(crane, motion, random_truth(crane, 3), seed=3)
+
+
+def test_inner_products_are_those_of_the_dense_covariance() -> None:
+    """Woodbury's identity on bands against V = D + G·C·Gᵀ inverted as it stands."""
+    rng, N, c, n = np.random.default_rng(0), 60, 2, 2
+    t = np.arange(N) / 50
+    by_motion, taken = rng.normal(size=(3, N, c, n)), rng.random((N, c)) < 0.9
+    noise, angle_noise, bandwidth = np.array([0.5, 2.0]), np.array([0.1, 0.3]), np.array([1.5, 2.0])
+    X = rng.normal(size=(int(taken.sum()), 3))
+    whitened = ErrorCovariance(t, by_motion, taken, noise, angle_noise, bandwidth).whiten(X)
+
+    duration = float(t[-1])
+    basis = Basis(t, Grid(0.0, duration, int(np.ceil(duration * 8 * 2.0)), 1.0))
+    size = basis.intervals + 5
+
+    def dense(band: np.ndarray) -> np.ndarray:
+        lower = sum(np.diag(band[k, : size - k], -k) for k in range(6))
+        return lower + np.tril(lower, -1).T
+
+    V = np.diag(np.broadcast_to(noise, taken.shape)[taken] ** 2)
+    for j in range(n):
+        C = np.linalg.inv((dense(basis.gram) + 10.0 ** basis.log_weight_of(bandwidth[j]) * dense(basis.penalty))
+                          / angle_noise[j] ** 2)
+        G = np.concatenate([sum(by_motion[o, k, i, j] * basis.derivative(basis.x[k : k + 1], o).toarray()
+                                / basis.spacing**o for o in range(3)) for k, i in np.argwhere(taken)])
+        V += G @ C @ G.T
+    np.testing.assert_allclose(whitened.inner(whitened), X.T @ np.linalg.solve(V, X), rtol=1e-8)
+
+
+def test_a_sound_log_raises_no_alarm(crane: Model, sound: Log) -> None:
+    estimate = identify(identification_problem(crane, [sound]), intervals=False)
+    assert estimate.misfit is not None
+    assert not estimate.misfit.alarmed
+    assert not estimate.misfit.found
+    assert estimate.status == "ok"
+    assert Kind.DETECTABLE_FAULTS in {each.kind for each in estimate.findings}
+
+
+def late(log: Log, samples: int) -> Log:
+    """Pressures so many samples late."""
+    return replace(log, channels={name: np.concatenate([np.repeat(x[:1], samples), x[:-samples]]) if ".p_" in name
+                                  else x for name, x in log.channels.items()})
+
+
+def test_a_delay_is_named_with_its_size_and_can_be_freed(crane: Model, sound: Log) -> None:
+    problem = identification_problem(crane, [late(sound, 5)])
+    estimate = identify(problem, intervals=False)
+    assert estimate.status == "suspect"
+    first = estimate.diagnostics[0]
+    assert first.kind is Kind.MISFIT_CAUSE
+    assert {first.evidence["group"], *(name.split()[0] for name in first.evidence["tied"])} & {"delay", "lag"}
+    freed = identify(problem.free("delay"), intervals=False)
+    (said,) = [each for each in freed.findings if each.kind is Kind.FREED_FAULT]
+    assert abs(said.evidence["size"] - 100.0) < 5 * said.evidence["std"] + 3.0
+    assert freed.freed is not None
+    assert freed.status == "ok"
+
+
+def test_what_is_not_listed_is_admitted(crane: Model, sound: Log) -> None:
+    ripple = 0.05 * np.sin(25 * sound.channels["lift.q"])
+    pushed = {**sound.channels, "lift_cylinder.p_head": sound.channels["lift_cylinder.p_head"] * (1 + ripple)}
+    data = identification_problem(crane, [replace(sound, channels=pushed)])
+    found = examine_fit(Data(data, crane.parameters.nominal))
+    assert found.alarmed
+    assert not found.causes
