@@ -177,7 +177,7 @@ def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[
     inner = np.linalg.solve(scale[:, None] * information * scale + A.T @ A, A.T @ right)
     squares = float(right @ right - (A.T @ right) @ inner)
     rms = np.sqrt(np.mean(force**2, axis=0))
-    allowed = np.clip(rms, np.minimum(size, np.hypot(size, spread)), np.hypot(size, spread))
+    allowed = np.clip(rms, size, np.sqrt(size**2 + spread**2 + stated**2))
     levels = float(np.sum((np.log(np.maximum(rms, 1e-12) / np.maximum(allowed, 1e-12)) / LEVEL) ** 2))
     missed = np.sqrt(np.mean((force - nominal) ** 2, axis=0)) / np.maximum(rms, 1e-12)
     names = (actuator.name for actuator in model.machine.actuators)

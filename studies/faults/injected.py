@@ -9,9 +9,10 @@ import numpy as np
 from scipy.signal import lfilter
 
 from hydroopt import Log, Machine, Model, random_trajectory, random_truth, simulate
+from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.simulation.simulate import Trajectory, _chambers, forces
 
-RATE, FINE = 50.0, 1000.0
+RATE, FINE, SECONDS = 50.0, 1000.0, 30.0
 Array = np.ndarray
 
 
@@ -50,7 +51,7 @@ class Truth:
 def truth(model: Model, seed: int, psi: Array | None = None) -> Truth:
     """A random machine and motion; another seed is another of both."""
     psi = random_truth(model, seed) if psi is None else psi
-    motion = random_trajectory(model, duration=16.0, rate=FINE, seed=seed)
+    motion = random_trajectory(model, duration=SECONDS, rate=FINE, seed=seed)
     return Truth(model, psi, motion, forces(model, motion, psi), seed)
 
 
@@ -104,12 +105,12 @@ def _tilted(axis: int, degrees: float) -> Callable[[Truth], Log]:
     return make
 
 
-def _heavier(chosen: Callable[[str], bool], factor: float) -> Callable[[Truth], Log]:
-    def make(t: Truth) -> Log:
-        psi = t.model.parameters.nominal.copy()
+def _heavier(chosen: Callable[[str], bool], factor: float) -> Callable[[Truth], Truth]:
+    def make(t: Truth) -> Truth:
+        psi = t.psi.copy()
         for owner, columns in t.model.parameters.bodies.items():
             psi[columns] *= factor if chosen(owner) else 1.0
-        return truth(t.model, t.seed, psi).log()
+        return Truth(t.model, psi, t.motion, forces(t.model, t.motion, psi), t.seed)
     return make
 
 
@@ -117,59 +118,141 @@ def _ramp(t: Truth) -> Array:
     return np.linspace(-0.5, 0.5, len(t.motion.t))
 
 
-def listed(model: Model) -> dict[str, tuple[set[str], Callable[[Truth], Log]]]:
-    """By name: the groups of faults that are a right answer, and the log with that fault."""
+@dataclass(frozen=True)
+class Kind:
+    """A kind of fault: how its log is made, and what is a right name for it.
+
+    Attributes:
+        make: from the truth to the log.
+        right: names of faults that are a right answer, or their group.
+        fault: name of the true fault; "" where it is none of those that are looked for by their sensitivity.
+        size: of it [SI], or as a part of the RMS force of `of_force`.
+        course: of friction over speed or load.
+        changed: from the truth to that of the faulty machine, where its parameters are others.
+    """
+
+    make: Callable[[Truth], Log]
+    right: frozenset[str]
+    fault: str = ""
+    size: float = 0.0
+    of_force: int | None = None
+    course: str = ""
+    changed: Callable[[Truth], Truth] = lambda t: t
+
+    def si(self, t: Truth) -> float:
+        """The size in SI."""
+        return abs(self.size) * (1.0 if self.of_force is None else _rms(t, self.of_force))
+
+
+def listed(model: Model) -> dict[str, Kind]:
+    """Faults that the list has, by name."""
     machine, n = model.machine, len(model.machine.joints)
-    turning = [k for k, joint in enumerate(machine.joints) if machine.link(joint).joint.type == "revolute"]
-    heavy = int(np.argmax([np.ptp(machine.link(j).joint.range) * 0 + k for k, j in enumerate(machine.joints)][:2]))
-    main = min(heavy, n - 1)
-    stated = {kind.name for kind in model.parameters.kinds}
-    made: dict[str, tuple[set[str], Callable[[Truth], Log]]] = {
-        "all forces 60 ms late": ({"delay", "lag"}, lambda t: t.log(force=_earlier(t.force, 60))),
-        "all forces 30 ms late": ({"delay", "lag"}, lambda t: t.log(force=_earlier(t.force, 30))),
-        "forces 40 ms early": ({"delay"}, lambda t: t.log(force=_earlier(t.force, -40))),
-        "one force 60 ms late": ({"delay", "lag"}, lambda t: t.log(
-            force=_columns(t.force, main, _earlier(t.force[:, main], 60)))),
-        "one angle 60 ms late": ({"delay", "lag"}, lambda t: t.log(
-            q=_columns(t.motion.q, main, _earlier(t.motion.q[:, main], 60)))),
-        "transducers lag by 60 ms": ({"lag", "delay"}, lambda t: t.log(force=_lagged(t.force, 0.06))),
-        "transducers lag by 100 ms": ({"lag", "delay"}, lambda t: t.log(force=_lagged(t.force, 0.10))),
-        "one transducer lags by 80 ms": ({"lag", "delay"}, lambda t: t.log(
-            force=_columns(t.force, main, _lagged(t.force[:, main], 0.08)))),
-        "clock drifts by 80 ms": ({"clock"}, lambda t: t.log(force=_earlier(t.force, 80 * (_ramp(t) + 0.5)))),
-        "clock drifts by 150 ms": ({"clock"}, lambda t: t.log(force=_earlier(t.force, 150 * (_ramp(t) + 0.5)))),
-        "base tilted by 3 deg about x": ({"tilt"}, _tilted(0, 3.0)),
-        "base tilted by 3 deg about y": ({"tilt"}, _tilted(1, 3.0)),
-        "play of 0.4 deg": ({"play"}, lambda t: t.log(q=_columns(t.motion.q, main, t.motion.q[:, main] + np.radians(
-            0.2) * np.sign(t.motion.qd[:, main])))),
-        "drift of one force by 5 %": ({"drift"}, _added(main, 0.05, lambda t, k: _ramp(t))),
-        "drift of one force by 10 %": ({"drift"}, _added(main, 0.10, lambda t, k: _ramp(t))),
-        "friction with the square of speed": ({"friction"}, _added(
-            main, 0.05, lambda t, k: _speed(t, k) * np.abs(_speed(t, k)))),
-        "friction of one direction": ({"friction"}, _added(main, 0.05, lambda t, k: _speed(t, k) > 0.0)),
-        "friction that falls with speed": ({"friction"}, _added(
-            main, 0.08, lambda t, k: np.sign(_speed(t, k)) * np.exp(-(3 * _speed(t, k)) ** 2))),
-        "friction with the load": ({"friction"}, _added(
-            main, 0.05, lambda t, k: np.sign(_speed(t, k)) * np.abs(t.force[:, k]) / _rms(t, k))),
-        "pulsation": ({"line"}, _added(main, 0.02, lambda t, k: np.sin(2 * np.pi * 12.3 * t.motion.t))),
-        "bodies 35 % heavier": ({"bodies", "gain"}, _heavier(lambda owner: True, 1.35)),
-        "links 40 % heavier": ({"bodies", "gain"}, _heavier(lambda owner: "." not in owner, 1.4)),
-        "spikes": ({"spikes"}, _spiked),
-    }
-    if "VISCOUS_FRICTION" not in stated:
-        made["viscous friction"] = {"friction"}, _added(main, 0.05, _speed)
-    if any("." in owner for owner in model.parameters.bodies):
-        made["barrels and rods three times heavier"] = {"bodies"}, _heavier(lambda owner: "." in owner, 3.0)
-    for k in turning[:2]:
-        made[f"angle of {machine.joints[k]} 4 deg off"] = {"offset"}, lambda t, k=k: t.log(
-            q=_columns(t.motion.q, k, t.motion.q[:, k] + np.radians(4.0)))
-    for actuator in machine.actuators[:2]:
-        for channel in actuator.effort_factors:
-            made[f"gain of {channel} 10 % high"] = {"gain"}, _gain(channel, 1.10)
-    for k in range(min(2, n)):
-        made[f"force of {machine.actuators[k].name} 100 ms late"] = {"delay", "lag"}, lambda t, k=k: t.log(
-            force=_columns(t.force, k, _earlier(t.force[:, k], 100)))
+    main = min(1, n - 1)
+    joint, force = machine.joints[main], machine.actuators[main].name
+    alone = {f"{group} {force}" for group in ("delay", "lag")} | {f"delay {joint}.q"}
+    # of one joint, all forces late, its force late and its angle early are one and the same
+    together = {"delay forces", "lag forces"} | (alone if n == 1 else set())
+    return {**_late(model, main, together, alone), **_of_posture(model, main), **_of_forces(model, main),
+            **_of_bodies(model)}
+
+
+def _late(model: Model, main: int, together: set[str], alone: set[str]) -> dict[str, Kind]:
+    machine, n = model.machine, len(model.machine.joints)
+    joint, force = machine.joints[main], machine.actuators[main].name
+    made = {}
+    for ms in (60, 30, -40):
+        made[f"all forces {ms} ms late"] = Kind(
+            lambda t, ms=ms: t.log(force=_earlier(t.force, ms)), frozenset(together), "delay forces", ms / 1e3)
+    for ms in (60, 100):
+        made[f"all forces lag by {ms} ms"] = Kind(
+            lambda t, ms=ms: t.log(force=_lagged(t.force, ms / 1e3)), frozenset(together), "lag forces", ms / 1e3)
+    for ms in (80, 150):
+        made[f"clock drifts by {ms} ms"] = Kind(lambda t, ms=ms: t.log(
+            force=_earlier(t.force, ms * (_ramp(t) + 0.5))), frozenset({"clock forces"}), "clock forces", ms / 1e3)
+    if n > 1:
+        first = machine.actuators[0].name
+        made["one force 60 ms late"] = Kind(lambda t: t.log(force=_columns(
+            t.force, main, _earlier(t.force[:, main], 60))), frozenset(alone), f"delay {force}", 0.06)
+        made["another force 100 ms late"] = Kind(
+            lambda t: t.log(force=_columns(t.force, 0, _earlier(t.force[:, 0], 100))),
+            frozenset({f"delay {first}", f"lag {first}"}), f"delay {first}", 0.1)
+        made["one force lags by 80 ms"] = Kind(lambda t: t.log(force=_columns(
+            t.force, main, _lagged(t.force[:, main], 0.08))), frozenset(alone), f"lag {force}", 0.08)
+    made["one angle 60 ms late"] = Kind(
+        lambda t: t.log(q=_columns(t.motion.q, main, _earlier(t.motion.q[:, main], 60))),
+        frozenset({f"delay {joint}.q", f"delay {force}", *(together if n == 1 else ())}), f"delay {joint}.q", 0.06)
     return made
+
+
+def _of_posture(model: Model, main: int) -> dict[str, Kind]:
+    machine, joint = model.machine, model.machine.joints[main]
+    gravity = np.abs(np.asarray(gravity_in_base(machine), dtype=float).ravel())
+    made = {}
+    for axis in np.flatnonzero(gravity < gravity.max()).tolist():
+        made[f"base tilted by 3 deg about {'xyz'[axis]}"] = Kind(
+            _tilted(axis, 3.0), frozenset({"tilt"}), f"tilt base about {'xyz'[axis]}", np.radians(3.0))
+    for degrees in (4.0, -6.0):
+        made[f"{joint}.q {degrees:g} deg off"] = Kind(lambda t, degrees=degrees: t.log(
+            q=_columns(t.motion.q, main, t.motion.q[:, main] + np.radians(degrees))),
+            frozenset({f"offset {joint}.q"}), f"offset {joint}.q", np.radians(degrees))
+    for degrees in (0.4, 0.8):
+        made[f"play of {degrees:g} deg"] = Kind(lambda t, degrees=degrees: t.log(q=_columns(
+            t.motion.q, main, t.motion.q[:, main] + np.radians(degrees / 2) * np.sign(t.motion.qd[:, main]))),
+            frozenset({f"play {joint}.q"}), f"play {joint}.q", np.radians(degrees))
+    return made
+
+
+def _of_forces(model: Model, main: int) -> dict[str, Kind]:
+    machine, n, force = model.machine, len(model.machine.joints), model.machine.actuators[main].name
+    kinds, made = {kind.name for kind in model.parameters.kinds}, {}
+    for part in (0.05, -0.10):
+        made[f"drift of one force by {100 * part:g} %"] = Kind(
+            _added(main, part, lambda t, k: _ramp(t)), frozenset({f"drift {force}"}), f"drift {force}", part, main)
+    courses: dict[str, Callable[[Truth, int], Array]] = {
+        "quadratic": lambda t, k: _speed(t, k) * np.abs(_speed(t, k)),
+        "one way": lambda t, k: (_speed(t, k) > 0).astype(float),
+        "stribeck": lambda t, k: np.sign(_speed(t, k)) * np.exp(-(3 * _speed(t, k)) ** 2),
+        "load": lambda t, k: np.sign(_speed(t, k)) * np.abs(t.force[:, k]) / _rms(t, k)}
+    if "VISCOUS_FRICTION" not in kinds:
+        courses["viscous"] = _speed
+    for word, course in courses.items():
+        for part in (0.05, 0.10):
+            made[f"{word} friction of {100 * part:g} %"] = Kind(
+                _added(main, part, course), frozenset({f"friction {force}"}), f"friction {force}", part, main, word)
+    for hertz in (12.3, 7.1):
+        made[f"pulsation at {hertz:g} Hz"] = Kind(_added(main, 0.03, lambda t, k, hertz=hertz: np.sin(
+            2 * np.pi * hertz * t.motion.t)), frozenset({"line"}))
+    made["spikes"] = Kind(_spiked, frozenset({"spikes"}))
+    for actuator in machine.actuators[: 2 if n > 1 else 1]:
+        channels = [c for c in actuator.effort_factors if ".p_" in c]
+        for channel in channels or [f"{actuator.joint}.tau"]:
+            for factor in (1.10, 0.85):
+                made[f"{channel} reads {100 * factor - 100:+.0f} %"] = Kind(
+                    _gain(channel, factor), frozenset({f"gain {one}" for one in channels or [actuator.name]}),
+                    f"gain {channel if channels else actuator.name}", factor - 1)
+    if "FORCE_OFFSET" not in kinds:
+        for part in (0.05, -0.08):
+            made[f"one force off by {100 * part:g} %"] = Kind(_added(
+                main, part, lambda t, k: np.ones(len(t.motion.t))), frozenset({f"bias {force}"}), f"bias {force}",
+                part, main)
+    return made
+
+
+def _of_bodies(model: Model) -> dict[str, Kind]:
+    owners, made = list(model.parameters.bodies), {}
+    for words, chosen, factor in (("all bodies", lambda owner: True, 1.35), ("all links", _is_link, 1.4),
+                                  ("all barrels and rods", lambda owner: not _is_link(owner), 3.0)):
+        some = [owner for owner in owners if chosen(owner)]
+        if some and (words == "all bodies" or len(some) < len(owners)):
+            change = _heavier(chosen, factor)
+            made[f"{words} {factor:g} times as heavy"] = Kind(
+                lambda t, change=change: change(t).log(), frozenset({"bodies"}), f"bodies {words}", factor - 1,
+                changed=change)
+    return made
+
+
+def _is_link(owner: str) -> bool:
+    return "." not in owner
 
 
 def _spiked(t: Truth) -> Log:

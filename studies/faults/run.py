@@ -1,106 +1,172 @@
-"""How often a fault is named by its cause, and how often a sound log raises an alarm."""
+"""How often a fault is named by its cause, how often a sound log raises an alarm, and whether intervals hold."""
 
 from __future__ import annotations
 
 import argparse
-import hashlib
 import json
-import os
 import time
-from pathlib import Path
+from collections.abc import Iterable, Sequence
+from functools import cache
 
 import numpy as np
 
-from hydroopt import Model, identification_problem, load_machine, solve
+from hydroopt import Estimate, Model, identification_problem, load_machine, random_trajectory, solve
 from hydroopt.errors import HydrooptError
+from hydroopt.estimation.dynamic.misfit.naming import Misfit
 from hydroopt.results.wording import CONTRADICTIONS, Kind
-from studies.faults.injected import listed, outside, truth
+from hydroopt.simulation.simulate import forces
+from studies.faults.injected import RATE, SECONDS, Truth, listed, outside, truth
+from studies.faults.injected import Kind as Fault
+from studies.show import OUT
 
-MACHINES, QUICK = ("cat215b", "patu655_lift", "ur10"), (1000,)
+MACHINES, FRESH = ("cat215b", "patu655_lift", "ur10"), 7000
 SOUND = "sound"
+CELLS = OUT / "faults" / "cells.jsonl"
+"""One line a cell, written as it comes."""
 
 
-def folder() -> Path:
-    """Where cells are kept."""
-    return Path(os.environ.get("HYDROOPT_FAULTS", "faults-cells"))
-
-
-def cell(model: Model, kind: str, seed: int) -> dict:
-    """What identification says of one log; from the folder if it is there."""
-    digest = hashlib.sha256(f"{model.machine.name} {kind} {seed}".encode()).hexdigest()[:16]
-    file = folder() / f"{digest}.json"
-    if file.is_file():
-        return json.loads(file.read_text())
-    faults, others = listed(model), outside(model)
-    real = truth(model, seed)
-    log = real.log() if kind == SOUND else faults[kind][1](real) if kind in faults else others[kind](real)
+def cell(model: Model, kind: str, seed: int, *, intervals: bool = False) -> dict:
+    """What identification says of one log."""
+    faults, others, real = listed(model), outside(model), truth(model, seed)
+    fault = faults.get(kind)
+    log = fault.make(real) if fault else others[kind](real) if kind in others else real.log()
     began = time.process_time()
-    result = {"machine": model.machine.name, "kind": kind, "seed": seed, "right": sorted(faults[kind][0])
-              if kind in faults else [], "list": "sound" if kind == SOUND else "in" if kind in faults else "out"}
+    made = {"machine": model.machine.name, "kind": kind, "seed": seed, "list": "in" if fault else "out" if
+            kind in others else SOUND, "right": sorted(fault.right) if fault else []}
     try:
-        estimate = solve(identification_problem(model, [log]), seed=1)
-        found = [d for d in estimate.diagnostics if d.kind in {*CONTRADICTIONS, Kind.SPIKES, Kind.LINE}]
-        groups = {Kind.SPIKES: "spikes", Kind.LINE: "line"}
-        std, error = estimate.base_std, estimate.identifiability.grouping @ (estimate.psi - real.psi)
-        result |= {"status": str(estimate.status),
-                   "said": [[str(d.kind), groups.get(d.kind, d.evidence.get("group", "")), list(d.subject),
-                             [name.split()[0] for name in d.evidence.get("tied", ())]] for d in found],
-                   "base_coverage": float(np.mean(np.abs(error) < 1.96 * std)), "error": ""}
+        problem = identification_problem(model, [log])
+        estimate = solve(problem, intervals=intervals, seed=1)
+        made |= {"status": str(estimate.status), "said": _said(estimate), "error": ""}
+        if fault:
+            made["tellable"] = bool(not fault.fault or fault.si(real) > _smallest(model, seed, fault))
+        if intervals:
+            true = fault.changed(real) if fault else real
+            made |= _judged(estimate, true, "")
+            if fault and fault.fault:
+                made |= _judged(solve(problem.free(fault.fault), seed=1), true, "freed ")
     except HydrooptError as error:
-        result |= {"status": "failed", "said": [], "base_coverage": float("nan"), "error": str(error)}
-    result["cpu_s"] = time.process_time() - began
-    file.parent.mkdir(parents=True, exist_ok=True)
-    partial = file.with_suffix(".part")
-    partial.write_text(json.dumps(result))
-    partial.rename(file)
-    return result
+        made |= {"status": "failed", "said": [], "error": str(error)}
+    return made | {"cpu_s": round(time.process_time() - began, 2)}
+
+
+def _said(estimate: Estimate) -> list[list]:
+    """Contradictions, spikes and lines: kind, name of the fault, and names of those that are tied with it."""
+    marks = {Kind.SPIKES: "spikes", Kind.LINE: "line"}
+    return [[str(d.kind), marks.get(d.kind, d.evidence.get("fault", "")), d.evidence.get("tied", [])]
+            for d in estimate.diagnostics if d.kind in {*CONTRADICTIONS, *marks}]
+
+
+@cache
+def _sound_misfit(model: Model, seed: int) -> Misfit | None:
+    return solve(identification_problem(model, [truth(model, seed).log()]), intervals=False).misfit
+
+
+def _smallest(model: Model, seed: int, fault: Fault) -> float:
+    """The size that the sound log of the same motion says it would have shown with a probability of 95 %."""
+    misfit = _sound_misfit(model, seed)
+    return min((size for one, size in misfit.smallest.items() if one.name == fault.fault
+                and fault.course in ("", getattr(one, "course", ""))), default=np.inf) if misfit else np.inf
+
+
+def _judged(estimate: Estimate, true: Truth, prefix: str) -> dict[str, float]:
+    """Coverage of the base parameters' 95 % intervals, and the noise-free error of forces of an unseen motion."""
+    error = estimate.identifiability.grouping @ (estimate.psi - true.psi)
+    motion = random_trajectory(true.model, duration=SECONDS, rate=RATE, seed=true.seed + 100_000)
+    unseen = forces(true.model, motion, estimate.psi) - forces(true.model, motion, true.psi)
+    return {f"{prefix}coverage": float(np.mean(np.abs(error) < 1.96 * estimate.base_std)),
+            f"{prefix}unseen": float(np.sqrt(np.mean((unseen / estimate.problem.force_std) ** 2)))}
 
 
 def named(result: dict) -> tuple[bool, bool]:
-    """Whether the right cause is named (first or tied with it), and whether a wrong one is."""
-    causes = [each for each in result["said"] if each[1] and each[1] not in ("spikes", "line")]
-    marks = {each[1] for each in result["said"] if each[1] in ("spikes", "line")}
+    """Whether the right cause is named first, or tied with the first, and whether a wrong one is."""
+    names = [[name, *tied] for _, name, tied in result["said"] if name]
+    marks, causes = ([n for n in names if (n[0] in ("spikes", "line")) == so] for so in (True, False))
     right = set(result["right"])
+
+    def fits(name: str) -> bool:
+        return name in right or name.split()[0] in right
+
     if right & {"spikes", "line"}:
-        return bool(right & marks), bool(causes)
-    hit = bool(causes) and bool(right & {causes[0][1], *causes[0][3]})
+        return any(fits(n[0]) for n in marks), bool(causes)
+    hit = bool(causes) and any(fits(name) for name in causes[0])
     return hit, bool(causes) and not hit
 
 
-def summary(results: list[dict]) -> dict:
+def summary(results: Sequence[dict]) -> dict:
     """Shares over all cells."""
-    faulty, sound, out = ([r for r in results if r["list"] == name] for name in ("in", "sound", "out"))
+    faulty, sound, out = ([r for r in results if r["list"] == name] for name in ("in", SOUND, "out"))
+    tellable = [r for r in faulty if r.get("tellable")]
 
-    def share(values: list[bool]) -> float | None:
-        return round(float(np.mean(values)), 4) if values else None
+    def mean(values: Iterable[float], digits: int = 4) -> float | None:
+        some = list(values)
+        return round(float(np.mean(some)), digits) if some else None
 
-    return {"cells": len(results), "faulty": len(faulty), "right": share([named(r)[0] for r in faulty]),
-            "wrong": share([named(r)[1] for r in faulty]), "sound": len(sound),
-            "alarms of sound logs": share([r["status"] != "ok" for r in sound]), "outside": len(out),
-            "wrong outside": share([bool([e for e in r["said"] if e[0] == str(Kind.MISFIT_CAUSE)]) for r in out]),
-            "suspect outside": share([r["status"] != "ok" for r in out])}
+    def unseen(key: str, chosen: Sequence[dict]) -> float:
+        return float(np.sqrt(np.mean([r[key] ** 2 for r in chosen if key in r])))
+
+    ratios = [unseen("freed unseen", [r for r in faulty if r["machine"] == name and r["kind"] == kind])
+              / unseen("unseen", [r for r in sound if r["machine"] == name and "unseen" in r])
+              for name, kind in dict.fromkeys((r["machine"], r["kind"]) for r in faulty if "freed unseen" in r)
+              if any("unseen" in r for r in sound if r["machine"] == name)]
+    return {
+        "cells": len(results), "kinds of faults": len({r["kind"] for r in faulty}), "faulty": len(faulty),
+        "tellable": len(tellable), "right of tellable": mean(named(r)[0] for r in tellable),
+        "right of all": mean(named(r)[0] for r in faulty), "wrong": mean(named(r)[1] for r in faulty),
+        "silent": mean(r["status"] == "ok" and not named(r)[0] for r in faulty), "sound": len(sound),
+        "alarms of sound logs": mean(r["status"] != "ok" for r in sound), "outside": len(out),
+        "wrong outside": mean(any(name for _, name, _ in r["said"] if name not in ("spikes", "line")) for r in out),
+        "suspect outside": mean(r["status"] != "ok" for r in out),
+        "coverage of sound logs": mean(r["coverage"] for r in sound if "coverage" in r),
+        "coverage with the cause freed": mean(r["freed coverage"] for r in faulty if "freed coverage" in r),
+        "coverage where status is ok": mean(r["coverage"] for r in [*faulty, *out]
+                                            if "coverage" in r and r["status"] == "ok"),
+        "unseen with the cause freed, of sound": mean(ratios, 3)}
+
+
+def kept() -> dict[tuple[str, str, int], dict]:
+    """Cells computed so far."""
+    lines = CELLS.read_text().splitlines() if CELLS.is_file() else []
+    return {(r["machine"], r["kind"], r["seed"]): r for r in map(json.loads, lines)}
 
 
 def run() -> dict:
-    """The quick part: all kinds of the CAT 215B, a few seeds."""
-    model = Model(load_machine("cat215b"))
-    kinds = [SOUND, *listed(model), *outside(model)]
-    return summary([cell(model, kind, seed) for seed in QUICK for kind in kinds])
+    """One seed of each machine, computed afresh."""
+    made = []
+    for name in MACHINES:
+        model = Model(load_machine(name))
+        made += [cell(model, kind, FRESH - 1) for kind in [SOUND, *listed(model), *outside(model)]]
+    return summary(made)
+
+
+def main() -> None:
+    """Compute the cells that are not kept yet, and print the figures of all."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--machines", nargs="+", default=MACHINES)
+    parser.add_argument("--seeds", nargs=2, type=int, default=(FRESH, FRESH + 10), help="first, and one after the last")
+    parser.add_argument("--intervals", type=int, default=0, help="seeds of which intervals are judged too")
+    parser.add_argument("--sound", action="store_true", help="sound logs only")
+    parser.add_argument("--summary", action="store_true", help="compute nothing")
+    given = parser.parse_args()
+    found = kept()
+    models = {} if given.summary else {name: Model(load_machine(name)) for name in given.machines}
+    for seed in range(*given.seeds):
+        for name, model in models.items():
+            for kind in [SOUND] if given.sound else [SOUND, *listed(model), *outside(model)]:
+                if (name, kind, seed) in found:
+                    continue
+                last = cell(model, kind, seed, intervals=seed < given.seeds[0] + given.intervals)
+                found[name, kind, seed] = last
+                CELLS.parent.mkdir(parents=True, exist_ok=True)
+                with CELLS.open("a") as file:
+                    file.write(json.dumps(last) + "\n")
+    for name, kind in sorted({key[:2] for key in found}):
+        some = [r for key, r in found.items() if key[:2] == (name, kind)]
+        marks = [named(r) for r in some]
+        print(f"{name} | {kind} | {len(some)} | right {sum(hit for hit, _ in marks)} | wrong {sum(x for _, x in marks)}"
+              f" | tellable {sum(r.get('tellable', False) for r in some)}"
+              f" | suspect {sum(r['status'] != 'ok' for r in some)}")
+    print(json.dumps(summary(list(found.values())), indent=1))
 
 
 if __name__ == "__main__":
-    parser = argparse.ArgumentParser()
-    parser.add_argument("--machines", nargs="+", default=MACHINES)
-    parser.add_argument("--seeds", nargs=2, type=int, default=(1000, 1010))
-    parser.add_argument("--sound", action="store_true", help="sound logs only")
-    given = parser.parse_args()
-    computed = []
-    for name in given.machines:
-        model = Model(load_machine(name))
-        for seed in range(*given.seeds):
-            for kind in [SOUND] if given.sound else [SOUND, *listed(model), *outside(model)]:
-                computed.append(cell(model, kind, seed))
-                last = computed[-1]
-                print(name, seed, kind, last["status"], last["said"], last["error"][:80], round(last["cpu_s"], 1),
-                      flush=True)
-    print(json.dumps(summary(computed), indent=1))
+    main()

@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from hydroopt.estimation.dynamic.misfit.error_covariance import ErrorCovariance, Whitened
-from hydroopt.estimation.dynamic.misfit.view import View
+from hydroopt.estimation.dynamic.misfit.view import View, stretches
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.spatial.inertia import Array
 
@@ -45,10 +45,9 @@ def blocks_of(views: Sequence[View]) -> list[Block]:
     made: list[Block] = []
     for k, view in enumerate(views):
         motion = view.motion
-        pad = int(REACH / (float(np.min(motion.bandwidth)) * float(np.median(np.diff(motion.t))))) + 1
+        pad = int(REACH / (float(np.min(view.bandwidth)) * float(np.median(np.diff(motion.t))))) + 1
         size = len(motion.t)
-        edges = np.flatnonzero(np.diff(motion.segment, prepend=motion.segment[0] - 1, append=motion.segment[-1] + 1))
-        for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        for a, b in stretches(motion.segment):
             count = max(1, round(PARTS * (b - a) / size)) if size <= PARTS * LONGEST else max(
                 1, round(MANY * (b - a) / size))
             cuts = np.linspace(a, b, count + 1).astype(int)
@@ -109,7 +108,7 @@ class Data:
         own = slice(block.first - block.start, block.last - block.start)
         taken[own] = view.taken[block.first : block.last]
         return ErrorCovariance(view.motion.t[span], view.by_motion[:, span], taken, view.noise, view.angle_noise,
-                               view.motion.bandwidth)
+                               view.bandwidth)
 
     def columns(self, of_views: Sequence[Array]) -> Columns:
         """Columns from readings (N, c, k) of every view."""

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.signal import lfilter
 
 from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.machine.actuators import Cylinder
@@ -22,6 +23,8 @@ TYPICAL = 0.03
 """Part of the RMS force that a usual friction, gain or drift of a torque has."""
 DRIFT = 3e5
 """Usual drift of a pressure reading over a log [Pa]."""
+REVERSALS = 4
+"""How often the times are found again at which a joint with play reverses."""
 
 
 @dataclass(frozen=True)
@@ -105,11 +108,7 @@ class Lag(Fault):
         if part > 0.8:  # far shorter than a sample
             slow = -abs(size) * np.gradient(true, t, axis=0)
         else:
-            followed, state = np.empty_like(true), true[0].copy()
-            for k in range(len(true)):
-                state += part * (true[k] - state)
-                followed[k] = state
-            slow = followed - true
+            slow = lfilter([part], [1.0, part - 1.0], true - true[0], axis=0) - (true - true[0])
         return _placed(view, np.sign(size) * slow, self.readings)
 
 
@@ -147,11 +146,26 @@ class Play(Fault):
 
     def effect(self, view: View, size: float) -> Array:
         """Readings of a joint that lags behind its sensor, on the side that it comes from."""
+        return self._of(view, size, self._jumps(view, size))
+
+    def sensitivity(self, view: View, at: float = 0.0) -> Array:
+        """Derivative of the effect by the size (N, c), with reversals where they are at this size."""
+        h, jumps = 0.05 * self.scale, self._jumps(view, at)
+        return (self._of(view, at + h, jumps) - self._of(view, at - h, jumps)) / (2 * h)
+
+    def _of(self, view: View, size: float, jumps: Array) -> Array:
         state = [view.motion.q.copy(), view.motion.qd.copy(), view.motion.qdd.copy()]
-        jumps = view.smoothed(np.sign(state[1][:, self.joint]), self.joint)
         for values, change in zip(state, jumps, strict=True):
             values[:, self.joint] -= 0.5 * size * change
         return view.readings(*state) - view.predicted
+
+    def _jumps(self, view: View, size: float) -> Array:
+        """What smoothing makes of the sign of the joint's speed, which shows once the jumps are taken out of it."""
+        speed = view.motion.qd[:, self.joint]
+        jumps = view.smoothed(np.sign(speed), self.joint)
+        for _ in range(REVERSALS if size else 0):
+            jumps = view.smoothed(np.sign(speed - 0.5 * size * jumps[1]), self.joint)
+        return jumps
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ with LM = u²/i and τ its usual size. Everything after the whitening is algebra
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import NamedTuple
 
 import numpy as np
@@ -25,8 +25,9 @@ LEVEL = 0.01
 """Probability that sound data show any fault of the list."""
 EVIDENCE = np.log(10.0)
 """Evidence lnB that a fault needs."""
-TIED = 3.0
-"""Difference in evidence below which faults are not told apart."""
+TIED, ROUGH = 3.0, 0.05
+"""Difference in evidence, and as a part of the largest since effects are computed roughly, below which faults are not
+told apart."""
 MOST, LARGEST = 3, 10.0
 """Faults that are looked for, one after the other, and the largest size that one may have, as a multiple of its scale:
 beyond, the prior by which its evidence is weighed would itself be refuted."""
@@ -34,7 +35,7 @@ AGREE, SEEN = 0.5, 1.64
 """Both halves show a fault: sizes agree within this part of their mean or 2 standard deviations, each beyond `SEEN`."""
 SLOWEST_LINE, CLEAR = 3.0, 1e-6
 """Lines are looked for above this frequency [Hz]; probability below which one is no noise."""
-REFITS = 4
+REFITS = 8
 """Candidates whose effect is followed beyond its derivative."""
 
 
@@ -180,20 +181,20 @@ class Search:
         rivals = []
         for k, fault in enumerate(self.faults):
             information, score = table[k, k], table[k, -1]
-            if information <= 0 or fault in before or (fault.positive and score < 0):
+            if information <= 1e-12 / fault.scale**2 or fault in before or (fault.positive and score < 0):
                 continue
             rivals.append(_weighed(fault, score / information, score**2 / information, information))
         rivals.sort(key=lambda cause: -cause.evidence)
         if not rivals:
             return ()
         best = rivals[0].evidence
-        near = [c for c in rivals if c.evidence > best - max(8.0, 0.15 * best)]
+        near = [c for c in rivals if c.evidence > best - max(8.0, 0.35 * best)]
         near = [self._followed(c) if c.fault.motion and k < REFITS else c for k, c in enumerate(near)]
         near.sort(key=lambda cause: -cause.evidence)
         shown = [c for c in near if c.evidence > EVIDENCE and not (c.fault.positive and c.size < 0)
                  and abs(c.size) < LARGEST * c.fault.scale
                  and len(self.faults) * float(gammaincc(0.5, (c.size / c.std) ** 2 / 2)) < LEVEL]
-        return tuple(c for c in shown if c.evidence > shown[0].evidence - TIED)
+        return tuple(c for c in shown if c.evidence > shown[0].evidence - max(TIED, ROUGH * shown[0].evidence))
 
     def _followed(self, cause: Cause) -> Cause:
         """The same fault with its size found beyond the derivative of its effect."""
@@ -208,7 +209,9 @@ class Search:
             step = float(np.clip(table[0, 1] / table[0, 0], -2 * abs(cause.size), 2 * abs(cause.size)))
             gain = start - (table[1, 1] - table[0, 1] ** 2 / table[0, 0])
             size += step
-        return _weighed(cause.fault, size, max(float(gain), 0.0), float(table[0, 0]))
+        information, prior = float(table[0, 0]), cause.fault.scale**2
+        evidence = 0.5 * (max(float(gain), 0.0) - size**2 / prior - np.log1p(prior * information))  # Laplace's
+        return replace(cause, size=size, std=information**-0.5, evidence=float(evidence))
 
     def add(self, cause: Cause) -> None:
         """Take a fault into account from now on."""
@@ -318,7 +321,7 @@ def _lines(view: View) -> Iterator[tuple[str, Line]]:
         return
     step = float(np.median(np.diff(motion.t[at])))
     hertz = np.fft.rfftfreq(at.size, step)
-    fast = hertz > max(SLOWEST_LINE, 2 * float(np.max(motion.bandwidth)))
+    fast = hertz > max(SLOWEST_LINE, 2 * float(np.max(view.bandwidth)))
     if np.sum(fast) < 16:
         return
     units = (*view.model.force_units, *["m"] * len(view.lengths))
@@ -327,5 +330,5 @@ def _lines(view: View) -> Iterator[tuple[str, Line]]:
         power = np.abs(np.fft.rfft(r - r.mean())[fast]) ** 2
         top = int(np.argmax(power))
         excess = power[top] * np.log(2) / max(float(np.median(power)), 1e-300)
-        if -np.expm1(power.size * np.log1p(-np.exp(-min(float(excess), 700.0)))) < CLEAR:
+        if excess > np.log(power.size / CLEAR):  # of so many exponentially distributed powers
             yield name, Line(float(hertz[fast][top]), float(2 * np.sqrt(power[top]) / at.size), units[k])

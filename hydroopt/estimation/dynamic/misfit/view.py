@@ -37,11 +37,13 @@ class View:
         experiment: the log and its smoothed motion.
         psi: (p,) parameters about which everything is linear.
         lengths: places in the machine's cylinders of the lengths that are measured beside the angles.
+        again: joints whose positions were smoothed `AGAIN` times more.
     """
 
     experiment: Experiment
     psi: Array
     lengths: tuple[int, ...]
+    again: frozenset[int] = frozenset()
 
     @classmethod
     def of(cls, experiment: Experiment, psi: Array) -> View:
@@ -49,7 +51,9 @@ class View:
         machine, channels = experiment.model.machine, experiment.log.channels
         beside = tuple(k for k, c in enumerate(machine.cylinders) if f"{c.name}.length" in channels and all(
             f"{joint}.q" in channels for joint in machine.joints_between(c.barrel.link, c.rod.link)))
-        return cls(replace(experiment, motion=_unbiased(experiment)), psi, beside)
+        again = _too_smooth(experiment)
+        view = cls(experiment, psi, beside, again)
+        return replace(view, experiment=replace(experiment, motion=view._smoothed_again())) if again else view
 
     @property
     def model(self) -> Model:
@@ -175,8 +179,7 @@ class View:
         shift = np.broadcast_to(shift if np.ndim(shift) == 2 else np.reshape(shift, (-1, 1)), self.motion.q.shape)
         state = np.stack([self.motion.q, self.motion.qd, self.motion.qdd])
         out = state.copy()
-        edges = np.flatnonzero(np.diff(segment, prepend=segment[0] - 1, append=segment[-1] + 1))
-        for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+        for a, b in stretches(segment):
             if b - a < 8 or not np.any(shift[a:b]):
                 continue
             curve = make_interp_spline(t[a:b], np.moveaxis(state[:, a:b], 1, 0), k=3)
@@ -190,13 +193,34 @@ class View:
     def smoothed(self, course: Array, joint: int) -> Array:
         """What smoothing makes of a course (N,) in a joint's measured position: its part of q, qd and qdd (3, N)."""
         motion, made = self.motion, np.zeros((3, len(course)))
-        edges = np.flatnonzero(np.diff(motion.segment, prepend=motion.segment[0] - 1, append=motion.segment[-1] + 1))
-        for a, b in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
-            if b - a >= MIN_SAMPLES:
-                basis = Basis(motion.t[a:b], Grid.of(motion.t[a:b]))
-                curve = basis.spline(course[a:b], basis.log_weight_of(float(motion.bandwidth[joint])))
-                made[:, a:b] = [curve(motion.t[a:b], order) for order in range(3)]
+        weight = float(motion.bandwidth[joint])
+        for a, b in stretches(motion.segment):
+            if b - a < MIN_SAMPLES:
+                continue
+            basis, t = Basis(motion.t[a:b], Grid.of(motion.t[a:b])), motion.t[a:b]
+            for _ in range(1 + AGAIN * (joint in self.again)):
+                curve = basis.spline(course[a:b] - made[0, a:b], basis.log_weight_of(weight))
+                made[:, a:b] += [curve(t, order) for order in range(3)]
         return made
+
+    def _smoothed_again(self) -> Motion:
+        """The motion whose joints in `again` follow their measured positions closer.
+
+        There smoothing takes away some of the motion itself. Adding what it makes of the rest leaves (1 − H)⁴ of the
+        motion instead of 1 − H, with H what passes, and passes about a third more of the frequencies.
+        """
+        angles = measured_angles(self.model, self.experiment.log)
+        state = [values.copy() for values in (self.motion.q, self.motion.qd, self.motion.qdd)]
+        for joint in self.again:
+            for values, made in zip(state, self.smoothed(angles[:, joint], joint), strict=True):
+                values[:, joint] = made
+        return replace(self.motion, q=state[0], qd=state[1], qdd=state[2])
+
+    @cached_property
+    def bandwidth(self) -> Array:
+        """Frequency (n,) [Hz] that the smoothing of each joint passes by half."""
+        repeated = np.isin(np.arange(len(self.motion.bandwidth)), list(self.again))
+        return np.asarray(self.motion.bandwidth * np.where(repeated, WIDER, 1.0))
 
     @cached_property
     def gravity(self) -> Array:
@@ -226,7 +250,7 @@ class View:
     def window(self) -> int:
         """Samples (odd) that a slow signal is averaged over: a quarter of the smoothing's shortest period."""
         step = float(np.median(np.diff(self.motion.t)))
-        return 2 * int(max(2.0, 0.125 / (float(np.max(self.motion.bandwidth)) * step))) + 1
+        return 2 * int(max(2.0, 0.125 / (float(np.max(self.bandwidth)) * step))) + 1
 
     @cached_property
     def speeds(self) -> Array:
@@ -247,23 +271,16 @@ def _slow(x: Array, window: int) -> Array:
     return np.convolve(padded, np.full(window, 1.0 / window), mode="valid")
 
 
-def _unbiased(experiment: Experiment) -> Motion:
-    """The motion, smoothed again and again where a stated bandwidth smooths more than noise calls for.
+def stretches(segment: NDArray[np.int64]) -> list[tuple[int, int]]:
+    """First sample of each stretch, and one after its last."""
+    edges = np.flatnonzero(np.diff(segment, prepend=segment[0] - 1, append=segment[-1] + 1)).tolist()
+    return list(zip(edges[:-1], edges[1:], strict=True))
 
-    There smoothing takes away some of the motion itself. Adding what it makes of the rest leaves (1 − H)⁴ of the motion
-    instead of 1 − H, with H what passes, and passes about a third more of the frequencies.
-    """
+
+def _too_smooth(experiment: Experiment) -> frozenset[int]:
+    """Joints whose motion is smoothed more than noise calls for, by a stated bandwidth."""
     motion, model = experiment.motion, experiment.model
-    angles, stated = measured_angles(model, experiment.log), angle_noise(model, experiment.log)
-    took = np.sqrt(np.mean((angles - motion.q) ** 2, axis=0))
+    stated = angle_noise(model, experiment.log)
+    took = np.sqrt(np.mean((measured_angles(model, experiment.log) - motion.q) ** 2, axis=0))
     limit = model.machine.bandwidth or np.inf
-    forced = np.flatnonzero((motion.bandwidth > 0.98 * limit) | (took > EXCESS * stated))
-    if not forced.size:
-        return motion
-    state, view = np.stack([motion.q, motion.qd, motion.qdd]), View(experiment, np.empty(0), ())
-    for joint in forced.tolist():
-        for _ in range(AGAIN):
-            state[:, :, joint] += view.smoothed(angles[:, joint] - state[0, :, joint], joint)
-    wider = motion.bandwidth.copy()
-    wider[forced] *= WIDER
-    return replace(motion, q=state[0], qd=state[1], qdd=state[2], bandwidth=wider)
+    return frozenset(np.flatnonzero((motion.bandwidth > 0.98 * limit) | (took > EXCESS * stated)).tolist())
