@@ -175,13 +175,16 @@ def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[
     scale = np.sqrt(np.diag(covariance))
     A = rows * scale
     inner = np.linalg.solve(scale[:, None] * information * scale + A.T @ A, A.T @ right)
-    squares = float(right @ right - (A.T @ right) @ inner)
+    left = (right - A @ inner).reshape(force.shape)
+    noise = np.sum((stated * weight) ** 2, axis=0)
+    priors = float(inner @ (scale * (information @ (scale * inner))))
+    squares = priors + float(np.sum(np.maximum(np.sum(left**2, axis=0), noise)))  # silence agrees no better than noise
     rms = np.sqrt(np.mean(force**2, axis=0))
     allowed = np.clip(rms, size, np.sqrt(size**2 + spread**2 + stated**2))
     levels = float(np.sum((np.log(np.maximum(rms, 1e-12) / np.maximum(allowed, 1e-12)) / LEVEL) ** 2))
     missed = np.sqrt(np.mean((force - nominal) ** 2, axis=0)) / np.maximum(rms, 1e-12)
     names = (actuator.name for actuator in model.machine.actuators)
-    return squares, float(np.sum((stated * weight) ** 2)), levels, dict(zip(names, missed.tolist(), strict=True))
+    return squares, float(np.sum(noise)), levels, dict(zip(names, missed.tolist(), strict=True))
 
 
 def _length_terms(model: Model, log: Log, angles: Array, rows: Array) -> tuple[float, float]:

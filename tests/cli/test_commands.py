@@ -31,7 +31,7 @@ def kr300(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
 
 def test_identify_predicts_the_unseen_part_of_a_real_run(kr300: tuple[Path, str]) -> None:
     content = json.loads((kr300[0] / "estimate.json").read_text())
-    # a real arm's friction is not the model's: slow residuals beyond noise and smoothing, which no listed fault explains
+    # a real arm's friction is not the model's: its slow residuals are beyond noise and smoothing, and no fault's alone
     assert content["status"] == "suspect"
     assert str(Kind.LACK_OF_FIT) in {each["kind"] for each in content["diagnostics"]}
     assert content["fit"]["validation"]["all"]["relative"] <= 0.18

@@ -80,7 +80,7 @@ class Change(TwoSessionAnswer):
         level: below which a p-value is significant.
         single_changes: which parameter alone could explain the joint test.
         sampled: whether intervals were requested.
-        contradictions: what contradicts the machine file in the logs as they are read.
+        of_logs: what contradicts the machine file in the logs as they are read.
 
     Example:
         See `detect_change`.
@@ -90,7 +90,7 @@ class Change(TwoSessionAnswer):
     level: float
     single_changes: tuple[Diagnostic, ...]
     sampled: bool
-    contradictions: tuple[Diagnostic, ...] = ()
+    of_logs: tuple[Diagnostic, ...] = ()
     job = Job.CHANGE
     roles = ("before", "after")
 
@@ -110,7 +110,7 @@ class Change(TwoSessionAnswer):
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What contradicts the logs, what the intervals assume, and which changes the logs do not identify."""
-        return (*self.contradictions, *self.of_sampling(requested=self.sampled),
+        return (*self.of_logs, *self.of_sampling(requested=self.sampled),
                 *(one.finding for one in self.differences if not one.identifiable))
 
     @cached_property

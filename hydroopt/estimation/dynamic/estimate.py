@@ -71,10 +71,10 @@ class Estimate(Identification, Answer):
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Diagnostics of the estimate: what refutes the logs, why the model does not fit, then the rest by severity."""
         tested = () if self.misfit is None else misfit_diagnostics.diagnose(self.misfit)
-        return (*self.contradictions, *tested, *diagnostics.diagnose(self))
+        return (*self.of_logs, *tested, *diagnostics.diagnose(self))
 
     @cached_property
-    def contradictions(self) -> tuple[Diagnostic, ...]:
+    def of_logs(self) -> tuple[Diagnostic, ...]:
         """What contradicts the machine file in the logs as they are read."""
         return contradictions(self.problem.model, (*self.problem.experiments, *self.problem.validation))
 
@@ -101,7 +101,7 @@ class Estimate(Identification, Answer):
     @property
     def refuted(self) -> bool:
         """Whether the logs contradict the machine file as they are read, so that no machine is saved."""
-        return bool(of_kind(self.contradictions, *REFUTATIONS))
+        return bool(of_kind(self.of_logs, *REFUTATIONS))
 
     @cached_property
     def machine(self) -> Machine:

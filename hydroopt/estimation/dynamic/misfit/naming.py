@@ -245,7 +245,7 @@ class Search:
             base = self.chosen[k][1]
             first, second = ((part[0][k] + base, part[1][k]) for part in parts)
             repeats = _repeats(first, second)
-            made.append(Cause(tied[0].fault, base + size[k], std[k], tied[0].evidence, repeats,
+            made.append(Cause(tied[0].fault, float(base + size[k]), float(std[k]), tied[0].evidence, repeats,
                               tuple(c.fault for c in tied[1:])))
         return tuple(made)
 
