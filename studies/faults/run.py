@@ -84,7 +84,7 @@ def named(result: dict) -> tuple[bool, bool]:
     right = set(result["right"])
 
     def fits(name: str) -> bool:
-        return name in right or name.split()[0] in right
+        return name in right or name.partition(" ")[0] in right
 
     if right & {"spikes", "line"}:
         return any(fits(n[0]) for n in marks), bool(causes)

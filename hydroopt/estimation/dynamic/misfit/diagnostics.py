@@ -21,7 +21,8 @@ def diagnose(found: Misfit) -> Iterator[Diagnostic]:
         tied = [other.words for other in cause.tied if other.words != fault.words]
         yield Diagnostic(Kind.MISFIT_CAUSE, fault.subject, {
             "cause": fault.words, "fault": fault.name,
-            "word": fault.group if fault.subject == ("forces",) else fault.name, "size": cause.size * fault.factor, "std": cause.std * fault.factor,
+            "word": fault.group if fault.subject == ("forces",) else fault.name,
+            "size": cause.size * fault.factor, "std": cause.std * fault.factor,
             "unit": fault.unit, "evidence": cause.evidence, "tied": [other.name for other in cause.tied],
             "others": f"; these data do not tell it from: {listed(tied, 3)}" if tied else ""})
     if found.alarmed and not found.causes:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -274,7 +275,7 @@ def _slow(x: Array, window: int) -> Array:
 def stretches(segment: NDArray[np.int64]) -> list[tuple[int, int]]:
     """First sample of each stretch, and one after its last."""
     edges = np.flatnonzero(np.diff(segment, prepend=segment[0] - 1, append=segment[-1] + 1)).tolist()
-    return list(zip(edges[:-1], edges[1:], strict=True))
+    return list(pairwise(edges))
 
 
 def _too_smooth(experiment: Experiment) -> frozenset[int]:
