@@ -66,6 +66,11 @@ class Agreement:
         """All of it beyond the sensors' noise."""
         return self.forces - self.noise + self.levels + self.lengths + self.ranges + self.rate
 
+    @property
+    def worst(self) -> float:
+        """Nominal error of the actuator that is missed most."""
+        return max(self.missed.values())
+
     def words(self, other: Agreement) -> str:
         """In words what this reading agrees in better or worse than another; of forces, those that change most."""
         actuator = max(self.missed, key=lambda name: abs(self.missed[name] - other.missed[name]))
@@ -174,7 +179,8 @@ def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[
     rows, right = (K * weight[:, :, None]).reshape(-1, p), ((force - nominal) * weight).ravel()
     scale = np.sqrt(np.diag(covariance))
     A = rows * scale
-    inner = np.linalg.solve(scale[:, None] * information * scale + A.T @ A, A.T @ right)
+    lowest = (parameters.lower - parameters.nominal) / scale
+    inner = _bounded(scale[:, None] * information * scale + A.T @ A, A.T @ right, lowest)
     left = (right - A @ inner).reshape(force.shape)
     noise = np.sum((stated * weight) ** 2, axis=0)
     priors = float(inner @ (scale * (information @ (scale * inner))))
@@ -185,6 +191,20 @@ def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[
     missed = np.sqrt(np.mean((force - nominal) ** 2, axis=0)) / np.maximum(rms, 1e-12)
     names = (actuator.name for actuator in model.machine.actuators)
     return squares, float(np.sum(noise)), levels, dict(zip(names, missed.tolist(), strict=True))
+
+
+def _bounded(H: Array, g: Array, lower: Array) -> Array:
+    """The x not below its bounds of a small x′Hx − 2g′x: it is held at them one after the other, and never leaves."""
+    held, x = np.zeros(g.size, dtype=bool), np.zeros(g.size)
+    for _ in range(g.size):
+        free = ~held
+        x[free] = np.linalg.solve(H[np.ix_(free, free)], g[free] - H[np.ix_(free, held)] @ x[held])
+        below = free & (x < lower)
+        if not np.any(below):
+            break
+        held |= below
+        x[below] = lower[below]
+    return x
 
 
 def _length_terms(model: Model, log: Log, angles: Array, rows: Array) -> tuple[float, float]:

@@ -117,8 +117,7 @@ def _worse_in_nothing(made: Agreement, now: Agreement) -> bool:
 
     A wrong reading can have the better score where the priors are wide: the sum of all terms alone is no evidence.
     """
-    return made.outside <= max(now.outside, BEYOND) and all(
-        missed <= now.missed[name] + MISSED for name, missed in made.missed.items())
+    return made.outside <= max(now.outside, BEYOND) and made.worst <= now.worst + MISSED
 
 
 def _contradictions(model: Model, log: Log, where: str) -> Iterator[Diagnostic]:
