@@ -1,16 +1,19 @@
 """CAT 215B with the thesis's sensors: what identification buys when an unseen motion is to be followed."""
 
+from dataclasses import replace
+
 import numpy as np
 from scipy.integrate import cumulative_simpson
 from scipy.interpolate import CubicSpline
 
 from hydroopt import Model, identification_problem, load_machine, random_trajectory, random_truth, simulate, solve
-from hydroopt.control.comparison import compare
+from hydroopt.control.comparison import Comparison, compare
 from hydroopt.control.model_variants import COMPLETE, NOMINAL, REDUCED, TRUE, ModelVariant
 from hydroopt.control.outcome import FEEDFORWARD
 from hydroopt.control.setting import Setting
 from hydroopt.excitation.motion.limits import Limits
 from hydroopt.model.plant import Plant
+from hydroopt.simulation.drive_valves import random_numbers
 from hydroopt.simulation.simulate import Trajectory
 from studies import show
 
@@ -26,42 +29,59 @@ RATE = 50.0
 
 
 def run() -> dict:
-    """RMS tracking errors of the tip and their ratios, over truths, logs and motions of several seeds."""
-    model = Model(load_machine("cat215b"))
-    plant = Plant(model)
+    """RMS tracking errors of the tip and their ratios, over truths, logs and motions of several seeds.
+
+    Valves and oil are first as the controllers know them, then drawn from the file's confidences.
+    """
+    plant = Plant(Model(load_machine("cat215b")))
+    cases = [case(plant, seed) for seed in SEEDS]
+    known = [compare(setting, variants, [FEEDFORWARD]) for setting, variants in cases]
+    drawn = [compare(replace(setting, true_theta=random_numbers(plant, seed)), variants, [FEEDFORWARD])
+             for seed, (setting, variants) in zip(SEEDS, cases, strict=True)]
+    margins = [least_margins(plant, compared) for compared in known]
+    results = ratios(known, "")
+    return results | {
+        "gain_margin_db": round(min(gain for gain, _ in margins), 1),
+        "phase_margin_deg": round(min(phase for _, phase in margins), 1), **ratios(drawn, "valves_drawn_")}
+
+
+def case(plant: Plant, seed: int) -> tuple[Setting, list[ModelVariant]]:
+    """An unseen motion on a true machine, and what is known of it: nominal, and identified from two logs."""
+    model = plant.model
     reduced = Model(model.machine, actuator_inertia=False)
-    rms: dict[str, list[float]] = {name: [] for name in (NOMINAL, REDUCED, COMPLETE, TRUE)}
-    gain, phase, rows = [], [], []
-    for seed in SEEDS:
-        truth = random_truth(model, seed)
-        logs = [simulate(model, feasible(model, 20.0, 100 * seed + k), truth, seed=100 * seed + k) for k in (1, 2)]
-        known = [ModelVariant(NOMINAL, "all 20 % too small", model, OFF * truth),
-                 ModelVariant(REDUCED, "identified", reduced, solve(identification_problem(reduced, logs)).psi),
-                 ModelVariant(COMPLETE, "identified", model, solve(identification_problem(model, logs)).psi)]
-        motion = feasible(model, 12.0, 100 * seed)
-        theta = plant.parameters.nominal
-        setting = Setting(plant, motion, ModelVariant(TRUE, "drawn", model, truth), theta, theta, RATE, seed)
-        compared = compare(setting, known, [FEEDFORWARD])
-        for outcome in compared.outcomes:
-            rms[outcome.variant.name].append(1e3 * outcome.tip_rms)
-        loops = [each.actuator.name for each in plant.actuators]
-        best = compared.outcomes[0]
-        gain.append(min(20 * np.log10(best.worst(loop, "gain").gain) for loop in loops))
-        phase.append(min(np.degrees(best.worst(loop, "phase").phase) for loop in loops))
-        rows.append((seed, *(f"{values[-1]:.1f}" for values in rms.values()), f"{gain[-1]:.1f}", f"{phase[-1]:.1f}"))
-    show.table("RMS distance of the tip from an unseen motion [mm], and least margins anywhere", (
-        "seed", *rms, "gain margin [dB]", "phase margin [deg]"), rows)
-    found = {name: np.array(values) for name, values in rms.items()}
-    better, beside = found[NOMINAL] / found[COMPLETE], found[COMPLETE] / found[TRUE]
-    pooled = {name: float(np.sqrt(np.mean(values**2))) for name, values in found.items()}
-    return {f"{name}_mm": round(value, 2) for name, value in pooled.items()} | {
+    truth = random_truth(model, seed)
+    logs = [simulate(model, feasible(model, 20.0, 100 * seed + k), truth, seed=100 * seed + k) for k in (1, 2)]
+    known = [ModelVariant(NOMINAL, "all 20 % too small", model, OFF * truth),
+             ModelVariant(REDUCED, "identified", reduced, solve(identification_problem(reduced, logs)).psi),
+             ModelVariant(COMPLETE, "identified", model, solve(identification_problem(model, logs)).psi)]
+    theta = plant.parameters.nominal
+    return Setting(plant, feasible(model, 12.0, 100 * seed), ModelVariant(TRUE, "drawn", model, truth), theta, theta,
+                   RATE, seed), known
+
+
+def least_margins(plant: Plant, compared: Comparison) -> tuple[float, float]:
+    """Least gain margin [dB] and phase margin [deg] of all loops anywhere, on the true machine."""
+    best, loops = compared.outcomes[0], [each.actuator.name for each in plant.actuators]
+    return (min(float(20 * np.log10(best.worst(loop, "gain").gain)) for loop in loops),
+            min(float(np.degrees(best.worst(loop, "phase").phase)) for loop in loops))
+
+
+def ratios(compared: list[Comparison], prefix: str) -> dict[str, float]:
+    """RMS distances [mm] over all seeds by variant, their ratios, and the least and greatest of a single seed."""
+    rms = {name: np.array([next(1e3 * outcome.tip_rms for outcome in one.outcomes if outcome.variant.name == name)
+                           for one in compared]) for name in (NOMINAL, REDUCED, COMPLETE, TRUE)}
+    show.table(f"RMS distance of the tip from an unseen motion [mm] {prefix}", ("seed", *rms), [
+        (seed, *(f"{values[k]:.1f}" for values in rms.values())) for k, seed in enumerate(SEEDS)])
+    better, beside = rms[NOMINAL] / rms[COMPLETE], rms[COMPLETE] / rms[TRUE]
+    pooled = {name: float(np.sqrt(np.mean(values**2))) for name, values in rms.items()}
+    found = {f"{name}_mm": round(value, 2) for name, value in pooled.items()} | {
         "nominal_by_complete": round(pooled[NOMINAL] / pooled[COMPLETE], 2),
         "nominal_by_complete_least": round(float(better.min()), 2),
         "nominal_by_complete_greatest": round(float(better.max()), 2),
         "complete_by_true": round(pooled[COMPLETE] / pooled[TRUE], 3),
         "complete_by_true_greatest": round(float(beside.max()), 3),
-        "reduced_by_complete": round(pooled[REDUCED] / pooled[COMPLETE], 2),
-        "gain_margin_db": round(float(min(gain)), 1), "phase_margin_deg": round(float(min(phase)), 1)}
+        "reduced_by_complete": round(pooled[REDUCED] / pooled[COMPLETE], 2)}
+    return {prefix + name: value for name, value in found.items()}
 
 
 def feasible(model: Model, duration: float, seed: int) -> Trajectory:
