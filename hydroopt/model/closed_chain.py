@@ -81,6 +81,7 @@ class KinematicModel:
         self.axes = ca.Function("axes", [g, q], [ca.horzcat(*(frame.rotation[:, 2] for frame in frames.values()))],
                                 ["g", "q"], ["axes"])
         self._axis_frame = frames
+        self._tool = ends[-1].rotation if ends else ca.SX(3, 3)
         self._symbols = g, q, tip
         self._runner = Runner()
 
@@ -117,6 +118,23 @@ class KinematicModel:
         gap = self.closure(g, q, fixture)
         return ca.Function("closure_jacobian", [g, q, fixture], [gap, ca.jacobian(gap, q)],
                            ["g", "q", "fixture"], ["gap", "by_q"])
+
+    @cached_property
+    def moved_tip(self) -> ca.Function:
+        """(g, q) -> Jacobian of `observed` (m, 3) by the tip's place in the base frame, and the tool's turn (3, 3)."""
+        g, q = self._symbols[:2]
+        tip = ca.SX.sym("tip", 3)
+        rows = ca.vertcat(tip, ca.SX(len(self.machine.cylinders), 1), self._tracked(tip),
+                          ca.SX(len(self.machine.chain), 1))
+        return ca.Function("moved_tip", [g, q], [ca.densify(ca.jacobian(rows, tip)), ca.densify(self._tool)],
+                           ["g", "q"], ["by_tip", "turn"])
+
+    @cached_property
+    def gravity_torque(self) -> ca.Function:
+        """(g, q) -> gravity's generalised force (n,) [N·m, N] on the joints, by the nominal masses of all links."""
+        g, q = self._symbols[:2]
+        torque = _gravity_torque(self.machine, self.links, self._poses(q), q)
+        return ca.Function("gravity_torque", [g, q], [ca.densify(torque)], ["g", "q"], ["torque"])
 
     def tip_in_frame(self, joint: str) -> ca.Function:
         """(g, q) -> tip (3,) [m] in the frame at the far end of the link before a joint, the frame of Eq. 3.22.

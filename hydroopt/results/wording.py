@@ -113,6 +113,9 @@ class Kind(StrEnum):
     POSES_NOT_USED = "poses not used"
     POSES_REPEATED = "poses repeated"
     NO_INTERVALS_LINK_BY_LINK = "no intervals link by link"
+    OFF_OPTIMUM = "link by link off the optimum"
+    DISTANCE_CONTRADICTS = "distance contradicts the machine file"
+    STAGE_ABOVE_STATED = "errors of a stage larger than stated"
     POSES_IN_ONE_PLANE = "poses in one plane"
     STAGE_CONTRADICTS = "stage contradicts the others"
     STRETCH_CONTRADICTS = "stretch of poses contradicts the others"
@@ -122,6 +125,12 @@ class Kind(StrEnum):
     SENSOR_SCALE = "sensor reads a wrong scale"
     BACKLASH = "backlash"
     FIXTURE_MOVED = "fixture moved"
+    BASE_MOVED = "base moved"
+    TOOL_MOVED = "tool moved"
+    SENSOR_ECCENTRIC = "sensor or gear eccentric"
+    SENSOR_NONLINEAR = "sensor not linear"
+    JOINT_SAGS = "joint gives way under gravity"
+    SUSPECTS_UNDECIDED = "cause of the contradiction undecided"
     NO_VALIDATION_POSES = "no validation poses"
     WORSE_THAN_NOMINAL = "held-out poses fit worse than before"
     LARGER_ON_VALIDATION = "held-out poses fit worse than training poses"
@@ -150,7 +159,10 @@ CONTRADICTIONS = REFUTATIONS | frozenset({
     Kind.STROKE_CONTRADICTS_POSES, Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE, Kind.OTHER_SAMPLING_RATE,
     Kind.MISFIT_CAUSE, Kind.LACK_OF_FIT,
     Kind.WORSE_THAN_ZERO, Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_CHANNEL, Kind.ERRORS_FAR_LARGER,
-    Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED})
+    Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED,
+    Kind.STAGE_CONTRADICTS, Kind.FIXTURE_MOVED, Kind.BASE_MOVED, Kind.TOOL_MOVED, Kind.SENSOR_OFFSET, Kind.SENSOR_SCALE,
+    Kind.BACKLASH, Kind.SENSOR_ECCENTRIC, Kind.SENSOR_NONLINEAR, Kind.JOINT_SAGS, Kind.SUSPECTS_UNDECIDED,
+    Kind.DISTANCE_CONTRADICTS, Kind.OFF_OPTIMUM})
 """Kinds that make an answer suspect."""
 WORDS: dict[Kind, Words] = {
     Kind.JOINT_LIMITS_NARROWED: Words(
@@ -325,6 +337,15 @@ WORDS: dict[Kind, Words] = {
         "{count} poses repeat others in every reading.", "If rows were copied, intervals are too narrow: remove them."),
     Kind.NO_INTERVALS_LINK_BY_LINK: Words(
         "The link-by-link method gives no intervals.", "Use the method 'joint' for them."),
+    Kind.OFF_OPTIMUM: Words(
+        "Link by link, these lie far from the values that all poses together make most probable: {distances}.",
+        "Use the method 'joint', or find what contradicts the poses."),
+    Kind.DISTANCE_CONTRADICTS: Words(
+        "The poses place {one} and {other} {measured_mm:.2f} ± {measured_std_mm:.2f} mm apart (one standard "
+        "deviation), where the machine file states {stated_mm:.2f} ± {stated_std_mm:.2f} mm.",
+        "Measure the distance again, or state its sigma."),
+    Kind.STAGE_ABOVE_STATED: Words(
+        "Errors are larger than stated in {scales}; in the other stages they are {others:.1f} times those stated."),
     Kind.POSES_IN_ONE_PLANE: Words(
         "All joints that turned between the poses have parallel axes, so that the poses lie in one plane and geometry "
         "across it is not identifiable.", "Measure poses that leave the plane."),
@@ -338,11 +359,23 @@ WORDS: dict[Kind, Words] = {
     Kind.POSES_CONTRADICT: Words(
         "{count} single poses contradict the others; the worst is {subject} ({place}), with {strength:.1f} times the "
         "usual error."),
-    Kind.SENSOR_OFFSET: Words("The sensor of '{subject}' reads another zero in '{stage}', by {size_deg:.3f} deg."),
+    Kind.SENSOR_OFFSET: Words("The sensor of '{subject}' reads another zero {where}, by {size:.3g} {unit}."),
     Kind.SENSOR_SCALE: Words("The sensor of '{subject}' reads a wrong scale, by {size:.2f %}."),
     Kind.BACKLASH: Words(
-        "'{subject}' has backlash: its reading depends on the side it comes from, by {size_deg:.3f} deg."),
-    Kind.FIXTURE_MOVED: Words("The fixture '{subject}' moved by about {size_mm:.1f} mm before {place}."),
+        "'{subject}' has backlash: its reading depends on the side it comes from, by {size:.3g} {unit}."),
+    Kind.SENSOR_ECCENTRIC: Words(
+        "The sensor or the gear of '{subject}' is eccentric: its error repeats once a turn, with an amplitude of "
+        "{size:.3g} {unit}."),
+    Kind.SENSOR_NONLINEAR: Words(
+        "The sensor of '{subject}' is not linear: its error at both ends differs from that in the middle by {size:.3g} "
+        "{unit}."),
+    Kind.JOINT_SAGS: Words(
+        "'{subject}' gives way under gravity, by up to {size:.3g} {unit}.", "State its compliance with a sigma."),
+    Kind.FIXTURE_MOVED: Words("The fixture '{subject}' moved by about {size:.1f} {unit} before {place}."),
+    Kind.BASE_MOVED: Words("The base moved by about {size:.1f} {unit} before {place}."),
+    Kind.TOOL_MOVED: Words("The tool moved on its link by about {size:.1f} {unit} before {place}."),
+    Kind.SUSPECTS_UNDECIDED: Words(
+        "Something contradicts the poses, and the data do not decide between: {alternatives}."),
     Kind.NO_VALIDATION_POSES: Words(
         "No pose was held out, so that the prediction of unseen poses is not known.",
         "Give --validate or --holdout-stage."),

@@ -136,7 +136,7 @@ def test_the_wrong_pose_is_among_the_suspects(left: Path) -> None:
     assert 21 in named
     assert {k + 1 for k, row in enumerate(rows(left / "residuals.csv")) if row["suspect"] == "1"} == named
     for one in content["suspects"]:
-        assert set(one) == {"kind", "name", "text", "strength", "size", "rows", "poses", "paths"}
+        assert set(one) == {"kind", "name", "text", "strength", "size", "rivals", "rows", "poses", "paths"}
         assert any(one["name"] in other["subject"] for other in content["diagnostics"])
 
 

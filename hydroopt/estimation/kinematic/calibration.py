@@ -14,7 +14,7 @@ from hydroopt.estimation.kinematic.chain_points import ChainPoints, chain_points
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.estimation.kinematic.residuals import PoseResiduals, loop_fit, predicted, residual_sizes
 from hydroopt.estimation.kinematic.solution import KinematicSolution
-from hydroopt.estimation.kinematic.suspects import Suspect
+from hydroopt.estimation.kinematic.suspect import Suspect
 from hydroopt.estimation.kinematic.unsensed_angles import follow_unsensed, guess_unsensed
 from hydroopt.estimation.kinematic.workspace import WorkspaceAccuracy, workspace_accuracy
 from hydroopt.logs.poses import Poses
@@ -201,5 +201,7 @@ def _suspect(poses: Poses, suspect: Suspect) -> dict[str, Any]:
     """`rows` are the files' data rows, `poses` the positions from 1 among the poses of this role."""
     return {"kind": str(suspect.kind), "name": suspect.name, "text": suspect.diagnostic.text,
             "strength": number(suspect.strength), "size": number(suspect.size),
+            "rivals": [{"kind": str(rival.kind), "name": rival.name, "text": rival.phrase,
+                        "strength": number(rival.strength), "size": number(rival.size)} for rival in suspect.rivals],
             "rows": poses.row[suspect.poses].tolist(), "poses": (np.flatnonzero(suspect.poses) + 1).tolist(),
             "paths": list(dict.fromkeys(map(str, poses.file[suspect.poses])))}

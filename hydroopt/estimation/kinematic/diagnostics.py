@@ -8,7 +8,8 @@ from typing import Any
 import numpy as np
 
 from hydroopt.estimation.kinematic.solution import JOINT, KinematicSolution
-from hydroopt.estimation.kinematic.suspects import Suspect, SuspectKind
+from hydroopt.estimation.kinematic.stated_checks import off_optimum, wrong_distances
+from hydroopt.estimation.kinematic.suspect import Suspect, SuspectKind
 from hydroopt.machine.joint_limits import NarrowedLimits
 from hydroopt.results.diagnostic import Diagnostic, listed
 from hydroopt.results.fit import Fit
@@ -46,6 +47,7 @@ def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fi
                          {"count": poses_left_out, "where": where})
     yield from _poses(solution)
     yield from _suspects(solution)
+    yield from _stated(solution)
     yield from _prediction(solution, nominal_prediction)
     yield from _noise(solution)
     yield from _identifiability(solution)
@@ -89,6 +91,29 @@ def _poses(solution: KinematicSolution) -> Iterator[Diagnostic]:
         yield Diagnostic(Kind.POSES_REPEATED, (), {"count": twice})
     if solution.algorithm != JOINT:
         yield Diagnostic(Kind.NO_INTERVALS_LINK_BY_LINK)
+        off = off_optimum(problem, solution.linearised, solution.noise_scale)
+        if off:
+            yield Diagnostic(Kind.OFF_OPTIMUM, tuple(off), {"distances": listed(
+                [f"{name} (by {distance:.1f} σ)" for name, distance in off.items()], 5), "sigmas": list(off.values())})
+
+
+def _stated(solution: KinematicSolution) -> Iterator[Diagnostic]:
+    """Distances and stages that disagree with what the machine file states."""
+    if solution.algorithm == JOINT:
+        for found in wrong_distances(solution.problem, solution.linearised, solution.noise_scale):
+            yield Diagnostic(Kind.DISTANCE_CONTRADICTS, found.between, {
+                "one": found.between[0], "other": found.between[1],
+                "measured_mm": 1e3 * found.measured, "measured_std_mm": 1e3 * found.measured_std,
+                "stated_mm": 1e3 * found.stated, "stated_std_mm": 1e3 * found.stated_std})
+    stage, square = solution.problem.poses.stage, solution.linearised.pose_square
+    scales = {label: float(np.sqrt(square[there].sum() / max(solution.linearised.rank[there].sum(), 1)))
+              for label in dict.fromkeys(map(str, stage)) if np.any(there := stage == label)}
+    large = {label: scale for label, scale in scales.items() if scale > LARGE}
+    if large and len(large) < len(scales):
+        yield Diagnostic(Kind.STAGE_ABOVE_STATED, tuple(large), {
+            "scales": listed([f"{label} {scale:.1f} times" for label, scale in large.items()]),
+            "others": float(np.median([scale for label, scale in scales.items() if label not in large])),
+            "factors": list(large.values())})
 
 
 def _prediction(solution: KinematicSolution, nominal: Mapping[str, Fit]) -> Iterator[Diagnostic]:

@@ -29,8 +29,8 @@ SHARE = 1e-5
 class Linearised:
     """Whitened rows of all poses: residual (N, m), Jacobian (N, m, P) by all parameters, rank (N,) of each pose's rows.
 
-    `shared` and `shared_residual` are those of known distances, then of what is known before; `errors` (N, m, n) are
-    the rows' changes by one standard deviation of each sensed angle.
+    `shared` and `shared_residual` are those of known distances, then of what is known before. `whitening` (N, u, u)
+    makes these rows of the raw rows at the channels `used`; `by_angles` (N, u, n) are their changes by each angle.
     """
 
     residual: Array
@@ -38,7 +38,13 @@ class Linearised:
     rank: NDArray[np.int64]
     shared: Array
     shared_residual: Array
-    errors: Array
+    whitening: Array
+    used: NDArray[np.intp]
+    by_angles: Array
+
+    def whitened(self, rows: Array) -> Array:
+        """(N, u, c) whitened changes of raw changes (N, m, c) of all rows."""
+        return np.asarray(self.whitening @ rows[:, self.used])
 
     @property
     def pose_square(self) -> Array:
@@ -69,8 +75,9 @@ def linearise(problem: CalibrationProblem, theta: Array, q: Array) -> Linearised
         raise ProblemError("the errors of the loops are not stated", where=f"poses of {problem.poses.name}",
                            remedy="state the accuracy of three sensed joints or more, or the play of the fixture"
                            ) from None
+    own = np.broadcast_to(np.eye(len(used)), spread.shape) * present[:, None, :]
     white = np.linalg.solve(factor, np.concatenate(
-        [rows[:, :, None], jacobian, by_q * np.where(layout.moving, 1.0, 0.0)[:, None, :], weighted], axis=2))
+        [rows[:, :, None], jacobian, by_q * np.where(layout.moving, 1.0, 0.0)[:, None, :], by_q, own], axis=2))
     total, n = len(problem.parameters), by_q.shape[2]
     blind = white[:, :, 1 + total : 1 + total + n]
     moving = layout.moving.any(axis=0)
@@ -83,7 +90,7 @@ def linearise(problem: CalibrationProblem, theta: Array, q: Array) -> Linearised
         rank = rank - (kept & (s > 0)).sum(axis=1)
     extra, extra_residual = _shared(problem, theta)
     return Linearised(white[:, :, 0], white[:, :, 1 : 1 + total], rank, extra, extra_residual,
-                      white[:, :, 1 + total + n :])
+                      white[:, :, 1 + total + 2 * n :], used, white[:, :, 1 + total + n : 1 + total + 2 * n])
 
 
 def _shared(problem: CalibrationProblem, theta: Array) -> tuple[Array, Array]:

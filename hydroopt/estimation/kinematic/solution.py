@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from hydroopt.estimation.kinematic.observability import Linearised, Observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
-from hydroopt.estimation.kinematic.suspects import Suspect
+from hydroopt.estimation.kinematic.suspect import Suspect
 from hydroopt.estimation.kinematic.uniqueness import Uniqueness
 from hydroopt.results.fit import Fit
 from hydroopt.spatial.inertia import Array

@@ -1,124 +1,297 @@
-"""Suspects: stages, stretches of poses, sensors and joints that contradict the rest (Section 3.8.2), by name and row.
+"""Suspects: what contradicts the rest of the poses (Section 3.8.2), as alternatives with their evidence.
 
-Each defect is a column that would explain part of the whitened residuals. Its test statistic is the drop of squared
-errors that adding it to the linearised problem brings, in units of the errors' variance (a Lagrange multiplier test).
+Every fault is an extension of the model by a few columns; its evidence is the drop of the squared errors that adding
+them to the linearised problem brings, in units of the errors' variance (a Lagrange multiplier test: twice the gain of
+the log-likelihood). A fault is stated if that gain is no chance, its size is beyond what the file states, all parts of
+the poses agree on it, and it beats every other explanation clearly, each charged for its columns and for how many were
+tried (Schwarz's criterion). Else all explanations that the data leave are named.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
-from enum import StrEnum
-from typing import Any, NamedTuple
+from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
 from hydroopt.estimation.kinematic.observability import Linearised, Observability
+from hydroopt.estimation.kinematic.pose_faults import SHORTEST, Fault, faults
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
-from hydroopt.results.diagnostic import Diagnostic
-from hydroopt.results.wording import Kind
+from hydroopt.estimation.kinematic.suspect import Suspect, SuspectKind
 from hydroopt.spatial.inertia import Array
 
 FALSE_ALARM = 1e-3
 """Probability that sound data raise one alarm of a kind."""
 LARGER = 2.0
 """How many times the others' typical error a stage must show: smaller differences are the model's, not the stage's."""
-BEYOND = 3.0
-"""How many times its stated standard deviation a sensor must be off: less is what was stated."""
+WILDER = 1.5
+"""How many times the errors' variance a pose's must be: tails of real errors are longer than a Gaussian's."""
 EXACT = 1e-3
 """Least variance of the errors, in units of the stated one, so that nothing is suspect without noise."""
 TURNED = 0.05
 """Range of angles [rad] over the poses from which on a joint counts as turning."""
 TILTED = 0.05
 """Sine of the angle between two axes below which they count as parallel."""
-SPLITS = 24
-"""Places in the poses of a fixture at which a move of the fixture is tested."""
-SHORTEST = 5
-"""Fewest poses that count as a stretch."""
-
-
-class SuspectKind(StrEnum):
-    """What a suspect is; the value stands in JSON files."""
-
-    PLANE = "plane"
-    STAGE = "stage"
-    STRETCH = "stretch"
-    POSE = "pose"
-    FIXTURE = "fixture"
-    OFFSET = "offset"
-    SCALE = "scale"
-    BACKLASH = "backlash"
-
-    @property
-    def is_poses(self) -> bool:
-        """Whether the suspect is poses, which can be left out."""
-        return self in (SuspectKind.STAGE, SuspectKind.STRETCH, SuspectKind.POSE)
-
-
-DIAGNOSTICS = {SuspectKind.PLANE: Kind.POSES_IN_ONE_PLANE, SuspectKind.STAGE: Kind.STAGE_CONTRADICTS,
-               SuspectKind.STRETCH: Kind.STRETCH_CONTRADICTS, SuspectKind.POSE: Kind.POSE_CONTRADICTS,
-               SuspectKind.FIXTURE: Kind.FIXTURE_MOVED, SuspectKind.OFFSET: Kind.SENSOR_OFFSET,
-               SuspectKind.SCALE: Kind.SENSOR_SCALE, SuspectKind.BACKLASH: Kind.BACKLASH}
-"""Kind of the diagnostic of each kind of suspect."""
-
-
-@dataclass(frozen=True, eq=False)
-class Suspect:
-    """Something that contradicts the rest.
-
-    Attributes:
-        kind: what it is.
-        name: of the stage, pose, fixture or joint.
-        poses: (N,) poses it concerns; `place` says where they stand in their files.
-        strength: root of the test statistic, or errors relative to the usual ones.
-        size: of the defect [rad, m, or 1 for a scale]; NaN where it has none.
-        stage: in which a sensor reads another zero.
-    """
-
-    kind: SuspectKind
-    name: str
-    poses: NDArray[np.bool_]
-    place: str
-    strength: float
-    size: float = float("nan")
-    stage: str = ""
-
-    @property
-    def diagnostic(self) -> Diagnostic:
-        """The finding with its words."""
-        evidence: dict[str, Any] = {"place": self.place, "strength": self.strength}
-        match self.kind:
-            case SuspectKind.OFFSET | SuspectKind.BACKLASH:
-                evidence |= {"size_deg": float(np.degrees(self.size)), "stage": self.stage}
-            case SuspectKind.SCALE:
-                evidence |= {"size": self.size}
-            case SuspectKind.FIXTURE:
-                evidence |= {"size_mm": 1e3 * self.size}
-        return Diagnostic(DIAGNOSTICS[self.kind], (self.name,) if self.name else (), evidence)
-
-
-class _Defect(NamedTuple):
-    """A defect of a joint's sensor: change of its angle per unit of the defect (N,), and the poses concerned (N,)."""
-
-    kind: SuspectKind
-    joint: str
-    unit_change: Array
-    poses: NDArray[np.bool_]
-    stage: str = ""
+MARGIN = 9.2
+"""Lead in the criterion from which on the data decide between two explanations: a likelihood ratio of 100."""
+AGREE = 0.05
+"""Chance of the amounts' spread over the parts of the poses, all faults together, above which the parts disagree."""
+PARTS = 12
+"""Parts of the poses that must agree on a fault."""
+UNUSUAL = 6.0
+"""How many usual sizes a fault may have."""
+BLIND = 1e-5
+"""Part of a fault's columns that must be left beside the free parameters for it to be seen."""
+MANY = 0.25
+"""Largest part of the poses that can be wrong one by one; more are wrong together."""
+DIM = 0.1
+"""Part of a fault's columns that must be left for the data to decide: of less, errors of the linearisation decide."""
+LINEAR = 0.06
+"""Part of what is explained already that a further explanation must add: less may be an error of the linearisation."""
+MOST = 8
+"""Explanations that are looked for, one after another."""
 
 
 def find_suspects(problem: CalibrationProblem, q: Array, linearised: Linearised,
                   identified: Observability) -> tuple[Suspect, ...]:
-    """All suspects, the strongest of each kind first."""
-    square, rank = linearised.pose_square, np.maximum(linearised.rank, 1)
-    typical = _typical(square, rank)
-    stages = _stages(problem, square, rank)
-    stretches = () if stages else _stretches(problem, square / typical, rank)
-    taken = np.any([s.poses for s in (*stages, *stretches)], axis=0) if stages or stretches else np.zeros(len(q), bool)
-    return (*_one_plane(problem, q), *stages, *stretches, *_outliers(problem, square / typical, rank, taken),
-            *_defects(problem, q, linearised, identified, typical))
+    """All suspects: the best explanation of the errors, then the best one of what it leaves, and so on."""
+    misfit, found, wild = _Misfit(problem, linearised, identified), list[Suspect](), np.zeros(len(q), dtype=bool)
+    if problem.loss != "squares":  # a robust answer knows wild poses, which least squares would follow
+        square = linearised.pose_square / _typical(linearised.pose_square, misfit.rank)
+        wild |= stats.chi2.sf(square / WILDER, misfit.rank) < FALSE_ALARM / len(q)
+        misfit.set_aside(wild)
+    candidates, explained = list(faults(problem, q, linearised)), 0.0
+    for _ in range(MOST):
+        tested = [each for fault in candidates if (each := misfit.tested(fault)) is not None]
+        leading, variance = _leading(misfit, tested, len(candidates))
+        if leading is not None and leading.drop < LINEAR * explained:
+            leading = None
+        score = -np.inf if leading is None else leading.score(variance, len(q))
+        loose, loose_score = _noisy(problem, misfit, variance)
+        single, single_score = _wild(misfit, variance, LINEAR * explained)
+        if loose is not None and np.mean(single[loose.poses]) > 0.5:  # most poses of a stretch are one finding
+            loose_score = max(loose_score, single_score)
+        if max(loose_score, single_score) > score:
+            if loose is not None and loose_score >= single_score:
+                found.append(loose)
+                misfit.set_aside(loose.poses)
+            else:
+                wild |= single
+                misfit.set_aside(single)
+        elif leading is None:
+            break
+        else:
+            if leading.beyond_stated:
+                found.append(_suspect(problem, misfit, leading, tested, variance, len(candidates)))
+                if any(rival.kind is SuspectKind.LACK for rival in found[-1].rivals):
+                    break  # what else the model lacks would only be imitated by further faults
+            explained += leading.drop
+            misfit.explain(leading)
+    square = misfit.square / _typical(misfit.square[misfit.kept], misfit.rank[misfit.kept])
+    # also beside what was found later
+    wild &= (stats.chi2.sf(square / WILDER, misfit.rank) < FALSE_ALARM / len(q)) & (misfit.square > LINEAR * explained)
+    return (*_one_plane(problem, q), *found, *_outliers(problem, square, misfit.rank, wild))
+
+
+class _Explanation(NamedTuple):
+    """A fault's most probable amount (d,), the drop of squared errors that it brings, and its change (R,) of the rows.
+
+    `visible` is the part of its columns that the free parameters cannot imitate.
+    """
+
+    fault: Fault
+    amount: Array
+    drop: float
+    change: Array
+    freedom: int
+    visible: float
+
+    @property
+    def beyond_stated(self) -> bool:
+        """Whether it is larger than what the machine file states."""
+        return self.fault.change * self.fault.size(self.amount) > self.fault.least
+
+    def score(self, variance: float, poses: int) -> float:
+        """Gain of twice the log-likelihood beyond the cost of columns and of a beginning that is sought."""
+        return self.drop / variance - (self.freedom + (self.fault.there is not None)) * float(np.log(poses))
+
+
+class _Misfit:
+    """Whitened residuals of all rows, without what the free parameters and faults found so far can explain."""
+
+    def __init__(self, problem: CalibrationProblem, linearised: Linearised, identified: Observability) -> None:
+        free = np.flatnonzero(problem.free)
+        self.shape = linearised.residual.shape
+        rows = linearised.jacobian[:, :, free].reshape(-1, len(free))
+        stack = np.vstack([rows, linearised.shared[:, free]]) * identified.scale
+        self.rank, self.kept = np.maximum(linearised.rank, 1), np.ones(self.shape[0], dtype=bool)
+        self._stack = stack
+        self._raw = np.concatenate([linearised.residual.ravel(), linearised.shared_residual])
+        self._project()
+
+    def _project(self) -> None:
+        shared = len(self._raw) - self.shape[0] * self.shape[1]
+        rows = np.concatenate([np.repeat(self.kept, self.shape[1]), np.ones(shared, bool)])
+        basis, s, _ = np.linalg.svd(self._stack * rows[:, None], full_matrices=False)
+        self.basis = basis[:, s > 1e-9 * s[0]] if s.size else basis
+        self.rows = rows
+        self.residual = self._across(self._raw * rows)
+
+    def _across(self, column: Array) -> Array:
+        return np.asarray(column - self.basis @ (self.basis.T @ column))
+
+    @property
+    def square(self) -> Array:
+        """(N,) squared error of each pose; of one that is set aside, as the others predict it."""
+        inside = self.residual[: self.shape[0] * self.shape[1]].reshape(self.shape)
+        square = np.sum(inside**2, axis=1)
+        if not np.all(self.kept):
+            rows = self._stack[self.rows]
+            amounts = np.linalg.lstsq(rows, self._raw[self.rows], rcond=1e-9)[0]
+            left = (self._raw - self._stack @ amounts)[: inside.size].reshape(self.shape)
+            square = np.where(self.kept, square, np.sum(left**2, axis=1))
+        return np.asarray(square)
+
+    @property
+    def total(self) -> float:
+        """The sum of all squared errors."""
+        return float(self.residual @ self.residual)
+
+    @property
+    def pose_gain(self) -> Array:
+        """(N,) drop of the squared errors by leaving out each pose; zero for one that is."""
+        count, u = self.shape
+        part = self.basis[: count * u].reshape(count, u, -1)
+        inside = self.residual[: count * u].reshape(self.shape)
+        away = np.eye(u) - part @ part.transpose(0, 2, 1)
+        gain = np.einsum("ni,nij,nj->n", inside, np.linalg.pinv(away, rcond=1e-6, hermitian=True), inside)
+        return np.asarray(np.where(self.kept, gain, 0.0))
+
+    def gain_without(self, poses: NDArray[np.bool_]) -> float:
+        """Drop of the squared errors by leaving poses (N,) out together."""
+        rows = np.flatnonzero(np.repeat(poses & self.kept, self.shape[1]))
+        part, error = self.basis[rows], self.residual[rows]
+        return float(error @ np.linalg.lstsq(np.eye(len(rows)) - part @ part.T, error, rcond=1e-6)[0])
+
+    def tested(self, fault: Fault) -> _Explanation | None:
+        """What a fault explains; nothing where parameters do the same, or where only an absurd size would."""
+        count, u, d = fault.columns.shape
+        column = np.zeros((len(self._raw), d))
+        column[: count * u] = (fault.columns * (fault.weight * self.kept)[:, None, None]).reshape(-1, d)
+        across = self._across(column)
+        size = np.linalg.norm(column, axis=0)
+        visible = float(np.linalg.norm(across)) / max(float(np.linalg.norm(size)), 1e-300)
+        if visible < BLIND:
+            return None
+        information = across.T @ across
+        toward = -across.T @ self.residual
+        amount = np.asarray(np.linalg.solve(information + np.diag(fault.information), toward), dtype=np.float64)
+        if np.max(np.abs(amount) * np.sqrt(fault.information)) > UNUSUAL:
+            return None
+        freedom = int(np.sum(np.diag(information) > fault.information))
+        return _Explanation(fault, amount, float(toward @ amount), across @ amount, max(freedom, 1), visible)
+
+    def typical_after(self, found: _Explanation) -> float:
+        """Variance of the errors, in units of the stated one, that is left once a fault is explained."""
+        inside = (self.residual + found.change)[: self.shape[0] * self.shape[1]].reshape(self.shape)
+        return _typical(np.sum(inside**2, axis=1)[self.kept], self.rank[self.kept])
+
+    def chance_of_agreement(self, found: _Explanation) -> float:
+        """Chance of a fault by the spread of its evidence over parts of the poses; 0 where these are too few."""
+        inside = slice(0, self.shape[0] * self.shape[1])
+        evidence = (found.change * (self.residual + found.change))[inside].reshape(self.shape).sum(axis=1)
+        weight = (found.change**2)[inside].reshape(self.shape).sum(axis=1)
+        share = np.cumsum(weight) / max(float(np.sum(weight)), 1e-300)
+        part = np.minimum((share * PARTS * (1 - 1e-12)).astype(int), PARTS - 1)
+        sums = np.bincount(part, evidence, PARTS)[np.unique(part)]
+        if len(sums) < PARTS // 2 or np.count_nonzero(weight > 1e-12) < 2 * PARTS:
+            return 0.0
+        spread = float(np.sqrt(np.sum(sums**2) * len(sums) / (len(sums) - 1)))
+        return float(2 * stats.t.sf(float(np.sum(weight)) / spread, len(sums) - 1)) if spread else 0.0
+
+    def explain(self, found: _Explanation) -> None:
+        """Count a fault among what is explained, its amount free from now on."""
+        count, u, d = found.fault.columns.shape
+        column = np.zeros((len(self._raw) + d, d))
+        column[: count * u] = (found.fault.columns * found.fault.weight[:, None, None]).reshape(-1, d)
+        column[len(self._raw) :] = np.diag(np.sqrt(found.fault.information))
+        self._stack = np.hstack([np.vstack([self._stack, np.zeros((d, self._stack.shape[1]))]),
+                                 column / np.linalg.norm(column, axis=0) * np.linalg.norm(self._stack, axis=0).max()])
+        self._raw = np.concatenate([self._raw, np.zeros(d)])
+        self._project()
+
+    def set_aside(self, poses: NDArray[np.bool_]) -> None:
+        """Leave poses out of all tests."""
+        self.kept = self.kept & ~poses
+        self._project()
+
+
+def _leading(misfit: _Misfit, tested: list[_Explanation], tried: int) -> tuple[_Explanation | None, float]:
+    """The best explanation, if what it explains is no chance, and the errors' variance once it is known."""
+    variance, count = _typical(misfit.square[misfit.kept], misfit.rank[misfit.kept]), len(misfit.rank)
+    best = max(tested, key=lambda found: found.score(variance, count), default=None)
+    if best is None:
+        return None, variance
+    variance = min(variance, misfit.typical_after(best))
+    best = max(tested, key=lambda found: found.score(variance, count))
+    nearby = [found for fault in best.fault.neighbours() if (found := misfit.tested(fault)) is not None]
+    best = max([best, *nearby], key=lambda found: found.score(variance, count))
+    chance = float(stats.chi2.sf(best.drop / variance, best.freedom))
+    return (best if chance < FALSE_ALARM / tried else None), variance
+
+
+def _wild(misfit: _Misfit, variance: float, least: float) -> tuple[NDArray[np.bool_], float]:
+    """Poses that contradict all others one by one, by at least so much, and the criterion of leaving them out."""
+    count, gain = len(misfit.rank), misfit.pose_gain
+    wild = (stats.chi2.sf(gain / variance / WILDER, misfit.rank) < FALSE_ALARM / count) & (gain > least)
+    if not np.any(wild) or wild.sum() > MANY * misfit.kept.sum():
+        return np.zeros(count, dtype=bool), -np.inf
+    return wild, misfit.gain_without(wild) / variance - float(np.sum(misfit.rank[wild] + 1)) * float(np.log(count))
+
+
+def _noisy(problem: CalibrationProblem, misfit: _Misfit, variance: float) -> tuple[Suspect | None, float]:
+    """The stage or stretch whose errors are larger than the others', and the criterion of a variance of its own."""
+    square, rank = np.where(misfit.kept, misfit.square, 0.0), np.where(misfit.kept, misfit.rank, 0)
+    found = _stages(problem, square, rank) or _stretches(problem, square / variance, rank)
+    best, score = None, -np.inf
+    for suspect in found:
+        freedom = float(rank[suspect.poses].sum())
+        ratio = float(square[suspect.poses].sum()) / freedom / variance
+        gain = freedom * (ratio - 1 - np.log(ratio)) - 2 * np.log(len(rank))
+        if gain > score:
+            best, score = suspect, gain
+    return best, score
+
+
+def _suspect(problem: CalibrationProblem, misfit: _Misfit, leading: _Explanation, tested: list[_Explanation],
+             variance: float, tried: int) -> Suspect:
+    """The leading explanation with its rivals: the best of each other fault that the data do not rule out."""
+    count, score = len(misfit.rank), leading.score(variance, len(misfit.rank))
+    best: dict[tuple[SuspectKind, str], _Explanation] = {}
+    for found in tested:
+        key = found.fault.kind, found.fault.name
+        if key not in best or found.score(variance, count) > best[key].score(variance, count):
+            best[key] = found
+    own = leading.fault.kind, leading.fault.name
+    rivals = [found for key, found in best.items() if key != own and found.score(variance, count) > score - MARGIN]
+    rivals.sort(key=lambda found: -found.drop)
+    others = [_stated(problem, found, variance) for found in rivals]
+    if leading.visible < DIM or misfit.chance_of_agreement(leading) > AGREE / tried:
+        others.append(Suspect(SuspectKind.LACK, "", np.ones(count, bool), "", float("nan")))
+    return replace(_stated(problem, leading, variance), rivals=tuple(others))
+
+
+def _stated(problem: CalibrationProblem, found: _Explanation, variance: float) -> Suspect:
+    fault, first = found.fault, ""
+    if fault.there is not None:
+        start = np.zeros(len(fault.poses), dtype=bool)
+        start[fault.first] = True
+        first = _place(problem, start)
+    return Suspect(fault.kind, fault.name, fault.poses, first or _place(problem, fault.poses),
+                   float(np.sqrt(max(found.drop, 0.0) / variance)), fault.size(found.amount),
+                   fault.where or (f"from {first} on" if first else ""), fault.unit)
 
 
 def _one_plane(problem: CalibrationProblem, q: Array) -> tuple[Suspect, ...]:
@@ -152,10 +325,10 @@ def _place(problem: CalibrationProblem, poses: NDArray[np.bool_]) -> str:
 
 
 def _stages(problem: CalibrationProblem, square: Array, rank: NDArray[np.int64]) -> tuple[Suspect, ...]:
-    labels = dict.fromkeys(str(s) for s in problem.poses.stage)
-    if len(labels) < 3:
+    groups = {label: there for label in dict.fromkeys(str(s) for s in problem.poses.stage)
+              if np.any(there := (problem.poses.stage == label) & (rank > 0))}
+    if len(groups) < 3:
         return ()
-    groups = {label: problem.poses.stage == label for label in labels}
     # by medians, so that a few bad poses do not make their whole stage suspect
     size = {label: float(np.sqrt(_typical(square[g], rank[g]))) for label, g in groups.items()}
     found = []
@@ -169,10 +342,14 @@ def _stages(problem: CalibrationProblem, square: Array, rank: NDArray[np.int64])
 
 
 def _stretches(problem: CalibrationProblem, square: Array, rank: NDArray[np.int64]) -> tuple[Suspect, ...]:
-    """The worst run of neighbouring poses in every stage, if its errors are too large for chance."""
+    """The worst run of neighbouring poses in every stage, if its errors are too large for chance.
+
+    No single pose counts for more than makes it wild by itself, so that it makes no stretch of its neighbours.
+    """
     found = []
+    square = np.minimum(square, WILDER * stats.chi2.isf(FALSE_ALARM / len(square), np.maximum(rank, 1)))
     for label in dict.fromkeys(str(s) for s in problem.poses.stage):
-        rows = np.flatnonzero(problem.poses.stage == label)
+        rows = np.flatnonzero((problem.poses.stage == label) & (rank > 0))
         total = np.concatenate([[0], np.cumsum(square[rows])])
         freedom = np.concatenate([[0], np.cumsum(rank[rows])])
         # lengths that grow by a quarter: all would take the square of the number of poses
@@ -193,9 +370,7 @@ def _stretches(problem: CalibrationProblem, square: Array, rank: NDArray[np.int6
 
 
 def _outliers(problem: CalibrationProblem, square: Array, rank: NDArray[np.int64],
-              taken: NDArray[np.bool_]) -> tuple[Suspect, ...]:
-    chance = stats.chi2.sf(square / LARGER, rank)
-    odd = (chance < FALSE_ALARM / len(square)) & ~taken
+              odd: NDArray[np.bool_]) -> tuple[Suspect, ...]:
     found = []
     for k in np.flatnonzero(odd):
         poses = np.zeros(len(square), bool)
@@ -203,102 +378,3 @@ def _outliers(problem: CalibrationProblem, square: Array, rank: NDArray[np.int64
         size = float(np.sqrt(square[k] / rank[k]))
         found.append(Suspect(SuspectKind.POSE, str(problem.poses.pose[k]), poses, _place(problem, poses), size))
     return tuple(sorted(found, key=lambda s: -s.strength))
-
-
-def _defects(problem: CalibrationProblem, q: Array, linearised: Linearised, identified: Observability,
-             typical: float) -> tuple[Suspect, ...]:
-    """Sensors that slipped in a stage, and backlash, each tested as one more column."""
-    free = np.flatnonzero(problem.free)
-    rows = linearised.jacobian[:, :, free].reshape(-1, len(free))
-    stack = np.vstack([rows, linearised.shared[:, free]]) * identified.scale
-    basis, s, _ = np.linalg.svd(stack, full_matrices=False)
-    basis = basis[:, s > 1e-9 * s[0]] if s.size else basis
-    residual = np.concatenate([linearised.residual.ravel(), linearised.shared_residual])
-    moved = _moved_fixtures(problem, linearised, basis, residual, typical)
-    candidates = list(_candidates(problem, q))
-    found = []
-    for defect in candidates:
-        k, unit_change = problem.model.joints.index(defect.joint), defect.unit_change
-        sigma = problem.angle_sigma[k]
-        if sigma == 0:
-            continue
-        # `errors` holds the whitened rows' change by one σ of each sensed angle
-        column = np.concatenate([(linearised.errors[:, :, k] * unit_change[:, None] / sigma).ravel(),
-                                 np.zeros(len(linearised.shared_residual))])
-        across = column - basis @ (basis.T @ column)
-        size = float(across @ across)
-        if size < 1e-9 * float(column @ column):
-            continue
-        amount = -float(across @ residual) / size
-        drop = amount**2 * size / typical
-        shift = abs(amount) * float(np.max(np.abs(unit_change)))
-        if stats.chi2.sf(drop, 1) < FALSE_ALARM / len(candidates) and shift > BEYOND * sigma:
-            found.append((drop, amount, defect))
-    found.sort(key=lambda entry: -entry[0])
-    named: dict[str, Suspect] = {}
-    for drop, amount, defect in found:
-        if defect.joint not in named:  # what is wrong with a joint shows in all its columns; the strongest names it
-            named[defect.joint] = Suspect(defect.kind, defect.joint, defect.poses, _place(problem, defect.poses),
-                                          float(np.sqrt(drop)), abs(amount), defect.stage)
-    # a fixture that moved would accuse the sensors too
-    return tuple(moved) or tuple(named.values())
-
-
-def _moved_fixtures(problem: CalibrationProblem, linearised: Linearised, basis: Array, residual: Array,
-                    typical: float) -> list[Suspect]:
-    """Fixtures that stand elsewhere from some pose on: the position's columns, for the later poses alone."""
-    found = []
-    fixtures = problem.layout.fixture
-    for columns in np.unique(fixtures[fixtures[:, 0] >= 0], axis=0):
-        rows = np.flatnonzero(np.all(fixtures == columns, axis=1))
-        best = (0.0, 0, 0.0)
-        splits = np.unique(np.linspace(SHORTEST, len(rows) - SHORTEST, SPLITS).astype(int))
-        for split in splits if len(rows) >= 2 * SHORTEST else ():
-            later = np.zeros(linearised.jacobian.shape[0], dtype=bool)
-            later[rows[split:]] = True
-            step = (linearised.jacobian[:, :, columns] * later[:, None, None]).reshape(-1, 3)
-            step = np.vstack([step, np.zeros((len(residual) - len(step), 3))])
-            across = step - basis @ (basis.T @ step)
-            values, vectors = np.linalg.eigh(across.T @ across)
-            # of a swing that is not sensed, not the way along its circle
-            visible = values > max(1e-6 * values[-1], 1e-9 * float(np.sum(step**2)))
-            along = -(vectors.T @ (across.T @ residual))[visible] / values[visible]
-            best = max(best, (float(np.sum(along**2 * values[visible]) / typical), int(split),
-                              float(np.linalg.norm(along))))
-        if stats.chi2.sf(best[0], 3) < FALSE_ALARM / SPLITS and best[2] > _stated_gap(problem):
-            poses = np.zeros(len(fixtures), dtype=bool)
-            poses[rows[best[1] :]] = True
-            name = problem.parameters.names[columns[0]].removesuffix(".x")
-            found.append(Suspect(SuspectKind.FIXTURE, name, poses, _place(problem, poses), float(np.sqrt(best[0])),
-                                 best[2]))
-    return found
-
-
-def _stated_gap(problem: CalibrationProblem) -> float:
-    """How far [m] stated errors let the tip miss its fixture."""
-    reach = sum(abs(link.joint.a) + abs(link.joint.d) for link in problem.model.machine.chain)
-    play = float(np.max(problem.row_sigma[:, :3], initial=0.0))
-    return float(np.hypot(np.max(problem.angle_sigma, initial=0.0) * reach, play))
-
-
-def _candidates(problem: CalibrationProblem, q: Array) -> Iterator[_Defect]:
-    layout, labels = problem.layout, problem.poses.stage
-    for k, joint in enumerate(problem.model.joints):
-        sensed = layout.sensed[:, k]
-        if not np.any(sensed):
-            continue
-        stages = list(dict.fromkeys(str(s) for s in labels))
-        for label in stages if len(stages) > 1 else ():
-            there = sensed & (labels == label)
-            yield _Defect(SuspectKind.OFFSET, joint, there.astype(float), there, label)
-        centred = np.where(sensed, q[:, k] - q[sensed, k].mean(), 0.0)
-        yield _Defect(SuspectKind.SCALE, joint, centred, sensed)
-        going = np.where(sensed, np.sign(_direction(q[:, k], labels)), 0.0)
-        yield _Defect(SuspectKind.BACKLASH, joint, going / 2, sensed)
-
-
-def _direction(angle: Array, labels: NDArray[np.str_]) -> Array:
-    """Change (N,) from the pose before, within a stage."""
-    step = np.diff(angle, prepend=angle[:1])
-    step[np.concatenate([[True], labels[1:] != labels[:-1]])] = 0.0
-    return step

@@ -1,0 +1,222 @@
+"""Faults of poses as extensions of the model: what one wrong sensor, a move between poses or a missing effect adds.
+
+Each fault adds a few columns to the whitened rows of the linearised problem; their coefficients are its amount.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.estimation.kinematic.observability import Linearised
+from hydroopt.estimation.kinematic.problem import CalibrationProblem
+from hydroopt.estimation.kinematic.suspect import SuspectKind
+from hydroopt.spatial.inertia import Array
+
+BEYOND = 3.0
+"""How many times its stated standard deviation a sensor must be off: less is what was stated."""
+SPLITS = 24
+"""Places in the poses at which a move is tested, beside the ends of stages."""
+SHORTEST = 5
+"""Fewest poses before and after a move."""
+NEAR = 10
+"""Poses before and after a move that was found, at which its beginning is sought further."""
+TURN = 0.05
+"""Usual turn [rad] of a base that moves."""
+ECCENTRIC = 0.02
+"""Usual eccentricity of a sensor [rad]."""
+TURNS = 1.0
+"""Range of an angle [rad] from which on an eccentricity differs from an offset and a scale."""
+
+
+class Fault(NamedTuple):
+    """A fault and what it adds to the whitened rows: `columns` (N, u, d), times the poses' `weight` (N,).
+
+    Attributes:
+        kind, name: as of a `Suspect`.
+        poses: (N,) those concerned.
+        columns: change of the rows by a unit of the amount (d,), shared by faults that differ in `weight`.
+        least: size of the change below which it is within what the machine file states.
+        change: the largest change of a reading, or of a place, by a unit of the amount.
+        where: in which poses, in words.
+        unit: ``deg`` or ``mm``.
+        lengths: how many of the first amounts are lengths [m], where the rest are turns.
+        usual: standard deviation of the amounts of such faults; of turns `TURN`.
+        there: (N,) the poses that it may concern, from some pose on; None if it does not begin.
+    """
+
+    kind: SuspectKind
+    name: str
+    poses: NDArray[np.bool_]
+    columns: Array
+    weight: Array
+    least: float
+    change: float = 1.0
+    where: str = ""
+    unit: str = "deg"
+    lengths: int | None = None
+    usual: float = 0.05
+    there: NDArray[np.bool_] | None = None
+
+    @property
+    def information(self) -> Array:
+        """(d,) inverse variance of the amounts before anything is known."""
+        d = self.columns.shape[2]
+        return np.asarray([1 / (self.usual if k < (self.lengths or d) else TURN) ** 2 for k in range(d)])
+
+    def neighbours(self) -> Iterator[Fault]:
+        """The same beginning up to `NEAR` of the poses that it may concern earlier or later."""
+        if self.there is not None:
+            rows = np.flatnonzero(self.there)
+            at = int(np.searchsorted(rows, self.first))
+            for k in range(max(SHORTEST, at - NEAR), min(len(rows) - SHORTEST, at + NEAR) + 1):
+                late = self.there & (np.arange(len(self.there)) >= rows[k])
+                yield self._replace(poses=late, weight=late.astype(float))
+
+    def size(self, amount: Array) -> float:
+        """Size of an amount (d,), in rad, m or as a part."""
+        return float(np.linalg.norm(amount[: self.lengths]))
+
+    @property
+    def first(self) -> int:
+        """The first pose concerned."""
+        return int(np.argmax(self.poses))
+
+
+def faults(problem: CalibrationProblem, q: Array, linearised: Linearised) -> Iterator[Fault]:
+    """All faults that are tested.
+
+    Args:
+        problem: the calibration.
+        q: (N, n) joint vectors of the solution [rad, m].
+        linearised: rows about it.
+    """
+    starts = _starts(problem)
+    for k, joint in enumerate(problem.model.joints):
+        sigma, sensed = float(problem.angle_sigma[k]), problem.layout.sensed[:, k]
+        if sigma > 0 and np.any(sensed):
+            column = linearised.by_angles[:, :, [k]]
+            prismatic = problem.model.machine.channel_units[f"{joint}.q"] == "m"
+            unit = "mm" if prismatic else "deg"
+            yield from _of_sensor(problem, joint, column, q[:, k], sensed, sigma, unit, starts)
+            if not prismatic and np.ptp(q[sensed, k]) > TURNS:
+                turn = np.stack([np.cos(q[:, k]), np.sin(q[:, k])], axis=1) * sensed[:, None]
+                yield Fault(SuspectKind.GEAR, joint, sensed, column * turn[:, None, :], np.ones(len(q)),
+                            BEYOND * sigma, usual=ECCENTRIC)
+    yield from _of_cylinders(problem, linearised, starts)
+    yield from _sagging(problem, q, linearised)
+    yield from _moves(problem, q, linearised, starts)
+
+
+def _of_sensor(problem: CalibrationProblem, name: str, column: Array, reading: Array, sensed: NDArray[np.bool_],
+               sigma: float, unit: str, starts: NDArray[np.intp]) -> Iterator[Fault]:
+    """Another zero in a stage or from a pose on, a wrong scale, and backlash; of usual size 0.05 rad, m or 5 %."""
+    labels, least = problem.poses.stage, BEYOND * sigma
+    stages = list(dict.fromkeys(str(label) for label in labels[sensed]))
+    for label in stages if len(stages) > 1 else ():
+        there = sensed & (labels == label)
+        yield Fault(SuspectKind.OFFSET, name, there, column, there.astype(float), least, where=f"in '{label}'",
+                    unit=unit)
+    for start in starts:
+        late = sensed & (np.arange(len(sensed)) >= start)
+        if min(late.sum(), (sensed & ~late).sum()) >= SHORTEST:
+            yield Fault(SuspectKind.OFFSET, name, late, column, late.astype(float), least, unit=unit, there=sensed)
+    centred = np.where(sensed, reading - reading[sensed].mean(), 0.0)
+    yield Fault(SuspectKind.SCALE, name, sensed, column, centred, least, float(np.max(np.abs(centred))), unit=unit)
+    going = np.where(sensed, np.sign(_direction(reading, labels)), 0.0)
+    yield Fault(SuspectKind.BACKLASH, name, sensed, column, going / 2, least, 0.5, unit=unit)
+
+
+def _of_cylinders(problem: CalibrationProblem, linearised: Linearised, starts: NDArray[np.intp]) -> Iterator[Fault]:
+    """Faults of length transducers; one that is not linear has a parabola, its size at the ends of its range."""
+    for i, channel in enumerate(problem.model.channels):
+        sensed = problem.layout.present[:, i]
+        if not channel.endswith(".length") or not np.any(sensed):
+            continue
+        raw = np.zeros((len(sensed), len(problem.model.channels), 1))
+        raw[sensed, i] = 1.0
+        column, reading = linearised.whitened(raw), problem.layout.target[:, i]
+        sigma, name = float(np.median(problem.row_sigma[sensed, i])), channel.removesuffix(".length")
+        yield from _of_sensor(problem, name, column, reading, sensed, sigma, "mm", starts)
+        middle, half = (np.max(reading[sensed]) + np.min(reading[sensed])) / 2, np.ptp(reading[sensed]) / 2
+        if half > 0:
+            bow = np.where(sensed, ((reading - middle) / half) ** 2, 0.0)
+            yield Fault(SuspectKind.NONLINEAR, name, sensed, column, bow, BEYOND * sigma, unit="mm")
+
+
+def _sagging(problem: CalibrationProblem, q: Array, linearised: Linearised) -> Iterator[Fault]:
+    """Joints that give way under gravity, where the file states masses and no compliance is estimated."""
+    model = problem.model
+    theta = problem.start[: len(model.parameters)]
+    torque = model.over(model.gravity_torque, theta, q)[0][:, :, 0]
+    for k, joint in enumerate(model.joints):
+        largest = float(np.max(np.abs(torque[:, k]), initial=0.0))
+        if largest > 0 and f"{joint}.compliance" not in model.parameters.positions:
+            sigma = float(problem.angle_sigma[k]) or float(np.max(problem.angle_sigma))
+            yield Fault(SuspectKind.SAG, joint, np.ones(len(q), bool), linearised.by_angles[:, :, [k]],
+                        torque[:, k] / largest, BEYOND * sigma)
+
+
+def _moves(problem: CalibrationProblem, q: Array, linearised: Linearised, starts: NDArray[np.intp]) -> Iterator[Fault]:
+    """A fixture, the tool or the base that stands elsewhere from some pose on."""
+    layout, model, order = problem.layout, problem.model, np.arange(len(q))
+    least, everywhere = stated_gap(problem), np.ones(len(q), dtype=bool)
+    fixtures = np.unique(layout.fixture[layout.fixture[:, 0] >= 0], axis=0)
+    for columns in fixtures:
+        there = np.all(layout.fixture == columns, axis=1)
+        rows = np.flatnonzero(there)
+        name = problem.parameters.names[columns[0]].removesuffix(".x")
+        for start in np.union1d(starts, _splits(rows)):
+            late = there & (order >= start)
+            if min(late.sum(), (there & ~late).sum()) >= SHORTEST:
+                yield Fault(SuspectKind.FIXTURE, name, late, linearised.jacobian[:, :, columns], late.astype(float),
+                            least, unit="mm", there=there)
+    by_tip, turn = model.over(model.moved_tip, problem.start[: len(model.parameters)], q)
+    by_tip = by_tip * layout.present[:, :, None]
+    tip = model.over(model.tip, problem.start[: len(model.parameters)], q)[0][:, :, 0]
+    skew = np.cross(np.eye(3)[None], tip[:, None, :])  # rows e_k × tip: the tip's way by a turn about each axis
+    tool = linearised.whitened(by_tip @ turn)
+    base = linearised.whitened(np.concatenate([by_tip, by_tip @ skew.transpose(0, 2, 1)], axis=2))
+    tracked = bool(np.any(layout.present[:, [model.channels.index(f"tip.{axis}") for axis in "xyz"]]))
+    if not np.any(by_tip):
+        return
+    for start in starts:
+        late = order >= start
+        if min(late.sum(), (~late).sum()) < SHORTEST:
+            continue
+        yield Fault(SuspectKind.TOOL, "tip", late, tool, late.astype(float), least, unit="mm", there=everywhere)
+        seen = np.unique(layout.fixture[late & (layout.fixture[:, 0] >= 0)], axis=0)
+        if tracked or len(seen) > 1:  # a single fixture moves against the base as the base against it
+            yield Fault(SuspectKind.BASE, "base", late, base, late.astype(float), least, unit="mm", lengths=3,
+                        there=everywhere)
+
+
+def stated_gap(problem: CalibrationProblem) -> float:
+    """How far [m] stated errors let the tip miss its fixture or its tracked place."""
+    reach = sum(abs(link.joint.a) + abs(link.joint.d) for link in problem.model.machine.chain)
+    tip = [i for i, name in enumerate(problem.model.channels) if name.startswith(("gap.", "tip."))]
+    play = float(np.max(problem.row_sigma[:, tip], initial=0.0))
+    return float(np.hypot(np.max(problem.angle_sigma, initial=0.0) * reach, play))
+
+
+def _starts(problem: CalibrationProblem) -> NDArray[np.intp]:
+    """Poses at which something may have moved: those where a stage begins, and some between."""
+    labels = problem.poses.stage
+    begins = np.flatnonzero(labels[1:] != labels[:-1]) + 1
+    return np.union1d(begins, _splits(np.arange(len(labels))))
+
+
+def _splits(rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    if len(rows) < 2 * SHORTEST:
+        return np.zeros(0, dtype=np.intp)
+    return np.asarray(rows[np.unique(np.linspace(SHORTEST, len(rows) - SHORTEST, SPLITS).astype(int))])
+
+
+def _direction(angle: Array, labels: NDArray[np.str_]) -> Array:
+    """Change (N,) from the pose before, within a stage."""
+    step = np.diff(angle, prepend=angle[:1])
+    step[np.concatenate([[True], labels[1:] != labels[:-1]])] = 0.0
+    return step

@@ -1,0 +1,74 @@
+"""What is said of poses that do not fit: one cause that the data decide for, all that they leave, or nothing."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from hydroopt import load_machine
+from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic.calibration import Calibration
+from hydroopt.estimation.kinematic.problem import calibration_problem
+from hydroopt.logs.poses import Poses
+from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.results.answer import Status
+from hydroopt.results.diagnostic import of_kind
+from hydroopt.results.wording import Kind
+from hydroopt.simulation import postures
+
+POSES = 100
+
+
+@pytest.fixture(scope="module")
+def sound() -> Poses:
+    """Angles and cylinder lengths of the excavator, read with the sensors' noise."""
+    machine = load_machine("cat215b")
+    model, rng = KinematicModel(machine), np.random.default_rng(3)
+    q = np.zeros((POSES, len(model.joints)))
+    for name in ("boom", "stick"):
+        q[:, model.joints.index(name)] = rng.uniform(*machine.link(name).joint.range, POSES)
+    return postures.record(model, q, ["all"] * POSES, [""] * POSES, geometry=model.parameters.nominal, seed=0,
+                           channels=["boom.q", "stick.q", "boom_cylinder.length", "stick_cylinder.length"])
+
+
+def solved(poses: Poses, **errors: np.ndarray | float) -> Calibration:
+    """The calibration with errors added to some channels, of which ``__`` stands for the dot."""
+    names = {key.replace("__", "."): error for key, error in errors.items()}
+    channels = {name: x + names.get(name, 0.0) for name, x in poses.channels.items()}
+    return calibrate(calibration_problem(load_machine("cat215b"), Poses(
+        name="odd", stage=poses.stage, fixture=poses.fixture, channels=channels)))
+
+
+def test_sound_poses_raise_no_suspicion(sound: Poses) -> None:
+    calibration = solved(sound)
+    assert not calibration.suspects
+    assert calibration.status is Status.OK
+
+
+@pytest.mark.parametrize(("kind", "name", "first", "errors"), [
+    ("offset", "boom_cylinder", 60, {"boom_cylinder__length": 0.03 * (np.arange(POSES) >= 60)}),
+    ("offset", "stick", 30, {"stick__q": np.radians(1.5) * (np.arange(POSES) >= 30)}),
+    ("pose", "41", 40, {"boom__q": np.radians(6.0) * (np.arange(POSES) == 40)})])
+def test_one_fault_is_named(sound: Poses, kind: str, name: str, first: int, errors: dict[str, np.ndarray]) -> None:
+    calibration = solved(sound, **errors)
+    found = [(suspect.kind, suspect.name, suspect.decided) for suspect in calibration.suspects]
+    assert found == [(kind, name, True)]
+    assert abs(int(np.argmax(calibration.suspects[0].poses)) - first) <= 1
+    assert calibration.status is (Status.OK if kind == "pose" else Status.SUSPECT)
+
+
+def test_what_the_data_do_not_decide_is_left_open(sound: Poses) -> None:
+    """A transducer that is not linear looks like an eccentric resolver: pins and angles absorb nearly all of both."""
+    reading = sound.channels["stick_cylinder.length"]
+    calibration = solved(sound, stick_cylinder__length=0.05 * (2 * (reading - reading.mean()) / np.ptp(reading)) ** 2)
+    (suspect,) = calibration.suspects
+    assert not suspect.decided
+    (diagnostic,) = of_kind(calibration.diagnostics, Kind.SUSPECTS_UNDECIDED)
+    assert "do not decide between: " in diagnostic.text
+    assert suspect.rivals[0].phrase in diagnostic.text
+    assert calibration.status is Status.SUSPECT
+
+
+def test_a_fault_of_absurd_size_explains_nothing(sound: Poses) -> None:
+    calibration = solved(sound, boom_cylinder__length=0.06 * (np.arange(POSES) >= 70))
+    assert all(suspect.size < 0.2 for suspect in calibration.suspects)
