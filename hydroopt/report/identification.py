@@ -35,6 +35,8 @@ class Parameter(NamedTuple):
     element: str
     unit: str
     numbers: Row
+    prior: str
+    from_data: str
     bound: str
     identifiability: str
     alone: bool
@@ -110,7 +112,9 @@ def _groups(estimate: Estimate) -> list[Group]:
         low, high = one.ci95 or (math.nan, math.nan)
         value, std, nominal = (math.nan if x is None else x for x in (one.value, one.std, one.nominal))
         groups.setdefault(owner, []).append(Parameter(
-            name, element, unit_text(one.unit), quantity(value, std, (low, high), nominal), one.bound or "",
+            name, element, unit_text(one.unit), quantity(value, std, (low, high), nominal),
+            NONE if one.prior_std is None else plain(one.prior_std, 2),
+            NONE if one.information_from_data is None else percent(one.information_from_data), one.bound or "",
             one.identifiability, one.ci95 is None and one.value is not None, value < low or value > high))
     least = estimate.consistency
     return [Group(owner, plain(least[owner], 3) if owner in least else "", least.get(owner, 0.0) < 0,

@@ -80,3 +80,8 @@ def sentences(diagnostics: Iterable[Diagnostic]) -> list[str]:
     found = list(diagnostics)
     return [each.text if after is not None and after.remedy == each.remedy else str(each)
             for each, after in zip(found, [*found[1:], None], strict=True)] if found else []
+
+
+def probability(p: float) -> str:
+    """A p-value in words."""
+    return "p < 1e-6" if p < 1e-6 else f"p = {p:.2g}"

@@ -84,6 +84,10 @@ class Kind(StrEnum):
     LINE = "line in the spectrum"
     DETECTABLE_FAULTS = "smallest faults that would show"
     FREED_FAULT = "freed fault"
+    SPLIT_HALF = "halves of a log differ"
+    DIFFERENT_LOGS = "logs differ"
+    BODIES_CONTRADICTED = "prior of bodies contradicted"
+    PRIORS_CONTRADICTED = "priors contradicted"
     NO_CONFIDENCE_STATED = "no confidence stated"
     WEAK_LOG_DET = "weak log-det distance"
     ACTIVE_CONSTRAINTS = "active constraints"
@@ -158,6 +162,7 @@ REFUTATIONS = frozenset({Kind.LOG_MISREAD})
 CONTRADICTIONS = REFUTATIONS | frozenset({
     Kind.STROKE_CONTRADICTS_POSES, Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE, Kind.OTHER_SAMPLING_RATE,
     Kind.MISFIT_CAUSE, Kind.LACK_OF_FIT,
+    Kind.BODIES_CONTRADICTED, Kind.PRIORS_CONTRADICTED,
     Kind.WORSE_THAN_ZERO, Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_CHANNEL, Kind.ERRORS_FAR_LARGER,
     Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED,
     Kind.STAGE_CONTRADICTS, Kind.FIXTURE_MOVED, Kind.BASE_MOVED, Kind.TOOL_MOVED, Kind.SENSOR_OFFSET, Kind.SENSOR_SCALE,
@@ -277,6 +282,21 @@ WORDS: dict[Kind, Words] = {
     Kind.DETECTABLE_FAULTS: Words(
         "These logs would have shown, with a probability of 95 %: {sizes}."),
     Kind.FREED_FAULT: Words("Freed: {cause}, by {size:.3g} ± {std:.2g} {unit}."),
+    Kind.SPLIT_HALF: Words(
+        "Friction and offsets in the two halves of {subject} differ by {phi:.1f} times what noise explains "
+        "({probability}); a repeat may differ by as much, which the intervals do not include.",
+        "Record several logs, whose differences then widen the intervals, and let the machine warm up."),
+    Kind.DIFFERENT_LOGS: Words(
+        "Friction and offsets differ from log to log by {part:.0f %} of the friction force (standard deviation): the "
+        "intervals are those of their mean."),
+    Kind.BODIES_CONTRADICTED: Words(
+        "The logs contradict the nominal bodies of {subject}: a factor of {factor:.2f} ± {std:.2f} on all of their "
+        "parameters together would agree ({probability}, corrected for {tests} tests).",
+        "Check these bodies and their sigmas in the machine file, and scales and signs of the force readings."),
+    Kind.PRIORS_CONTRADICTED: Words(
+        "The logs contradict the priors of the machine file: {directions} combinations of parameters together "
+        "({probability}); no single body explains it.",
+        "Check the sigmas of the machine file, scales and offsets of the sensors, and the friction terms."),
     Kind.NO_CONFIDENCE_STATED: Words(
         "The machine file states no confidence of {subject}: 100 % of their size is assumed.",
         "State how well their masses and centres of mass are known."),
@@ -296,10 +316,11 @@ WORDS: dict[Kind, Words] = {
         "range, or state what is known."),
     Kind.CHANGE_DETECTED: Words(
         "A change is detected: all {count} parameters together, F({rank}, {degrees_of_freedom:.0f}) = {statistic:.3g}, "
-        "{probability}."),
+        "{probability}; {repeat} if parts of one session may differ as the halves of its logs do (φ = {phi:.2g})."),
     Kind.NO_CHANGE_DETECTED: Words(
         "No change is detected: all {count} parameters together, F({rank}, {degrees_of_freedom:.0f}) = "
-        "{statistic:.3g}, {probability}."),
+        "{statistic:.3g}, {probability}; {repeat} if parts of one session may differ as the halves of its logs do "
+        "(φ = {phi:.2g})."),
     Kind.SINGLE_CHANGE: Words("A change of {subject} alone explains it: {direction} by {amount} {unit}."),
     Kind.NO_SINGLE_CHANGE: Words(
         "No single parameter explains it: at least two changed, or something else did."),

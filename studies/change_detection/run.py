@@ -39,7 +39,7 @@ def false_alarms(seeds: Iterable[int]) -> tuple[np.ndarray, np.ndarray, list[tup
     problem, at = two_session_problem(MODEL, NAMES), NAMES.index(OF)
 
     def tested(before: StoredInformation, after: StoredInformation) -> Wald:
-        return wald(problem, *problem.rows(before, after), before.degrees_of_freedom + after.degrees_of_freedom)
+        return wald(problem, *problem.rows(before, after))
 
     together, single, changed = [], [], []
     with threadpool_limits(limits=1, user_api="blas"):

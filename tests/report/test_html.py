@@ -106,7 +106,7 @@ def test_flags_inconsistent_bodies_and_suspect_estimates(page: str, estimate: Es
     psi = 10 * estimate.psi
     psi[estimate.problem.parameters.index("stick.m")] = -1.0
     broken = render(replace(estimate, psi=psi))
-    assert re.search(r'<td colspan="7">stick<span class="bad">not physically consistent: [^<]*−', broken)
+    assert re.search(r'<td colspan="9">stick<span class="bad">not physically consistent: [^<]*−', broken)
     assert broken.count("not physically consistent: ") == 1
     assert "predicted worse than by zero" in broken
     assert 'role="alert"' in broken

@@ -16,14 +16,14 @@ from hydroopt.checks.plausibility import examine
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.comparison import TwoSessionProblem, Wald, solve_both, two_session_problem, wald
 from hydroopt.estimation.dynamic.stored_information import refuse_shared_samples, stored_information
-from hydroopt.estimation.dynamic.two_session_answer import Quantity, TwoSessionAnswer, probability, rounded
+from hydroopt.estimation.dynamic.two_session_answer import Quantity, TwoSessionAnswer, rounded
 from hydroopt.input_file import similar
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import GROUPS, ParameterSet
-from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.diagnostic import Diagnostic, probability
 from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable
 from hydroopt.results.tables import csv_text, number, with_limits
@@ -104,7 +104,9 @@ class Change(TwoSessionAnswer):
         kind = Kind.CHANGE_DETECTED if self.p_value < self.level else Kind.NO_CHANGE_DETECTED
         joint = Diagnostic(kind, (), {
             "count": len(self.differences), "rank": self.rank, "degrees_of_freedom": self.degrees_of_freedom,
-            "statistic": self.statistic, "p_value": self.p_value, "probability": probability(self.p_value)})
+            "statistic": self.statistic, "p_value": self.p_value, "probability": probability(self.p_value),
+            "phi": self.split_half, "p_value_over_phi": self.p_value_repeat,
+            "repeat": probability(self.p_value_repeat)})
         return (joint, *self.single_changes, *(one.finding for one in self.differences if one.identifiable))
 
     @cached_property
@@ -134,8 +136,9 @@ def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: S
 
     All other parameters are equal in both and determined by the first session and the machine file's priors; bodies are
     physically consistent, and friction is not negative, in both sessions. Values and intervals satisfy that; the tests
-    are those of least squares without such limits, whose distribution is known. Residuals carry less information by
-    the factor of their correlation time.
+    are those of least squares without such limits, whose distribution is known. Variances of
+    residuals by frequency and their degrees of freedom determine the tests. Where friction already differs between the
+    halves of the logs by φ times what these explain, the p-value of F/φ tells whether the sessions differ by more.
 
     Args:
         machine: nominal description, the same for both sessions.
@@ -172,12 +175,12 @@ def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: S
         first, second = stored_information(model, before, smoothing), stored_information(model, after, smoothing)
         refuse_shared_samples(first, second)
         problem = two_session_problem(model, names)
-        A, b = problem.rows(first, second)
-        test = wald(problem, A, b, first.degrees_of_freedom + second.degrees_of_freedom)
-        found = solve_both(problem, A, b, intervals=intervals, seed=seed)
+        both = problem.rows(first, second)
+        test = wald(problem, *both)
+        found = solve_both(problem, *both, intervals=intervals, seed=seed)
     rows = (problem.second - np.eye(*problem.second.shape))[model.parameters.select(names)]
     value, std = rows @ found.centre, test.std
-    ci = value[:, None] + stats.t.ppf(0.975, test.freedom) * std[:, None] * np.array([-1.0, 1.0])
+    ci = value[:, None] + np.asarray(stats.t.ppf(0.975, test.freedoms) * std)[:, None] * np.array([-1.0, 1.0])
     if found.posterior is not None:
         std, ci = found.posterior.interval(rows)
     return Change(machine, test.statistic, test.rank, test.freedom, test.p_value, first, second, found.posterior,
@@ -231,7 +234,8 @@ def holm(p_values: Array) -> Array:
 def detectable(test: Wald, level: float) -> Array:
     """The change (c,) of each parameter that is detected with a probability of 95 %; NaN if it is not identifiable."""
     tests = max(1, int(np.sum(np.isfinite(test.std))))
-    return np.asarray((stats.t.ppf(1 - level / 2 / tests, test.freedom) + stats.t.ppf(POWER, test.freedom)) * test.std)
+    quantiles = stats.t.ppf(1 - level / 2 / tests, test.freedoms) + stats.t.ppf(POWER, test.freedoms)
+    return np.asarray(quantiles * test.std)
 
 
 def _differences(problem: TwoSessionProblem, test: Wald, value: Array, std: Array, ci: Array,

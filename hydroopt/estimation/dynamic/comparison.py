@@ -21,9 +21,11 @@ from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.stored_information import StoredInformation
 from hydroopt.estimation.inference import posterior as uncertainty
 from hydroopt.estimation.inference import sdp
+from hydroopt.estimation.inference.band_variances import FTest, combined, f_test, students
 from hydroopt.estimation.inference.conditions import ScaledBody
 from hydroopt.estimation.inference.constraints import Constraint, Named
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
+from hydroopt.estimation.inference.least_squares import orthonormal, without
 from hydroopt.estimation.inference.whitening import gaussian_posterior
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterSet
@@ -31,9 +33,6 @@ from hydroopt.spatial.inertia import Array
 
 AFTER = "after."
 """Prefix of the names of second values."""
-
-ROUNDING = 1e-10
-"""Part of the largest singular value below which a direction of the shared parameters is rounding error."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -68,22 +67,23 @@ class TwoSessionProblem(IdentificationProblem):
         """Those that must be physically consistent."""
         return tuple(body for body in super().bodies if body.owner not in self.unconstrained)
 
-    def rows(self, before: StoredInformation, after: StoredInformation) -> tuple[Array, Array]:
-        """A (m, P) and b (m,) with ``‖A·x − b‖²`` the weighted squares of both sessions' residuals.
+    def rows(self, before: StoredInformation, after: StoredInformation) -> tuple[Array, Array, Array]:
+        """A (m, P) and b (m,) with ``‖A·x − b‖²`` the weighted squares of both sessions' residuals, and the degrees of
+        freedom (m,) of the rows' variances.
 
         Gains make f = (1 + γ)·K·ψ bilinear; A and b are then its linearisation at the most probable x.
 
         Raises:
             SolverError: that x was not found.
         """
-        x = self.unknowns.nominal
+        x, freedom = self.unknowns.nominal, np.concatenate([before.freedom.ravel(), after.freedom.ravel()])
         for _ in range(100 if self.gains else 1):
             A, b = self._rows_at(x, before, after)
             if not self.gains:
-                return A, b
+                return A, b, freedom
             last, x = x, gaussian_posterior(self, *folded(A, b)).offset
             if np.all(np.abs(x - last) < 1e-9 * self.unknowns.scale):
-                return A, b
+                return A, b, freedom
         raise SolverError("the gains of the force readings did not converge", where=self.where,
                           remedy="state a smaller sigma of the gains, or smaller sigmas of masses")
 
@@ -165,14 +165,16 @@ class Wald(NamedTuple):
 
     Attributes:
         value, std: (c,) NaN where δ is not identifiable.
-        statistic, rank, freedom, p_value: F = W/k with k = `rank` identifiable directions of δ, W the Wald statistic
-            of δ = 0 in them, and `freedom` degrees of freedom of the residuals.
+        statistic, rank, freedom, p_value: F, Hotelling's test with k = `rank` identifiable directions of δ,
+            W the Wald statistic of δ = 0 in them, and `freedom` of its denominator.
+        freedoms: (c,) degrees of freedom of each δ's own standard deviation.
         partners: for each δ that is not identifiable, the positions of those it cannot be separated from.
         alone: value, standard deviation, and p-value of what is left over (c,), if this δ were the only one.
     """
 
     value: Array
     std: Array
+    freedoms: Array
     statistic: float
     rank: int
     freedom: float
@@ -182,55 +184,56 @@ class Wald(NamedTuple):
 
     def single(self) -> Array:
         """Two-sided p-value (c,) of each δ by itself, NaN where it is not identifiable."""
-        return np.asarray(2 * stats.t.sf(np.abs(self.value) / self.std, self.freedom))
+        return np.asarray(2 * stats.t.sf(np.abs(self.value) / self.std, self.freedoms))
 
 
-def wald(problem: TwoSessionProblem, A: Array, b: Array, readings: float) -> Wald:
+def wald(problem: TwoSessionProblem, A: Array, b: Array, freedom: Array) -> Wald:
     """Test whether anything has changed, on the directions of δ that data and priors determine.
 
     Args:
         problem: what may have changed, and the priors.
         A, b: rows of both sessions.
-        readings: independent ones in both sessions, for the degrees of freedom of σ.
+        freedom: (rows,) degrees of freedom with which the rows' variances were estimated.
 
     Raises:
-        IdentifiabilityError: no direction is identifiable, or there are not enough readings.
+        IdentifiabilityError: no direction is identifiable, of no parameter.
     """
     scale, p = problem.unknowns.scale, len(problem.second)
     prior, right = problem.prior_rows
     rows = np.vstack([A, prior])
     # the nominal machine, unchanged; gains, which come after ψ in the basis, are nominally zero
     rest = np.concatenate([b, right]) - rows @ (problem.null[:, :p] @ problem.unknowns.nominal[:p])
-    U = _orthonormal(rows @ (problem.null * np.linalg.norm(problem.null.T * scale, axis=1)))
+    U = orthonormal(rows @ (problem.null * np.linalg.norm(problem.null.T * scale, axis=1)))
     moved = A @ problem.change
     size = np.linalg.norm(moved, axis=0)
     effect = size * (scale @ np.abs(problem.change))
     touched = np.flatnonzero(effect > 1e-12 * np.max(effect, initial=0.0))
     C = np.vstack([moved, np.zeros((len(prior), moved.shape[1]))])[:, touched] / size[touched]
-    C, rest = _without(U, C), _without(U, rest)
+    C, rest = without(U, C), without(U, rest)
     left, s, axes = np.linalg.svd(C, full_matrices=False)
     identified = s > RANK_TOLERANCE
     k = int(np.sum(identified))
-    freedom = readings - float(np.sum(U[: len(A)] ** 2)) - k  # priors use no degrees of freedom
-    if not k or freedom < 1:
+    if not k:
         raise IdentifiabilityError("these logs do not identify a change of these parameters", where=problem.where,
                                    remedy="drive longer motions that excite them, in both sessions")
-    along = left[:, identified].T @ rest
-    value, std = np.full(len(size), np.nan), np.full(len(size), np.nan)
+    left, along = left[:, identified], left[:, identified].T @ rest
+    freedom = np.append(freedom, np.full(len(prior), np.inf))
+    value, std, own = (np.full(len(size), np.nan) for _ in range(3))
     root = axes[identified].T / s[identified] / size[touched][:, None]
     hidden = axes[~identified].T @ axes[~identified]
     alone = np.abs(hidden).max(axis=1, initial=0.0) < 1e-6
     value[touched[alone]] = (root @ along)[alone]
     std[touched[alone]] = np.sqrt(np.sum(root**2, axis=1))[alone]
+    own[touched[alone]] = combined((left @ root[alone].T / std[touched[alone]]) ** 2, freedom)
     partners: list[tuple[int, ...]] = [()] * len(size)
     for i in np.flatnonzero(~alone):
         partners[touched[i]] = tuple(int(touched[j]) for j in np.flatnonzero(np.abs(hidden[i]) > 1e-3) if j != i)
-    statistic = float(along @ along) / k
-    return Wald(value, std, statistic, k, freedom, float(stats.f.sf(statistic, k, freedom)), tuple(partners),
-                _one_by_one(C, rest, k * statistic, k, freedom, touched, size))
+    test = f_test(along, left**2, freedom)
+    return Wald(value, std, own, *test, tuple(partners),
+                _one_by_one(C, rest, float(along @ along), test, touched, size))
 
 
-def _one_by_one(C: Array, rest: Array, statistic: float, rank: int, freedom: float, touched: NDArray[np.intp],
+def _one_by_one(C: Array, rest: Array, whole: float, test: FTest, touched: NDArray[np.intp],
                 size: Array) -> tuple[Array, Array, Array]:
     """Least squares on each column of C (rows, ·) by itself, and how much of the Wald statistic it leaves."""
     value, std, p = (np.full(len(size), np.nan) for _ in range(3))
@@ -238,24 +241,9 @@ def _one_by_one(C: Array, rest: Array, statistic: float, rank: int, freedom: flo
     own = np.flatnonzero(length > RANK_TOLERANCE)
     at, share = touched[own], (C[:, own].T @ rest) / length[own]
     value[at], std[at] = share / length[own] / size[at], 1 / length[own] / size[at]
-    left = np.maximum(statistic - share**2, 0.0) / max(rank - 1, 1)
-    p[at] = stats.f.sf(left, max(rank - 1, 1), freedom) if rank > 1 else 1.0
+    left = np.maximum(1 - share**2 / max(whole, 1e-300), 0.0) * test.statistic * test.rank / max(test.rank - 1, 1)
+    p[at] = stats.f.sf(left, test.rank - 1, test.freedom) if test.rank > 1 else 1.0
     return value, std, p
-
-
-def _orthonormal(columns: Array) -> Array:
-    """Orthonormal basis of a column space; columns are scaled to unit length first."""
-    lengths = np.linalg.norm(columns, axis=0)
-    scaled = columns[:, lengths > 0] / lengths[lengths > 0]
-    U, s, _ = np.linalg.svd(scaled, full_matrices=False)
-    return np.asarray(U[:, s > ROUNDING * s[0]])
-
-
-def _without(basis: Array, columns: Array) -> Array:
-    """Columns minus their projection; twice, so that they are orthogonal to rounding."""
-    for _ in range(2):
-        columns = columns - basis @ (basis.T @ columns)
-    return columns
 
 
 @dataclass(frozen=True, eq=False)
@@ -274,13 +262,15 @@ class TwoSessionOptimum:
         return self.x if mean is None or not self.active else mean
 
 
-def solve_both(problem: TwoSessionProblem, A: Array, b: Array, *, intervals: bool, seed: int) -> TwoSessionOptimum:
+def solve_both(problem: TwoSessionProblem, A: Array, b: Array, freedom: Array, *, intervals: bool,
+               seed: int) -> TwoSessionOptimum:
     """The most probable unknowns with physically consistent bodies in both sessions, and samples of the posterior.
 
     Raises:
         SolverError: no trustworthy answer.
     """
-    R, r = folded(A, b)
+    size = students(freedom)
+    R, r = folded(A * size[:, None], b * size)
     found = sdp.semidefinite_program(problem, gaussian_posterior(problem, R, r), consistent=problem.consistent)
     if not intervals:
         return TwoSessionOptimum(found.psi, None, found.active, ())

@@ -8,12 +8,12 @@ import numpy as np
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
-from hydroopt.estimation.dynamic.identification import Identification, Intervals
+from hydroopt.estimation.dynamic.identification import Identification, Intervals, body_groups
 from hydroopt.estimation.inference.identifiability import NONE, Confounded
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
-from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.diagnostic import Diagnostic, probability
 from hydroopt.results.machine_diagnostics import machine_diagnostics
 from hydroopt.results.tables import number
 from hydroopt.results.wording import Kind
@@ -24,6 +24,11 @@ ABOVE_NOISE, WEAK = 1.5, 2.0
 """Residuals as a multiple of the sensors' noise, and the growth of bodies that a log-det distance permits, beyond which
 there is a diagnostic."""
 
+DIFFERS = 0.01
+"""p-value of no difference between the halves of a log below which there is a diagnostic."""
+CONFLICT = 1e-3
+"""p-value of agreement of data and priors below which the answer is suspect."""
+
 _EFFECTS = {ParameterKind.MASS: "gravity", ParameterKind.FIRST_MOMENT: "gravity",
             ParameterKind.MOMENT_OF_INERTIA: "inertia", ParameterKind.STRIBECK_SPEED: "Stribeck friction"}
 """What parameters of a kind cause, where that is not the name of the kind."""
@@ -32,7 +37,7 @@ _EFFECTS = {ParameterKind.MASS: "gravity", ParameterKind.FIRST_MOMENT: "gravity"
 def diagnose(found: Identification) -> tuple[Diagnostic, ...]:
     """All diagnostics of an identification, the most severe first."""
     return (*machine_diagnostics(found.problem.model.machine), *_prediction(found), *_sampling(found),
-            *_consistency(found), *_findings(found), *_residuals(found),
+            *_prior_conflict(found), *_consistency(found), *_findings(found), *_residuals(found), *_repeats(found),
             *_assumptions(found), *_active(found), *_identifiability(found),
             *_confounded(found.problem.parameters, found.confounded))
 
@@ -92,6 +97,32 @@ def _residuals(found: Identification) -> Iterator[Diagnostic]:
             yield Diagnostic(Kind.RESIDUALS_ABOVE_NOISE, (actuator.name,),
                              {"ratio": number(found.sigma[k] / stated[k]) if stated[k] else None,
                               "noise": float(stated[k]), "unit": model.force_units[k]})
+
+
+def _repeats(found: Identification) -> Iterator[Diagnostic]:
+    """Differences of friction and offsets within logs and between them."""
+    weighted = found.weighted_residuals
+    for data, half in zip(found.problem.experiments, weighted.split_half, strict=True):
+        if half.p_value < DIFFERS:
+            yield Diagnostic(Kind.SPLIT_HALF, (data.log.path or data.log.name,), {
+                "phi": half.phi, "rank": half.rank, "p_value": half.p_value, "probability": probability(half.p_value)})
+    if weighted.between_logs > 0:
+        yield Diagnostic(Kind.DIFFERENT_LOGS, (), {"part": weighted.between_logs})
+
+
+def _prior_conflict(found: Identification) -> Iterator[Diagnostic]:
+    """Bodies, and groups of them, whose nominal values the data contradict."""
+    if not found.uses_priors:
+        return
+    test, worst = found.prior_test, found.prior_test.worst
+    if worst is not None and worst.p_value < CONFLICT:
+        groups = body_groups(found.problem.parameters, found.problem.model.machine)
+        yield Diagnostic(Kind.BODIES_CONTRADICTED, groups[worst.group], {
+            "factor": worst.factor, "std": worst.std, "p_value": worst.p_value,
+            "probability": probability(worst.p_value), "tests": len(test.groups)})
+    elif test.p_value < CONFLICT:
+        yield Diagnostic(Kind.PRIORS_CONTRADICTED, (), {"directions": test.directions, "p_value": test.p_value,
+                                                        "probability": probability(test.p_value)})
 
 
 def _assumptions(found: Identification) -> Iterator[Diagnostic]:

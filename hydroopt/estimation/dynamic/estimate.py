@@ -162,6 +162,10 @@ class Estimate(Identification, Answer):
                         for actuator, sigma, unit, time, samples in zip(
                             model.machine.actuators, self.sigma, model.force_units, self.correlation_time,
                             self.weighted_residuals.samples, strict=True)},
+            "split_half": [{"log": data.log.path or data.log.name, **half.as_dict()} for data, half in zip(
+                self.problem.experiments, self.weighted_residuals.split_half, strict=True)],
+            "prior_test": self._prior_test(),
+            "between_logs": number(self.weighted_residuals.between_logs),
             "active_constraints": list(self.active), "intervals": str(self.intervals), "notes": list(self.notes),
             "seed": self.seed, **self._test_of_fit(), **chosen}
 
@@ -175,6 +179,13 @@ class Estimate(Identification, Answer):
                                 "noise_ratio": {name: number(ratio) for name, ratio in found.noise.items()},
                                 "spikes": dict(found.spikes), "faults": faults}}
 
+    def _prior_test(self) -> dict[str, Any] | None:
+        """Whether data and priors agree; None where the method used no priors."""
+        if not self.uses_priors:
+            return None
+        return {"p_value": self.prior_test.p_value, "directions": self.prior_test.directions,
+                "groups": [one._asdict() for one in self.prior_test.groups]}
+
     def files(self) -> Mapping[str, str]:
         """Tables as CSV, the information that the logs carry, and the calibrated machine where it can exist."""
         model = self.problem.model
@@ -182,7 +193,7 @@ class Estimate(Identification, Answer):
                  "fit.csv": csv_text([{"data": data, "channel": channel, **fit.as_dict()}
                                       for data, table in self.fit.items() for channel, fit in table.items()]),
                  INFORMATION: information_csv(model.machine, self.problem.parameters.names,
-                                              self.weighted_residuals.triangles)}
+                                              *self.weighted_residuals.stored())}
         if self.refuted:  # a machine identified from a misread log is none
             return files
         with contextlib.suppress(ProblemError):  # a diagnostic states the reason

@@ -4,14 +4,15 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.estimation.dynamic.folding import ROWS, ActuatorTriangles
+from hydroopt.estimation.dynamic.frequency_bands import BLOCK, ActuatorBands
 from hydroopt.estimation.dynamic.friction_sign import FEW_MOVING, dry_friction_known, speed_threshold
-from hydroopt.estimation.inference.correlation import correlation_time
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.forces_from_pressures import force_channels, forces, pressures
 from hydroopt.logs.joint_angles import angle_channels, angle_noise, measured_angles
@@ -57,9 +58,8 @@ class AnyExperiment(Protocol):
     def moments(self, psi: Array) -> Array:
         """Sums (5, n) over the samples used: 1, force, force², error and error² of the prediction by ψ."""
 
-    def correlation_times(self, psi: Array) -> tuple[Array, Array]:
-        """Correlation time (n,) of each actuator's residuals in samples, and the number (n,) of residuals it was
-        computed from."""
+    def bands(self, psi: Array | None = None) -> ActuatorBands:
+        """The equations, linearised at `psi` (p,), by frequency."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,12 +148,34 @@ class Experiment:
         error = force - predicted
         return np.array([x.sum(axis=0) for x in (np.ones_like(force), force, force**2, error, error**2)])
 
-    def correlation_times(self, psi: Array) -> tuple[Array, Array]:
-        """Correlation time (n,) of each actuator's residuals in samples, and the number (n,) of residuals it was
-        computed from."""
-        residual, used = self.force - self.predicted(psi), self.inside[:, None] & self.moving
-        times = [correlation_time(r, u, self.motion.segment) for r, u in zip(residual.T, used.T, strict=True)]
-        return np.array(times), np.sum(used, axis=0).astype(float)
+    def blocks(self, origin: int, span: tuple[int, int]) -> Iterator[slice]:
+        """The samples `span` (first, end) in blocks: at most `BLOCK` rows of one stretch, by multiples of it from the
+        row `origin` on.
+        """
+        place = (self.log.sample[slice(*span)] - origin) // BLOCK
+        new = (np.diff(place, prepend=-1) != 0) | (np.diff(self.motion.segment[slice(*span)], prepend=-1) != 0)
+        for a, b in pairwise([*np.flatnonzero(new).tolist(), len(new)]):
+            yield slice(span[0] + a, span[0] + b)
+
+    def fold_block(self, bands: ActuatorBands, block: slice, middle: float,
+                   psi: Array | None = None) -> tuple[Array, Array]:
+        """Add a block by frequency; `middle` is the row at which the second half of the log begins.
+
+        Returns:
+            K (m, n, p) and f (m, n) of all samples of the block.
+        """
+        (K, *_), force = self.equations(psi, block)
+        t = self.motion.t[block]
+        step = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
+        bands.fold(K, force, self.inside[block, None] & self.moving[block], self.log.sample[block] >= middle, step)
+        return K, force
+
+    def bands(self, psi: Array | None = None) -> ActuatorBands:
+        """The equations, linearised at `psi` (p,), by frequency."""
+        bands, middle = ActuatorBands(self.model), float(np.mean(self.log.rows))
+        for block in self.blocks(self.log.rows[0], (0, len(self.force))):
+            self.fold_block(bands, block, middle, psi)
+        return bands
 
     @property
     def notes(self) -> tuple[str, ...]:

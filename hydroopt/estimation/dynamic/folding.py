@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 
 import numpy as np
@@ -27,6 +28,17 @@ class ActuatorTriangles:
         self.compact = [np.zeros((len(columns), len(columns)), order="F") for columns in self.columns]
         self.samples = np.zeros(n)
         self.sums = np.zeros((n, p + 1))
+
+    @classmethod
+    def of_rows(cls, owners: Sequence[tuple[NDArray[np.intp], Array]], samples: Array,
+                sums: Array) -> ActuatorTriangles:
+        """Those of rows (m, ·) in some columns of [K, f] for each actuator, with `samples` (n,) and `sums` (n, p+1)."""
+        made = object.__new__(cls)
+        made.columns = [np.asarray(columns) for columns, _ in owners]
+        made.compact = [_blocked_triangle(np.asfortranarray(np.vstack([np.zeros((len(columns),) * 2), rows])))
+                        for columns, rows in owners]
+        made.samples, made.sums = samples, sums
+        return made
 
     def fold(self, K: Array, force: Array, used: NDArray[np.bool_]) -> None:
         """Add rows K (N, n, p) with forces (N, n) where they are `taken` (N, n)."""
@@ -77,6 +89,17 @@ def _blocked_triangle(block: Array) -> Array:
     factored, _, info = lapack.dgeqrt(min(PANEL, k), block, overwrite_a=True)
     assert info == 0
     return np.asfortranarray(np.triu(factored[:k]))
+
+
+def folded_rows(rows: Array, more: Array) -> Array:
+    """At most as many rows as columns, with the sums of squares of both blocks (·, k): a triangle where there are more.
+    """
+    k = more.shape[1]
+    for start in range(0, len(more), ROWS):
+        rows = np.vstack([rows, more[start : start + ROWS]])
+        if len(rows) > k:
+            rows = _blocked_triangle(np.asfortranarray(rows))
+    return rows
 
 
 def triangle(*blocks: Array) -> Array:

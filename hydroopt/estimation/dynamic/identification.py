@@ -17,7 +17,10 @@ from hydroopt.estimation.dynamic.regressor_qr import predict
 from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals
 from hydroopt.estimation.inference.identifiability import COMBINATION, FULL, NONE, Confounded, Identifiability
 from hydroopt.estimation.inference.posterior import Posterior
+from hydroopt.estimation.inference.prior_conflict import PriorTest, prior_test
+from hydroopt.machine.machine import Machine
 from hydroopt.parameters.dynamic import bodies, carried
+from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.results.fit import Fit
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
@@ -88,6 +91,15 @@ class Identification:
     seed: int = 0
     posterior: Posterior | None = None
     friction_choice: FrictionChoice | None = None
+
+    @cached_property
+    def prior_test(self) -> PriorTest:
+        """Whether the data agree with the priors of the machine file, as a whole and by body."""
+        weighted, parameters = self.weighted_residuals, self.problem.parameters
+        groups = body_groups(parameters, self.problem.model.machine)
+        return prior_test(weighted.R, weighted.r, self.problem.prior_rows, parameters.scale, parameters.nominal, {
+            name: np.concatenate([np.arange(len(parameters))[parameters.bodies[owner]] for owner in owners])
+            for name, owners in groups.items()})
 
     @property
     def uses_priors(self) -> bool:
@@ -166,6 +178,16 @@ class Identification:
         found, possible = self.identifiability.category[k], self.structural.category[k]
         less = (possible, found) in ((FULL, COMBINATION), (FULL, NONE), (COMBINATION, NONE))
         return "not excited" if less else found
+
+
+def body_groups(parameters: ParameterSet, machine: Machine) -> dict[str, tuple[str, ...]]:
+    """Owners of bodies that may be wrong together: each alone, all links, all barrels and rods, and all."""
+    owners = tuple(parameters.bodies)
+    links = tuple(owner for owner in owners if owner in {link.name for link in machine.links})
+    ends = tuple(owner for owner in owners if owner not in links)
+    several = {"links": links, "barrels and rods": ends, "all bodies": owners}
+    return {owner: (owner,) for owner in owners} | {
+        name: some for name, some in several.items() if len(some) > 1 and (name != "all bodies" or ends)}
 
 
 def _fit_of(moments: Array, unit: str) -> Fit:

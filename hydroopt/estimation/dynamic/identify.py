@@ -166,10 +166,12 @@ def _solve_at(problem: IdentificationProblem, point: Array, method: Method, tole
     weighted = weighted_residuals(
         problem, tolerance, least_squares if method in _LINEAR else lambda R, r: constrained(R, r).psi, point)
     weighted = weighted if freed is None else freed.widened(weighted)
-    psi, _, from_data = linear.base_least_squares(weighted.R, weighted.r, problem.parameters.names, tolerance)
+    names = problem.parameters.names
+    from_data = identifiability.analyse(weighted.plain[0], names, tolerance=tolerance)
+    psi, _, _ = linear.base_least_squares(weighted.R, weighted.r, names, tolerance, from_data)
     _check_normal_equations(weighted.R, weighted.r, psi, from_data, where)
     if method in _LINEAR:
-        return _linear_estimate(weighted, method, tolerance, ridge)
+        return _linear_estimate(weighted, method, from_data, tolerance, ridge)
     solution = constrained(weighted.R, weighted.r)
     return _constrained_estimate(weighted, method, solution, from_data, tolerance, intervals, seed)
 
@@ -188,19 +190,20 @@ def _check_normal_equations(R: Array, r: Array, psi: Array, from_data: Identifia
                           where=where, remedy="raise the tolerance above rounding errors, e.g. to 1e-9")
 
 
-def _linear_estimate(weighted: Weighted, method: str, tolerance: float, ridge: float | None) -> Estimate:
+def _linear_estimate(weighted: Weighted, method: str, from_data: Identifiability, tolerance: float,
+                     ridge: float | None) -> Estimate:
     problem, R, r = weighted.problem, weighted.R, weighted.r
     names = problem.parameters.names
-    psi, covariance, from_data = linear.base_least_squares(R, r, names, tolerance)
+    psi, covariance, _ = linear.base_least_squares(R, r, names, tolerance, from_data)
     value, std = linear.individual_values(psi, covariance, from_data)
     psi = linear.nearest(problem.parameters, from_data, psi)
     base_std = np.sqrt(np.diag(covariance))
     note, source = "standard deviations of weighted least squares on base parameters", Intervals.LEAST_SQUARES
     if method == "ridge":
-        psi, strength = linear.ridge(R, r, ridge, rows=weighted.rows, rest=weighted.rest)
+        psi, strength = linear.ridge(*weighted.plain[:2], ridge, rows=weighted.rows, rest=weighted.plain[2])
         note = f"ridge strength {strength:.3g}; a shrunk estimate is biased, so that it has no valid interval"
     elif method == "tsvd":
-        psi, rank = linear.truncated_svd(R, r, tolerance)
+        psi, rank = linear.truncated_svd(*weighted.plain[:2], tolerance)
         note = f"{rank} directions kept; those cut off are biased to zero, so that there is no valid interval"
     if method != "wls":
         source = Intervals.BIASED
@@ -231,7 +234,9 @@ def _constrained_estimate(weighted: Weighted, method: str, solution: sdp.Optimum
             psi = solution.psi if posterior.mean is None else posterior.mean
             kind = "the most probable ones" if posterior.mean is None else "posterior means"
             note = f"values are {kind}; {posterior.note}"
-    psi = _nominal_where_unobserved(problem, from_data, psi)
+    psi = np.array(_nominal_where_unobserved(problem, from_data, psi))
+    for name, fixed in problem.fixed.items():  # to the last digit
+        psi[problem.parameters.index(name)] = fixed
     # parameters that the data do not depend on have no estimate, whatever their priors
     rows, _ = problem.prior_rows
     with_priors = identifiability.analyse(np.vstack([R, rows]), problem.parameters.names, tolerance=tolerance)
@@ -270,5 +275,5 @@ def _assemble(weighted: Weighted, method: str, psi: Array, value: Array, std: Ar
             bound[k] = condition.name
     return Estimate(
         problem, method, psi, value, std, ci, tuple(bound), active, identifiability.structural(problem.model),
-        from_data, from_data.grouping @ psi, base_std, weighted, identifiability.confounded(weighted.R, from_data),
-        (*notes, *weighted.notes), intervals, seed, posterior)
+        from_data, from_data.grouping @ psi, base_std, weighted,
+        identifiability.confounded(weighted.plain[0], from_data), (*notes, *weighted.notes), intervals, seed, posterior)

@@ -25,7 +25,7 @@ from hydroopt.estimation.dynamic.comparison import (
     wald,
 )
 from hydroopt.estimation.dynamic.stored_information import StoredInformation, refuse_shared_samples, stored_information
-from hydroopt.estimation.dynamic.two_session_answer import Quantity, TwoSessionAnswer, probability, rounded
+from hydroopt.estimation.dynamic.two_session_answer import Quantity, TwoSessionAnswer, rounded
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import BASE, Machine
@@ -33,7 +33,7 @@ from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.parameter_set import ParameterSet
-from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.diagnostic import Diagnostic, probability
 from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable
 from hydroopt.results.tables import csv_text, with_limits
@@ -171,18 +171,17 @@ def payload(machine: Machine, unloaded: Sequence[Log] | str | Path, loaded: Sequ
         if gain and {len(first.triangles), len(second.triangles)} != {len(machine.actuators)}:
             raise ProblemError("gains are not identifiable from residuals that were weighted jointly", where="gain",
                                remedy="identify without --motion fitted, --instruments and --correlated")
-        readings = first.degrees_of_freedom + second.degrees_of_freedom
         total = sum(owned.body.m for owned in bodies(machine).values())
         problem = _problem(model, columns, names, gain, mass=0.1 * total)
-        test = wald(problem, *problem.rows(first, second), readings)
+        test = wald(problem, *problem.rows(first, second))
         if np.isfinite(test.std[0]):  # the load's approximate size sets the width of the prior
             problem = _problem(model, columns, names, gain, mass=max(abs(float(test.value[0])), float(test.std[0])))
-        A, b = problem.rows(first, second)
-        test = wald(problem, A, b, readings)
-        possible = solve_both(problem, A, b, intervals=False, seed=seed).x
+        both = problem.rows(first, second)
+        test = wald(problem, *both)
+        possible = solve_both(problem, *both, intervals=False, seed=seed).x
         # Most loads are small, at the edge of physical consistency: samples on one side of the edge only would lie too
         # far from it, and intervals would not hold. Every mass and centre of mass has a consistent body.
-        found = solve_both(replace(problem, unconstrained=(LOAD,)), A, b, intervals=True, seed=seed)
+        found = solve_both(replace(problem, unconstrained=(LOAD,)), *both, intervals=True, seed=seed)
     return _payload(problem, carrier, test, found, possible, first, second)
 
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment
 from hydroopt.estimation.dynamic.folding import ActuatorTriangles, split, triangle
+from hydroopt.estimation.dynamic.frequency_bands import ActuatorBands
 from hydroopt.estimation.inference.identifiability import analyse
 from hydroopt.estimation.inference.whitening import whitened
 from hydroopt.logs.smoothing import Motion
@@ -40,6 +41,14 @@ def compress(model: Model, experiments: Sequence[AnyExperiment], weights: Sequen
     for k, data in enumerate(experiments):
         data.fold_into(folded, psi, None if weights is None else weights[k])
     return CompressedRegressor(folded.full, folded.samples)
+
+
+def compressed(folded: Sequence[ActuatorBands]) -> CompressedRegressor:
+    """What experiments folded by frequency say together, whatever the frequency."""
+    whole = folded[0].triangles
+    for more in folded[1:]:
+        whole.add(more.triangles)
+    return CompressedRegressor(whole.full, whole.samples)
 
 
 def _chunks(experiments: Sequence[Experiment],

@@ -27,17 +27,17 @@ from hydroopt.spatial.inertia import Array
 INFORMATION = "information.csv"
 """File beside estimate.json that holds the triangles of an identification, so that its logs need not be read again."""
 
-_LABELS = ("actuator", "force")
-
 
 @dataclass(frozen=True, eq=False)
 class StoredInformation:
-    """Triangles (·, p+1, p+1) with ``Σ_i ‖T_i·[ψ; −1]‖² = Σ ((K·ψ − f)/(σ·√τ))²``, the weighted residuals of a session.
+    """The information ``Σ_i ‖T_i·[ψ; −1]‖²`` of a session's residuals about ψ.
 
     Attributes:
-        triangles: one per actuator, weighted by the standard deviation σ (n,) and the correlation time τ (n,) of its
-            residual, so that their rows are independent and of variance 1; or one of all actuators, see
-            `WeightedResiduals`.
+        triangles: (·, p+1, p+1) T_i, one per actuator, whose rows are independent and of variance 1; or one of all
+            actuators, see `WeightedResiduals`.
+        freedom: (·, p+1) degrees of freedom with which the variance of each row was estimated; inf if it was not.
+        split_half: φ, how much more friction and offsets differ between the halves of the logs than residuals explain;
+            1 where nothing changes.
         sigma: (n,) σ [N or N·m].
         correlation_time: (n,) τ in samples.
         samples: (n,) number of residuals of each actuator.
@@ -45,15 +45,12 @@ class StoredInformation:
     """
 
     triangles: Array
+    freedom: Array
+    split_half: float
     sigma: Array
     correlation_time: Array
     samples: Array
     inputs: tuple[Mapping[str, Any], ...]
-
-    @property
-    def degrees_of_freedom(self) -> float:
-        """Number of independent readings in the logs."""
-        return float(np.sum(self.samples / self.correlation_time))
 
     def weights(self, machine: Machine) -> dict[str, dict[str, float]]:
         """σ, τ and number of residuals of each actuator, by name."""
@@ -86,8 +83,8 @@ def stored_information(model: Model, source: Sequence[Log] | str | Path,
                                   model.parameters.nominal)
     inputs = [{"path": log.path or log.name, "sha256": log.sha256 or None, "samples": len(log.t),
                "first_sample": int(log.sample[0]), "last_sample": int(log.sample[-1])} for log in source]
-    return StoredInformation(weighted.triangles, weighted.sigma, weighted.correlation_time, weighted.samples,
-                             tuple(inputs))
+    return StoredInformation(*weighted.stored(), mean_phi([half.phi for half in weighted.split_half]), weighted.sigma,
+                             weighted.correlation_time, weighted.samples, tuple(inputs))
 
 
 def refuse_shared_samples(before: StoredInformation, after: StoredInformation) -> None:
@@ -104,14 +101,25 @@ def refuse_shared_samples(before: StoredInformation, after: StoredInformation) -
                                    remedy="give another log on one side")
 
 
-def information_csv(machine: Machine, names: Sequence[str], triangles: Array) -> str:
+def mean_phi(values: Sequence[float | None]) -> float:
+    """φ of several logs together, at least 1."""
+    known = [value for value in values if value is not None and np.isfinite(value)]
+    return max(1.0, float(np.mean(known))) if known else 1.0
+
+
+def information_csv(machine: Machine, names: Sequence[str], triangles: Array, freedom: Array) -> str:
     """The content of information.csv: rows of the triangles, a column per parameter, numbers in full."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
-    writer.writerow([_LABELS[0], *names, _LABELS[1]])
-    for owner, triangle in zip(_owners(machine, len(triangles)), triangles, strict=True):
-        writer.writerows([owner, *(repr(float(value)) if value else "0" for value in row)] for row in triangle)
+    writer.writerow(_header(names))
+    for owner, triangle, of_rows in zip(_owners(machine, len(triangles)), triangles, freedom, strict=True):
+        writer.writerows([owner, *(repr(float(value)) if value else "0" for value in (*row, own))]
+                         for row, own in zip(triangle, of_rows, strict=True))
     return text.getvalue()
+
+
+def _header(names: Sequence[str]) -> list[str]:
+    return ["actuator", *names, "force", "degrees_of_freedom"]
 
 
 def _owners(machine: Machine, triangles: int) -> list[str]:
@@ -135,7 +143,7 @@ def _read(model: Model, folder: Path) -> StoredInformation:
     if text is None:
         raise ProblemError(f"there is no {INFORMATION} beside the estimate", where=str(folder),
                            remedy="identify again with this version, or give the logs")
-    triangles = _triangles(model, text, folder / INFORMATION)
+    triangles, freedom = _triangles(model, text, folder / INFORMATION)
     details = estimate.details()
     try:
         weights = [details["weights"][actuator.name] for actuator in model.machine.actuators]
@@ -143,24 +151,26 @@ def _read(model: Model, folder: Path) -> StoredInformation:
                                  for key in ("sigma", "correlation_time", "samples"))
         inputs = [{key: one[key] for key in ("path", "sha256", "samples", "first_sample", "last_sample")}
                   for one in estimate.inputs if one["role"] == "train"]
+        phi = mean_phi([one["phi"] for one in details["split_half"]])
     except (ValueError, KeyError, TypeError):
         raise not_an_answer(folder) from None
-    return StoredInformation(triangles, sigma, times, samples, tuple(inputs))
+    return StoredInformation(triangles, freedom, phi, sigma, times, samples, tuple(inputs))
 
 
-def _triangles(model: Model, text: str, file: Path) -> Array:
+def _triangles(model: Model, text: str, file: Path) -> tuple[Array, Array]:
     rows = list(csv.reader(io.StringIO(text)))
     names, p = model.parameters.names, len(model.parameters)
-    if not rows or rows[0] != [_LABELS[0], *names, _LABELS[1]]:
+    if not rows or rows[0] != _header(names):
         raise ProblemError("its columns are not the parameters of this machine", where=str(file),
                            remedy="identify again, without --reduced, or give the logs")
     owners = [owner for owner in _owners(model.machine, len(rows) // (p + 1)) for _ in range(p + 1)]
     try:
         if [row[0] for row in rows[1:]] != owners:
             raise ValueError
-        triangles = np.array([[float(cell) for cell in row[1:]] for row in rows[1:]]).reshape(-1, p + 1, p + 1)
-        if not np.all(np.isfinite(triangles)):
+        table = np.array([[float(cell) for cell in row[1:]] for row in rows[1:]]).reshape(-1, p + 1, p + 2)
+        triangles, freedom = table[:, :, :-1], table[:, :, -1]
+        if not (np.all(np.isfinite(triangles)) and np.all(freedom > 0)):
             raise ValueError
     except ValueError:
         raise ProblemError("it is damaged", where=str(file), remedy="identify again, or give the logs") from None
-    return triangles
+    return triangles, freedom

@@ -15,8 +15,8 @@ from threadpoolctl import threadpool_limits
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment, channels_used, experiment, remarks
 from hydroopt.estimation.dynamic.folding import ROWS, ActuatorTriangles
+from hydroopt.estimation.dynamic.frequency_bands import BLOCK, ActuatorBands
 from hydroopt.estimation.dynamic.friction_sign import FEW_MOVING, speed_threshold
-from hydroopt.estimation.inference.correlation import Lagged
 from hydroopt.kernels.native import threads
 from hydroopt.logs import streamed_smoothing
 from hydroopt.logs.any_log import AnyLog
@@ -25,7 +25,8 @@ from hydroopt.logs.joint_angles import angle_channels, angle_noise, measured_ang
 from hydroopt.logs.log import Log, missing
 from hydroopt.logs.quality import Finding
 from hydroopt.logs.smoothing import Motion, Smoothing, SmoothingSpline
-from hydroopt.logs.stream import BLOCK, PIECE, LogStream
+from hydroopt.logs.stream import BLOCK as SAMPLED
+from hydroopt.logs.stream import PIECE, LogStream
 from hydroopt.logs.streamed_smoothing import Smoother
 from hydroopt.logs.treatment import Samples
 from hydroopt.model.model import Model
@@ -33,9 +34,6 @@ from hydroopt.spatial.inertia import Array
 
 WORKERS = 4
 """Largest number of threads; each holds a piece in memory, and reading the file limits the speed with more."""
-
-LAGS = 2**13
-"""Largest lag of the autocorrelation of a streamed log's residuals."""
 
 Rows = tuple[int, int]
 Given = TypeVar("Given")
@@ -48,7 +46,7 @@ class Totals:
     """
 
     def __init__(self, model: Model) -> None:
-        self.moved, self.still = ActuatorTriangles(model), ActuatorTriangles(model)
+        self.moved, self.still = ActuatorBands(model), ActuatorTriangles(model)
         self.moving = np.zeros(len(model.machine.joints))
         self.samples = self.sample_count = 0
         self.findings: tuple[Finding, ...] = ()
@@ -112,7 +110,7 @@ class StreamedExperiment:
         """
         margin = self._margin
         totals = Totals(self.model)
-        for part in self._over(lambda window: self._folded(*window), self.stream.windows((margin, margin))):
+        for part in self._over(lambda window: self._folded(*window), self.stream.windows((margin, BLOCK + margin))):
             totals.add(part)
         return totals
 
@@ -124,7 +122,7 @@ class StreamedExperiment:
     @property
     def folded(self) -> ActuatorTriangles:
         """The samples in which a joint moves."""
-        return self.totals.moved.only(self.moves)
+        return self.bands().triangles
 
     @property
     def sample_count(self) -> int:
@@ -137,8 +135,8 @@ class StreamedExperiment:
         sample = self._sample[1]
         if self.stream.size <= sample.log.size:
             return sample
-        middle = sample.log.size // 2 // BLOCK * BLOCK
-        return _cut(sample, middle, min(middle + BLOCK, sample.log.size))
+        middle = sample.log.size // 2 // SAMPLED * SAMPLED
+        return _cut(sample, middle, min(middle + SAMPLED, sample.log.size))
 
     @cached_property
     def log(self) -> LogStream:
@@ -160,7 +158,7 @@ class StreamedExperiment:
     def moments(self, psi: Array) -> Array:
         """Sums (5, n) over the samples that take part: 1, force, force², error and error² of the prediction by ψ."""
         v, last = np.append(psi, -1.0), np.append(0.0 * psi, -1.0)
-        both = (self.totals.moved, self.totals.still)
+        both = (self.totals.moved.triangles, self.totals.still)
         return np.array([sum(some.samples for some in both), sum(some.sums[:, -1] for some in both),
                          sum(some.squares(last) for some in both), -sum(some.sums @ v for some in both),
                          sum(some.squares(v) for some in both)])
@@ -179,19 +177,9 @@ class StreamedExperiment:
         assert weights is None
         triangles.add(self.folded)
 
-    def correlation_times(self, psi: Array) -> tuple[Array, Array]:
-        """As of `Experiment`: one more pass over the log."""
-        totals = self.totals
-        mean = -(totals.moved.sums @ np.append(psi, -1.0)) / np.maximum(totals.moved.samples, 1.0)
-        drops = "drop" in self.stream.treatment.values()  # other channels cause drops as well
-        used = None if drops else channels_used(self.model, self.stream)
-        windows = self.stream.windows((self._margin, LAGS + self._margin), used)
-        sums = [Lagged(LAGS) for _ in mean]
-        for part in self._over(lambda window: self._lagged(psi, mean, *window), windows):
-            for total, one in zip(sums, part, strict=True):
-                total.pairs += one.pairs
-                total.products += one.products
-        return np.array([one.time for one in sums]), self.folded.samples
+    def bands(self, psi: Array | None = None) -> ActuatorBands:
+        """The equations of the samples in which a joint moves, by frequency; forces are linear in ψ."""
+        return self.totals.moved.only(self.moves)
 
     @property
     def _margin(self) -> int:
@@ -223,38 +211,24 @@ class StreamedExperiment:
                           pressures(self.model, log))
 
     def _folded(self, samples: Samples, core: Rows) -> Totals:
-        """The totals of one piece."""
-        totals, model = Totals(self.model), self.model
+        """The totals of the blocks that begin in one piece, so that no border of pieces cuts a block."""
+        totals, origin = Totals(self.model), self.stream.rows[0]
         log = self.stream.treated(samples, core)
         totals.findings = log.findings
-        a, b = np.searchsorted(log.sample, [core[0], core[1] + 1])
+        first, last = (origin + -(-(row - origin) // BLOCK) * BLOCK for row in (core[0], core[1] + 1))
+        a, b = np.searchsorted(log.sample, [first, last])
         if a == b:
             return totals
-        data = self._prepared(log, core)
+        data = self._prepared(log, (first, last - 1))
         totals.samples, totals.moving = int(b - a), np.sum(data.moving[a:b], axis=0).astype(float)
-        taken = a + np.flatnonzero(data.inside[a:b])
-        totals.sample_count = len(taken)
-        reused: list[Array] | None = None
-        for start in range(0, len(taken), ROWS):
-            rows = taken[start : start + ROWS]
-            reused = reused if reused is not None and len(reused[0]) == len(rows) else None
-            reused = model.over(model.regressor, *data.inputs(rows), out=reused)
-            totals.moved.fold(reused[0], data.force[rows], data.moving[rows])
-            totals.still.fold(reused[0], data.force[rows], ~data.moving[rows])
+        totals.sample_count = int(np.sum(data.inside[a:b]))
+        for block in data.blocks(origin, (int(a), int(b))):
+            K, force = data.fold_block(totals.moved, block, float(np.mean(self.stream.rows)))
+            still = data.inside[block, None] & ~data.moving[block]
+            for start in range(0, len(force) if np.any(still) else 0, ROWS):
+                rows = slice(start, start + ROWS)
+                totals.still.fold(K[rows], force[rows], still[rows])
         return totals
-
-    def _lagged(self, psi: Array, mean: Array, samples: Samples, core: Rows) -> list[Lagged]:
-        """Products of the residuals of one piece with later ones, for the autocorrelation."""
-        log, model = self.stream.treated(samples, (1, 0)), self.model
-        a, b = np.searchsorted(log.sample, [core[0], core[1] + 1])
-        sums = [Lagged(LAGS) for _ in mean]
-        if a < b:
-            data = self._prepared(log, (core[0], core[1] + LAGS))
-            predicted = model.over(model.inverse_dynamics, *data.inputs(), psi)[0][:, :, 0]
-            taken = data.inside[:, None] & data.moving & self.moves
-            for k, residual in enumerate((data.force - predicted - mean).T):
-                sums[k].add(residual, taken[:, k], log.segment, slice(a, b))
-        return sums
 
 
 def streamed_experiment(model: Model, stream: LogStream, smoothing: Smoothing | None = None) -> StreamedExperiment:

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, ClassVar
 
 import numpy as np
+from scipy import stats
 
 from hydroopt.estimation.dynamic.stored_information import StoredInformation
 from hydroopt.estimation.inference.posterior import Posterior
@@ -76,6 +77,16 @@ class TwoSessionAnswer(Answer):
     """What the sessions are called in files."""
 
     @property
+    def split_half(self) -> float:
+        """φ, how much more friction and offsets differ between the halves of the logs than residuals explain."""
+        return (self.before.split_half + self.after.split_half) / 2
+
+    @property
+    def p_value_repeat(self) -> float:
+        """p-value of the statistic over φ: whether the sessions differ more than the halves of their own logs do."""
+        return float(stats.f.sf(self.statistic / self.split_half, self.rank, self.degrees_of_freedom))
+
+    @property
     def machine_id(self) -> MachineId:
         """Which machine it is about."""
         return MachineId.of(self.machine)
@@ -103,7 +114,7 @@ class TwoSessionAnswer(Answer):
     def details(self) -> Mapping[str, Any]:
         """Joint test, weights of both sessions, and notes."""
         return {"test": {"statistic": self.statistic, "rank": self.rank, "degrees_of_freedom": self.degrees_of_freedom,
-                         "p_value": self.p_value},
+                         "p_value": self.p_value, "phi": self.split_half, "p_value_over_phi": self.p_value_repeat},
                 "weights": {role: session.weights(self.machine) for role, session in self.sessions.items()},
                 "notes": list(self.notes)}
 
@@ -115,11 +126,6 @@ class TwoSessionAnswer(Answer):
 
 
 def rounded(value: float, std: float) -> str:
-    """Value ± std to two digits of the latter."""
-    place = 1 - int(np.floor(np.log10(std))) if std > 0 else 6
+    """Value ± std to two digits of the latter, and to ten of the value at most."""
+    place = 1 - int(np.floor(np.log10(max(std, 1e-9 * abs(value))))) if std > 0 else 6
     return f"{round(value, place) + 0.0:.{max(0, place)}f} ± {round(std, place):.{max(0, place)}f}"
-
-
-def probability(p: float) -> str:
-    """A p-value in words."""
-    return "p < 1e-6" if p < 1e-6 else f"p = {p:.2g}"

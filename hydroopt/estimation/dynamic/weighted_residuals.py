@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Generic, Literal, Protocol, Self, TypeVar
 
 import numpy as np
@@ -11,13 +11,18 @@ import numpy as np
 from hydroopt.errors import IdentifiabilityError
 from hydroopt.estimation.dynamic import fitted_motion
 from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment
+from hydroopt.estimation.dynamic.folding import split, triangle
+from hydroopt.estimation.dynamic.frequency_bands import ActuatorBands
 from hydroopt.estimation.dynamic.regressor_qr import (
     CompressedRegressor,
     compress,
     compress_instrumented,
     compress_jointly,
+    compressed,
 )
+from hydroopt.estimation.dynamic.score_covariance import SplitHalf, score_covariance
 from hydroopt.estimation.inference import least_squares
+from hydroopt.estimation.inference.band_variances import ScoreRows
 from hydroopt.estimation.inference.nlp import ResidualTerm
 from hydroopt.estimation.inference.problem import InferenceProblem
 from hydroopt.estimation.inference.whitening import gaussian_posterior, whitened
@@ -81,17 +86,27 @@ Problem = TypeVar("Problem", bound=ResidualProblem)
 
 @dataclass(frozen=True, eq=False)
 class WeightedResiduals(Generic[Problem]):
-    """``‖R·ψ − r‖² + rest``, the weighted sum of squared residuals, and how these were weighted.
+    """``‖R·ψ − r‖² + rest``, the information of the residuals about ψ, and how they were weighted.
+
+    Least squares weigh each actuator's residuals by their variance where the parameters act. The covariance of each
+    actuator's score, from the variances by frequency, then makes rows of unit variance of them
+    (`hydroopt.estimation.inference.band_variances`). Where rows of actuators or samples are mixed before (correlated
+    channels, instruments, a fitted motion), or forces are not linear in ψ, the weight alone accounts for it.
 
     Attributes:
         problem: whose residuals; with the fitted motion where requested.
         R, r, rest: (p, p) upper triangular, (p,), and what no ψ explains.
+        plain: R, r and rest of the weighted least squares alone, which decide what is identifiable.
         samples: (n,) residuals of each actuator.
         triangles: (·, p+1, p+1) of [K, f] with the same sum of squares: one for each actuator, or one of all where
             their rows are mixed.
+        scores: information of each actuator with degrees of freedom, where it is from the covariance of its score.
         sigma: (n,) standard deviation of each actuator's residual.
         correlation: (n, n) of the actuators' residuals with one another; the unit matrix unless requested.
-        correlation_time: (n,) of the residuals, in samples.
+        correlation_time: (n,) variance of the residuals where the parameters act over σ², at least 1; in samples.
+        between_logs: standard deviation of friction and offsets from log to log, relative to the friction force; NaN
+            for a single log.
+        split_half: how much friction and offsets differ between the halves of each log.
         fit: of motion and parameters together, where requested.
     """
 
@@ -99,11 +114,15 @@ class WeightedResiduals(Generic[Problem]):
     R: Array
     r: Array
     rest: float
+    plain: tuple[Array, Array, float]
     samples: Array
     triangles: Array
+    scores: tuple[ScoreRows, ...]
     sigma: Array
     correlation: Array
     correlation_time: Array
+    between_logs: float
+    split_half: tuple[SplitHalf, ...]
     fit: fitted_motion.FittedMotion | None = None
 
     def problem_at(self, psi: Array) -> Problem:
@@ -119,6 +138,16 @@ class WeightedResiduals(Generic[Problem]):
         actuators = zip(model.machine.actuators, model.force_units, self.triangles, std, strict=True)
         return tuple(ResidualTerm(one.name, unit, triangle * sigma, float(sigma))
                      for one, unit, triangle, sigma in actuators)
+
+    def stored(self) -> tuple[Array, Array]:
+        """Triangles with rows of unit variance, and degrees of freedom (·, p+1): inf where none were estimated."""
+        if not self.scores:
+            independent = float(np.sum(self.samples / self.correlation_time))
+            return self.triangles, np.full(self.triangles.shape[:2], independent)
+        freedom = np.full((len(self.scores), len(self.r) + 1), np.inf)
+        for own, score in zip(freedom, self.scores, strict=True):
+            own[: len(score.freedom)] = score.freedom
+        return np.array([score.triangle(widened=False) for score in self.scores]), freedom
 
     @property
     def rows(self) -> float:
@@ -159,14 +188,15 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
     model, experiments = problem.model, problem.experiments
     loaded = _loaded(problem)
     point = problem.parameters.nominal if point is None else point
-    data = compress(model, experiments, psi=point)
+    folded = [data.bands(point) for data in experiments]
+    data = compressed(folded)
     if not np.any(data.samples):
         names = ", ".join(e.log.path or e.log.name for e in experiments)
         raise IdentifiabilityError("no joint moves in the training logs", where=names,
                                    remedy="record a log in which the joints move")
     sigma, weights = _sigma(problem, data, tolerance), None
     if problem.loss != "squares":
-        data, sigma, weights = _robust(problem, data, sigma, point)
+        data, sigma, weights, folded = _robust(problem, data, sigma, point)
     # for nonlinear forces, least squares without bounds may leave the range in which the linearisation holds
     psi = _least_squares(problem, *data.weighted(sigma)[:2], tolerance) if model.linear else point
     correlation = _correlation(problem, psi) if problem.correlated else np.eye(len(sigma))
@@ -175,23 +205,33 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
         fit = fitted_motion.fit(model, fitted_motion.initial_guess(model, loaded), _covariance(correlation, sigma),
                                 weights, psi, most_probable, where)
         problem, psi = problem.with_experiments(fit.experiments(fit.psi)), fit.psi
+        folded = [one.bands(psi) for one in problem.experiments]
+    found = score_covariance(problem, folded, sigma, _smallest(data) if problem.reweight else sigma)
     # correlated residuals carry less information than as many independent ones
-    times = _correlation_times(problem, psi)
-    wide = sigma * np.sqrt(times)
+    wide = sigma * np.sqrt(found.correlation_time)
+    plain = data.weighted(wide)
     if fit is not None:
         fit = fitted_motion.fit(model, fit.motion(psi), _covariance(correlation, wide), weights, psi, most_probable,
                                 where)
-        R, r, rest = fit.R, fit.r, fit.rest
+        R, r, rest = plain = fit.R, fit.r, fit.rest
     elif problem.instruments:
-        R, r, rest = compress_instrumented(model, loaded, problem.instruments, wide, weights, psi=point)
+        R, r, rest = plain = compress_instrumented(model, loaded, problem.instruments, wide, weights, psi=point)
     elif problem.correlated:
-        R, r, rest = compress_jointly(model, loaded, _covariance(correlation, wide), weights, psi=point)
+        R, r, rest = plain = compress_jointly(model, loaded, _covariance(correlation, wide), weights, psi=point)
+    elif not model.linear:
+        R, r, rest = plain = data.weighted(wide)
+    mixed = problem.fitted_motion or problem.instruments or problem.correlated
+    scores: tuple[ScoreRows, ...] = ()
+    if mixed:
+        triangles = np.block([[R, r[:, None]], [np.zeros((1, len(r))), np.full((1, 1), np.sqrt(rest))]])[None]
+    elif not model.linear:
+        triangles = data.triangles / wide[:, None, None]
     else:
-        R, r, rest = data.weighted(wide)
-    apart = not (problem.fitted_motion or problem.instruments or problem.correlated)
-    triangles = (data.triangles / wide[:, None, None] if apart
-                 else np.block([[R, r[:, None]], [np.zeros((1, len(r))), np.full((1, 1), np.sqrt(rest))]])[None])
-    return WeightedResiduals(problem, R, r, rest, data.samples, triangles, sigma, correlation, times, fit)
+        scores = found.scores
+        triangles = np.array([one.triangle(widened=True) for one in scores])
+        R, r, rest = split(triangle(*triangles))
+    return WeightedResiduals(problem, R, r, rest, plain, data.samples, triangles, scores, sigma, correlation,
+                             found.correlation_time, found.between_logs, found.split_half, fit)
 
 
 def misfit(weighted: WeightedResiduals[Problem], psi: Array) -> float:
@@ -220,12 +260,11 @@ def _least_squares(problem: ResidualProblem, R: Array, r: Array, tolerance: floa
 
 def _sigma(problem: ResidualProblem, data: CompressedRegressor, tolerance: float) -> Array:
     """Standard deviation (n,) of each actuator's residual: stated by its sensors, then estimated from the fit."""
-    size = np.linalg.norm(data.triangles[:, :, -1], axis=1) / np.sqrt(np.maximum(data.samples, 1.0))  # RMS force
-    sigma = np.where(np.isfinite(problem.force_std), problem.force_std, 0.1 * size)
+    sigma = np.where(np.isfinite(problem.force_std), problem.force_std, 0.1 * _rms_force(data))
     sigma = np.where(sigma > 0, sigma, 1.0)
     if not problem.reweight:
         return np.asarray(sigma)
-    floor = 1e-11 * np.maximum(size, 1e-12)
+    floor = _smallest(data)
     for _ in range(3):
         R, r, _ = data.weighted(sigma)
         psi, _, identifiable = least_squares.base_least_squares(R, r, problem.parameters.names, tolerance)
@@ -234,11 +273,22 @@ def _sigma(problem: ResidualProblem, data: CompressedRegressor, tolerance: float
     return np.asarray(sigma)
 
 
-def _robust(problem: ResidualProblem, data: CompressedRegressor, sigma: Array,
-            point: Array) -> tuple[CompressedRegressor, Array, list[Array]]:
+def _rms_force(data: CompressedRegressor) -> Array:
+    return np.asarray(np.linalg.norm(data.triangles[:, :, -1], axis=1) / np.sqrt(np.maximum(data.samples, 1.0)))
+
+
+def _smallest(data: CompressedRegressor) -> Array:
+    """Standard deviation (n,) of rounding errors."""
+    return 1e-11 * np.maximum(_rms_force(data), 1e-12)
+
+
+def _robust(problem: ResidualProblem, data: CompressedRegressor, sigma: Array, point: Array
+            ) -> tuple[CompressedRegressor, Array, list[Array], list[ActuatorBands]]:
     """Iteratively reweighted least squares: Huber (95 % efficient at 1.345 σ) or Student-t (4 degrees of freedom).
 
-    The residuals are those of the most probable parameters before constraints, which good data hardly move.
+    The residuals are those of the most probable parameters before constraints, which good data hardly move. At these,
+    ordinary least squares on ``K·ψ + σ·ρ'(u)/E[ρ'']`` lead to the same parameters and to their asymptotic covariance
+    (Huber 1973): the equations that are returned by frequency.
     """
     floor = 1e-6 * sigma
     psi = np.full(len(problem.parameters), np.inf)
@@ -255,7 +305,11 @@ def _robust(problem: ResidualProblem, data: CompressedRegressor, sigma: Array,
         data = compress(problem.model, problem.experiments, weights, psi=point)
         if np.all(np.abs(psi - before) < 1e-3 * problem.parameters.scale):
             break
-    return data, sigma, weights
+    bent = [(u < HUBER).astype(float) if problem.loss == "huber" else 5 * (4 - u**2) / (4 + u**2) ** 2 for u in ratios]
+    mean = np.nan_to_num(np.nanmean(np.concatenate(_taken(problem, bent)), axis=0), nan=1.0)
+    pseudo = [replace(e, force=e.force - res + weight * res / mean)
+              for e, res, weight in zip(_loaded(problem), residuals, weights, strict=True)]
+    return data, sigma, weights, [one.bands(point) for one in pseudo]
 
 
 def _loaded(problem: ResidualProblem) -> tuple[Experiment, ...]:
@@ -300,9 +354,3 @@ def _correlation(problem: ResidualProblem, psi: Array) -> Array:
     possible = vectors @ np.diag(np.maximum(values, 1e-3)) @ vectors.T
     size = np.sqrt(np.diag(possible))
     return np.asarray(possible / np.outer(size, size))
-
-
-def _correlation_times(problem: ResidualProblem, psi: Array) -> Array:
-    """Correlation time of each actuator's residuals (n,), in samples; the logs weigh by their lengths."""
-    times, samples = zip(*(data.correlation_times(psi) for data in problem.experiments), strict=True)
-    return np.asarray(np.average(times, axis=0, weights=np.maximum(samples, 1e-9)))

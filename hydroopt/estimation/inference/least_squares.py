@@ -9,16 +9,20 @@ from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, Identi
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
 
+ROUNDING = 1e-10
+"""Part of the largest singular value below which a direction of shared parameters is rounding error."""
+
 
 def base_least_squares(R: Array, r: Array, names: tuple[str, ...],
-                       tolerance: float = RANK_TOLERANCE) -> tuple[Array, Array, Identifiability]:
+                       tolerance: float = RANK_TOLERANCE, found: Identifiability | None = None
+                       ) -> tuple[Array, Array, Identifiability]:
     """Least squares on the base parameters (Eq. 4.58).
 
     Returns:
         ψ (p,) with every parameter outside the basis at zero, which predicts what the base parameters predict;
         the covariance (r, r) of the base parameters for unit weights; what is identifiable.
     """
-    found = analyse(R, names, tolerance=tolerance)
+    found = found or analyse(R, names, tolerance=tolerance)
     basis = list(found.basis)
     scale = np.linalg.norm(R[:, basis], axis=0)
     Q, T = np.linalg.qr(R[:, basis] / scale)
@@ -79,3 +83,18 @@ def truncated_svd(R: Array, r: Array, tolerance: float) -> tuple[Array, int]:
     U, s, Vt = svd(R / lengths, full_matrices=False, lapack_driver="gesvd")
     kept = significant(s, tolerance)
     return Vt[kept].T @ ((U.T @ r)[kept] / s[kept]) / lengths, int(kept.sum())
+
+
+def orthonormal(columns: Array) -> Array:
+    """Orthonormal basis of a column space; columns are scaled to unit length first."""
+    lengths = np.linalg.norm(columns, axis=0)
+    scaled = columns[:, lengths > 0] / lengths[lengths > 0]
+    U, s, _ = np.linalg.svd(scaled, full_matrices=False)
+    return np.asarray(U[:, s > ROUNDING * s[0]])
+
+
+def without(basis: Array, columns: Array) -> Array:
+    """Columns less their projection; twice, so that they stay perpendicular to rounding."""
+    for _ in range(2):
+        columns = columns - basis @ (basis.T @ columns)
+    return columns

@@ -9,6 +9,7 @@ import casadi as ca
 import cvxpy as cp
 import numpy as np
 import pytest
+from scipy import stats
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.estimate import Estimate
@@ -40,14 +41,21 @@ def apart(estimate: Estimate, psi: np.ndarray) -> float:
 
 
 def objective(estimate: Estimate) -> float:
-    """What the estimate minimises, from the residuals of every sample."""
+    """What the estimate minimises: the information about the distance from the least squares of every sample."""
     problem, weighted = estimate.problem, estimate.weighted_residuals
-    residuals = [(data.force - forces)[data.inside[:, None] & data.moving] for data, forces in
-                 zip(problem.experiments, estimate.predictions["train"], strict=True)]
-    sigma = [np.broadcast_to(weighted.sigma * np.sqrt(weighted.correlation_time), data.force.shape)[
-        data.inside[:, None] & data.moving] for data in problem.experiments]
-    squares = sum(float(np.sum((one / std) ** 2)) for one, std in zip(residuals, sigma, strict=True))
-    return squares + problem.prior_misfit(estimate.psi)
+    scale, squares = problem.parameters.scale, problem.prior_misfit(estimate.psi)
+    for i, score in enumerate(weighted.scores):
+        K, f = [], []
+        for data in problem.experiments:
+            taken = data.inside & data.moving[:, i]
+            K.append(data.model.over(data.model.regressor, *data.inputs())[0][taken, i])
+            f.append(data.force[taken, i])
+        nearest = scale * np.linalg.lstsq(np.vstack(K) * scale, np.concatenate(f), rcond=1e-12)[0]
+        size = stats.norm.ppf(0.975) / stats.t.ppf(0.975, np.minimum(score.freedom, 1e9))
+        known = np.isfinite(score.freedom)  # the others are rounding errors
+        squares += float(np.sum((size * (score.rows @ (estimate.psi - nearest)))[known] ** 2))
+        squares += float(np.sum(score.right[~known] ** 2)) + score.rest
+    return squares
 
 
 def light_arm(p: Any) -> Any:

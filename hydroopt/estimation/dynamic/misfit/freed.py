@@ -1,7 +1,8 @@
 """Faults freed as parameters: logs corrected by the likeliest sizes, and residuals that share what is left of them.
 
 Residuals f − K·ψ with an effect S·δ have the covariance W⁻¹ + S·Σ·Sᵀ, with Σ that of δ as all data and δ's prior leave
-it, ψ unknown. In the compressed residuals R·ψ − r this is I + T·Σ·Tᵀ with T = R⁻ᵀ·KᵀWS.
+it, ψ unknown. They move the least squares of weights W by (KᵀWK)⁻¹·KᵀWS·δ, so that the compressed residuals R·ψ − r
+have the covariance I + T·Σ·Tᵀ with T = R·(KᵀWK)⁻¹·KᵀWS.
 """
 
 from __future__ import annotations
@@ -59,15 +60,17 @@ class Freed:
             S = np.stack([f.sensitivity(view, s)[:, :n] for f, s in zip(self.faults, self.size, strict=True)], axis=2)
             taken = (data.inside[:, None] & data.moving) * weight
             cross += np.einsum("Nnp,Nn,Nnk->pk", view.regressor[:, :n], taken, S, optimize=True)
-        scale = np.maximum(np.linalg.norm(weighted.R, axis=0), 1e-300)
-        T = np.linalg.pinv((weighted.R / scale).T, rcond=1e-9) @ (cross / scale[:, None])
+        scale = np.maximum(np.linalg.norm(weighted.plain[0], axis=0), 1e-300)
+        inverse = np.linalg.pinv(weighted.plain[0] / scale, rcond=1e-9)
+        T = weighted.R / scale @ (inverse @ (inverse.T @ (cross / scale[:, None])))
         values, vectors = np.linalg.eigh(np.eye(p) + T @ self.covariance @ T.T)
         root = (vectors / np.sqrt(np.maximum(values, 1.0))) @ vectors.T
         R = triangle(np.column_stack([root @ weighted.R, root @ weighted.r]))
         full = np.zeros((p + 1, p + 1))
         full[: len(R)] = R
         full[p, p] = np.hypot(full[p, p], np.sqrt(weighted.rest))
-        return replace(weighted, R=full[:p, :p], r=full[:p, p], rest=float(full[p, p] ** 2), triangles=full[None])
+        return replace(weighted, R=full[:p, :p], r=full[:p, p], rest=float(full[p, p] ** 2), triangles=full[None],
+                       scores=())
 
 
 def chosen_faults(view: View, words: Sequence[str]) -> tuple[Fault, ...]:

@@ -1,0 +1,120 @@
+"""Rows of a regressor by actuator and frequency: what the covariance of the estimate is computed from."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.fft import dct
+
+from hydroopt.estimation.dynamic.folding import ActuatorTriangles, folded_rows
+from hydroopt.estimation.inference.band_variances import Channel
+from hydroopt.model.model import Model
+from hydroopt.parameters.parameter_set import ParameterKind
+from hydroopt.spatial.inertia import Array
+
+BLOCK = 2**13
+"""Samples at most whose frequencies are computed together: of a stretch in memory and of a log in pieces alike."""
+LOWEST, RATIO, BANDS = 0.02, 1.6, 24
+"""Upper end of the lowest band over `RATIO` [Hz], ratio of neighbouring ends, and number of bands: up to 1 kHz."""
+
+
+class ActuatorBands:
+    """Rows [K_i, C_i, f_i] of each actuator, one block of samples after the other, by the frequencies of a cosine
+    transform (DCT-II), which is orthonormal: sums of squares over all bands are those over all samples.
+
+    C_i are the columns of the actuator's friction and offset, with the opposite sign in the first half of a log: how
+    much they differ between the halves. Rows that do not take part are zero before the transform, and a coefficient
+    counts by the share of samples that do.
+
+    Attributes:
+        own, contrast: for each actuator the columns of K_i and those that C_i repeats.
+        counts: (n, B) residuals of each actuator in each band.
+        samples, sums: (n,) number and (n, p+1) sums of the rows [K_i, f_i] over time.
+    """
+
+    def __init__(self, model: Model) -> None:
+        n, p = model.regressor_pattern.shape
+        varying = np.array([kind.is_friction or kind is ParameterKind.FORCE_OFFSET for kind in model.parameters.kinds])
+        self.own = [np.flatnonzero(row) for row in model.regressor_pattern]
+        self.contrast = [columns[varying[columns]] for columns in self.own]
+        self.rows = [[np.zeros((0, len(own) + len(extra) + 1)) for _ in range(BANDS)]
+                     for own, extra in zip(self.own, self.contrast, strict=True)]
+        self.counts = np.zeros((n, BANDS))
+        self.samples = np.zeros(n)
+        self.sums = np.zeros((n, p + 1))
+
+    def fold(self, K: Array, force: Array, taken: NDArray[np.bool_], later: NDArray[np.bool_], step: float) -> None:
+        """Add a block of samples in a row.
+
+        Args:
+            K, force: (N, n, p) and (N, n), zero where they are not known.
+            taken: (N, n) which rows take part.
+            later: (N,) which samples are in the second half of their log.
+            step: [s] between samples.
+        """
+        count = len(force)
+        frequency = (np.arange(count) + 0.5) / (2 * count * step)
+        band = np.clip(np.floor(np.log(frequency / LOWEST) / np.log(RATIO)), 0, BANDS - 1)
+        edges = np.searchsorted(band, np.arange(BANDS + 1))
+        sign = np.where(later, 1.0, -1.0)
+        for i, (own, contrast) in enumerate(zip(self.own, self.contrast, strict=True)):
+            here = taken[:, i]
+            if not np.any(here):
+                continue
+            block = np.empty((count, len(own) + len(contrast) + 1))
+            block[:, : len(own)] = K[:, i, own]
+            block[:, len(own) : -1] = K[:, i, contrast] * sign[:, None]
+            block[:, -1] = force[:, i]
+            block[~here] = 0.0
+            self.sums[i, own] += block[:, : len(own)].sum(axis=0)
+            self.sums[i, -1] += block[:, -1].sum()
+            self.samples[i] += np.sum(here)
+            turned = dct(block, axis=0, norm="ortho", overwrite_x=True)
+            self.counts[i] += np.diff(edges) * np.mean(here)
+            for b in range(BANDS):
+                if edges[b] < edges[b + 1]:
+                    self.rows[i][b] = folded_rows(self.rows[i][b], turned[edges[b] : edges[b + 1]])
+
+    def add(self, other: ActuatorBands) -> None:
+        """Add what another has folded."""
+        for mine, others in zip(self.rows, other.rows, strict=True):
+            for b, block in enumerate(others):
+                mine[b] = folded_rows(mine[b], block)
+        self.counts += other.counts
+        self.samples += other.samples
+        self.sums += other.sums
+
+    def copy(self) -> ActuatorBands:
+        """The same, to which others can be added."""
+        return self.only(np.ones(len(self.own), dtype=bool))
+
+    def only(self, actuators: NDArray[np.bool_]) -> ActuatorBands:
+        """Nothing but the rows of some actuators (n,)."""
+        part = object.__new__(ActuatorBands)
+        part.own, part.contrast = self.own, self.contrast
+        part.rows = [[block if here else block[:0] for block in blocks]
+                     for blocks, here in zip(self.rows, actuators, strict=True)]
+        part.counts, part.samples = self.counts * actuators[:, None], self.samples * actuators
+        part.sums = self.sums * actuators[:, None]
+        return part
+
+    def channels(self, *, contrasts: bool = False) -> tuple[Channel, ...]:
+        """The actuators' rows without C_i, or with them, as columns p, p + 1, … of the parameters."""
+        return tuple(self._channels(contrasts))
+
+    def _channels(self, contrasts: bool) -> Iterator[Channel]:
+        first = self.sums.shape[1] - 1
+        for own, contrast, blocks, counts in zip(self.own, self.contrast, self.rows, self.counts, strict=True):
+            extra = np.arange(first, first + len(contrast)) if contrasts else np.zeros(0, dtype=np.intp)
+            first += len(extra)
+            kept = np.r_[: len(own) + len(extra), len(own) + len(contrast)]
+            yield Channel(np.concatenate([own, extra]), tuple(block[:, kept] for block in blocks), counts)
+
+    @property
+    def triangles(self) -> ActuatorTriangles:
+        """The same rows whatever their frequency, without C_i."""
+        return ActuatorTriangles.of_rows([
+            (np.append(channel.columns, self.sums.shape[1] - 1), np.vstack(channel.rows))
+            for channel in self.channels()], self.samples, self.sums)

@@ -1,0 +1,182 @@
+"""How uncertain the information of logs is: residuals by frequency, friction from log to log and within a log."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+import numpy as np
+from scipy import optimize
+from scipy.linalg import block_diag
+
+from hydroopt.estimation.dynamic.frequency_bands import ActuatorBands
+from hydroopt.estimation.inference.band_variances import (
+    Channel,
+    ScoreRows,
+    Shared,
+    Spectrum,
+    band_variances,
+    f_test,
+    score_rows,
+)
+from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, ROUNDING_TOLERANCE
+from hydroopt.estimation.inference.least_squares import orthonormal, without
+from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.results.tables import number
+from hydroopt.spatial.inertia import Array
+
+BETWEEN = (-16.0, 4.0)
+"""Range of the logarithm of the variance between logs, relative to the friction force."""
+
+
+class PriorProblem(Protocol):
+    """Parameters and their priors."""
+
+    @property
+    def parameters(self) -> ParameterSet:
+        """The unknowns."""
+
+    @property
+    def prior_rows(self) -> tuple[Array, Array]:
+        """Rows and right-hand side of all priors."""
+
+
+@dataclass(frozen=True)
+class SplitHalf:
+    """How much friction and offsets differ between the two halves of a log.
+
+    Attributes:
+        phi: F statistic: the squared difference over what the residuals explain, 1 on average where nothing changes.
+        rank: number of differences that the log determines.
+        degrees_of_freedom, p_value: of the test of no difference.
+    """
+
+    phi: float
+    rank: int
+    degrees_of_freedom: float
+    p_value: float
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry of a JSON file."""
+        return {"phi": number(self.phi), "rank": self.rank, "degrees_of_freedom": number(self.degrees_of_freedom),
+                "p_value": number(self.p_value)}
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreCovariance:
+    """The information of each actuator, and what it rests on; see `WeightedResiduals`."""
+
+    scores: tuple[ScoreRows, ...]
+    correlation_time: Array
+    between_logs: float
+    split_half: tuple[SplitHalf, ...]
+
+
+def score_covariance(problem: PriorProblem, logs: Sequence[ActuatorBands], sigma: Array,
+                     least: Array) -> ScoreCovariance:
+    """The information of each actuator about ψ by the covariance of its score.
+
+    Args:
+        problem: the priors under which residuals are computed.
+        logs: equations of each log by frequency.
+        sigma: (n,) standard deviation of each actuator's residual.
+        least: (n,) standard deviation below which no frequency's is.
+    """
+    scale, prior = problem.parameters.scale, problem.prior_rows
+    together = logs[0].copy()
+    for more in logs[1:]:
+        together.add(more)
+    channels = together.channels()
+    spectra = band_variances(channels, sigma, prior, scale, least**2)
+    between: float = np.nan
+    shared: list[Shared | None] = [None] * len(channels)
+    if len(logs) > 1:
+        between, shared = _between(logs, channels, spectra, problem.parameters, prior)
+    weight = np.array([spectrum.weight for spectrum in spectra])
+    return ScoreCovariance(
+        tuple(score_rows(channel, spectrum, scale, extra)
+              for channel, spectrum, extra in zip(channels, spectra, shared, strict=True)),
+        np.maximum(1.0, 1 / (weight * sigma**2)), between,
+        _split_halves(logs, together, sigma, prior, scale, least))
+
+
+def _between(logs: Sequence[ActuatorBands], channels: Sequence[Channel], spectra: Sequence[Spectrum],
+             parameters: ParameterSet, prior: tuple[Array, Array]) -> tuple[float, list[Shared | None]]:
+    """Friction and offsets that differ from log to log: their standard deviation and what it adds to each score.
+
+    In each log, every friction and offset column of an actuator is off by a random amount whose RMS force is κ times
+    that of the actuator's friction; restricted maximum likelihood over all logs and actuators gives κ. The least
+    squares are those of one machine, whose mean friction they estimate.
+    """
+    scale = parameters.scale
+    scores = [score_rows(channel, spectrum, scale) for channel, spectrum in zip(channels, spectra, strict=True)]
+    A, b = (np.concatenate([*(getattr(one, key) for one in scores), rows])
+            for key, rows in zip(("rows", "right"), prior, strict=True))
+    psi = scale * np.linalg.lstsq(A * scale, b, rcond=ROUNDING_TOLERANCE)[0]
+    friction = psi * np.array([kind.is_friction for kind in parameters.kinds])
+    values, sums, directions = [], [], []
+    for i, (channel, spectrum) in enumerate(zip(channels, spectra, strict=True)):
+        at = np.flatnonzero(np.isin(channel.columns, logs[0].contrast[i]))
+        rows = np.vstack(channel.rows)[:, :-1]
+        size = np.linalg.norm(rows[:, at], axis=0)
+        force = float(np.linalg.norm(rows @ friction[channel.columns]))
+        at, size = at[size > 0], size[size > 0]
+        directions.append(tuple(np.zeros((len(channel.columns), 0)) for _ in logs))
+        if force == 0 or not at.size:
+            continue
+        own = [log.channels()[i] for log in logs]
+        grams = [np.vstack(one.rows)[:, :-1] for one in own]
+        directions[i] = tuple(gram.T @ (gram[:, at] * (force / size)) for gram in grams)
+        each = [score_rows(one, spectrum, scale) for one in own]
+        X, y = np.vstack([one.rows for one in each])[:, channel.columns], np.concatenate([one.right for one in each])
+        Z = block_diag(*(one.rows[:, channel.columns[at]] * (force / size) for one in each))
+        basis = orthonormal(X * scale[channel.columns])
+        left, singular, _ = np.linalg.svd(without(basis, Z), full_matrices=False)
+        values.append(singular**2)
+        sums.append(left.T @ without(basis, y))
+    if not values:
+        return 0.0, [None] * len(channels)
+    d, u = np.concatenate(values), np.concatenate(sums) ** 2
+
+    def deviance(log_variance: float) -> float:
+        total = 1 + np.exp(log_variance) * d
+        return float(np.sum(np.log(total) + u / total))
+
+    best = optimize.minimize_scalar(deviance, bounds=BETWEEN, method="bounded")
+    if deviance(-np.inf) <= best.fun:
+        return 0.0, [None] * len(channels)
+    variance = float(np.exp(best.x))
+    freedom = float(np.sum((variance * d / (1 + variance * d)) ** 2))
+    return float(np.sqrt(variance)), [Shared(one, variance, freedom) for one in directions]
+
+
+def _split_halves(logs: Sequence[ActuatorBands], together: ActuatorBands, sigma: Array, prior: tuple[Array, Array],
+                  scale: Array, least: Array) -> tuple[SplitHalf, ...]:
+    """The tests of no difference between the halves of each log.
+
+    Residuals are those of a fit that permits the difference, which would otherwise pass for noise.
+    """
+    wide = np.concatenate([scale, *(scale[columns] for columns in together.contrast)])
+    rows = np.hstack([prior[0], np.zeros((len(prior[0]), len(wide) - len(scale)))])
+    spectra = band_variances(together.channels(contrasts=True), sigma, (rows, prior[1]), wide, least**2)
+    return tuple(_split_half(log, spectra, prior, scale, wide) for log in logs)
+
+
+def _split_half(log: ActuatorBands, spectra: Sequence[Spectrum], prior: tuple[Array, Array], scale: Array,
+                wide: Array) -> SplitHalf:
+    """The test of one log; all other parameters are the same in both halves."""
+    p = len(scale)
+    scores = [score_rows(channel, spectrum, wide)
+              for channel, spectrum in zip(log.channels(contrasts=True), spectra, strict=True)]
+    rows = np.vstack([one.rows for one in scores]) * wide
+    right = np.concatenate([*(one.right for one in scores), prior[1]])
+    freedom = np.concatenate([*(one.freedom for one in scores), np.full(len(prior[1]), np.inf)])
+    basis = orthonormal(np.vstack([rows[:, :p], prior[0] * scale]))
+    C = np.vstack([rows[:, p:], np.zeros((len(prior[1]), rows.shape[1] - p))])
+    size = np.linalg.norm(C, axis=0)
+    left, singular, _ = np.linalg.svd(without(basis, C[:, size > 0] / size[size > 0]), full_matrices=False)
+    left = left[:, singular > RANK_TOLERANCE]
+    if not left.shape[1]:
+        return SplitHalf(np.nan, 0, np.nan, np.nan)
+    return SplitHalf(*f_test(left.T @ without(basis, right), left**2, freedom))

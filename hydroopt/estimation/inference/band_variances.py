@@ -1,0 +1,256 @@
+"""The variance of residuals by frequency, and the covariance of least squares that follows from it.
+
+Residuals of a real machine are not white: what the model lacks repeats with the motion, so that the residual's spectrum
+is largest where the parameters act. Weighted least squares stays unbiased then, but its covariance is that of its
+score (Godambe's sandwich): with rows ``K_ib`` of channel i in frequency band b, weights ``w_i`` and variances ``S_ib``,
+
+    H = Σ w_i·K_ibᵀ·K_ib,   J = Σ w_i²·S_ib·K_ibᵀ·K_ib,   covariance H⁻¹·J·H⁻¹.
+
+The variances come from the residuals by restricted maximum likelihood: each band counts the freedom that the fit has
+taken from it, and neighbouring bands share what they know, since a spectrum is smooth (`STEP`).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg, stats
+
+from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE
+from hydroopt.spatial.inertia import Array
+
+ROUNDS = 6
+"""Times that variances and fit are computed from one another; more change intervals by less than a percent."""
+STEP = 1.0
+"""Standard deviation of the change of log S from one band to the next: a spectrum like f² or f⁻² is within one."""
+LEAST = 1e-3
+"""Part of a band's freedom that a fit leaves at least."""
+FAINT = 1e-10
+"""Singular value, relative to the largest, below which a direction is rounding error and has no variance of its own."""
+MANY = 1e9
+"""Degrees of freedom that are as good as infinitely many."""
+NORMAL = 1.959964
+"""Quantile of the normal distribution at 97.5 %, by which 95 % intervals are computed."""
+
+
+@dataclass(frozen=True, eq=False)
+class Channel:
+    """Rows of one channel by frequency: `rows[b]` (m_b, c+1) of [K, f] in band b, up to a rotation.
+
+    Attributes:
+        columns: (c,) which parameters K depends on.
+        rows: one block a band.
+        counts: (B,) how many residuals each stands for.
+    """
+
+    columns: NDArray[np.intp]
+    rows: tuple[Array, ...]
+    counts: Array
+
+
+class Spectrum(NamedTuple):
+    """Variances S (B,) of a channel's residuals by band, their degrees of freedom (B,), and the channel's weight w."""
+
+    variance: Array
+    freedom: Array
+    weight: float
+
+
+class Shared(NamedTuple):
+    """Errors that all rows of a stretch of data share: ``K·direction·x`` with x of a variance that was estimated.
+
+    Attributes:
+        directions: (c, k) products KᵀC of a channel's rows K with the columns C of such errors, by stretch.
+        variance, freedom: of x.
+    """
+
+    directions: tuple[Array, ...]
+    variance: float
+    freedom: float
+
+
+def band_variances(channels: Sequence[Channel], sigma: Array, prior: tuple[Array, Array], scale: Array,
+                   least: Array) -> tuple[Spectrum, ...]:
+    """Variances of residuals by band, from a least-squares fit under the priors.
+
+    Priors that the data contradict weigh less by a variance of their own, at least 1: otherwise their errors would
+    pass for residuals.
+
+    Args:
+        channels: rows of each.
+        sigma: (n,) initial standard deviations of residuals.
+        prior: rows and right-hand side of ``‖rows·ψ − right‖²``.
+        scale: (p,) sizes of the parameters.
+        least: (n,) variances that none of a channel is below.
+    """
+    counts = np.array([channel.counts for channel in channels])
+    weight, variance = 1 / sigma**2, np.repeat(sigma[:, None] ** 2, counts.shape[1], axis=1)
+    freedom, belief = counts.copy(), 1.0
+    # coordinates z in which weighted rows and priors are orthonormal at first, so that products of rows are harmless
+    whole = [np.vstack(channel.rows) for channel in channels]
+    stacked = np.vstack([*(_all_columns(np.sqrt(w) * rows[:, :-1], channel.columns, len(scale))
+                           for w, rows, channel in zip(weight, whole, channels, strict=True)), prior[0]])
+    _, singular, axes = np.linalg.svd(np.linalg.qr(stacked * scale, mode="r"), full_matrices=False)
+    known = singular > ROUNDING_TOLERANCE * singular[0]
+    base = scale[:, None] * axes[known].T / singular[known]
+    moved = [[rows[:, :-1] @ base[channel.columns] for rows in channel.rows] for channel in channels]
+    products = np.array([[_gram(rows) for rows in blocks] for blocks in moved])
+    sides = np.array([sum(rows.T @ block[:, -1] for rows, block in zip(blocks, channel.rows, strict=True))
+                      for blocks, channel in zip(moved, channels, strict=True)])
+    P, PP = prior[0] @ base, _gram(prior[0] @ base)
+    for _ in range(ROUNDS):
+        inverse = linalg.inv(np.einsum("i,ibjk->jk", weight, products) + belief * PP)
+        z = inverse @ (weight @ sides + belief * P.T @ prior[1])
+        squares = np.array([[np.sum((rows @ z - block[:, -1]) ** 2)
+                             for rows, block in zip(blocks, channel.rows, strict=True)]
+                            for blocks, channel in zip(moved, channels, strict=True)])
+        leverage = weight[:, None] * np.einsum("ibjk,jk->ib", products, inverse)
+        score = np.einsum("ib,ibjk->jk", weight[:, None] ** 2 * variance, products) + belief * PP
+        taken = np.einsum("ibjk,jk->ib", products, inverse @ score @ inverse)
+        expected = np.maximum((counts - 2 * leverage) * variance + taken, LEAST * counts * variance)
+        ratio = np.where(counts > 0, squares / np.maximum(expected, 1e-300), 1.0)
+        left = np.maximum(counts - leverage, LEAST * counts)
+        for i in range(len(channels)):
+            variance[i], freedom[i] = _smooth(variance[i] * ratio[i], left[i])
+        variance = np.maximum(variance, least[:, None])
+        spared = len(P) - belief * float(np.sum(PP * inverse))
+        belief = min(1.0, spared / max(float(np.sum((P @ z - prior[1]) ** 2)), 1e-300)) if spared > 1e-6 else 1.0
+        seen = leverage.sum(axis=1)
+        weight = np.where(seen > 0, seen / np.where(seen > 0, (leverage * variance).sum(axis=1), 1.0), 1 / sigma**2)
+    return tuple(Spectrum(*one) for one in zip(variance, freedom, weight.tolist(), strict=True))
+
+
+@dataclass(frozen=True, eq=False)
+class ScoreRows:
+    """Rows of unit variance ``rows·ψ = right`` (k,) with the information of weighted least squares about ψ.
+
+    Each row is a principal direction of the score's covariance; `freedom` (k,) are the degrees of freedom that its
+    variance was estimated with.
+    """
+
+    rows: Array
+    right: Array
+    rest: float
+    freedom: Array
+
+    def triangle(self, *, widened: bool) -> Array:
+        """[rows, right] and a last row of what no ψ explains, (p+1, p+1); where `widened`, normal 95 % intervals are as
+        wide as those of Student's t.
+        """
+        p = self.rows.shape[1]
+        made = np.zeros((p + 1, p + 1))
+        made[: len(self.rows)] = np.column_stack([self.rows, self.right])
+        if widened:
+            made[: len(self.rows)] *= students(self.freedom)[:, None]
+        made[p, p] = np.sqrt(self.rest)
+        return made
+
+
+def score_rows(channel: Channel, spectrum: Spectrum, scale: Array, shared: Shared | None = None) -> ScoreRows:
+    """The information of one channel about the parameters, by the covariance of its score.
+
+    No direction has a smaller variance than the channel's weight says: priors and other channels would lean on
+    directions that look good by chance.
+
+    Args:
+        channel, spectrum: rows, and variances of their residuals.
+        scale: (p,) sizes of the parameters.
+        shared: errors beside the residuals, if there are any.
+    """
+    if not np.any(channel.counts):
+        return ScoreRows(np.zeros((0, len(scale))), np.zeros(0), 0.0, np.zeros(0))
+    own, w = scale[channel.columns], spectrum.weight
+    R = np.sqrt(w) * np.linalg.qr(np.vstack(channel.rows), mode="r")
+    left, singular, axes = np.linalg.svd(R[: len(own), :-1] * own, full_matrices=False)
+    value = left.T @ R[: len(own), -1]
+    sound = singular > FAINT * singular[0]
+    onto = own[:, None] * axes[sound].T / singular[sound]
+    parts = [w**2 * variance * _gram(rows[:, :-1] @ onto)
+             for variance, rows in zip(spectrum.variance, channel.rows, strict=True)]
+    freedoms = spectrum.freedom
+    if shared is not None:
+        parts.append(w**2 * shared.variance * np.sum([_gram(C.T @ onto) for C in shared.directions], axis=0))
+        freedoms = np.append(freedoms, shared.freedom)
+    size, directions = np.linalg.eigh(np.sum(parts, axis=0))
+    spread = np.array([np.sum(directions * (part @ directions), axis=0) for part in parts])
+    freedom = np.sum(spread, axis=0) ** 2 / np.sum(spread**2 / freedoms[:, None], axis=0)
+    root = np.sqrt(np.maximum(size, 1.0))
+    rows = np.zeros((len(singular), len(scale)))
+    rows[:, channel.columns] = np.vstack([directions.T @ (singular[sound, None] * axes[sound]) / root[:, None],
+                                          singular[~sound, None] * axes[~sound]]) / own
+    right = np.concatenate([directions.T @ value[sound] / root, value[~sound]])
+    rest = float(R[:, -1] @ R[:, -1] - value @ value)
+    return ScoreRows(rows, right, max(rest, 0.0), np.append(freedom, np.full(np.sum(~sound), np.inf)))
+
+
+def students(freedom: Array) -> Array:
+    """Factors on rows of unit variance with which normal 95 % intervals are as wide as those of Student's t."""
+    return np.asarray(NORMAL / stats.t.ppf(0.975, np.minimum(freedom, MANY)))
+
+
+def _smooth(estimate: Array, freedom: Array) -> tuple[Array, Array]:
+    """Most probable variances (B,) of neighbouring bands and their freedom, from estimates with their own freedom."""
+    weights = np.full(len(estimate) - 1, 1 / STEP**2)
+    coupling = np.diag(np.append(weights, 0.0) + np.append(0.0, weights)) - np.diag(weights, 1) - np.diag(weights, -1)
+    mean = np.sum(freedom * estimate) / np.sum(freedom) if np.sum(freedom) > 0 else 1.0
+    if mean <= 0:
+        return estimate, freedom
+    x = np.zeros(len(estimate))
+    for _ in range(30):
+        ratio = estimate / mean * np.exp(-x)
+        slope = freedom / 2 * (1 - ratio) + coupling @ x
+        step = np.linalg.solve(np.diag(freedom / 2 * np.maximum(ratio, 0.1) + 1e-9) + coupling, -slope)
+        x += np.clip(step, -1, 1)
+        if np.max(np.abs(step)) < 1e-6:
+            break
+    spread = np.diag(np.linalg.inv(np.diag(freedom / 2 + 1e-9) + coupling))
+    return mean * np.exp(x), 2 / spread
+
+
+def _gram(rows: Array) -> Array:
+    return np.asarray(rows.T @ rows)
+
+
+def _all_columns(rows: Array, columns: NDArray[np.intp], count: int) -> Array:
+    wide = np.zeros((len(rows), count))
+    wide[:, columns] = rows
+    return wide
+
+
+class FTest(NamedTuple):
+    """An F test of k independent sums being zero: statistic, k, degrees of freedom and p-value."""
+
+    statistic: float
+    rank: int
+    freedom: float
+    p_value: float
+
+
+def combined(shares: Array, freedom: Array) -> Array:
+    """Degrees of freedom (k,) of the variances of sums with these squared coefficients (rows, k) of independent rows.
+
+    Rows of one actuator share the errors of its bands: this is the smallest that it can be.
+    """
+    return np.asarray(np.maximum(np.sum(shares / np.sqrt(freedom)[:, None], axis=0), MANY**-0.5) ** -2)
+
+
+def f_test(sums: Array, shares: Array, freedom: Array) -> FTest:
+    """Whether sums of unit variance, which was estimated by band, are all zero.
+
+    Variances of a few bands are less to estimate than a covariance of all sums: the test is Hotelling's with the
+    degrees of freedom ``η = ν·(k + 1)/2`` that give such a covariance the same scatter (Pustejovsky and Tipton 2018).
+
+    Args:
+        sums: (k,) each a sum of rows of unit variance.
+        shares: (rows, k) squared coefficients of the rows in each sum.
+        freedom: (rows,) degrees of freedom of the rows' variances; inf for priors.
+    """
+    k = len(sums)
+    eta = min(max(k / np.sum(1 / combined(shares, freedom)), 2.0) * (k + 1) / 2, MANY)
+    left = eta - k + 1
+    statistic = float(sums @ sums) * left / (eta * k)
+    return FTest(statistic, k, left, float(stats.f.sf(statistic, k, left)))
