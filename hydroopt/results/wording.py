@@ -72,6 +72,7 @@ class Kind(StrEnum):
     # identification of bodies and friction
     WORSE_THAN_ZERO = "validation forces predicted worse than by zero"
     CONSTANT_ERROR = "validation forces off by a constant"
+    UNEXPLAINED_ACTUATOR = "actuator not explained by the model"
     LARGE_VALIDATION_ERROR = "validation error much larger than training error"
     SAMPLING_NOT_CONVERGED = "sampling not converged"
     NO_INTERVALS = "no intervals"
@@ -161,9 +162,9 @@ REFUTATIONS = frozenset({Kind.LOG_MISREAD})
 """Kinds that refute an answer's data: no machine is made of it unless that is forced."""
 CONTRADICTIONS = REFUTATIONS | frozenset({
     Kind.STROKE_CONTRADICTS_POSES, Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE, Kind.OTHER_SAMPLING_RATE,
-    Kind.MISFIT_CAUSE, Kind.LACK_OF_FIT,
-    Kind.BODIES_CONTRADICTED, Kind.PRIORS_CONTRADICTED,
-    Kind.WORSE_THAN_ZERO, Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_CHANNEL, Kind.ERRORS_FAR_LARGER,
+    Kind.MISFIT_CAUSE, Kind.LACK_OF_FIT, Kind.BODIES_CONTRADICTED, Kind.PRIORS_CONTRADICTED,
+    Kind.WORSE_THAN_ZERO, Kind.UNEXPLAINED_ACTUATOR,
+    Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_CHANNEL, Kind.ERRORS_FAR_LARGER,
     Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED,
     Kind.STAGE_CONTRADICTS, Kind.FIXTURE_MOVED, Kind.BASE_MOVED, Kind.TOOL_MOVED, Kind.SENSOR_OFFSET, Kind.SENSOR_SCALE,
     Kind.BACKLASH, Kind.SENSOR_ECCENTRIC, Kind.SENSOR_NONLINEAR, Kind.JOINT_SAGS, Kind.SUSPECTS_UNDECIDED,
@@ -247,6 +248,10 @@ WORDS: dict[Kind, Words] = {
         "The forces of {subject} in the validation logs are off by a constant: their mean predicts them better than "
         "the estimate.",
         "Check the offset of the pressure or torque readings, and whether the load differs."),
+    Kind.UNEXPLAINED_ACTUATOR: Words(
+        "The model does not explain {subject}: in the {data} logs its forces are off by {relative:.0f %}, beyond its "
+        "sensors' noise.",
+        "Do not use the model for this actuator. Look for friction, gears or a load that the machine file lacks."),
     Kind.LARGE_VALIDATION_ERROR: Words(
         "The validation error of {subject} is {ratio:.1f} times the training error.",
         "The model is overfitted, or the motions differ in kind: train with more varied motion."),
@@ -268,7 +273,7 @@ WORDS: dict[Kind, Words] = {
     Kind.MISFIT_CAUSE: Words(
         "The likeliest cause of the misfit: {cause}, by {size:.3g} ± {std:.2g} {unit}{others}. Both halves of the data "
         "show it alike, and it leaves no misfit.",
-        "Correct it in the log or the machine file, or estimate it along: --free '{word}'."),
+        "{remedy}"),
     Kind.LACK_OF_FIT: Words(
         "The slow residuals of {subject} are not explained by noise and smoothing (probability {probability:.1g}). The "
         "model lacks something that is not in the list of faults, or several faults at once.",

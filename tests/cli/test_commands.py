@@ -34,6 +34,9 @@ def test_identify_predicts_the_unseen_part_of_a_real_run(kr300: tuple[Path, str]
     # a real arm's friction is not the model's: its slow residuals are beyond noise and smoothing, and no fault's alone
     assert content["status"] == "suspect"
     assert str(Kind.LACK_OF_FIT) in {each["kind"] for each in content["diagnostics"]}
+    unexplained = [each["subject"] for each in content["diagnostics"] if each["kind"] == str(Kind.UNEXPLAINED_ACTUATOR)]
+    assert unexplained == [["axis4_drive"]]
+    assert content["fit"]["validation"]["axis4_drive"]["relative"] > 0.4
     assert content["fit"]["validation"]["all"]["relative"] <= 0.18
     assert all(body["consistent"] for body in content["physical_consistency"].values())
     assert [i["samples"] for i in content["inputs"]] == [1751, 750]

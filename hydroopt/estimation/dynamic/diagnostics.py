@@ -20,6 +20,8 @@ from hydroopt.results.wording import Kind
 
 OVERFITTED = 2.0
 """Validation error, as a multiple of the training error, that is worth a diagnostic."""
+UNEXPLAINED = 0.4
+"""Error of an actuator as a part of its force, sensors' noise taken out, beyond which the model does not explain it."""
 ABOVE_NOISE, WEAK = 1.5, 2.0
 """Residuals as a multiple of the sensors' noise, and the growth of bodies that a log-det distance permits, beyond which
 there is a diagnostic."""
@@ -43,7 +45,8 @@ def diagnose(found: Identification) -> tuple[Diagnostic, ...]:
 
 
 def _prediction(found: Identification) -> Iterator[Diagnostic]:
-    """Prediction errors on validation data."""
+    """Prediction errors on validation data, and actuators that the model does not explain."""
+    yield from _unexplained(found)
     if "validation" not in found.fit:
         yield Diagnostic(Kind.NO_VALIDATION)
         return
@@ -58,6 +61,18 @@ def _prediction(found: Identification) -> Iterator[Diagnostic]:
         elif held_out.rms > OVERFITTED * trained.rms:
             yield Diagnostic(Kind.LARGE_VALIDATION_ERROR, (channel,), {"ratio": number(held_out.rms / trained.rms)
                                                                        if trained.rms else None})
+
+
+def _unexplained(found: Identification) -> Iterator[Diagnostic]:
+    """Actuators, one by one, whose error beyond their sensors' noise is a large part of their force."""
+    data = "validation" if "validation" in found.fit else "training"
+    table = found.fit["validation" if data == "validation" else "train"]
+    stated = np.nan_to_num(force_noise(found.problem.model, found.problem.experiments[0].log))
+    for actuator, noise in zip(found.problem.model.machine.actuators, stated, strict=True):
+        fit = table[actuator.name]
+        beyond = np.sqrt(max(fit.rms**2 - (ABOVE_NOISE * noise) ** 2, 0.0))
+        if beyond and UNEXPLAINED * fit.rms < fit.relative * beyond and fit.relative <= 1:
+            yield Diagnostic(Kind.UNEXPLAINED_ACTUATOR, (actuator.name,), {"relative": fit.relative, "data": data})
 
 
 def _sampling(found: Identification) -> Iterator[Diagnostic]:

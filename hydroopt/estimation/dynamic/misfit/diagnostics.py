@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from hydroopt.estimation.dynamic.misfit.faults import Fault
 from hydroopt.estimation.dynamic.misfit.freed import Freed
 from hydroopt.estimation.dynamic.misfit.naming import Misfit
 from hydroopt.results.diagnostic import Diagnostic, listed
@@ -21,7 +22,7 @@ def diagnose(found: Misfit) -> Iterator[Diagnostic]:
         tied = [other.words for other in cause.tied if other.words != fault.words]
         yield Diagnostic(Kind.MISFIT_CAUSE, fault.subject, {
             "cause": fault.words, "fault": fault.name,
-            "word": fault.group if fault.subject == ("forces",) else fault.name,
+            "remedy": _remedy(fault),
             "size": cause.size * fault.factor, "std": cause.std * fault.factor,
             "unit": fault.unit, "evidence": cause.evidence, "tied": [other.name for other in cause.tied],
             "others": f"; these data do not tell it from: {listed(tied, 3)}" if tied else ""})
@@ -33,6 +34,13 @@ def diagnose(found: Misfit) -> Iterator[Diagnostic]:
             yield Diagnostic(Kind.SPIKES, (name,), {"share": share})
     for name, line in found.lines.items():
         yield Diagnostic(Kind.LINE, (name,), {"hz": line.hertz, "amplitude": line.amplitude, "unit": line.unit})
+
+
+def _remedy(fault: Fault) -> str:
+    if not fault.free:
+        return "Correct these bodies in the machine file, or state a larger sigma of their numbers."
+    word = fault.group if fault.subject == ("forces",) else fault.name
+    return f"Correct it in the log or the machine file, or estimate it along: --free '{word}'."
 
 
 def detectable(found: Misfit) -> Diagnostic | None:

@@ -39,6 +39,7 @@ class Fault(ABC):
         scale: usual size in SI.
         positive: whether its size cannot be negative.
         motion: whether its effect is not linear in its size.
+        free: whether its size can be estimated along; bodies are parameters with priors of their own.
     """
 
     group: str
@@ -49,6 +50,7 @@ class Fault(ABC):
     factor: float = 1.0
     positive: bool = False
     motion: bool = False
+    free: bool = True
 
     @abstractmethod
     def effect(self, view: View, size: float) -> Array:
@@ -332,6 +334,8 @@ def _of_bodies(view: View) -> Iterator[Fault]:
     groups = {"all bodies": owners, "all links": links, "all barrels and rods": ends}
     for words, group in groups.items():
         if len(group) > 1 and (words == "all bodies" or len(group) < len(owners)):
-            yield Bodies("bodies", (words,), f"{words} are heavier than stated", "%", 1.0, 100.0, owners=group)
+            yield Bodies("bodies", (words,), f"{words} are heavier than stated", "%", 1.0, 100.0, free=False,
+                         owners=group)
     for owner in owners:
-        yield Bodies("bodies", (owner,), f"{owner} is heavier than stated", "%", 1.0, 100.0, owners=(owner,))
+        yield Bodies("bodies", (owner,), f"{owner} is heavier than stated", "%", 1.0, 100.0, free=False,
+                     owners=(owner,))

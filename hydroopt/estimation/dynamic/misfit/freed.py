@@ -82,7 +82,7 @@ def chosen_faults(view: View, words: Sequence[str]) -> tuple[Fault, ...]:
     Raises:
         ProblemError: there is no such fault of this machine and its logs.
     """
-    every = list(listed(view))
+    every = [fault for fault in listed(view) if fault.free]
     found: dict[Fault, None] = {}
     for word in words:
         if word == "instruments":
