@@ -279,7 +279,7 @@ WORDS: dict[Kind, Words] = {
         "model lacks something that is not in the list of faults, or several faults at once.",
         "Intervals hold only as far as the model does: see the figure of the residuals."),
     Kind.SPIKES: Words(
-        "{share:.2g %} of the readings of {subject} are far off their neighbours.",
+        "Up to {share:.2g %} of the readings of {subject} are far off their neighbours.",
         "Use --treat spike=interpolate or --loss huber."),
     Kind.LINE: Words(
         "The residuals of {subject} oscillate at {hz:.3g} Hz with an amplitude of {amplitude:.3g} {unit}.",

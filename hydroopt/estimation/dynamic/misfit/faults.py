@@ -245,12 +245,13 @@ def listed(view: View) -> Iterator[Fault]:
                      motion=True, readings=everything)
     yield ForcesLate("clock", ("forces",), "the clock of the forces drifts against that of the angles, over the log",
                      "ms", 0.05, 1e3, motion=True, readings=everything, drifts=True)
-    yield Lag("lag", ("forces",), "all force readings lag behind", "ms", 0.03, 1e3, True, True, everything)
+    yield Lag("lag", ("forces",), "all force readings lag behind", "ms", 0.03, 1e3, True, True, readings=everything)
     if n > 1:
         for k, name in enumerate(names):
             yield ForcesLate("delay", (name,), f"the force readings of {name} are late", "ms", 0.03, 1e3, motion=True,
                              readings=(k,))
-            yield Lag("lag", (name,), f"the force readings of {name} lag behind", "ms", 0.03, 1e3, True, True, (k,))
+            yield Lag("lag", (name,), f"the force readings of {name} lag behind", "ms", 0.03, 1e3, True, True,
+                      readings=(k,))
     yield from _of_joints(view)
     gravity = np.abs(np.asarray(gravity_in_base(machine), dtype=float).ravel())
     if np.any(gravity):
@@ -276,7 +277,7 @@ def _of_joints(view: View) -> Iterator[Fault]:
         yield AngleOffset("offset", (f"{joint}.q",), f"{joint}.q reads too much", unit, angle, factor, motion=True,
                           joint=j)
         yield Play("play", (f"{joint}.q",), f"{joint} has play against its sensor", unit, 0.3 * angle, factor, True,
-                   True, j)
+                   True, joint=j)
 
 
 def _of_forces(view: View, k: int) -> Iterator[Fault]:

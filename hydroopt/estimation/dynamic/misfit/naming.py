@@ -103,7 +103,7 @@ class Misfit:
         """By group of faults: the least and the largest of `smallest` over it, as printed, and the unit."""
         sizes: dict[str, list[tuple[float, str]]] = {}
         for fault, size in self.smallest.items():
-            if np.isfinite(size):
+            if size < LARGEST * fault.scale:
                 sizes.setdefault(fault.group, []).append((size * fault.factor, fault.unit))
         return {group: (min(each)[0], max(each)[0], each[0][1]) for group, each in sizes.items()
                 if len({unit for _, unit in each}) == 1}
