@@ -68,9 +68,15 @@ def end_at_once(code: int) -> None:
         signal.signal(signal.SIGINT, lambda *_: os._exit(code))
 
 
-def end_with_parent() -> None:
-    """End this process, begun by `multiprocessing`, when its parent is gone, as it is after `kill -9`."""
-    from multiprocessing import connection, parent_process  # noqa: PLC0415 (import cost)
+def end_with_parent(work: bytes, *shared: Any) -> None:
+    """Do the work of a process begun by `multiprocessing`, which ends when its parent is gone, as after `kill -9`.
+
+    Args:
+        work: a pickled function with its first arguments: what it needs is imported when the parent is watched already.
+        shared: its other arguments, such as pipes, which only `multiprocessing` can hand over.
+    """
+    import pickle  # noqa: PLC0415 (import cost)
+    from multiprocessing import connection, parent_process  # noqa: PLC0415
 
     parent = parent_process()
     if parent is not None:
@@ -79,6 +85,8 @@ def end_with_parent() -> None:
             os._exit(1)
 
         threading.Thread(target=watch, name="watch parent", daemon=True).start()
+    function, own = pickle.loads(work)
+    function(*own, *shared)
 
 
 @contextmanager

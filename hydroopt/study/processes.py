@@ -5,6 +5,7 @@ Nothing listens anywhere, so that no other user of the computer can reach them.
 
 from __future__ import annotations
 
+import pickle
 from collections.abc import Callable, Generator, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
@@ -46,7 +47,8 @@ class _Worker:
     def __init__(self, function: Callable[..., Values]) -> None:
         self.index: int | None = None
         self.line, end = _CONTEXT.Pipe()
-        self.process = _CONTEXT.Process(target=_serve, args=(end, function), daemon=True)
+        self.process = _CONTEXT.Process(target=end_with_parent, args=(pickle.dumps((_serve, (function,))), end),
+                                        daemon=True)
         self.process.start()
         end.close()  # so that the line breaks when the process ends
 
@@ -61,9 +63,8 @@ class _Worker:
         self.process.join()
 
 
-def _serve(line: Connection, function: Callable[..., Values]) -> None:
+def _serve(function: Callable[..., Values], line: Connection) -> None:
     """Compute the cells that come through the line, until it breaks."""
-    end_with_parent()
     with suppress(EOFError, OSError):
         line.send({})  # ready
         while True:

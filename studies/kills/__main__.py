@@ -90,7 +90,7 @@ class Kills:
         kind = (cells_of(out, new) if name == "study"
                 else state(out, JOBS[name], self.content[name, "old"] if there else {}, new))
         found[kind] = 1
-        found["left over"] = left_over(out) + sum(1 for _ in cache.glob(".unfinished-*") if cache != self.cache)
+        found["left over"] = left_over(out) + left_over(cache)
         found["tracebacks"] = "Traceback" in ended.said and moment.number == signal.SIGINT
         found["wrong exits"] = wrong(ended, moment.number)
         found["hangs"] = ended.seconds > LONGEST

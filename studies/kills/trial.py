@@ -110,6 +110,7 @@ def command(moment: Moment, events: Path, arguments: list[str]) -> None:
                 (os.killpg if moment.group else os.kill)(here, moment.number)
 
     sys.argv = ["hydroopt", *arguments]
+    sys.modules["__main__"] = sys.modules[main.__module__]  # which processes of the command import
     sys.addaudithook(audited)
     code = 1
     try:

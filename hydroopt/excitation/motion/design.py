@@ -7,6 +7,7 @@ is violated in between, scaled towards a posture at rest until none is: a return
 
 from __future__ import annotations
 
+import pickle
 import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, wait
@@ -171,7 +172,6 @@ class _Worker:
     @classmethod
     def start(cls, problem: ExcitationProblem, rest: Array, stop: Event, values: Queue[tuple[int, float]]) -> None:
         ignore()
-        end_with_parent()
         cls.problem, cls.rest, cls.stop, cls.values = problem, rest, stop, values
 
     @classmethod
@@ -184,7 +184,8 @@ def _in_parallel(problem: ExcitationProblem, rest: Array, seed: int, starts: int
     context = get_context("spawn")
     stop, values = context.Event(), context.Queue()
     try:
-        with ProcessPoolExecutor(processes, context, _Worker.start, (problem, rest, stop, values)) as pool:
+        with ProcessPoolExecutor(processes, context, end_with_parent, (
+                pickle.dumps((_Worker.start, (problem, rest))), stop, values)) as pool:
             with blocked():
                 attempts = [pool.submit(_Worker.attempt, (seed, start), end) for start in range(starts)]
             running = set(attempts)
