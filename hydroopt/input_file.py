@@ -103,6 +103,8 @@ def read_json(path: str | Path, kind: type[HydrooptError]) -> dict[str, Any]:
     data = read_bytes(path, kind, most=JSON_LIMIT)
     try:
         content = json.loads(data)
+        if b"\\u" in data:  # may escape half of a character, which no text can hold
+            json.dumps(content, ensure_ascii=False).encode()
     except (ValueError, RecursionError):
         content = None
     if not isinstance(content, dict):

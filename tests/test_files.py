@@ -229,3 +229,7 @@ print(os.environ["TMPDIR"] == str(place.parent), place.parent.parent)
     done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=False)
     assert (done.stdout, done.stderr) == (f"True {tmp_path}\n", "")
     assert not list(tmp_path.iterdir())
+
+
+def test_a_path_that_no_file_can_have_is_no_error_to_read() -> None:
+    finish(Path("x" * 5000))

@@ -98,11 +98,13 @@ def agreement(model: Model, log: Log, evaluated: Evaluated | None = None) -> Agr
         angles, measured, pressed = measured_angles(model, log), forces(model, log), pressures(model, log)
     except HydrooptError:
         return None
+    if len(angles) < WINDOWS[0] or not (np.all(np.isfinite(angles)) and np.all(np.isfinite(measured))):
+        return None
     step = float(np.median(np.diff(log.t)))
     window = _window(angles, log)
     kernel = _polynomial(window)
     rows = _rows(log, window)
-    if rows.size < 8 or not (np.all(np.isfinite(angles)) and np.all(np.isfinite(measured))):
+    if rows.size < 8:
         return None
     around = rows[:, None] + np.arange(window) - window // 2
     q, qd, qdd = (np.einsum("w,swn->sn", kernel[k], angles[around]) / step**k for k in range(3))

@@ -32,7 +32,7 @@ from hydroopt.cli.options import (
     reading,
     smoothing_of,
 )
-from hydroopt.errors import ProblemError
+from hydroopt.errors import ProblemError, SolverError
 
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.identify import Method
@@ -124,7 +124,8 @@ def identify(
     text = str(estimate) if choice is None else f"{choice}\n{choice.rule}\n{estimate}"
     print_answer(estimate, output, text, quiet=quiet, as_json=as_json)
     if estimate.refuted and not force:
-        raise typer.Exit(3)
+        raise SolverError("the logs contradict the machine file, and no calibrated machine is saved", where=str(output),
+                          remedy="correct what the diagnostics name, or save it all the same with --force")
 
 
 def _with_noisy_angles(problem: IdentificationProblem, motion: str, instruments: list[Path] | None,

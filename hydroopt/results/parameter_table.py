@@ -144,5 +144,6 @@ class ParameterTable(Mapping[str, ParameterRow]):
         """A pandas DataFrame indexed by name, with the columns of the CSV file; NaN where a number does not exist."""
         import pandas as pd  # noqa: PLC0415 (pandas takes a second to import)
 
-        return pd.DataFrame([with_limits(each.as_dict()) for each in self.rows]).set_index("name")
+        columns = list(with_limits(ParameterRow("", "", "").as_dict()))
+        return pd.DataFrame([with_limits(each.as_dict()) for each in self.rows], columns=columns).set_index("name")
 

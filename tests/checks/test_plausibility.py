@@ -102,3 +102,8 @@ def test_sound_logs_of_other_truths_raise_nothing(name: str) -> None:
     for seed in range(10):
         motion = random_trajectory(model, duration=16.0, rate=50.0, seed=seed)
         assert examine(model, simulate(model, motion, random_truth(model, seed), seed=seed)) == ()
+
+
+@pytest.mark.filterwarnings("error")
+def test_a_log_of_two_samples_is_examined(cat215b: Model, sound: Log) -> None:
+    assert not [each for each in examine(cat215b, sound.slice(0, 2)) if each.kind is Kind.LOG_MISREAD]

@@ -104,6 +104,12 @@ def test_an_empty_folder_and_an_unknown_parameter_are_refused(tmp_path: Path) ->
         Example()["lift.n"]
 
 
+def test_a_table_without_parameters_has_its_columns() -> None:
+    frame = ParameterTable(()).to_frame()
+    assert len(frame) == 0
+    assert {"value", "low", "high"} <= set(frame.columns)
+
+
 def test_information_from_data_is_the_part_that_the_prior_does_not_explain() -> None:
     told = row("a", "mass", "kg", prior_std=2.0, std=1.0)
     assert told.information_from_data == 0.75

@@ -8,6 +8,7 @@ from typer.testing import CliRunner
 
 import hydroopt as ho
 from hydroopt.cli import app
+from hydroopt.errors import SolverError
 from hydroopt.results.answer import Status
 from hydroopt.results.wording import Kind
 
@@ -37,7 +38,9 @@ def test_the_command_ends_with_3_unless_forced(log: ho.Log, tmp_path: Path) -> N
     replace(log, channels=bar).to_frame().to_parquet(tmp_path / "bar.parquet")
     arguments = ["identify", "cat215b", str(tmp_path / "bar.parquet"), "--method", "wls", "-o", str(tmp_path / "out")]
     done = CliRunner().invoke(app, arguments)
-    assert done.exit_code == 3, done.output
+    assert isinstance(done.exception, SolverError), done.output
+    assert done.exception.exit_code == 3
+    assert "or save it all the same with --force" in str(done.exception)
     assert "contradicts the machine file" in done.output
     assert not (tmp_path / "out/cat215b.toml").exists()
     assert ho.load(tmp_path / "out").status is Status.SUSPECT
