@@ -17,6 +17,7 @@ from hydroopt.results.fit import Fit
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.estimate import Estimate
     from hydroopt.estimation.dynamic.experiment import AnyExperiment
+    from hydroopt.estimation.dynamic.misfit.naming import Misfit
 
 METHODS = {
     "sdp": "least squares with priors, bounds and physically possible bodies (semidefinite program)",
@@ -64,6 +65,7 @@ def render(estimate: Estimate) -> str:
         method=METHODS.get(estimate.method, ""), fit=_fit(estimate), friction=friction,
         friction_rows=[(c, plain(c.training), f"{plain(c.held_out)} ± {plain(c.std, 2)}")
                        for c in (friction.candidates if friction else ())],
+        misfit=estimate.misfit, misfit_readings=_readings(estimate.misfit), misfit_causes=_causes(estimate.misfit),
         weights=_weights(estimate), groups=groups, base=_base(estimate), totals=_totals(estimate),
         figures=_figures(estimate), condition=plain(estimate.identifiability.condition_number, 3),
         counts={c: sum(p.identifiability == c for g in groups for p in g.parameters)
@@ -96,6 +98,23 @@ def _cells(fit: Fit | None) -> tuple[str, str, str, bool]:
     if fit is None:
         return NONE, NONE, NONE, False
     return plain(fit.rms), percent(fit.vaf), percent(fit.relative), fit.vaf < 0
+
+
+def _readings(misfit: Misfit | None) -> list[tuple[str, bool, str, str, str, str]]:
+    """Reading, whether its residuals are not explained, their probability without and with faults, noise, spikes."""
+    return [] if misfit is None else [
+        (name, name in misfit.alarmed, plain(p, 2), plain(misfit.after[name], 2), plain(misfit.noise[name], 3),
+         percent(misfit.spikes[name])) for name, p in misfit.before.items()]
+
+
+def _causes(misfit: Misfit | None) -> list[tuple[str, str, str, str, str, bool, str]]:
+    """Faults found: words, size with limits and unit, whether both halves show it, and what is not told apart."""
+    rows = []
+    for one in misfit.found if misfit else ():
+        size, low, high = (plain(x * one.fault.factor, 3) for x in (one.size, *one.ci95))
+        rows.append((one.fault.words, size, low, high, one.fault.unit, one.repeats,
+                     "; ".join(other.words for other in one.tied)))
+    return rows
 
 
 def _weights(estimate: Estimate) -> list[tuple[str, str, str, str]]:

@@ -80,8 +80,8 @@ def test_numbers_are_shown_without_escapes(page: str) -> None:
 
 def test_order_of_contents(page: str) -> None:
     titles = re.findall(r"<h2>(.*?)</h2>", page)
-    assert titles == ["Diagnostics", "Fit", "Machine", "Parameters", "Masses of links in all", "Base parameters",
-                      "Conditioning and weights", "Data and treatment", "Method"]
+    assert titles == ["Diagnostics", "Fit", "Test of fit", "Machine", "Parameters", "Masses of links in all",
+                      "Base parameters", "Conditioning and weights", "Data and treatment", "Method"]
 
 
 def test_escapes_what_others_wrote(page: str) -> None:

@@ -167,17 +167,8 @@ class Estimate(Identification, Answer):
             "prior_test": self._prior_test(),
             "between_logs": number(self.weighted_residuals.between_logs),
             "active_constraints": list(self.active), "intervals": str(self.intervals), "notes": list(self.notes),
-            "seed": self.seed, **self._test_of_fit(), **chosen}
-
-    def _test_of_fit(self) -> dict[str, Any]:
-        found = self.misfit
-        if found is None:
-            return {"test_of_fit": None}
-        faults = [{"fault": fault.name, "words": fault.words, "unit": fault.unit,
-                   "would_have_shown": number(size * fault.factor)} for fault, size in found.smallest.items()]
-        return {"test_of_fit": {"probability": dict(found.before), "probability_with_causes": dict(found.after),
-                                "noise_ratio": {name: number(ratio) for name, ratio in found.noise.items()},
-                                "spikes": dict(found.spikes), "faults": faults}}
+            "seed": self.seed, "test_of_fit": None if self.misfit is None else self.misfit.as_dict(),
+            "freed": [] if self.freed is None else self.freed.as_dicts(), **chosen}
 
     def _prior_test(self) -> dict[str, Any] | None:
         """Whether data and priors agree; None where the method used no priors."""

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals
 from hydroopt.logs.any_log import in_memory
+from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 
 UNCERTAIN: Mapping[str, float] = {"gain": 0.02, "offset": np.radians(0.5), "tilt": np.radians(1.0), "delay": 0.01}
@@ -44,6 +46,14 @@ class Freed:
         train, held_out = ([self._corrected(data) for data in in_memory(some, "a freed fault")]
                            for some in (problem.experiments, problem.validation))
         return replace(problem, experiments=tuple(train), validation=tuple(held_out), freed=())
+
+    def as_dicts(self) -> list[dict[str, Any]]:
+        """The entries of a JSON file; sizes as printed, in the unit of each fault."""
+        std = np.sqrt(np.diag(self.covariance))
+        return [{"fault": fault.name, "words": fault.words, "unit": fault.unit,
+                 "prior_std": number(fault.scale * fault.factor), "size": number(size * fault.factor),
+                 "std": number(own * fault.factor)}
+                for fault, size, own in zip(self.faults, self.size.tolist(), std.tolist(), strict=True)]
 
     def _corrected(self, data: Experiment) -> Experiment:
         view = View.of(data, self.psi)

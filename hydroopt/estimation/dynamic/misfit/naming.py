@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.special import gammaincc
@@ -17,6 +17,7 @@ from scipy.special import gammaincc
 from hydroopt.estimation.dynamic.misfit.blocks import COSINES, Columns, Data
 from hydroopt.estimation.dynamic.misfit.faults import Fault, listed
 from hydroopt.estimation.dynamic.misfit.view import View
+from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 
 ALARM = 1e-3
@@ -56,6 +57,19 @@ class Cause:
     evidence: float
     repeats: bool
     tied: tuple[Fault, ...] = ()
+
+    @property
+    def ci95(self) -> tuple[float, float]:
+        """95 % interval of the size [SI]."""
+        return self.size - 1.96 * self.std, self.size + 1.96 * self.std
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry of a JSON file; sizes as printed, in the fault's unit."""
+        factor = self.fault.factor
+        return {"fault": self.fault.name, "words": self.fault.words, "unit": self.fault.unit,
+                "size": number(self.size * factor), "std": number(self.std * factor),
+                "ci95": [number(limit * factor) for limit in self.ci95], "evidence": number(self.evidence),
+                "repeats": self.repeats, "not_told_apart": [other.name for other in self.tied]}
 
 
 class Line(NamedTuple):
@@ -112,6 +126,16 @@ class Misfit:
     def causes(self) -> tuple[Cause, ...]:
         """The faults that may be named: together they explain the misfit, and each repeats."""
         return self.found if self.explained and all(cause.repeats for cause in self.found) else ()
+
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry of a JSON file; sizes as printed, in the unit of each fault."""
+        causes = [one.as_dict() for one in self.found]
+        smallest = [{"fault": fault.name, "words": fault.words, "unit": fault.unit,
+                     "would_have_shown": number(size * fault.factor)} for fault, size in self.smallest.items()]
+        return {"probability": dict(self.before), "probability_with_causes": dict(self.after),
+                "noise_ratio": {name: number(ratio) for name, ratio in self.noise.items()},
+                "spikes": dict(self.spikes), "causes": causes, "named": bool(self.causes), "faults": smallest}
 
 
 class Search:
