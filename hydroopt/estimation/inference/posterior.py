@@ -31,6 +31,10 @@ CHAINS, WARM_UP, SWEEPS, KEEP_EVERY, BLOCK, TRIES = 128, 60, 16, 2, 8, 6
 """Number of chains; sweeps of a warm-up and of sampling, of which every second is kept; coordinates moved together;
 proposals of each move."""
 
+STUCK, CORNER_TRIES = 0.2, 30
+"""Part of the coordinates that move in a sweep, half-way through a warm-up, below which chains sit in a corner of the
+inequalities, and the proposals from then on: the ellipse shrinks by about a half each."""
+
 DRIFT, ROUNDS = 0.5, 4
 """Chains have settled when their mean moves by less than this many of its standard deviations over half a warm-up; they
 are given this many warm-ups."""
@@ -90,22 +94,30 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
     else:
         return None
     rng = np.random.default_rng(seed)
+    corner, moved = False, 1.0
 
     def sweep() -> None:
-        nonlocal state, slack, log_density
-        order = rng.permutation(len(state))
+        nonlocal state, slack, log_density, moved
+        order, before = rng.permutation(len(state)), state
+        tries = CORNER_TRIES if corner else TRIES
         for first in range(0, len(order), BLOCK):
             block = order[first : first + BLOCK]
-            state, slack, log_density = _elliptical_step(state, slack, log_density, block, inequalities, rng)
+            state, slack, log_density = _elliptical_step(state, slack, log_density, block, inequalities, rng, tries)
+        moved = float(np.mean(state != before))
+
+    def watched(state: Array) -> Array:
+        """The coordinates and their distance from the mean: chains that leave a corner drift in all a little."""
+        return np.vstack([state, np.linalg.norm(state, axis=0)])
 
     settled = False
     for _ in range(ROUNDS):
         for _ in range(WARM_UP // 2):
             sweep()
-        half_way = state.mean(axis=1)
+        half_way, corner = watched(state).mean(axis=1), corner or moved < STUCK
         for _ in range(WARM_UP - WARM_UP // 2):
             sweep()
-        drift = np.abs(state.mean(axis=1) - half_way) / np.maximum(state.std(axis=1), 1e-12)
+        now = watched(state)
+        drift = np.abs(now.mean(axis=1) - half_way) / np.maximum(now.std(axis=1), 1e-12)
         settled = bool(np.all(drift < DRIFT))
         if settled:
             break
@@ -183,20 +195,20 @@ class _Inequalities:
 
 
 def _elliptical_step(state: Array, slack: Array, log_density: Array, block: NDArray[np.intp],
-                     inequalities: _Inequalities, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+                     inequalities: _Inequalities, rng: np.random.Generator, most: int) -> tuple[Array, Array, Array]:
     """Move a block of coordinates of all chains along random ellipses, shrunk until the density is high enough.
 
-    A chain that found no place after `TRIES` stays: every number of rejected places is as likely on the way back, so
-    that stopping early keeps the distribution, and the slowest chain does not hold up the others.
+    A chain that found no place after `most` tries stays: every number of rejected places is as likely on the way back,
+    so that stopping early keeps the distribution, and the slowest chain does not hold up the others.
     """
     chains = state.shape[1]
     other = rng.standard_normal((len(block), chains))
     # how the bracket shrinks does not depend on the inequalities: all places to try are known beforehand
-    angles = np.empty((TRIES, chains))
+    angles = np.empty((most, chains))
     angles[0] = rng.uniform(0, 2 * np.pi, chains)
     high = angles[0]
     low = high - 2 * np.pi
-    for k in range(1, TRIES):
+    for k in range(1, most):
         angles[k] = rng.uniform(low, high)
         low, high = np.where(angles[k] < 0, angles[k], low), np.where(angles[k] < 0, high, angles[k])
     state, slack, log_density = state.copy(), slack.copy(), log_density.copy()
