@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import optimize
 from scipy.linalg import block_diag
 
@@ -22,12 +24,14 @@ from hydroopt.estimation.inference.band_variances import (
 )
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, ROUNDING_TOLERANCE
 from hydroopt.estimation.inference.least_squares import orthonormal, without
-from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 
 BETWEEN = (-16.0, 4.0)
 """Range of the logarithm of the variance between logs, relative to the friction force."""
+ROUNDS = 3
+"""Times that the variances of all kinds are estimated in turn."""
 
 
 class PriorProblem(Protocol):
@@ -90,7 +94,7 @@ def score_covariance(problem: PriorProblem, logs: Sequence[ActuatorBands], sigma
     channels = together.channels()
     spectra = band_variances(channels, sigma, prior, scale, least**2)
     between: float = np.nan
-    shared: list[Shared | None] = [None] * len(channels)
+    shared: list[list[Shared]] = [[] for _ in channels]
     if len(logs) > 1:
         between, shared = _between(logs, channels, spectra, problem.parameters, prior)
     weight = np.array([spectrum.weight for spectrum in spectra])
@@ -101,13 +105,38 @@ def score_covariance(problem: PriorProblem, logs: Sequence[ActuatorBands], sigma
         _split_halves(logs, together, sigma, prior, scale, least))
 
 
+@dataclass(frozen=True, eq=False)
+class _OwnFriction:
+    """Friction and offset columns of one actuator that each log has of its own, in rows of unit variance.
+
+    Attributes:
+        kinds: of the columns (f,).
+        columns: (m, logs·f) and `right` (m,), without what the parameters explain.
+        products: (c, f) products of all columns of K with these, for each log.
+    """
+
+    kinds: tuple[ParameterKind, ...]
+    columns: Array
+    right: Array
+    products: tuple[Array, ...]
+
+    def of_kind(self, kind: ParameterKind) -> NDArray[np.bool_]:
+        """Which columns (f,) are of a kind."""
+        return np.array([one is kind for one in self.kinds])
+
+    def part(self, kind: ParameterKind) -> Array:
+        """Covariance (m, m) of the right-hand side for a variance of 1 of one kind."""
+        some = self.columns[:, np.tile(self.of_kind(kind), len(self.products))]
+        return np.asarray(some @ some.T)
+
+
 def _between(logs: Sequence[ActuatorBands], channels: Sequence[Channel], spectra: Sequence[Spectrum],
-             parameters: ParameterSet, prior: tuple[Array, Array]) -> tuple[float, list[Shared | None]]:
-    """Friction and offsets that differ from log to log: their standard deviation and what it adds to each score.
+             parameters: ParameterSet, prior: tuple[Array, Array]) -> tuple[float, list[list[Shared]]]:
+    """Friction and offsets that differ from log to log: their standard deviation and what they add to each score.
 
     In each log, every friction and offset column of an actuator is off by a random amount whose RMS force is κ times
-    that of the actuator's friction; restricted maximum likelihood over all logs and actuators gives κ. The least
-    squares are those of one machine, whose mean friction they estimate.
+    that of the actuator's friction; restricted maximum likelihood over all logs and actuators gives κ of each kind of
+    parameter. The least squares are those of one machine, whose mean friction they estimate.
     """
     scale = parameters.scale
     scores = [score_rows(channel, spectrum, scale) for channel, spectrum in zip(channels, spectra, strict=True)]
@@ -115,40 +144,59 @@ def _between(logs: Sequence[ActuatorBands], channels: Sequence[Channel], spectra
             for key, rows in zip(("rows", "right"), prior, strict=True))
     psi = scale * np.linalg.lstsq(A * scale, b, rcond=ROUNDING_TOLERANCE)[0]
     friction = psi * np.array([kind.is_friction for kind in parameters.kinds])
-    values, sums, directions = [], [], []
-    for i, (channel, spectrum) in enumerate(zip(channels, spectra, strict=True)):
-        at = np.flatnonzero(np.isin(channel.columns, logs[0].contrast[i]))
-        rows = np.vstack(channel.rows)[:, :-1]
-        size = np.linalg.norm(rows[:, at], axis=0)
-        force = float(np.linalg.norm(rows @ friction[channel.columns]))
-        at, size = at[size > 0], size[size > 0]
-        directions.append(tuple(np.zeros((len(channel.columns), 0)) for _ in logs))
-        if force == 0 or not at.size:
-            continue
-        own = [log.channels()[i] for log in logs]
-        grams = [np.vstack(one.rows)[:, :-1] for one in own]
-        directions[i] = tuple(gram.T @ (gram[:, at] * (force / size)) for gram in grams)
-        each = [score_rows(one, spectrum, scale) for one in own]
-        X, y = np.vstack([one.rows for one in each])[:, channel.columns], np.concatenate([one.right for one in each])
-        Z = block_diag(*(one.rows[:, channel.columns[at]] * (force / size) for one in each))
-        basis = orthonormal(X * scale[channel.columns])
-        left, singular, _ = np.linalg.svd(without(basis, Z), full_matrices=False)
-        values.append(singular**2)
-        sums.append(left.T @ without(basis, y))
-    if not values:
-        return 0.0, [None] * len(channels)
-    d, u = np.concatenate(values), np.concatenate(sums) ** 2
+    shared: list[list[Shared]] = [[] for _ in channels]
+    own = {i: found for i, (channel, spectrum) in enumerate(zip(channels, spectra, strict=True))
+           if (found := _own_friction(i, logs, channel, spectrum, parameters, friction)) is not None}
+    kinds = list(dict.fromkeys(kind for one in own.values() for kind in one.kinds))
+    parts = {(i, kind): one.part(kind) for i, one in own.items() for kind in kinds}
+    variance = dict.fromkeys(kinds, 0.0)
 
-    def deviance(log_variance: float) -> float:
-        total = 1 + np.exp(log_variance) * d
-        return float(np.sum(np.log(total) + u / total))
+    def covariance(i: int) -> Array:
+        return np.asarray(np.eye(len(own[i].right)) + sum(variance[kind] * parts[i, kind] for kind in kinds))
 
-    best = optimize.minimize_scalar(deviance, bounds=BETWEEN, method="bounded")
-    if deviance(-np.inf) <= best.fun:
-        return 0.0, [None] * len(channels)
-    variance = float(np.exp(best.x))
-    freedom = float(np.sum((variance * d / (1 + variance * d)) ** 2))
-    return float(np.sqrt(variance)), [Shared(one, variance, freedom) for one in directions]
+    def deviance(kind: ParameterKind, log_variance: float) -> float:
+        variance[kind], total = float(np.exp(log_variance)), 0.0
+        for i, one in own.items():
+            V = covariance(i)
+            total += float(np.linalg.slogdet(V)[1] + one.right @ np.linalg.solve(V, one.right))
+        return total
+
+    for _ in range(ROUNDS):
+        for kind in kinds:
+            best = optimize.minimize_scalar(partial(deviance, kind), bounds=BETWEEN, method="bounded")
+            none = deviance(kind, -np.inf)
+            variance[kind] = float(np.exp(best.x)) if best.fun < none else 0.0
+    for kind in (kind for kind in kinds if variance[kind] > 0):
+        shares = [variance[kind] * np.linalg.solve(covariance(i), parts[i, kind]) for i in own]
+        freedom = float(sum(np.sum(share * share.T) for share in shares))
+        for i, one in own.items():
+            directions = tuple(product[:, one.of_kind(kind)] for product in one.products)
+            shared[i].append(Shared(directions, variance[kind], freedom))
+    return float(np.sqrt(sum(variance.values()))), shared
+
+
+def _own_friction(i: int, logs: Sequence[ActuatorBands], channel: Channel, spectrum: Spectrum,
+                  parameters: ParameterSet, friction: Array) -> _OwnFriction | None:
+    """Those of actuator i with the parameters `friction` (p,); None where it has none."""
+    scale = parameters.scale
+    at = np.flatnonzero(np.isin(channel.columns, logs[0].contrast[i]))
+    rows = np.vstack(channel.rows)[:, :-1]
+    size = np.linalg.norm(rows[:, at], axis=0)
+    force = float(np.linalg.norm(rows @ friction[channel.columns]))
+    at, size = at[size > 0], size[size > 0]
+    if force == 0 or not at.size:
+        return None
+    own = [log.channels()[i] for log in logs]
+    each = [score_rows(one, spectrum, scale) for one in own]
+    X = np.vstack([one.rows for one in each])[:, channel.columns]
+    Z = block_diag(*(one.rows[:, channel.columns[at]] * (force / size) for one in each))
+    basis = orthonormal(X * scale[channel.columns])
+    left, singular, _ = np.linalg.svd(without(basis, Z), full_matrices=False)
+    left = left[:, singular > ROUNDING_TOLERANCE * singular[0]]
+    right = left.T @ without(basis, np.concatenate([one.right for one in each]))
+    grams = [np.vstack(one.rows)[:, :-1] for one in own]
+    return _OwnFriction(tuple(parameters.kinds[k] for k in channel.columns[at]), left.T @ without(basis, Z), right,
+                        tuple(gram.T @ (gram[:, at] * (force / size)) for gram in grams))
 
 
 def _split_halves(logs: Sequence[ActuatorBands], together: ActuatorBands, sigma: Array, prior: tuple[Array, Array],

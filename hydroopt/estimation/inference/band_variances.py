@@ -150,7 +150,7 @@ class ScoreRows:
         return made
 
 
-def score_rows(channel: Channel, spectrum: Spectrum, scale: Array, shared: Shared | None = None) -> ScoreRows:
+def score_rows(channel: Channel, spectrum: Spectrum, scale: Array, shared: Sequence[Shared] = ()) -> ScoreRows:
     """The information of one channel about the parameters, by the covariance of its score.
 
     No direction has a smaller variance than the channel's weight says: priors and other channels would lean on
@@ -159,7 +159,7 @@ def score_rows(channel: Channel, spectrum: Spectrum, scale: Array, shared: Share
     Args:
         channel, spectrum: rows, and variances of their residuals.
         scale: (p,) sizes of the parameters.
-        shared: errors beside the residuals, if there are any.
+        shared: errors beside the residuals.
     """
     if not np.any(channel.counts):
         return ScoreRows(np.zeros((0, len(scale))), np.zeros(0), 0.0, np.zeros(0))
@@ -172,9 +172,9 @@ def score_rows(channel: Channel, spectrum: Spectrum, scale: Array, shared: Share
     parts = [w**2 * variance * _gram(rows[:, :-1] @ onto)
              for variance, rows in zip(spectrum.variance, channel.rows, strict=True)]
     freedoms = spectrum.freedom
-    if shared is not None:
-        parts.append(w**2 * shared.variance * np.sum([_gram(C.T @ onto) for C in shared.directions], axis=0))
-        freedoms = np.append(freedoms, shared.freedom)
+    for errors in shared:
+        parts.append(w**2 * errors.variance * np.sum([_gram(C.T @ onto) for C in errors.directions], axis=0))
+        freedoms = np.append(freedoms, errors.freedom)
     size, directions = np.linalg.eigh(np.sum(parts, axis=0))
     spread = np.array([np.sum(directions * (part @ directions), axis=0) for part in parts])
     freedom = np.sum(spread, axis=0) ** 2 / np.sum(spread**2 / freedoms[:, None], axis=0)

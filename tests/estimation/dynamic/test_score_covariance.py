@@ -76,3 +76,14 @@ def test_friction_that_changes_from_log_to_log_widens_the_interval_of_its_mean(w
     assert 0.6 * spread < apart.std[k] < 3 * spread
     assert apart.std[k] > 4 * alike.std[k]
     assert abs(apart.value[k] - TRUTH[1]) < 2.5 * apart.std[k]
+
+
+@pytest.mark.slow
+def test_intervals_of_the_mean_hold_over_many_sets_of_logs(wheel: Model) -> None:
+    k, inside = wheel.parameters.index("drive.tau_coulomb"), []
+    rng = np.random.default_rng(8)
+    for trial in range(60):
+        logs = [turning(1000 + 4 * trial + j, coulomb=0.7 * rng.normal()) for j in range(4)]
+        found = identify(problem(wheel, logs), "wls")
+        inside.append(found.ci95[k, 0] <= TRUTH[1] <= found.ci95[k, 1])
+    assert np.mean(inside) > 0.87  # 95 % expected of 60

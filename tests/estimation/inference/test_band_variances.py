@@ -103,7 +103,7 @@ def test_errors_that_rows_share_widen_only_what_they_move() -> None:
     one = channel(K @ TRUTH + 0.1 * np.random.default_rng(3).normal(size=N))
     (spectrum,) = band_variances([one], np.array([0.1]), NO_PRIOR, SCALE, LEAST)
     shared = Shared((K.T @ K[:, :1],), 0.5**2, 1e6)
-    plain, wide = (np.linalg.inv(score_rows(one, spectrum, SCALE, extra).rows[:, :4]) for extra in (None, shared))
+    plain, wide = (np.linalg.inv(score_rows(one, spectrum, SCALE, extra).rows[:, :4]) for extra in ((), (shared,)))
     plain, wide = plain @ plain.T, wide @ wide.T
     assert wide[0, 0] == pytest.approx(plain[0, 0] + 0.25, rel=0.02)
     assert wide[1, 1] == pytest.approx(plain[1, 1], rel=0.3)
