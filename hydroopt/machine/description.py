@@ -11,6 +11,7 @@ from hydroopt.machine.actuators import Cylinder, Drive, GasCylinder, Motor
 from hydroopt.machine.addresses import Number
 from hydroopt.machine.calibration_chain import Calibrator, Distance, Fixture, Stage, Tracker
 from hydroopt.machine.environment import Footprint, Obstacle, Pump, Workspace
+from hydroopt.machine.fault_sizes import FaultSizes
 from hydroopt.machine.links import Link, Note
 from hydroopt.machine.mass_statements import Identical, TotalMass
 from hydroopt.machine.quantity import Acceleration, Angle, Length, Name, Noun, Rate
@@ -49,6 +50,7 @@ class MachineDescription(Noun):
     footprint: Footprint | None = None
     total_masses: tuple[TotalMass, ...] = ()
     identical: tuple[Identical, ...] = ()
+    faults: FaultSizes = FaultSizes()
     notes: dict[str, Note] = Field(default_factory=dict)
 
     @property

@@ -25,13 +25,14 @@ class Truth:
     motion: Trajectory
     force: Array
     seed: int
+    noise: bool = True
 
     def log(self, *, q: Array | None = None, force: Array | None = None) -> Log:
         """The log of sensors that see these positions and forces (at `FINE`)."""
         step = round(FINE / RATE)
         chosen = slice(None, None, step)
         motion = Trajectory(*(x[chosen] for x in (self.motion.t, self.motion.q, self.motion.qd, self.motion.qdd)))
-        log = simulate(self.model, motion, self.psi, noise=True, seed=self.seed)
+        log = simulate(self.model, motion, self.psi, noise=self.noise, seed=self.seed)
         clean = simulate(self.model, motion, self.psi, noise=False)
         channels = dict(log.channels)
         if q is not None:
@@ -48,11 +49,11 @@ class Truth:
         return replace(log, channels=channels)
 
 
-def truth(model: Model, seed: int, psi: Array | None = None) -> Truth:
-    """A random machine and motion; another seed is another of both."""
+def truth(model: Model, seed: int, psi: Array | None = None, *, noise: bool = True) -> Truth:
+    """A random machine, unless ψ is given, and a random motion; another seed is another of both."""
     psi = random_truth(model, seed) if psi is None else psi
     motion = random_trajectory(model, duration=SECONDS, rate=FINE, seed=seed)
-    return Truth(model, psi, motion, forces(model, motion, psi), seed)
+    return Truth(model, psi, motion, forces(model, motion, psi), seed, noise)
 
 
 def _earlier(x: Array, samples: Array | int) -> Array:
@@ -110,7 +111,7 @@ def _heavier(chosen: Callable[[str], bool], factor: float) -> Callable[[Truth], 
         psi = t.psi.copy()
         for owner, columns in t.model.parameters.bodies.items():
             psi[columns] *= factor if chosen(owner) else 1.0
-        return Truth(t.model, psi, t.motion, forces(t.model, t.motion, psi), t.seed)
+        return Truth(t.model, psi, t.motion, forces(t.model, t.motion, psi), t.seed, t.noise)
     return make
 
 

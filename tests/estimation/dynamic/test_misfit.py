@@ -7,14 +7,18 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.misfit.blocks import Data
 from hydroopt.estimation.dynamic.misfit.error_covariance import ErrorCovariance
+from hydroopt.estimation.dynamic.misfit.freed import UNCERTAIN, chosen_faults
 from hydroopt.estimation.dynamic.misfit.naming import examine_fit
+from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.logs.log import Log
 from hydroopt.logs.spline import Basis, Grid
-from hydroopt.machine.machine_file import load_machine
+from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import dump_machine, load_machine, read_machine
 from hydroopt.model.model import Model
 from hydroopt.results.wording import Kind
 from hydroopt.simulation.simulate import random_trajectory, random_truth, simulate
@@ -94,3 +98,16 @@ def test_what_is_not_listed_is_admitted(crane: Model, sound: Log) -> None:
     found = examine_fit(Data(data, crane.parameters.nominal))
     assert found.alarmed
     assert not found.causes
+
+
+def test_the_machine_file_states_sizes_of_faults(crane: Model, sound: Log) -> None:
+    stated = Machine.model_validate({**crane.machine.model_dump(), "faults": {"delay": "2 ms"}})
+    assert read_machine(dump_machine(stated)).faults.delay == pytest.approx(0.002)
+    model = Model(stated)
+    view = View.of(identification_problem(model, [sound]).experiments[0], model.parameters.nominal)
+    scale = {fault.name: fault.scale for fault in chosen_faults(view, ["delay", "lag", "instruments"])}
+    assert scale["delay forces"] == 0.002
+    assert scale["lag forces"] == 0.03
+    assert scale["tilt base about x"] == UNCERTAIN["tilt"]
+    with pytest.raises(ProblemError, match="no fault that can be freed"):
+        chosen_faults(view, ["bodies"])

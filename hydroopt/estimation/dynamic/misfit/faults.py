@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.signal import lfilter
@@ -237,7 +237,14 @@ def _seal_pressure(view: View, reading: int) -> Array:
 
 
 def listed(view: View) -> Iterator[Fault]:
-    """All faults that a log's readings are searched for."""
+    """All faults that a log's readings are searched for, of the sizes that the machine file states."""
+    for fault in _usual(view):
+        stated = view.model.machine.faults.of(fault.group)
+        fits = stated is not None and (fault.group != "offset" or fault.unit == "deg")
+        yield replace(fault, scale=stated) if stated is not None and fits else fault
+
+
+def _usual(view: View) -> Iterator[Fault]:
     machine, n = view.model.machine, len(view.model.machine.actuators)
     everything = tuple(range(n))
     names = tuple(a.name for a in machine.actuators)

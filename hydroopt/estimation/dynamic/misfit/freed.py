@@ -27,7 +27,7 @@ from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 
 UNCERTAIN: Mapping[str, float] = {"gain": 0.02, "offset": np.radians(0.5), "tilt": np.radians(1.0), "delay": 0.01}
-"""Standard deviations [SI] of the faults that 'instruments' frees."""
+"""Standard deviations [SI] of the faults that 'instruments' frees, where the machine file states none."""
 ROUNDS = 4
 """Gauss-Newton steps of the sizes of freed faults."""
 
@@ -97,7 +97,8 @@ def chosen_faults(view: View, words: Sequence[str]) -> tuple[Fault, ...]:
     for word in words:
         if word == "instruments":
             usual = [f for group in UNCERTAIN for f in _of_group(every, group)]
-            found |= dict.fromkeys(replace(f, scale=UNCERTAIN[f.group]) for f in usual)
+            stated = view.model.machine.faults
+            found |= dict.fromkeys(f if stated.of(f.group) else replace(f, scale=UNCERTAIN[f.group]) for f in usual)
             continue
         some = _of_group(every, word) or [f for f in every if f.name == word]
         if not some:
