@@ -321,11 +321,12 @@ WORDS: dict[Kind, Words] = {
         "range, or state what is known."),
     Kind.CHANGE_DETECTED: Words(
         "A change is detected: all {count} parameters together, F({rank}, {degrees_of_freedom:.0f}) = {statistic:.3g}, "
-        "{probability}; {repeat} if parts of one session may differ as the halves of its logs do (φ = {phi:.2g})."),
+        "{probability}; {repeat} if parts of one session may differ as the halves of its logs do "
+        "(φ = {phi:.2g}).{decides}"),
     Kind.NO_CHANGE_DETECTED: Words(
         "No change is detected: all {count} parameters together, F({rank}, {degrees_of_freedom:.0f}) = "
         "{statistic:.3g}, {probability}; {repeat} if parts of one session may differ as the halves of its logs do "
-        "(φ = {phi:.2g})."),
+        "(φ = {phi:.2g}).{decides}"),
     Kind.SINGLE_CHANGE: Words("A change of {subject} alone explains it: {direction} by {amount} {unit}."),
     Kind.NO_SINGLE_CHANGE: Words(
         "No single parameter explains it: at least two changed, or something else did."),

@@ -101,12 +101,14 @@ class Change(TwoSessionAnswer):
     @cached_property
     def findings(self) -> tuple[Diagnostic, ...]:
         """The joint test, what explains it, and each parameter."""
-        kind = Kind.CHANGE_DETECTED if self.p_value < self.level else Kind.NO_CHANGE_DETECTED
+        decisive = self.p_value if self.steady else self.p_value_repeat
+        kind = Kind.CHANGE_DETECTED if decisive < self.level else Kind.NO_CHANGE_DETECTED
         joint = Diagnostic(kind, (), {
             "count": len(self.differences), "rank": self.rank, "degrees_of_freedom": self.degrees_of_freedom,
             "statistic": self.statistic, "p_value": self.p_value, "probability": probability(self.p_value),
             "phi": self.split_half, "p_value_over_phi": self.p_value_repeat,
-            "repeat": probability(self.p_value_repeat)})
+            "repeat": probability(self.p_value_repeat),
+            "decides": "" if self.steady else " They do, so that the latter decides."})
         return (joint, *self.single_changes, *(one.finding for one in self.differences if one.identifiable))
 
     @cached_property
@@ -138,7 +140,8 @@ def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: S
     physically consistent, and friction is not negative, in both sessions. Values and intervals satisfy that; the tests
     are those of least squares without such limits, whose distribution is known. Variances of
     residuals by frequency and their degrees of freedom determine the tests. Where friction already differs between the
-    halves of the logs by φ times what these explain, the p-value of F/φ tells whether the sessions differ by more.
+    halves of a log by more than these explain (p < 1 %), by φ times, the tests are those of F/φ: whether the sessions
+    differ by more than parts of one session do.
 
     Args:
         machine: nominal description, the same for both sessions.
@@ -178,14 +181,15 @@ def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: S
         both = problem.rows(first, second)
         test = wald(problem, *both)
         found = solve_both(problem, *both, intervals=intervals, seed=seed)
+    judged = test if first.steady and second.steady else test.over((first.split_half + second.split_half) / 2)
     rows = (problem.second - np.eye(*problem.second.shape))[model.parameters.select(names)]
     value, std = rows @ found.centre, test.std
     ci = value[:, None] + np.asarray(stats.t.ppf(0.975, test.freedoms) * std)[:, None] * np.array([-1.0, 1.0])
     if found.posterior is not None:
         std, ci = found.posterior.interval(rows)
     return Change(machine, test.statistic, test.rank, test.freedom, test.p_value, first, second, found.posterior,
-                  found.notes, tuple(_differences(problem, test, value, std, ci, level)), level,
-                  _single_changes(problem, test, level), intervals,
+                  found.notes, tuple(_differences(problem, judged, value, std, ci, level)), level,
+                  _single_changes(problem, judged, level), intervals,
                   tuple(found for log in (*_logs(before), *_logs(after)) for found in examine(model, log)))
 
 

@@ -182,6 +182,15 @@ class Wald(NamedTuple):
     partners: tuple[tuple[int, ...], ...]
     alone: tuple[Array, Array, Array]
 
+    def over(self, phi: float) -> Wald:
+        """The same test where squared differences are φ times what the variances of the rows explain."""
+        value, std, left = self.alone
+        count = max(self.rank - 1, 1)
+        left = stats.f.sf(stats.f.isf(left, count, self.freedom) / phi, count, self.freedom)
+        return self._replace(std=self.std * np.sqrt(phi), statistic=self.statistic / phi,
+                             p_value=float(stats.f.sf(self.statistic / phi, self.rank, self.freedom)),
+                             alone=(value, std * np.sqrt(phi), np.asarray(left)))
+
     def single(self) -> Array:
         """Two-sided p-value (c,) of each δ by itself, NaN where it is not identifiable."""
         return np.asarray(2 * stats.t.sf(np.abs(self.value) / self.std, self.freedoms))

@@ -9,6 +9,7 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
 from hydroopt.estimation.dynamic.identification import Identification, Intervals, body_groups
+from hydroopt.estimation.dynamic.score_covariance import STEADY
 from hydroopt.estimation.inference.identifiability import NONE, Confounded
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.parameters.dynamic import bodies
@@ -26,8 +27,6 @@ ABOVE_NOISE, WEAK = 1.5, 2.0
 """Residuals as a multiple of the sensors' noise, and the growth of bodies that a log-det distance permits, beyond which
 there is a diagnostic."""
 
-DIFFERS = 0.01
-"""p-value of no difference between the halves of a log below which there is a diagnostic."""
 CONFLICT = 1e-3
 """p-value of agreement of data and priors below which the answer is suspect."""
 
@@ -118,7 +117,7 @@ def _repeats(found: Identification) -> Iterator[Diagnostic]:
     """Differences of friction and offsets within logs and between them."""
     weighted = found.weighted_residuals
     for data, half in zip(found.problem.experiments, weighted.split_half, strict=True):
-        if half.p_value < DIFFERS:
+        if half.p_value < STEADY:
             yield Diagnostic(Kind.SPLIT_HALF, (data.log.path or data.log.name,), {
                 "phi": half.phi, "rank": half.rank, "p_value": half.p_value, "probability": probability(half.p_value)})
     if weighted.between_logs > 0:

@@ -28,8 +28,12 @@ from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 
+STEADY = 0.01
+"""p-value of no difference between the halves of a log below which its friction is not the same in both."""
 BETWEEN = (-16.0, 4.0)
 """Range of the logarithm of the variance between logs, relative to the friction force."""
+LEAST_PART = 1e-12
+"""Part of the largest variance that every direction has, so that logs without noise can be computed."""
 ROUNDS = 3
 """Times that the variances of all kinds are estimated in turn."""
 
@@ -152,7 +156,8 @@ def _between(logs: Sequence[ActuatorBands], channels: Sequence[Channel], spectra
     variance = dict.fromkeys(kinds, 0.0)
 
     def covariance(i: int) -> Array:
-        return np.asarray(np.eye(len(own[i].right)) + sum(variance[kind] * parts[i, kind] for kind in kinds))
+        apart = np.asarray(sum(variance[kind] * parts[i, kind] for kind in kinds))
+        return np.asarray(apart + np.eye(len(apart)) * (1 + LEAST_PART * np.trace(apart)))
 
     def deviance(kind: ParameterKind, log_variance: float) -> float:
         variance[kind], total = float(np.exp(log_variance)), 0.0

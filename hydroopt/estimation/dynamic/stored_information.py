@@ -13,6 +13,7 @@ import numpy as np
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.problem import identification_problem
+from hydroopt.estimation.dynamic.score_covariance import STEADY
 from hydroopt.estimation.dynamic.weighted_residuals import weighted_residuals
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
 from hydroopt.estimation.inference.whitening import gaussian_posterior
@@ -38,6 +39,7 @@ class StoredInformation:
         freedom: (·, p+1) degrees of freedom with which the variance of each row was estimated; inf if it was not.
         split_half: φ, how much more friction and offsets differ between the halves of the logs than residuals explain;
             1 where nothing changes.
+        steady: whether the halves of no log differ (`STEADY`).
         sigma: (n,) σ [N or N·m].
         correlation_time: (n,) τ in samples.
         samples: (n,) number of residuals of each actuator.
@@ -47,6 +49,7 @@ class StoredInformation:
     triangles: Array
     freedom: Array
     split_half: float
+    steady: bool
     sigma: Array
     correlation_time: Array
     samples: Array
@@ -83,7 +86,9 @@ def stored_information(model: Model, source: Sequence[Log] | str | Path,
                                   model.parameters.nominal)
     inputs = [{"path": log.path or log.name, "sha256": log.sha256 or None, "samples": len(log.t),
                "first_sample": int(log.sample[0]), "last_sample": int(log.sample[-1])} for log in source]
-    return StoredInformation(*weighted.stored(), mean_phi([half.phi for half in weighted.split_half]), weighted.sigma,
+    halves = weighted.split_half
+    return StoredInformation(*weighted.stored(), mean_phi([half.phi for half in halves]),
+                             not any(half.p_value < STEADY for half in halves), weighted.sigma,
                              weighted.correlation_time, weighted.samples, tuple(inputs))
 
 
@@ -151,10 +156,12 @@ def _read(model: Model, folder: Path) -> StoredInformation:
                                  for key in ("sigma", "correlation_time", "samples"))
         inputs = [{key: one[key] for key in ("path", "sha256", "samples", "first_sample", "last_sample")}
                   for one in estimate.inputs if one["role"] == "train"]
-        phi = mean_phi([one["phi"] for one in details["split_half"]])
+        halves = details["split_half"]
+        phi = mean_phi([one["phi"] for one in halves])
+        steady = not any((one["p_value"] or 1.0) < STEADY for one in halves)
     except (ValueError, KeyError, TypeError):
         raise not_an_answer(folder) from None
-    return StoredInformation(triangles, freedom, phi, sigma, times, samples, tuple(inputs))
+    return StoredInformation(triangles, freedom, phi, steady, sigma, times, samples, tuple(inputs))
 
 
 def _triangles(model: Model, text: str, file: Path) -> tuple[Array, Array]:

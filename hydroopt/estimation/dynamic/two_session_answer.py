@@ -87,6 +87,11 @@ class TwoSessionAnswer(Answer):
         return float(stats.f.sf(self.statistic / self.split_half, self.rank, self.degrees_of_freedom))
 
     @property
+    def steady(self) -> bool:
+        """Whether friction and offsets are the same in the halves of each log; else `p_value_repeat` decides."""
+        return self.before.steady and self.after.steady
+
+    @property
     def machine_id(self) -> MachineId:
         """Which machine it is about."""
         return MachineId.of(self.machine)
@@ -114,7 +119,8 @@ class TwoSessionAnswer(Answer):
     def details(self) -> Mapping[str, Any]:
         """Joint test, weights of both sessions, and notes."""
         return {"test": {"statistic": self.statistic, "rank": self.rank, "degrees_of_freedom": self.degrees_of_freedom,
-                         "p_value": self.p_value, "phi": self.split_half, "p_value_over_phi": self.p_value_repeat},
+                         "p_value": self.p_value, "phi": self.split_half, "p_value_over_phi": self.p_value_repeat,
+                         "steady": self.steady},
                 "weights": {role: session.weights(self.machine) for role, session in self.sessions.items()},
                 "notes": list(self.notes)}
 

@@ -126,7 +126,8 @@ def drawn(psi: np.ndarray, motion: int, rng: np.random.Generator) -> StoredInfor
     for K in regressors(motion):
         force = K @ psi + TORQUE_NOISE * rng.standard_normal(len(K))
         triangles.append(np.linalg.qr(np.column_stack([K, force]) / TORQUE_NOISE, mode="r"))
-    return StoredInformation(np.array(triangles), np.full((2, len(NAMES) + 1), np.inf), 1.0, np.full(2, TORQUE_NOISE),
+    return StoredInformation(np.array(triangles), np.full((2, len(NAMES) + 1), np.inf), 1.0, True,
+                             np.full(2, TORQUE_NOISE),
                              np.ones(2), np.full(2, RATE * PERIOD), ())
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from hydroopt.estimation.dynamic.change import Change, detect_change
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.dynamic.regressor_qr import compress, compressed
@@ -63,6 +64,24 @@ def test_friction_that_changes_within_a_log_is_said(wheel: Model) -> None:
     (said,) = (one for one in changed.diagnostics if one.kind is Kind.SPLIT_HALF)
     assert said.subject == ("turning 1",)
     assert changed.details()["split_half"][0]["phi"] == pytest.approx(much.phi)
+
+
+def test_sessions_are_held_against_the_halves_of_their_logs(wheel: Model) -> None:
+    """Friction that rises by 1 within one log, and in the other is that of its end, changes by no more."""
+    def compared(before: Log, after: Log) -> Change:
+        return detect_change(wheel.machine, [before], [after], intervals=False,
+                             smoothing=Fourier(period=DURATION, harmonics=10))
+
+    drifting = compared(turning(1, later=1.0), turning(2, coulomb=1.0))
+    assert drifting.p_value < 0.05 < drifting.p_value_repeat
+    assert not drifting.steady
+    assert drifting.findings[0].kind is Kind.NO_CHANGE_DETECTED
+    assert drifting.findings[0].text.endswith("They do, so that the latter decides.")
+    assert not any(one.changed for one in drifting.differences)
+    stepped = compared(turning(1), turning(2, coulomb=0.7))
+    assert stepped.steady
+    assert stepped.findings[0].kind is Kind.CHANGE_DETECTED
+    assert stepped.difference("drive.tau_coulomb").changed
 
 
 def test_friction_that_changes_from_log_to_log_widens_the_interval_of_its_mean(wheel: Model) -> None:
