@@ -19,6 +19,8 @@ SAMPLES = 72
 """Samples of a log that are examined; below `hydroopt.kernels.native.FEW`, so that nothing is compiled for them."""
 MODEL_ERROR = 0.05
 """Error of the nominal forces beyond what the priors admit, as a part of their size."""
+LARGEST = 3.0
+"""Forces, as a multiple of those measured, from which on the model's error grows no more."""
 LEVEL = 0.35
 """Natural logarithm of the ratio of force levels that counts as one standard deviation."""
 GAP = 0.025
@@ -38,7 +40,9 @@ class Agreement:
     """What the machine file and a log say of each other under one reading; smaller numbers agree better.
 
     Attributes:
-        forces: r′V⁻¹r of the forces at `SAMPLES` samples, with the priors of all parameters and a model error in V.
+        squares: weighted squares of each actuator's forces at `SAMPLES` samples, by the most probable parameters and
+            with a model error.
+        priors: weighted squares of these parameters' differences from the machine file's.
         levels: squared logarithm of force levels outside what nominal forces and priors admit, in units of `LEVEL`.
         lengths: mean squares of lengths' differences from the geometry, in units of `GAP`, weighted and bounded.
         ranges: share of samples beyond joint limits or too fast, weighted.
@@ -47,10 +51,11 @@ class Agreement:
         gap: largest mean difference [m] between a length and the geometry; NaN where none is measured.
         outside: share of the samples that lie beyond a joint's limits, the worst joint's.
         hertz: sampling rate [Hz].
-        noise: what the sensors' noise alone adds to `forces` on average.
+        noise: what the sensors' noise alone adds to `squares` on average.
     """
 
-    forces: float
+    squares: Array
+    priors: float
     levels: float
     lengths: float
     ranges: float
@@ -64,7 +69,8 @@ class Agreement:
     @property
     def score(self) -> float:
         """All of it beyond the sensors' noise."""
-        return self.forces - self.noise + self.levels + self.lengths + self.ranges + self.rate
+        return (float(np.sum(self.squares)) + self.priors - self.noise + self.levels + self.lengths + self.ranges
+                + self.rate)
 
     @property
     def worst(self) -> float:
@@ -118,12 +124,12 @@ def agreement(model: Model, log: Log, evaluated: Evaluated | None = None) -> Agr
     if not (np.all(np.isfinite(K)) and np.all(np.isfinite(nominal))):
         return None
     steady = np.abs(qd) > np.abs(qdd) * step * window / 2  # else dry friction changes its sign within the window
-    sized, noise, levels, missed = _force_terms(model, log, K, np.stack([force, nominal]), steady,
-                                         float(np.sqrt(np.sum(kernel[0] ** 2))))
+    squares, priors, noise, levels, missed = _force_terms(
+        model, log, K, np.stack([force, nominal]), steady, float(np.sqrt(np.sum(kernel[0] ** 2))))
     gap, lengths = _length_terms(model, log, angles, rows)
     outside, ranges = _range_terms(model, q, qd)
     rate = _rate_term(model, log, 1 / step)
-    return Agreement(sized, levels, lengths, ranges, rate, missed, gap, outside, 1 / step, noise)
+    return Agreement(squares, priors, levels, lengths, ranges, rate, missed, gap, outside, 1 / step, noise)
 
 
 def _window(angles: Array, log: Log) -> int:
@@ -162,8 +168,8 @@ def _rows(log: Log, window: int) -> Array:
 
 
 def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[np.bool_],
-                 averaged: float) -> tuple[float, float, float, dict[str, float]]:
-    """Weighted squares of forces with all priors, noise's part in them, the term of levels, relative errors.
+                 averaged: float) -> tuple[Array, float, float, float, dict[str, float]]:
+    """Weighted squares of forces and of priors, noise's part in them, the term of levels, relative errors.
 
     `both` (2, N, n) are the measured and the nominal forces; those that are not `steady` count in levels only.
     """
@@ -175,7 +181,9 @@ def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[
     size = np.sqrt(np.mean(nominal**2, axis=0))
     spread = np.sqrt(np.mean(np.einsum("snp,pk,snk->sn", K, covariance, K), axis=0))
     stated = np.nan_to_num(force_noise(model, log), nan=0.0) * averaged
-    sigma = np.sqrt(stated**2 + (MODEL_ERROR * np.maximum(size, 0.3 * np.minimum(spread, 10 * size + 1e-9))) ** 2)
+    rms = np.sqrt(np.mean(force**2, axis=0))
+    expected = np.maximum(size, 0.3 * np.minimum(spread, 10 * size + 1e-9))
+    sigma = np.hypot(stated, MODEL_ERROR * np.minimum(expected, LARGEST * rms))  # else what is far too large fits
     sigma = np.maximum(sigma, 1e-9 * max(1.0, float(np.max(size))))
     weight = steady / sigma
     rows, right = (K * weight[:, :, None]).reshape(-1, p), ((force - nominal) * weight).ravel()
@@ -186,13 +194,12 @@ def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[
     left = (right - A @ inner).reshape(force.shape)
     noise = np.sum((stated * weight) ** 2, axis=0)
     priors = float(inner @ (scale * (information @ (scale * inner))))
-    squares = priors + float(np.sum(np.maximum(np.sum(left**2, axis=0), noise)))  # silence agrees no better than noise
-    rms = np.sqrt(np.mean(force**2, axis=0))
+    squares = np.maximum(np.sum(left**2, axis=0), noise)  # silence agrees no better than noise
     allowed = np.clip(rms, size, np.sqrt(size**2 + spread**2 + stated**2))
     levels = float(np.sum((np.log(np.maximum(rms, 1e-12) / np.maximum(allowed, 1e-12)) / LEVEL) ** 2))
     missed = np.sqrt(np.mean((force - nominal) ** 2, axis=0)) / np.maximum(rms, 1e-12)
     names = (actuator.name for actuator in model.machine.actuators)
-    return squares, float(np.sum(noise)), levels, dict(zip(names, missed.tolist(), strict=True))
+    return squares, priors, float(np.sum(noise)), levels, dict(zip(names, missed.tolist(), strict=True))
 
 
 def _bounded(H: Array, g: Array, lower: Array) -> Array:

@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from hydroopt.checks.agreement import MARGIN, Agreement, Evaluated, agreement, stated_rate
+from hydroopt.checks.agreement import MARGIN, SAMPLES, Agreement, Evaluated, agreement, stated_rate
 from hydroopt.checks.alternatives import Alternative, alternatives
 from hydroopt.errors import HydrooptError, LogError
 from hydroopt.logs.any_log import AnyLog
@@ -18,9 +18,12 @@ from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.wording import Kind
 
 BETTER, LOWER = 0.5, 100.0
-"""The best alternative reading must have at most this part of the score as read, and be lower by so much."""
-MISSED = 0.1
+"""The best alternative reading must have at most this part of the score, or of an actuator's squares, and be lower by
+so much."""
+MISSED = 0.25
 """By how much of the forces another reading may miss the nominal ones more than the log as read."""
+IMPOSSIBLE = 4.0
+"""Nominal error of an actuator, as a multiple of its measured forces, that no machine file has in a sound log."""
 TIED = 10.0
 """Alternatives whose scores differ by less are named together."""
 MISTAKES = 3
@@ -92,7 +95,7 @@ def _mistakes(model: Model, log: Log) -> tuple[list[tuple[tuple[str, ...], dict[
         if not scored:
             break
         least, (best, agreed) = scored[0][0], scored[0][1:]
-        tied = [other for score, other, _ in scored if score < least + TIED]
+        tied = [other for score, other, _ in scored if abs(score - least) < TIED]
         channels = tuple(dict.fromkeys(name for one in tied for name in one.channels))
         found.append((channels, {
             "reading": " or ".join(one.words for one in tied), "read_so": agreed.words(now or agreed),
@@ -105,11 +108,23 @@ def _mistakes(model: Model, log: Log) -> tuple[list[tuple[tuple[str, ...], dict[
 def _scored(model: Model, log: Log, now: Agreement | None,
             evaluated: Evaluated) -> list[tuple[float, Alternative, Agreement]]:
     """Alternatives that agree far better than the log as read, the best first."""
-    limit = np.inf if now is None else min(BETTER * now.score, now.score - LOWER)
     results = [(made.score, one, made) for one in alternatives(model, log)
-               if (made := agreement(model, one.of(log), evaluated)) is not None and made.score < limit
-               and (now is None or _worse_in_nothing(made, now))]
-    return sorted(results, key=lambda each: each[0])
+               if (made := agreement(model, one.of(log), evaluated)) is not None
+               and (now is None or (_far_better(made, now) and _worse_in_nothing(made, now)))]
+    return sorted(results, key=lambda each: (each[2].worst > IMPOSSIBLE, each[0]))
+
+
+def _far_better(made: Agreement, now: Agreement) -> bool:
+    """Whether another reading agrees far better in all, or with one actuator if what is left is the model's error.
+
+    Nominal forces far above those measured refute a reading, though wide priors may explain their difference.
+    """
+    if made.score <= min(BETTER * now.score, now.score - LOWER) or now.worst > IMPOSSIBLE >= made.worst:
+        return True
+    error = np.maximum(made.squares / SAMPLES, 1.0)
+    others = (made.score - np.sum(made.squares)) - (now.score - np.sum(now.squares))
+    return bool(np.sum((made.squares - now.squares) / error) + others <= -LOWER
+                and np.any(made.squares <= BETTER * now.squares))
 
 
 def _worse_in_nothing(made: Agreement, now: Agreement) -> bool:

@@ -23,8 +23,8 @@ from studies.ur10e_mamedov import run as ur10e
 
 MACHINES = {"cat215b": 50.0, "patu655_lift": 100.0, "kr300": 250.0, "ur10e": 125.0}
 """Rates [Hz] of the logs."""
-SEEDS = range(1000, 1010)
-SOUND = range(2000, 2100)
+SEEDS = range(1000, 1003)
+SOUND = range(2000, 2075)
 """Seeds of logs without a mistake."""
 SECONDS = 16.0
 OUTCOMES = ("named", "named with others", "wrong", "silent")
@@ -115,10 +115,10 @@ def _mistakes(model: Model, log: Log) -> Iterator[tuple[str, Log, Log]]:
     machine, here = model.machine, set(log.channels)
     angles = [f"{joint}.q" for joint in machine.joints if f"{joint}.q" in here]
     lengths = [name for name in log.channels if name.endswith(".length")]
-    pressures = [name for name in log.channels if ".p_" in name]
     torques = [name for name in log.channels if name.endswith(".tau")]
     chambers = [actuator.chambers for actuator in machine.actuators
                 if not isinstance(actuator, Drive) and set(actuator.chambers) <= here]
+    pressures = [name for pair in chambers for name in pair]
     for name in angles:
         yield f"sign of {name}", times([name], -1.0), log
     yield "all angles in deg", times(angles, 180 / np.pi), log

@@ -1,8 +1,8 @@
 """Kill every command at random moments by SIGINT, SIGTERM and SIGKILL; print and store a table of what was left.
 
-    python -m studies.kills [KILLS] [--seed SEED] [--jobs NAME,NAME]
+    python -m studies.kills [KILLS] [--seed SEED] [--jobs NAME,NAME] [-o FILE]
 
-The figures stand in out/kills.json.
+The figures stand in FILE, by default out/kills.json.
 """
 
 from __future__ import annotations
@@ -109,6 +109,7 @@ def main() -> None:
     parser.add_argument("kills", nargs="?", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--jobs", default=",".join(COMMANDS))
+    parser.add_argument("-o", "--output", type=Path, default=OUT.parent / "kills.json")
     options = parser.parse_args()
     names = options.jobs.split(",")
     for name in COMMANDS:  # so that the processes that are forked need not
@@ -135,8 +136,8 @@ def main() -> None:
     results = {"seed": options.seed, "total": {key: int(total[key]) for key in FIGURES},
                "commands": {f"{name} {number.name}": {key: int(counts[key]) for key in FIGURES}
                             for (name, number), counts in figures.items()}}
-    OUT.mkdir(parents=True, exist_ok=True)
-    (OUT.parent / "kills.json").write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
+    options.output.parent.mkdir(parents=True, exist_ok=True)
+    options.output.write_text(json.dumps(results, indent=1) + "\n", encoding="utf-8")
     raise SystemExit(1 if any(total[key] for key in COUNTED) else 0)
 
 
