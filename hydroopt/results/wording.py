@@ -120,6 +120,7 @@ class Kind(StrEnum):
     NO_INTERVALS_LINK_BY_LINK = "no intervals link by link"
     OFF_OPTIMUM = "link by link off the optimum"
     DISTANCE_CONTRADICTS = "distance contradicts the machine file"
+    DISTANCE_OFF = "distance between fixtures wrong"
     STAGE_ABOVE_STATED = "errors of a stage larger than stated"
     POSES_IN_ONE_PLANE = "poses in one plane"
     STAGE_CONTRADICTS = "stage contradicts the others"
@@ -168,7 +169,7 @@ CONTRADICTIONS = REFUTATIONS | frozenset({
     Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED,
     Kind.STAGE_CONTRADICTS, Kind.FIXTURE_MOVED, Kind.BASE_MOVED, Kind.TOOL_MOVED, Kind.SENSOR_OFFSET, Kind.SENSOR_SCALE,
     Kind.BACKLASH, Kind.SENSOR_ECCENTRIC, Kind.SENSOR_NONLINEAR, Kind.JOINT_SAGS, Kind.SUSPECTS_UNDECIDED,
-    Kind.DISTANCE_CONTRADICTS, Kind.OFF_OPTIMUM})
+    Kind.DISTANCE_CONTRADICTS, Kind.DISTANCE_OFF, Kind.OFF_OPTIMUM})
 """Kinds that make an answer suspect."""
 WORDS: dict[Kind, Words] = {
     Kind.JOINT_LIMITS_NARROWED: Words(
@@ -371,6 +372,9 @@ WORDS: dict[Kind, Words] = {
         "The poses place {one} and {other} {measured_mm:.2f} ± {measured_std_mm:.2f} mm apart (one standard "
         "deviation), where the machine file states {stated_mm:.2f} ± {stated_std_mm:.2f} mm.",
         "Measure the distance again, or state its sigma."),
+    Kind.DISTANCE_OFF: Words(
+        "The stated distance '{subject}' is wrong by about {size:.2f} {unit}.",
+        "Measure it again, or state its sigma."),
     Kind.STAGE_ABOVE_STATED: Words(
         "Errors are larger than stated in {scales}; in the other stages they are {others:.1f} times those stated."),
     Kind.POSES_IN_ONE_PLANE: Words(

@@ -100,7 +100,10 @@ def _poses(solution: KinematicSolution) -> Iterator[Diagnostic]:
 def _stated(solution: KinematicSolution) -> Iterator[Diagnostic]:
     """Distances and stages that disagree with what the machine file states."""
     if solution.algorithm == JOINT:
+        named = [suspect.name for suspect in solution.suspects if suspect.kind is SuspectKind.DISTANCE]
         for found in wrong_distances(solution.problem, solution.linearised, solution.noise_scale):
+            if found.name in named:
+                continue
             yield Diagnostic(Kind.DISTANCE_CONTRADICTS, found.between, {
                 "one": found.between[0], "other": found.between[1],
                 "measured_mm": 1e3 * found.measured, "measured_std_mm": 1e3 * found.measured_std,

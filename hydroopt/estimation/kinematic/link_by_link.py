@@ -39,6 +39,8 @@ STIFFEST = 1e6
 """Damping, relative to the largest singular value squared, at which a step that still climbs is given up."""
 TOUCHED = 1e-6
 """Part of a parameter's unit vector in the null space from which on it counts as not identified."""
+RESIDUE = 1e-6
+"""Part of a parameter's scale by which an answer may lie outside of a bound, at which it is then set."""
 EXACT_WEIGHT = 100.0
 """Weight of the best known distance between fixtures against a gap: loops must not shrink to shrink their noise."""
 Rows = Callable[[Array], tuple[Array, Array]]
@@ -291,9 +293,9 @@ def _refuse(problem: CalibrationProblem) -> None:
 
 
 def _check_bounds(problem: CalibrationProblem, theta: Array) -> None:
-    """Raise where the answer, which knows no bounds, lies outside of them."""
-    own = problem.parameters
-    for k in np.flatnonzero(problem.free & ((theta < own.lower) | (theta > own.upper))):
+    """Raise where the answer, which knows no bounds, lies outside of them by more than a residue."""
+    own, residue = problem.parameters, RESIDUE * problem.parameters.scale
+    for k in np.flatnonzero(problem.free & ((theta < own.lower - residue) | (theta > own.upper + residue))):
         raise ProblemError(f"the link-by-link method found {theta[k]:.4g} {own.units[k]}, outside of the bounds "
                            f"{own.lower[k]:.4g} to {own.upper[k]:.4g}, which it cannot keep to",
                            where=f"parameter '{own.names[k]}'",

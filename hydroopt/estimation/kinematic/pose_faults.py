@@ -46,6 +46,7 @@ class Fault(NamedTuple):
         lengths: how many of the first amounts are lengths [m], where the rest are turns.
         usual: standard deviation of the amounts of such faults; of turns `TURN`.
         there: (N,) the poses that it may concern, from some pose on; None if it does not begin.
+        shared: (K, d) change of the rows that no pose owns; None for zero.
     """
 
     kind: SuspectKind
@@ -60,6 +61,7 @@ class Fault(NamedTuple):
     lengths: int | None = None
     usual: float = 0.05
     there: NDArray[np.bool_] | None = None
+    shared: Array | None = None
 
     @property
     def information(self) -> Array:
@@ -79,6 +81,15 @@ class Fault(NamedTuple):
     def size(self, amount: Array) -> float:
         """Size of an amount (d,), in rad, m or as a part."""
         return float(np.linalg.norm(amount[: self.lengths]))
+
+    def rows(self, kept: NDArray[np.bool_], count: int) -> Array:
+        """(count, d) change of the rows of some poses (N,), then of the shared ones, then nothing."""
+        column = np.zeros((count, self.columns.shape[2]))
+        own = (self.columns * (self.weight * kept)[:, None, None]).reshape(-1, column.shape[1])
+        column[: len(own)] = own
+        if self.shared is not None:
+            column[len(own) : len(own) + len(self.shared)] = self.shared
+        return column
 
     @property
     def first(self) -> int:
@@ -107,6 +118,7 @@ def faults(problem: CalibrationProblem, q: Array, linearised: Linearised) -> Ite
                 yield Fault(SuspectKind.GEAR, joint, sensed, column * turn[:, None, :], np.ones(len(q)),
                             BEYOND * sigma, usual=ECCENTRIC)
     yield from _of_cylinders(problem, linearised, starts)
+    yield from _distances(problem, linearised)
     yield from _sagging(problem, q, linearised)
     yield from _moves(problem, q, linearised, starts)
 
@@ -158,6 +170,18 @@ def _sagging(problem: CalibrationProblem, q: Array, linearised: Linearised) -> I
             sigma = float(problem.angle_sigma[k]) or float(np.max(problem.angle_sigma))
             yield Fault(SuspectKind.SAG, joint, np.ones(len(q), bool), linearised.by_angles[:, :, [k]],
                         torque[:, k] / largest, BEYOND * sigma)
+
+
+def _distances(problem: CalibrationProblem, linearised: Linearised) -> Iterator[Fault]:
+    """Distances between fixtures that are not what the machine file states."""
+    known, nothing = problem.distances, np.zeros((*linearised.residual.shape, 1))
+    for name in dict.fromkeys(known.names):
+        own = np.flatnonzero(np.array(known.names) == name)
+        rows = np.zeros((len(linearised.shared), 1))
+        rows[own, 0] = 1 / known.sigma[own]
+        everywhere = np.ones(len(nothing), dtype=bool)
+        yield Fault(SuspectKind.DISTANCE, name, everywhere, nothing, everywhere.astype(float),
+                    BEYOND * float(known.sigma[own[0]]), unit="mm", shared=rows)
 
 
 def _moves(problem: CalibrationProblem, q: Array, linearised: Linearised, starts: NDArray[np.intp]) -> Iterator[Fault]:

@@ -45,8 +45,9 @@ class PoseLayout:
 
 @dataclass(frozen=True, eq=False)
 class FixtureDistances:
-    """Known distances between fixtures: parameters (k, 2, 3), lengths (k,) and standard deviations (k,) [m]."""
+    """Known distances between fixtures: names, parameters (k, 2, 3), lengths (k,), standard deviations (k,) [m]."""
 
+    names: tuple[str, ...]
     ends: NDArray[np.intp]
     length: Array
     sigma: Array
@@ -246,7 +247,7 @@ class LayoutBuilder:
 
     def distances(self) -> FixtureDistances:
         """Those between fixtures that the poses visit; a fixture that moves takes its distance along."""
-        ends, lengths, sigmas = [], [], []
+        names, ends, lengths, sigmas = [], [], [], []
         stages = ["", *(f".{stage}" for stage in dict.fromkeys(map(str, self.poses.stage)))]
         for distance in self.machine.distances:
             note = self.machine.notes.get(f"{distance.name}.length")
@@ -254,6 +255,8 @@ class LayoutBuilder:
                 owners = [f"{name}{stage}" for name in distance.between]
                 if all(f"{owner}.x" in self.names for owner in owners):
                     ends.append([[self.names[f"{owner}.{axis}"] for axis in "xyz"] for owner in owners])
+                    names.append(distance.name)
                     lengths.append(distance.length)
                     sigmas.append((note and note.spread(distance.length)) or EXACT)
-        return FixtureDistances(np.array(ends, dtype=int).reshape(-1, 2, 3), np.array(lengths), np.array(sigmas))
+        return FixtureDistances(tuple(names), np.array(ends, dtype=int).reshape(-1, 2, 3), np.array(lengths),
+                                np.array(sigmas))

@@ -22,6 +22,7 @@ OFF = 5.0
 class WrongDistance(NamedTuple):
     """A distance between fixtures [m] as stated and as the poses alone show it, with standard deviations."""
 
+    name: str
     between: tuple[str, str]
     stated: float
     stated_std: float
@@ -44,8 +45,8 @@ def wrong_distances(problem: CalibrationProblem, linearised: Linearised, noise_s
     start, names = rows.shape[0] - len(linearised.shared), problem.parameters.names
     ends = [tuple(names[side[0]].partition(".")[0] for side in pair) for pair in known.ends]
     scale = max(1.0, noise_scale) if np.isfinite(noise_scale) else 1.0
-    for between in dict.fromkeys(ends):
-        own = [k for k, each in enumerate(ends) if each == between]
+    for name in dict.fromkeys(known.names):
+        own = [k for k, each in enumerate(known.names) if each == name]
         part = left[[start + k for k in own]]
         leverage = part @ part.T
         values, vectors = np.linalg.eigh(np.eye(len(own)) - leverage)
@@ -57,7 +58,8 @@ def wrong_distances(problem: CalibrationProblem, linearised: Linearised, noise_s
         std = sigma * scale * float(np.sqrt(max(mean @ (leverage @ inverse) @ mean, 0.0)))
         if abs(difference) > CONTRADICTS * np.hypot(sigma, std):
             stated = float(known.length[own[0]])
-            yield WrongDistance((between[0], between[1]), stated, sigma, stated + difference, std)
+            one, other = ends[own[0]]
+            yield WrongDistance(name, (one, other), stated, sigma, stated + difference, std)
 
 
 def off_optimum(problem: CalibrationProblem, linearised: Linearised, noise_scale: float) -> dict[str, float]:

@@ -30,6 +30,7 @@ class SuspectKind(StrEnum):
     GEAR = "gear"
     SAG = "sag"
     NONLINEAR = "nonlinear"
+    DISTANCE = "distance"
     LACK = "lack"
 
     @property
@@ -44,7 +45,7 @@ DIAGNOSTICS = {SuspectKind.PLANE: Kind.POSES_IN_ONE_PLANE, SuspectKind.STAGE: Ki
                SuspectKind.TOOL: Kind.TOOL_MOVED, SuspectKind.OFFSET: Kind.SENSOR_OFFSET,
                SuspectKind.SCALE: Kind.SENSOR_SCALE, SuspectKind.BACKLASH: Kind.BACKLASH,
                SuspectKind.GEAR: Kind.SENSOR_ECCENTRIC, SuspectKind.SAG: Kind.JOINT_SAGS,
-               SuspectKind.NONLINEAR: Kind.SENSOR_NONLINEAR}
+               SuspectKind.NONLINEAR: Kind.SENSOR_NONLINEAR, SuspectKind.DISTANCE: Kind.DISTANCE_OFF}
 """Kind of the diagnostic of each kind of suspect."""
 
 NAMED = 4
@@ -57,7 +58,7 @@ class Suspect:
 
     Attributes:
         kind: what it is.
-        name: of the stage, pose, fixture, joint or cylinder.
+        name: of the stage, pose, fixture, distance, joint or cylinder.
         poses: (N,) poses it concerns; `place` says where they stand in their files.
         strength: root of the likelihood gain: of the drop of squared errors that it explains, in units of the errors'
             variance; of poses, their errors relative to the usual ones.
@@ -105,6 +106,8 @@ class Suspect:
                 return f"the base moved{size} before {self.place}"
             case SuspectKind.TOOL:
                 return f"the tool moved{size} before {self.place}"
+            case SuspectKind.DISTANCE:
+                return f"a wrong distance '{self.name}'{size}"
             case SuspectKind.LACK:
                 return "an effect that the model lacks"
         return f"wrong poses at {self.place}"

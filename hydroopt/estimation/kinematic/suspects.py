@@ -177,9 +177,7 @@ class _Misfit:
 
     def tested(self, fault: Fault) -> _Explanation | None:
         """What a fault explains; nothing where parameters do the same, or where only an absurd size would."""
-        count, u, d = fault.columns.shape
-        column = np.zeros((len(self._raw), d))
-        column[: count * u] = (fault.columns * (fault.weight * self.kept)[:, None, None]).reshape(-1, d)
+        column = fault.rows(self.kept, len(self._raw))
         across = self._across(column)
         size = np.linalg.norm(column, axis=0)
         visible = float(np.linalg.norm(across)) / max(float(np.linalg.norm(size)), 1e-300)
@@ -213,9 +211,8 @@ class _Misfit:
 
     def explain(self, found: _Explanation) -> None:
         """Count a fault among what is explained, its amount free from now on."""
-        count, u, d = found.fault.columns.shape
-        column = np.zeros((len(self._raw) + d, d))
-        column[: count * u] = (found.fault.columns * found.fault.weight[:, None, None]).reshape(-1, d)
+        d = found.fault.columns.shape[2]
+        column = found.fault.rows(np.ones(len(self.kept), dtype=bool), len(self._raw) + d)
         column[len(self._raw) :] = np.diag(np.sqrt(found.fault.information))
         self._stack = np.hstack([np.vstack([self._stack, np.zeros((d, self._stack.shape[1]))]),
                                  column / np.linalg.norm(column, axis=0) * np.linalg.norm(self._stack, axis=0).max()])

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from hydroopt import load_machine
+from hydroopt import load_machine, pose_problem, solve
 from hydroopt.estimation.kinematic.calibrate import calibrate
 from hydroopt.estimation.kinematic.calibration import Calibration
 from hydroopt.estimation.kinematic.problem import calibration_problem
+from hydroopt.estimation.kinematic.stated_checks import wrong_distances
 from hydroopt.logs.poses import Poses
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.results.answer import Status
@@ -72,3 +73,23 @@ def test_what_the_data_do_not_decide_is_left_open(sound: Poses) -> None:
 def test_a_fault_of_absurd_size_explains_nothing(sound: Poses) -> None:
     calibration = solved(sound, boom_cylinder__length=0.06 * (np.arange(POSES) >= 70))
     assert all(suspect.size < 0.2 for suspect in calibration.suspects)
+
+
+@pytest.mark.slow
+def test_a_wrong_distance_is_said_by_both_methods() -> None:
+    """The sockets of planned poses stand 50 mm apart; the machine file is made to state 53 mm."""
+    machine = load_machine("panda_mukca")
+    poses = solve(pose_problem(machine, 20), candidates=50).poses
+    odd = machine.model_copy(update={"distances": tuple(
+        each.model_copy(update={"length": 0.053}) for each in machine.distances)})
+    calibration = solve(calibration_problem(odd, poses))
+    assert [(suspect.kind, suspect.name, suspect.decided) for suspect in calibration.suspects] == [
+        ("distance", "sockets", True)]
+    assert calibration.suspects[0].size == pytest.approx(0.003, abs=1e-4)
+    (found,) = wrong_distances(calibration.problem, calibration.linearised, calibration.noise_scale)
+    assert abs(found.measured - 0.05) < 2 * found.measured_std
+    simple = solve(calibration_problem(odd, poses), "hierarchical")
+    assert simple.status is Status.SUSPECT
+    assert of_kind(simple.diagnostics, Kind.OFF_OPTIMUM)
+    assert not list(wrong_distances((true := solve(calibration_problem(machine, poses))).problem, true.linearised, 1.0))
+    assert not of_kind(solve(true.problem, "hierarchical").diagnostics, Kind.OFF_OPTIMUM)
