@@ -56,7 +56,10 @@ def _reach(cylinder: Cylinder, sides: Triangle, middle: float) -> tuple[float, f
     fixed, moving, offset, lateral = (float(side) for side in sides)
     branch = 1 if np.sin(middle + offset) > 0 else -1
     shortest, longest = (float(np.hypot(fixed + sign * moving, lateral)) for sign in (-1, 1))
-    ends = np.clip([cylinder.dead_length, cylinder.dead_length + cylinder.stroke], shortest, longest)
+    # not quite as far as the triangle folds or stretches, where its angle is lost in rounding
+    rounding = 1e-12 * longest
+    ends = np.clip([cylinder.dead_length, cylinder.dead_length + cylinder.stroke], shortest + rounding,
+                   longest - rounding)
     if ends[0] >= ends[1]:
         return None
     # at a clipped end pins and axis lie in one line, a dead point

@@ -139,6 +139,7 @@ class Kind(StrEnum):
     SUSPECTS_UNDECIDED = "cause of the contradiction undecided"
     NO_VALIDATION_POSES = "no validation poses"
     WORSE_THAN_NOMINAL = "held-out poses fit worse than before"
+    INTERVALS_TOO_NARROW = "intervals too narrow for held-out poses"
     LARGER_ON_VALIDATION = "held-out poses fit worse than training poses"
     NO_REDUNDANCY = "no redundancy"
     ERRORS_LARGER = "errors larger than stated"
@@ -155,6 +156,7 @@ class Kind(StrEnum):
     OTHER_SOLUTIONS = "initial guesses lead elsewhere"
     HELD_AT_BOUND = "held at a bound"
     JOINT_LIMITS_NARROWED = "joint limits narrowed"
+    JOINT_LIMITS_WIDENED = "joint limits widened"
     STROKE_CONTRADICTS_POSES = "poses beyond a stroke"
     NOT_IDENTIFIED_BY_POSES = "not identified by poses"
 
@@ -176,6 +178,10 @@ WORDS: dict[Kind, Words] = {
         "With the calibrated geometry the stroke of {cylinder} moves {subject} from {after_deg[0]:.2f} to "
         "{after_deg[1]:.2f} deg. The calibrated machine has these limits instead of {before_deg[0]:.2f} to "
         "{before_deg[1]:.2f} deg."),
+    Kind.JOINT_LIMITS_WIDENED: Words(
+        "Poses of {subject} lie beyond the machine file's limits, {before_deg[0]:.2f} to {before_deg[1]:.2f} deg. The "
+        "calibrated machine has limits of {after_deg[0]:.2f} to {after_deg[1]:.2f} deg, as far as strokes permit.",
+        "If the limits are known, check the zero of the sensor."),
     Kind.STROKE_CONTRADICTS_POSES: Words(
         "With the calibrated geometry the stroke of {cylinder} moves {subject} from {after_deg[0]:.2f} to "
         "{after_deg[1]:.2f} deg only, but {beyond} poses lie beyond.",
@@ -413,6 +419,10 @@ WORDS: dict[Kind, Words] = {
     Kind.WORSE_THAN_NOMINAL: Words(
         "Held-out poses fit worse after calibration than before ({subject}: {after_mm:.3g} mm against {before_mm:.3g} "
         "mm)."),
+    Kind.INTERVALS_TOO_NARROW: Words(
+        "Only {share:.0f %} of the errors of held-out poses lie within their 95 % intervals: there the geometry is "
+        "less certain than stated, or those poses are worse.",
+        "Add poses from there to the training poses."),
     Kind.LARGER_ON_VALIDATION: Words(
         "Held-out poses have {ratio:.1f} times the error of the training poses ({subject}): the geometry is "
         "overfitted, or they lie where it was not measured."),

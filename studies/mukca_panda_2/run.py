@@ -6,6 +6,7 @@ import numpy as np
 
 from hydroopt import calibration_problem, load_machine, read_pose_files, solve
 from hydroopt.estimation.kinematic.observability import linearise
+from hydroopt.estimation.kinematic.prediction import NORMAL_95, standardised
 from hydroopt.estimation.kinematic.residuals import predicted
 
 DATA = Path(__file__).parents[2] / "data" / "mukca_panda_2"
@@ -79,7 +80,26 @@ def run() -> dict:
                 "ours_minus_plain": mm((away[0] - away[1]).mean()), "ours_minus_plain_low": mm(low),
                 "ours_minus_plain_high": mm(high_end), "coverage_with_wild_poses": round(coverage(ours, held), 4),
                 "coverage_of_stated_error": round(coverage(cleaned(ours), held), 4)}
-    return results
+    return results | coverage_of_places(machine, poses)
+
+
+def coverage_of_places(machine, poses) -> dict:
+    """Share of residuals within their 95 % intervals at every place, predicted from every other place alone."""
+    inside: dict[tuple[str, str], np.ndarray] = {}
+    places = list(dict.fromkeys(map(str, poses.stage)))
+    for place in places:
+        solved = solve(calibration_problem(machine, poses.select(poses.stage == place)))
+        for other in places:
+            if other != place:
+                size = np.abs(standardised(solved, poses.select(poses.stage == other)))
+                inside[place, other] = size < NORMAL_95
+    pairs = {pair: float(np.mean(hits)) for pair, hits in inside.items()}
+    sound = [pair for pair in inside if "high" not in pair]
+    return {"coverage_of_all_places": round(float(np.mean(np.concatenate(list(inside.values())))), 4),
+            "coverage_of_places_without_high": round(float(np.mean(np.concatenate([inside[p] for p in sound]))), 4),
+            "coverage_at_high": round(float(np.mean(np.concatenate(
+                [hits for (_, other), hits in inside.items() if other == "high"]))), 4),
+            "lowest_coverage_of_a_pair_without_high": round(min(pairs[p] for p in sound), 4)}
 
 
 def authors_figures(ours, least_squares, poses, center) -> dict:

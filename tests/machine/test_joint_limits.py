@@ -5,8 +5,9 @@ import pytest
 
 import hydroopt as ho
 from hydroopt.machine import cylinder_checks
-from hydroopt.machine.joint_limits import INSIDE, within_strokes
+from hydroopt.machine.joint_limits import INSIDE, _reach, within_strokes
 from hydroopt.machine.machine import Machine
+from hydroopt.spatial.cylinder_triangle import Triangle
 
 
 def pin_distance(machine: Machine, joint: str, cylinder: str, angle: float) -> float:
@@ -44,3 +45,12 @@ def test_limits_within_strokes_stay() -> None:
 def test_a_cylinder_that_fits_nowhere_keeps_the_limits() -> None:
     machine = ho.load_machine("cat215b").with_values({"boom_cylinder.dead_length": 9.0})
     assert within_strokes(machine)[1] == ()
+
+
+def test_a_stroke_beyond_the_folded_triangle_ends_at_its_other_end() -> None:
+    """The cylinder could be shorter than its pins ever are: rounding at the fold must not lose the limits."""
+    cylinder = ho.load_machine("cat215b").with_values({"boom_cylinder.dead_length": 1.401565854367422}).cylinders[0]
+    sides = Triangle(0.6183436519324543, 2.0225396480663735, -1.4034518494856405, -8.452260047490945e-05)
+    reach = _reach(cylinder, sides, -0.18)
+    assert reach is not None
+    np.testing.assert_allclose(reach, [np.radians(-55.1143138), -sides.offset], atol=1e-4)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import NamedTuple
 
 import numpy as np
@@ -14,11 +15,20 @@ from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, read_machine
 
 
+class WidenedLimits(NamedTuple):
+    """Limits (lower, upper) [rad, m] of a joint before, and after poses that lie beyond them."""
+
+    joint: str
+    before: tuple[float, float]
+    after: tuple[float, float]
+
+
 class CalibratedMachine(NamedTuple):
-    """The machine with the calibrated geometry, and the joint limits that its strokes narrowed."""
+    """The machine with the calibrated geometry, and joint limits that gave way: to its strokes, and to its poses."""
 
     machine: Machine
     narrowed: tuple[NarrowedLimits, ...]
+    widened: tuple[WidenedLimits, ...]
 
 
 class MachineText(NamedTuple):
@@ -27,12 +37,14 @@ class MachineText(NamedTuple):
     text: str = ""
     reason: str = ""
     narrowed: tuple[NarrowedLimits, ...] = ()
+    widened: tuple[WidenedLimits, ...] = ()
 
 
 def calibrated_machine(solution: KinematicSolution) -> CalibratedMachine:
     """The machine with the calibrated geometry and its confidences.
 
-    Joint limits beyond the ends of a stroke give way to it, since limits are often assumed or rounded. A vector keeps
+    Joint limits beyond the ends of a stroke give way to it, and those short of poses to these, since limits are often
+    assumed or rounded. A vector keeps
     the largest of its confidences, and correlations are lost; angles of locked joints belong to the poses and are not
     written.
 
@@ -62,7 +74,23 @@ def calibrated_machine(solution: KinematicSolution) -> CalibratedMachine:
             written[path] = max(written.get(path, 0.0), float(std))
             before = before.model_copy(update={"sigma": written[path], "relative": False})
         notes[name] = of_paths[path] = before.model_copy(update={"source": source})
-    return CalibratedMachine(*within_strokes(machine.with_values(values, notes)))
+    widened = tuple(_widened(solution))
+    reached = machine.with_joint_limits({each.joint: each.after for each in widened}) if widened else machine
+    return CalibratedMachine(*within_strokes(reached.with_values(values, notes)), widened)
+
+
+def _widened(solution: KinematicSolution) -> Iterator[WidenedLimits]:
+    """Limits of the machine's joints that poses exceed, without the poses that contradict the others."""
+    problem = solution.problem
+    for link in problem.model.machine.links:
+        if link.name not in problem.model.joints or link.joint.type == "locked":
+            continue
+        k = problem.model.joints.index(link.name)
+        angles = solution.q[problem.layout.sensed[:, k] & ~solution.suspicious, k]
+        lower, upper = link.joint.range
+        after = min(lower, float(np.min(angles, initial=lower))), max(upper, float(np.max(angles, initial=upper)))
+        if after != (lower, upper):
+            yield WidenedLimits(link.name, (lower, upper), after)
 
 
 def machine_text(solution: KinematicSolution) -> MachineText:
@@ -73,7 +101,7 @@ def machine_text(solution: KinematicSolution) -> MachineText:
         read_machine(text, where="the calibrated machine")
     except (HydrooptError, ValueError) as error:
         return MachineText(reason=_reason(solution.problem.model.machine, error))
-    return MachineText(text, narrowed=made.narrowed)
+    return MachineText(text, narrowed=made.narrowed, widened=made.widened)
 
 
 def _reason(machine: Machine, error: Exception) -> str:

@@ -11,9 +11,10 @@ import numpy as np
 
 from hydroopt.estimation.kinematic import calibrated_machine, diagnostics
 from hydroopt.estimation.kinematic.chain_points import ChainPoints, chain_points
+from hydroopt.estimation.kinematic.prediction import coverage
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.estimation.kinematic.residuals import PoseResiduals, loop_fit, predicted, residual_sizes
-from hydroopt.estimation.kinematic.solution import KinematicSolution
+from hydroopt.estimation.kinematic.solution import JOINT, KinematicSolution
 from hydroopt.estimation.kinematic.suspect import Suspect
 from hydroopt.estimation.kinematic.unsensed_angles import follow_unsensed, guess_unsensed
 from hydroopt.estimation.kinematic.workspace import WorkspaceAccuracy, workspace_accuracy
@@ -72,8 +73,9 @@ class Calibration(KinematicSolution, Answer):
             prediction = loop_fit(*predicted(problem, problem.start, problem.validation))
         before = len(problem.poses if self.all_poses is None else self.all_poses.problem.poses)
         return tuple(diagnostics.diagnose(
-            self, nominal_prediction=prediction, impossible=self._written.reason,
-            narrowed=self._written.narrowed, left_out=self.left_out, poses_left_out=before - len(problem.poses)))
+            self, nominal_prediction=prediction, coverage=self.validation_coverage, impossible=self._written.reason,
+            narrowed=self._written.narrowed, widened=self._written.widened, left_out=self.left_out,
+            poses_left_out=before - len(problem.poses)))
 
     @cached_property
     def parameters(self) -> ParameterTable:
@@ -131,6 +133,13 @@ class Calibration(KinematicSolution, Answer):
         """Accuracy of the machine's end over its workspace."""
         return workspace_accuracy(self)
 
+    @cached_property
+    def validation_coverage(self) -> float:
+        """Part of the held-out residuals within their 95 % intervals; NaN without held-out poses or intervals."""
+        if self.problem.validation is None or self.algorithm != JOINT:
+            return float("nan")
+        return coverage(self, self.problem.validation)
+
     def chain(self, rows: Sequence[int]) -> ChainPoints:
         """The calibrated chain as points, in some of the training poses."""
         return chain_points(self, rows)
@@ -154,8 +163,8 @@ class Calibration(KinematicSolution, Answer):
                              "parameters": len(identified.names), "degrees_of_freedom": freedom},
             "correlations": [{"name": name, "other": other, "correlation": r}
                              for name, (other, r) in self.correlations.items()],
-            "noise_scale": number(self.noise_scale), "suspects": [_suspect(self.problem.poses, s)
-                                                                  for s in self.suspects],
+            "noise_scale": number(self.noise_scale), "validation_coverage": number(self.validation_coverage),
+            "suspects": [_suspect(self.problem.poses, s) for s in self.suspects],
             "left_out": list(before), "uniqueness": self.uniqueness.as_dict(),
             "workspace": {"point": workspace.point, "median_std": number(workspace.median_std),
                           "largest_std": number(workspace.largest_std)},

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from hydroopt.estimation.kinematic.calibrated_machine import WidenedLimits
 from hydroopt.estimation.kinematic.solution import JOINT, KinematicSolution
 from hydroopt.estimation.kinematic.stated_checks import off_optimum, wrong_distances
 from hydroopt.estimation.kinematic.suspect import Suspect, SuspectKind
@@ -23,22 +24,26 @@ FAR_LARGER, LARGE, SMALL = 10.0, 1.5, 0.5
 """Errors, relative to those stated, that make an answer suspect, and above and below which a diagnostic says so."""
 OVERFITTED = 2.0
 """Error of held-out poses relative to that of training poses from which on a diagnostic says so."""
-ROUNDED = 1e-3
-"""How far beyond the end of a stroke a pose may lie by errors of its reading [rad]."""
+COVERED = 0.8
+"""Part of held-out residuals within their 95 % intervals below which a diagnostic says so."""
+ROUNDED, READING = 1e-3, 3.0
+"""How far beyond the end of a stroke a pose may lie: an angle [rad] and so many standard deviations of its reading."""
 FEW = 3
 """Single poses that are named one by one."""
 
 
-def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fit], impossible: str,
-             narrowed: Sequence[NarrowedLimits], left_out: Sequence[Suspect],
+def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fit], coverage: float, impossible: str,
+             narrowed: Sequence[NarrowedLimits], widened: Sequence[WidenedLimits], left_out: Sequence[Suspect],
              poses_left_out: int) -> Iterator[Diagnostic]:
     """All diagnostics, the most severe first.
 
     Args:
         solution: the calibration.
         nominal_prediction: fit of the held-out poses by the nominal geometry, by channel.
+        coverage: part of the held-out residuals within their 95 % intervals; NaN where there are none.
         impossible: why no machine can have the geometry; "" where one can.
         narrowed: joint limits of the calibrated machine that gave way to strokes.
+        widened: joint limits of the calibrated machine that gave way to poses.
         left_out: suspects whose poses were left out, and how many poses these are.
     """
     if left_out:
@@ -49,6 +54,8 @@ def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fi
     yield from _suspects(solution)
     yield from _stated(solution)
     yield from _prediction(solution, nominal_prediction)
+    if coverage < COVERED:
+        yield Diagnostic(Kind.INTERVALS_TOO_NARROW, (), {"share": coverage})
     yield from _noise(solution)
     yield from _identifiability(solution)
     yield from _priors(solution)
@@ -58,11 +65,19 @@ def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fi
     if held:
         yield Diagnostic(Kind.HELD_AT_BOUND, held)
     for limits in narrowed:
-        angles = solution.q[:, solution.problem.model.joints.index(limits.joint)]
-        beyond = int(np.sum((angles < limits.after[0] - ROUNDED) | (angles > limits.after[1] + ROUNDED)))
+        k = solution.problem.model.joints.index(limits.joint)
+        angles, least = solution.q[~solution.suspicious, k], READING * float(solution.problem.angle_sigma[k]) + ROUNDED
+        beyond = int(np.sum((angles < limits.after[0] - least) | (angles > limits.after[1] + least)))
         yield Diagnostic(Kind.STROKE_CONTRADICTS_POSES if beyond else Kind.JOINT_LIMITS_NARROWED, (limits.joint,), {
             "cylinder": limits.cylinder, "before_deg": np.degrees(limits.before).tolist(),
             "after_deg": np.degrees(limits.after).tolist(), "beyond": beyond})
+    for wider in widened:
+        sigma = float(solution.problem.angle_sigma[solution.problem.model.joints.index(wider.joint)])
+        by = max(wider.before[0] - wider.after[0], wider.after[1] - wider.before[1])
+        if by <= READING * sigma + ROUNDED:  # errors of readings at the end of the range
+            continue
+        yield Diagnostic(Kind.JOINT_LIMITS_WIDENED, (wider.joint,), {
+            "before_deg": np.degrees(wider.before).tolist(), "after_deg": np.degrees(wider.after).tolist()})
     if impossible:
         yield Diagnostic(Kind.NO_CALIBRATED_MACHINE, (), {
             "reason": impossible.rstrip("."), "remedy": "Correct limits in the machine file, or fix parameters"})

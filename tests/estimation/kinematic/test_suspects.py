@@ -93,3 +93,17 @@ def test_a_wrong_distance_is_said_by_both_methods() -> None:
     assert of_kind(simple.diagnostics, Kind.OFF_OPTIMUM)
     assert not list(wrong_distances((true := solve(calibration_problem(machine, poses))).problem, true.linearised, 1.0))
     assert not of_kind(solve(true.problem, "hierarchical").diagnostics, Kind.OFF_OPTIMUM)
+
+
+def test_limits_give_way_to_poses_and_intervals_are_held_against_others(sound: Poses) -> None:
+    machine = load_machine("cat215b")
+    lower, upper = machine.link("boom").joint.range
+    short = machine.with_joint_limits({"boom": (lower + 0.2, upper)})
+    even = np.arange(POSES) % 2 == 0
+    calibration = calibrate(calibration_problem(short, sound.select(even), sound.select(~even)))
+    (widened,) = of_kind(calibration.diagnostics, Kind.JOINT_LIMITS_WIDENED)
+    assert widened.subject == ("boom",)
+    angle = calibration.q[:, calibration.problem.model.joints.index("boom")]
+    assert calibration.machine.link("boom").joint.range[0] <= np.min(angle) + 0.01
+    assert 0.88 < calibration.validation_coverage <= 1
+    assert not of_kind(calibration.diagnostics, Kind.INTERVALS_TOO_NARROW)
