@@ -180,7 +180,7 @@ WORDS: dict[Kind, Words] = {
         "{before_deg[1]:.2f} deg."),
     Kind.JOINT_LIMITS_WIDENED: Words(
         "Poses of {subject} lie beyond its limits, {before_deg[0]:.2f} to {before_deg[1]:.2f} deg. The calibrated "
-        "machine has {after_deg[0]:.2f} to {after_deg[1]:.2f} deg, as far as strokes permit.", "Check the sensor's zero."),
+        "machine has {after_deg[0]:.2f} to {after_deg[1]:.2f} deg.", "Check the sensor's zero."),
     Kind.STROKE_CONTRADICTS_POSES: Words(
         "With the calibrated geometry the stroke of {cylinder} moves {subject} from {after_deg[0]:.2f} to "
         "{after_deg[1]:.2f} deg only, but {beyond} poses lie beyond.",
@@ -377,7 +377,7 @@ WORDS: dict[Kind, Words] = {
         "The poses place {one} and {other} {measured_mm:.2f} ± {measured_std_mm:.2f} mm apart (one standard "
         "deviation), where the machine file states {stated_mm:.2f} ± {stated_std_mm:.2f} mm.",
         "Measure the distance again, or state its sigma."),
-    Kind.DISTANCE_OFF: Words("The stated distance '{subject}' is wrong by about {size:.2f} {unit}.", "Measure it again."),
+    Kind.DISTANCE_OFF: Words("The stated distance '{subject}' is wrong by {size:.2f} {unit}.", "Measure it again."),
     Kind.STAGE_ABOVE_STATED: Words(
         "Errors are larger than stated in {scales}; in the other stages they are {others:.1f} times those stated."),
     Kind.POSES_IN_ONE_PLANE: Words(
@@ -416,7 +416,7 @@ WORDS: dict[Kind, Words] = {
         "Held-out poses fit worse after calibration than before ({subject}: {after_mm:.3g} mm against {before_mm:.3g} "
         "mm)."),
     Kind.INTERVALS_TOO_NARROW: Words(
-        "Only {share:.0f %} of the errors of held-out poses lie within their 95 % intervals: the geometry is less certain "
+        "Only {share:.0f %} of held-out errors lie within their 95 % intervals: the geometry is less certain "
         "there than stated, or those poses are worse.", "Add poses from there to the training poses."),
     Kind.LARGER_ON_VALIDATION: Words(
         "Held-out poses have {ratio:.1f} times the error of the training poses ({subject}): the geometry is "
