@@ -14,7 +14,7 @@ from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
 from hydroopt.report.identification import render
 from hydroopt.results.diagnostic import sentences
-from hydroopt.simulation.simulate import random_trajectory, simulate
+from hydroopt.simulation.simulate import random_trajectory, random_truth, simulate
 
 EVIL = "<script>alert(1)</script>"
 
@@ -24,7 +24,8 @@ def estimate() -> Estimate:
     machine = load_machine("cat215b").model_copy(update={"description": f"an excavator {EVIL}"})
     model = Model(machine)
     motions = [random_trajectory(model, duration=20.0, rate=25.0, seed=k) for k in (1, 2)]
-    logs = [simulate(model, motion, seed=k, name=f'log "{k}" {EVIL}') for k, motion in enumerate(motions)]
+    truth = random_truth(model, 3)
+    logs = [simulate(model, motion, truth, seed=k, name=f'log "{k}" {EVIL}') for k, motion in enumerate(motions)]
     return identify(identification_problem(machine, logs[:1], logs[1:]))
 
 

@@ -214,7 +214,9 @@ def _elliptical_step(state: Array, slack: Array, log_density: Array, block: NDAr
     state, slack, log_density = state.copy(), slack.copy(), log_density.copy()
     threshold = log_density - rng.exponential(size=chains)
     waiting = np.arange(chains)
-    for tries in (angles[:1], angles[1:]):  # most chains are done after one
+    for tries in (angles[:1], angles[1:TRIES], angles[TRIES:]):  # most chains are done after one
+        if not (len(tries) and len(waiting)):
+            break
         angle, current = tries[:, waiting], state[np.ix_(block, waiting)]
         step = current[:, None] * (np.cos(angle) - 1) + other[:, waiting][:, None] * np.sin(angle)
         flat = step.reshape(len(block), -1)

@@ -61,8 +61,8 @@ def prior_test(R: Array, r: Array, prior: tuple[Array, Array], scale: Array, nom
     with eigenvalues λ, z = u/√(1 + λ) are standard normal. A body that is wrong as a whole moves y along R·ψ_body,
     whose score test sees what is spread over many directions.
 
-    >>> found = prior_test(np.eye(1), np.array([9.0]), (np.eye(1), np.zeros(1)), np.ones(1), np.ones(1), {})
-    >>> round(found.p_value, 6)  # the data say 9 ± 1, the prior 0 ± 1
+    >>> found = prior_test(10 * np.eye(1), np.array([90.0]), (np.eye(1), np.zeros(1)), np.ones(1), np.ones(1), {})
+    >>> round(found.p_value, 6)  # the data say 9 ± 0.1, the prior 0 ± 1
     0.0
 
     Args:

@@ -17,7 +17,6 @@ import numpy as np
 
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
-from hydroopt.estimation.dynamic.regressor_qr import compress
 from hydroopt.estimation.inference.identifiability import PREDICTED_TOLERANCE, Identifiability, significant
 from hydroopt.excitation.criteria import presumed_noise
 from hydroopt.logs import spline
@@ -57,9 +56,7 @@ def measured_information(machine: Machine, logs: Sequence[AnyLog]) -> Array:
         IdentifiabilityError: no joint moves in them.
     """
     problem = identification_problem(machine, list(logs)).by_data_alone()
-    estimate = identify(problem, "wls")
-    R, _, _ = compress(problem.model, problem.experiments, psi=estimate.psi).weighted(
-        estimate.sigma * np.sqrt(estimate.correlation_time))
+    R = identify(problem, "wls").weighted_residuals.R
     return np.asarray(R.T @ R)
 
 
