@@ -8,6 +8,7 @@ from hydroopt import calibration_problem, load_machine, read_pose_files, solve
 from hydroopt.estimation.kinematic.observability import linearise
 from hydroopt.estimation.kinematic.prediction import NORMAL_95, standardised
 from hydroopt.estimation.kinematic.residuals import predicted
+from hydroopt.estimation.kinematic.suspect import SuspectKind
 
 DATA = Path(__file__).parents[2] / "data" / "mukca_panda_2"
 SHIFT = 1.959964
@@ -64,7 +65,8 @@ def run() -> dict:
     results |= authors_figures(one_place, least_squares, poses, center)
 
     everything = solve(calibration_problem(machine, poses))
-    flagged = [suspect.name for suspect in everything.suspects if suspect.kind == "stage"]
+    flagged = sorted({suspect.name.rpartition(".")[2] for suspect in everything.suspects
+                      if suspect.kind is not SuspectKind.POSE})
     tip = balls(everything.problem.model, everything.theta, poses)
     results |= {"inconsistent_places": flagged, "high_fitted_to_everything": mm(scatter(tip, poses)[high].mean())}
 
