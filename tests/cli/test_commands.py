@@ -63,6 +63,7 @@ def test_identify_says_what_is_in_doubt(kr300: tuple[Path, str]) -> None:
     assert "Diagnostics" in (kr300[0] / "report.html").read_text()
 
 
+@pytest.mark.slow
 def test_json_is_the_file(tmp_path: Path) -> None:
     printed = json.loads(run("identify", *KR300, "--method", "wls", "--json", "-o", str(tmp_path)))
     assert printed == json.loads((tmp_path / "estimate.json").read_text())

@@ -100,7 +100,7 @@ def test_coefficients_make_the_trajectory(kind: str, written: Callable[..., Path
         np.testing.assert_allclose(found, rows @ coefficients, rtol=0, atol=1e-10 * np.max(np.abs(found)))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", tiered(KINDS, lambda kind: kind == "series"))
 def test_trajectory_is_a_log(kind: str, written: Callable[..., Path]) -> None:
     directory = written(*KINDS[kind])
     log, (header, rows), machine = (read_log(directory / "trajectory.csv"), table(directory),
@@ -111,7 +111,7 @@ def test_trajectory_is_a_log(kind: str, written: Callable[..., Path]) -> None:
         np.testing.assert_array_equal(log.channel(f"{joint}.q"), rows[:, header.index(f"{joint}.q [rad]")])
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", tiered(KINDS, lambda kind: kind == "series"))
 def test_trajectory_begins_and_ends_at_rest(kind: str, written: Callable[..., Path]) -> None:
     _, q, qd, qdd = states(written(*KINDS[kind]))
     assert np.max(np.ptp(q, axis=0)) > 0.1, "it moves"
@@ -119,7 +119,7 @@ def test_trajectory_begins_and_ends_at_rest(kind: str, written: Callable[..., Pa
         assert np.max(np.abs(part[[0, -1]])) < 1e-12 * np.max(np.abs(part))
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", tiered(KINDS, lambda kind: kind == "series"))
 def test_limits_are_kept_with_room(kind: str, written: Callable[..., Path]) -> None:
     """What the trajectory itself, reckoned with the machine's geometry here, uses of some."""
     directory = written(*KINDS[kind])
@@ -166,7 +166,7 @@ def test_joint_that_rests_does_so_exactly(written: Callable[..., Path]) -> None:
     assert "swing at 10 deg" in (directory / "report.html").read_text("utf-8")
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", tiered(KINDS, lambda kind: kind == "series"))
 def test_deviations_before_are_the_file_s(kind: str, written: Callable[..., Path]) -> None:
     model = Model(load_machine(KINDS[kind][0]))
     scale = model.parameters.scale
@@ -228,7 +228,7 @@ def test_machine_that_can_hardly_move_is_told_why(flow: str, tmp_path: Path) -> 
 
 # report
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", tiered(KINDS, lambda kind: kind == "series"))
 def test_report_needs_nothing_from_outside_and_shows_everything(kind: str, written: Callable[..., Path]) -> None:
     page = (written(*KINDS[kind]) / "report.html").read_text("utf-8")
     said = content(written(*KINDS[kind]))
@@ -275,14 +275,14 @@ int moved(double t, {0}_motion_t *out)
 """
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", tiered(KINDS, lambda kind: kind == "series"))
 def test_c_tests_itself(kind: str, written: Callable[..., Path], tmp_path: Path) -> None:
     _tool("cc")
     shutil.copytree(written(*KINDS[kind]) / "c", tmp_path / "c")
     assert "self-test passed" in _must(tmp_path / "c", _tool("make"), "check", "CFLAGS=-O0 -Werror")
 
 
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", tiered(KINDS, lambda kind: kind == "series"))
 def test_c_moves_as_the_trajectory_says(kind: str, written: Callable[..., Path], tmp_path: Path) -> None:
     name, place = KINDS[kind][0], shutil.copytree(written(*KINDS[kind]) / "c", tmp_path / "c")
     (place / "shim.c").write_text(SHIM.format(name))

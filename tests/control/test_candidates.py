@@ -151,6 +151,7 @@ def test_the_reduced_model_cannot_come_nearer() -> None:
         assert off(nearest.psi + step) > least
 
 
+@pytest.mark.slow
 def test_gains_far_too_high_are_refused(setting: Setting) -> None:
     with pytest.raises(ProblemError, match=r"loop of 'lift_cylinder' is unstable .* posture .* gain margin is -\d.*;"):
         compare(replace(setting, gain=60.0), [setting.true._replace(name=COMPLETE)], [PI])

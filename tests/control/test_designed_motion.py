@@ -20,6 +20,7 @@ from hydroopt.simulation.simulate import Trajectory
 CAT = (Path(__file__).parents[2] / "models/cat215b.toml").read_text("utf-8")
 
 
+@pytest.mark.slow
 def test_a_motion_at_the_limit_of_the_pump_is_accepted_at_any_rate_of_the_controller(tmp_path: Path) -> None:
     """Read again from its file; a motion that is one per cent faster is refused."""
     machine = read_machine(CAT.replace('"300 L/min"', '"60 L/min"'))

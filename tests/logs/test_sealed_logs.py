@@ -152,6 +152,7 @@ def test_friction_is_chosen_and_said(place: Path) -> None:
     assert table.count("chosen</td>") == 1
 
 
+@pytest.mark.slow
 def test_friction_that_is_named_is_used(place: Path) -> None:
     run("identify", place / "crane.toml", place / "run1/log.csv", "--friction", "coulomb + viscous",
         "-o", place / "named")

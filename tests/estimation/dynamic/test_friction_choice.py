@@ -71,6 +71,7 @@ def test_every_term_comes_back(method: Any) -> None:
         assert estimate.category(k) == "full", name
 
 
+@pytest.mark.slow
 def test_the_terms_of_every_actuator_of_an_excavator_come_back() -> None:
     data = load_machine("cat215b").model_dump()
     rotary = {"coulomb": 0.0, "stribeck": 0.0, "stribeck_speed": 0.1}

@@ -44,7 +44,8 @@ def crane() -> Machine:
     return Machine.model_validate(data)
 
 
-@pytest.mark.parametrize("machine", [load_machine("kr300"), load_machine("patu655_lift"), crane()],
+@pytest.mark.parametrize("machine", [
+    pytest.param(load_machine("kr300"), marks=pytest.mark.slow), load_machine("patu655_lift"), crane()],
                          ids=["kr300", "patu655_lift", "crane_with_rod"])
 def test_other_machines_come_back(machine: Machine, record: Any) -> None:
     model = Model(machine)

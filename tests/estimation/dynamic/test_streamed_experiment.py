@@ -148,6 +148,7 @@ def test_a_channel_that_is_missing_is_named(cat215b: Model, log: Log, tmp_path: 
         identification_problem(cat215b.machine, [stream(tmp_path / "log.parquet")])
 
 
+@pytest.mark.slow
 def test_the_command_reads_long_files_in_pieces(path: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streaming, "STREAMED", 1000)
     monkeypatch.setattr(sys, "argv", ["hydroopt", "identify", "cat215b", str(path), "--holdout", "0.3", "--method",

@@ -192,6 +192,7 @@ def test_the_problem_prints_itself_and_ipopt_finds_the_same_optimum(crane):
         problem.cvxpy()
 
 
+@pytest.mark.slow
 def test_an_estimate_is_loaded_as_it_was_saved(crane, log, tmp_path):
     estimate = solve(hydraulic_problem(crane.machine, [log]))
     estimate.save(tmp_path)

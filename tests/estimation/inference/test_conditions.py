@@ -322,6 +322,7 @@ def test_log_det_needs_possible_bodies(problems: tuple[IdentificationProblem, Id
         identify(problems[1].with_distance("log-det"), method)
 
 
+@pytest.mark.slow
 def test_report_and_json_show_the_names(noisy_estimate: Any) -> None:
     page, content = render(noisy_estimate), noisy_estimate.content()
     for name in STATED:

@@ -72,7 +72,7 @@ def constrained(noisy: IdentificationProblem) -> IdentificationProblem:
 
 
 @pytest.mark.parametrize("changed", [
-    lambda problem: problem.subject_to("product", product),
+    pytest.param(lambda problem: problem.subject_to("product", product), marks=pytest.mark.slow),
     pytest.param(lambda problem: problem.with_distance("log-det"), marks=pytest.mark.slow),
     pytest.param(lambda problem: problem.with_loss("huber"), marks=pytest.mark.slow)],
     ids=["user's constraint", "log-det", "huber"])
@@ -147,6 +147,7 @@ def test_a_user_adds_a_constraint_in_cvxpy(noisy: IdentificationProblem) -> None
     assert cost > free + 1e-3
 
 
+@pytest.mark.slow
 def test_the_two_programs_have_one_objective(noisy: IdentificationProblem) -> None:
     assert convex_by_hand(noisy.cvxpy().problem) == pytest.approx(by_hand(noisy.nlp())[1], rel=1e-6)
 

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fixtures.tiers import tiered
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic import link_by_link
 from hydroopt.estimation.kinematic.observability import linearise, observability
@@ -116,6 +117,7 @@ def test_a_resolver_before_the_moving_joint() -> None:
         ("stick_moves", "stick"), ("boom_moves", "boom"), ("swing_moves", ""), ("all", "")]
 
 
+@pytest.mark.slow
 def test_noise_stays_within_reason() -> None:
     problem, q = excavator(count=120, noise=5)
     theta, _ = link_by_link.sequential_least_squares(problem, problem.start, q)
@@ -143,7 +145,7 @@ def arm(joints: int) -> Machine:
 
 
 @pytest.mark.parametrize("labels", [("", ""), ("first", "second")])
-@pytest.mark.parametrize("joints", [4, 5, 6, 7])
+@pytest.mark.parametrize("joints", tiered((4, 5, 6, 7), lambda joints: joints == 4))
 def test_all_sensed_with_a_known_distance(joints: int, labels: tuple[str, str]) -> None:
     machine = arm(joints)
     model = KinematicModel(machine)

@@ -89,6 +89,7 @@ def test_plan_is_the_best_of_all_subsets(focus, seed):
     np.testing.assert_array_equal(plan_poses(CAT, count, **options).q, all_of_them.q[list(best)])
 
 
+@pytest.mark.slow
 def test_poses_close_within_limits_and_strokes(plan):
     short = with_strokes({"stroke": 0.9}, {"dead_length": 2.2, "stroke": 0.7})
     low, high = postures.limits(MODEL)
