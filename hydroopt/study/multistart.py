@@ -43,8 +43,8 @@ class Start:
         """
         problem = _problem(self)
         start = problem.start if nominal else random_start(problem, np.random.default_rng(seed))
-        cost, theta, _ = optimum(problem, self.method, start)
-        return {"cost": float(cost), **dict(zip(problem.parameters.names, theta.tolist(), strict=True))}
+        found = optimum(problem, self.method, start)
+        return {"cost": float(found.cost), **dict(zip(problem.parameters.names, found.theta.tolist(), strict=True))}
 
 
 @cache
@@ -88,7 +88,7 @@ def summary(study: Study, table: Table) -> dict[str, Any]:
     cost, found = table.column("cost"), np.column_stack([table.column(name) for name in names])
     best = int(np.argmin(cost))
     theta = np.array([table.results[best][name] for name in problem.parameters.names], dtype=float)
-    _, theta, q = optimum(problem, work.method, theta)
+    _, theta, q, _ = optimum(problem, work.method, theta)
     std = observability(problem, linearise(problem, theta, closed_angles(problem, theta, q))).std
     size = np.where(np.isfinite(std) & (std > 0), std, np.inf)
     optima: list[dict[str, Any]] = []

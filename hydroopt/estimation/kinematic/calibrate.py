@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -15,6 +16,7 @@ from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.estimation.kinematic.residuals import loop_fit, predicted
 from hydroopt.estimation.kinematic.solution import HIERARCHICAL, JOINT, METHODS
+from hydroopt.estimation.kinematic.stage_result import StageResult
 from hydroopt.estimation.kinematic.suspects import find_suspects
 from hydroopt.estimation.kinematic.uniqueness import uniqueness
 from hydroopt.estimation.kinematic.unsensed_angles import closed_angles, follow_unsensed, guess_unsensed
@@ -40,7 +42,7 @@ def calibrate(problem: CalibrationProblem, method: str = "joint", *, starts: int
         raise ProblemError(f"{starts} initial guesses are too few", where="--starts", remedy="ask for one or more")
     problem = solvable(problem, method)
     rng = np.random.default_rng(seed)
-    answers: list[tuple[float, Array, Array]] = []
+    answers: list[Optimum] = []
     failed = 0
     for k in range(starts):
         try:
@@ -49,8 +51,8 @@ def calibrate(problem: CalibrationProblem, method: str = "joint", *, starts: int
             if starts == 1 or (k == starts - 1 and not answers):
                 raise
             failed += 1
-    answers.sort(key=lambda answer: answer[0])
-    _, theta, q = answers[0]
+    answers.sort(key=lambda answer: answer.cost)
+    _, theta, q, stages = answers[0]
     linearised = linearise(problem, theta, closed_angles(problem, theta, q))
     identified = observability(problem, linearised)
     determined = int(np.sum(np.isfinite(identified.std)))
@@ -63,7 +65,7 @@ def calibrate(problem: CalibrationProblem, method: str = "joint", *, starts: int
         fits["validation"] = loop_fit(*predicted(problem, theta, problem.validation))
     return Calibration(problem, method, theta, q, identified, linearised, scale, fits,
                        find_suspects(problem, q, linearised, identified),
-                       uniqueness(identified, [answer[:2] for answer in answers], failed, problem.free), seed)
+                       uniqueness(identified, [answer[:2] for answer in answers], failed, problem.free), seed, stages)
 
 
 def without_suspects(calibration: Calibration, *, starts: int = 1) -> Calibration:
@@ -114,20 +116,33 @@ def random_start(problem: CalibrationProblem, rng: np.random.Generator) -> Array
     return np.asarray(problem.start + offset)
 
 
-def optimum(problem: CalibrationProblem, method: str, start: Array) -> tuple[float, Array, Array]:
-    """Squared errors, parameters (P,) and joint vectors (N, n) of the optimum that an initial guess (P,) leads to.
+class Optimum(NamedTuple):
+    """Squared errors, parameters (P,), joint vectors (N, n), and what stages gave by the method ``hierarchical``."""
+
+    cost: float
+    theta: Array
+    q: Array
+    stages: tuple[StageResult, ...] = ()
+
+
+def optimum(problem: CalibrationProblem, method: str, start: Array) -> Optimum:
+    """The optimum that an initial guess (P,) leads to.
 
     The guess is moved into the bounds first.
 
     Raises:
         SolverError: the solver did not converge.
     """
-    solve = joint.maximum_likelihood if method == JOINT else link_by_link.sequential_least_squares
     start = np.clip(start, problem.parameters.lower, problem.parameters.upper)
-    theta, q = solve(problem, start, guess_unsensed(problem, start))
+    own = guess_unsensed(problem, start)
+    stages: tuple[StageResult, ...] = ()
+    if method == JOINT:
+        theta, q = joint.maximum_likelihood(problem, start, own)
+    else:
+        theta, q, stages = link_by_link.sequential_least_squares(problem, start, own)
     # a solver keeps bounds to its tolerance only; a machine must keep them to the last digit
     theta = np.clip(theta, problem.parameters.lower, problem.parameters.upper)
-    return _cost(problem, theta, q), theta, q
+    return Optimum(_cost(problem, theta, q), theta, q, stages)
 
 
 def _refuse_too_few(problem: CalibrationProblem) -> None:

@@ -149,6 +149,7 @@ class Calibration(KinematicSolution, Answer):
                  f"errors {self.noise_scale:.2f} times those stated"]
         lines += [f"  {data:<10} {channel:<24} RMS {1e3 * fit.rms:9.3f} mm  VAF {100 * fit.vaf:7.3f} %"
                   for data, table in self.fit.items() for channel, fit in table.items()]
+        lines += [f"  stage {stage}" for stage in self.stages]
         return "\n".join(lines)
 
     def details(self) -> Mapping[str, Any]:
@@ -168,6 +169,7 @@ class Calibration(KinematicSolution, Answer):
             "left_out": list(before), "uniqueness": self.uniqueness.as_dict(),
             "workspace": {"point": workspace.point, "median_std": number(workspace.median_std),
                           "largest_std": number(workspace.largest_std)},
+            "stages": [stage.as_dict() for stage in self.stages],
             "loss": self.problem.loss, "priors": self.problem.priors, "fixed": dict(self.problem.fixed),
             "seed": self.seed}
 

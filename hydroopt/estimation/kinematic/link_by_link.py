@@ -24,6 +24,7 @@ from numpy.typing import NDArray
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference.identifiability import PREDICTED_TOLERANCE, significant
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
+from hydroopt.estimation.kinematic.stage_result import StageResult
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.spatial.inertia import Array
 
@@ -47,19 +48,6 @@ Rows = Callable[[Array], tuple[Array, Array]]
 """x -> residuals (R,) [m] and their Jacobian (R, size of x)."""
 
 
-class StageResult(NamedTuple):
-    """What a stage gave: the joint that moved ('' if all were sensed), names identified, iterations, rms of rows [m].
-
-    The last one, its stage named 'all', is what the loops of all stages gave together, if anything was left to them.
-    """
-
-    stage: str
-    joint: str
-    identified: tuple[str, ...]
-    iterations: int
-    rms: float
-
-
 class Hierarchy(NamedTuple):
     """Parameters (P,), joint vectors (N, n) [rad, m], and what each stage contributed, in the order of the stages."""
 
@@ -68,8 +56,8 @@ class Hierarchy(NamedTuple):
     stages: tuple[StageResult, ...]
 
 
-def sequential_least_squares(problem: CalibrationProblem, start: Array, own: Array) -> tuple[Array, Array]:
-    """Parameters (P,) and joint vectors (N, n) [rad, m]: sensed angles as read, unsensed ones from the closed loops.
+def sequential_least_squares(problem: CalibrationProblem, start: Array, own: Array) -> Hierarchy:
+    """Stage by stage: sensed angles as read, unsensed ones from the closed loops.
 
     Args:
         problem: what to solve.
@@ -79,11 +67,6 @@ def sequential_least_squares(problem: CalibrationProblem, start: Array, own: Arr
     Raises:
         ProblemError: the problem holds what this method cannot use, or the answer lies outside of the bounds.
     """
-    return stage_by_stage(problem, start, own)[:2]
-
-
-def stage_by_stage(problem: CalibrationProblem, start: Array, own: Array) -> Hierarchy:
-    """As `solve`, with what was identified where."""
     _refuse(problem)
     theta = np.array(start, dtype=float)
     for name, value in problem.fixed.items():
@@ -95,10 +78,12 @@ def stage_by_stage(problem: CalibrationProblem, start: Array, own: Array) -> Hie
     def settle(stage: str, joint: str, rows: Rows, locals_: Array, unit: float) -> None:
         x, unknown = np.concatenate([theta, locals_]), np.concatenate([left, np.full(len(locals_), True)])
         scale = np.concatenate([problem.parameters.scale, np.full(len(locals_), unit)])
-        x, found, iterations, rms = _minimise(rows, x, np.flatnonzero(unknown), scale)
-        theta[:], found = x[: len(theta)], found[found < len(theta)]
+        answer = _minimise(rows, x, np.flatnonzero(unknown), scale)
+        theta[:], found = answer.x[: len(theta)], answer.identified[answer.identified < len(theta)]
         left[found] = False
-        results.append(StageResult(stage, joint, tuple(problem.parameters.names[k] for k in found), iterations, rms))
+        results.append(StageResult(
+            stage, joint, int(unknown.sum()), tuple(problem.parameters.names[k] for k in found), answer.iterations,
+            answer.truncation, answer.rank, answer.rms))
 
     for stage, joint, part in parts:
         unit = float(problem.parameters.scale[part.layout.fixture[0, 0]])
@@ -220,9 +205,19 @@ def _closed(part: CalibrationProblem, theta: Array) -> Array:
     return turned(np.arctan2(mean - quarter, mean - first)[:, None])
 
 
-def _minimise(rows: Rows, x: Array, unknown: NDArray[np.intp], scale: Array) -> tuple[Array, NDArray[np.intp], int,
-                                                                                    float]:
-    """Least squares by Eqs. 3.42 and 3.43: x, which of the unknown ones are identified, iterations and rms [m].
+class _Minimum(NamedTuple):
+    """x, which of the unknown ones are identified, and how they were found, see `StageResult`."""
+
+    x: Array
+    identified: NDArray[np.intp]
+    iterations: int
+    truncation: float
+    rank: int
+    rms: float
+
+
+def _minimise(rows: Rows, x: Array, unknown: NDArray[np.intp], scale: Array) -> _Minimum:
+    """Least squares by Eqs. 3.42 and 3.43.
 
     Singular values below a part p of the largest are zeroed; p shrinks once the iteration has converged, until this
     frees directions without a gain. A step that increases the sum is repeated with a damping that grows from p² of the
@@ -230,6 +225,7 @@ def _minimise(rows: Rows, x: Array, unknown: NDArray[np.intp], scale: Array) -> 
     """
     residual, jacobian = rows(x)
     square, p, iterations, rank = float(residual @ residual), FIRST, 0, 0
+    truncation, taken = p, 0  # of the last step
     while p >= LAST:
         before = square
         for _ in range(STEPS):
@@ -251,13 +247,14 @@ def _minimise(rows: Rows, x: Array, unknown: NDArray[np.intp], scale: Array) -> 
                 x = last
                 break
             residual, jacobian, square, iterations = there, slope, float(there @ there), iterations + 1
+            truncation, taken = p, len(s)
         if len(s) > rank > 0 and square > (1 - SETTLED) * before:
             break
         p, rank = p / 10, len(s)
     _, s, vt = np.linalg.svd(jacobian[:, unknown] * scale[unknown])
     null_space = vt[int(np.sum(significant(s, PREDICTED_TOLERANCE))) :]
     identified = unknown[np.linalg.norm(null_space, axis=0) < TOUCHED]
-    return x, identified, iterations, float(np.sqrt(square / len(residual)))
+    return _Minimum(x, identified, iterations, truncation, taken, float(np.sqrt(square / len(residual))))
 
 
 def _refuse(problem: CalibrationProblem) -> None:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from hydroopt.estimation.kinematic.observability import Linearised, Observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
+from hydroopt.estimation.kinematic.stage_result import StageResult
 from hydroopt.estimation.kinematic.suspect import Suspect
 from hydroopt.estimation.kinematic.uniqueness import Uniqueness
 from hydroopt.results.fit import Fit
@@ -39,6 +40,7 @@ class KinematicSolution:
         suspects: joints, stages and poses that contradict the rest.
         uniqueness: what solving from several initial guesses showed.
         seed: of these, and of the postures that stand for the workspace.
+        stages: what each stage gave by the method ``hierarchical``, with its iterations and truncation.
     """
 
     problem: CalibrationProblem
@@ -52,6 +54,7 @@ class KinematicSolution:
     suspects: tuple[Suspect, ...]
     uniqueness: Uniqueness
     seed: int = 0
+    stages: tuple[StageResult, ...] = ()
 
     @cached_property
     def std(self) -> Array:

@@ -568,7 +568,7 @@ def recovered(arm: CalibrationProblem, method: str) -> np.ndarray:
     start = np.maximum(parameters.nominal + rng.choice([-1, 1], len(parameters)) * away * arm.free, parameters.lower)
     if method == "hierarchical":  # which knows no bounds
         arm = replace(arm, parameters=replace(parameters, lower=np.full(len(parameters), -np.inf)))
-    theta, _ = (joint.maximum_likelihood if method == "joint" else link_by_link.sequential_least_squares)(
+    theta, *_ = (joint.maximum_likelihood if method == "joint" else link_by_link.sequential_least_squares)(
         arm, start, arm.layout.reading)
     return np.abs(theta[: len(arm.model.parameters)] - arm_truth(arm.model))
 

@@ -13,6 +13,7 @@ import pytest
 from fixtures.tiers import tiered
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic import link_by_link
+from hydroopt.estimation.kinematic.calibrate import calibrate
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.machine.links import Note
@@ -65,14 +66,14 @@ def apart(q: np.ndarray, truth: np.ndarray) -> float:
 @pytest.mark.parametrize("seed", range(4))
 def test_excavator(seed: int, sweep: bool) -> None:
     problem, q = excavator(seed, sweep=sweep)
-    theta, found = link_by_link.sequential_least_squares(problem, start(problem, seed), np.zeros_like(q))
+    theta, found, _ = link_by_link.sequential_least_squares(problem, start(problem, seed), np.zeros_like(q))
     assert np.max(np.abs(theta - problem.start)) < ACCURACY
     assert apart(found, q) < ACCURACY
 
 
 def test_what_each_stage_identifies() -> None:
     problem, q = excavator()
-    stages = link_by_link.stage_by_stage(problem, start(problem, 0), q).stages
+    stages = link_by_link.sequential_least_squares(problem, start(problem, 0), q).stages
     assert [(each.stage, each.joint) for each in stages] == [
         ("stick_moves", "stick"), ("boom_moves", "boom"), ("swing_moves", "swing"), ("all", "")]
     assert [set(each.identified) for each in stages] == [
@@ -81,13 +82,28 @@ def test_what_each_stage_identifies() -> None:
         {"swing.a", "swing.alpha", "boom.d", "boom.locked.swing_moves", "ball.x", "ball.z"},
         {"swing.locked.stick_moves", "boom.locked.stick_moves"}]
     assert all(each.rms < ACCURACY and each.iterations > 0 for each in stages)
+    # the circle's radius and height count, too
+    assert [each.rank for each in stages] == [6, 6, 6, 2]
+    assert all(link_by_link.LAST <= each.truncation <= link_by_link.FIRST for each in stages)
+    assert stages[2].unknowns == len(stages[2].identified) + len(stages[3].identified)
+
+
+def test_the_answer_keeps_and_prints_the_iterations_of_each_stage() -> None:
+    problem, _ = excavator(count=15)
+    solved = calibrate(problem, "hierarchical")
+    kept = solved.details()["stages"]
+    assert [stage["stage"] for stage in kept] == ["stick_moves", "boom_moves", "swing_moves", "all"]
+    for stage, result in zip(kept, solved.stages, strict=True):
+        assert f"stage {result.stage}" in str(solved)
+        assert f"{stage['iterations']} iterations" in str(solved)
+        assert stage["truncation"] == result.truncation
 
 
 def test_a_turn_of_the_whole_machine_stays_open() -> None:
     """Nothing tells where about the swing's axis the fixture stands: its place is found up to that turn."""
     problem, q = excavator()
     problem = replace(problem, fixed={name: value for name, value in problem.fixed.items() if name != "ball.y"})
-    found = link_by_link.stage_by_stage(problem, start(problem, 1), q)
+    found = link_by_link.sequential_least_squares(problem, start(problem, 1), q)
     identified = {name for stage in found.stages for name in stage.identified}
     names = [name for name, free in zip(problem.parameters.names, problem.free, strict=True) if free]
     assert set(names) - identified == {"ball.x", "ball.y", "swing.locked.stick_moves"}
@@ -101,7 +117,7 @@ def test_a_turn_of_the_whole_machine_stays_open() -> None:
 
 def test_without_the_last_stage_the_outer_links_are_found() -> None:
     problem, q = excavator(stages=2)
-    found = link_by_link.stage_by_stage(problem, start(problem, 2), q)
+    found = link_by_link.sequential_least_squares(problem, start(problem, 2), q)
     sure = [problem.parameters.index(name) for stage in found.stages[:2] for name in stage.identified]
     assert len(sure) == 8
     np.testing.assert_allclose(found.parameters[sure], problem.start[sure], rtol=0, atol=ACCURACY)
@@ -110,7 +126,7 @@ def test_without_the_last_stage_the_outer_links_are_found() -> None:
 def test_a_resolver_before_the_moving_joint() -> None:
     """The fixture does not stand still before the stick while the swing's reading varies: the whole loop is closed."""
     problem, q = excavator(read=("swing",))
-    found = link_by_link.stage_by_stage(problem, start(problem, 1), q)
+    found = link_by_link.sequential_least_squares(problem, start(problem, 1), q)
     np.testing.assert_allclose(found.parameters, problem.start, rtol=0, atol=ACCURACY)
     assert apart(found.q, q) < ACCURACY
     assert [(each.stage, each.joint) for each in found.stages] == [
@@ -120,7 +136,7 @@ def test_a_resolver_before_the_moving_joint() -> None:
 @pytest.mark.slow
 def test_noise_stays_within_reason() -> None:
     problem, q = excavator(count=120, noise=5)
-    theta, _ = link_by_link.sequential_least_squares(problem, problem.start, q)
+    theta, *_ = link_by_link.sequential_least_squares(problem, problem.start, q)
     assert abs(theta - problem.start)[problem.parameters.index("stick.a")] < 5e-3
     assert abs(theta - problem.start)[problem.parameters.index("boom.a")] < 0.02
 
@@ -163,7 +179,7 @@ def test_all_sensed_with_a_known_distance(joints: int, labels: tuple[str, str]) 
     seen = observability(problem, linearise(problem, problem.start, q))
     sure = np.linalg.norm(seen.null_space, axis=1) < 1e-6
     assert sure.sum() == 4 * joints - 6  # base and fixtures turn and rise together, α of the last joint makes up for d
-    answer = link_by_link.stage_by_stage(problem, start(problem, joints), q)
+    answer = link_by_link.sequential_least_squares(problem, start(problem, joints), q)
     np.testing.assert_allclose(answer.parameters[sure], problem.start[sure], rtol=0, atol=ACCURACY)
     assert answer.q == pytest.approx(q)
     assert set(answer.stages[0].identified) == {n for n, s in zip(problem.parameters.names, sure, strict=True) if s}
@@ -242,5 +258,5 @@ def test_drift_held_at_zero_is_no_drift() -> None:
     drifting = again(problem, with_stage(drift=0.01)(problem.model.machine))
     still = {name: 0.0 for name in drifting.parameters.names if ".drift." in name}
     drifting = drifting.fixing(**problem.fixed, **still)
-    theta, _ = link_by_link.sequential_least_squares(drifting, start(drifting, 3), q)
+    theta, *_ = link_by_link.sequential_least_squares(drifting, start(drifting, 3), q)
     assert np.max(np.abs(theta - drifting.start)) < ACCURACY
