@@ -30,6 +30,17 @@ def failure_saved(directory: Path, job: Job, machine: Machine, method: str,
         raise
 
 
+def refuse_refuted(answer: Answer, directory: Path) -> None:
+    """End a command whose answer was saved and printed, but rests on logs that contradict the machine file.
+
+    Raises:
+        SolverError: a log is misread.
+    """
+    if answer.refuted:
+        raise SolverError("the logs contradict the machine file, so that this answer cannot be trusted",
+                          where=str(directory), remedy="correct what the diagnostics name")
+
+
 def print_answer(answer: Answer, directory: Path, text: str = "", *, quiet: bool, as_json: bool) -> None:
     """Print an answer that was saved: as its JSON file, or as a text, its diagnostics and where its report is.
 

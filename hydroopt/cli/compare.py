@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from hydroopt.cli.answers import failure_saved, print_answer
+from hydroopt.cli.answers import failure_saved, print_answer, refuse_refuted
 from hydroopt.cli.options import (
     AsJson,
     Bandwidth,
@@ -64,3 +64,4 @@ def compare(
             change = detect_change(described, first, second, parts=names, level=level, smoothing=way, seed=seed)
         change.save(output, pages={"report.html": render_change(change)}, wall_s=time.perf_counter() - began)
     print_answer(change, output, quiet=quiet, as_json=as_json)
+    refuse_refuted(change, output)

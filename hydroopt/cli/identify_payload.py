@@ -8,7 +8,7 @@ from typing import Annotated
 
 import typer
 
-from hydroopt.cli.answers import failure_saved, print_answer
+from hydroopt.cli.answers import failure_saved, print_answer, refuse_refuted
 from hydroopt.cli.options import (
     AsJson,
     Bandwidth,
@@ -65,3 +65,4 @@ def identify_payload(
                            smoothing=way, seed=seed)
         load.save(output, pages={"report.html": render_payload(load)}, wall_s=time.perf_counter() - began)
     print_answer(load, output, quiet=quiet, as_json=as_json)
+    refuse_refuted(load, output)

@@ -14,7 +14,7 @@ from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import MachineId
 from hydroopt.results.parameter_table import ParameterTable
 from hydroopt.results.tables import number
-from hydroopt.results.wording import CONTRADICTIONS
+from hydroopt.results.wording import CONTRADICTIONS, REFUTATIONS
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -75,6 +75,11 @@ class Answer(ABC):
     def contradictions(self) -> tuple[Diagnostic, ...]:
         """The diagnostics that make it suspect."""
         return of_kind(self.diagnostics, *CONTRADICTIONS)
+
+    @property
+    def refuted(self) -> bool:
+        """Whether the data contradict the machine file as they are read, so that commands end with exit code 3."""
+        return bool(of_kind(self.diagnostics, *REFUTATIONS))
 
     @property
     @abstractmethod

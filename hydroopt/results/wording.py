@@ -163,8 +163,11 @@ class Kind(StrEnum):
 
 REFUTATIONS = frozenset({Kind.LOG_MISREAD})
 """Kinds that refute an answer's data: no machine is made of it unless that is forced."""
-CONTRADICTIONS = REFUTATIONS | frozenset({
-    Kind.STROKE_CONTRADICTS_POSES, Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE, Kind.OTHER_SAMPLING_RATE,
+OF_LOGS = REFUTATIONS | frozenset({
+    Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE, Kind.OTHER_SAMPLING_RATE})
+"""Kinds of what contradicts the machine file in a log as it is read, before any fit."""
+CONTRADICTIONS = OF_LOGS | frozenset({
+    Kind.STROKE_CONTRADICTS_POSES,
     Kind.MISFIT_CAUSE, Kind.LACK_OF_FIT, Kind.BODIES_CONTRADICTED, Kind.PRIORS_CONTRADICTED,
     Kind.WORSE_THAN_ZERO, Kind.UNEXPLAINED_ACTUATOR,
     Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_CHANNEL, Kind.ERRORS_FAR_LARGER,

@@ -5,6 +5,7 @@ from __future__ import annotations
 import csv
 import json
 import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,10 @@ from hydroopt.cli import app
 from hydroopt.errors import SolverError
 from hydroopt.estimation.dynamic.change import detect_change
 from hydroopt.estimation.dynamic.payload import payload
-from hydroopt.results.answer import load
+from hydroopt.estimation.dynamic.stored_information import stored_information
+from hydroopt.model.model import Model
+from hydroopt.results.answer import Status, load
+from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.wording import Kind
 
 CRANE = load_machine("patu655_lift")
@@ -102,6 +106,31 @@ def test_what_is_loaded_says_the_same(made: Path, tmp_path: Path) -> None:
         loaded.save(tmp_path / f"again{k}")
         for file in (tmp_path / str(k)).glob("*.csv"):
             assert (tmp_path / f"again{k}" / file.name).read_bytes() == file.read_bytes()
+
+
+@pytest.mark.parametrize(("command", "options"), [("compare", ("--before", "--after")),
+                                                  ("identify-payload", ("--unloaded", "--loaded"))])
+def test_a_misread_log_ends_the_command_with_3(made: Path, tmp_path: Path, command: str, options) -> None:
+    later = read_log(made / "b/log.csv")
+    wrong = {name: values / 1e5 if ".p_" in name else values for name, values in later.channels.items()}
+    replace(later, channels=wrong).to_frame().to_parquet(tmp_path / "bar.parquet")
+    done = CliRunner().invoke(app, [command, "patu655_lift", options[0], str(made / "kept"), options[1],
+                                    str(tmp_path / "bar.parquet"), "-o", str(tmp_path / "out")])
+    assert isinstance(done.exception, SolverError), done.output
+    assert done.exception.exit_code == 3
+    answer = load(tmp_path / "out")
+    assert answer.status is Status.SUSPECT
+    assert answer.diagnostics[0].kind is Kind.LOG_MISREAD
+    assert "pressures in bar" in answer.diagnostics[0].evidence["reading"]
+
+
+def test_what_contradicts_a_log_is_known_from_its_folder(made: Path, tmp_path: Path) -> None:
+    misread = Diagnostic(Kind.LOG_MISREAD, ("lift.q",), {"log": "a.csv", "reading": "the sign of lift.q reversed",
+                                                         "read_so": "", "as_read": ""})
+    content = json.loads((made / "kept/estimate.json").read_text()) | {"diagnostics": [misread.as_dict()]}
+    (tmp_path / "estimate.json").write_text(json.dumps(content))
+    (tmp_path / "information.csv").write_bytes((made / "kept/information.csv").read_bytes())
+    assert stored_information(Model(CRANE), tmp_path).of_logs == (misread,)
 
 
 def test_quiet_is_quiet(made: Path, tmp_path: Path) -> None:

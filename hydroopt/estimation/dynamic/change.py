@@ -12,7 +12,6 @@ import numpy as np
 from scipy import stats
 from threadpoolctl import threadpool_limits
 
-from hydroopt.checks.plausibility import examine
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.comparison import TwoSessionProblem, Wald, solve_both, two_session_problem, wald
 from hydroopt.estimation.dynamic.stored_information import refuse_shared_samples, stored_information
@@ -80,7 +79,6 @@ class Change(TwoSessionAnswer):
         level: below which a p-value is significant.
         single_changes: which parameter alone could explain the joint test.
         sampled: whether intervals were requested.
-        of_logs: what contradicts the machine file in the logs as they are read.
 
     Example:
         See `detect_change`.
@@ -90,7 +88,6 @@ class Change(TwoSessionAnswer):
     level: float
     single_changes: tuple[Diagnostic, ...]
     sampled: bool
-    of_logs: tuple[Diagnostic, ...] = ()
     job = Job.CHANGE
     roles = ("before", "after")
 
@@ -189,12 +186,7 @@ def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: S
         std, ci = found.posterior.interval(rows)
     return Change(machine, test.statistic, test.rank, test.freedom, test.p_value, first, second, found.posterior,
                   found.notes, tuple(_differences(problem, judged, value, std, ci, level)), level,
-                  _single_changes(problem, judged, level), intervals,
-                  tuple(found for log in (*_logs(before), *_logs(after)) for found in examine(model, log)))
-
-
-def _logs(session: Sequence[Log] | str | Path) -> Sequence[Log]:
-    return () if isinstance(session, str | Path) else session
+                  _single_changes(problem, judged, level), intervals)
 
 
 def _usual(parameters: ParameterSet) -> list[str]:

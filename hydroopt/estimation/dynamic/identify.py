@@ -14,7 +14,7 @@ from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.identification import Intervals
 from hydroopt.estimation.dynamic.misfit.freed import Freed, free
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
-from hydroopt.estimation.dynamic.training_logs import explained
+from hydroopt.estimation.dynamic.training_logs import contradictions, explained
 from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals, misfit, weighted_residuals
 from hydroopt.estimation.inference import identifiability, nlp, sdp
 from hydroopt.estimation.inference import least_squares as linear
@@ -81,7 +81,7 @@ def identify(problem: IdentificationProblem, method: Method = "sdp", *, toleranc
             solve = _solve_with_faults if problem.freed else _solve
             return solve(problem, method, tolerance, ridge, intervals, seed)
         except SolverError as error:
-            raise explained(error, problem.model, problem.experiments) from None
+            raise explained(error, contradictions(problem.model, problem.experiments)) from None
 
 
 def _solve_with_faults(problem: IdentificationProblem, method: Method, tolerance: float, ridge: float | None,

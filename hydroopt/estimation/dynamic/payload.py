@@ -12,7 +12,7 @@ import casadi as ca
 import numpy as np
 from threadpoolctl import threadpool_limits
 
-from hydroopt.errors import ProblemError
+from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.dynamic.change import named_parts
 from hydroopt.estimation.dynamic.comparison import (
     TwoSessionOptimum,
@@ -25,6 +25,7 @@ from hydroopt.estimation.dynamic.comparison import (
     wald,
 )
 from hydroopt.estimation.dynamic.stored_information import StoredInformation, refuse_shared_samples, stored_information
+from hydroopt.estimation.dynamic.training_logs import explained
 from hydroopt.estimation.dynamic.two_session_answer import Quantity, TwoSessionAnswer, rounded
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
@@ -98,13 +99,13 @@ class Payload(TwoSessionAnswer):
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """What the intervals assume, and what of the load these motions do not identify."""
+        """What contradicts the logs, what the intervals assume, and what of the load these motions do not identify."""
         missing = tuple(one.name for one in self.com if not one.identifiable)
         partly = (Diagnostic(Kind.LOAD_PARTLY_IDENTIFIABLE, missing),) if missing else ()
         if not self.mass.identifiable:
             partly = (Diagnostic(Kind.LOAD_MASS_CONFOUNDED, (self.link,)),)
         scale = () if self.gains else (Diagnostic(Kind.FORCE_SCALE_ASSUMED),)
-        return (*self.of_sampling(requested=True), *partly, *scale)
+        return (*self.of_logs, *self.of_sampling(requested=True), *partly, *scale)
 
     @cached_property
     def parameters(self) -> ParameterTable:
@@ -148,6 +149,7 @@ def payload(machine: Machine, unloaded: Sequence[Log] | str | Path, loaded: Sequ
         LogError: a log cannot be used.
         ProblemError: there is no such link, it cannot carry a load, or a session cannot be used.
         IdentifiabilityError: the logs identify nothing of the load.
+        SolverError: no trustworthy answer.
 
     Example:
         >>> import hydroopt as ho
@@ -171,17 +173,25 @@ def payload(machine: Machine, unloaded: Sequence[Log] | str | Path, loaded: Sequ
         if gain and {len(first.triangles), len(second.triangles)} != {len(machine.actuators)}:
             raise ProblemError("gains are not identifiable from residuals that were weighted jointly", where="gain",
                                remedy="identify without --motion fitted, --instruments and --correlated")
-        total = sum(owned.body.m for owned in bodies(machine).values())
-        problem = _problem(model, columns, names, gain, mass=0.1 * total)
-        test = wald(problem, *problem.rows(first, second))
-        if np.isfinite(test.std[0]):  # the load's approximate size sets the width of the prior
-            problem = _problem(model, columns, names, gain, mass=max(abs(float(test.value[0])), float(test.std[0])))
-        both = problem.rows(first, second)
-        test = wald(problem, *both)
-        possible = solve_both(problem, *both, intervals=False, seed=seed).x
-        # Most loads are small, at the edge of physical consistency: samples on one side of the edge only would lie too
-        # far from it, and intervals would not hold. Every mass and centre of mass has a consistent body.
-        found = solve_both(replace(problem, unconstrained=(LOAD,)), *both, intervals=True, seed=seed)
+        try:
+            return _weighed(model, columns, names, gain, first, second, carrier, seed)
+        except SolverError as error:
+            raise explained(error, (*first.of_logs, *second.of_logs)) from None
+
+
+def _weighed(model: Model, columns: Array, names: Sequence[str], gain: float, first: StoredInformation,
+             second: StoredInformation, carrier: str, seed: int) -> Payload:
+    total = sum(owned.body.m for owned in bodies(model.machine).values())
+    problem = _problem(model, columns, names, gain, mass=0.1 * total)
+    test = wald(problem, *problem.rows(first, second))
+    if np.isfinite(test.std[0]):  # the load's approximate size sets the width of the prior
+        problem = _problem(model, columns, names, gain, mass=max(abs(float(test.value[0])), float(test.std[0])))
+    both = problem.rows(first, second)
+    test = wald(problem, *both)
+    possible = solve_both(problem, *both, intervals=False, seed=seed).x
+    # Most loads are small, at the edge of physical consistency: samples on one side of the edge only would lie too
+    # far from it, and intervals would not hold. Every mass and centre of mass has a consistent body.
+    found = solve_both(replace(problem, unconstrained=(LOAD,)), *both, intervals=True, seed=seed)
     return _payload(problem, carrier, test, found, possible, first, second)
 
 

@@ -14,6 +14,7 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.estimation.dynamic.score_covariance import STEADY
+from hydroopt.estimation.dynamic.training_logs import contradictions
 from hydroopt.estimation.dynamic.weighted_residuals import weighted_residuals
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
 from hydroopt.estimation.inference.whitening import gaussian_posterior
@@ -22,7 +23,9 @@ from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.results.answer import Status, load
+from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.json_file import Job, not_an_answer
+from hydroopt.results.wording import OF_LOGS
 from hydroopt.spatial.inertia import Array
 
 INFORMATION = "information.csv"
@@ -44,6 +47,7 @@ class StoredInformation:
         correlation_time: (n,) τ in samples.
         samples: (n,) number of residuals of each actuator.
         inputs: path, digest and range of samples of each log.
+        of_logs: what contradicts the machine file in the logs as they are read.
     """
 
     triangles: Array
@@ -54,6 +58,7 @@ class StoredInformation:
     correlation_time: Array
     samples: Array
     inputs: tuple[Mapping[str, Any], ...]
+    of_logs: tuple[Diagnostic, ...] = ()
 
     def weights(self, machine: Machine) -> dict[str, dict[str, float]]:
         """σ, τ and number of residuals of each actuator, by name."""
@@ -89,7 +94,8 @@ def stored_information(model: Model, source: Sequence[Log] | str | Path,
     halves = weighted.split_half
     return StoredInformation(*weighted.stored(), mean_phi([half.phi for half in halves]),
                              not any(half.p_value < STEADY for half in halves), weighted.sigma,
-                             weighted.correlation_time, weighted.samples, tuple(inputs))
+                             weighted.correlation_time, weighted.samples, tuple(inputs),
+                             contradictions(model, problem.experiments))
 
 
 def refuse_shared_samples(before: StoredInformation, after: StoredInformation) -> None:
@@ -161,7 +167,8 @@ def _read(model: Model, folder: Path) -> StoredInformation:
         steady = not any((one["p_value"] or 1.0) < STEADY for one in halves)
     except (ValueError, KeyError, TypeError):
         raise not_an_answer(folder) from None
-    return StoredInformation(triangles, freedom, phi, steady, sigma, times, samples, tuple(inputs))
+    return StoredInformation(triangles, freedom, phi, steady, sigma, times, samples, tuple(inputs),
+                             of_kind(estimate.diagnostics, *OF_LOGS))
 
 
 def _triangles(model: Model, text: str, file: Path) -> tuple[Array, Array]:

@@ -35,9 +35,9 @@ def contradictions(model: Model, experiments: Sequence[AnyExperiment]) -> tuple[
     return tuple(found for log in logs.values() for found in examine(model, log))
 
 
-def explained(error: SolverError, model: Model, experiments: Sequence[AnyExperiment]) -> SolverError:
+def explained(error: SolverError, of_logs: Sequence[Diagnostic]) -> SolverError:
     """The error with the mistake in a log that explains it, if there is one."""
-    misread = of_kind(contradictions(model, experiments), Kind.LOG_MISREAD)
+    misread = of_kind(of_logs, Kind.LOG_MISREAD)
     return SolverError(f"{error.what}. {misread[0].text.rstrip('.')}", where=error.where,
                        remedy=misread[0].remedy.rstrip(".")) if misread else error
 

@@ -92,6 +92,11 @@ class TwoSessionAnswer(Answer):
         return self.before.steady and self.after.steady
 
     @property
+    def of_logs(self) -> tuple[Diagnostic, ...]:
+        """What contradicts the machine file in the logs as they are read."""
+        return (*self.before.of_logs, *self.after.of_logs)
+
+    @property
     def machine_id(self) -> MachineId:
         """Which machine it is about."""
         return MachineId.of(self.machine)

@@ -33,6 +33,24 @@ def test_a_sound_log_is_not_refuted(log: ho.Log) -> None:
     assert not estimate.refuted
 
 
+FLIPPED = ("the sign of boom.q reversed", lambda channels: {**channels, "boom.q": -channels["boom.q"]})
+IN_BAR = ("all pressures in bar", lambda channels: {name: values / 1e5 if ".p_" in name else values
+                                                    for name, values in channels.items()})
+EXCHANGED = ("boom.q and stick.q exchanged",
+             lambda channels: {**channels, "boom.q": channels["stick.q"], "stick.q": channels["boom.q"]})
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(("reading", "mistake", "loaded"), [(*FLIPPED, False), (*IN_BAR, True), (*EXCHANGED, False)])
+def test_a_payload_names_the_mistake_in_either_session(log: ho.Log, reading, mistake, loaded: bool) -> None:
+    halves = log.split(0.5)
+    wrong = replace(halves[loaded], channels=mistake(halves[loaded].channels))
+    found = ho.payload(ho.load_machine("cat215b"), *(([halves[0]], [wrong]) if loaded else ([wrong], [halves[1]])))
+    assert found.status is Status.SUSPECT
+    assert found.refuted
+    assert (found.diagnostics[0].kind, found.diagnostics[0].evidence["reading"]) == (Kind.LOG_MISREAD, reading)
+
+
 def test_the_command_ends_with_3_unless_forced(log: ho.Log, tmp_path: Path) -> None:
     bar = {name: values / 1e5 if ".p_" in name else values for name, values in log.channels.items()}
     replace(log, channels=bar).to_frame().to_parquet(tmp_path / "bar.parquet")
