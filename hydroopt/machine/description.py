@@ -59,6 +59,11 @@ class MachineDescription(Noun):
         return tuple(link.name for link in self.links if link.joint.type != "locked")
 
     @property
+    def tip(self) -> str:
+        """The link whose far end is the machine's tip: the last one."""
+        return self.links[-1].name
+
+    @property
     def chain(self) -> tuple[Link, ...]:
         """Links from the base to the tip that carries the ball: those of the machine, then the calibrator's."""
         if self.calibrator is None:

@@ -199,6 +199,53 @@ class Model:
         return _dense("gravity_forces", [self.coordinates.q, psi], [force], ["q", "psi"], ["force"])
 
     @cached_property
+    def tip_jacobian(self) -> ca.Function:
+        """q (n,) → J (6, n): velocity x, y, z [m/s] and rate of rotation x, y, z [rad/s] of the tip, the far end of the
+        machine's last link, in the base frame, per speed of each joint."""
+        return _dense("tip_jacobian", [self.coordinates.q], [self.dynamics.tip_jacobian], ["q"], ["J"])
+
+    @cached_property
+    def mass_matrix(self) -> ca.Function:
+        """(q, psi) → M (n, n) at the joints [kg·m², kg·m, kg]: q̇ᵀ·M·q̇/2 is the kinetic energy of all bodies and rotors.
+        """
+        psi = ca.SX.sym("psi", len(self.parameters))
+        M = self.dynamics.mass_matrix(psi, actuator_inertia=self.actuator_inertia)
+        return _dense("mass_matrix", [self.coordinates.q, psi], [M], ["q", "psi"], ["M"])
+
+    @cached_property
+    def gravity_torques(self) -> ca.Function:
+        """(q, psi) → torques (n,) [N·m, N] at the joints that hold all bodies against gravity."""
+        psi = ca.SX.sym("psi", len(self.parameters))
+        torque = self.dynamics.gravity_torques(psi, actuator_inertia=self.actuator_inertia)
+        return _dense("gravity_torques", [self.coordinates.q, psi], [torque], ["q", "psi"], ["torque"])
+
+    @cached_property
+    def wrench_forces(self) -> ca.Function:
+        """(q, wrench (6,)) → what the wrench adds to the actuator forces (n,) of `inverse_dynamics` [N or N·m].
+
+        The wrench is what the surroundings exert on the machine at its tip: force x, y, z [N] and moment x, y, z about
+        the tip [N·m], along the axes of the base frame. By virtual work it adds −Jᵀ·wrench at the joints.
+        """
+        wrench = ca.SX.sym("wrench", 6)
+        return _dense("wrench_forces", [self.coordinates.q, wrench], [self.dynamics.wrench_forces(wrench)],
+                      ["q", "wrench"], ["force"])
+
+    @cached_property
+    def tip_wrench(self) -> ca.Function:
+        """(q, qd, qdd[, pressure], force, psi) → the wrench (6,) at the tip that explains measured actuator forces, see
+        `wrench_forces`, and how well the posture determines it, from 0 (not at all) to 1.
+
+        Where fewer than six joints move the tip it is the force alone, without a moment about the tip, and of fewer
+        than three joints the part of the force along the motions of the tip. With more joints than unknowns squares of
+        the joints' torques are least.
+        """
+        force = ca.SX.sym("force", len(self.machine.actuators))
+        given = self._state | {"force": force, "psi": ca.SX.sym("psi", len(self.parameters))}
+        missing = force - self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
+        found = self.dynamics.tip_wrench(self.dynamics.transmission.T @ missing)
+        return _dense("tip_wrench", [*given.values()], list(found), [*given], ["wrench", "determined"])
+
+    @cached_property
     def residual(self) -> ca.Function:
         """(q, qd, qdd[, pressure], force, psi) → measured minus predicted actuator forces (n,)."""
         psi, force = ca.SX.sym("psi", len(self.parameters)), ca.SX.sym("force", len(self.machine.actuators))

@@ -7,6 +7,8 @@ work.
 
 from __future__ import annotations
 
+from functools import cached_property
+
 import casadi as ca
 import numpy as np
 
@@ -15,11 +17,11 @@ from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.model.cylinder_motion import CylinderMotion, cylinder_motion
 from hydroopt.model.friction import friction_terms
-from hydroopt.model.kinematics import Coordinates, Motion, link_motions
+from hydroopt.model.kinematics import Coordinates, Motion, gravity_in_base, link_motions
 from hydroopt.parameters.dynamic import bodies, parameter_set
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial import inertia
-from hydroopt.spatial.poses import skew
+from hydroopt.spatial.poses import Pose, skew
 
 
 def body_regressor(motion: Motion) -> ca.SX:
@@ -90,6 +92,76 @@ class Dynamics:
         if pattern.is_diag():
             return ca.diag(1 / ca.diag(self.transmission)) @ generalised
         return ca.solve(self.transmission.T, generalised)
+
+    @cached_property
+    def tip(self) -> Pose:
+        """The far end of the machine's last link, in the base frame."""
+        name = self.machine.tip
+        return self.links[name].pose @ self.geometry.far_end(name)
+
+    @cached_property
+    def tip_jacobian(self) -> ca.SX:
+        """(6, n): velocity and rate of rotation of the tip in the base frame = this · q̇."""
+        name = self.machine.tip
+        end = self.links[name].fixed(self.geometry.far_end(name))
+        turn = end.pose.rotation
+        return ca.jacobian(ca.vertcat(turn @ end.velocity, turn @ end.rotation), self.coordinates.qd)
+
+    def mass_matrix(self, psi: ca.SX, *, actuator_inertia: bool = True) -> ca.SX:
+        """M (n, n) of the kinetic energy q̇ᵀ·M·q̇/2 of all bodies and rotors."""
+        parameters = parameter_set(self.machine, actuator_inertia=actuator_inertia)
+        total = ca.SX.zeros(len(self.machine.joints), len(self.machine.joints))
+        for owner in bodies(self.machine, actuator_inertia=actuator_inertia):
+            phi, allowed = psi[parameters.bodies[owner]], self._allowed(owner)
+            xx, xy, xz, yy, yz, zz = ca.vertsplit(phi[4:])
+            about = ca.blockcat([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
+            moment = skew(phi[1:4])
+            total += allowed.T @ ca.blockcat([[phi[0] * ca.SX.eye(3), -moment], [moment, about]]) @ allowed
+        for drive in self.machine.drives:
+            place = parameters.positions.get(f"{drive.name}.rotor_inertia")
+            if place is not None:
+                joint = self.machine.joints.index(drive.joint)
+                total[joint, joint] += drive.gear**2 * psi[place]
+        return total
+
+    def gravity_torques(self, psi: ca.SX, *, actuator_inertia: bool = True) -> ca.SX:
+        """Generalised forces (n,) that hold all bodies against gravity."""
+        parameters = parameter_set(self.machine, actuator_inertia=actuator_inertia)
+        total = ca.SX.zeros(len(self.machine.joints))
+        for owner in bodies(self.machine, actuator_inertia=actuator_inertia):
+            phi = psi[parameters.bodies[owner]]
+            up = -self.body_motion(owner).pose.rotation.T @ gravity_in_base(self.machine)
+            total += self._allowed(owner).T @ ca.vertcat(phi[0] * up, ca.cross(phi[1:4], up))
+        return total
+
+    def wrench_forces(self, wrench: ca.SX) -> ca.SX:
+        """What a wrench (6,) that acts on the machine at the tip adds to the actuator forces (n,): −Jᵀ·wrench at the
+        joints, by virtual work."""
+        return self.at_actuators(-self.tip_jacobian.T @ wrench)
+
+    def tip_wrench(self, torque: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Wrench (6,) at the tip that `wrench_forces` says the actuators carry with `torque` (n,) at the joints.
+
+        Six joints or more determine force and moment, fewer the force alone: the moment then counts as zero. Fewer than
+        three determine the force within the motions that the tip has, and the rest of it counts as zero. With more
+        joints than unknowns the squares of the joints' torques are least.
+
+        Returns:
+            The wrench, and a number in 0 … 1 which is 0 where the posture determines no wrench.
+        """
+        moving = [k for k in range(self.tip_jacobian.size2()) if self.tip_jacobian[:, k].nnz()]
+        rows = 6 if len(moving) >= 6 else 3
+        J = ca.densify(self.tip_jacobian[:rows, moving])
+        wide = len(moving) >= rows
+        gram = J @ J.T if wide else J.T @ J
+        pivots, lower, order = ca.ldl(gram, False)
+        least = 1.0
+        for pivot, size in zip(ca.vertsplit(pivots), ca.vertsplit(ca.diag(gram)), strict=True):
+            least = least * pivot / size
+        found = (ca.ldl_solve(J @ torque[moving], pivots, lower, order) if wide
+                 else J @ ca.ldl_solve(torque[moving], pivots, lower, order))
+        # where a pivot is zero, those after it are no numbers
+        return ca.vertcat(-found, ca.SX.zeros(6 - rows)), ca.fmax(least, 0.0)
 
     def regressor(self, psi: ca.SX | None = None, *, actuator_inertia: bool = True) -> ca.SX:
         """K (n, p): measured actuator forces = K·ψ, columns in the order of `parameter_set` (Eq. 4.55).
