@@ -22,8 +22,8 @@ def parts_of(header: str) -> tuple[str, str | None]:
 def map_of_header(header: list[str], where: str, *, poses: bool = False) -> tuple[LogMap, tuple[str, ...]]:
     """Map of a file with headers `name [unit]`, and the names of columns that are no channels and are left out.
 
-    A table of `poses` needs no time, may have labels (`stage`, `fixture`, `pose`, without unit) and no other columns:
-    one might be a misspelt label, without which its poses would be taken for others.
+    A table of `poses` needs no time, may have labels (`stage`, `fixture`, `pose`, `tape`, without unit) and no other
+    columns: one might be a misspelt label, without which its poses would be taken for others.
 
     Raises:
         LogError: no time, a missing or unsuitable unit, an unknown suffix, or a name that stands twice.

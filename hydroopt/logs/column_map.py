@@ -93,6 +93,7 @@ class Labels(BaseModel):
     stage: Label = ""
     fixture: Label = ""
     pose: Label = ""
+    tape: Label = ""
 
 
 class LogMap(BaseModel):

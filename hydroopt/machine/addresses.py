@@ -141,8 +141,10 @@ def pins(cylinder: Cylinder | GasCylinder) -> Iterator[Number]:
 
 
 def fixture_numbers(fixture: Fixture) -> Iterator[Number]:
-    """Where a fixture stands."""
+    """Where a fixture stands, and how unless it is a ball."""
     yield from point(fixture.name, fixture.position, f"{fixture.name}.position")
+    if fixture.kind != "ball":
+        yield from orientation(fixture.name, fixture.orientation, f"{fixture.name}.orientation")
 
 
 def point(owner: str, coordinates: tuple[float, float, float], path: str) -> Iterator[Number]:

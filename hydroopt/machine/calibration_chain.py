@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
-from typing import Self
+from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from hydroopt.machine.links import Link
 from hydroopt.machine.quantity import Angle, ImpossibleError, Length, Lengths, Name, Noun
 
+CLOSES = {"ball": (0, 1, 2), "hinge": (0, 1, 2, 3, 4), "rigid": (0, 1, 2, 3, 4, 5), "plane": (2,)}
+"""Which of the tip's place (0, 1, 2) and the tool's turn (3, 4, 5) a fixture holds, along x, y, z of its frame."""
+
 
 class Calibrator(Noun):
     """A sensed linkage from the far end of a machine's link to a ball that sits in a fixture (Section 3.5.1).
 
     Its links form a serial chain, the first one on the machine's link `parent`. `tip` is the ball's centre (3,)
-    [m] in the frame at the far end of the last link. Without links of its own it is a rigid tool with a ball.
+    [m] in the frame at the far end of the last link, which is the tool's frame. Without links of its own it is a rigid
+    tool with a ball.
     """
 
     parent: Name
@@ -33,16 +37,47 @@ class Calibrator(Noun):
 
 
 class Fixture(Noun):
-    """A passive ball joint fixed in the base frame (the task of Section 3.3.2): `position` (3,) [m].
+    """What holds the tip in the base frame without a sensor (the task of Section 3.3.2).
 
-    `play` [m] is the standard deviation, in each direction, of the ball's centre in its socket. A fixture that `moves`
-    has another position in every stage, and `position` is the initial guess of all of them.
+    Its frame stands at `position` (3,) [m], turned by `orientation`: roll, pitch, yaw [rad], which a ball does not
+    have. The tip stands in its origin, and by `kind` the tool
+
+    - ``ball`` turns freely (3 freedoms, the thesis's),
+    - ``hinge`` turns about its own z axis, which lies along the fixture's (1),
+    - ``rigid`` stands as the fixture's frame does (0),
+    - ``plane`` turns freely, while the tip slides in the fixture's x-y plane (5).
+
+    `play` [m] is the standard deviation, in each held direction, of the tip, `tilt` [rad] that of held turns. A fixture
+    that `moves` has another place in every stage, and the stated one is the initial guess of all of them.
     """
 
     name: Name
+    kind: Literal["ball", "hinge", "rigid", "plane"] = "ball"
     position: Lengths
+    orientation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
     play: Length = Field(0.0, ge=0)
+    tilt: Angle = Field(0.0, ge=0)
     moves: bool = False
+
+    @property
+    def closes(self) -> tuple[int, ...]:
+        """Held directions, see `CLOSES`."""
+        return CLOSES[self.kind]
+
+    @property
+    def freedoms(self) -> int:
+        """Freedoms t of Eq. 3.1."""
+        return 6 - len(self.closes)
+
+    @model_validator(mode="after")
+    def _as_its_kind(self) -> Self:
+        if self.kind == "ball" and any(self.orientation):
+            raise ImpossibleError(f"'{self.name}' is a ball, which has no orientation",
+                                  "leave the orientation out, or state the kind hinge, rigid or plane")
+        if self.tilt and self.kind in ("ball", "plane"):
+            raise ImpossibleError(f"'{self.name}' is a {self.kind}, which holds no turn that could have a tilt",
+                                  "leave the tilt out, or state the kind hinge or rigid")
+        return self
 
 
 class Tracker(Noun):

@@ -32,12 +32,17 @@ class KinematicModel:
         links: all links, the calibrator's last; `joints` are the moving ones, in the order of q (n,) [rad, m].
         parameters: the geometry g (p,) with stated confidences, as priors.
         tip: casadi.Function (g, q) -> ball's centre (3,) [m] in the base frame (Eq. 3.17).
-        closure: (g, q, fixture (3,)) -> tip − fixture (3,) [m]: the loop's residual where all joints are known.
+        closure: (g, q, fixture (3,)) -> tip − fixture (3,) [m]: the loop's residual where all joints are known and the
+            fixture is a ball.
+        loop: (g, q, place (k,)) -> residuals of the loop, `loop_rows` of them: tip less fixture (3,) [m] in the
+            fixture's frame; if any fixture is no ball, the tool's turn (3,) [rad] against that frame too, exact where
+            it is small. `place` is the fixture's position (3,), its roll, pitch and yaw (3,) if any fixture is no ball,
+            and the place (3,) at which tapes end if any tape has a sensor.
         far_ends: (g, q) -> far ends of the chain's links (3, number of links) [m] in the base frame.
         axes: (g, q) -> directions of the joints' axes (3, n) in the base frame.
         strokes: (g, q) -> strokes of the cylinders and distances of their pins (c,) [m] (Eq. 3.26 in space).
         lengths: (g, q) -> readings of the cylinders' length transducers (c,) [m] (Eq. 3.26 in space).
-        observed: (g, q, fixture (3,)) -> all predicted readings of a pose (m,), see `channels`.
+        observed: (g, q, place (k,)) -> all predicted readings of a pose (m,), see `channels`.
 
     >>> import hydroopt, numpy as np
     >>> model = hydroopt.KinematicModel(hydroopt.load_machine("panda_mukca"))
@@ -52,8 +57,13 @@ class KinematicModel:
         self.links = stated.links
         self.joints = tuple(link.name for link in self.links if link.joint.type != "locked")
         self.parameters = _parameters(machine, stated.numbers)
+        self.oriented = any(fixture.kind != "ball" for fixture in machine.fixtures)
+        self.taped = any(machine.sensor(f"{link.name}.distance") for link in machine.chain)
+        self.place_size = 3 + 3 * self.oriented + 3 * self.taped
+        self.loop_rows = 6 if self.oriented else 3
         g, q, fixture = (ca.SX.sym("g", len(self.parameters)), ca.SX.sym("q", len(self.joints)),
                          ca.SX.sym("fixture", 3))
+        place = ca.SX.sym("place", self.place_size)
         self.geometry = Geometry(machine, {name: g[k] for k, name in enumerate(self.parameters.names)})
         deflected = self._deflected(q)
         poses = self._poses(deflected)
@@ -68,66 +78,68 @@ class KinematicModel:
                                    ["stroke", "distance"])
         lengths = distances + ca.vertcat(*(c.dead_length - d for c, d in zip(machine.cylinders, dead, strict=True)))
         # the last far end may coincide with the fixture, where a norm has no derivative
-        distances_to_fixture = ca.vertcat(*(ca.sqrt(ca.sumsqr(end.origin - fixture) + TINY**2) for end in ends))
+        tape_end = place[-3:] if self.taped else place[:3]
+        tapes = ca.vertcat(*(ca.sqrt(ca.sumsqr(end.origin - tape_end) + TINY**2) for end in ends))
+        self._tool = ends[-1].rotation if ends else ca.SX(3, 3)
         self.tip = ca.Function("tip", [g, q], [tip], ["g", "q"], ["tip"])
         self.closure = ca.Function("closure", [g, q, fixture], [tip - fixture], ["g", "q", "fixture"], ["gap"])
         self.far_ends = ca.Function("far_ends", [g, q], [ends_of], ["g", "q"], ["ends"])
         self.lengths = ca.Function("lengths", [g, q], [lengths], ["g", "q"], ["lengths"])
         tracked = self._tracked(tip)
-        self.observed = ca.Function("observed", [g, q, fixture],
-                                    [ca.vertcat(tip - fixture, lengths, tracked, distances_to_fixture)],
-                                    ["g", "q", "fixture"], ["observed"])
+        loop = self._held(tip - place[:3], place)
+        self.loop = ca.Function("loop", [g, q, place], [loop], ["g", "q", "place"], ["loop"])
+        self.observed = ca.Function("observed", [g, q, place], [ca.vertcat(loop, lengths, tracked, tapes)],
+                                    ["g", "q", "place"], ["observed"])
         frames = {name: self._before(poses, name) for name in self.joints}
         self.axes = ca.Function("axes", [g, q], [ca.horzcat(*(frame.rotation[:, 2] for frame in frames.values()))],
                                 ["g", "q"], ["axes"])
         self._axis_frame = frames
-        self._tool = ends[-1].rotation if ends else ca.SX(3, 3)
-        self._symbols = g, q, tip
+        self._symbols = g, q, tip, place
         self._runner = Runner()
 
     @property
     def channels(self) -> tuple[str, ...]:
-        """Names of the rows (m,) of `observed`; the first three are the loop's residual."""
+        """Names of the rows (m,) of `observed`; the first `loop_rows` are the loop's residual."""
         machine = self.machine
-        return ("gap.x", "gap.y", "gap.z", *(f"{c.name}.length" for c in machine.cylinders),
+        turn = ("turn.x", "turn.y", "turn.z") if self.oriented else ()
+        return ("gap.x", "gap.y", "gap.z", *turn, *(f"{c.name}.length" for c in machine.cylinders),
                 "tip.x", "tip.y", "tip.z", *(f"{link.name}.distance" for link in machine.chain))
 
     @cached_property
     def observed_jacobians(self) -> ca.Function:
-        """(g, q, fixture) -> `observed` (m,) and its Jacobians by g (m, p) and q (m, n)."""
-        g, q = self._symbols[:2]
-        fixture = ca.SX.sym("fixture", 3)
-        rows = self.observed(g, q, fixture)
-        return ca.Function("observed_jacobians", [g, q, fixture], [rows, ca.jacobian(rows, g), ca.jacobian(rows, q)],
-                           ["g", "q", "fixture"], ["observed", "by_g", "by_q"])
+        """(g, q, place) -> `observed` (m,) and its Jacobians by g (m, p), q (m, n) and place (m, k)."""
+        g, q, _, place = self._symbols
+        rows = self.observed(g, q, place)
+        return ca.Function("observed_jacobians", [g, q, place],
+                           [rows, ca.jacobian(rows, g), ca.jacobian(rows, q), ca.jacobian(rows, place)],
+                           ["g", "q", "place"], ["observed", "by_g", "by_q", "by_place"])
 
     @cached_property
     def observed_by_angles(self) -> ca.Function:
-        """(g, q, fixture) -> `observed` (m,) and its Jacobian by q (m, n)."""
-        g, q = self._symbols[:2]
-        fixture = ca.SX.sym("fixture", 3)
-        rows = self.observed(g, q, fixture)
-        return ca.Function("observed_by_angles", [g, q, fixture], [rows, ca.jacobian(rows, q)],
-                           ["g", "q", "fixture"], ["observed", "by_q"])
+        """(g, q, place) -> `observed` (m,) and its Jacobian by q (m, n)."""
+        return self._by_angles(self.observed)
 
     @cached_property
-    def closure_jacobian(self) -> ca.Function:
-        """(g, q, fixture) -> `closure` (3,) and its Jacobian by q (3, n)."""
-        g, q = self._symbols[:2]
-        fixture = ca.SX.sym("fixture", 3)
-        gap = self.closure(g, q, fixture)
-        return ca.Function("closure_jacobian", [g, q, fixture], [gap, ca.jacobian(gap, q)],
-                           ["g", "q", "fixture"], ["gap", "by_q"])
+    def loop_by_angles(self) -> ca.Function:
+        """(g, q, place) -> `loop` (loop_rows,) and its Jacobian by q (loop_rows, n)."""
+        return self._by_angles(self.loop)
+
+    def _by_angles(self, function: ca.Function) -> ca.Function:
+        g, q, _, place = self._symbols
+        rows = function(g, q, place)
+        return ca.Function(f"{function.name()}_by_angles", [g, q, place], [rows, ca.jacobian(rows, q)],
+                           ["g", "q", "place"], [function.name(), "by_q"])
 
     @cached_property
     def moved_tip(self) -> ca.Function:
-        """(g, q) -> Jacobian of `observed` (m, 3) by the tip's place in the base frame, and the tool's turn (3, 3)."""
-        g, q = self._symbols[:2]
+        """(g, q, place) -> Jacobian of `observed` (m, 3) by the tip's place in the base frame, and the tool's turn
+        (3, 3)."""
+        g, q, _, place = self._symbols
         tip = ca.SX.sym("tip", 3)
-        rows = ca.vertcat(tip, ca.SX(len(self.machine.cylinders), 1), self._tracked(tip),
+        rows = ca.vertcat(self._held(tip, place), ca.SX(len(self.machine.cylinders), 1), self._tracked(tip),
                           ca.SX(len(self.machine.chain), 1))
-        return ca.Function("moved_tip", [g, q], [ca.densify(ca.jacobian(rows, tip)), ca.densify(self._tool)],
-                           ["g", "q"], ["by_tip", "turn"])
+        return ca.Function("moved_tip", [g, q, place], [ca.densify(ca.jacobian(rows, tip)), ca.densify(self._tool)],
+                           ["g", "q", "place"], ["by_tip", "turn"])
 
     @cached_property
     def gravity_torque(self) -> ca.Function:
@@ -141,13 +153,22 @@ class KinematicModel:
 
         With the joint at zero this is the vector s of Eq. 3.24, for a revolute joint with d added to its z.
         """
-        g, q, tip = self._symbols
+        g, q, tip, _ = self._symbols
         frame = self._axis_frame[joint]
         return ca.Function(f"tip_from_{joint}", [g, q], [frame.rotation.T @ (tip - frame.origin)], ["g", "q"], ["p"])
 
     def over(self, function: ca.Function, *columns: Array) -> list[Array]:
         """Evaluate a function at N poses, see `Runner.over`."""
         return self._runner.over(function, *columns)
+
+    def _held(self, gap: ca.SX, place: ca.SX) -> ca.SX:
+        """A gap (3,) in the base frame as the rows of `loop`."""
+        if not self.oriented:
+            return gap
+        turn = roll_pitch_yaw((place[3], place[4], place[5]))
+        relative = turn.T @ self._tool
+        # the z axes lie along each other if the first two vanish; then the third is the sine of the turn about them
+        return ca.vertcat(turn.T @ gap, -relative[1, 2], relative[0, 2], relative[1, 0])
 
     def _deflected(self, q: ca.SX) -> ca.SX:
         """Joint vector with the deflection of every joint under gravity by its compliance."""

@@ -90,8 +90,13 @@ def _drawings(c: Calibration) -> dict[str, Markup]:
 def _fit(c: Calibration) -> list[dict[str, Any]]:
     """Rows of the fit table: channel and the cells of nominal, train and validation."""
     channels = list(dict.fromkeys(channel for table in c.fit.values() for channel in table))
-    return [{"channel": channel, "cells": [_cells(c.fit.get(name, {}).get(channel))
+    return [{"channel": _in_thousandths(channel), "cells": [_cells(c.fit.get(name, {}).get(channel))
                                            for name in ("nominal", "train", "validation")]} for channel in channels]
+
+
+def _in_thousandths(channel: str, unit: str = "") -> str:
+    """A channel with the unit of its printed residuals, if it is not that of lengths."""
+    return f"{channel} [mrad]" if channel == "turn" else channel + unit
 
 
 def _cells(fit: Fit | None) -> tuple[str, str, str]:
@@ -176,7 +181,7 @@ def residuals(c: Calibration) -> Figure:
                     flagged = c.suspicious if part.role == "train" else np.zeros(len(x), dtype=bool)
                     _dots(ax, part, channel, x, flagged, 2.2 if total > 300 else 3.2)
                 start += len(x)
-            ax.set(yscale="log", xlim=(0.5, start + 0.5), ylabel=f"{channel} [mm]")
+            ax.set(yscale="log", xlim=(0.5, start + 0.5), ylabel=_in_thousandths(channel, " [mm]"))
             ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
             ax.grid(axis="x", visible=False)
             ax.tick_params(labelbottom=row == len(channels) - 1)

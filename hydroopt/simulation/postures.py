@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from hydroopt.errors import ProblemError
 from hydroopt.logs.poses import Poses
 from hydroopt.logs.sensors import measure
-from hydroopt.machine.calibration_chain import Stage
+from hydroopt.machine.calibration_chain import CLOSES, Fixture, Stage
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.spatial.inertia import Array
 
@@ -22,8 +22,12 @@ STEP = 0.3
 """Largest change of an angle [rad] in one step of Newton's method."""
 
 
-def close(model: KinematicModel, geometry: Array, q: Array, free: Sequence[int], fixture: Array) -> tuple[Array,
-                                                                                                        NDArray[np.bool_]]:
+Held = Fixture | Array
+"""A fixture of the machine, or where a ball is held (3,) or (N, 3) [m]."""
+
+
+def close(model: KinematicModel, geometry: Array, q: Array, free: Sequence[int], fixture: Held) -> tuple[
+        Array, NDArray[np.bool_]]:
     """Close chains by turning some joints, by as little as possible (Newton with the pseudo-inverse).
 
     Args:
@@ -31,24 +35,40 @@ def close(model: KinematicModel, geometry: Array, q: Array, free: Sequence[int],
         geometry: (p,) its parameters.
         q: (N, n) initial joint vectors [rad, m].
         free: positions of the joints that may turn.
-        fixture: (3,) or (N, 3) position of the fixture [m].
+        fixture: what holds the tip.
 
     Returns:
         (N, n) joint vectors and (N,) whether the chain closes.
     """
     q, turning = np.array(q, dtype=float), np.array(free, dtype=int)
-    goal = np.broadcast_to(fixture, (len(q), 3))
+    place = place_of(model, fixture, len(q))
+    rows = list(fixture.closes if isinstance(fixture, Fixture) else CLOSES["ball"])
     closed = np.zeros(len(q), dtype=bool)
     for _ in range(STEPS):
         left = np.flatnonzero(~closed)
         if not left.size:
             break
-        gap, by_q = model.over(model.closure_jacobian, geometry, q[left], goal[left])
+        gap, by_q = model.over(model.loop_by_angles, geometry, q[left], place[left])
+        gap, by_q = gap[:, rows], by_q[:, rows]
         closed[left] = np.max(np.abs(gap[:, :, 0]), axis=1) < CLOSED
         turn = -(np.linalg.pinv(by_q[:, :, turning], rcond=1e-6) @ gap)[:, :, 0]
         turn *= np.minimum(1, STEP / np.maximum(np.max(np.abs(turn), axis=1, keepdims=True), 1e-300))
         q[np.ix_(left, turning)] += np.where(closed[left, None], 0.0, turn)
     return q, closed
+
+
+def place_of(model: KinematicModel, fixture: Held, count: int) -> Array:
+    """Places (count, k) of what holds the tip, see `KinematicModel.loop`; tapes end there, too."""
+    place = np.zeros((count, model.place_size))
+    if isinstance(fixture, Fixture):
+        place[:, :3] = fixture.position
+        if model.oriented:
+            place[:, 3:6] = fixture.orientation
+    else:
+        place[:, :3] = fixture
+    if model.taped:
+        place[:, -3:] = place[:, :3]
+    return place
 
 
 def limits(model: KinematicModel) -> tuple[Array, Array]:
@@ -81,7 +101,7 @@ def read_joints(model: KinematicModel, stage: Stage | None = None) -> list[int]:
 
 def closed_postures(model: KinematicModel, count: int, rng: np.random.Generator, *, geometry: Array,
                     turning: Sequence[int], within_limits: Sequence[int], locked: Mapping[str, float],
-                    fixture: Array | None, batch: int, give_up: Callable[[int, int], bool],
+                    fixture: Held | None, batch: int, give_up: Callable[[int, int], bool],
                     within_strokes: bool = False) -> tuple[Array, int]:
     """Random closed postures (K, n) [rad, m], K ≤ count, uniform over the joints' limits before they are closed.
 
@@ -92,7 +112,7 @@ def closed_postures(model: KinematicModel, count: int, rng: np.random.Generator,
         turning: positions of the joints that close the chain.
         within_limits: positions of the joints that must be within their limits when it is closed.
         locked: angles [rad] of joints at rest.
-        fixture: (3,) where the tip is held [m]; None for an open chain.
+        fixture: what holds the tip; None for an open chain.
         batch: postures tried at once.
         give_up: whether to stop, by the number of postures found and tried.
         within_strokes: whether the cylinders' lengths must be within their strokes.
@@ -119,7 +139,7 @@ def closed_postures(model: KinematicModel, count: int, rng: np.random.Generator,
     return found[:count], tried
 
 
-def random_postures(model: KinematicModel, stage: Stage, count: int, *, geometry: Array, fixture: Array,
+def random_postures(model: KinematicModel, stage: Stage, count: int, *, geometry: Array, fixture: Held,
                     locked: dict[str, float] | None = None, seed: int = 0) -> Array:
     """Closed postures (count, n) of a stage, spread over the limits of moving and measured joints.
 
@@ -127,7 +147,7 @@ def random_postures(model: KinematicModel, stage: Stage, count: int, *, geometry
         model: geometry; `geometry` (p,) its values.
         stage: which joints move and where the others are locked.
         count: how many.
-        fixture: (3,) [m].
+        fixture: what holds the tip.
         locked: angles [rad] other than the stage's.
         seed: of the random generator.
 
@@ -147,7 +167,7 @@ def random_postures(model: KinematicModel, stage: Stage, count: int, *, geometry
     return found
 
 
-def sweep(model: KinematicModel, stage: Stage, path: Array, *, geometry: Array, fixture: Array,
+def sweep(model: KinematicModel, stage: Stage, path: Array, *, geometry: Array, fixture: Held,
           locked: dict[str, float] | None = None) -> Array:
     """Closed postures (N, n) along a path (N, number of moving joints) [rad]; the calibrator follows.
 
@@ -174,7 +194,8 @@ def sweep(model: KinematicModel, stage: Stage, path: Array, *, geometry: Array, 
 
 
 def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Sequence[str], *, geometry: Array,
-           channels: Sequence[str] | None = None, seed: int | None = 0, name: str = "simulated") -> Poses:
+           tape: Sequence[str] = (), channels: Sequence[str] | None = None, seed: int | None = 0,
+           name: str = "simulated") -> Poses:
     """The pose table that the machine's sensors would record at joint vectors.
 
     Args:
@@ -182,14 +203,21 @@ def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Seque
         q: (N, n) [rad, m].
         stage: N labels.
         fixture: N labels.
+        tape: N labels of the fixtures at which tapes end; by default those of `fixture`.
         channels: what is read; by default the joints of `read_joints`.
         seed: of the sensors' noise; None for readings without any.
         name: of the table.
     """
     if channels is None:
         channels = [f"{model.joints[k]}.q" for k in read_joints(model)]
-    known = {each.name: each.position for each in model.machine.fixtures}
-    rows = model.over(model.observed, geometry, q, np.array([known.get(label, np.zeros(3)) for label in fixture]))[0]
+    place = np.zeros((len(q), model.place_size))
+    known = {each.name: each for each in model.machine.fixtures}
+    for label in set(fixture) & known.keys():
+        there = np.array(fixture) == label
+        place[there] = place_of(model, known[label], int(there.sum()))
+    for label in set(tape) & known.keys() if model.taped else ():
+        place[np.array(tape) == label, -3:] = known[label].position
+    rows = model.over(model.observed, geometry, q, place)[0]
     true = {f"{joint}.q": q[:, k] for k, joint in enumerate(model.joints)}
     true |= {channel: rows[:, i, 0] for i, channel in enumerate(model.channels)}
     rng = np.random.default_rng(seed)
@@ -199,4 +227,5 @@ def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Seque
         read[channel] = true[channel] if seed is None or sensor is None else measure(
             true[channel], sensor.accuracy, sensor.resolution, rng, sensor.distribution)
     units = {channel: unit for channel, unit in model.machine.channel_units.items() if channel in read}
-    return Poses(name=name, stage=np.array(stage), fixture=np.array(fixture), channels=read, units=units)
+    return Poses(name=name, stage=np.array(stage), fixture=np.array(fixture), tape=np.array(tape), channels=read,
+                 units=units)

@@ -189,7 +189,7 @@ class Case:
     def closure(self, given: Values) -> Values:
         count, tip = len(self.machine.cylinders), self.machine.calibrator is not None
         g = self.chain.parameters.nominal
-        observed, by_g, by_q = over(self.chain.observed_jacobians, g, given["chain_q"], tip * given["fixture"])
+        observed, by_g, by_q, _ = over(self.chain.observed_jacobians, g, given["chain_q"], tip * given["fixture"])
         measured = np.hstack([np.zeros((len(observed), 3)),
                               given["stroke"] + np.array([c.dead_length for c in self.machine.cylinders])])
         rows = slice(0 if tip else 3, 3 + count)

@@ -147,7 +147,7 @@ class Calibration(KinematicSolution, Answer):
     def __str__(self) -> str:
         lines = [f"{self.machine_name} by {self.method}: {self.status}, {len(self.problem.poses)} poses, "
                  f"errors {self.noise_scale:.2f} times those stated"]
-        lines += [f"  {data:<10} {channel:<24} RMS {1e3 * fit.rms:9.3f} mm  VAF {100 * fit.vaf:7.3f} %"
+        lines += [f"  {data:<10} {channel:<24} RMS {1e3 * fit.rms:9.3f} m{fit.unit}  VAF {100 * fit.vaf:7.3f} %"
                   for data, table in self.fit.items() for channel, fit in table.items()]
         lines += [f"  stage {stage}" for stage in self.stages]
         return "\n".join(lines)
@@ -194,8 +194,9 @@ class Calibration(KinematicSolution, Answer):
                     "stage": str(poses.stage[k]), "fixture": str(poses.fixture[k]), "pose": str(poses.pose[k]),
                     "suspect": int(suspect)}
                 for channel in channels:
+                    unit = "rad" if channel == "turn" else "m"
                     for when, table in (("before", part.before), ("after", part.after)):
-                        entry[f"{channel}_{when} [m]"] = number(table[channel][k]) if channel in table else None
+                        entry[f"{channel}_{when} [{unit}]"] = number(table[channel][k]) if channel in table else None
                 rows.append(entry)
         return rows
 

@@ -39,13 +39,13 @@ def chain_points(solution: KinematicSolution, rows: Sequence[int]) -> ChainPoint
     q, geometry = solution.q[some], solution.theta[: len(model.parameters)]
     ends = model.over(model.far_ends, geometry, q)[0].transpose(0, 2, 1)
     tip = model.over(model.tip, geometry, q)[0].transpose(0, 2, 1)
-    held = problem.layout.fixture[some, :1] >= 0
+    held = problem.layout.held[some, None]
     chain = [link.name for link in model.machine.chain]
     own = sum(name in {link.name for link in model.machine.links} for name in chain)
     carrier = [[chain.index(end.link) if end.link in chain else -1 for end in (cylinder.barrel, cylinder.rod)]
                for cylinder in model.machine.all_cylinders]
     return ChainPoints(np.concatenate([np.zeros_like(tip), ends, tip], axis=1), own,
-                       np.where(held, problem.fixtures(solution.theta)[some], np.nan), _pins(model, q),
+                       np.where(held, problem.places(solution.theta)[some, :3], np.nan), _pins(model, q),
                        np.array(carrier, dtype=int).reshape(-1, 2))
 
 

@@ -114,7 +114,7 @@ def _measured(problem: CalibrationProblem) -> dict[str, list[int]]:
     """Rows that compare a measured place or length with the geometry, by what is measured."""
     found: dict[str, list[int]] = {}
     for k, name in enumerate(problem.model.channels):
-        if not name.startswith("gap.") and problem.layout.present[:, k].any():
+        if not name.startswith(("gap.", "turn.")) and problem.layout.present[:, k].any():
             found.setdefault("tip" if name in ("tip.x", "tip.y", "tip.z") else name, []).append(k)
     return found
 
@@ -126,6 +126,6 @@ def _gap(problem: CalibrationProblem) -> float:
     anywhere = {f.name for f in problem.model.machine.fixtures if f.moves}
     for columns in np.unique(layout.fixture, axis=0):
         if problem.parameters.names[columns[0]].split(".")[0] in anywhere:
-            here = np.all(layout.fixture == columns, axis=1) & layout.present[:, :3].all(axis=1)
+            here = np.all(layout.fixture == columns, axis=1) & layout.held
             left[here, :3] -= left[here, :3].sum(axis=0) / max(1, here.sum())
     return float(np.sqrt(np.nanmean(np.nansum(left**2, axis=1))))

@@ -99,7 +99,7 @@ def _poses(solution: KinematicSolution) -> Iterator[Diagnostic]:
     if np.any(idle):
         yield Diagnostic(Kind.POSES_NOT_USED, (), {
             "count": int(idle.sum()), "rows": listed([str(row) for row in problem.poses.row[idle]], 5)})
-    readings = np.column_stack([layout.reading, layout.target, layout.fixture])
+    readings = np.column_stack([layout.reading, layout.target, layout.place])
     labels = np.unique(problem.poses.stage, return_inverse=True)[1]
     twice = len(readings) - len(np.unique(np.column_stack([readings, labels]), axis=0))
     if twice:

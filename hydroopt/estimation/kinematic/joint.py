@@ -2,7 +2,7 @@
 
 Unknowns are the parameters and every pose's own angles: those sensed, as errors in units of their σ, and those moving
 without a sensor. Loops close as constraints. With Gaussian errors this is maximum likelihood (maximum a posteriori with
-priors). Each pose touches its own angles and the parameters only: with v = (geometry, angles, fixture) of a pose, which
+priors). Each pose touches its own angles and the parameters only: with v = (geometry, angles, place) of a pose, which
 is linear in the unknowns x, all derivatives are those of one small function, mapped over the poses and gathered.
 """
 
@@ -143,18 +143,19 @@ class _JointProgram:
                                     ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"])}
 
     def _pose_variables(self) -> tuple[Array, ca.DM]:
-        """Offset and slope of v = offset + slope·x: geometry, angles and fixture of all poses, one after another."""
+        """Offset and slope of v = offset + slope·x: geometry, angles and place of all poses, one after another."""
         problem, units, layout, g = self.problem, self.units, self.problem.layout, len(self.problem.model.parameters)
         count, n = layout.reading.shape
-        width = g + n + 3
+        k = layout.place.shape[1]
+        width = g + n + k
         places: list[tuple[Any, Any, Any]] = []  # of v on the parameters: rows, parameters, factors
         pose = np.arange(count)
-        for k in range(g):
-            places.append((pose * width + k, np.full(count, k), np.ones(count)))
+        for i in range(g):
+            places.append((pose * width + i, np.full(count, i), np.ones(count)))
         where, which, factor = layout.locked
         places.append((where // n * width + g + where % n, which, factor))
-        held = np.flatnonzero(layout.fixture.ravel() >= 0)
-        places.append((held // 3 * width + g + n + held % 3, layout.fixture.ravel()[held], np.ones(len(held))))
+        held = np.flatnonzero(layout.place.ravel() >= 0)
+        places.append((held // k * width + g + n + held % k, layout.place.ravel()[held], np.ones(len(held))))
         row, parameter, value = (np.concatenate(part) for part in zip(*places, strict=True))
         offset = np.zeros((count, width))
         offset[:, g : g + n] = units.angles
@@ -175,7 +176,7 @@ class _PoseTerms:
         layout, model = problem.layout, problem.model
         count, n = layout.reading.shape
         g, m = len(model.parameters), layout.present.shape[1]
-        self.size = g + n + 3
+        self.size = g + n + model.place_size
         v, data = ca.SX.sym("v", self.size), ca.SX.sym("data", 2 * n + 2 * m + 1)
         reading, angle_weight, target, row_weight, expected = ca.vertsplit(data, [0, n, 2 * n, 2 * n + m,
                                                                                   2 * n + 2 * m, 2 * n + 2 * m + 1])

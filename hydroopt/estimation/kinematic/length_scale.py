@@ -21,14 +21,14 @@ def has_length_scale(problem: CalibrationProblem, linearised: Linearised | None 
     if _exact_length(problem):
         return True
     if linearised is None:
-        return bool(np.any(problem.layout.present[:, 3:]) or len(problem.distances.length) or problem.priors
-                    or all(link.joint.type == "locked" for link in problem.model.machine.chain))
+        return bool(np.any(problem.layout.present[:, problem.model.loop_rows :]) or len(problem.distances.length)
+                    or problem.priors or all(link.joint.type == "locked" for link in problem.model.machine.chain))
     if any(problem.fixed.values()):  # an exact fixture
         return True
     parameters, pins = problem.parameters, problem.cylinder_parameters
     grown = np.where((np.array(parameters.units) == "m") & ~pins, problem.start, 0.0)
     follow = pins & problem.free
-    follow[problem.layout.fixture[problem.layout.fixture >= 0]] = True
+    follow[problem.layout.place[problem.layout.place >= 0]] = True
     rows = np.vstack([linearised.jacobian.reshape(-1, len(parameters)), linearised.shared])
     trace = rows @ grown
     trace = trace - rows[:, follow] @ np.linalg.lstsq(rows[:, follow], trace, rcond=None)[0]

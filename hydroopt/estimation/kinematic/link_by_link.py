@@ -93,17 +93,17 @@ def sequential_least_squares(problem: CalibrationProblem, start: Array, own: Arr
         else:
             settle(stage, joint, _whole_loop(part), np.zeros(0), unit)
     if np.any(left) and (len(parts) > 1 or parts[0][1]):
-        settle("all", "", _whole_loop(problem.without(problem.layout.fixture[:, 0] < 0)), np.zeros(0), 1.0)
+        settle("all", "", _whole_loop(problem.without(~problem.layout.held)), np.zeros(0), 1.0)
     _check_bounds(problem, theta)
     closed = _closed(problem, theta)
-    loose = problem.layout.moving & (problem.layout.fixture[:, :1] < 0)
+    loose = problem.layout.moving & ~problem.layout.held[:, None]
     return Hierarchy(theta, np.where(loose, own, closed), tuple(results))
 
 
 def _parts(problem: CalibrationProblem) -> list[tuple[str, str, CalibrationProblem]]:
     """Stage, moving joint and poses of each stage in the order of measurement; all sensed ones count as one."""
     layout, joints = problem.layout, problem.model.joints
-    held = layout.fixture[:, 0] >= 0
+    held = layout.held
     keys = np.array([(str(stage), joints[int(np.argmax(moves))]) if np.any(moves) else ("", "")
                      for stage, moves in zip(problem.poses.stage, layout.moving, strict=True)])
     parts = []
@@ -199,7 +199,7 @@ def _closed(part: CalibrationProblem, theta: Array) -> Array:
         return part.angles(theta, np.where(layout.moving, turn, layout.reading))
 
     first, quarter, half = (
-        np.sum(model.over(model.closure, theta[: len(model.parameters)], turned(turn), part.fixtures(theta))[0]**2,
+        np.sum(model.over(model.closure, theta[: len(model.parameters)], turned(turn), part.places(theta)[:, :3])[0]**2,
                axis=(1, 2)) for turn in (0.0, np.pi / 2, np.pi))
     mean = (first + half) / 2
     return turned(np.arctan2(mean - quarter, mean - first)[:, None])
@@ -261,10 +261,13 @@ def _refuse(problem: CalibrationProblem) -> None:
     """Refuse what this method cannot use."""
     layout, model, where = problem.layout, problem.model, f"poses of {problem.poses.name}"
     other = "use the method 'joint'"
-    if not np.any(layout.fixture >= 0):
+    if not np.any(layout.held):
         raise ProblemError("no pose holds the tip in a fixture, so that no loop closes", where=where, remedy=other)
-    read = np.flatnonzero(layout.present.any(axis=0))
-    if np.any(read > 2):
+    read, rows = np.flatnonzero(layout.present.any(axis=0)), model.loop_rows
+    if np.any(layout.present[:, :rows] != layout.held[:, None] & (np.arange(rows) < 3)):
+        raise ProblemError("the link-by-link method knows balls only, no fixture of another kind", where=where,
+                           remedy=other)
+    if np.any(read >= rows):
         raise ProblemError(f"the link-by-link method closes loops only and cannot use '{model.channels[read[-1]]}'",
                            where=where, remedy=f"{other} or leave the channel out")
     if problem.loss != "squares":

@@ -19,15 +19,13 @@ from hydroopt.estimation.kinematic.observability import Linearised, linearise, o
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.logs.poses import joined
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.machine.calibration_chain import Stage
+from hydroopt.machine.calibration_chain import Fixture, Stage
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures
 from hydroopt.spatial.inertia import Array
 
-BALL = 3
-"""Freedoms of a ball joint, none of them sensed."""
 PLAY = 1e-3
 """Standard deviation [m] that every row is given at least: where too few joints are sensed nothing else weighs it."""
 TRIES = 20
@@ -63,9 +61,9 @@ class StageMobility(Identified):
 
     Attributes:
         moves: joints that move without being read; `sensed` those that are read, `locked` those that stand.
-        grubler: mobility by counting joints (Eq. 3.1).
+        grubler: mobility by counting joints (Eq. 3.5, of which Eq. 3.1 is the condition that it exceeds zero).
         rank_mobility: mobility by the loop's Jacobian; None where no closed posture was found.
-        unsensed: freedoms without a sensor, the ball's included.
+        unsensed: freedoms without a sensor, the fixture's included.
     """
 
     stage: str
@@ -89,7 +87,7 @@ class StageMobility(Identified):
         """In words."""
         parts = (("moves", self.moves), ("senses", self.sensed), ("locks", self.locked))
         yield f"stage {self.stage}: " + "; ".join(f"{verb} {', '.join(names)}" for verb, names in parts if names)
-        yield f"  mobility: {self.grubler} (Eq. 3.1){self.remark}; freedoms without a sensor: {self.unsensed}"
+        yield f"  mobility: {self.grubler} (Eq. 3.5){self.remark}; freedoms without a sensor: {self.unsensed}"
         yield from super().lines()
 
 
@@ -121,7 +119,7 @@ class Mobility:
                 "obstacles": list(self.obstacles)}
 
 
-def grubler(n: int, *, p: int, d: int, extra: int, t: int = BALL) -> int:
+def grubler(n: int, *, p: int, d: int, extra: int, t: int = 3) -> int:
     """Mobility m (Eq. 3.5) of n joints, of which p are powered and d of these move, on a fixture of t freedoms.
 
     `extra` is the number l of joints that the calibrator adds.
@@ -186,24 +184,31 @@ class _Visit:
         self.unread = [k for k in self.turning if k not in self.read]
         powered = {model.joints.index(joint) for joint in machine.joints} & {*self.chain}
         moved = powered & {*self.turning}
+        self.freedoms = min((fixture.freedoms for fixture in self.fixtures), default=6)
         self.grubler = grubler(len(powered), p=len(powered), d=len(moved), extra=len(self.turning) - len(moved),
-                               t=BALL if self.fixtures else 6)
+                               t=self.freedoms)
         links = {model.joints[k] for k in self.chain}
         lengths = {f"{cylinder.name}.length" for cylinder in machine.cylinders
                    if links.issuperset(machine.joints_between(cylinder.barrel.link, cylinder.rod.link))}
-        self.rows = [i for i, name in enumerate(model.channels) if (name.startswith("gap.") and self.fixtures)
+        held = {row for fixture in self.fixtures for row in fixture.closes}
+        self.rows = [i for i, name in enumerate(model.channels) if i in held
                      or (_read(machine, name) and (name in lengths or (name.startswith("tip.") and machine.tracker)
                                                    or (name.endswith(".distance") and self.fixtures)))]
-        places = [np.array(fixture.position) for fixture in self.fixtures]
-        found = [self._closed(place, count, rng) for place in places] or [self._random(count, rng)]
+        found = [self._closed(fixture, count, rng) for fixture in self.fixtures] or [self._random(count, rng)]
         self.q, size = np.concatenate(found), [len(q) for q in found]
         self.fixture = np.repeat([fixture.name for fixture in self.fixtures] or [""], size)
         self.lost = [fixture.name for fixture, q in zip(self.fixtures, found, strict=False) if not len(q)]
-        self.channels = [f"{model.joints[k]}.q" for k in self.read] + [model.channels[i] for i in self.rows if i >= 3]
+        self.channels = [f"{model.joints[k]}.q" for k in self.read] + [model.channels[i] for i in self.rows
+                                                                     if i >= model.loop_rows]
         self.by_q = np.zeros((0, len(model.channels), len(model.joints)))
         if len(self.q):
-            self.by_q = model.over(model.observed_jacobians, model.parameters.nominal, self.q,
-                                   np.repeat(places or [np.zeros(3)], size, axis=0))[2]
+            places = [postures.place_of(model, fixture, len(q))
+                      for fixture, q in zip(self.fixtures, found, strict=False)]
+            self.by_q = model.over(model.observed_by_angles, model.parameters.nominal, self.q,
+                                   np.concatenate(places or [np.zeros((len(self.q), model.place_size))]))[1]
+            for fixture in self.fixtures:
+                loose = [row for row in range(model.loop_rows) if row not in fixture.closes]
+                self.by_q[np.ix_(self.fixture == fixture.name, loose)] = 0.0
 
     def _random(self, count: int, rng: np.random.Generator) -> Array:
         q = rng.uniform(*postures.limits(self.model), (count, len(self.model.joints)))
@@ -211,13 +216,13 @@ class _Visit:
             q[:, self.model.joints.index(joint)] = angle
         return q
 
-    def _closed(self, place: Array, count: int, rng: np.random.Generator) -> Array:
+    def _closed(self, fixture: Fixture, count: int, rng: np.random.Generator) -> Array:
         """Up to so many postures, closed by all joints that move, including those that are not read."""
         if not self.turning:
             return np.zeros((0, len(self.model.joints)))
         return postures.closed_postures(
             self.model, count, rng, geometry=self.model.parameters.nominal, turning=self.turning,
-            within_limits=self.turning, locked=self.stage.locked, fixture=place, batch=2 * count,
+            within_limits=self.turning, locked=self.stage.locked, fixture=fixture, batch=2 * count,
             give_up=lambda _, tried: tried >= TRIES * count)[0]
 
     def rank(self, joints: Sequence[int], rows: Sequence[int]) -> int:
@@ -228,7 +233,7 @@ class _Visit:
     @property
     def rank_mobility(self) -> int | None:
         """Joints that move less the directions in which the fixture holds the tip."""
-        held = self.rank(self.turning, range(3)) if self.fixtures else 0
+        held = self.rank(self.turning, range(self.model.loop_rows)) if self.fixtures else 0
         return len(self.turning) - held if len(self.q) else None
 
     def described(self, found: Identified) -> StageMobility:
@@ -237,14 +242,14 @@ class _Visit:
             self.unread, self.read, [k for k in self.chain if k not in self.turning and k not in self.read]))
         return StageMobility(**vars(found), stage=self.stage.name, moves=moves, sensed=sensed, locked=locked,
                              grubler=self.grubler, rank_mobility=self.rank_mobility,
-                             unsensed=len(self.unread) + BALL * bool(self.fixtures))
+                             unsensed=len(self.unread) + self.freedoms * bool(self.fixtures))
 
     def reasons(self) -> Iterator[tuple[str, str]]:
         """Defects of the chain (Sections 3.3.2 and 3.5.1), and remedies."""
         names = self.model.joints
         degrees = self.grubler if self.rank_mobility is None else self.rank_mobility
         if degrees < 1:
-            yield (f"the chain cannot move: its mobility is {degrees} (Eq. 3.1)",
+            yield (f"the chain cannot move: its mobility is {degrees} (Eq. 3.5)",
                    "add a joint to the calibrator or free one that is locked")
         elif self.lost:
             yield (f"within the joints' limits the tip does not reach {_named('fixture', self.lost)}",
@@ -264,7 +269,8 @@ class _Visit:
         if len(sensed) >= 3 and self._flat(sensed):
             yield (f"the axes of {_named('joint', [names[k] for k in sensed])} are parallel and move the tip in planes "
                    "only", "turn one of them across, or sense another joint")
-        elif any(fixture.play == 0 for fixture in self.fixtures) and self.rank(erring, range(3)) < 3:
+        elif any(fixture.play == 0 for fixture in self.fixtures) and self.rank(
+                erring, range(self.model.loop_rows)) < 6 - self.freedoms:
             yield ("too few joints are sensed: they do not move the tip in all directions, so that nothing weighs the "
                    "loop's gap", "sense three joints with axes across each other, or state the fixture's play")
 
@@ -296,7 +302,7 @@ class _Survey:
         part, names = self.problem.without(~rows), self.problem.parameters.names
         touched = np.arange(len(names)) < len(part.model.parameters)
         layout = part.layout
-        touched[np.concatenate([layout.locked[1], layout.fixture[layout.fixture >= 0]]).astype(int)] = True
+        touched[np.concatenate([layout.locked[1], layout.place[layout.place >= 0]]).astype(int)] = True
         rest = {name: part.start[k] for k, name in enumerate(names) if not touched[k] or name in known}
         return _identified(part.fixing(**rest), replace(self.linear, jacobian=self.linear.jacobian[rows]),
                      {name for name, hidden in zip(names, self.pins, strict=True) if hidden})

@@ -108,15 +108,16 @@ class PoseEquations:
         np.add.at(q.ravel(), where, factor * theta[which])
         return q
 
-    def fixtures(self, theta: Array) -> Array:
-        """Position (N, 3) [m] of every pose's fixture; zero where there is none."""
-        return np.where(self.layout.fixture >= 0, theta[np.maximum(self.layout.fixture, 0)], 0.0)
+    def places(self, theta: Array) -> Array:
+        """Place (N, k) [m, rad] of every pose's fixture and of its tapes' end, see `KinematicModel.loop`; zero where
+        there is none."""
+        return np.where(self.layout.place >= 0, theta[np.maximum(self.layout.place, 0)], 0.0)
 
     def rows(self, theta: Array, q: Array) -> tuple[Array, Array, Array]:
         """Rows (N, m) that must vanish, and their Jacobians by all parameters (N, m, P) and by angles (N, m, n)."""
         count, n = q.shape
         k = len(self.model.parameters)
-        value, by_g, by_q = self.model.over(self.model.observed_jacobians, theta[:k], q, self.fixtures(theta))
+        value, by_g, by_q, by_place = self.model.over(self.model.observed_jacobians, theta[:k], q, self.places(theta))
         rows = np.where(self.layout.present, value[:, :, 0] - self.layout.target, 0.0)
         by_q *= self.layout.present[:, :, None]
         jacobian = np.zeros((count, rows.shape[1], len(self.parameters)))
@@ -124,21 +125,7 @@ class PoseEquations:
         where, which, factor = self.layout.locked
         np.add.at(jacobian, (where[:, None] // n, np.arange(rows.shape[1]), which[:, None]),
                   factor[:, None] * by_q[where // n, :, where % n])
-        there = np.flatnonzero(self.layout.fixture[:, 0] >= 0)
-        for axis in range(3):  # the gap loses what the fixture gains; tapes end at it
-            column = self.layout.fixture[there, axis]
-            jacobian[there, axis, column] -= self.layout.present[there, axis]
-        self._tape_jacobian(jacobian, theta, q, there)
+        for axis, column in enumerate(self.layout.place.T):
+            there = np.flatnonzero(column >= 0)
+            jacobian[there, :, column[there]] += by_place[there, :, axis] * self.layout.present[there]
         return rows, jacobian, by_q
-
-    def _tape_jacobian(self, jacobian: Array, theta: Array, q: Array, there: NDArray[np.intp]) -> None:
-        taped = [i for i, name in enumerate(self.model.channels) if name.endswith(".distance")]
-        if not taped or not np.any(self.layout.present[:, taped]):
-            return
-        ends = self.model.over(self.model.far_ends, theta[: len(self.model.parameters)], q)[0]
-        for column, i in enumerate(taped):
-            away = self.fixtures(theta) - ends[:, :, column]
-            away /= np.maximum(np.linalg.norm(away, axis=1, keepdims=True), 1e-12)
-            for axis in range(3):
-                slope = away[:, axis] * self.layout.present[:, i]
-                jacobian[there, i, self.layout.fixture[there, axis]] += slope[there]

@@ -188,7 +188,7 @@ def _moves(problem: CalibrationProblem, q: Array, linearised: Linearised, starts
     """A fixture, the tool or the base that stands elsewhere from some pose on."""
     layout, model, order = problem.layout, problem.model, np.arange(len(q))
     least, everywhere = stated_gap(problem), np.ones(len(q), dtype=bool)
-    fixtures = np.unique(layout.fixture[layout.fixture[:, 0] >= 0], axis=0)
+    fixtures = np.unique(layout.fixture[layout.held], axis=0)
     for columns in fixtures:
         there = np.all(layout.fixture == columns, axis=1)
         rows = np.flatnonzero(there)
@@ -198,7 +198,8 @@ def _moves(problem: CalibrationProblem, q: Array, linearised: Linearised, starts
             if min(late.sum(), (there & ~late).sum()) >= SHORTEST:
                 yield Fault(SuspectKind.FIXTURE, name, late, linearised.jacobian[:, :, columns], late.astype(float),
                             least, unit="mm", there=there)
-    by_tip, turn = model.over(model.moved_tip, problem.start[: len(model.parameters)], q)
+    by_tip, turn = model.over(model.moved_tip, problem.start[: len(model.parameters)], q,
+                              problem.places(problem.start))
     by_tip = by_tip * layout.present[:, :, None]
     tip = model.over(model.tip, problem.start[: len(model.parameters)], q)[0][:, :, 0]
     skew = np.cross(np.eye(3)[None], tip[:, None, :])  # rows e_k × tip: the tip's way by a turn about each axis
@@ -212,8 +213,9 @@ def _moves(problem: CalibrationProblem, q: Array, linearised: Linearised, starts
         if min(late.sum(), (~late).sum()) < SHORTEST:
             continue
         yield Fault(SuspectKind.TOOL, "tip", late, tool, late.astype(float), least, unit="mm", there=everywhere)
-        seen = np.unique(layout.fixture[late & (layout.fixture[:, 0] >= 0)], axis=0)
-        if tracked or len(seen) > 1:  # a single fixture moves against the base as the base against it
+        seen = np.unique(layout.fixture[late & layout.held], axis=0)
+        # a single fixture moves against the base as the base against it
+        if (tracked or len(seen) > 1) and not model.oriented:
             yield Fault(SuspectKind.BASE, "base", late, base, late.astype(float), least, unit="mm", lengths=3,
                         there=everywhere)
 

@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.logs.poses import Poses
+from hydroopt.machine.addresses import fixture_numbers
+from hydroopt.machine.calibration_chain import Fixture
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
@@ -30,7 +32,8 @@ class PoseLayout:
         reading: (N, n) angles as read [rad, m], zero where `sensed` (N, n) is False.
         moving: (N, n) which joints move without being read.
         locked: triplets of joints at rest.
-        fixture: (N, 3) parameters that are the coordinates of the fixture; −1 without one.
+        place: (N, k) parameters that are the place of the fixture and of the tapes' end; −1 without one.
+        held: (N,) which poses hold the tip in a fixture.
         target: (N, m) readings of the rows, where they are `present` (N, m).
     """
 
@@ -38,9 +41,15 @@ class PoseLayout:
     sensed: NDArray[np.bool_]
     moving: NDArray[np.bool_]
     locked: tuple[NDArray[np.intp], NDArray[np.intp], Array]
-    fixture: NDArray[np.intp]
+    place: NDArray[np.intp]
+    held: NDArray[np.bool_]
     target: Array
     present: NDArray[np.bool_]
+
+    @property
+    def fixture(self) -> NDArray[np.intp]:
+        """(N, 3) parameters that are the position of the fixture; −1 without one."""
+        return self.place[:, :3]
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,12 +93,14 @@ class LayoutBuilder:
         self.extra: list[_PoseParameter] = []
         self.names: dict[str, int] = {}
         self.triplets: list[tuple[int, int, float]] = []
-        self.fixture = np.full((count, 3), -1)
+        self.place = np.full((count, model.place_size), -1)
+        self.held = np.zeros(count, dtype=bool)
         pattern = model.observed_jacobians.sparsity_out(2)
         self.depends = np.zeros(pattern.shape, dtype=bool)
         self.depends[tuple(np.array(pattern.get_triplet(), dtype=int))] = True
         self._channels()
         self._fixtures()
+        self._tapes()
         self._joints()
         self._guess_moving_fixtures()
 
@@ -111,25 +122,49 @@ class LayoutBuilder:
                 self.target[:, i] = np.where(self.present[:, i], value, 0.0)
 
     def _fixtures(self) -> None:
-        known = {fixture.name: fixture for fixture in self.machine.fixtures}
+        known = [fixture.name for fixture in self.machine.fixtures]
         labels = self.poses.fixture
         if not np.any(labels != "") and len(known) == 1 and not np.any(self.present):
-            labels = np.full(len(labels), next(iter(known)))
+            labels = np.full(len(labels), known[0])
         for row in np.flatnonzero(labels != ""):
-            name, stage = str(labels[row]), str(self.poses.stage[row])
-            if name not in known:
-                raise ProblemError(f"there is no fixture '{name}'", where=self._row(row),
-                                   remedy=f"use {', '.join(known) or 'a machine file that states it'}")
-            fixture = known[name]
-            owner = f"{name}.{stage}" if fixture.moves and stage else name
-            if f"{owner}.x" not in self.names:
-                note = self.machine.notes.get(f"{name}.position")
-                sigma = None if note is None else note.spread(*fixture.position)
-                for axis, value in zip("xyz", fixture.position, strict=True):
-                    self._add(f"{owner}.{axis}", ParameterKind.POSITION, "m", value, None if fixture.moves else sigma,
-                              1e-3 if fixture.moves else sigma)
-            self.fixture[row] = [self.names[f"{owner}.{axis}"] for axis in "xyz"]
-        self.present[:, :3] = self.fixture >= 0
+            fixture = self._fixture(str(labels[row]), row)
+            stands = self._stands(fixture, str(self.poses.stage[row]))
+            self.place[row, : len(stands)] = stands
+            self.present[row, list(fixture.closes)], self.held[row] = True, True
+
+    def _tapes(self) -> None:
+        """Tapes end at the fixture that the row's `tape` names, else at the one that holds the tip, else at the only
+        one."""
+        columns = [i for i, name in enumerate(self.model.channels) if name.endswith(".distance")]
+        for row in np.flatnonzero(self.present[:, columns].any(axis=1)) if self.model.taped else ():
+            names = [str(self.poses.tape[row]), str(self.poses.fixture[row]),
+                     *(fixture.name for fixture in self.machine.fixtures if len(self.machine.fixtures) == 1)]
+            end = next(filter(None, names), "")
+            if not end:
+                raise ProblemError("a tape is read that does not say at which fixture it ends", where=self._row(row),
+                                   remedy="name the fixture in the column 'tape'")
+            self.place[row, -3:] = self._stands(self._fixture(end, row), str(self.poses.stage[row]))[:3]
+
+    def _fixture(self, name: str, row: Any) -> Fixture:
+        known = {fixture.name: fixture for fixture in self.machine.fixtures}
+        if name not in known:
+            raise ProblemError(f"there is no fixture '{name}'", where=self._row(row),
+                               remedy=f"use {', '.join(known) or 'a machine file that states it'}")
+        return known[name]
+
+    def _stands(self, fixture: Fixture, stage: str) -> list[int]:
+        """Parameters that are a fixture's place in a stage."""
+        owner = f"{fixture.name}.{stage}" if fixture.moves and stage else fixture.name
+        numbers = tuple(fixture_numbers(fixture))
+        if f"{owner}.x" not in self.names:
+            for number in numbers:
+                note = self.machine.notes.get(number.path)
+                angle = number.kind is ParameterKind.ORIENTATION
+                sigma = None if note is None else note.spread(*(fixture.orientation if angle else fixture.position))
+                scale = 1e-3 if fixture.moves and not angle else sigma
+                self._add(f"{owner}.{number.name.rpartition('.')[2]}", number.kind, number.unit, number.value,
+                          None if fixture.moves else sigma, scale)
+        return [self.names[f"{owner}.{number.name.rpartition('.')[2]}"] for number in numbers]
 
     def _add(self, name: str, kind: ParameterKind, unit: str, value: float, sigma: float | None,
              scale: float | None) -> int:
@@ -192,12 +227,13 @@ class LayoutBuilder:
         """Where all joints are sensed, the mean of the nominal tips is the initial guess of a fixture's position."""
         geometry = self.model.parameters
         tips = self.model.over(self.model.tip, geometry.nominal, np.nan_to_num(self.reading))[0][:, :, 0]
-        chain = self.depends[:3].any(axis=0)
+        chain = self.depends[: self.model.loop_rows].any(axis=0)
         complete = np.all(self.sensed[:, chain], axis=1)
-        for column in np.unique(self.fixture[self.fixture >= 0]):
-            axis = int(np.flatnonzero((self.fixture == column).any(axis=0))[0])
+        fixture = np.where(self.held[:, None], self.place[:, :3], -1)
+        for column in np.unique(fixture[fixture >= 0]):
+            axis = int(np.flatnonzero((fixture == column).any(axis=0))[0])
             own = self.extra[column - len(geometry)]
-            rows = complete & (self.fixture[:, axis] == column)
+            rows = complete & (fixture[:, axis] == column)
             if own.sigma is None and own.scale and np.any(rows):
                 own.nominal = float(tips[rows, axis].mean())
 
@@ -222,8 +258,8 @@ class LayoutBuilder:
         rows, columns, factors = (np.array(x) for x in zip(*self.triplets, strict=True)) if self.triplets else (
             np.zeros(0, int), np.zeros(0, int), np.zeros(0))
         reading = np.where(self.sensed, self.reading, 0.0)
-        return PoseLayout(reading, self.sensed, self.moving, (rows, columns, factors), self.fixture, self.target,
-                         self.present)
+        return PoseLayout(reading, self.sensed, self.moving, (rows, columns, factors), self.place, self.held,
+                          self.target, self.present)
 
     def angle_sigma(self) -> Array:
         """(n,) standard deviation of each joint's readings [rad, m]."""
@@ -233,10 +269,11 @@ class LayoutBuilder:
     def row_sigma(self) -> Array:
         """(N, m): play of the fixture for the gap, accuracy of the sensor for what is read."""
         sigma = np.zeros_like(self.target)
-        plays = {fixture.name: fixture.play for fixture in self.machine.fixtures}
-        first = next(iter(plays.values()), 0.0)
-        sigma[:, :3] = np.array([plays.get(str(label), first) for label in self.poses.fixture])[:, None]
-        for i, name in enumerate(self.model.channels[3:], 3):
+        plays = {fixture.name: (fixture.play, fixture.tilt) for fixture in self.machine.fixtures}
+        first = next(iter(plays.values()), (0.0, 0.0))
+        rows = self.model.loop_rows
+        sigma[:, :rows] = np.repeat([plays.get(str(label), first) for label in self.poses.fixture], 3, axis=1)[:, :rows]
+        for i, name in enumerate(self.model.channels[rows:], rows):
             if np.any(self.present[:, i]):
                 sensor = self.machine.sensor(name)
                 if sensor is None or sensor.std == 0:

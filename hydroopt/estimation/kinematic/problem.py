@@ -58,7 +58,8 @@ class CalibrationProblem(PoseEquations):
 
     def __str__(self) -> str:
         layout = self.layout
-        closed = int(np.sum(layout.present[:, :3] & (self.row_sigma[:, :3] == 0)))
+        rows = self.model.loop_rows
+        closed = int(np.sum(layout.present[:, :rows] & (self.row_sigma[:, :rows] == 0)))
         angles = int(layout.moving.sum() + np.sum(layout.sensed & (self.angle_sigma > 0)))
         return "\n".join([
             f"calibration of {self.model.machine.name}: {len(self.poses)} poses of {self.poses.name}",
@@ -95,7 +96,7 @@ class CalibrationProblem(PoseEquations):
         new_row = np.cumsum(keep) - 1
         locked = (new_row[where[taken] // n] * n + where[taken] % n, which[taken], factor[taken])
         layout = PoseLayout(old.reading[keep], old.sensed[keep], old.moving[keep], locked,
-                       old.fixture[keep], old.target[keep], old.present[keep])
+                            old.place[keep], old.held[keep], old.target[keep], old.present[keep])
         return replace(self, poses=self.poses.select(keep), layout=layout, row_sigma=self.row_sigma[keep])
 
 

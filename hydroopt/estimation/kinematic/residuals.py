@@ -13,9 +13,15 @@ from hydroopt.logs.poses import Poses
 from hydroopt.results.fit import Fit
 from hydroopt.spatial.inertia import Array
 
+LOOP = ("gap", "turn")
+"""Residuals of closed loops: of the tip's place [m] and, where the fixture is no ball, of the tool's turn [rad]."""
+
 
 class PoseResiduals(NamedTuple):
-    """Residuals [m] of one role's poses, (N,) by channel: `before` at the nominal, `after` at calibrated geometry."""
+    """Residuals [m, ``turn`` in rad] of one role's poses, (N,) by channel.
+
+    `before` stands at the nominal, `after` at the calibrated geometry.
+    """
 
     role: str
     poses: Poses
@@ -24,20 +30,26 @@ class PoseResiduals(NamedTuple):
 
 
 def residual_sizes(problem: CalibrationProblem, theta: Array, q: Array) -> dict[str, Array]:
-    """Size (N,) [m] of every pose's residual, by channel; NaN where a pose does not have it."""
+    """Size (N,) [m] of every pose's residual, by channel ([rad] for ``turn``); NaN where a pose does not have it."""
     left, present, names = gaps(problem, theta, q), problem.layout.present, problem.model.channels
     columns: dict[str, list[int]] = {}
     for i, name in enumerate(names):
         kind = name.partition(".")[0]
-        columns.setdefault(kind if kind in ("gap", "tip") and not name.endswith(".distance") else name, []).append(i)
-    return {name: np.where(present[:, some].all(axis=1), np.linalg.norm(left[:, some], axis=1), np.nan)
-            for name, some in columns.items() if np.any(present[:, some].all(axis=1))}
+        grouped = kind in (*LOOP, "tip") and not name.endswith(".distance")
+        columns.setdefault(kind if grouped else name, []).append(i)
+    sizes = {}
+    for name, some in columns.items():
+        # a plane holds the tip in one direction only; the others' residuals are zero
+        there = present[:, some].any(axis=1) if name in LOOP else present[:, some].all(axis=1)
+        if np.any(there):
+            sizes[name] = np.where(there, np.linalg.norm(left[:, some], axis=1), np.nan)
+    return sizes
 
 
 def gaps(problem: CalibrationProblem, theta: Array, q: Array) -> Array:
     """(N, m) [m] residuals of every row: sensed angles as read, unsensed ones as they close best."""
     layout, model = problem.layout, problem.model
-    rows, by_q = model.over(model.observed_by_angles, theta[: len(model.parameters)], q, problem.fixtures(theta))
+    rows, by_q = model.over(model.observed_by_angles, theta[: len(model.parameters)], q, problem.places(theta))
     by_q = by_q * layout.present[:, :, None]
     rows = (rows[:, :, 0] - layout.target) * layout.present
     rows = rows + np.einsum("nij,nj->ni", by_q, np.where(layout.sensed, layout.reading - q, 0.0))
@@ -52,13 +64,17 @@ def loop_fit(problem: CalibrationProblem, theta: Array, q: Array) -> dict[str, F
     """
     left, layout, model = gaps(problem, theta, q), problem.layout, problem.model
     table: dict[str, Fit] = {}
-    closed = layout.present[:, :3].all(axis=1)
+    closed = layout.held
     if np.any(closed):
         chain = [link.name for link in model.machine.chain]
         assert model.machine.calibrator is not None
         ends = model.over(model.far_ends, theta[: len(model.parameters)], q)[0]
         travel = ends[closed][:, :, chain.index(model.machine.calibrator.parent)]
         table["gap"] = _fit(left[closed, :3], travel)
+        if np.any(layout.present[:, 3 : model.loop_rows]):
+            turned = closed & layout.present[:, 3 : model.loop_rows].any(axis=1)
+            rms = float(np.sqrt(np.sum(left[turned, 3 : model.loop_rows] ** 2) / turned.sum()))
+            table["turn"] = Fit(rms, float("nan"), float("nan"), "rad")
     columns = np.array([i for i, name in enumerate(model.channels) if name.startswith("tip.")])
     there = layout.present[:, columns].all(axis=1)
     if np.any(there):

@@ -111,7 +111,7 @@ class KinematicSolution:
     def without_poses(self) -> frozenset[str]:
         """Parameters of stages that were left out."""
         problem = self.problem
-        there = {*range(len(problem.model.parameters)), *problem.layout.fixture.ravel().tolist(),
+        there = {*range(len(problem.model.parameters)), *problem.layout.place.ravel().tolist(),
                  *problem.layout.locked[1].tolist()}
         return frozenset(name for k, name in enumerate(problem.parameters.names) if k not in there)
 

@@ -294,9 +294,9 @@ def _stated(problem: CalibrationProblem, found: _Explanation, variance: float) -
 def _one_plane(problem: CalibrationProblem, q: Array) -> tuple[Suspect, ...]:
     """All that turned between the poses turned about parallel axes."""
     model = problem.model
-    closed = np.asarray(problem.layout.present[:, :3].all(axis=1))
-    chain = model.closure_jacobian.sparsity_out(1)
-    moves = [k for k in range(len(model.joints)) if chain.has_nz(0, k) or chain.has_nz(1, k) or chain.has_nz(2, k)]
+    closed = problem.layout.held
+    chain = model.loop_by_angles.sparsity_out(1)
+    moves = [k for k in range(len(model.joints)) if any(chain.has_nz(row, k) for row in range(3))]
     turning = [k for k in moves if np.any(closed) and np.ptp(q[closed, k]) > TURNED]
     if len(turning) < 2:
         return ()

@@ -26,15 +26,15 @@ def guess_unsensed(problem: PoseEquations, theta: Array) -> Array:
     ranges = np.array([link.joint.range for link in model.links if link.joint.type != "locked"])[moving]
     rng = np.random.default_rng(0)
     unread = layout.moving.any(axis=1)
-    loops_only = bool(np.all(layout.present[unread, :3]))  # the gap determines the angle, and is quicker than all rows
-    function, count = (model.closure, 3) if loops_only else (model.observed, layout.present.shape[1])
+    loops_only = bool(np.all(layout.held[unread]))  # the gap determines the angle, and is quicker than all rows
+    function, count = (model.loop, model.loop_rows) if loops_only else (model.observed, layout.present.shape[1])
     best, least = q.copy(), np.full(len(q), np.inf)
     for k in range(GUESSES * len(moving)):
         share = (k + 0.5) / GUESSES if len(moving) == 1 else rng.uniform(size=len(moving))
         trial = q.copy()
         trial[:, moving] = np.where(layout.moving[:, moving], ranges[:, 0] + share * (ranges[:, 1] - ranges[:, 0]),
                                     q[:, moving])
-        rows = model.over(function, theta[: len(model.parameters)], trial, problem.fixtures(theta))[0][:, :, 0]
+        rows = model.over(function, theta[: len(model.parameters)], trial, problem.places(theta))[0][:, :, 0]
         size = np.sum(((rows - layout.target[:, :count]) * layout.present[:, :count]) ** 2, axis=1)
         better = size < least
         best[better], least[better] = trial[better], size[better]
@@ -44,10 +44,10 @@ def guess_unsensed(problem: PoseEquations, theta: Array) -> Array:
 def closed_angles(problem: PoseEquations, theta: Array, q: Array) -> Array:
     """Joint vectors (N, n) with the loops closed by the smallest errors, in standard deviations, of sensed angles."""
     layout, model = problem.layout, problem.model
-    strict = layout.present[:, :3] & (problem.row_sigma[:, :3] == 0)
+    strict = layout.present[:, : model.loop_rows] & (problem.row_sigma[:, : model.loop_rows] == 0)
     weight = np.where(layout.sensed, problem.angle_sigma, np.where(layout.moving, 1.0, 0.0))
     for _ in range(STEPS if np.any(strict) else 0):
-        gap, by_q = model.over(model.closure_jacobian, theta[: len(model.parameters)], q, problem.fixtures(theta))
+        gap, by_q = model.over(model.loop_by_angles, theta[: len(model.parameters)], q, problem.places(theta))
         gap = gap[:, :, 0] * strict
         if np.max(np.abs(gap)) < TIGHT:
             break
@@ -60,7 +60,7 @@ def follow_unsensed(problem: PoseEquations, theta: Array, q: Array) -> Array:
     """Joint vectors (N, n) whose unsensed angles close the loops as well as they can, the readings taken as exact."""
     layout, model = problem.layout, problem.model
     for _ in range(STEPS if np.any(layout.moving) else 0):
-        rows, by_q = model.over(model.observed_by_angles, theta[: len(model.parameters)], q, problem.fixtures(theta))
+        rows, by_q = model.over(model.observed_by_angles, theta[: len(model.parameters)], q, problem.places(theta))
         rows = (rows[:, :, 0] - layout.target) * layout.present
         step = explained_by_unsensed(by_q * layout.present[:, :, None], layout.moving, rows)
         q = q - np.clip(step, -0.2, 0.2)

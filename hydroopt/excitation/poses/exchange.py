@@ -77,11 +77,11 @@ def _candidates(model: KinematicModel, group: PoseGroup, count: int, rng: np.ran
     moving = [model.joints.index(joint) for joint in group.moves]
     held = {model.joints.index(joint) for joint in group.locked}
     turning = [k for k in postures.read_joints(model) if k not in held and k not in moving]
-    place = [np.array(each.position) for each in model.machine.fixtures if each.name == group.fixture]
+    fixture = next((each for each in model.machine.fixtures if each.name == group.fixture), None)
     batch = max(count, BATCH)
     found, tried = postures.closed_postures(
         model, count, rng, geometry=model.parameters.nominal, turning=turning, within_limits=turning + moving,
-        locked=group.locked, fixture=place[0] if place else None, within_strokes=True, batch=batch,
+        locked=group.locked, fixture=fixture, within_strokes=True, batch=batch,
         give_up=lambda found, tried: tried > 3 * batch and found * TRIES < tried)
     if len(found) < count:
         raise ProblemError(f"only {len(found)} of {tried} random postures close within their limits",

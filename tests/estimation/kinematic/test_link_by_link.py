@@ -240,7 +240,7 @@ def test_other_channels_are_refused() -> None:
 
 def test_poses_without_fixture_or_with_another_loss_are_refused() -> None:
     problem, q = excavator(count=3)
-    free = replace(problem, layout=replace(problem.layout, fixture=np.full_like(problem.layout.fixture, -1)))
+    free = replace(problem, layout=replace(problem.layout, held=np.zeros(len(q), dtype=bool)))
     assert "no pose holds the tip" in refuse(free, q)
     assert "'huber'" in refuse(problem.with_loss("huber"), q)
 

@@ -128,7 +128,7 @@ def test_nothing_closes_the_chain() -> None:
 
 @pytest.mark.parametrize(("machine", "sentence"), [
     (one_stage("stick", locked={"yoke": 0.0, "upper_arm": 0.0}),
-     "stage 'stage': the chain cannot move: its mobility is 0 (Eq. 3.1); add a joint to the calibrator or free one "
+     "stage 'stage': the chain cannot move: its mobility is 0 (Eq. 3.5); add a joint to the calibrator or free one "
      "that is locked."),
     (one_stage("stick", fixtures=(Fixture(name="ball", position=(30, 0, 0)),)),
      "stage 'stage': within the joints' limits the tip does not reach fixture 'ball'; move what is out of reach "
@@ -211,7 +211,7 @@ def test_cylinders(excavator: Mobility) -> None:
 def test_lines_and_json(excavator: Mobility) -> None:
     lines = excavator.lines()
     assert lines[:3] == ["stage stick_moves: moves stick; senses grapple, yoke, upper_arm, forearm; locks swing, boom, "
-                         "grapple_swing", "  mobility: 2 (Eq. 3.1); freedoms without a sensor: 4",
+                         "grapple_swing", "  mobility: 2 (Eq. 3.5); freedoms without a sensor: 4",
                          "  alone: stick.a, stick.alpha, stick.beta, grapple_swing.locked.stick_moves"]
     assert "  in combination: ball.y with swing.locked.stick_moves" in lines
     content = json.loads(json.dumps(excavator.as_dict()))
