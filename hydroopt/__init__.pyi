@@ -45,6 +45,8 @@ from .machine.machine_file import read_machine as read_machine
 from .machine.urdf import read_urdf as read_urdf
 from .model.closed_chain import KinematicModel as KinematicModel
 from .model.model import Model as Model
+from .model.path_difference import PathDifference as PathDifference
+from .model.path_difference import path_difference as path_difference
 from .model.plant import Plant as Plant
 from .results.answer import Answer as Answer
 from .results.answer import Status as Status

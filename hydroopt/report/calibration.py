@@ -18,6 +18,7 @@ from matplotlib.patches import Patch
 from matplotlib.ticker import FuncFormatter
 from numpy.typing import NDArray
 
+from hydroopt.report import chain_sides
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, LIGHT, ORANGE, SHADE, STYLE, WIDTH, changes, changes_of, svg
 from hydroopt.report.numbers import NONE, Row, plain, quantity, unit_text
 from hydroopt.report.page import page
@@ -78,7 +79,7 @@ def render(c: Calibration) -> str:
 
 
 def _drawings(c: Calibration) -> dict[str, Markup]:
-    drawn = {"residuals": residuals(c), "chain": chains(c),
+    drawn = {"residuals": residuals(c), "chain": chains(c), "sides": chain_sides.distances(c.sides),
              "changes": changes(changes_of(c.parameters, priors_only=True)), "correlations": correlations(c),
              "workspace": workspace(c)}
     return {name: Markup(svg(figure, name)) for name, figure in drawn.items() if figure is not None}

@@ -11,6 +11,7 @@ import numpy as np
 
 from hydroopt.estimation.kinematic import calibrated_machine, diagnostics
 from hydroopt.estimation.kinematic.chain_points import ChainPoints, chain_points
+from hydroopt.estimation.kinematic.chain_sides import ChainSides, chain_sides, table_of
 from hydroopt.estimation.kinematic.prediction import coverage
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.estimation.kinematic.residuals import PoseResiduals, loop_fit, predicted, residual_sizes
@@ -129,6 +130,18 @@ class Calibration(KinematicSolution, Answer):
         return tuple(found)
 
     @cached_property
+    def sides(self) -> tuple[ChainSides, ...]:
+        """The machine's side of the closed chain against the calibrator's and taped distances (Tables 8 and 10)."""
+        problem = self.problem
+        found = [*chain_sides(problem, problem.start, "nominal", "train"),
+                 *chain_sides(problem, self.theta, "calibrated", "train")]
+        if problem.validation is not None:
+            for geometry, theta in (("nominal", problem.start), ("calibrated", self.theta)):
+                fresh, own, _ = predicted(problem, theta, problem.validation)
+                found += chain_sides(fresh, own, geometry, "validation")
+        return tuple(found)
+
+    @cached_property
     def workspace(self) -> WorkspaceAccuracy:
         """Accuracy of the machine's end over its workspace."""
         return workspace_accuracy(self)
@@ -150,6 +163,7 @@ class Calibration(KinematicSolution, Answer):
         lines += [f"  {data:<10} {channel:<24} RMS {1e3 * fit.rms:9.3f} m{fit.unit}  VAF {100 * fit.vaf:7.3f} %"
                   for data, table in self.fit.items() for channel, fit in table.items()]
         lines += [f"  stage {stage}" for stage in self.stages]
+        lines += [f"  {sides}" for sides in self.sides]
         return "\n".join(lines)
 
     def details(self) -> Mapping[str, Any]:
@@ -170,6 +184,7 @@ class Calibration(KinematicSolution, Answer):
             "workspace": {"point": workspace.point, "median_std": number(workspace.median_std),
                           "largest_std": number(workspace.largest_std)},
             "stages": [stage.as_dict() for stage in self.stages],
+            "sides": [entry for sides in self.sides for entry in sides.entries()],
             "loss": self.problem.loss, "priors": self.problem.priors, "fixed": dict(self.problem.fixed),
             "seed": self.seed}
 
@@ -178,6 +193,10 @@ class Calibration(KinematicSolution, Answer):
         files = {"parameters.csv": self.parameters.to_csv(), "residuals.csv": csv_text(self._residual_rows()),
                  "fit.csv": csv_text([{"data": data, "channel": channel, **fit.as_dict()}
                                       for data, table in self.fit.items() for channel, fit in table.items()])}
+        if self.sides:
+            roles = {"train": self.problem.poses, "validation": self.problem.validation}
+            files["sides.csv"] = csv_text(table_of(self.sides, {role: poses.row for role, poses in roles.items()
+                                                                if poses is not None}))
         text = self._written.text
         return files | ({f"{self.machine_name}.toml": text} if text else {})
 
