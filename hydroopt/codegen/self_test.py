@@ -58,6 +58,8 @@ def states(interface: Interface, count: int = STATES, seed: int = 0, *, single: 
         "chain_q": between({joint: ranges[joint] for joint in chain.joints}), "fixture": rng.uniform(-3, 3, (count, 3))}
     inputs["stroke"] = inputs["length"] - np.array([c.dead_length for c in machine.cylinders])
     inputs |= {name: _generic(name, array, rng) for name, array in interface.values.items()}
+    if "wrench" in interface.inputs:
+        inputs["wrench"] = rng.uniform(-1e4, 1e4, (count, 6))
     if "valve_feedforward" in interface.routines:
         inputs |= {"speed_added": rng.uniform(-0.1, 0.1, (count, n)), "force_rate": rng.uniform(-1e5, 1e5, (count, n)),
                   "pressure_a": rng.uniform(1e6, 2e7, (count, n)), "pressure_b": rng.uniform(1e6, 2e7, (count, n)),

@@ -10,7 +10,6 @@ from pathlib import Path
 from hydroopt import load_machine
 from hydroopt.codegen.folder import Code
 from hydroopt.codegen.parameter_source import Origin
-from hydroopt.codegen.routines import ROUTINES
 from hydroopt.codegen.sizes import CORTEX_M4F, sizes
 
 HERE = Path(__file__).parent
@@ -18,13 +17,17 @@ TOOLS = ("arm-none-eabi-gcc", "arm-none-eabi-objdump", "arm-none-eabi-size", "qe
 DOUBLE = re.compile(r"\.f64|__aeabi_(d|f2d|i2d|ui2d|l2d)\w*|<(sin|cos|sqrt|acos|atan2|pow|fabs)>")
 """What double precision looks like in the machine code: instructions, the compiler's helpers, calls of the library."""
 
+CONTROL = ("forward_kinematics", "cylinder_state", "joint_state", "actuator_forces", "inverse_dynamics",
+           "gravity_forces", "regressor", "reduced_regressor", "closure", "payload_update")
+CALIBRATION = ("residual", "residual_by_motion", "residual_by_parameters", "residual_by_geometry", "closure",
+               "mass_matrix", "wrench_forces", "tip_wrench")
 
-def files(**options) -> dict[str, str]:
+
+def files(routines: tuple[str, ...], **options: bool) -> dict[str, str]:
     """The generated folder."""
     machine = load_machine("cat215b")
     origin = Origin("nominal values of the machine cat215b", machine.sha256)
-    own = [name for name in ROUTINES if name != "valve_feedforward"]  # which belongs to one set of valves
-    return Code(machine, origin, routines=own, single=True, **options).files()
+    return Code(machine, origin, routines=routines, single=True, **options).files()
 
 
 def on_the_emulator(folder: Path) -> tuple[int, int]:
@@ -67,18 +70,19 @@ def run() -> dict | None:
     if not all(map(shutil.which, TOOLS)):
         return None
     results: dict = {}
-    for name, options in (("", {}), ("_folded", {"fold_geometry": True})):
-        written = files(**options)
+    for name, routines, options in (("", CONTROL, {}), ("_folded", CONTROL, {"fold_geometry": True}),
+                                    ("_residuals", CALIBRATION, {})):
+        written = files(routines, **options)
         with tempfile.TemporaryDirectory() as scratch:
             folder = Path(scratch)
             for file, text in written.items():
                 (folder / file).write_text(text, encoding="utf-8")
             results[f"selftest{name}"], results[f"program_flash{name}"] = on_the_emulator(folder)
             results[f"doubles{name}"] = doubles(folder)
-            if not options:
+            if not name:
                 results |= remarks(folder)
         for routine, size in sizes(written)[0].items():
             results[f"{routine.removeprefix('cat215b_')}{name}"] = f"{size.flash} flash, {size.stack} stack"
-            if routine == "cat215b_inverse_dynamics":
-                results[f"inverse_dynamics_flash{name}"] = size.flash
+            if routine in ("cat215b_inverse_dynamics", "cat215b_residual"):
+                results[f"{routine.removeprefix('cat215b_')}_flash{name}"] = size.flash
     return results

@@ -205,7 +205,7 @@ def test_the_command_itself_refuses(tmp_path: Path) -> None:
 
 def test_unknown_routines_are_refused(codegen) -> None:
     codegen.of(description(), "--functions", "fly").refused("'fly'", "inverse_dynamics")
-    codegen("kr300", "--functions", "closure").refused("'closure'", "has no part for it")
+    codegen("kr300", "--functions", "closure").refused("'closure'", "neither hydraulic cylinders nor a calibrator")
 
 
 def test_a_name_of_a_routine_that_is_no_word_is_shown_as_it_can_be(codegen) -> None:

@@ -6,6 +6,9 @@
  * Frames: modified Denavit-Hartenberg, Trans(z,d) Rot(z,theta) Trans(x,a) Rot(x,alpha) Rot(y,beta); the frame of a link
  * lies after Rot(z,theta), its far end after Rot(y,beta). Gravity in the base frame is ({{ gravity | join(", ") }}) m/s^2.
  * Joints are rigid, except in the closed chain, where they have the compliance that the machine file states.
+{% for reason, names in code.missing.items() %}
+ * Missing: {{ names | join(", ") }}, since {{ reason }}.
+{% endfor %}
  */
 #ifndef {{ P }}_H
 #define {{ P }}_H
@@ -59,7 +62,10 @@ typedef struct {
 {{ p }}_status_t {{ p }}_prepare(const {{ p }}_params_t *params, {{ p }}_constants_t *constants);
 
 {% for routine in code.routines.values() if routine.name != "payload_update" %}
-{{ (routine.text ~ " Reads " ~ routine.reads | join(", ") ~ " of `in`.") | wrap }}
+{% set missing %}
+{% for member, reason in routine.missing.items() %} `{{ member }}` is missing, since {{ reason }}.{% endfor %}
+{% endset %}
+{{ (routine.text ~ " Reads " ~ routine.reads | join(", ") ~ " of `in`." ~ missing) | wrap }}
 {{ p }}_status_t {{ p }}_{{ routine.name }}(const {{ p }}_constants_t *constants, const {{ p }}_{{ routine.takes }}_t *in,
     {{ p }}_{{ routine.gives }}_t *out);
 
