@@ -2,6 +2,8 @@
 
 A number is a string with its unit, or a table ``{value = "27.8 deg", sigma = "0.5 deg", source = "Table 2"}`` that
 adds its confidence (``sigma`` absolute or in %), bounds (``lower``, ``upper``) and source.
+A file that is ``based_on`` a bundled machine states only where it differs: tables merge key by key, lists part by part
+by their names, and parts that the bundled machine lacks stand before its own.
 """
 
 from __future__ import annotations
@@ -93,7 +95,7 @@ def read_machine(text: str, *, where: str = "machine", parameter_set: str | None
     >>> machine
     Machine('pendulum': 1 joint, 1 drive)
     """
-    data = toml(text, MachineError, where=where)
+    data = _with_base(toml(text, MachineError, where=where), where)
     if not data:
         raise MachineError("the file is empty", where=where, remedy="describe a machine in it")
     if "notes" in data:
@@ -123,6 +125,32 @@ def read_machine(text: str, *, where: str = "machine", parameter_set: str | None
     except ImpossibleError as error:
         raise MachineError(error.what, where=_at(where, error.key, moved), remedy=error.remedy) from None
     return machine
+
+
+def _with_base(data: dict[str, Any], where: str) -> dict[str, Any]:
+    if "based_on" not in data:
+        return data
+    base = data.pop("based_on")
+    if base not in bundled():
+        raise MachineError(f"'{base}' is no bundled machine", where=f"{where}: based_on",
+                           remedy=f"name one of {', '.join(bundled())}, or state the whole machine")
+    before = toml((_models() / f"{base}.toml").read_text("utf-8"), MachineError, where=str(base))
+    merged: dict[str, Any] = _merged(_with_base(before, str(base)), data)
+    return merged
+
+
+def _merged(base: Any, own: Any) -> Any:
+    """What a machine is based on, with its own statements in place."""
+    if isinstance(base, dict) and isinstance(own, dict):
+        return base | {key: _merged(base[key], value) if key in base else value for key, value in own.items()}
+    parts = [part for each in (base, own) if isinstance(each, list) for part in each]
+    if not parts or not isinstance(base, list) or not isinstance(own, list) or not all(
+            isinstance(part, dict) and "name" in part for part in parts):
+        return own
+    stated = {part["name"]: part for part in own}
+    known = {part["name"] for part in base}
+    return [*(part for part in own if part["name"] not in known),
+            *(_merged(part, stated.get(part["name"], {})) for part in base)]
 
 
 def _choose_parameter_set(data: dict[str, Any], wanted: str | None, where: str) -> dict[str, str]:

@@ -362,3 +362,15 @@ def test_numbers_beyond_any_machine_are_refused(old, new, pattern):
     with pytest.raises(MachineError, match=pattern) as caught:
         read_machine(DIGGER.replace(old, new))
     assert len(str(caught.value)) < 160
+
+
+def test_a_file_based_on_a_bundled_machine_states_only_differences() -> None:
+    base, own = load_machine("cat215b"), load_machine("cat215b_link4")
+    assert [stage.name for stage in own.stages] == ["grapple_swing_moves", *(stage.name for stage in base.stages)]
+    assert own.links == base.links
+    assert own.numbers["grapple.d"].value == base.numbers["grapple.d"].value == 1.134
+    assert own.notes["grapple.joint.d"].sigma == 0.05
+    assert "grapple.joint.d" not in {path for path, note in base.notes.items() if note.sigma}
+    assert read_machine(dump_machine(own)) == own
+    with pytest.raises(MachineError, match="based_on: 'cat' is no bundled machine"):
+        read_machine('based_on = "cat"')

@@ -23,15 +23,15 @@ from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation import postures
 
 ACCURACY = 1e-8
-SWEEPS = {"stick": (60, 110), "boom": (-45, -15), "swing": (-25, 25)}
+SWEEPS = {"grapple_swing": (20, 65), "stick": (60, 110), "boom": (-45, -15), "swing": (-25, 25)}
 
 Case = tuple[CalibrationProblem, np.ndarray]
 
 
 def excavator(seed: int = 0, *, count: int = 40, sweep: bool = False, stages: int = 3, noise: int | None = None,
-              read: tuple[str, ...] = ()) -> Case:
+              read: tuple[str, ...] = (), name: str = "cat215b") -> Case:
     """The problem of perfect (or noisy) readings of the excavator with its nominal geometry, and its joint vectors."""
-    machine = load_machine("cat215b")  # whose drift the method does not know
+    machine = load_machine(name)  # whose drift the method does not know
     still = tuple(stage.model_copy(update={"drift": 0.0}) for stage in machine.stages)
     machine = machine.model_copy(update={"stages": still})
     model = KinematicModel(machine)
@@ -97,6 +97,20 @@ def test_the_answer_keeps_and_prints_the_iterations_of_each_stage() -> None:
         assert f"stage {result.stage}" in str(solved)
         assert f"{stage['iterations']} iterations" in str(solved)
         assert stage["truncation"] == result.truncation
+
+
+FIRST_LINK = {"grapple_swing.a", "grapple_swing.alpha", "grapple.theta", "grapple.a", "grapple.d", "grapple.alpha",
+              "yoke.theta", "upper_arm.theta"}
+
+
+def test_the_first_stage_identifies_the_eight_numbers_of_link_4() -> None:
+    """Section 3.6.4: theta_5 to theta_7, alpha_5, a_5, d_5, alpha_4 and a_4, then the later stages as without it."""
+    problem, q = excavator(name="cat215b_link4", stages=4)
+    first, *later = (found := link_by_link.sequential_least_squares(problem, start(problem, 0), q)).stages
+    assert (first.stage, first.joint, set(first.identified)) == ("grapple_swing_moves", "grapple_swing", FIRST_LINK)
+    assert first.rank == 10  # with the circle's two, as Section 3.8.1 counts
+    assert set(later[0].identified) == {"stick.a", "stick.alpha", "stick.beta", "grapple_swing.locked.stick_moves"}
+    assert np.max(np.abs(found.parameters - problem.start)) < ACCURACY
 
 
 def test_a_turn_of_the_whole_machine_stays_open() -> None:
