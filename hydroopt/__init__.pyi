@@ -7,6 +7,8 @@ from .errors import ProblemError as ProblemError
 from .errors import SolverError as SolverError
 from .estimation.dynamic.change import Change as Change
 from .estimation.dynamic.change import detect_change as detect_change
+from .estimation.dynamic.change_history import ChangeHistory as ChangeHistory
+from .estimation.dynamic.change_history import detect_changes as detect_changes
 from .estimation.dynamic.estimate import Estimate as Estimate
 from .estimation.dynamic.friction_candidates import FrictionChoice as FrictionChoice
 from .estimation.dynamic.friction_choice import choose_friction as choose_friction

@@ -1,10 +1,10 @@
-"""`hydroopt compare`: which parameters changed between two sessions."""
+"""`hydroopt compare`: which parameters changed between two sessions, or over several in time order."""
 
 from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -24,15 +24,17 @@ from hydroopt.cli.options import (
     session_of,
     smoothing_of,
 )
+from hydroopt.errors import ProblemError
+
+if TYPE_CHECKING:
+    from hydroopt.results.answer import Answer
 
 
 def compare(
     machine: MachineName,
+    sessions: Annotated[list[Path], typer.Argument(metavar="LOG|DIR...", help=(
+        "Sessions in time order: a log each, or the directory that identify wrote from the logs of a session."))],
     output: Directory,
-    before: Annotated[list[Path], typer.Option(metavar="LOG|DIR", help=(
-        "Log of the first session, repeatable; or the directory that identify wrote from it."))],
-    after: Annotated[list[Path], typer.Option(metavar="LOG|DIR", help=(
-        "Log of the second session, repeatable; or such a directory."))],
     parts: Annotated[str | None, typer.Option(help=(
         "What may have changed: friction, offset, parts and parameters, separated by commas; by default friction and "
         "offsets."))] = None,
@@ -46,22 +48,33 @@ def compare(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Test which parameters changed between two sessions: DIR gets comparison.json, report.html and a table."""
+    """Test which parameters changed over sessions, and at which: DIR gets comparison.json, report.html and tables."""
+    from hydroopt.estimation.dynamic import change_history, two_session_answer
     from hydroopt.estimation.dynamic.change import detect_change
-    from hydroopt.estimation.dynamic.two_session_answer import METHOD
+    from hydroopt.estimation.dynamic.change_history import detect_changes
     from hydroopt.machine.machine_file import load_machine
+    from hydroopt.report.change_history import render_history
     from hydroopt.report.comparison import render_change
     from hydroopt.results.json_file import Job
 
     began = time.perf_counter()
+    if len(sessions) < 2:
+        raise ProblemError("one session has nothing to be compared with", where="compare",
+                           remedy="give two or more logs or directories in time order")
     described = load_machine(machine, parameter_set=parameter_set)
     way = smoothing_of(smoothing, bandwidth, described)
     names = None if parts is None else [part.strip() for part in parts.split(",")]
-    with progress(f"comparing two sessions of {described.name}", quiet):
-        first, second = (session_of(described, paths, option, map_file, treat)
-                         for paths, option in ((before, "--before"), (after, "--after")))
-        with failure_saved(output, Job.CHANGE, described, METHOD):
-            change = detect_change(described, first, second, parts=names, level=level, smoothing=way, seed=seed)
-        change.save(output, pages={"report.html": render_change(change)}, wall_s=time.perf_counter() - began)
-    print_answer(change, output, quiet=quiet, as_json=as_json)
-    refuse_refuted(change, output)
+    with progress(f"comparing {len(sessions)} sessions of {described.name}", quiet):
+        read = [session_of(described, [path], "compare", map_file, treat) for path in sessions]
+        if len(read) == 2:
+            with failure_saved(output, Job.CHANGE, described, two_session_answer.METHOD):
+                change = detect_change(described, *read, parts=names, level=level, smoothing=way, seed=seed)
+            answer: Answer = change
+            page = render_change(change)
+        else:
+            with failure_saved(output, Job.CHANGE_HISTORY, described, change_history.METHOD):
+                history = detect_changes(described, read, parts=names, level=level, smoothing=way, seed=seed)
+            answer, page = history, render_history(history)
+        answer.save(output, pages={"report.html": page}, wall_s=time.perf_counter() - began)
+    print_answer(answer, output, quiet=quiet, as_json=as_json)
+    refuse_refuted(answer, output)

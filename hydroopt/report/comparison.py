@@ -18,8 +18,9 @@ from hydroopt.results.diagnostic import sentences
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.change import Change, Difference
     from hydroopt.estimation.dynamic.payload import Payload
+    from hydroopt.estimation.dynamic.session_answer import Quantity
     from hydroopt.estimation.dynamic.stored_information import StoredInformation
-    from hydroopt.estimation.dynamic.two_session_answer import Quantity, TwoSessionAnswer
+    from hydroopt.estimation.dynamic.two_session_answer import TwoSessionAnswer
     from hydroopt.machine.machine import Machine
 
 COLUMNS = 3
@@ -48,8 +49,9 @@ def _page(answer: TwoSessionAnswer, title: str, rows: Sequence[dict[str, Any]],
         phi=plain(answer.split_half, 2), p_repeat=f"{answer.p_value_repeat:.2g}", rows=rows,
         file=f"{'payload' if link else 'comparison'}",
         figure=Markup(svg(drawn, "differences")) if drawn is not None else "",
-        logs=[_logs(role, each, answer.machine) for role, each in zip(sessions, (answer.before, answer.after),
-                                                                      strict=True)])
+        contradictions=answer.contradictions,
+        logs=[session_row(role, each, answer.machine) for role, each in zip(sessions, (answer.before, answer.after),
+                                                                            strict=True)])
 
 
 def differences(rows: Sequence[Quantity]) -> Figure | None:
@@ -92,7 +94,8 @@ def _difference_row(one: Difference) -> dict[str, Any]:
                         "detectable": plain(one.detectable, 2), "finding": one.finding.text}
 
 
-def _logs(role: str, session: StoredInformation, machine: Machine) -> dict[str, Any]:
+def session_row(role: str, session: StoredInformation, machine: Machine) -> dict[str, Any]:
+    """Logs and weights of a session for the template of all pages on sessions."""
     return {"role": role, "inputs": session.inputs,
             "weights": [(name, plain(one["sigma"]), plain(one["correlation_time"], 3), one["samples"])
                         for name, one in session.weights(machine).items()]}

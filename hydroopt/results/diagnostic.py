@@ -6,8 +6,10 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
 
+from hydroopt.results.session_wording import SESSION_WORDS
 from hydroopt.results.wording import WORDS, Kind, filled
 
+_ALL_WORDS = WORDS | SESSION_WORDS
 NAMED = 8
 """How many names of a list are written out."""
 
@@ -38,12 +40,12 @@ class Diagnostic:
     @property
     def text(self) -> str:
         """What was found, as one or two sentences."""
-        return filled(WORDS[self.kind].text, listed(self.subject), self.evidence)
+        return filled(_ALL_WORDS[self.kind].text, listed(self.subject), self.evidence)
 
     @property
     def remedy(self) -> str:
         """What to do about it; empty where nothing can be done."""
-        return filled(WORDS[self.kind].remedy, listed(self.subject), self.evidence)
+        return filled(_ALL_WORDS[self.kind].remedy, listed(self.subject), self.evidence)
 
     def __str__(self) -> str:
         return f"{self.text} {self.remedy}".strip()

@@ -36,13 +36,15 @@ class Job(StrEnum):
     EXCITATION = "excitation"
     POSE_PLAN = "pose plan"
     CHANGE = "comparison of two sessions"
+    CHANGE_HISTORY = "comparison of several sessions"
     PAYLOAD = "identification of a payload"
     CONTROL = "comparison of controllers"
 
 
 FILES = {Job.IDENTIFICATION: "estimate.json", Job.CALIBRATION: "estimate.json", Job.HYDRAULICS: "estimate.json",
          Job.EXCITATION: "excitation.json", Job.POSE_PLAN: "plan.json",
-         Job.CHANGE: "comparison.json", Job.PAYLOAD: "payload.json", Job.CONTROL: "control.json"}
+         Job.CHANGE: "comparison.json", Job.CHANGE_HISTORY: "comparison.json",
+         Job.PAYLOAD: "payload.json", Job.CONTROL: "control.json"}
 """The JSON file of each job."""
 COMMON = ("schema", "job", "machine", "created", "inputs", "method", "versions", "status", "findings",
           "diagnostics", "parameters", "fit", "wall_s", "files")

@@ -96,7 +96,7 @@ class Kind(StrEnum):
     NOT_IDENTIFIABLE = "not identifiable"
     CONFOUNDED = "not separable in this motion"
 
-    # two sessions: changes and payloads
+    # sessions: changes and payloads
     CHANGE_DETECTED = "change detected"
     NO_CHANGE_DETECTED = "no change detected"
     SINGLE_CHANGE = "change of a single parameter"
@@ -105,6 +105,18 @@ class Kind(StrEnum):
     PARAMETER_UNCHANGED = "parameter unchanged"
     CHANGE_NOT_IDENTIFIABLE = "change not identifiable"
     CHANGE_CONFOUNDED = "change not separable"
+    SESSIONS_DIFFER = "sessions differ"
+    SESSIONS_AGREE = "sessions agree"
+    CHANGED_TOGETHER = "course of all parameters together"
+    VARY_TOGETHER = "no common course of all parameters"
+    SINGLE_COURSE = "course of a single parameter"
+    PARAMETER_AGREES = "parameter agrees over all sessions"
+    MORE_CHANGED = "another parameter changed, too"
+    PARAMETER_NOT_VISIBLE = "change of a parameter not visible"
+    PARAMETER_STEPPED = "parameter changed at a session"
+    PARAMETER_DRIFTED = "parameter drifted"
+    PARAMETER_VARIES = "parameter differs from session to session"
+    PARAMETER_UNDECIDED = "parameter changed, course undecided"
     LOAD_IDENTIFIED = "payload identified"
     NO_LOAD_DETECTED = "no payload detected"
     LOAD_MASS_NOT_IDENTIFIABLE = "mass of the payload not identifiable"
@@ -328,39 +340,6 @@ WORDS: dict[Kind, Words] = {
         "would be if the others were known.",
         "The data determine their joint effect only, and the priors the rest: reverse the motion, vary its speed and "
         "range, or state what is known."),
-    Kind.CHANGE_DETECTED: Words(
-        "A change is detected: all {count} parameters together, F({rank}, {degrees_of_freedom:.0f}) = {statistic:.3g}, "
-        "{probability}; {repeat} if parts of one session may differ as the halves of its logs do "
-        "(φ = {phi:.2g}).{decides}"),
-    Kind.NO_CHANGE_DETECTED: Words(
-        "No change is detected: all {count} parameters together, F({rank}, {degrees_of_freedom:.0f}) = "
-        "{statistic:.3g}, {probability}; {repeat} if parts of one session may differ as the halves of its logs do "
-        "(φ = {phi:.2g}).{decides}"),
-    Kind.SINGLE_CHANGE: Words("A change of {subject} alone explains it: {direction} by {amount} {unit}."),
-    Kind.NO_SINGLE_CHANGE: Words(
-        "No single parameter explains it: at least two changed, or something else did."),
-    Kind.PARAMETER_CHANGED: Words("{subject} {direction} by {amount} {unit} ({probability})."),
-    Kind.PARAMETER_UNCHANGED: Words(
-        "{subject}: no change is detected ({probability}); a change above {detectable:g} {unit} would have been."),
-    Kind.CHANGE_NOT_IDENTIFIABLE: Words(
-        "The logs do not identify a change of {subject}.", "Drive a motion that excites it in both sessions."),
-    Kind.CHANGE_CONFOUNDED: Words(
-        "The logs cannot separate a change of {subject} from one of {partners}.",
-        "Vary speed and range of the motion in both sessions."),
-    Kind.LOAD_IDENTIFIED: Words("The load on {subject} is {mass} kg{place}."),
-    Kind.NO_LOAD_DETECTED: Words("No load is detected on {subject} ({probability}){mass}."),
-    Kind.LOAD_MASS_NOT_IDENTIFIABLE: Words(
-        "These logs do not identify the mass of the load on {subject}{moment}."),
-    Kind.LOAD_MASS_CONFOUNDED: Words(
-        "These motions cannot separate the mass of the load on {subject} from its other parameters.",
-        "Vary speed and range of the motion with the load."),
-    Kind.LOAD_PARTLY_IDENTIFIABLE: Words(
-        "These motions do not identify {subject} of the load.", "Move the load about more axes."),
-    Kind.FORCE_SCALE_ASSUMED: Words(
-        "Force readings are assumed to be right in scale: a common relative error of all of them is that of the mass.",
-        "State with --gain how large their relative errors may be."),
-    Kind.NO_INTERIOR: Words(
-        "Bounds or bodies leave no interior to sample: intervals are those of least squares without bounds."),
     Kind.NOT_IDENTIFIED_BY_POSES: Words(
         "These poses do not identify {subject}.",
         "Fix them, add priors, or add poses and sensors that depend on them."),

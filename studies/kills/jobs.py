@@ -54,7 +54,7 @@ JOBS = {
     "identify": Job("identify {what}.toml one/log.csv"),
     "identify-valves": Job("identify-valves patu_{what}.toml driven/log.csv"),
     "identify-payload": Job("identify-payload {what}.toml --unloaded one/log.csv --loaded two/log.csv"),
-    "compare": Job("compare {what}.toml --before one/log.csv --after two/log.csv"),
+    "compare": Job("compare {what}.toml one/log.csv two/log.csv"),
     "calibrate": Job(f"calibrate {PANDA} --seed {{seed}}"),
     "plan-poses": Job("plan-poses cat215b -n 3 --candidates 50 --seed {seed}"),
     "excite": Job("excite {what}.toml --duration 8 --blend 1 --harmonics 2 --starts 2 --processes 2 --seconds 2",

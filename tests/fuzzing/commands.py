@@ -22,9 +22,9 @@ from hydroopt.errors import LONGEST
 GOOD = {"show": ["MACHINE"], "codegen": ["MACHINE"], "simulate": ["ARM", "--duration", "2", "--rate", "20"],
         "identify": ["ARM", "LOG", "--method", "wls"], "calibrate": ["ARM", "POSES"],
         "plan-poses": ["ARM", "-n", "2"], "excite": ["ARM", "--log", "LOG", "--seconds", "1", "--duration", "9"],
-        "control": ["ARM", "--trajectory", "PATH", "--truth", "TRUTH"], "compare": ["ARM", "--before", "ANSWER",
-        "--after", "ANSWER"], "identify-payload": ["ARM", "--unloaded", "ANSWER", "--loaded", "LOG"],
-        "identify-valves": ["ARM", "LOG"]}
+        "control": ["ARM", "--trajectory", "PATH", "--truth", "TRUTH"],
+        "compare": ["ARM", "ANSWER", "ANSWER", "ANSWER"],
+        "identify-payload": ["ARM", "--unloaded", "ANSWER", "--loaded", "LOG"], "identify-valves": ["ARM", "LOG"]}
 """Good arguments by command; words in capitals stand for files."""
 OPTIONS = ("--map", "--treat", "--smoothing", "--bandwidth", "--method", "--loss", "--tolerance", "--ridge", "--seed",
            "--duration", "--rate", "--set", "--friction", "--holdout", "--fix", "--criterion", "--focus", "--rest",

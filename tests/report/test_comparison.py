@@ -58,8 +58,7 @@ def test_a_folder_tells_what_its_logs_told(made: Path) -> None:
 
 
 def test_compare_leaves_json_table_and_page(made: Path, tmp_path: Path) -> None:
-    printed = run("compare", "patu655_lift", "--before", str(made / "kept"), "--after", str(made / "b/log.csv"),
-                  "-o", str(tmp_path))
+    printed = run("compare", "patu655_lift", str(made / "kept"), str(made / "b/log.csv"), "-o", str(tmp_path))
     content = json.loads((tmp_path / "comparison.json").read_text())
     assert (content["job"], content["status"]) == ("comparison of two sessions", "ok")
     assert content["machine"]["sha256"] == CRANE.sha256
@@ -75,6 +74,33 @@ def test_compare_leaves_json_table_and_page(made: Path, tmp_path: Path) -> None:
     assert "http" not in page.replace("http://www.w3.org", "")
     assert "<svg" in page
     assert {path.name for path in tmp_path.iterdir()} == {"comparison.json", "comparison.csv", "report.html"}
+
+
+def test_three_sessions_leave_json_tables_and_page(made: Path, tmp_path: Path) -> None:
+    later = read_log(made / "b/log.csv")
+    halves = later.split(0.5)
+    for name, half in zip(("b", "c"), halves, strict=True):
+        half.to_frame().to_parquet(tmp_path / f"{name}.parquet")
+    out = tmp_path / "out"
+    printed = run("compare", "patu655_lift", str(made / "kept"), str(tmp_path / "b.parquet"),
+                  str(tmp_path / "c.parquet"), "-o", str(out))
+    content = json.loads((out / "comparison.json").read_text())
+    assert (content["job"], content["status"]) == ("comparison of several sessions", "ok")
+    assert [one["role"] for one in content["inputs"]] == ["session 1", "session 2", "session 3"]
+    page = (out / "report.html").read_text()
+    for one in content["histories"]:
+        assert len(one["sessions"]) == 3
+        assert one["finding"] in printed
+        assert one["finding"] in page
+    with (out / "sessions.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [(row["session"], row["name"]) for row in rows] == [
+        (str(k), name) for name in ("lift_cylinder.f_coulomb", "lift_cylinder.f_viscous") for k in (1, 2, 3)]
+    assert float(rows[2]["change"]) == content["histories"][0]["sessions"][2]["change"]
+    assert {path.name for path in out.iterdir()} == {"comparison.json", "comparison.csv", "sessions.csv",
+                                                     "report.html"}
+    answer = load(out)
+    assert str(answer) == "\n".join(printed.splitlines()[: len(answer.findings) + 1])
 
 
 def test_json_is_the_file_and_what_is_not_told_is_null(made: Path, tmp_path: Path) -> None:
@@ -108,13 +134,13 @@ def test_what_is_loaded_says_the_same(made: Path, tmp_path: Path) -> None:
             assert (tmp_path / f"again{k}" / file.name).read_bytes() == file.read_bytes()
 
 
-@pytest.mark.parametrize(("command", "options"), [("compare", ("--before", "--after")),
-                                                  ("identify-payload", ("--unloaded", "--loaded"))])
+@pytest.mark.parametrize(("command", "options"), [("compare", ((), ())),
+                                                  ("identify-payload", (["--unloaded"], ["--loaded"]))])
 def test_a_misread_log_ends_the_command_with_3(made: Path, tmp_path: Path, command: str, options) -> None:
     later = read_log(made / "b/log.csv")
     wrong = {name: values / 1e5 if ".p_" in name else values for name, values in later.channels.items()}
     replace(later, channels=wrong).to_frame().to_parquet(tmp_path / "bar.parquet")
-    done = CliRunner().invoke(app, [command, "patu655_lift", options[0], str(made / "kept"), options[1],
+    done = CliRunner().invoke(app, [command, "patu655_lift", *options[0], str(made / "kept"), *options[1],
                                     str(tmp_path / "bar.parquet"), "-o", str(tmp_path / "out")])
     assert isinstance(done.exception, SolverError), done.output
     assert done.exception.exit_code == 3
@@ -134,7 +160,7 @@ def test_what_contradicts_a_log_is_known_from_its_folder(made: Path, tmp_path: P
 
 
 def test_quiet_is_quiet(made: Path, tmp_path: Path) -> None:
-    assert run("compare", "patu655_lift", "--before", str(made / "a/log.csv"), "--after", str(made / "b/log.csv"),
+    assert run("compare", "patu655_lift", str(made / "a/log.csv"), str(made / "b/log.csv"),
                "--parts", "lift_cylinder.f_viscous", "--quiet", "-o", str(tmp_path)) == ""
 
 
@@ -144,7 +170,7 @@ def test_a_failed_solver_leaves_its_reason_only(made: Path, tmp_path: Path, monk
     logs = [read_log(made / name / "log.csv") for name in "ab"]
     detect_change(CRANE, logs[:1], logs[1:], intervals=False).save(tmp_path)
     monkeypatch.setattr("hydroopt.estimation.dynamic.change.detect_change", fails)
-    monkeypatch.setattr(sys, "argv", ["hydroopt", "compare", "patu655_lift", "--before", str(made / "kept"), "--after",
+    monkeypatch.setattr(sys, "argv", ["hydroopt", "compare", "patu655_lift", str(made / "kept"),
                                       str(made / "b/log.csv"), "-o", str(tmp_path)])
     with pytest.raises(SystemExit) as ended:
         cli.main()

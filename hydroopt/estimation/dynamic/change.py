@@ -14,8 +14,9 @@ from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.comparison import TwoSessionProblem, Wald, solve_both, two_session_problem, wald
+from hydroopt.estimation.dynamic.session_answer import Quantity, rounded
 from hydroopt.estimation.dynamic.stored_information import refuse_shared_samples, stored_information
-from hydroopt.estimation.dynamic.two_session_answer import Quantity, TwoSessionAnswer, rounded
+from hydroopt.estimation.dynamic.two_session_answer import TwoSessionAnswer
 from hydroopt.input_file import similar
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
@@ -59,7 +60,7 @@ class Difference(Quantity):
             return Diagnostic(kind, (self.name,), {"partners": ", ".join(self.partners)} if self.partners else {})
         evidence = {"p_holm": self.p_holm, "probability": probability(self.p_holm), "unit": printed(self.unit)}
         if self.changed:
-            return Diagnostic(Kind.PARAMETER_CHANGED, (self.name,), evidence | _amount(self.value, self.std))
+            return Diagnostic(Kind.PARAMETER_CHANGED, (self.name,), evidence | amount(self.value, self.std))
         return Diagnostic(Kind.PARAMETER_UNCHANGED, (self.name,),
                           evidence | {"detectable": float(f"{self.detectable:.2g}")})
 
@@ -166,11 +167,9 @@ def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: S
         >>> change.findings[0].kind
         <Kind.NO_CHANGE_DETECTED: 'no change detected'>
     """
-    if not 0 < level < 1:
-        raise ProblemError(f"the level of significance must be between 0 and 1, not {level:g}", where="level",
-                           remedy="use one such as 0.05")
+    refuse_level(level)
     model = Model(machine)
-    names = named_parts(model.parameters, _usual(model.parameters) if parts is None else parts)
+    names = named_parts(model.parameters, usual_parts(model.parameters) if parts is None else parts)
     with threadpool_limits(limits=1, user_api="blas"):
         first, second = stored_information(model, before, smoothing), stored_information(model, after, smoothing)
         refuse_shared_samples(first, second)
@@ -189,8 +188,23 @@ def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: S
                   _single_changes(problem, judged, level), intervals)
 
 
-def _usual(parameters: ParameterSet) -> list[str]:
-    """The groups of kinds that a machine has parameters of."""
+def refuse_level(level: float) -> None:
+    """Refuse a level of significance that is none.
+
+    Raises:
+        ProblemError: it is not between 0 and 1.
+    """
+    if not 0 < level < 1:
+        raise ProblemError(f"the level of significance must be between 0 and 1, not {level:g}", where="level",
+                           remedy="use one such as 0.05")
+
+
+def usual_parts(parameters: ParameterSet) -> list[str]:
+    """What may change between sessions: friction and offsets, as far as a machine has such parameters.
+
+    Raises:
+        ProblemError: it has neither.
+    """
     found = [group for group in GROUPS if parameters.matching(group)]
     if not found:
         raise ProblemError("the machine file states neither friction nor offsets, which could have changed",
@@ -257,11 +271,12 @@ def _single_changes(problem: TwoSessionProblem, test: Wald, level: float) -> tup
     able = [k for k in np.argsort(-np.nan_to_num(left, nan=-1.0)) if left[k] >= level]
     if not able:
         return (Diagnostic(Kind.NO_SINGLE_CHANGE),)
-    return tuple(Diagnostic(Kind.SINGLE_CHANGE, (problem.labels[k],), _amount(float(value[k]), float(std[k])) | {
+    return tuple(Diagnostic(Kind.SINGLE_CHANGE, (problem.labels[k],), amount(float(value[k]), float(std[k])) | {
         "unit": printed(problem.unknowns.units[problem.unknowns.index(problem.labels[k])])}) for k in able[:3])
 
 
-def _amount(value: float, std: float) -> dict[str, Any]:
+def amount(value: float, std: float) -> dict[str, Any]:
+    """A change as evidence of a diagnostic."""
     return {"change": value, "std": std, "direction": "rose" if value > 0 else "fell",
             "amount": rounded(abs(value), std)}
 

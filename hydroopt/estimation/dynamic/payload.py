@@ -24,9 +24,10 @@ from hydroopt.estimation.dynamic.comparison import (
     solve_both,
     wald,
 )
+from hydroopt.estimation.dynamic.session_answer import Quantity, rounded
 from hydroopt.estimation.dynamic.stored_information import StoredInformation, refuse_shared_samples, stored_information
 from hydroopt.estimation.dynamic.training_logs import explained
-from hydroopt.estimation.dynamic.two_session_answer import Quantity, TwoSessionAnswer, rounded
+from hydroopt.estimation.dynamic.two_session_answer import TwoSessionAnswer
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import BASE, Machine
