@@ -8,9 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import HydrooptError
-from hydroopt.logs.forces_from_pressures import force_noise, forces, pressures
+from hydroopt.logs.forces_from_pressures import force_noise, pressures
 from hydroopt.logs.joint_angles import measured_angles
 from hydroopt.logs.log import Log
+from hydroopt.logs.tip_wrench import free_forces
 from hydroopt.machine.sensor import Sensor
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
@@ -101,7 +102,8 @@ def agreement(model: Model, log: Log, evaluated: Evaluated | None = None) -> Agr
     """
     evaluated = {} if evaluated is None else evaluated
     try:
-        angles, measured, pressed = measured_angles(model, log), forces(model, log), pressures(model, log)
+        angles, pressed = measured_angles(model, log), pressures(model, log)
+        measured = free_forces(model, log, angles)
     except HydrooptError:
         return None
     if len(angles) < WINDOWS[0] or not (np.all(np.isfinite(angles)) and np.all(np.isfinite(measured))):

@@ -32,7 +32,8 @@ def simulate(
     machine: MachineName,
     output: Directory,
     motion: Annotated[Path | None, typer.Option(
-        help="Log whose joint positions the machine follows; a random motion if not given.")] = None,
+        help="Log whose joint positions the machine follows, with the wrench at its tip (tip.fx to tip.mz) if the log "
+        "states one; a random motion if not given.")] = None,
     driven: Annotated[bool, typer.Option("--driven", help=(
         "Drive the valves, in open loop, by commands for that motion; the log contains commands and supply, too."))
         ] = False,
@@ -121,7 +122,8 @@ def _driving(plant: Plant, motion: Trajectory, psi: Array, theta: Array, size: f
     from hydroopt.simulation.simulate import Trajectory
 
     middle = np.mean(motion.q, axis=0)
-    part = Trajectory(motion.t, middle + size * (motion.q - middle), size * motion.qd, size * motion.qdd)
+    part = Trajectory(motion.t, middle + size * (motion.q - middle), size * motion.qd, size * motion.qdd,
+                      motion.wrench)
     return motion.t, commands_for(plant, part, psi, theta), part.q[0]
 
 

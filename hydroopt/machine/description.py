@@ -20,6 +20,9 @@ from hydroopt.machine.valves import Circuit, Oil
 
 BASE = "base"
 """Name of the machine's chassis, the root of the tree; it does not move."""
+WRENCH = ("tip.fx", "tip.fy", "tip.fz", "tip.mx", "tip.my", "tip.mz")
+"""Channels of the wrench that the surroundings exert on the machine at its tip: force, and moment about the tip, along
+the axes of the base frame."""
 
 
 class MachineDescription(Noun):
@@ -156,6 +159,7 @@ class MachineDescription(Noun):
             if link.joint.type != "locked":
                 units[f"{link.name}.q"] = "m" if link.joint.type == "prismatic" else "rad"
             units[f"{link.name}.distance"] = "m"
+        units |= dict.fromkeys(WRENCH[:3], "N") | dict.fromkeys(WRENCH[3:], "N*m")
         return units | (dict.fromkeys(("tip.x", "tip.y", "tip.z"), "m") if self.tracker else {})
 
     @property

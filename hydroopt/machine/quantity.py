@@ -12,8 +12,9 @@ from hydroopt.units import UnitError, implausible, plausible, to_si
 
 CHANNEL_UNITS = {"q": ("rad", "m"), "qd": ("rad/s", "m/s"), "qdd": ("rad/s^2", "m/s^2"), "tau": ("N*m", "N"),
                  "length": ("m",), "force": ("N",), "p_head": ("Pa",), "p_rod": ("Pa",), "p_a": ("Pa",), "p_b": ("Pa",),
-                 "p_supply": ("Pa",),
-                 "p_tank": ("Pa",), "u": ("V", "1", "A"), "x": ("m",), "y": ("m",), "z": ("m",), "distance": ("m",)}
+                 "p_supply": ("Pa",), "p_tank": ("Pa",), "u": ("V", "1", "A"), "x": ("m",), "y": ("m",), "z": ("m",),
+                 "distance": ("m",), **dict.fromkeys(("fx", "fy", "fz"), ("N",)),
+                 **dict.fromkeys(("mx", "my", "mz"), ("N*m",))}
 """SI units that a channel may have, by the part of its name after the dot; the first is the usual one."""
 
 

@@ -25,7 +25,8 @@ def commands_for(plant: Plant, motion: Trajectory, psi: Array | None = None, the
         psi, theta: its dynamic and hydraulic parameters; the nominal ones if None.
 
     Raises:
-        ProblemError: the supply cannot move the machine so, or the file states no supply pressure.
+        ProblemError: the supply cannot move the machine so, the file states no supply pressure, or the motion has a
+            wrench at the tip, which a machine driven by its valves does not take.
 
     Example:
         >>> import hydroopt as ho
@@ -34,6 +35,9 @@ def commands_for(plant: Plant, motion: Trajectory, psi: Array | None = None, the
         >>> commands_for(plant, Trajectory(t, q, 0 * q, 0 * q)).shape
         (3, 1)
     """
+    if motion.wrench is not None:
+        raise ProblemError("the motion has a wrench at the tip, which a machine driven by its valves does not take",
+                           where="drive", remedy="leave out the channels of the tip's wrench, or do not drive valves")
     psi, theta = _numbers(plant, psi, theta)
     return np.array([plant.steady(q, qd, psi, theta).u for q, qd in zip(motion.q, motion.qd, strict=True)])
 

@@ -8,6 +8,7 @@ from hydroopt.errors import LogError
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import reading
 from hydroopt.logs.smoothing import SmoothingSpline, condition
+from hydroopt.logs.tip_wrench import tip_wrench
 from hydroopt.machine.machine import Machine
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array
@@ -20,7 +21,8 @@ def reference_motion(machine: Machine, log: Log) -> Trajectory:
     """The motion of a log's joint positions.
 
     Speeds and accelerations of a designed motion (`.qd` and `.qdd` of all joints, consistent with `.q` at every sample)
-    are taken as they stand, so that what was checked at design is what is followed. Any other log is smoothed.
+    are taken as they stand, so that what was checked at design is what is followed. Any other log is smoothed. A wrench
+    at the tip that the log states is part of the motion.
 
     Args:
         machine: whose joints move.
@@ -36,7 +38,7 @@ def reference_motion(machine: Machine, log: Log) -> Trajectory:
         >>> reference_motion(model.machine, log).q.shape
         (500, 1)
     """
-    positions = _channels(machine, log, "q")
+    positions, wrench = _channels(machine, log, "q"), tip_wrench(log)
     for k, joint in enumerate(machine.joints):
         lower, upper = machine.link(joint).joint.range
         beyond = np.flatnonzero((positions[:, k] < lower) | (positions[:, k] > upper))
@@ -44,12 +46,12 @@ def reference_motion(machine: Machine, log: Log) -> Trajectory:
             raise LogError(f"{joint}.q leaves the joint's range at sample {log.sample[beyond[0]]}",
                            where=log.path or log.name, remedy="correct the motion or the joint's limits")
     if all(f"{joint}.{kind}" in log.channels for joint in machine.joints for kind in ("qd", "qdd")):
-        designed = Trajectory(log.t, positions, _channels(machine, log, "qd"), _channels(machine, log, "qdd"))
+        designed = Trajectory(log.t, positions, _channels(machine, log, "qd"), _channels(machine, log, "qdd"), wrench)
         if _consistent(machine, designed):
             return designed
     smooth = condition(log.t, positions, log.segment, SmoothingSpline(bandwidth=machine.bandwidth),
                        where=log.path or log.name)
-    return Trajectory(smooth.t, smooth.q, smooth.qd, smooth.qdd)
+    return Trajectory(smooth.t, smooth.q, smooth.qd, smooth.qdd, wrench)
 
 
 def _channels(machine: Machine, log: Log, kind: str) -> Array:

@@ -10,6 +10,7 @@ from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.logs import sensors
 from hydroopt.logs.log import Log
 from hydroopt.machine.actuators import Cylinder, Drive
+from hydroopt.machine.description import WRENCH
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import bodies
@@ -26,12 +27,17 @@ BACK_PRESSURE = 5e5
 
 @dataclass(frozen=True, eq=False)
 class Trajectory:
-    """Joint positions, velocities and accelerations (N, n) at the times t (N,), in SI."""
+    """Joint positions, velocities and accelerations (N, n) at the times t (N,), in SI.
+
+    `wrench` (N, 6) is what the surroundings exert on the machine at its tip, see `Model.wrench_forces`; None without
+    contact.
+    """
 
     t: Array
     q: Array
     qd: Array
     qdd: Array
+    wrench: Array | None = None
 
 
 def random_trajectory(model: Model, *, duration: float, rate: float, seed: int, harmonics: int = 5,
@@ -137,11 +143,13 @@ def forces(model: Model, motion: Trajectory, psi: Array) -> Array:
 
     The friction of seals depends on pressures and these on the force, which is so found for both at once.
     """
-    state = (motion.q, motion.qd, motion.qdd)
+    state, still = (motion.q, motion.qd, motion.qdd), np.zeros_like(motion.q)
+    extra = (still,) if model.needs_pressure else ()
+    force = model.over(model.inverse_dynamics, *state, *extra, psi)[0][:, :, 0]
+    if motion.wrench is not None:
+        force = force + model.over(model.wrench_forces, motion.q, motion.wrench)[0][:, :, 0]
     if not model.needs_pressure:
-        return model.over(model.inverse_dynamics, *state, psi)[0][:, :, 0]
-    still = np.zeros_like(motion.q)
-    force = model.over(model.inverse_dynamics, *state, still, psi)[0][:, :, 0]
+        return force
     # Stribeck speeds stay: there is no force, but one divides by them
     seals = np.where([kind in (ParameterKind.SEAL_FRICTION, ParameterKind.STRIBECK_SPEED)
                       for kind in model.parameters.kinds], psi, 0.0)
@@ -197,6 +205,8 @@ def simulate(model: Model, motion: Trajectory, psi: Array | None = None, *, nois
     if machine.cylinders:
         lengths = model.over(model.cylinder_kinematics, motion.q, motion.qd, motion.qdd)[0][:, :, 0]
         channels |= {f"{c.name}.length": lengths[:, k] for k, c in enumerate(machine.cylinders)}
+    if motion.wrench is not None:
+        channels |= dict(zip(WRENCH, motion.wrench.T, strict=True))
     if noise:
         for channel in channels:
             sensor = machine.sensor(channel)

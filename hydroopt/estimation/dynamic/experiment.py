@@ -14,10 +14,11 @@ from hydroopt.estimation.dynamic.folding import ROWS, ActuatorTriangles
 from hydroopt.estimation.dynamic.frequency_bands import BLOCK, ActuatorBands
 from hydroopt.estimation.dynamic.friction_sign import FEW_MOVING, dry_friction_known, speed_threshold
 from hydroopt.logs.any_log import AnyLog
-from hydroopt.logs.forces_from_pressures import force_channels, forces, pressures
+from hydroopt.logs.forces_from_pressures import force_channels, pressures
 from hydroopt.logs.joint_angles import angle_channels, angle_noise, measured_angles
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Motion, Smoothing, SmoothingSpline, condition
+from hydroopt.logs.tip_wrench import free_forces, tip_wrench, wrench_channels
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
@@ -66,6 +67,7 @@ class AnyExperiment(Protocol):
 class Experiment:
     """Motion (N, n) and measured actuator forces (N, n) [N or N·m] of one log, all samples in memory.
 
+    Where the log states a wrench at the tip, what it adds is taken out of the forces.
     `inside` (N,) is False near the ends of a stretch, where derivatives of noisy angles are worse: those samples are
     not used for estimation and validation. `moving` (N, n) is False where the sign of a joint's velocity, and so of its
     dry friction, is not known (Eq. 4.51, see `friction_sign`): those samples are not used for estimation. `remarks`
@@ -204,19 +206,28 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
     slow, noise = speed_threshold(angles, motion)
     moving = np.abs(motion.qd) > slow
     moving &= np.mean(moving, axis=0) > FEW_MOVING
-    return Experiment(model, log, motion, forces(model, log), dry_friction_known(model, motion, moving, noise),
-                      remarks(model, log, angles), pressures(model, log))
+    return Experiment(model, log, motion, free_forces(model, log, motion.q),
+                      dry_friction_known(model, motion, moving, noise), remarks(model, log, angles),
+                      pressures(model, log))
 
 
 def channels_used(model: Model, log: AnyLog) -> set[str]:
     """The channels that angles, forces and pressures are read from."""
-    return angle_channels(model, log) | force_channels(model, log)
+    return angle_channels(model, log) | force_channels(model, log) | wrench_channels(log)
 
 
 def remarks(model: Model, log: Log, angles: Array) -> tuple[str, ...]:
     """Which channels are not used, and how measured lengths compare with the geometry."""
     used = channels_used(model, log)
-    return (*_unused(log, used), *_length_check(model, log, used, angles))
+    return (*_wrench(log), *_unused(log, used), *_length_check(model, log, used, angles))
+
+
+def _wrench(log: Log) -> Iterator[str]:
+    wrench = tip_wrench(log)
+    if wrench is not None:
+        largest = np.max(np.linalg.norm(wrench[:, :3], axis=1))
+        yield (f"a wrench at the tip is measured, with forces of up to {largest:.4g} N: what it adds to the actuator "
+               "forces is taken out of them")
 
 
 def _unused(log: Log, used: set[str]) -> tuple[str, ...]:

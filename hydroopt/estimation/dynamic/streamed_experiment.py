@@ -20,7 +20,7 @@ from hydroopt.estimation.dynamic.friction_sign import FEW_MOVING, speed_threshol
 from hydroopt.kernels.native import threads
 from hydroopt.logs import streamed_smoothing
 from hydroopt.logs.any_log import AnyLog
-from hydroopt.logs.forces_from_pressures import forces, pressures
+from hydroopt.logs.forces_from_pressures import pressures
 from hydroopt.logs.joint_angles import angle_channels, angle_noise, measured_angles
 from hydroopt.logs.log import Log, missing
 from hydroopt.logs.quality import Finding
@@ -28,6 +28,7 @@ from hydroopt.logs.smoothing import Motion, Smoothing, SmoothingSpline
 from hydroopt.logs.stream import BLOCK as SAMPLED
 from hydroopt.logs.stream import PIECE, LogStream
 from hydroopt.logs.streamed_smoothing import Smoother
+from hydroopt.logs.tip_wrench import free_forces
 from hydroopt.logs.treatment import Samples
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
@@ -89,8 +90,8 @@ class StreamedExperiment:
                            where=where, remedy="keep every tenth sample, or state a higher --bandwidth")
         motion = chosen.motion(log.t, angles, log.segment, np.ones(log.size, bool), where)
         moving = np.abs(motion.qd) > speed_threshold(angles, motion)[0]
-        return chosen, Experiment(model, log, motion, forces(model, log), moving, remarks(model, log, angles),
-                                  pressures(model, log))
+        return chosen, Experiment(model, log, motion, free_forces(model, log, motion.q), moving,
+                                  remarks(model, log, angles), pressures(model, log))
 
     @property
     def _angle_channels(self) -> list[str]:
@@ -188,7 +189,8 @@ class StreamedExperiment:
 
     def _over(self, work: Callable[[Given], Made], given: Iterable[Given]) -> Iterator[Made]:
         """Results of `work` on all inputs, in their order, computed in parallel with few results in memory."""
-        _ = self._slow, self.model.regressor, self.model.inverse_dynamics  # created before threads use them
+        # created before threads use them
+        _ = self._slow, self.model.regressor, self.model.inverse_dynamics, self.model.wrench_forces
         waiting: deque[Future[Made]] = deque()
         with threadpool_limits(limits=1, user_api="blas"), ThreadPoolExecutor(self.workers) as pool:
             try:
@@ -207,8 +209,8 @@ class StreamedExperiment:
         rows = (log.sample >= needed[0]) & (log.sample <= needed[1])
         motion = self._sample[0].motion(log.t, measured_angles(self.model, log), log.segment, rows,
                                         f"{log.path}, rows {needed[0]} to {needed[1]}")
-        return Experiment(self.model, log, motion, forces(self.model, log), np.abs(motion.qd) > self._slow, (),
-                          pressures(self.model, log))
+        return Experiment(self.model, log, motion, free_forces(self.model, log, motion.q),
+                          np.abs(motion.qd) > self._slow, (), pressures(self.model, log))
 
     def _folded(self, samples: Samples, core: Rows) -> Totals:
         """The totals of the blocks that begin in one piece, so that no border of pieces cuts a block."""

@@ -13,7 +13,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.errors import IdentifiabilityError, ProblemError
+from hydroopt.errors import IdentifiabilityError, LogError, ProblemError
 from hydroopt.estimation.hydraulic.collocation import Program
 from hydroopt.estimation.hydraulic.dynamics import Dynamics, Record, ShootingProblem
 from hydroopt.estimation.hydraulic.shooting import measured_states
@@ -24,6 +24,7 @@ from hydroopt.logs.joint_angles import measured_angles
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import reading
 from hydroopt.logs.smoothing import SmoothingSpline, condition
+from hydroopt.logs.tip_wrench import wrench_channels
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.machine import Machine
 from hydroopt.model.hydraulics import spool_position
@@ -211,6 +212,10 @@ def hydraulic_problem(machine: Machine, logs: Sequence[Log], validation: Sequenc
     for log in (*logs, *validation):
         for channel in (*plant.inputs, *(c for each in plant.actuators for c in each.chambers)):
             reading(machine, log, channel)
+        if found := wrench_channels(log):
+            raise LogError(f"the wrench at the tip ({', '.join(sorted(found))}) is not part of the valves' model",
+                           where=log.path or log.name,
+                           remedy="give logs without contact, or leave these columns out if nothing acted")
     _refuse_dead_band(plant, logs)
     psi, theta = _identified(plant)
     if not len(psi) + len(theta):
