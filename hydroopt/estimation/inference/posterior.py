@@ -2,8 +2,10 @@
 
 Residuals and priors make a Gaussian posterior; bounds, physical consistency, statements about bodies and the user's
 constraints truncate it, and a log-det distance makes it non-Gaussian. Its samples are drawn by elliptical slice
-sampling (Murray, Adams, MacKay 2010), many chains side by side. Covariances of the unconstrained problem would be wrong
-at an active constraint, and those of the active set alone too small.
+sampling (Murray, Adams, MacKay 2010), many chains side by side, about a Gaussian that is like the truncated one
+(Nishihara, Murray, Adams 2014; `hydroopt.estimation.inference.barrier`): ellipses about a mean that constraints exclude
+would hardly ever meet possible places. Covariances of the unconstrained problem would be wrong at an active constraint,
+and those of the active set alone too small.
 """
 
 from __future__ import annotations
@@ -19,6 +21,7 @@ from numpy.typing import NDArray
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference import conditions as physics
 from hydroopt.estimation.inference import sdp
+from hydroopt.estimation.inference.barrier import Interior, interior
 from hydroopt.estimation.inference.conditions import MARGIN, UPPER, Condition
 from hydroopt.estimation.inference.constraints import Named, as_casadi
 from hydroopt.estimation.inference.problem import InferenceProblem
@@ -31,13 +34,11 @@ CHAINS, WARM_UP, SWEEPS, KEEP_EVERY, BLOCK, TRIES = 128, 60, 16, 2, 8, 6
 """Number of chains; sweeps of a warm-up and of sampling, of which every second is kept; coordinates moved together;
 proposals of each move."""
 
-STUCK, CORNER_TRIES = 0.2, 30
-"""Part of the coordinates that move in a sweep, half-way through a warm-up, below which chains sit in a corner of the
-inequalities, and the proposals from then on: the ellipse shrinks by about a half each."""
-
-DRIFT, ROUNDS = 0.5, 4
-"""Chains have settled when their mean moves by less than this many of its standard deviations over half a warm-up; they
-are given this many warm-ups."""
+DRIFT, MEMORY, ROUNDS = 0.5, 0.5, 4
+"""Chains have settled when, over half a warm-up, their mean moves by less than this many of its standard deviations and
+their places correlate by less than this, on the average of all coordinates; they are given this many warm-ups."""
+NEARER = 0.8
+"""Factor by which a chain's first place moves towards the centre until it is possible."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,39 +87,34 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
         inner = sdp.inner_point(problem, gaussian, start, consistent=consistent, margin=1e-3 * distance)
         if inner is None:
             continue
-        state = np.tile(user.inwards(inner, gaussian, distance)[:, None], CHAINS)
-        slack = inequalities.slack(state)
-        log_density = inequalities.log_density(slack, lambda: state)  # noqa: B023 - called at once
-        if np.all(log_density > -np.inf):
+        inner = user.inwards(inner, gaussian, distance)
+        if inequalities.possible(inner):
             break
     else:
         return None
+    inside = interior(inner, inequalities.matrices, inequalities.single)
+    gaussian = gaussian.moved(inside.centre, inside.root)
+    inequalities = _Inequalities(problem, gaussian, user, conditions, inside)
     rng = np.random.default_rng(seed)
-    corner, moved = False, 1.0
+    state = inequalities.first(rng.standard_normal((len(inside.centre), CHAINS)))
+    slack = inequalities.slack(state)
+    log_density = inequalities.log_density(slack, lambda: state)
 
     def sweep() -> None:
-        nonlocal state, slack, log_density, moved
-        order, before = rng.permutation(len(state)), state
-        tries = CORNER_TRIES if corner else TRIES
+        nonlocal state, slack, log_density
+        order = rng.permutation(len(state))
         for first in range(0, len(order), BLOCK):
             block = order[first : first + BLOCK]
-            state, slack, log_density = _elliptical_step(state, slack, log_density, block, inequalities, rng, tries)
-        moved = float(np.mean(state != before))
-
-    def watched(state: Array) -> Array:
-        """The coordinates and their distance from the mean: chains that leave a corner drift in all a little."""
-        return np.vstack([state, np.linalg.norm(state, axis=0)])
+            state, slack, log_density = _elliptical_step(state, slack, log_density, block, inequalities, rng)
 
     settled = False
     for _ in range(ROUNDS):
         for _ in range(WARM_UP // 2):
             sweep()
-        half_way, corner = watched(state).mean(axis=1), corner or moved < STUCK
+        half_way = state
         for _ in range(WARM_UP - WARM_UP // 2):
             sweep()
-        now = watched(state)
-        drift = np.abs(now.mean(axis=1) - half_way) / np.maximum(now.std(axis=1), 1e-12)
-        settled = bool(np.all(drift < DRIFT))
+        settled = _settled(half_way, state)
         if settled:
             break
     kept = []
@@ -129,11 +125,21 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
     samples = np.concatenate(kept)
     mean = (samples.mean(axis=0) - gaussian.offset) / scale
     centre = np.linalg.lstsq(gaussian.slope / scale[:, None], mean[:, None], rcond=None)[0]
-    possible = bool(inequalities.log_density(inequalities.slack(centre), lambda: centre)[0] > -np.inf)
+    possible = inequalities.possible(centre[:, 0])
     bent = "Gaussian posterior" if problem.distance == "gaussian" else "posterior with log-det distances"
     note = (f"intervals from the {bent} cut off by bounds and constraints: {len(samples)} samples by "
             "elliptical slice sampling" + ("" if settled else ", which did not converge"))
     return Posterior(samples, samples.mean(axis=0) if possible else None, note, settled)
+
+
+def _settled(before: Array, now: Array) -> bool:
+    """Whether chains (k, c) have neither drifted since `before`, in all a little or in one, nor stayed in place."""
+    watched, earlier = (np.vstack([state, np.linalg.norm(state, axis=0)]) for state in (now, before))
+    mean, spread = watched.mean(axis=1), np.maximum(watched.std(axis=1), 1e-12)
+    drift = np.abs(mean - earlier.mean(axis=1)) / spread
+    products = (watched - mean[:, None]) * (earlier - earlier.mean(axis=1)[:, None])
+    memory = products.mean(axis=1) / spread / np.maximum(earlier.std(axis=1), 1e-12)
+    return bool(np.all(drift < DRIFT) and np.mean(memory) < MEMORY)
 
 
 class _Inequalities:
@@ -143,7 +149,7 @@ class _Inequalities:
     """
 
     def __init__(self, problem: InferenceProblem, gaussian: GaussianPosterior, user: _UserConstraints,
-                 conditions: Sequence[Condition]) -> None:
+                 conditions: Sequence[Condition], inside: Interior | None = None) -> None:
         matrices = [c for c in conditions if c.kind == "semidefinite"]
         linear = [c for c in conditions if c.kind == "nonnegative"]
         weights = {body.consistency: body.weight for body in problem.bodies}
@@ -162,15 +168,38 @@ class _Inequalities:
         self.start = gradient @ gaussian.offset - np.concatenate([right, *(c.right for c in linear)])
         self._user = user
         self._gaussian = gaussian
+        self._inside = inside
+
+    def matrices(self, z: Array) -> tuple[Array, Array]:
+        """Upper triangles (b, 10) of all matrices at z (k,), and their slopes (b, 10, k)."""
+        rows = 10 * self._matrices
+        return (self.slack(z[:, None])[:rows].reshape(10, -1).T,
+                self.slope[:rows].reshape(10, self._matrices, len(z)).swapaxes(0, 1))
+
+    def single(self, z: Array) -> tuple[Array, Array]:
+        """All other inequalities (m,) at z (k,), and their slopes (m, k)."""
+        rows = 10 * self._matrices
+        value, slope = self._user.slack(z, self._gaussian)
+        return np.append(self.slack(z[:, None])[rows:, 0], value), np.vstack([self.slope[rows:], slope])
+
+    def possible(self, z: Array) -> bool:
+        """Whether all inequalities hold at z (k,)."""
+        column = z[:, None]
+        return bool(self.log_density(self.slack(column), lambda: column)[0] > -np.inf)
+
+    def first(self, state: Array) -> Array:
+        """States (k, c), moved towards the centre as far as they must be to be possible."""
+        while np.any(outside := self.log_density(self.slack(state), partial(np.asarray, state)) == -np.inf):
+            state = np.where(outside, NEARER * state, state)
+        return state
 
     def slack(self, state: Array) -> Array:
         """The linear functions (m, c) of the states z (k, c)."""
         return np.asarray(self.start[:, None] + self.slope @ state)
 
     def log_density(self, slack: Array, state: Callable[[], Array]) -> Array:
-        """Logarithm (c,) of the posterior's density relative to the Gaussian's, −∞ where an inequality does not hold.
-
-        It is zero inside but for log-det distances; it needs the states only for the user's own inequalities.
+        """Logarithm (c,) of the posterior's density relative to that of standard normal states, −∞ where an inequality
+        does not hold.
         """
         good: Mask = np.all(slack[10 * self._matrices :] >= 0, axis=0)
         correction = np.zeros(len(good))
@@ -183,6 +212,8 @@ class _Inequalities:
                                                               for part in (entries, pivots)))
         if self._user.inequality is not None:
             good[good] = self._user.satisfied(self._gaussian.offset + (self._gaussian.slope @ state()[:, good]).T)
+        if self._inside is not None:
+            correction[good] += self._inside.log_ratio(state()[:, good])
         return np.where(good, correction, -np.inf)
 
     def _log_det_correction(self, entries: Array, pivots: Array) -> Array:
@@ -195,27 +226,27 @@ class _Inequalities:
 
 
 def _elliptical_step(state: Array, slack: Array, log_density: Array, block: NDArray[np.intp],
-                     inequalities: _Inequalities, rng: np.random.Generator, most: int) -> tuple[Array, Array, Array]:
+                     inequalities: _Inequalities, rng: np.random.Generator) -> tuple[Array, Array, Array]:
     """Move a block of coordinates of all chains along random ellipses, shrunk until the density is high enough.
 
-    A chain that found no place after `most` tries stays: every number of rejected places is as likely on the way back,
+    A chain that found no place after `TRIES` stays: every number of rejected places is as likely on the way back,
     so that stopping early keeps the distribution, and the slowest chain does not hold up the others.
     """
     chains = state.shape[1]
     other = rng.standard_normal((len(block), chains))
     # how the bracket shrinks does not depend on the inequalities: all places to try are known beforehand
-    angles = np.empty((most, chains))
+    angles = np.empty((TRIES, chains))
     angles[0] = rng.uniform(0, 2 * np.pi, chains)
     high = angles[0]
     low = high - 2 * np.pi
-    for k in range(1, most):
+    for k in range(1, TRIES):
         angles[k] = rng.uniform(low, high)
         low, high = np.where(angles[k] < 0, angles[k], low), np.where(angles[k] < 0, high, angles[k])
     state, slack, log_density = state.copy(), slack.copy(), log_density.copy()
     threshold = log_density - rng.exponential(size=chains)
     waiting = np.arange(chains)
-    for tries in (angles[:1], angles[1:TRIES], angles[TRIES:]):  # most chains are done after one
-        if not (len(tries) and len(waiting)):
+    for tries in (angles[:1], angles[1:]):  # most chains are done after one
+        if not len(waiting):
             break
         angle, current = tries[:, waiting], state[np.ix_(block, waiting)]
         step = current[:, None] * (np.cos(angle) - 1) + other[:, waiting][:, None] * np.sin(angle)
@@ -263,6 +294,13 @@ class _UserConstraints:
         if self.inequality is None or not len(psi):
             return np.ones(len(psi), dtype=bool)
         return np.asarray(np.all(np.asarray(self.inequality(psi.T)) <= 0, axis=0))
+
+    def slack(self, z: Array, gaussian: GaussianPosterior) -> tuple[Array, Array]:
+        """−g (m,) at z (k,), and its slopes (m, k)."""
+        if self.inequality is None or self.slopes is None:
+            return np.zeros(0), np.zeros((0, len(z)))
+        psi = gaussian.offset + gaussian.slope @ z
+        return -np.asarray(self.inequality(psi)).ravel(), -np.asarray(self.slopes(psi)) @ gaussian.slope
 
     def inwards(self, z: Array, gaussian: GaussianPosterior, distance: float) -> Array:
         """z (k,) moved until every inequality is `distance` standard deviations from its edge, to first order."""

@@ -57,9 +57,12 @@ class GaussianPosterior:
         if rank == len(Vt):
             raise ProblemError("every parameter is fixed, and nothing is left to identify", where=exact[-1].name,
                                remedy="fix fewer parameters")
-        free = Vt[rank:].T
-        return GaussianPosterior(self.offset + self.slope @ nearest, self.slope @ free, self.root @ free,
-                        self.right - self.root @ nearest)
+        return self.moved(nearest, Vt[rank:].T)
+
+    def moved(self, origin: Array, axes: Array) -> GaussianPosterior:
+        """In coordinates y with ``z = origin + axes·y``, which need not be standard normal."""
+        return GaussianPosterior(self.offset + self.slope @ origin, self.slope @ axes, self.root @ axes,
+                                 self.right - self.root @ origin)
 
 
 def gaussian_posterior(problem: InferenceProblem, R: Array, r: Array) -> GaussianPosterior:
