@@ -2,7 +2,7 @@
 
 The thesis eliminates the pin forces of every cylinder by hand (Eq. 4.23 to 4.44). Projecting each body's wrench on the
 motion that the joints allow removes them all at once, for any tree and any position of the pins, since pin forces do no
-work.
+work. Friction opposes the motion here; Eqs. 4.32 and 4.51 as printed, taken together, make a piston's assist it.
 """
 
 from __future__ import annotations

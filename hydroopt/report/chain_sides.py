@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 import matplotlib
 import numpy as np
 from matplotlib.figure import Figure
+from matplotlib.ticker import MaxNLocator
 
 from hydroopt.report.figures import BLUE, GREY, INK, ORANGE, STYLE, WIDTH
 
@@ -25,7 +26,7 @@ def distances(sides: tuple[ChainSides, ...]) -> Figure | None:
     if not keys:
         return None
     each = 2.3
-    height = 0.5 + each * len(keys)
+    height = 0.8 + each * len(keys)
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, height))
         for row, key in enumerate(keys):
@@ -39,10 +40,13 @@ def distances(sides: tuple[ChainSides, ...]) -> Figure | None:
                     colour, marker = LOOKS[one.geometry, side]
                     there = np.isfinite(apart)
                     ax.plot(1 + np.flatnonzero(there), apart[there], ls="none", ms=3.2, color=colour, marker=marker,
-                            label=f"{one.geometry}, {side}'s side" + ("" if taped else " less the calibrator's"))
+                            label=f"{one.geometry}, {side}'s side")
             ax.axhline(0, color=INK, lw=0.6)
-            ax.set(title=f"{key[1]} to the fixture, {key[0]} poses", ylabel="less tape [mm]" if taped else "[mm]")
-            if ax.lines[:-1]:
-                ax.legend(loc="upper right", ncols=2, fontsize=7)
+            ax.set(title=f"{key[1]} to the fixture, {key[0]} poses",
+                   ylabel="less tape [mm]" if taped else "less calibrator's [mm]")
+            ax.xaxis.set_major_locator(MaxNLocator(integer=True))
         figure.axes[-1].set_xlabel("pose, in the order of the files")
+        drawn = {text: line for ax in figure.axes for line, text in zip(*ax.get_legend_handles_labels(), strict=True)}
+        figure.legend(drawn.values(), drawn.keys(), loc="upper left", ncols=4, bbox_to_anchor=(0.05, 1.0),
+                      borderaxespad=0.2)
     return figure

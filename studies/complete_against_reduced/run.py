@@ -1,10 +1,13 @@
-"""Figure 33: forces of the CAT 215B with and without barrels and rods, and what the links' parameters can take over."""
+"""Figure 33: forces of the CAT 215B with and without barrels and rods, what the links' parameters can take over, and
+what the two readings of Table 1 do to forces and to tipping.
+"""
 
 import numpy as np
 from matplotlib.figure import Figure
 
 from hydroopt import Model, load_machine, random_trajectory
 from hydroopt.logs.forces_from_pressures import force_noise
+from hydroopt.machine.geometry import Geometry
 from hydroopt.report.figures import BLUE, GREY, INK, ORANGE
 from hydroopt.simulation.simulate import Trajectory, forces
 from studies import show
@@ -38,8 +41,49 @@ def run() -> dict:
                    ("actuator", "unit", "force", "neglected", "of that static", "of that dynamic",
                     "left by the best reduced model", "neglected / force", "neglected in σ of the sensors",
                     "neglected if rods lie between their pins"), rows)
+        peaks, beyond = (np.median(part, axis=0) for part in zip(
+            *(ratios(complete, reduced, motion) for motion in motions), strict=True))
+        for k, actuator in enumerate(machine.actuators):
+            results |= {f"{name}_{actuator.name}_peak_ratio": round(float(peaks[k]), 3),
+                        f"{name}_{actuator.name}_beyond_twofold": round(float(beyond[k]), 3)}
         draw(complete, reduced, motions[0], name)
         results[f"{name}_lagrange_disagreement"] = disagreement(complete, reduced, motions[0])
+    return results | readings_of_table_1()
+
+
+def ratios(complete: Model, reduced: Model, motion: Trajectory) -> tuple[np.ndarray, np.ndarray]:
+    """Peak force of the reduced by that of the complete model (n,), and the part of time in which they differ beyond
+    twofold (n,): "a factor of two or more" (Section 5.2)."""
+    force, without, _ = parts(complete, reduced, motion, complete.parameters.nominal)
+    each = np.abs(without) / np.maximum(np.abs(force), 1e-9)
+    return np.max(np.abs(without), axis=0) / np.max(np.abs(force), axis=0), np.mean((each > 2) | (each < 0.5), axis=0)
+
+
+def readings_of_table_1() -> dict:
+    """Static forces in random postures, and where the weight stands, by both readings of Table 1.
+
+    The centre of pressure [m] is that of tracks and links before the swing's axis, the arm stretched to the front at
+    rest; beyond 1.65 m the machine tips over.
+    """
+    machines = {name: load_machine("cat215b", parameter_set=name) for name in ("consistent", "table_1_upwards")}
+    models = {name: Model(machine, actuator_inertia=False) for name, machine in machines.items()}
+    low, high = np.array([link.joint.range for link in machines["consistent"].links]).T
+    q = np.random.default_rng(0).uniform(low, high, (2000, 3))
+    still = Trajectory(np.arange(2000.0), q, 0 * q, 0 * q)
+    force = {name: forces(model, still, model.parameters.nominal) for name, model in models.items()}
+    apart = np.sqrt(np.mean((force["table_1_upwards"] - force["consistent"]) ** 2, axis=0))
+    size = np.sqrt(np.mean(force["consistent"] ** 2, axis=0))
+    results = {f"table_1_{actuator.name}_static_difference": round(float(apart[k] / size[k]), 4)
+               for k, actuator in enumerate(machines["consistent"].actuators) if size[k] > 1}
+    stretched = {"boom": np.radians(-10), "stick": np.radians(35)}
+    for name, machine in machines.items():
+        geometry, moment, mass = Geometry(machine), 0.0, machine.footprint.mass
+        for link in machine.links:
+            pose = geometry.relative_pose("base", link.name, stretched)
+            moment += float(pose.point(link.body.phi[1:4] / link.body.m)[0]) * link.body.m
+            mass += link.body.m
+        results[f"table_1_{name}_centre_of_pressure_m"] = round(moment / mass, 3)
+    show.table("Table 1 read in two ways", ("quantity", "value"), list(results.items()))
     return results
 
 

@@ -81,6 +81,9 @@ def run() -> dict:
         for how, judged in judgements:
             found.setdefault((model, accuracy, how), []).append(judged)
     results: dict = table_15(literal)
+    for k, actuator in enumerate(literal.machine.actuators):
+        results[f"force_sigma_thesis_{actuator.name}"] = round(thesis.SENSOR_ERROR[k] / np.sqrt(3))
+        results[f"force_sigma_ours_{actuator.name}"] = round(float(literal.sigma[k]))
     for (model, accuracy, how), some in found.items():
         key = f"{model}_{accuracy}_psi_{how}"
         for actuator, value in zip(literal.machine.actuators, median(some, "unseen"), strict=True):
@@ -100,7 +103,9 @@ def run() -> dict:
 
 
 def as_thesis(case: Case, model: str, accuracy: int, seed: int) -> list[tuple[str, dict]]:
-    """Least squares on the thesis's columns (Eq. 4.58, 4.60), with three readings of what the angles' noise does."""
+    """Least squares on the thesis's columns (Eq. 4.58, 4.60), with three readings of what the angles' noise does, and
+    with its noise of forces beside ours.
+    """
     names = tuple(TABLES[model])
     problem, motion = simulated(case, case.equipped[accuracy].machine, model, accuracy, seed)
     (smooth,) = problem.experiments
@@ -108,6 +113,11 @@ def as_thesis(case: Case, model: str, accuracy: int, seed: int) -> list[tuple[st
     qd = np.gradient(q, motion.t, axis=0)
     readings = {"smoothed": smooth, "angles_only": moved(smooth, q, motion.qd, motion.qdd),
                 "differences": moved(smooth, q, qd, np.gradient(qd, motion.t, axis=0))}
+    # the thesis adds noise to the forces, both chambers' errors at their largest summed, instead of to each pressure
+    limit = np.array(thesis.SENSOR_ERROR) * accuracy / 25
+    force = forces(case.model, motion, case.truth)
+    force = force + np.random.default_rng(1000 + seed).uniform(-limit, limit, force.shape)
+    readings |= {f"thesis_noise_{how}": replace(readings[how], force=force) for how in ("smoothed", "angles_only")}
     found = {how: thesis.identified(replace(problem, experiments=(data,)), names) for how, data in readings.items()}
     return [(how, case.judged(problem.model, psi, names)) for how, psi in found.items()]
 
@@ -227,7 +237,8 @@ def report(literal: Case, consistent: Case, found: dict, results: dict) -> None:
         below = sum(values[column] < 0 for name, values in TABLES[model].items() if name.endswith(".m"))
         return below, *("-" * 4)
 
-    methods = ("thesis", "differences", "smoothed", "angles_only", "known", "wls", "sdp")
+    methods = ("thesis", "differences", "smoothed", "thesis_noise_smoothed", "angles_only", "thesis_noise_angles_only",
+               "known", "wls", "sdp")
     show.table("Parameters off (median, in their sizes), negative masses, impossible bodies at worst, unseen forces",
                ("model", "pressures", "method", "parameters off", "negative masses", "impossible bodies",
                 *(f"{a.name} [σ]" for a in literal.machine.actuators)),

@@ -20,6 +20,8 @@ from hydroopt.spatial.inertia import Array
 
 COMPARISONS = (("machine", "tape"), ("calibrator", "tape"), ("machine", "calibrator"))
 """What is compared with what."""
+ROUNDING = 1e-9
+"""Variation of a distance, as a part of it, that is rounding only."""
 
 
 class ChainSides(NamedTuple):
@@ -50,9 +52,9 @@ class ChainSides(NamedTuple):
             both = np.isfinite(one) & np.isfinite(other)
             if np.any(both):
                 square, signal = np.sum((one - other)[both] ** 2), other[both]
-                spread = float(np.sum((signal - signal.mean()) ** 2))
-                found[pair] = Fit(float(np.sqrt(square / both.sum())), 1 - square / spread if spread else float("nan"),
-                                  float(np.sqrt(square / np.sum(signal**2))), "m")
+                size, spread = float(np.sum(signal**2)), float(np.sum((signal - signal.mean()) ** 2))
+                vaf = 1 - square / spread if spread > ROUNDING**2 * size else float("nan")
+                found[pair] = Fit(float(np.sqrt(square / both.sum())), vaf, float(np.sqrt(square / size)), "m")
         return found
 
     def __str__(self) -> str:
@@ -70,7 +72,7 @@ class ChainSides(NamedTuple):
 def chain_sides(problem: CalibrationProblem, theta: Array, geometry: str, role: str) -> tuple[ChainSides, ...]:
     """Both sides at parameters (P,), for every link whose distance two of machine, calibrator and tape tell.
 
-    Listed are the link that carries the calibrator, the calibrator's own, and those from which a tape was read.
+    Listed are the link that carries the calibrator, and those from which a tape was read.
     """
     model, layout = problem.model, problem.layout
     machine = model.machine
@@ -84,13 +86,12 @@ def chain_sides(problem: CalibrationProblem, theta: Array, geometry: str, role: 
     tip = model.over(model.tip, g, q)[0][:, None, :, 0]
     places = problem.places(theta)
     held = layout.held & layout.present[:, :3].all(axis=1)
-    own = [link.name for link in machine.calibrator.links]
     columns = {name.removesuffix(".distance"): i for i, name in enumerate(model.channels) if name.endswith(".distance")}
     chain = [link.name for link in machine.chain]
     found = []
     for k, link in enumerate(chain):
         taped = layout.present[:, columns[link]]
-        if link not in (machine.calibrator.parent, *own) and not np.any(taped):
+        if link != machine.calibrator.parent and not np.any(taped):
             continue
         before, behind = ([model.joints.index(name) for name in part if name in model.joints]
                           for part in (chain[: k + 1], chain[k + 1 :]))
