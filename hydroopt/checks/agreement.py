@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from hydroopt.errors import HydrooptError
 from hydroopt.logs.forces_from_pressures import force_noise, pressures
@@ -16,6 +17,8 @@ from hydroopt.machine.sensor import Sensor
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
+SPIKE = 5
+"""Samples of the median that single spikes of forces are removed by."""
 SAMPLES = 72
 """Samples of a log that are examined; below `hydroopt.kernels.native.FEW`, so that nothing is compiled for them."""
 MODEL_ERROR = 0.05
@@ -116,7 +119,7 @@ def agreement(model: Model, log: Log, evaluated: Evaluated | None = None) -> Agr
         return None
     around = rows[:, None] + np.arange(window) - window // 2
     q, qd, qdd = (np.einsum("w,swn->sn", kernel[k], angles[around]) / step**k for k in range(3))
-    force = np.einsum("w,swn->sn", kernel[0], measured[around])
+    force = np.einsum("w,swn->sn", kernel[0], median_filter(measured[around], size=(1, SPIKE, 1), mode="nearest"))
     state = (q, qd, qdd) if pressed is None else (q, qd, qdd, pressed[rows])
     key = np.concatenate([values.ravel() for values in state]).tobytes(), step
     if key not in evaluated:

@@ -275,4 +275,15 @@ def outside(model: Model) -> dict[str, Callable[[Truth], Log]]:
         "settling after the start": _added(main, 0.08, lambda t, k: np.exp(-(t.motion.t) / 3.0)),
         "disturbances": _added(main, 0.06, lambda t, k: np.sign(np.sin(2 * np.pi * 0.23 * t.motion.t + 1.0))),
         "two stiffnesses": _added(main, 0.05, lambda t, k: np.abs(t.motion.q[:, k] - np.median(t.motion.q[:, k]))),
+        "friction of one end": _added(main, 0.06, lambda t, k: np.sign(_speed(t, k)) * _along(t, k)),
+        "a step midway": _added(main, 0.05, lambda t, k: (t.motion.t > 0.4 * t.motion.t[-1]).astype(float)),
+        "another's force in it": _added(main, 0.05, lambda t, k: t.force[:, 0] / _rms(t, 0) if k else
+                                        (t.force[:, 0] / _rms(t, 0)) ** 2),
+        "yielding to force": lambda t: t.log(q=_columns(t.motion.q, main, t.motion.q[:, main] + np.radians(0.3) * (
+            np.abs(t.force[:, main]) * t.force[:, main] / _rms(t, main) ** 2))),
     }
+
+
+def _along(t: Truth, k: int) -> Array:
+    q = t.motion.q[:, k]
+    return (q - q.min()) / np.ptp(q)

@@ -39,6 +39,10 @@ class AnyExperiment(Protocol):
         """Number of samples used."""
 
     @property
+    def pattern(self) -> NDArray[np.bool_]:
+        """Which parameters the equations of each actuator have (n, p)."""
+
+    @property
     def plotted(self) -> Experiment:
         """The part that is plotted."""
 
@@ -73,7 +77,7 @@ class Experiment:
     dry friction, is not known (Eq. 4.51, see `friction_sign`): those samples are not used for estimation. `remarks`
     state which channels were not used and how measured lengths compare with the geometry. `pressure` (N, n) [Pa] is
     p_head + p_rod of each cylinder whose seals' friction depends on it and 0 for all other actuators; None where no
-    friction does.
+    friction does. `added` (N, n, p) is what faults of instruments add to the regressor.
     """
 
     model: Model
@@ -83,11 +87,18 @@ class Experiment:
     moving: NDArray[np.bool_]
     remarks: tuple[str, ...] = ()
     pressure: Array | None = None
+    added: Array | None = None
 
     def inputs(self, rows: slice | NDArray[np.intp] = slice(None)) -> tuple[Array, ...]:
         """Inputs of the model's regressor and inverse dynamics: q, qd, qdd and, where needed, pressure (·, n)."""
         motion = (self.motion.q[rows], self.motion.qd[rows], self.motion.qdd[rows])
         return motion if self.pressure is None else (*motion, self.pressure[rows])
+
+    @property
+    def pattern(self) -> NDArray[np.bool_]:
+        """Which parameters the equations of each actuator have (n, p)."""
+        own = self.model.regressor_pattern
+        return own if self.added is None else np.asarray(own | np.any(self.added != 0, axis=0))
 
     @property
     def inside(self) -> NDArray[np.bool_]:
@@ -115,11 +126,16 @@ class Experiment:
         Forces that are not linear in the parameters are linearised at `psi` (p,), by default at the nominal ones.
         """
         model = self.model
+        force = self.force[rows]
         if model.linear:
-            return model.over(model.regressor, *self.inputs(rows), out=out), self.force[rows]
-        psi = model.parameters.nominal if psi is None else psi
-        made = model.over(model.linearised, *self.inputs(rows), psi, out=out)
-        return made, self.force[rows] - made[1][:, :, 0] + made[0] @ psi
+            made = model.over(model.regressor, *self.inputs(rows), out=out)
+        else:
+            psi = model.parameters.nominal if psi is None else psi
+            made = model.over(model.linearised, *self.inputs(rows), psi, out=out)
+            force = force - made[1][:, :, 0] + made[0] @ psi
+        if self.added is not None:
+            made[0] = made[0] + self.added[rows]
+        return made, force
 
     def chunks(self, psi: Array | None = None) -> Iterator[tuple[NDArray[np.intp], Array, Array]]:
         """Sample indices, K (m, n, p) and f (m, n) of samples used; the next chunk may overwrite K."""
@@ -142,7 +158,8 @@ class Experiment:
 
     def predicted(self, psi: Array) -> Array:
         """Actuator forces (N, n) that the parameters ψ predict for the motion."""
-        return self.model.over(self.model.inverse_dynamics, *self.inputs(), psi)[0][:, :, 0]
+        made = self.model.over(self.model.inverse_dynamics, *self.inputs(), psi)[0][:, :, 0]
+        return made if self.added is None else np.asarray(made + self.added @ psi)
 
     def moments(self, psi: Array) -> Array:
         """Sums (5, n) over the samples used: 1, force, force², error and error² of the prediction by ψ."""
@@ -174,7 +191,7 @@ class Experiment:
 
     def bands(self, psi: Array | None = None) -> ActuatorBands:
         """The equations, linearised at `psi` (p,), by frequency."""
-        bands, middle = ActuatorBands(self.model), float(np.mean(self.log.rows))
+        bands, middle = ActuatorBands(self.model.parameters, self.pattern), float(np.mean(self.log.rows))
         for block in self.blocks(self.log.rows[0], (0, len(self.force))):
             self.fold_block(bands, block, middle, psi)
         return bands

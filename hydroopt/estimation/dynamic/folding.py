@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
-from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
 ROWS, PANEL = 1024, 8
@@ -19,12 +18,13 @@ ROWS, PANEL = 1024, 8
 class ActuatorTriangles:
     """Triangles T_i with ``‖T_i·[ψ; −1]‖² = Σ (K_i·ψ − f_i)²`` over the rows of actuator i.
 
-    `compact` are they in those `columns` that K_i has; `samples` (n,) counts the rows, `sums` (n, p+1) adds them up.
+    `compact` are they in those `columns` that K_i has by the `pattern` (n, p) of K; `samples` (n,) counts the rows,
+    `sums` (n, p+1) adds them up.
     """
 
-    def __init__(self, model: Model) -> None:
-        n, p = model.regressor_pattern.shape
-        self.columns = [np.append(np.flatnonzero(row), p) for row in model.regressor_pattern]
+    def __init__(self, pattern: NDArray[np.bool_]) -> None:
+        n, p = pattern.shape
+        self.columns = [np.append(np.flatnonzero(row), p) for row in pattern]
         self.compact = [np.zeros((len(columns), len(columns)), order="F") for columns in self.columns]
         self.samples = np.zeros(n)
         self.sums = np.zeros((n, p + 1))

@@ -10,8 +10,7 @@ from scipy.fft import dct
 
 from hydroopt.estimation.dynamic.folding import ActuatorTriangles, folded_rows
 from hydroopt.estimation.inference.band_variances import Channel
-from hydroopt.model.model import Model
-from hydroopt.parameters.parameter_set import ParameterKind
+from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array
 
 BLOCK = 2**13
@@ -29,15 +28,15 @@ class ActuatorBands:
     counts by the share of samples that do.
 
     Attributes:
-        own, contrast: for each actuator the columns of K_i and those that C_i repeats.
+        own, contrast: for each actuator the columns of K_i by its pattern (n, p), and those that C_i repeats.
         counts: (n, B) residuals of each actuator in each band.
         samples, sums: (n,) number and (n, p+1) sums of the rows [K_i, f_i] over time.
     """
 
-    def __init__(self, model: Model) -> None:
-        n, p = model.regressor_pattern.shape
-        varying = np.array([kind.is_friction or kind is ParameterKind.FORCE_OFFSET for kind in model.parameters.kinds])
-        self.own = [np.flatnonzero(row) for row in model.regressor_pattern]
+    def __init__(self, parameters: ParameterSet, pattern: NDArray[np.bool_]) -> None:
+        n, p = pattern.shape
+        varying = np.array([kind.is_friction or kind is ParameterKind.FORCE_OFFSET for kind in parameters.kinds])
+        self.own = [np.flatnonzero(row) for row in pattern]
         self.contrast = [columns[varying[columns]] for columns in self.own]
         self.rows = [[np.zeros((0, len(own) + len(extra) + 1)) for _ in range(BANDS)]
                      for own, extra in zip(self.own, self.contrast, strict=True)]

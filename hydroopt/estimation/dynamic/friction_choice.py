@@ -177,7 +177,7 @@ def _best_start(problem: IdentificationProblem) -> dict[str, float]:
     for part in INITIAL_SPEEDS:
         point = parameters.nominal.copy()
         point[heights], point[at] = 0.0, part * parameters.nominal[at]  # zero force: its speed has no effect
-        data = compress(problem.model, problem.experiments, psi=point)
+        data = compress(problem.experiments, psi=point)
         sigma = np.linalg.norm(data.triangles[:, :, -1], axis=1) / np.sqrt(np.maximum(data.samples, 1.0))
         R, r, _ = data.weighted(np.where(sigma > 0, sigma, 1.0))
         squares.append(data.squares(base_least_squares(R, r, parameters.names, RANK_TOLERANCE)[0]))

@@ -37,6 +37,9 @@ CONVERGED = 1e-7
 DECREASE_TOLERANCE, LOOSE_TOLERANCE = 1e-6, 0.1
 """Decrease of the objective, in squared standard deviations, below which the steps have converged; the second one holds
 where the line search finds no decrease."""
+MOST_SIZES, SAME_SIZE = 6, 0.1
+"""How often sizes of freed faults and parameters are estimated in turn, and the change of a size over its standard
+deviation below which it has converged."""
 NEGLIGIBLE_FORCE = 1e-4
 """Stribeck force, as a part of the standard deviation of residuals, that counts as zero."""
 
@@ -88,8 +91,11 @@ def _solve_with_faults(problem: IdentificationProblem, method: Method, tolerance
                        intervals: bool, seed: int) -> Estimate:
     """Estimate freed faults about the parameters that follow from them, and solve with what remains uncertain."""
     freed = free(problem, problem.parameters.nominal)
-    psi = _solve(freed.corrected(problem), method, tolerance, ridge, False, seed, freed).psi
-    freed = free(problem, psi)
+    for _ in range(MOST_SIZES):
+        psi = _solve(freed.corrected(problem), method, tolerance, ridge, False, seed, freed).psi
+        last, freed = freed, free(problem, psi, freed)
+        if np.all(np.abs(freed.size - last.size) < SAME_SIZE * freed.std):
+            break
     return replace(_solve(freed.corrected(problem), method, tolerance, ridge, intervals, seed, freed), freed=freed)
 
 

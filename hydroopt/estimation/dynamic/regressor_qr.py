@@ -34,10 +34,10 @@ class CompressedRegressor:
         return split(triangle(*self.triangles / sigma[:, None, None]))
 
 
-def compress(model: Model, experiments: Sequence[AnyExperiment], weights: Sequence[Array] | None = None, *,
+def compress(experiments: Sequence[AnyExperiment], weights: Sequence[Array] | None = None, *,
              psi: Array | None = None) -> CompressedRegressor:
     """Fold experiments, linearised at `psi`, into triangles; `weights` (N, n) for each multiply squared residuals."""
-    folded = ActuatorTriangles(model)
+    folded = ActuatorTriangles(experiments[0].pattern)
     for k, data in enumerate(experiments):
         data.fold_into(folded, psi, None if weights is None else weights[k])
     return CompressedRegressor(folded.full, folded.samples)

@@ -10,6 +10,7 @@ from functools import cached_property, singledispatch
 from typing import TypeVar
 
 import numpy as np
+from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import LogError, ProblemError
@@ -47,7 +48,8 @@ class Totals:
     """
 
     def __init__(self, model: Model) -> None:
-        self.moved, self.still = ActuatorBands(model), ActuatorTriangles(model)
+        pattern = model.regressor_pattern
+        self.moved, self.still = ActuatorBands(model.parameters, pattern), ActuatorTriangles(pattern)
         self.moving = np.zeros(len(model.machine.joints))
         self.samples = self.sample_count = 0
         self.findings: tuple[Finding, ...] = ()
@@ -129,6 +131,11 @@ class StreamedExperiment:
     def sample_count(self) -> int:
         """Number of samples used."""
         return self.totals.sample_count
+
+    @property
+    def pattern(self) -> NDArray[np.bool_]:
+        """Which parameters the equations of each actuator have (n, p)."""
+        return self.model.regressor_pattern
 
     @property
     def plotted(self) -> Experiment:

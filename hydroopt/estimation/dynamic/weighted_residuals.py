@@ -302,7 +302,7 @@ def _robust(problem: ResidualProblem, data: CompressedRegressor, sigma: Array, p
         ratios = [np.abs(res) / sigma for res in residuals]
         weights = [np.minimum(1.0, HUBER / np.maximum(u, 1e-12)) if problem.loss == "huber" else 5.0 / (4.0 + u**2)
                    for u in ratios]
-        data = compress(problem.model, problem.experiments, weights, psi=point)
+        data = compress(problem.experiments, weights, psi=point)
         if np.all(np.abs(psi - before) < 1e-3 * problem.parameters.scale):
             break
     bent = [(u < HUBER).astype(float) if problem.loss == "huber" else 5 * (4 - u**2) / (4 + u**2) ** 2 for u in ratios]

@@ -13,7 +13,7 @@ def test_triangles_keep_sums_and_squares_of_all_rows(cat215b: Model) -> None:
     K = cat215b.over(cat215b.regressor, motion.q, motion.qd, motion.qdd)[0]
     force, taken = 1e4 * rng.standard_normal(K.shape[:2]), rng.random(K.shape[:2]) < 0.7
     taken[40:90, 1] = False
-    one, other = ActuatorTriangles(cat215b), ActuatorTriangles(cat215b)
+    one, other = ActuatorTriangles(cat215b.regressor_pattern), ActuatorTriangles(cat215b.regressor_pattern)
     for some, rows in ((one, slice(0, 40)), (one, slice(40, 90)), (other, slice(90, 300)), (other, slice(300, None))):
         some.fold(K[rows], force[rows], taken[rows])
     one.add(other)

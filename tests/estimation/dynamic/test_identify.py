@@ -117,7 +117,7 @@ def test_chunks_fold_into_what_one_factorisation_gives(
     noisy: IdentificationProblem, monkeypatch: pytest.MonkeyPatch, chunk: int
 ) -> None:
     monkeypatch.setattr("hydroopt.estimation.dynamic.experiment.ROWS", chunk)
-    folded = regressor_qr.compress(noisy.model, noisy.experiments)
+    folded = regressor_qr.compress(noisy.experiments)
     for i in range(3):
         whole = []
         for data in noisy.experiments:
@@ -140,7 +140,7 @@ def test_two_logs_are_one_log_of_both(noisy: IdentificationProblem) -> None:
     both = Experiment(one.model, one.log, Motion(**joined, bandwidth=one.motion.bandwidth, notes=()),
                       np.concatenate([one.force, other.force]), np.concatenate([one.moving, other.moving]))
     sigma = np.array([700.0, 800.0, 900.0])
-    (R, r, _), (S, s, _) = (regressor_qr.compress(noisy.model, parts).weighted(sigma)
+    (R, r, _), (S, s, _) = (regressor_qr.compress(parts).weighted(sigma)
                             for parts in ((one, other), (both,)))
     lengths = np.maximum(np.linalg.norm(R, axis=0), 1e-9)
     np.testing.assert_allclose(

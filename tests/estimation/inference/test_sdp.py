@@ -49,7 +49,7 @@ def test_interior_point_and_ipopt_agree_on_noisy_data(noisy: IdentificationProbl
 def test_quadratic_program_without_active_constraints_is_the_bayesian_update(noisy: IdentificationProblem) -> None:
     free = noisy.subject_to("nothing", lambda p: p["boom.m"] >= -1e6)
     sigma = np.array([800.0, 3000.0, 2500.0])
-    R, r, _ = compress(noisy.model, noisy.experiments).weighted(sigma)
+    R, r, _ = compress(noisy.experiments).weighted(sigma)
     information, nominal = noisy.parameters.information, noisy.parameters.nominal
     expected = nominal + np.linalg.solve(R.T @ R + information + 1e-12 * np.diag(1 / noisy.parameters.scale**2),
                                          R.T @ (r - R @ nominal))

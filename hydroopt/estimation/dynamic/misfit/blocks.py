@@ -9,6 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from hydroopt.estimation.dynamic.misfit.error_covariance import ErrorCovariance, Whitened
+from hydroopt.estimation.dynamic.misfit.faults import Fault
 from hydroopt.estimation.dynamic.misfit.view import View, stretches
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.spatial.inertia import Array
@@ -22,8 +23,8 @@ SHORTEST = 40
 """Samples of the shortest block."""
 REACH = 1.5
 """Periods of the lowest bandwidth by which a block's neighbours are felt in its motion."""
-COSINES = 30
-"""Slow cosines by which a lack of fit of each reading is looked for."""
+COURSES = {"time": 30, "position": 8, "speed": 8}
+"""Over what a lack of fit of each reading is looked for, by so many cosines."""
 GEOMETRY = 0.03
 """Standard deviation [m] of what pins and dead length add to a length."""
 
@@ -70,7 +71,7 @@ class Columns:
 
 
 class Data:
-    """The readings of a problem's logs about parameters ψ, cut into blocks.
+    """The readings of a problem's logs about parameters ψ, cut into blocks; `chosen` faults are taken to be there.
 
     Attributes:
         views: of the logs that have samples enough.
@@ -78,9 +79,12 @@ class Data:
         pull: (P,) information times the distance of the priors' mean from the nominal parameters.
     """
 
-    def __init__(self, problem: IdentificationProblem, psi: Array) -> None:
+    def __init__(self, problem: IdentificationProblem, psi: Array, chosen: Sequence[tuple[Fault, float]] = ()) -> None:
         made = [View.of(one.plotted, psi) for one in problem.experiments]
         self.views = [view for view in made if view.lengths == made[0].lengths]
+        self._taken = [view.taken & ~np.any([np.zeros_like(view.taken), *(fault.unsteady(view, size) for fault, size
+                                                                         in chosen)], axis=0) for view in self.views]
+        self._regressors = [_with(view, chosen) for view in self.views]
         self.blocks = blocks_of(self.views)
         self._covariances = [self._covariance(block) for block in self.blocks]
         parameters, extra = problem.parameters, 4 * len(self.views[0].lengths)
@@ -97,16 +101,17 @@ class Data:
         self.scale = np.append(parameters.scale, np.full(extra, GEOMETRY))
         self.problem, self.from_nominal = problem, psi - parameters.nominal
 
-    def about(self, from_nominal: Array) -> Data:
-        """The same data about other parameters, given by their distance (p,) from the nominal ones."""
+    def about(self, from_nominal: Array, chosen: Sequence[tuple[Fault, float]]) -> Data:
+        """The same data about other parameters, given by their distance (p,) from the nominal ones, and faults."""
         parameters = self.problem.parameters
-        return Data(self.problem, np.clip(parameters.nominal + from_nominal, parameters.lower, parameters.upper))
+        return Data(self.problem, np.clip(parameters.nominal + from_nominal, parameters.lower, parameters.upper),
+                    chosen)
 
     def _covariance(self, block: Block) -> ErrorCovariance:
         view, span = self.views[block.view], slice(block.start, block.stop)
         taken = np.zeros_like(view.taken[span])
         own = slice(block.first - block.start, block.last - block.start)
-        taken[own] = view.taken[block.first : block.last]
+        taken[own] = self._taken[block.view][block.first : block.last]
         return ErrorCovariance(view.motion.t[span], view.by_motion[:, span], taken, view.noise, view.angle_noise,
                                view.bandwidth)
 
@@ -118,25 +123,25 @@ class Data:
     @cached_property
     def nuisances(self) -> Columns:
         """Of all parameters and of the geometry of lengths."""
-        return self.columns([np.concatenate([view.regressor, _geometry(view)], axis=2) for view in self.views])
+        return self.columns([np.concatenate([K, _geometry(view)], axis=2)
+                             for view, K in zip(self.views, self._regressors, strict=True)])
 
     @cached_property
     def cosines(self) -> Columns:
-        """`COSINES` slow cosines over each log for each reading, reading by reading."""
-        made = []
-        for view in self.views:
-            t, c = view.motion.t, len(view.names)
-            waves = np.cos(np.pi * np.outer((t - t[0]) / (t[-1] - t[0]), np.arange(1, COSINES + 1)))
-            table = np.zeros((len(t), c, c * COSINES))
-            for k in range(c):
-                table[:, k, k * COSINES : (k + 1) * COSINES] = waves
-            made.append(table)
-        return self.columns(made)
+        """Slow cosines reading by reading: over the time of each log, the joint's position and the actuator's speed."""
+        made = [[np.zeros((len(view.motion.t), len(view.names), len(view.names), 0))] for view in self.views]
+        for over, count in COURSES.items():
+            courses = [_course(view, over) for view in self.views]
+            low = np.min([one.min(axis=0) for one in courses], axis=0)
+            span = np.maximum(np.max([one.max(axis=0) for one in courses], axis=0) - low, 1e-12)
+            for table, course in zip(made, courses, strict=True):
+                waves = np.cos(np.pi * ((course - low) / span)[:, :, None] * np.arange(1, count + 1))
+                table.append(np.eye(course.shape[1])[:, :, None] * waves[:, :, None])
+        return self.columns([np.concatenate(one, axis=3).reshape(*one[0].shape[:2], -1) for one in made])
 
     def residual(self, effects: Sequence[Array] | None = None) -> Columns:
         """What is measured beyond nominal parameters, and beyond `effects` (N, c) of faults."""
-        p = len(self.from_nominal)
-        made = [view.residual + view.regressor[:, :, :p] @ self.from_nominal for view in self.views]
+        made = [view.residual + K @ self.from_nominal for view, K in zip(self.views, self._regressors, strict=True)]
         if effects is not None:
             made = [one - effect for one, effect in zip(made, effects, strict=True)]
         return self.columns([one[:, :, None] for one in made])
@@ -145,6 +150,21 @@ class Data:
     def halves(self) -> Array:
         """Which half (0 or 1) each block belongs to."""
         return np.array([block.half for block in self.blocks])
+
+
+def _with(view: View, chosen: Sequence[tuple[Fault, float]]) -> Array:
+    """The regressor (N, c, p) of a machine that has these faults."""
+    changes = (fault.by_parameters(view, size) for fault, size in chosen)
+    return np.asarray(sum((change for change in changes if change is not None), start=view.regressor))
+
+
+def _course(view: View, over: str) -> Array:
+    """Part of the log that has gone by, or position or speed of each reading's joint or actuator (N, c)."""
+    t, motion, machine = view.motion.t, view.motion, view.model.machine
+    if over == "time":
+        return np.repeat(((t - t[0]) / (t[-1] - t[0]))[:, None], len(view.names), axis=1)
+    own = [*range(len(machine.actuators)), *(machine.actuators.index(machine.cylinders[k]) for k in view.lengths)]
+    return np.asarray((motion.q if over == "position" else view.speeds)[:, own])
 
 
 def _geometry(view: View) -> Array:

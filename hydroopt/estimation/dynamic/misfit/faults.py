@@ -7,10 +7,12 @@ the prior under which evidence for a fault is weighed.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.signal import lfilter
 
 from hydroopt.estimation.dynamic.misfit.view import View
@@ -23,6 +25,8 @@ TYPICAL = 0.03
 """Part of the RMS force that a usual friction, gain or drift of a torque has."""
 DRIFT = 3e5
 """Usual drift of a pressure reading over a log [Pa]."""
+OF_FORCE = ("drift", "friction")
+"""Faults whose usual sizes a machine file states as parts of the RMS force."""
 REVERSALS = 4
 """How often the times are found again at which a joint with play reverses."""
 
@@ -57,11 +61,19 @@ class Fault(ABC):
         """Change of the predicted readings (N, c) by a fault of this size [SI]."""
 
     def sensitivity(self, view: View, at: float = 0.0) -> Array:
-        """Derivative of the effect by the size (N, c)."""
+        """Derivative of the effect by the size (N, c), steps of dry friction aside."""
         if not self.motion:
             return self.effect(view, 1.0)
         h = 0.05 * self.scale
         return (self.effect(view, at + h) - self.effect(view, at - h)) / (2 * h)
+
+    def by_parameters(self, view: View, size: float) -> Array | None:
+        """Derivative of the effect by ψ (N, c, p); None where it is zero or small."""
+        return None
+
+    def unsteady(self, view: View, size: float) -> NDArray[np.bool_]:
+        """Readings (N, c) whose dry friction is not known if a fault of this size is there."""
+        return np.zeros(view.predicted.shape, dtype=bool)
 
     @property
     def name(self) -> str:
@@ -70,30 +82,74 @@ class Fault(ABC):
 
 
 @dataclass(frozen=True)
-class ForcesLate(Fault):
-    """Readings of forces stand later in the log than those of angles, by the size [s]; `readings` are concerned."""
+class OfMotion(Fault):
+    """A fault for which `readings` (none: all) are those of another motion than the one that the log shows."""
 
     readings: tuple[int, ...] = ()
-    drifts: bool = False
+
+    @abstractmethod
+    def state(self, view: View, size: float) -> tuple[Array, Array, Array]:
+        """That motion: q, qd and qdd (N, n)."""
 
     def effect(self, view: View, size: float) -> Array:
-        """Forces of an earlier motion; where clocks drift, the size is what they differ by at the end."""
-        t = view.motion.t
-        shift = -size * ((t - t[0]) / (t[-1] - t[0]) if self.drifts else np.ones(t.size))
-        return _only(view.readings(*view.moved(shift)) - view.predicted, self.readings)
+        """Readings of that motion beyond those of the log's."""
+        return self._beyond(view, self.state(view, size))
+
+    def sensitivity(self, view: View, at: float = 0.0) -> Array:
+        """Derivative of the effect by the size (N, c), zero where a joint reverses between both sides of it."""
+        return self._difference(view, self.state(view, at + self._step), self.state(view, at - self._step))
+
+    def by_parameters(self, view: View, size: float) -> Array:
+        """The regressor of that motion beyond the log's."""
+        return _only(view.regressor_of(*self.state(view, size)) - view.regressor, self._concerned(view))
+
+    def unsteady(self, view: View, size: float) -> NDArray[np.bool_]:
+        """Readings (N, c) of joints that move too slowly in that motion for the sign of their friction to be known."""
+        chosen = np.zeros(view.predicted.shape, dtype=bool)
+        slow = np.abs(self.state(view, size)[1]) <= view.slowest
+        chosen[:, : slow.shape[1]] = slow
+        return _only(chosen, self._concerned(view))
+
+    @property
+    def _step(self) -> float:
+        return 0.05 * self.scale
+
+    def _beyond(self, view: View, state: Sequence[Array]) -> Array:
+        return _only(view.readings(*state) - view.predicted, self._concerned(view))
+
+    def _concerned(self, view: View) -> tuple[int, ...]:
+        return self.readings or tuple(range(len(view.names)))
+
+    def _difference(self, view: View, up: Sequence[Array], down: Sequence[Array]) -> Array:
+        made = (self._beyond(view, up) - self._beyond(view, down)) / (2 * self._step)
+        reverses = np.sign(up[1]) != np.sign(down[1])
+        made[:, : reverses.shape[1]][reverses] = 0.0
+        return made
 
 
 @dataclass(frozen=True)
-class AngleLate(Fault):
+class ForcesLate(OfMotion):
+    """Readings of forces stand later in the log than those of angles, by the size [s]; `readings` are concerned."""
+
+    drifts: bool = False
+
+    def state(self, view: View, size: float) -> tuple[Array, Array, Array]:
+        """An earlier motion; where clocks drift, the size is what they differ by at the end."""
+        t = view.motion.t
+        return view.moved(-size * ((t - t[0]) / (t[-1] - t[0]) if self.drifts else np.ones(t.size)))
+
+
+@dataclass(frozen=True)
+class AngleLate(OfMotion):
     """The reading of a joint's position is late by the size [s]."""
 
     joint: int = 0
 
-    def effect(self, view: View, size: float) -> Array:
-        """Readings of the motion with this joint further on."""
+    def state(self, view: View, size: float) -> tuple[Array, Array, Array]:
+        """The motion with this joint further on."""
         shift = np.zeros_like(view.motion.q)
         shift[:, self.joint] = size
-        return view.readings(*view.moved(shift)) - view.predicted
+        return view.moved(shift)
 
 
 @dataclass(frozen=True)
@@ -104,14 +160,20 @@ class Lag(Fault):
 
     def effect(self, view: View, size: float) -> Array:
         """Low-passed minus true readings; the same with the other sign where a size is negative."""
-        t, true = view.motion.t, view.predicted[:, list(self.readings)]
+        return _only(self._slowed(view, view.predicted, size), self.readings)
+
+    def by_parameters(self, view: View, size: float) -> Array:
+        """What the same does to the regressor."""
+        return _only(self._slowed(view, view.regressor, size), self.readings)
+
+    def _slowed(self, view: View, true: Array, size: float) -> Array:
+        t = view.motion.t
         step = float(np.median(np.diff(t)))
         part = step / (abs(size) + step)
         if part > 0.8:  # far shorter than a sample
-            slow = -abs(size) * np.gradient(true, t, axis=0)
-        else:
-            slow = lfilter([part], [1.0, part - 1.0], true - true[0], axis=0) - (true - true[0])
-        return _placed(view, np.sign(size) * slow, self.readings)
+            return np.asarray(-size * np.gradient(true, t, axis=0))
+        made = lfilter([part], [1.0, part - 1.0], true - true[0], axis=0) - (true - true[0])
+        return np.asarray(np.sign(size) * made)
 
 
 @dataclass(frozen=True)
@@ -122,44 +184,51 @@ class Tilt(Fault):
 
     def effect(self, view: View, size: float) -> Array:
         """What the change of gravity does."""
-        g = np.asarray(gravity_in_base(view.model.machine), dtype=float).ravel()
-        change = np.cross(np.eye(3)[self.axis], g)
-        return np.asarray(-size * view.gravity @ change)
+        return np.asarray(size * view.gravity(view.psi) @ self._change(view))
+
+    def by_parameters(self, view: View, size: float) -> Array:
+        """The same for a unit of each parameter."""
+        units = np.eye(len(view.psi))
+        return np.stack([size * view.gravity(one) @ self._change(view) for one in units], axis=2)
+
+    def _change(self, view: View) -> Array:
+        """Of gravity in the base frame (3,) [m/s²] by a unit of the size."""
+        return -np.cross(np.eye(3)[self.axis], np.asarray(gravity_in_base(view.model.machine), dtype=float).ravel())
 
 
 @dataclass(frozen=True)
-class AngleOffset(Fault):
+class AngleOffset(OfMotion):
     """The reading of a joint's position is too large by the size [rad or m]."""
 
     joint: int = 0
 
-    def effect(self, view: View, size: float) -> Array:
-        """Readings of the shifted posture."""
+    def state(self, view: View, size: float) -> tuple[Array, Array, Array]:
+        """The shifted posture."""
         q = view.motion.q.copy()
         q[:, self.joint] -= size
-        return view.readings(q, view.motion.qd, view.motion.qdd) - view.predicted
+        return q, view.motion.qd, view.motion.qdd
 
 
 @dataclass(frozen=True)
-class Play(Fault):
+class Play(OfMotion):
     """Between a joint and the reading of its position there is play of the size [rad or m]."""
 
     joint: int = 0
 
-    def effect(self, view: View, size: float) -> Array:
-        """Readings of a joint that lags behind its sensor, on the side that it comes from."""
-        return self._of(view, size, self._jumps(view, size))
+    def state(self, view: View, size: float) -> tuple[Array, Array, Array]:
+        """A joint that lags behind its sensor, on the side that it comes from."""
+        return self._with(view, size, self._jumps(view, size))
 
     def sensitivity(self, view: View, at: float = 0.0) -> Array:
         """Derivative of the effect by the size (N, c), with reversals where they are at this size."""
-        h, jumps = 0.05 * self.scale, self._jumps(view, at)
-        return (self._of(view, at + h, jumps) - self._of(view, at - h, jumps)) / (2 * h)
+        jumps = self._jumps(view, at)
+        return self._difference(view, *(self._with(view, at + h, jumps) for h in (self._step, -self._step)))
 
-    def _of(self, view: View, size: float, jumps: Array) -> Array:
+    def _with(self, view: View, size: float, jumps: Array) -> tuple[Array, Array, Array]:
         state = [view.motion.q.copy(), view.motion.qd.copy(), view.motion.qdd.copy()]
         for values, change in zip(state, jumps, strict=True):
             values[:, self.joint] -= 0.5 * size * change
-        return view.readings(*state) - view.predicted
+        return state[0], state[1], state[2]
 
     def _jumps(self, view: View, size: float) -> Array:
         """What smoothing makes of the sign of the joint's speed, which shows once the jumps are taken out of it."""
@@ -182,6 +251,10 @@ class Added(Fault):
     def effect(self, view: View, size: float) -> Array:
         """The course times the size."""
         return _placed(view, size * self.weight * self._course(view)[:, None], (self.reading,))
+
+    def by_parameters(self, view: View, size: float) -> Array | None:
+        """Of a gain, the regressor times the size."""
+        return _only(size * self.weight * view.regressor, (self.reading,)) if self.course == "reading" else None
 
     def _course(self, view: View) -> Array:
         t, true = view.motion.t, view.predicted[:, self.reading]
@@ -218,7 +291,7 @@ class Bodies(Fault):
         return np.asarray(size * (view.regressor @ chosen))
 
 
-def _only(change: Array, readings: tuple[int, ...]) -> Array:
+def _only(change: NDArray[Any], readings: tuple[int, ...]) -> NDArray[Any]:
     kept = np.zeros_like(change)
     kept[:, list(readings)] = change[:, list(readings)]
     return kept
@@ -238,9 +311,12 @@ def _seal_pressure(view: View, reading: int) -> Array:
 
 def listed(view: View) -> Iterator[Fault]:
     """All faults that a log's readings are searched for, of the sizes that the machine file states."""
+    forces = range(len(view.model.machine.actuators))
     for fault in _usual(view):
         stated = view.model.machine.faults.of(fault.group)
-        fits = stated is not None and (fault.group != "offset" or fault.unit == "deg")
+        if stated is not None and fault.group in OF_FORCE and isinstance(fault, Added) and fault.reading in forces:
+            stated *= float(np.sqrt(np.mean(view.measured[:, fault.reading] ** 2)))
+        fits = stated is not None and (fault.group not in ("offset", "play") or fault.unit == "deg")
         yield replace(fault, scale=stated) if stated is not None and fits else fault
 
 

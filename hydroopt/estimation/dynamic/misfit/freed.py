@@ -28,18 +28,32 @@ from hydroopt.spatial.inertia import Array
 
 UNCERTAIN: Mapping[str, float] = {"gain": 0.02, "offset": np.radians(0.5), "tilt": np.radians(1.0), "delay": 0.01}
 """Standard deviations [SI] of the faults that 'instruments' frees, where the machine file states none."""
+WIDE = 3.0
+"""Standard deviation of a fault that is freed by name, as a multiple of its usual size: it is believed to be there."""
+WEAKER = 1e-4
+"""Information of priors of ψ, as a part of it, where sizes are to rest on data and leave priors to what follows."""
 ROUNDS = 4
 """Gauss-Newton steps of the sizes of freed faults."""
 
 
 @dataclass(frozen=True, eq=False)
 class Freed:
-    """Faults with the sizes (k,) and covariance (k, k) [SI] that data and priors give them about parameters ψ (p,)."""
+    """Faults with the sizes (k,) and covariance (k, k) [SI] that data and priors give them about parameters ψ (p,).
+
+    Without priors of ψ these would be `apart` (k,) larger, with the covariance `alone` (k, k).
+    """
 
     faults: tuple[Fault, ...]
     size: Array
     covariance: Array
+    apart: Array
+    alone: Array
     psi: Array
+
+    @property
+    def std(self) -> Array:
+        """Standard deviations (k,) of the sizes [SI]."""
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
 
     def corrected(self, problem: IdentificationProblem) -> IdentificationProblem:
         """The problem with all forces corrected by the effects at these sizes."""
@@ -49,16 +63,19 @@ class Freed:
 
     def as_dicts(self) -> list[dict[str, Any]]:
         """The entries of a JSON file; sizes as printed, in the unit of each fault."""
-        std = np.sqrt(np.diag(self.covariance))
         return [{"fault": fault.name, "words": fault.words, "unit": fault.unit,
                  "prior_std": number(fault.scale * fault.factor), "size": number(size * fault.factor),
                  "std": number(own * fault.factor)}
-                for fault, size, own in zip(self.faults, self.size.tolist(), std.tolist(), strict=True)]
+                for fault, size, own in zip(self.faults, self.size.tolist(), self.std.tolist(), strict=True)]
 
     def _corrected(self, data: Experiment) -> Experiment:
-        view = View.of(data, self.psi)
-        effect = np.sum([f.effect(view, s) for f, s in zip(self.faults, self.size, strict=True)], axis=0)
-        return replace(data, force=data.force - effect[:, : data.force.shape[1]])
+        view, n = View.of(data, self.psi), data.force.shape[1]
+        force, added, moving = data.force, np.zeros((*data.force.shape, len(self.psi))), data.moving
+        for fault, size in zip(self.faults, self.size.tolist(), strict=True):
+            change = fault.by_parameters(view, size)
+            force, moving = force - fault.effect(view, size)[:, :n], moving & ~fault.unsteady(view, size)[:, :n]
+            added = added if change is None else added + change[:, :n]
+        return replace(data, force=force + added @ self.psi, moving=moving, added=added)
 
     def widened(self, weighted: WeightedResiduals[IdentificationProblem]) -> WeightedResiduals[IdentificationProblem]:
         """The weighted residuals with what remains uncertain about the sizes in their covariance."""
@@ -73,9 +90,9 @@ class Freed:
         scale = np.maximum(np.linalg.norm(weighted.plain[0], axis=0), 1e-300)
         inverse = np.linalg.pinv(weighted.plain[0] / scale, rcond=1e-9)
         T = weighted.R / scale @ (inverse @ (inverse.T @ (cross / scale[:, None])))
-        values, vectors = np.linalg.eigh(np.eye(p) + T @ self.covariance @ T.T)
+        values, vectors = np.linalg.eigh(np.eye(p) + T @ self.alone @ T.T)
         root = (vectors / np.sqrt(np.maximum(values, 1.0))) @ vectors.T
-        R = triangle(np.column_stack([root @ weighted.R, root @ weighted.r]))
+        R = triangle(np.column_stack([root @ weighted.R, root @ (weighted.r - T @ self.apart)]))
         full = np.zeros((p + 1, p + 1))
         full[: len(R)] = R
         full[p, p] = np.hypot(full[p, p], np.sqrt(weighted.rest))
@@ -94,10 +111,10 @@ def chosen_faults(view: View, words: Sequence[str]) -> tuple[Fault, ...]:
     """
     every = [fault for fault in listed(view) if fault.free]
     found: dict[Fault, None] = {}
+    stated = view.model.machine.faults
     for word in words:
         if word == "instruments":
             usual = [f for group in UNCERTAIN for f in _of_group(every, group)]
-            stated = view.model.machine.faults
             found |= dict.fromkeys(f if stated.of(f.group) else replace(f, scale=UNCERTAIN[f.group]) for f in usual)
             continue
         some = _of_group(every, word) or [f for f in every if f.name == word]
@@ -106,7 +123,7 @@ def chosen_faults(view: View, words: Sequence[str]) -> tuple[Fault, ...]:
             raise ProblemError(f"'{word}' is no fault that can be freed", where=f"faults of {view.model.machine.name}",
                                remedy=f"use instruments, {', '.join(groups)}, or one with its subject such as "
                                       f"'{every[-1].name}'")
-        found |= dict.fromkeys(some)
+        found |= dict.fromkeys(f if stated.of(f.group) else replace(f, scale=WIDE * f.scale) for f in some)
     return tuple(found)
 
 
@@ -115,24 +132,33 @@ def _of_group(every: Sequence[Fault], group: str) -> list[Fault]:
     return [f for f in some if f.subject == ("forces",)] or some
 
 
-def free(problem: IdentificationProblem, psi: Array) -> Freed:
+def free(problem: IdentificationProblem, psi: Array, last: Freed | None = None) -> Freed:
     """The likeliest sizes of a problem's freed faults about parameters ψ, these and the geometry unknown.
+
+    The `last` sizes say at which samples dry friction is known.
 
     Raises:
         ProblemError: a fault that does not exist, or a log that is read in pieces.
     """
     in_memory(problem.experiments, "a freed fault")
-    data = Data(problem, psi)
+    chosen = () if last is None else tuple(zip(last.faults, last.size.tolist(), strict=True))
+    data = Data(problem, psi, chosen)
     faults = chosen_faults(data.views[0], problem.freed)
-    search, sizes = Search(data, faults), np.zeros(len(faults))
+    search, sizes = Search(data, faults), np.zeros(len(faults)) if last is None else last.size
     information = np.diag([1 / fault.scale**2 for fault in faults])
-    every, covariance = np.ones(len(data.blocks), dtype=bool), np.zeros_like(information)
     for _ in range(ROUNDS if any(fault.motion for fault in faults) else 1):
         search.chosen = list(zip(faults, sizes.tolist(), strict=True))
-        table = search.projected(*search.present(), every, 1e-4)
-        covariance = np.linalg.inv(table[:-1, :-1] + information)
-        step = covariance @ (table[:-1, -1] - information @ sizes)
+        step, covariance = _step(search, information, 1.0)
         sizes = sizes + step
         if np.all(np.abs(step) < 0.05 * np.sqrt(np.diag(covariance))):
             break
-    return Freed(faults, sizes, covariance, psi)
+    search.chosen = list(zip(faults, sizes.tolist(), strict=True))
+    return Freed(faults, sizes, covariance, *_step(search, information, WEAKER), psi)
+
+
+def _step(search: Search, information: Array, weaker: float) -> tuple[Array, Array]:
+    """Change of the chosen sizes (k,) to their likeliest ones, and their covariance (k, k)."""
+    table = search.projected(*search.present(), np.ones(len(search.data.blocks), dtype=bool), weaker)
+    covariance = np.asarray(np.linalg.inv(table[:-1, :-1] + information), dtype=float)
+    size = np.array([size for _, size in search.chosen])
+    return np.asarray(covariance @ (table[:-1, -1] - information @ size)), covariance

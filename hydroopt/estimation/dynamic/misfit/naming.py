@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from scipy.special import gammaincc
 
-from hydroopt.estimation.dynamic.misfit.blocks import COSINES, Columns, Data
+from hydroopt.estimation.dynamic.misfit.blocks import COURSES, Columns, Data
 from hydroopt.estimation.dynamic.misfit.faults import Fault, listed
 from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.results.tables import number
@@ -22,6 +22,8 @@ from hydroopt.spatial.inertia import Array
 
 ALARM = 1e-3
 """Probability of a false alarm of the test of fit, all readings together."""
+EXPLAINED = 0.02
+"""Probability of the residuals that are left, all readings together, below which no cause is named."""
 LEVEL = 0.01
 """Probability that sound data show any fault of the list."""
 EVIDENCE = np.log(10.0)
@@ -29,7 +31,7 @@ EVIDENCE = np.log(10.0)
 TIED, ROUGH = 3.0, 0.05
 """Difference in evidence, and as a part of the largest since effects are computed roughly, below which faults are not
 told apart."""
-MOST, LARGEST = 3, 10.0
+MOST, LARGEST = 2, 10.0
 """Faults that are looked for, one after the other, and the largest size that one may have, as a multiple of its scale:
 beyond, the prior by which its evidence is weighed would itself be refuted."""
 AGREE, SEEN = 0.5, 1.64
@@ -110,7 +112,7 @@ class Misfit:
     @property
     def explained(self) -> bool:
         """Whether the faults found leave nothing unexplained."""
-        return all(p >= ALARM / len(self.after) for p in self.after.values())
+        return all(p >= EXPLAINED / len(self.after) for p in self.after.values())
 
     @property
     def shown(self) -> dict[str, tuple[float, float, str]]:
@@ -185,16 +187,14 @@ class Search:
     def lack_of_fit(self) -> dict[str, float]:
         """Probability of the slow residuals of each reading if nothing but the chosen faults were there."""
         held, residual = self.present()
-        every = np.ones(len(self.data.blocks), dtype=bool)
+        every, names = np.ones(len(self.data.blocks), dtype=bool), self.data.views[0].names
         table = _without(self.projected([*held, self.data.cosines], residual, every, 0.01), len(self.chosen))
-        found = {}
-        for k, name in enumerate(self.data.views[0].names):
-            at = slice(k * COSINES, (k + 1) * COSINES)
-            values, vectors = np.linalg.eigh(table[at, at])
-            kept = values > 1e-4 * max(values[-1], 1e-300)
-            statistic = float(np.sum((vectors[:, kept].T @ table[at, -1]) ** 2 / values[kept]))
-            found[name] = float(gammaincc(np.sum(kept) / 2, statistic / 2)) if kept.any() else 1.0
-        return found
+        tests = [count for _ in names for count in COURSES.values()]
+        ends = np.cumsum(tests).tolist()
+        p = [_of_noise(table[end - count : end, end - count : end], table[end - count : end, -1])
+             for end, count in zip(ends, tests, strict=True)]
+        least = np.min(np.reshape(p, (len(names), len(COURSES))), axis=1)
+        return dict(zip(names, np.minimum(1.0, len(COURSES) * least).tolist(), strict=True))
 
     def step(self) -> tuple[Cause, ...]:
         """The faults that explain most of what is left, the likeliest first; none where nothing is shown."""
@@ -234,7 +234,8 @@ class Search:
             gain = start - (table[1, 1] - table[0, 1] ** 2 / table[0, 0])
             size += step
         information, prior = float(table[0, 0]), cause.fault.scale**2
-        evidence = 0.5 * (max(float(gain), 0.0) - size**2 / prior - np.log1p(prior * information))  # Laplace's
+        far = size**2 / (prior + 1 / information)  # of the likeliest size under the prior, Laplace's method
+        evidence = 0.5 * (max(float(gain), 0.0) - far - np.log1p(prior * information))
         return replace(cause, size=size, std=information**-0.5, evidence=float(evidence))
 
     def add(self, cause: Cause) -> None:
@@ -254,7 +255,7 @@ class Search:
         shift = scale * (np.linalg.pinv(scale[:, None] * S * scale, rcond=1e-13, hermitian=True) @ (scale * right))
         sizes = shift[len(data.prior):]
         chosen = [(fault, size + float(more)) for (fault, size), more in zip(self.chosen, sizes, strict=True)]
-        return Search(data.about(shift[:p]), self.faults, chosen)
+        return Search(data.about(shift[:p], chosen), self.faults, chosen)
 
     def judged(self, causes: Sequence[tuple[Cause, ...]]) -> tuple[Cause, ...]:
         """The chosen faults with their sizes together, and whether each repeats in both halves."""
@@ -288,6 +289,14 @@ class Search:
         needed = float(np.sqrt(2 * np.log(len(self.faults) / LEVEL))) + 1.645
         return {fault: needed / float(np.sqrt(table[k, k])) if table[k, k] > 0 else np.inf
                 for k, fault in enumerate(self.faults)}
+
+
+def _of_noise(information: Array, score: Array) -> float:
+    """Probability of a score (k,) of columns without effect, with its information (k, k)."""
+    values, vectors = np.linalg.eigh(information)
+    kept = values > 1e-4 * max(values[-1], 1e-300)
+    statistic = float(np.sum((vectors[:, kept].T @ score) ** 2 / values[kept]))
+    return float(gammaincc(np.sum(kept) / 2, statistic / 2)) if kept.any() else 1.0
 
 
 def _weighed(fault: Fault, size: float, statistic: float, information: float) -> Cause:
@@ -325,10 +334,12 @@ def examine_fit(data: Data) -> Misfit:
         steps.append(shown)
         search = search.settled()
     found, after = search.judged(steps), search.lack_of_fit() if steps else before
-    while steps and not found[-1].repeats:  # what came last may be part of an earlier one, followed too far
-        steps.pop()
-        search.chosen.pop()
-        found, after = search.judged(steps), search.lack_of_fit() if steps else before
+    while len(steps) > 1 and not all(cause.repeats for cause in found):  # one may be part of another
+        least = min((k for k, cause in enumerate(found) if not cause.repeats),
+                    key=lambda k: abs(found[k].size) / found[k].std)
+        del steps[least], search.chosen[least]
+        search = search.settled()
+        found, after = search.judged(steps), search.lack_of_fit()
     ratio = np.mean([one.noise / one.stated_noise for one in data.views], axis=0)
     lines = {name: line for one in data.views for name, line in _lines(one)}
     spikes = np.mean([one.spike_share for one in data.views], axis=0)

@@ -120,6 +120,12 @@ class View:
         return np.column_stack([forces, np.broadcast_to(inside, (len(inside), len(self.lengths)))])
 
     @cached_property
+    def slowest(self) -> Array:
+        """Speed (n,) at which the sign of each joint's dry friction is known in this log; inf where it never is."""
+        speed = np.where(self.experiment.moving, np.abs(self.motion.qd), np.inf)
+        return np.asarray(np.min(speed, axis=0))
+
+    @cached_property
     def spike_share(self) -> Array:
         """Share (c,) of the usable readings that are spikes."""
         return np.asarray(np.sum(self.usable & self.spikes, axis=0) / np.maximum(np.sum(self.usable, axis=0), 1))
@@ -171,7 +177,11 @@ class View:
     @cached_property
     def regressor(self) -> Array:
         """Derivatives (N, c, p) of the predicted readings by ψ."""
-        K = self.experiment.equations(self.psi)[0][0]
+        return self.regressor_of(self.motion.q, self.motion.qd, self.motion.qdd)
+
+    def regressor_of(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Derivatives (N, c, p) of the readings of a motion (N, n) by ψ."""
+        K = replace(self.experiment, motion=replace(self.motion, q=q, qd=qd, qdd=qdd)).equations(self.psi)[0][0]
         return np.concatenate([K, np.zeros((len(K), len(self.lengths), K.shape[2]))], axis=1)
 
     def moved(self, shift: Array) -> tuple[Array, Array, Array]:
@@ -223,11 +233,10 @@ class View:
         repeated = np.isin(np.arange(len(self.motion.bandwidth)), list(self.again))
         return np.asarray(self.motion.bandwidth * np.where(repeated, WIDER, 1.0))
 
-    @cached_property
-    def gravity(self) -> Array:
+    def gravity(self, psi: Array) -> Array:
         """Forces (N, c, 3) of the bodies' weights per unit [m/s²] of gravity along the axes of the base frame."""
         q = self.motion.q
-        made = np.array(self.model.gravity_forces(q.T, self.psi))  # of many columns at once: (n, 3·N)
+        made = np.array(self.model.gravity_forces(q.T, psi))  # of many columns at once: (n, 3·N)
         forces = made.reshape(made.shape[0], len(q), 3).transpose(1, 0, 2)
         return np.concatenate([forces, np.zeros((len(q), len(self.lengths), 3))], axis=1)
 
