@@ -42,8 +42,9 @@ PARTS = 12
 """Parts of the poses that must agree on a fault."""
 UNUSUAL = 6.0
 """How many usual sizes a fault may have."""
-BLIND = 1e-5
-"""Part of a fault's columns that must be left beside the free parameters for it to be seen."""
+BLIND = 0.02
+"""Part of a fault's columns that must be left beside the free parameters for it to be seen: of less, errors of second
+order of the parameters' own change are larger."""
 MANY = 0.25
 """Largest part of the poses that can be wrong one by one; more are wrong together."""
 DIM = 0.1
