@@ -4,10 +4,11 @@ import math
 
 import numpy as np
 
-from hydroopt import load_machine, path_difference, solve
+from hydroopt import SolverError, load_machine, path_difference, solve
 from hydroopt.estimation.kinematic import joint, link_by_link
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
+from hydroopt.results.tables import number
 from studies import show
 from studies.cat215b_calibration.chain import Machine, misjudged, paths, with_drift
 
@@ -55,43 +56,55 @@ def is_length(name) -> bool:
 
 
 def simulated() -> dict:
-    """One simulation each of Tables 4 to 6: the thesis's method, ours, with drift, with a robust loss, with priors."""
+    """One simulation each of Tables 4 to 6."""
     creeping = Machine(creep="even")
     exact, noisy = creeping.poses(None), creeping.poses(0)
     cases = {"table_4": exact, "table_5": noisy, "table_6": flexible(creeping, exact, 0)}
     results: dict = {}
     for table, poses in cases.items():
-        plain = creeping.problem(poses)
-        drift = creeping.problem(poses, with_drift(creeping.machine, 0.3))
-        steps = link_by_link.sequential_least_squares(plain, plain.start, plain.layout.reading)
-        best = solve(drift)
-        odd = [suspect.poses for suspect in best.suspects if suspect.kind.is_poses]
-        cleaned = solve(drift.without(np.any(odd, axis=0))) if odd else best
-        answers = {
-            "link by link": errors(plain, steps.parameters),
-            "joint": errors(plain, joint.maximum_likelihood(plain, plain.start, guess_unsensed(plain, plain.start))[0]),
-            "joint, drift": errors(drift, best.theta), "without suspects": errors(drift, cleaned.theta),
-            "robust": errors(drift, solve(drift.with_loss("student_t")).theta),
-            "joint, drift, wrong priors": with_priors(creeping, poses)}
-        bound = dict(zip(best.observability.names, best.observability.std, strict=True))
-        rows = []
-        for k, name in enumerate(NAMES):
-            length = is_length(name)
-            unit, factor = ("mm", 1e3) if length else ("deg", 1.0)
-            own = {"thesis": THESIS[table][k] - TRUTH[k], **{way: error[k] for way, error in answers.items()},
-                   "bound": bound[name] if length else math.degrees(bound[name])}
-            own = {way: round(factor * float(value), 3) for way, value in own.items()}
-            results[f"{table}: error of {name} [{unit}]"] = own
-            rows.append((f"{name} [{unit}]", *own.values()))
-        counts = tuple(stage.iterations for stage in steps.stages[:3])
-        results[f"{table}: iterations of stick, boom, swing"] = {"thesis": ITERATIONS[table], "ours": counts}
-        for stage, count in zip(steps.stages, counts, strict=False):
-            results[f"{table}_iterations_{stage.joint}"] = count
-        off = answers["joint, drift"]
-        results[f"{table}_a_1_mm"] = round(1e3 * abs(float(off[1])), 2)
-        show.table(f"{table}, {TABLES[table]}: errors; iterations {counts}, thesis {ITERATIONS[table]}",
-                   ("parameter", *own), rows)
+        results |= one_table(table, creeping, poses)
     return results
+
+
+def one_table(table, setup, poses) -> dict:
+    """The thesis's method, ours, with drift, without suspects, with a robust loss, with wrong priors."""
+    plain = setup.problem(poses)
+    drift = setup.problem(poses, with_drift(setup.machine, 0.3))
+    steps = link_by_link.sequential_least_squares(plain, plain.start, plain.layout.reading)
+    best = solve(drift)
+    odd = [suspect.poses for suspect in best.suspects if suspect.kind.is_poses]
+    answers = {"link by link": errors(plain, steps.parameters), "joint": joint_errors(plain),
+               "joint, drift": errors(drift, best.theta),
+               "without suspects": joint_errors(drift.without(np.any(odd, axis=0)) if odd else drift),
+               "robust": joint_errors(drift.with_loss("student_t")),
+               "joint, drift, wrong priors": with_priors(setup, poses)}
+    bound = dict(zip(best.observability.names, best.observability.std, strict=True))
+    results, rows = {}, []
+    for k, name in enumerate(NAMES):
+        length = is_length(name)
+        unit, factor = ("mm", 1e3) if length else ("deg", 1.0)
+        own = {"thesis": THESIS[table][k] - TRUTH[k], **{way: error[k] for way, error in answers.items()},
+               "bound": bound[name] if length else math.degrees(bound[name])}
+        own = {way: number(round(factor * float(value), 3)) for way, value in own.items()}
+        results[f"{table}: error of {name} [{unit}]"] = own
+        rows.append((f"{name} [{unit}]", *own.values()))
+    counts = tuple(stage.iterations for stage in steps.stages[:3])
+    results[f"{table}: iterations of stick, boom, swing"] = {"thesis": ITERATIONS[table], "ours": counts}
+    for stage, count in zip(steps.stages, counts, strict=False):
+        results[f"{table}_iterations_{stage.joint}"] = count
+    results[f"{table}_a_1_mm"] = round(1e3 * abs(float(answers["joint, drift"][1])), 2)
+    show.table(f"{table}, {TABLES[table]}: errors; iterations {counts}, thesis {ITERATIONS[table]}",
+               ("parameter", *own), rows)
+    return results
+
+
+def joint_errors(problem) -> np.ndarray:
+    """Errors of `NAMES` by the joint estimate; NaN where it does not converge, since too few poses are left."""
+    try:
+        theta = joint.maximum_likelihood(problem, problem.start, guess_unsensed(problem, problem.start))[0]
+    except SolverError:
+        return np.full(len(NAMES), np.nan)
+    return errors(problem, theta)
 
 
 def with_priors(setup, poses) -> np.ndarray:
@@ -99,8 +112,7 @@ def with_priors(setup, poses) -> np.ndarray:
     found = []
     for seed in range(PRIOR_SEEDS):
         problem = setup.problem(poses, misjudged(with_drift(setup.machine, 0.3), seed), priors=True)
-        found.append(errors(problem, joint.maximum_likelihood(problem, problem.start,
-                                                              guess_unsensed(problem, problem.start))[0]))
+        found.append(joint_errors(problem))
     return np.sqrt(np.mean(np.square(found), axis=0))
 
 
@@ -110,7 +122,7 @@ def uneven() -> dict:
     for shape in ("even", "settling", "slip"):
         setup = Machine(creep=shape)
         drift = setup.problem(setup.poses(0), with_drift(setup.machine, 0.3))
-        off = errors(drift, joint.maximum_likelihood(drift, drift.start, guess_unsensed(drift, drift.start))[0])
+        off = joint_errors(drift)
         plain = setup.problem(setup.poses(0))
         theta = link_by_link.sequential_least_squares(plain, plain.start, plain.layout.reading).parameters
         steps = errors(plain, theta)

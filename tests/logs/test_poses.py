@@ -301,3 +301,15 @@ def test_the_talos_postures_read_with_a_map():
     assert poses.units["tip.z"] == "m"
     assert (poses.channels["tip.x"][0], poses.t[0]) == (0.115424597820405, 42.3991174697876)
     assert set(poses.fixture) == {"mocap"}
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".parquet"])
+def test_where_tapes_end_survives_writing_joining_and_selecting(tmp_path: Path, suffix: str) -> None:
+    poses = Poses("taped", stage=["a", "a"], fixture=["one", ""], tape=["two", "one"],
+                  channels={"stick.distance": np.array([1.0, 2.0])})
+    poses.write(tmp_path / f"taped{suffix}")
+    again = read_poses(tmp_path / f"taped{suffix}")
+    assert (again.tape.tolist(), again.fixture.tolist()) == (["two", "one"], ["one", ""])
+    assert joined([again, Poses("other", channels={"stick.distance": np.ones(1)})]).tape.tolist() == ["two", "one", ""]
+    assert again.select([1]).tape.tolist() == ["one"]
+    assert "tape" not in Poses("none", channels={"stick.distance": np.ones(1)}).to_frame().columns
