@@ -72,7 +72,7 @@ def _row(one: ParameterHistory) -> dict[str, Any]:
     course = f"step at session {one.session}" if one.session is not None else str(one.course)
     return {"name": one.name, "unit": unit_text(one.unit), "value": shown.value, "interval": shown.interval,
             "course": course, "changed": one.changed, "p": f"{one.p_value:.2g}" if np.isfinite(one.p_value) else NONE,
-            "detectable": plain(max(one.detectable), 2), "sessions": [_cell(value) for value in one.values[1:]]}
+            "detectable": plain(one.largest_detectable, 2), "sessions": [_cell(value) for value in one.values[1:]]}
 
 
 def _cell(value: SessionValue) -> dict[str, Any]:

@@ -120,6 +120,11 @@ class ParameterHistory(Quantity):
         return self.course in (Course.STEP, Course.DRIFT, Course.VARIES, Course.UNDECIDED)
 
     @property
+    def largest_detectable(self) -> float:
+        """The step detected with a probability of 95 % at each session where there is one; NaN where there is none."""
+        return max((size for size in self.detectable if np.isfinite(size)), default=float("nan"))
+
+    @property
     def finding(self) -> Diagnostic:
         """The result in a sentence."""
         subject, evidence = (self.name,), {"p_value": self.p_value, "probability": probability(self.p_value),
@@ -138,10 +143,9 @@ class ParameterHistory(Quantity):
             return Diagnostic(Kind.PARAMETER_UNDECIDED, subject, evidence | {"alternatives": " or ".join(
                 f"{one.shape} ({100 * one.share:.0f} %)" for one in likeliest(self.alternatives))})
         blind = [str(k) for k, size in enumerate(self.detectable, 2) if not np.isfinite(size)]
-        seen = max((size for size in self.detectable if np.isfinite(size)), default=np.nan)
         kind = Kind.PARAMETER_AGREES if self.course is Course.AGREES else Kind.PARAMETER_NOT_VISIBLE
         return Diagnostic(kind, subject, evidence | {
-            "detectable": float(f"{seen:.2g}"), "size": float(f"{self.size:.2g}"),
+            "detectable": float(f"{self.largest_detectable:.2g}"), "size": float(f"{self.size:.2g}"),
             "where": f"any session but {', '.join(blind)}" if blind else "any session"})
 
     def as_dict(self) -> dict[str, Any]:
@@ -255,7 +259,7 @@ class ChangeHistory(SessionAnswer):
         """What each parameter did, and its change since the first session in each session, as CSV."""
         lines = [{key: value for key, value in one.as_dict().items()
                   if key not in ("detectable", "alternatives", "sessions")}
-                 | {"detectable": number(max(one.detectable, default=np.nan))} for one in self.histories]
+                 | {"detectable": number(one.largest_detectable)} for one in self.histories]
         values = [{"session": k, "name": one.name, "unit": one.unit} | value.as_dict()
                   for one in self.histories for k, value in enumerate(one.values, 1)]
         return {"comparison.csv": csv_text([with_limits(line) for line in lines]),
@@ -329,13 +333,15 @@ def change_history(model: Model, names: Sequence[str], sessions: Sequence[Stored
     scan = plain if steady else repeat
     detected = scan.p_value < level
     together = scan.explanations(scan.together, scan.whole, level) if detected else {}
-    histories = tuple(_history(model, scan, j, sessions, level, detected) for j in range(len(names)))
+    named_steps, steps = scan.detectable(level)
+    histories = tuple(_history(model, scan, j, sessions, level, named_steps[j] if detected else steps[j])
+                      for j in range(len(names)))
     named = scan.all_of([j for j, one in enumerate(histories) if one.changed])
     rest = scan.left_over(named)
     return ChangeHistory(
         model.machine, tuple(sessions), plain.p_value, repeat.p_value, scan.tests, scan.rank, level, histories,
         tuple(Alternative(*one) for one in together.items()),
-        tuple(_single(model, scan, sessions, level, named, rest)) if detected and rest.p_value < level else (),
+        tuple(_single(model, scan, sessions, level, named, rest, steps)) if detected and rest.p_value < level else (),
         rest.p_value)
 
 
@@ -346,30 +352,29 @@ def likeliest(alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
 
 
 def _history(model: Model, scan: SessionScan, j: int, sessions: Sequence[StoredInformation], level: float,
-             detected: bool) -> ParameterHistory:
+             steps: Array) -> ParameterHistory:
     name, own, shapes = scan.names[j], scan.own[j], scan.separate[j]
-    named, alarm = scan.detectable(j, level)
     values = _values(scan, j)
     if own is None:
         partners = tuple(scan.names[i] for i in scan.partners[j])
         nothing = _value(np.nan, np.nan, np.nan)
-        return _made(model, name, values, nothing, Course.NOT_IDENTIFIABLE, None, np.nan, alarm, (), partners)
+        return _made(model, name, values, nothing, Course.NOT_IDENTIFIABLE, None, np.nan, steps, (), partners)
     p_value = float(scan.p_values[j])
-    if not (detected and p_value < level):
-        return _made(model, name, values, values[-1], Course.AGREES, None, p_value, named if detected else alarm, ())
+    if not (scan.p_value < level and p_value < level):
+        return _made(model, name, values, values[-1], Course.AGREES, None, p_value, steps, ())
     kept = tuple(Alternative(*one) for one in scan.explanations(shapes, own, level).items())
     if not kept:
-        return _made(model, name, values, values[-1], Course.VARIES, None, p_value, named, ())
+        return _made(model, name, values, values[-1], Course.VARIES, None, p_value, steps, ())
     if kept[0].share < DECIDED:
-        return _made(model, name, values, values[-1], Course.UNDECIDED, None, p_value, named, kept)
+        return _made(model, name, values, values[-1], Course.UNDECIDED, None, p_value, steps, kept)
     shape = kept[0].shape
     course = Course.DRIFT if shape.session is None else Course.STEP
     value = _value(*scan.size(j, shape, shapes[shape]))
-    return _made(model, name, values, value, course, shape.session, p_value, named, kept, log=_log(sessions, shape))
+    return _made(model, name, values, value, course, shape.session, p_value, steps, kept, log=_log(sessions, shape))
 
 
 def _single(model: Model, scan: SessionScan, sessions: Sequence[StoredInformation],
-            level: float, named: Array, rest: SubspaceTest) -> Iterable[ParameterHistory]:
+            level: float, named: Array, rest: SubspaceTest, steps: Array) -> Iterable[ParameterHistory]:
     """The changes of one more parameter that leave nothing significant of the rest, the likeliest first."""
     tests: dict[tuple[int, Shape], SubspaceTest] = {
         (j, shape): test for j in range(len(scan.names)) for shape in scan.shapes
@@ -378,7 +383,7 @@ def _single(model: Model, scan: SessionScan, sessions: Sequence[StoredInformatio
         course = Course.DRIFT if shape.session is None else Course.STEP
         value = _value(*scan.size(j, shape, tests[j, shape]))
         yield _made(model, scan.names[j], _values(scan, j, named), value, course, shape.session,
-                    scan.p_value, scan.detectable(j, level)[1], (Alternative(shape, share),),
+                    scan.p_value, steps[j], (Alternative(shape, share),),
                     log=_log(sessions, shape))
 
 

@@ -228,10 +228,15 @@ class SessionScan:
     def explanations(self, candidates: Mapping[C, SubspaceTest], within: SubspaceTest, level: float) -> dict[C, float]:
         """Candidates that leave nothing significant of a subspace, with their probabilities, the likeliest first.
 
-        All are equally probable before, and have as many sizes to estimate.
+        All are equally probable before, and have as many sizes to estimate. The likelihood of what they leave is
+        Student's, since its variance is estimated.
         """
-        logs = {each: float(np.sum((test.basis.T @ self.sums) ** 2)) / (2 * self.phi)
-                for each, test in candidates.items() if self.left_over(test, within.basis).p_value >= level}
+        freedom, rank = min(within.freedom + within.rank - 1, MANY), within.rank
+        squares = {each: float(np.sum((test.basis.T @ self.sums) ** 2)) for each, test in candidates.items()
+                   if self.left_over(test, within.basis).p_value >= level}
+        whole = float(np.sum((within.basis.T @ self.sums) ** 2))
+        logs = {each: -(freedom + rank) / 2 * float(np.log1p((whole - explained) / self.phi / freedom))
+                for each, explained in squares.items()}
         weights = {each: float(np.exp(log - max(logs.values()))) for each, log in logs.items()}
         total = sum(weights.values())
         return {each: weights[each] / total for each in sorted(weights, key=lambda one: -weights[one])}
@@ -273,27 +278,29 @@ class SessionScan:
         freedom = np.where(np.isfinite(std), combined(shares, self.freedom), np.nan)
         return (np.append(0.0, solution @ self.sums), np.append(0.0, np.sqrt(self.phi) * std), np.append(1.0, freedom))
 
-    def detectable(self, parameter: int, level: float) -> tuple[Array, Array]:
-        """The step of a parameter at each later session (N−1,) that is detected with a probability of 95 %: one that is
-        put down to this parameter, and one that raises an alarm at all; infinite where none is.
+    def detectable(self, level: float) -> tuple[Array, Array]:
+        """The step of each parameter at each later session (c, N−1) that is detected with a probability of 95 %: one
+        that is put down to this parameter, and one that raises an alarm at all; infinite where none is.
         """
-        limit = float(np.quantile(self._least(self._family), level))
-        steps = [self.along(parameter, shape) for shape in self.shapes[:-1]]
-        return (np.array([self._smallest(step, self._of_each[parameter], limit) for step in steps]),
-                np.array([self._smallest(step, self._family, limit) for step in steps]))
-
-    def _smallest(self, effect: Array, tests: Sequence[SubspaceTest], limit: float) -> float:
-        """Size of an effect (k,) that one of the tests finds in 95 % of the draws at a p-value of `limit`."""
-        size = np.full(len(self._draws[:: DRAWS // FEWER]), np.inf)
-        for test in tests:
-            own = test.basis.T @ effect
-            length = float(own @ own)
-            if length > SEPARABLE**2 * float(effect @ effect) > 0:
-                drawn = self._draws[:: DRAWS // FEWER] @ test.basis
-                middle = -(drawn @ own) / length
-                inside = middle**2 + (test.critical(limit) - np.sum(drawn**2, axis=1)) / length
-                np.minimum(size, np.maximum(middle + np.sqrt(np.maximum(inside, 0.0)), 0.0), out=size)
-        return float(np.sqrt(self.phi) * np.quantile(size, POWER)) if np.all(np.isfinite(size)) else np.inf
+        limit, tests = float(np.quantile(self._least(self._family), level)), self._family
+        owners = np.repeat(np.arange(-1, len(self.names)), [len(tests) - sum(map(len, self._of_each)),
+                                                            *map(len, self._of_each)])
+        starts = np.cumsum([0, *(test.rank for test in tests)])[:-1]
+        bases, draws = np.hstack([test.basis for test in tests]), self._draws[:: DRAWS // FEWER]
+        drawn = draws @ bases
+        margin = np.array([test.critical(limit) for test in tests]) - np.add.reduceat(drawn**2, starts, axis=1)
+        named, alarm = np.full(self.sizes.shape, np.inf), np.full(self.sizes.shape, np.inf)
+        for j, k in np.ndindex(*self.sizes.shape):
+            own = bases.T @ self.along(j, self.shapes[k])
+            length = np.add.reduceat(own**2, starts)
+            seen = length > SEPARABLE**2 * np.sum((self.sizes[j] * self.shapes[k].course(self.count)[1:]) ** 2)
+            middle = -np.add.reduceat(drawn * own, starts, axis=1)[:, seen] / length[seen]
+            inside = middle**2 + margin[:, seen] / length[seen]
+            size = np.maximum(middle + np.sqrt(np.maximum(inside, 0.0)), 0.0)
+            for found, of in ((named, owners[seen] == j), (alarm, np.full(size.shape[1], True))):
+                if np.any(of):
+                    found[j, k] = np.sqrt(self.phi) * np.quantile(np.min(size[:, of], axis=1), POWER)
+        return named, alarm
 
 
 def _chance(null: Array, observed: float, count: int) -> float:

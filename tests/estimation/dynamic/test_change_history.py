@@ -176,8 +176,8 @@ def test_false_alarms_over_the_whole_comparison_are_as_rare_as_stated():
 @pytest.mark.slow
 def test_no_other_parameter_is_named_and_the_detectable_step_is_detected_as_often_as_stated():
     rng = np.random.default_rng(13)
-    named, alarm = (sizes[1] for sizes in session_scan(
-        PLANAR, PARTS, over_sessions(0.0, Shape(3), rng)).detectable(PLACE, 0.05))
+    named, alarm = (sizes[PLACE, 1] for sizes in session_scan(
+        PLANAR, PARTS, over_sessions(0.0, Shape(3), rng)).detectable(0.05))
     of_alarm = [session_scan(PLANAR, PARTS, over_sessions(alarm, Shape(3), rng)) for _ in range(200)]
     assert 0.9 <= np.mean([scan.p_value < 0.05 for scan in of_alarm]) <= 0.985
     of_named = [session_scan(PLANAR, PARTS, over_sessions(named, Shape(3), rng)) for _ in range(200)]
