@@ -96,7 +96,9 @@ def _solve_with_faults(problem: IdentificationProblem, method: Method, tolerance
         last, freed = freed, free(problem, psi, freed)
         if np.all(np.abs(freed.size - last.size) < SAME_SIZE * freed.std):
             break
-    return replace(_solve(freed.corrected(problem), method, tolerance, ridge, intervals, seed, freed), freed=freed)
+    estimate = _solve(freed.corrected(problem), method, tolerance, ridge, intervals, seed, freed)
+    beside = freed.given(problem, estimate.psi)
+    return replace(estimate, problem=beside.corrected(problem), freed=beside)
 
 
 def _solve(problem: IdentificationProblem, method: Method, tolerance: float, ridge: float | None, intervals: bool,

@@ -61,6 +61,21 @@ class Freed:
                            for some in (problem.experiments, problem.validation))
         return replace(problem, experiments=tuple(train), validation=tuple(held_out), freed=())
 
+    def given(self, problem: IdentificationProblem, psi: Array) -> Freed:
+        """The same with the likeliest sizes beside parameters ψ (p,): together they predict what neither does alone.
+
+        Where a fault and a parameter do nearly the same, only their sum is known.
+        """
+        chosen = tuple(zip(self.faults, self.size.tolist(), strict=True))
+        search = Search(Data(problem, psi, chosen), self.faults, chosen)
+        left = search.data.columns([(view.residual - np.sum([f.effect(view, s) for f, s in chosen], axis=0))[:, :, None]
+                                    for view in search.data.views])
+        (held,), _ = search.present()
+        information = np.diag([1 / fault.scale**2 for fault in self.faults])
+        toward = np.sum(held.inner(left), axis=0)[:, 0] - information @ self.size
+        step = np.linalg.solve(np.sum(held.inner(held), axis=0) + information, toward)
+        return replace(self, size=self.size + step)
+
     def as_dicts(self) -> list[dict[str, Any]]:
         """The entries of a JSON file; sizes as printed, in the unit of each fault."""
         return [{"fault": fault.name, "words": fault.words, "unit": fault.unit,
