@@ -46,6 +46,8 @@ from .machine.machine_file import load_machine as load_machine
 from .machine.machine_file import read_machine as read_machine
 from .machine.urdf import read_urdf as read_urdf
 from .model.closed_chain import KinematicModel as KinematicModel
+from .model.inverse_kinematics import Posture as Posture
+from .model.inverse_kinematics import inverse_kinematics as inverse_kinematics
 from .model.model import Model as Model
 from .model.path_difference import PathDifference as PathDifference
 from .model.path_difference import path_difference as path_difference

@@ -43,14 +43,16 @@ STATUSES = {
     "DEAD_POINT": "a cylinder has no lever arm here; do not use the result",
     "NO_GAS_VOLUME": "a gas cylinder has no volume left; do not use the result",
     "NO_SUPPLY": "the supply's pressure is hardly above the tank's; do not use the result",
-    "SINGULAR": "the posture does not determine the result, such as that of a stretched arm; do not use it"}
+    "SINGULAR": "the posture does not determine the result, such as that of a stretched arm; do not use it",
+    "UNREACHABLE": "no posture of this branch brings the tip there, or infinitely many do; do not use the result"}
 
 
 KINDS = {"joint": "moving joint", "link": "link", "actuator": "actuator", "cylinder": "hydraulic cylinder",
          "reading": "transducer of the actuators", "geometry": "number of the geometry",
          "psi": "dynamic parameter", "reduced": "dynamic parameter of the model without barrels and rods",
          "body": "number of a body; moments and inertia about the origin of its frame, I_xy = -sum(m x y)",
-         "chain": "joint of the closed chain", "row": "row of the closed chain"}
+         "chain": "joint of the closed chain",
+         "held": "joint that inverse kinematics holds", "row": "row of the closed chain"}
 """Descriptions of the indices in the header."""
 
 

@@ -9,13 +9,15 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.codegen import residuals
-from hydroopt.codegen.symbols import COINCIDENT, SHORTEST_LEVER, Field, Guard, Routine, Symbols
+from hydroopt.codegen.inverse_kinematics import inverse_kinematics, no_arm
+from hydroopt.codegen.symbols import COINCIDENT, Field, Guard, Routine, Symbols
 from hydroopt.control import valve_inversion
 from hydroopt.errors import ProblemError
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import ParameterKind
+from hydroopt.model.cylinder_motion import SHORTEST_LEVER
 from hydroopt.model.plant import Plant
 from hydroopt.spatial.cylinder_triangle import triangle_angle
 from hydroopt.spatial.inertia import Array
@@ -76,6 +78,8 @@ def _impossible(api: Symbols, name: str) -> str:
             return "the machine has neither hydraulic cylinders nor a calibrator"
         case "residual_by_geometry" if not api.kinds["geometry"].names:
             return residuals.no_geometry(api)
+        case "inverse_kinematics":
+            return no_arm(api)
         case "forward_kinematics" | "cylinder_state" | "joint_state" | "actuator_forces" | "closure" | "wrench_forces":
             return ""
         case _ if not len(api.complete.parameters):
@@ -264,10 +268,11 @@ def _excitation(api: Symbols, designed_motion: DesignedMotion) -> Routine:
 
 
 ROUTINES: Mapping[str, Callable[[Symbols], Routine]] = {
-    "forward_kinematics": _forward_kinematics, "cylinder_state": _cylinder_state, "joint_state": _joint_state,
-    "actuator_forces": _actuator_forces, "inverse_dynamics": _inverse_dynamics, "gravity_forces": _gravity_forces,
-    "regressor": _regressor, "reduced_regressor": _reduced_regressor, "mass_matrix": residuals.mass_matrix,
-    "wrench_forces": residuals.wrench_forces, "tip_wrench": residuals.tip_wrench, "residual": residuals.residual,
-    "residual_by_motion": residuals.residual_by_motion, "residual_by_parameters": residuals.residual_by_parameters,
-    "residual_by_geometry": residuals.residual_by_geometry, "closure": residuals.closure,
-    "payload_update": _payload_update, "valve_feedforward": _valve_feedforward}
+    "forward_kinematics": _forward_kinematics, "inverse_kinematics": inverse_kinematics, "cylinder_state":
+    _cylinder_state, "joint_state": _joint_state, "actuator_forces": _actuator_forces, "inverse_dynamics":
+    _inverse_dynamics, "gravity_forces": _gravity_forces, "regressor": _regressor, "reduced_regressor":
+    _reduced_regressor, "mass_matrix": residuals.mass_matrix, "wrench_forces": residuals.wrench_forces,
+    "tip_wrench": residuals.tip_wrench, "residual": residuals.residual, "residual_by_motion":
+    residuals.residual_by_motion, "residual_by_parameters": residuals.residual_by_parameters,
+    "residual_by_geometry": residuals.residual_by_geometry, "closure": residuals.closure, "payload_update":
+    _payload_update, "valve_feedforward": _valve_feedforward}

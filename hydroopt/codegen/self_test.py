@@ -5,15 +5,20 @@ The program that compares them is ``templates/selftest.c``.
 
 from __future__ import annotations
 
+import itertools
+
 import casadi as ca
 import numpy as np
 
+from hydroopt.codegen.inverse_kinematics import arm
 from hydroopt.codegen.routines import Interface
 from hydroopt.spatial.inertia import Array
 
 STATES = 4
 MARGIN = 0.1
 """Part of a joint's range at each end that is left out, so that rounding exceeds no stroke."""
+BENT = 0.05
+"""How far from stretched an arm must be, so that rounding does not decide its angles."""
 
 
 def vectors(interface: Interface, function: ca.Function, keys: list[tuple[str, str]], *,
@@ -66,8 +71,38 @@ def states(interface: Interface, count: int = STATES, seed: int = 0, *, single: 
                   "supply": np.tile([2.5e7, 3e5], (count, 1))}
     if interface.designed_motion is not None:
         inputs["t"] = rng.uniform(0, interface.designed_motion.duration, (count, 1))
+    if "inverse_kinematics" in interface.routines:
+        inputs |= _targets(interface, inputs)
     inputs = {name: inputs[name] for name in interface.inputs}
     return {name: array.astype(np.float32).astype(float) if single else array for name, array in inputs.items()}
+
+
+def _targets(interface: Interface, inputs: dict[str, Array]) -> dict[str, Array]:
+    """Where the tip is in each state, and a branch that leads there."""
+    routine, (_, held) = interface.routines["inverse_kinematics"], arm(interface)
+    q, rows = inputs["q"], [interface.machine.joints.index(joint) for joint in held]
+    geometry = interface.inputs.get("geometry", ca.SX(0, 1))
+    values = inputs.get("geometry", np.zeros(0))
+    tip = ca.Function("tip", [interface.inputs["q"], geometry], [interface.dynamics.tip.origin])
+    made = {"position": np.array([np.asarray(tip(each, values)).ravel() for each in q]), "held": q[:, rows]}
+    signs = [name for name in ("reach", "elbow") if name in routine.reads]
+    given = [interface.inputs[name] for name in (*routine.reads, "geometry") if name in interface.inputs]
+    sizes = [ca.fabs(guard.value) if guard.absolute else guard.value for guard in routine.guards]
+    holds = [size < guard.limit if guard.relation == "<"
+             else size > max(guard.limit, BENT if guard.status == "SINGULAR" else 0.0)
+             for size, guard in zip(sizes, routine.guards, strict=True)]
+    usable = ca.Function("usable", given, [ca.vertcat(*holds)])
+    branches = list(itertools.product((1.0, -1.0), repeat=len(signs)))
+    chosen = np.ones((len(q), len(signs)))
+    for k in range(len(q)):
+        for branch in (branches[(k + i) % len(branches)] for i in range(len(branches))):
+            at = {name: array[k] for name, array in made.items()} | dict(zip(signs, branch, strict=True))
+            state = (*(at[name] for name in routine.reads), *([values] if len(values) else []))
+            if np.all(np.asarray(usable(*state)) == 1):
+                chosen[k] = branch
+                break
+    return {name: array for name, array in made.items() if name in routine.reads} | {
+        name: chosen[:, [k]] for k, name in enumerate(signs)}
 
 
 def _generic(name: str, array: Array, rng: np.random.Generator) -> Array:

@@ -12,6 +12,7 @@ import numpy as np
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.model.cylinder_motion import SHORTEST_LEVER
 from hydroopt.model.kinematics import coordinates
 from hydroopt.model.model import Model
 from hydroopt.model.regressor import Dynamics
@@ -21,8 +22,6 @@ COINCIDENT = 1e-3
 """Pin distance [m] below which pins count as coinciding."""
 EMPTY = 1e-9
 """Volume [m³] below which a gas cylinder counts as empty."""
-SHORTEST_LEVER = 1e-4
-"""Lever arm [m] below which a cylinder is at its dead point."""
 DETERMINED = 1e-6
 """How well a posture must determine the wrench at the tip, from 0 to 1, see `Dynamics.tip_wrench`."""
 

@@ -11,6 +11,9 @@ from hydroopt.machine.geometry import Geometry
 from hydroopt.model.kinematics import STILL, UP, Coordinates, Motion
 from hydroopt.spatial.poses import Pose
 
+SHORTEST_LEVER = 1e-4
+"""Lever arm [m] below which a cylinder is at its dead point."""
+
 
 class CylinderMotion(NamedTuple):
     """Length, its rates, and the two bodies of a cylinder.
