@@ -69,7 +69,7 @@ class SessionValue:
 
 @dataclass(frozen=True)
 class Alternative:
-    """A shape that the sessions do not refute, and its probability among all such shapes."""
+    """A shape that the sessions do not refute, and its probability among all shapes."""
 
     shape: Shape
     share: float
@@ -280,7 +280,7 @@ def detect_changes(machine: Machine, sessions: Sequence[Sequence[Log] | Log | st
     together, and of each by itself, whatever the others do. `level` is the probability that any of these raises an
     alarm where nothing changed, and that any parameter is named that did not change: the distribution of the smallest
     of all p-values is drawn, and names follow Holm's steps. A step or drift is refuted where values of each session's
-    own explain significantly more. One that is not refuted is stated if its likelihood is 95 % of the sum of all such;
+    own explain significantly more. The likeliest, if it is not refuted, is stated if it has 95 % of all likelihood;
     otherwise the alternatives are named. Variances of residuals by frequency and their degrees of freedom determine
     the tests. Where friction already differs between the halves of a log by φ times what these explain (p < 1 %),
     squared differences count as 1/φ. Values are those of least squares, without bounds and conditions on bodies.

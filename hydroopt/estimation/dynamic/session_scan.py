@@ -226,20 +226,25 @@ class SessionScan:
         return corrected
 
     def explanations(self, candidates: Mapping[C, SubspaceTest], within: SubspaceTest, level: float) -> dict[C, float]:
-        """Candidates that leave nothing significant of a subspace, with their probabilities, the likeliest first.
+        """Candidates that leave nothing significant of a subspace, with their probabilities among all candidates, the
+        likeliest first; none where the likeliest of all leaves something.
 
         All are equally probable before, and have as many sizes to estimate. The likelihood of what they leave is
         Student's, since its variance is estimated.
         """
         freedom, rank = min(within.freedom + within.rank - 1, MANY), within.rank
-        squares = {each: float(np.sum((test.basis.T @ self.sums) ** 2)) for each, test in candidates.items()
-                   if self.left_over(test, within.basis).p_value >= level}
         whole = float(np.sum((within.basis.T @ self.sums) ** 2))
-        logs = {each: -(freedom + rank) / 2 * float(np.log1p((whole - explained) / self.phi / freedom))
-                for each, explained in squares.items()}
+        left = {each: max(whole - float(np.sum((test.basis.T @ self.sums) ** 2)), 0.0) / self.phi
+                for each, test in candidates.items()}
+        logs = {each: -(freedom + rank) / 2 * float(np.log1p(one / freedom)) for each, one in left.items()}
         weights = {each: float(np.exp(log - max(logs.values()))) for each, log in logs.items()}
-        total = sum(weights.values())
-        return {each: weights[each] / total for each in sorted(weights, key=lambda one: -weights[one])}
+        total, kept = sum(weights.values()), dict[C, float]()
+        for each in sorted(weights, key=lambda one: -weights[one]):
+            if self.left_over(candidates[each], within.basis).p_value >= level:
+                kept[each] = weights[each] / total
+            elif not kept:
+                break
+        return kept
 
     def all_of(self, parameters: Sequence[int]) -> Array:
         """Basis (k, ·) of all changes of some parameters."""
