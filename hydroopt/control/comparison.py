@@ -111,11 +111,7 @@ class Comparison(Answer):
 
     def _tracking(self, outcome: Outcome, k: int) -> Fit:
         error, reference = outcome.error[:, k], self.reference[:len(outcome.error), k]
-        rms, spread, size = (float(value) for value in (
-            np.sqrt(np.mean(error**2)), np.ptp(reference), np.sqrt(np.mean(reference**2))))
-        return Fit(rms, float(1 - np.var(error) / np.var(reference)) if spread else float("nan"),
-                   rms / size if size else float("inf"), self.machine.channel_units[f"{self.machine.joints[k]}.q"],
-                   float(np.max(np.abs(error))), rms / spread if spread else float("inf"))
+        return Fit.of(error, reference, self.machine.channel_units[f"{self.machine.joints[k]}.q"], free_run=True)
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:

@@ -61,7 +61,7 @@ class AnyExperiment(Protocol):
         """Add the equations, linearised at `psi` (p,); `weights` (N, n) multiply squared residuals."""
 
     def moments(self, psi: Array) -> Array:
-        """Sums (5, n) over the samples used: 1, force, force², error and error² of the prediction by ψ."""
+        """Sums (4, n) over the samples used: 1, force, force² and error² of the prediction by ψ."""
 
     def bands(self, psi: Array | None = None) -> ActuatorBands:
         """The equations, linearised at `psi` (p,), by frequency."""
@@ -162,10 +162,9 @@ class Experiment:
         return made if self.added is None else np.asarray(made + self.added @ psi)
 
     def moments(self, psi: Array) -> Array:
-        """Sums (5, n) over the samples used: 1, force, force², error and error² of the prediction by ψ."""
+        """Sums (4, n) over the samples used: 1, force, force² and error² of the prediction by ψ."""
         force, predicted = self.force[self.inside], self.predicted(psi)[self.inside]
-        error = force - predicted
-        return np.array([x.sum(axis=0) for x in (np.ones_like(force), force, force**2, error, error**2)])
+        return np.array([x.sum(axis=0) for x in (np.ones_like(force), force, force**2, (force - predicted) ** 2)])
 
     def blocks(self, origin: int, span: tuple[int, int]) -> Iterator[slice]:
         """The samples `span` (first, end) in blocks: at most `BLOCK` rows of one stretch, by multiples of it from the

@@ -155,15 +155,15 @@ class Identification:
         return {name: self._fit(data) for name, data in sets.items() if data}
 
     def _fit(self, data: tuple[AnyExperiment, ...]) -> dict[str, Fit]:
-        moments = sum((e.moments(self.psi) for e in data), np.zeros((5, len(self.sigma))))
-        units = self.problem.model.force_units
-        table = {actuator.name: _fit_of(moments[:, k], units[k])
+        count, force, squared, error = sum((e.moments(self.psi) for e in data), np.zeros((4, len(self.sigma))))
+        sums, units = np.array([count, error, squared, squared - force**2 / count]), self.problem.model.force_units
+        table = {actuator.name: Fit.of_sums(sums[:, k], units[k])
                  for k, actuator in enumerate(self.problem.model.machine.actuators)}
         if len(set(units)) == 1:
-            return table | {"all": _fit_of(moments.sum(axis=1), units[0])}
+            return table | {"all": Fit.of_sums(sums.sum(axis=1), units[0])}
         # channels of different units are compared in units of their own noise
-        scaled = moments / np.array([0 * self.sigma + 1, self.sigma, self.sigma**2, self.sigma, self.sigma**2])
-        return table | {"all": _fit_of(scaled.sum(axis=1), "sigma")}
+        sums[1:] /= self.sigma**2
+        return table | {"all": Fit.of_sums(sums.sum(axis=1), "sigma")}
 
     @cached_property
     def consistency(self) -> dict[str, float]:
@@ -188,11 +188,3 @@ def body_groups(parameters: ParameterSet, machine: Machine) -> dict[str, tuple[s
     several = {"links": links, "barrels and rods": ends, "all bodies": owners}
     return {owner: (owner,) for owner in owners} | {
         name: some for name, some in several.items() if len(some) > 1 and (name != "all bodies" or ends)}
-
-
-def _fit_of(moments: Array, unit: str) -> Fit:
-    count, force, squared, error, error_squared = moments
-    rms, size = float(np.sqrt(error_squared / count)), float(np.sqrt(squared / count))
-    spread = squared - force**2 / count
-    vaf = 1 - float((error_squared - error**2 / count) / spread) if spread > 1e-15 * squared else float("nan")
-    return Fit(rms, vaf, rms / size if size else float("inf"), unit)

@@ -164,12 +164,11 @@ class StreamedExperiment:
                 f"standing still (no sign of friction) per joint: {stood} samples", *sample.remarks)
 
     def moments(self, psi: Array) -> Array:
-        """Sums (5, n) over the samples that take part: 1, force, force², error and error² of the prediction by ψ."""
+        """Sums (4, n) over the samples that take part: 1, force, force² and error² of the prediction by ψ."""
         v, last = np.append(psi, -1.0), np.append(0.0 * psi, -1.0)
         both = (self.totals.moved.triangles, self.totals.still)
         return np.array([sum(some.samples for some in both), sum(some.sums[:, -1] for some in both),
-                         sum(some.squares(last) for some in both), -sum(some.sums @ v for some in both),
-                         sum(some.squares(v) for some in both)])
+                         sum(some.squares(last) for some in both), sum(some.squares(v) for some in both)])
 
     def loaded(self, purpose: str) -> Experiment:
         """Refuse what needs all samples at once.

@@ -222,12 +222,7 @@ def free_run_fit(problem: HydraulicProblem, runs: Sequence[Run]) -> dict[str, Fi
         present = np.isfinite(read[:, k])
         if not np.any(present):
             continue
-        y, e = read[present, k], error[present, k]
-        rms, spread = float(np.sqrt(np.mean(e**2))), float(np.ptp(y))
-        size = float(np.sqrt(np.mean(y**2)))
-        table[channel] = Fit(
-            rms, float(1 - np.var(e) / np.var(y)) if spread else float("nan"), rms / size if size else float("inf"),
-            units[channel], float(np.max(np.abs(e))), rms / spread if spread else float("inf"))
+        table[channel] = Fit.of(error[present, k], read[present, k], units[channel], free_run=True)
     return table
 
 

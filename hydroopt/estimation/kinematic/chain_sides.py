@@ -20,8 +20,6 @@ from hydroopt.spatial.inertia import Array
 
 COMPARISONS = (("machine", "tape"), ("calibrator", "tape"), ("machine", "calibrator"))
 """What is compared with what."""
-ROUNDING = 1e-9
-"""Variation of a distance, as a part of it, that is rounding only."""
 
 
 class ChainSides(NamedTuple):
@@ -51,10 +49,7 @@ class ChainSides(NamedTuple):
             one, other = (getattr(self, side) for side in pair)
             both = np.isfinite(one) & np.isfinite(other)
             if np.any(both):
-                square, signal = np.sum((one - other)[both] ** 2), other[both]
-                size, spread = float(np.sum(signal**2)), float(np.sum((signal - signal.mean()) ** 2))
-                vaf = 1 - square / spread if spread > ROUNDING**2 * size else float("nan")
-                found[pair] = Fit(float(np.sqrt(square / both.sum())), vaf, float(np.sqrt(square / size)), "m")
+                found[pair] = Fit.of((one - other)[both], other[both], "m")
         return found
 
     def __str__(self) -> str:

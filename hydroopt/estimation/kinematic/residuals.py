@@ -70,7 +70,7 @@ def loop_fit(problem: CalibrationProblem, theta: Array, q: Array) -> dict[str, F
         assert model.machine.calibrator is not None
         ends = model.over(model.far_ends, theta[: len(model.parameters)], q)[0]
         travel = ends[closed][:, :, chain.index(model.machine.calibrator.parent)]
-        table["gap"] = _fit(left[closed, :3], travel)
+        table["gap"] = Fit.of(left[closed, :3], travel, "m")
         if np.any(layout.present[:, 3 : model.loop_rows]):
             turned = closed & layout.present[:, 3 : model.loop_rows].any(axis=1)
             rms = float(np.sqrt(np.sum(left[turned, 3 : model.loop_rows] ** 2) / turned.sum()))
@@ -78,20 +78,12 @@ def loop_fit(problem: CalibrationProblem, theta: Array, q: Array) -> dict[str, F
     columns = np.array([i for i, name in enumerate(model.channels) if name.startswith("tip.")])
     there = layout.present[:, columns].all(axis=1)
     if np.any(there):
-        table["tip"] = _fit(left[there][:, columns], layout.target[there][:, columns])
+        table["tip"] = Fit.of(left[there][:, columns], layout.target[there][:, columns], "m")
     for i, name in enumerate(model.channels):
         if name.endswith((".length", ".distance")) and np.any(layout.present[:, i]):
             there = layout.present[:, i]
-            table[name] = _fit(left[there, i : i + 1], layout.target[there, i : i + 1])
+            table[name] = Fit.of(left[there, i : i + 1], layout.target[there, i : i + 1], "m")
     return table
-
-
-def _fit(error: Array, signal: Array) -> Fit:
-    square = float(np.sum(error**2))
-    spread = float(np.sum((signal - signal.mean(axis=0)) ** 2))
-    size = float(np.sqrt(np.sum(signal**2)))
-    return Fit(float(np.sqrt(square / len(error))), 1 - square / spread if spread else float("nan"),
-               np.sqrt(square) / size if size else float("inf"), "m")
 
 
 def predicted(problem: CalibrationProblem, theta: Array, poses: Poses) -> tuple[CalibrationProblem, Array, Array]:

@@ -45,7 +45,7 @@ def _remedy(fault: Fault) -> str:
 
 def detectable(found: Misfit) -> Diagnostic | None:
     """The smallest faults that would have shown, group by group: silence about smaller ones means nothing."""
-    said = [f"{group} {low:.2g} {unit}" if high < 1.2 * low else f"{group} {low:.2g} to {high:.2g} {unit}"
+    said = [f"{group} {_two(low)} {unit}" if high < 1.2 * low else f"{group} {_two(low)} to {_two(high)} {unit}"
             for group, (low, high, unit) in found.shown.items()]
     return Diagnostic(Kind.DETECTABLE_FAULTS, (), {"sizes": ", ".join(said)}) if said else None
 
@@ -56,3 +56,8 @@ def freed_faults(freed: Freed) -> Iterator[Diagnostic]:
         yield Diagnostic(Kind.FREED_FAULT, fault.subject, {
             "cause": fault.words, "group": fault.group, "size": float(freed.size[k] * fault.factor),
             "std": number(float(freed.covariance[k, k]) ** 0.5 * fault.factor), "unit": fault.unit})
+
+
+def _two(size: float) -> str:
+    """A size to two digits, without an exponent."""
+    return f"{float(f'{size:.2g}'):.15g}"
