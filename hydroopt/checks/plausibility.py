@@ -24,6 +24,8 @@ MISSED = 0.25
 """By how much of the forces another reading may miss the nominal ones more than the log as read."""
 IMPOSSIBLE = 4.0
 """Nominal error of an actuator, as a multiple of its measured forces, that no machine file has in a sound log."""
+CLEARLY = 0.75
+"""Part of an actuator's nominal error that another reading must leave at most, if forces alone speak for it."""
 TIED = 10.0
 """Alternatives whose scores differ by less are named together."""
 MISTAKES = 3
@@ -110,7 +112,8 @@ def _scored(model: Model, log: Log, now: Agreement | None,
     """Alternatives that agree far better than the log as read, the best first."""
     results = [(made.score, one, made) for one in alternatives(model, log)
                if (made := agreement(model, one.of(log), evaluated)) is not None
-               and (now is None or (_far_better(made, now) and _worse_in_nothing(made, now)))]
+               and (now is None or (_far_better(made, now) and not _far_better(now, made)
+                                    and _seen(made, now) and _worse_in_nothing(made, now)))]
     return sorted(results, key=lambda each: (each[2].worst > IMPOSSIBLE, each[0]))
 
 
@@ -123,8 +126,19 @@ def _far_better(made: Agreement, now: Agreement) -> bool:
         return True
     error = np.maximum(made.squares / SAMPLES, 1.0)
     others = (made.score - np.sum(made.squares)) - (now.score - np.sum(now.squares))
-    return bool(np.sum((made.squares - now.squares) / error) + others <= -LOWER
+    return bool(np.sum((made.squares - now.squares) / error) + others <= -LOWER and made.score < now.score
                 and np.any(made.squares <= BETTER * now.squares))
+
+
+def _seen(made: Agreement, now: Agreement) -> bool:
+    """Whether nominal forces of some actuator agree clearly better, or lengths, ranges, levels or rates do.
+
+    Where the model misses as much either way, such as friction that it lacks in a short log, squares of residuals
+    decide by chance.
+    """
+    forces = any(made.missed[name] < CLEARLY * missed for name, missed in now.missed.items())
+    beside = now.levels + now.lengths + now.ranges + now.rate - made.levels - made.lengths - made.ranges - made.rate
+    return forces or beside >= LOWER
 
 
 def _worse_in_nothing(made: Agreement, now: Agreement) -> bool:

@@ -31,7 +31,8 @@ def test_an_offset_on_held_out_forces_shows() -> None:
                        for k in (1, 2))
     name = "shoulder_pan.tau"
     off = {**held_out.channels, name: held_out.channels[name] + 3 * np.std(held_out.channels[name])}
-    estimate = identify(identification_problem(model, [train], validation=[replace(held_out, channels=off)]), intervals=False)
+    problem = identification_problem(model, [train], validation=[replace(held_out, channels=off)])
+    estimate = identify(problem, intervals=False)
     fit = estimate.fit["validation"]
     parts = [one.vaf for channel, one in fit.items() if channel != "all"]
     assert fit["shoulder_pan_drive"].vaf < -5
