@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import replace
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from hydroopt.checks.alternatives import alternatives
 from hydroopt.checks.plausibility import examine
-from hydroopt.logs.log import Log
+from hydroopt.logs.log import Log, read_log
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
+from hydroopt.results.diagnostic import of_kind
 from hydroopt.results.wording import Kind
 from hydroopt.simulation.simulate import random_trajectory, random_truth, simulate
 
@@ -107,3 +110,14 @@ def test_sound_logs_of_other_truths_raise_nothing(name: str) -> None:
 @pytest.mark.filterwarnings("error")
 def test_a_log_of_two_samples_is_examined(cat215b: Model, sound: Log) -> None:
     assert not [each for each in examine(cat215b, sound.slice(0, 2)) if each.kind is Kind.LOG_MISREAD]
+
+
+@pytest.mark.slow
+def test_parts_of_a_real_run_are_not_accused() -> None:
+    """In parts of 2 to 5 s, friction that the model lacks outweighs what the priors admit, whatever the reading."""
+    folder = Path(__file__).parents[2] / "data" / "kr300"
+    run, model = read_log(folder / "run_A.mat", mapping=folder / "map.toml"), Model(load_machine("kr300"))
+    for parts in (2, 3, 4, 5):
+        edges = np.linspace(0, run.size, parts + 1).astype(int)
+        for first, last in pairwise(edges.tolist()):
+            assert not of_kind(examine(model, run.slice(first, last)), Kind.LOG_MISREAD), (parts, first)
