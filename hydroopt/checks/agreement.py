@@ -35,6 +35,8 @@ HASTE = 1.5
 """Speed, as a multiple of the stated limit, beyond which a sample counts as too fast."""
 RATES = (2.0, 2e4)
 """Sampling rates [Hz] that are usual where the machine file states none."""
+SLOW = 0.1
+"""Speed, as a part of a joint's RMS speed, that is no motion."""
 WINDOWS = (11, 21, 41, 81, 161)
 """Samples of the cubic polynomials that angles are differentiated by."""
 
@@ -56,6 +58,7 @@ class Agreement:
         outside: share of the samples that lie beyond a joint's limits, the worst joint's.
         hertz: sampling rate [Hz].
         noise: what the sensors' noise alone adds to `squares` on average.
+        reversals: of a joint, on average.
     """
 
     squares: Array
@@ -69,6 +72,7 @@ class Agreement:
     outside: float
     hertz: float
     noise: float
+    reversals: float
 
     @property
     def score(self) -> float:
@@ -134,7 +138,15 @@ def agreement(model: Model, log: Log, evaluated: Evaluated | None = None) -> Agr
     gap, lengths = _length_terms(model, log, angles, rows)
     outside, ranges = _range_terms(model, q, qd)
     rate = _rate_term(model, log, 1 / step)
-    return Agreement(squares, priors, levels, lengths, ranges, rate, missed, gap, outside, 1 / step, noise)
+    return Agreement(squares, priors, levels, lengths, ranges, rate, missed, gap, outside, 1 / step, noise,
+                     _reversals(qd))
+
+
+def _reversals(qd: Array) -> float:
+    """How often a joint reverses, on average over joints; slow speeds count for none."""
+    fast = np.abs(qd) > SLOW * np.sqrt(np.mean(qd**2, axis=0))
+    signs = (np.sign(speed[kept]) for speed, kept in zip(qd.T, fast.T, strict=True))
+    return float(np.mean([np.count_nonzero(np.diff(sign)) for sign in signs]))
 
 
 def _window(angles: Array, log: Log) -> int:

@@ -24,8 +24,9 @@ MISSED = 0.25
 """By how much of the forces another reading may miss the nominal ones more than the log as read."""
 IMPOSSIBLE = 4.0
 """Nominal error of an actuator, as a multiple of its measured forces, that no machine file has in a sound log."""
-CLEARLY = 0.75
-"""Part of an actuator's nominal error that another reading must leave at most, if forces alone speak for it."""
+FEW, CLEARLY = 2.0, 0.75
+"""Reversals of a joint, on average, below which a log is short; and the part of an actuator's nominal error that
+another reading must leave there at most, if forces alone speak for it."""
 TIED = 10.0
 """Alternatives whose scores differ by less are named together."""
 MISTAKES = 3
@@ -113,7 +114,7 @@ def _scored(model: Model, log: Log, now: Agreement | None,
     results = [(made.score, one, made) for one in alternatives(model, log)
                if (made := agreement(model, one.of(log), evaluated)) is not None
                and (now is None or (_far_better(made, now) and not _far_better(now, made)
-                                    and _seen(made, now) and _worse_in_nothing(made, now)))]
+                                    and (now.reversals >= FEW or _seen(made, now)) and _worse_in_nothing(made, now)))]
     return sorted(results, key=lambda each: (each[2].worst > IMPOSSIBLE, each[0]))
 
 
