@@ -114,7 +114,7 @@ def test_a_log_of_two_samples_is_examined(cat215b: Model, sound: Log) -> None:
 
 @pytest.mark.slow
 def test_parts_of_a_real_run_are_not_accused() -> None:
-    """In parts of 2 to 5 s that hardly reverse, friction that the model lacks outweighs what the priors admit, whatever the reading."""
+    """In parts that hardly reverse, friction that the model lacks outweighs what priors admit, whatever the reading."""
     folder = Path(__file__).parents[2] / "data" / "kr300"
     run, model = read_log(folder / "run_A.mat", mapping=folder / "map.toml"), Model(load_machine("kr300"))
     for parts in (2, 3, 4, 5):
