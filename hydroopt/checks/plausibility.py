@@ -123,7 +123,9 @@ def _far_better(made: Agreement, now: Agreement) -> bool:
 
     Nominal forces far above those measured refute a reading, though wide priors may explain their difference.
     """
-    if made.score <= min(BETTER * now.score, now.score - LOWER) or now.worst > IMPOSSIBLE >= made.worst:
+    if (made.worst > IMPOSSIBLE) != (now.worst > IMPOSSIBLE):
+        return now.worst > IMPOSSIBLE
+    if made.score <= min(BETTER * now.score, now.score - LOWER):
         return True
     error = np.maximum(made.squares / SAMPLES, 1.0)
     others = (made.score - np.sum(made.squares)) - (now.score - np.sum(now.squares))

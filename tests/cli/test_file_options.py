@@ -19,9 +19,9 @@ def test_validation_files_never_become_training_data(command: str) -> None:
     assert found["output"] == Path("out")
 
 
-def test_sessions_take_several_logs() -> None:
-    found = parsed("compare", "crane", "--before", "a", "b", "--after", "c", "d", "-o", "out")
-    assert (found["before"], found["after"]) == ([Path("a"), Path("b")], [Path("c"), Path("d")])
+def test_sessions_are_positional() -> None:
+    found = parsed("compare", "crane", "a", "b", "c", "-o", "out")
+    assert found["sessions"] == [Path("a"), Path("b"), Path("c")]
 
 
 def test_logs_of_instruments_are_files_as_well() -> None:

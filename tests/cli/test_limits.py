@@ -15,7 +15,7 @@ NUMBERS = {"simulate": ("--duration", "--rate", "--seed"), "excite": ("--seconds
            "identify": ("--ridge", "--tolerance", "--bandwidth"), "compare": ("--level",),
            "plan-poses": ("--poses", "--candidates")}
 OTHERS = {"excite": (), "simulate": (), "control": ("--trajectory", "none.csv"), "identify": ("none.csv",),
-          "compare": ("--before", "none.csv", "--after", "none.csv"), "plan-poses": ("--poses", "2")}
+          "compare": ("none.csv", "none.csv"), "plan-poses": ("--poses", "2")}
 
 
 def refusal(arguments, monkeypatch, capsys):
