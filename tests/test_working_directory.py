@@ -52,7 +52,7 @@ def test_a_command_runs_nothing_that_lies_there(hostile: Path) -> None:
 def test_a_study_and_its_processes_run_nothing_that_lies_there(hostile: Path, tmp_path_factory: pytest.TempPathFactory
                                                                ) -> None:
     assert "1 cells, 0 failed" in run(
-        hostile, "-m", "hydroopt", "study", "montecarlo", "patu655_lift", "--cells", "1", "--workers", "1",
+        hostile, "-m", "hydroopt", "study", "montecarlo", "patu655_lift", "--cells", "1", "--processes", "1",
         "--method", "nlp", "--duration", "6", "-o", str(tmp_path_factory.mktemp("out")))
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
-from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -17,7 +16,12 @@ from hydroopt.cli.options import (
     LossName,
     MachineName,
     MapFile,
+    PoseTables,
+    Priors,
     Quiet,
+    Seed,
+    Starts,
+    Validation,
     loss_of,
     parameter_values,
     progress,
@@ -30,22 +34,20 @@ if TYPE_CHECKING:
 
 def calibrate(
     machine: MachineName,
-    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help="Tables of poses (.csv, .parquet).")],
+    tables: PoseTables,
     output: Directory,
-    validate: Annotated[list[Path] | None, typer.Option(
-        metavar="LOG...", help="Tables of poses for validation.")] = None,
+    validate: Validation = None,
     holdout_stage: Annotated[list[str] | None, typer.Option(
         help="Stage that is held out for validation; repeatable.")] = None,
     map_file: MapFile = None,
-    method: Annotated[str, typer.Option(help="joint or hierarchical.")] = "joint",
+    method: Annotated[str, typer.Option(help="Method of estimation: joint or hierarchical.")] = "joint",
     loss: LossName = "squares",
     fix: Fixed = None,
-    starts: Annotated[int, typer.Option(help="Number of initial guesses.", min=1)] = 1,
-    no_priors: Annotated[bool, typer.Option("--no-priors", help=(
-        "The file's confidences state what is unknown, but do not count as measurements."))] = False,
+    starts: Starts = 1,
+    priors: Priors = True,
     leave_out: Annotated[bool, typer.Option("--without-suspects", help=(
         "Solve again without the stages, stretches and poses that contradict the others."))] = False,
-    seed: Annotated[int, typer.Option(help="Of the initial guesses and of the report's workspace.", min=0)] = 0,
+    seed: Seed = 0,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
@@ -64,9 +66,9 @@ def calibrate(
     began = time.perf_counter()
     described, chosen_loss = load_machine(machine), loss_of(loss, "--loss")
     with progress("reading poses", quiet) as say:
-        poses, held_out = _held_out(read_pose_files(logs, mapping=map_file), holdout_stage or (),
+        poses, held_out = _held_out(read_pose_files(tables, mapping=map_file), holdout_stage or (),
                                     read_pose_files(validate, mapping=map_file) if validate else None)
-        problem = calibration_problem(described, poses, held_out, priors=not no_priors).with_loss(chosen_loss)
+        problem = calibration_problem(described, poses, held_out, priors=priors).with_loss(chosen_loss)
         problem = problem.fixing(**parameter_values(fix or (), problem.parameters))
         what = f"calibrating {described.name}, {int(problem.free.sum())} parameters from "
         with failure_saved(output, Job.CALIBRATION, described, method, lambda: inputs_of(problem)):

@@ -6,13 +6,12 @@ from typing import Annotated
 
 import typer
 
-from hydroopt.cli.options import Directory, ParameterSetName, Quiet, progress
+from hydroopt.cli.options import Directory, MachineOrFolder, ParameterSetName, Quiet, progress
 from hydroopt.cli.terminal import echo
 
 
 def codegen(
-    machine: Annotated[str, typer.Argument(metavar="MACHINE|ESTIMATE_DIR", help=(
-        "A machine, or the directory that identify or calibrate wrote."))],
+    machine: MachineOrFolder,
     output: Directory,
     functions: Annotated[list[str] | None, typer.Option(
         help="A routine to write, see README.md in DIR; repeatable; all if not given.")] = None,

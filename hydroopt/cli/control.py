@@ -10,7 +10,18 @@ from typing import Annotated
 import typer
 
 from hydroopt.cli.answers import print_answer
-from hydroopt.cli.options import AsJson, ControllerRate, Directory, MapFile, ParameterSetName, Quiet, progress
+from hydroopt.cli.options import (
+    AsJson,
+    Directory,
+    MachineOrFolder,
+    MapFile,
+    Noise,
+    ParameterSetName,
+    Quiet,
+    Rate,
+    Seed,
+    progress,
+)
 from hydroopt.errors import ProblemError
 from hydroopt.input_file import is_directory
 
@@ -18,23 +29,23 @@ KINDS = ("pi", "feedforward", "lqg")
 
 
 def control(
-    machine: Annotated[str, typer.Argument(metavar="MACHINE|ESTIMATE_DIR", help=(
-        "A machine with its valves, or the directory that identify wrote."))],
+    machine: MachineOrFolder,
     output: Directory,
-    trajectory: Annotated[Path, typer.Option(help="Log whose joint positions are to be followed.")],
+    motion: Annotated[Path, typer.Option(help=(
+        "Log whose joint positions are followed, such as excite's trajectory.csv."))],
     map_file: MapFile = None,
     true: Annotated[str, typer.Option("--truth", help=(
-        "What the simulated machine really is: 'nominal', 'random' within the file's confidences, or a truth.json that "
-        "simulate wrote."))] = "random",
-    rate: ControllerRate = None,
+        "True parameters: 'nominal', or 'random' within the file's confidences; or a truth.json that simulate wrote."
+        ))] = "random",
+    rate: Rate = None,
     controller: Annotated[list[str] | None, typer.Option(help=(
         f"Controller to try, {', '.join(KINDS)}; repeatable; all if not given."))] = None,
     sensitivity: Annotated[float, typer.Option(help=(
         "Largest sensitivity |1/(1 + L)| of a loop, to which the gains are tuned; 1.3 keeps a gain margin of 12.7 dB "
         "and a phase margin of 45 degrees."))] = 1.3,
     gain: Annotated[float, typer.Option(help="By what the tuned position gains are multiplied.")] = 1.0,
-    seed: Annotated[int, typer.Option(help="Of a random truth and of the sensors' errors.", min=0)] = 0,
-    noise: Annotated[bool, typer.Option(help="Whether sensors err as the file states.")] = True,
+    seed: Seed = 0,
+    noise: Noise = True,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -74,19 +85,19 @@ def control(
     model = Model(described)
     plant = Plant(model)
     _ = plant.supply  # a machine without a supply pressure is refused before anything takes time
-    log = read_log(trajectory, mapping=map_file)
+    log = read_log(motion, mapping=map_file)
     if misread := misread_error(model, log):
         raise misread
-    motion = reference_motion(described, log)
+    path = reference_motion(described, log)
     with progress(f"closing the loop on {described.name}", quiet) as say:
         complete = ModelVariant(COMPLETE, origin.text, model, model.parameters.nominal)
         estimated = machine not in bundled() and is_directory(machine)
         before = nominal_of(Path(machine), model) if estimated else None
         variants = [*([before] if before else ()), *([reduced(complete)] if FEEDFORWARD in kinds else ()), complete]
-        setting = Setting(plant, motion, *truth(true, plant, seed=seed), plant.parameters.nominal,
-                          rate_of(plant, rate, motion), seed if noise else None, sensitivity, gain)
+        setting = Setting(plant, path, *truth(true, plant, seed=seed), plant.parameters.nominal,
+                          rate_of(plant, rate, path), seed if noise else None, sensitivity, gain)
         comparison = replace(compare(setting, variants, kinds, progress=say), source=origin.text, options={
-            "trajectory": str(trajectory), "truth": true, "seed": seed, "noise": noise, "sensitivity": sensitivity,
+            "motion": str(motion), "truth": true, "seed": seed, "noise": noise, "sensitivity": sensitivity,
             "gain": gain, "controllers": list(kinds)})
         say("writing the report and the code")
         pages: dict[str, str | bytes | None] = {"report.html": report.render(comparison)}

@@ -15,16 +15,16 @@ from hydroopt.cli.options import (
     Bandwidth,
     Directory,
     Holdout,
-    IntervalSeed,
     LossName,
     MachineName,
     MapFile,
     ParameterSetName,
     Quiet,
+    Seed,
     SmoothingText,
     TrainingLogs,
     Treat,
-    ValidationLogs,
+    Validation,
     distance_of,
     loss_of,
     parted,
@@ -43,18 +43,19 @@ def identify(
     machine: MachineName,
     logs: TrainingLogs,
     output: Directory,
-    validate: ValidationLogs = None,
+    validate: Validation = None,
     holdout: Holdout = 0.0,
     map_file: MapFile = None,
     treat: Treat = None,
-    method: Annotated[str, typer.Option(help="sdp, qp, nlp, wls, ridge or tsvd.")] = "sdp",
+    method: Annotated[str, typer.Option(help="Method of estimation: sdp, qp, nlp, wls, ridge or tsvd.")] = "sdp",
     loss: LossName = "squares",
     distance: Annotated[str, typer.Option(
         help="How far a body is from its nominal one: gaussian, or log-det of pseudo-inertias.")] = "gaussian",
     smoothing: SmoothingText = "spline",
     bandwidth: Bandwidth = None,
-    motion: Annotated[str, typer.Option(help=(
-        "smoothed beforehand, or fitted together with the parameters from angles and forces."))] = "smoothed",
+    fitted_motion: Annotated[bool, typer.Option("--fitted-motion", help=(
+        "Fit the motion together with the parameters, from angles and forces, instead of smoothing it beforehand."))
+        ] = False,
     instruments: Annotated[list[Path] | None, typer.Option(metavar="LOG", help=(
         "Second reading of each log's motion (the reference that was driven, a repetition), or 'lengths' of cylinders: "
         "instrumental variables; repeatable."))] = None,
@@ -74,7 +75,7 @@ def identify(
     force: Annotated[bool, typer.Option("--force", help=(
         "Save the calibrated machine even if the logs contradict the machine file as they are read."))] = False,
     reduced: Annotated[bool, typer.Option("--reduced", help="Leave out the inertia of barrels and rods.")] = False,
-    seed: IntervalSeed = 0,
+    seed: Seed = 0,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -101,7 +102,8 @@ def identify(
     kind, far, full = loss_of(loss, "--loss"), distance_of(distance, "--distance"), not reduced
 
     def prepared(problem: IdentificationProblem) -> IdentificationProblem:
-        problem = _with_noisy_angles(problem.with_loss(kind).with_distance(far), motion, instruments, map_file)
+        problem = _with_noisy_angles(problem.with_loss(kind).with_distance(far), fitted_motion, instruments,
+                                     map_file)
         problem = problem.with_correlated_channels() if correlated else problem
         return problem.free(*(word.strip() for word in free.split(","))) if free else problem
 
@@ -128,14 +130,11 @@ def identify(
                           remedy="correct what the diagnostics name, or save it all the same with --force")
 
 
-def _with_noisy_angles(problem: IdentificationProblem, motion: str, instruments: list[Path] | None,
+def _with_noisy_angles(problem: IdentificationProblem, fitted_motion: bool, instruments: list[Path] | None,
                        map_file: Path | None) -> IdentificationProblem:
     from hydroopt.logs.log import read_log
 
-    if motion not in ("smoothed", "fitted"):
-        raise ProblemError(f"'{motion}' is not a treatment of the motion", where="--motion",
-                           remedy="use smoothed or fitted")
-    if motion == "fitted":
+    if fitted_motion:
         problem = problem.with_fitted_motion()
     if instruments:
         problem = problem.with_instruments([] if instruments == [Path("lengths")]

@@ -13,11 +13,11 @@ from hydroopt.cli.options import (
     AsJson,
     Bandwidth,
     Directory,
-    IntervalSeed,
     MachineName,
     MapFile,
     ParameterSetName,
     Quiet,
+    Seed,
     SmoothingText,
     Treat,
     progress,
@@ -36,13 +36,13 @@ def identify_payload(
     link: Annotated[str | None, typer.Option(help="Link that carries the load; by default the last one.")] = None,
     friction_changes: Annotated[bool, typer.Option("--friction-changes", help=(
         "Friction may differ with the load, as it does in gears."))] = False,
-    gain: Annotated[float, typer.Option(help=(
+    gain_error: Annotated[float, typer.Option(help=(
         "Standard deviation of the relative error of each actuator's force readings, e.g. 0.05."))] = 0.0,
     map_file: MapFile = None,
     treat: Treat = None,
     smoothing: SmoothingText = "spline",
     bandwidth: Bandwidth = None,
-    seed: IntervalSeed = 0,
+    seed: Seed = 0,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
@@ -61,7 +61,7 @@ def identify_payload(
         first, second = (session_of(described, paths, option, map_file, treat)
                          for paths, option in ((unloaded, "--unloaded"), (loaded, "--loaded")))
         with failure_saved(output, Job.PAYLOAD, described, METHOD):
-            load = payload(described, first, second, link=link, friction_changes=friction_changes, gain=gain,
+            load = payload(described, first, second, link=link, friction_changes=friction_changes, gain=gain_error,
                            smoothing=way, seed=seed)
         load.save(output, pages={"report.html": render_payload(load)}, wall_s=time.perf_counter() - began)
     print_answer(load, output, quiet=quiet, as_json=as_json)

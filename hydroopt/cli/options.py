@@ -26,6 +26,8 @@ L = TypeVar("L", bound="AnyLog")
 
 MachineName = Annotated[str, typer.Argument(
     metavar="MACHINE", help="A bundled machine's name, or a .toml or .urdf file.")]
+MachineOrFolder = Annotated[str, typer.Argument(metavar="MACHINE|DIR", help=(
+    "A machine, or the directory that identify or calibrate wrote."))]
 ParameterSetName = Annotated[str | None, typer.Option(
     "--set", help="Which of the machine file's sets of inertial parameters to use.")]
 Quiet = Annotated[bool, typer.Option("--quiet", help="Print no progress and no summary.")]
@@ -38,16 +40,26 @@ Treat = Annotated[list[str] | None, typer.Option(
 
 AsParquet = Annotated[bool, typer.Option("--parquet", help="Write Parquet instead of CSV.")]
 TrainingLogs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="Training logs (.csv, .parquet, .mat).")]
-ValidationLogs = Annotated[list[Path] | None, typer.Option(metavar="LOG...", help="Validation logs.")]
+PoseTables = Annotated[list[Path], typer.Argument(metavar="POSES...", help="Pose tables (.csv, .parquet).")]
+Validation = Annotated[list[Path] | None, typer.Option(
+    "--validate", metavar="FILE...", help="Logs or pose tables for validation only.")]
 Holdout = Annotated[float, typer.Option(
     help="Part of the end of every log that is held out for validation.", min=0.0, max=0.9)]
 LossName = Annotated[str, typer.Option(help="squares, huber or student_t.")]
-IntervalSeed = Annotated[int, typer.Option(help="Of the sampling of intervals.", min=0)]
+Seed = Annotated[int, typer.Option(help="Seed of all that is drawn at random.", min=0)]
+Starts = Annotated[int, typer.Option(help="Number of initial guesses of the search.", min=1)]
+Priors = Annotated[bool, typer.Option("--priors/--no-priors", help=(
+    "Whether the machine file's confidences count as measurements."))]
+Noise = Annotated[bool, typer.Option(help="Whether readings have the sensor errors that the machine file states.")]
+Processes = Annotated[int | None, typer.Option(help="Processes at a time; the number of cores if not given.", min=1)]
+MotionFile = Annotated[Path | None, typer.Option("--motion", help=(
+    "Log whose joint positions are followed, such as excite's trajectory.csv; a random motion if not given."))]
 Fixed = Annotated[list[str] | None, typer.Option(
     help="Hold a parameter of the geometry, NAME=VALUE with unit, e.g. 'ball.y=0 m'; repeatable.")]
-ControllerRate = Annotated[float | None, typer.Option(help=(
-    "Samples per second of the controller [Hz]; if not given, the highest that the file states for a joint's sensor, "
-    "or 50."))]
+Focus = Annotated[list[str] | None, typer.Option(help=(
+    "Parameter that alone counts; for excite also a part, payload or friction; repeatable."))]
+Rate = Annotated[float | None, typer.Option(help=(
+    "Samples per second [Hz]; the highest that the machine file states for a joint's sensor, or 50, if not given."))]
 SmoothingText = Annotated[str, typer.Option(help=(
     "spline (weight from the stated noise), spline:cv (cross-validated), fourier:PERIOD:HARMONICS or "
     "butterworth:HZ."))]

@@ -8,7 +8,18 @@ from typing import Annotated
 import typer
 
 from hydroopt.cli.answers import print_answer
-from hydroopt.cli.options import AsJson, Directory, Fixed, MachineName, Quiet, parameter_values, progress
+from hydroopt.cli.options import (
+    AsJson,
+    Directory,
+    Fixed,
+    Focus,
+    MachineName,
+    Priors,
+    Quiet,
+    Seed,
+    parameter_values,
+    progress,
+)
 
 
 def plan_poses(
@@ -18,13 +29,12 @@ def plan_poses(
     stage: Annotated[list[str] | None, typer.Option(help="Stage to measure; repeatable; all if not given.")] = None,
     criterion: Annotated[str | None, typer.Option(
         help="D, A, E or condition; D if not given, or A of the focus.")] = None,
-    focus: Annotated[list[str] | None, typer.Option(
-        help="Parameter to which the criterion is restricted; repeatable.")] = None,
-    priors: Annotated[bool, typer.Option("--priors", help="The file's confidences count as measurements.")] = False,
+    focus: Focus = None,
+    priors: Priors = False,
     fix: Fixed = None,
     candidates: Annotated[int, typer.Option(
         help="Random postures of each stage and fixture to choose from.", min=1)] = 2000,
-    seed: Annotated[int, typer.Option(help="Of the random postures.", min=0)] = 0,
+    seed: Seed = 0,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:

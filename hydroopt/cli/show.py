@@ -23,7 +23,7 @@ def show(
     hydraulics: Annotated[bool, typer.Option("--hydraulics", help=(
         "Show frequency, damping and gain of every joint on its oil over the workspace."))] = False,
     output: Annotated[Path | None, typer.Option("-o", "--output", help=(
-        "Directory for hydraulics.html with figures and hydraulics.csv; with --hydraulics."))] = None,
+        "Directory that receives everything; with --hydraulics: hydraulics.html and hydraulics.csv."))] = None,
     parameter_set: ParameterSetName = None,
     as_json: AsJson = False,
 ) -> None:

@@ -11,7 +11,19 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from hydroopt.cli.options import AsParquet, Directory, MachineName, MapFile, ParameterSetName, Quiet, progress
+from hydroopt.cli.options import (
+    AsParquet,
+    Directory,
+    MachineName,
+    MapFile,
+    MotionFile,
+    Noise,
+    ParameterSetName,
+    Quiet,
+    Rate,
+    Seed,
+    progress,
+)
 from hydroopt.cli.terminal import echo
 from hydroopt.errors import ProblemError
 
@@ -31,30 +43,29 @@ HALVINGS = 6
 def simulate(
     machine: MachineName,
     output: Directory,
-    motion: Annotated[Path | None, typer.Option(
-        help="Log whose joint positions the machine follows, with the wrench at its tip (tip.fx to tip.mz) if the log "
-        "states one; a random motion if not given.")] = None,
+    motion: MotionFile = None,
     driven: Annotated[bool, typer.Option("--driven", help=(
         "Drive the valves, in open loop, by commands for that motion; the log contains commands and supply, too."))
         ] = False,
     commands: Annotated[Path | None, typer.Option(help="Log whose commands drive the valves.")] = None,
     map_file: MapFile = None,
     duration: Annotated[float | None, typer.Option(help=(
-        f"Duration of a random motion [s]; {DURATION} if not given."))] = None,
-    rate: Annotated[float | None, typer.Option(help=(
-        "Sampling rate of a random motion [Hz]; if not given, the highest that the machine file states for a joint's "
-        "sensor, or 50."))] = None,
-    seed: Annotated[int, typer.Option(help="Seed of the random motion, the random truth and the noise.", min=0)] = 0,
+        f"Duration of the random or designed motion [s]; {DURATION} if not given."))] = None,
+    rate: Rate = None,
+    seed: Seed = 0,
     truth: Annotated[str, typer.Option(
-        help="True parameters: 'nominal', or 'random', drawn from the priors.")] = "nominal",
+        help="True parameters: 'nominal', or 'random' within the file's confidences.")] = "nominal",
     truth_seed: Annotated[int | None, typer.Option(help=(
         "Seed of the random truth alone, so that several logs share it."), min=0)] = None,
-    noise: Annotated[bool, typer.Option(help="Whether readings have the sensor errors that the file states.")] = True,
+    noise: Noise = True,
     parquet: AsParquet = False,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate the log that a machine's sensors would record: DIR gets log.csv and truth.json."""
+    """Simulate the log that a machine's sensors would record: DIR gets log.csv and truth.json.
+
+    A given motion may state the wrench at the tip (tip.fx to tip.mz), which then acts on the machine.
+    """
     from hydroopt.files import write_files
     from hydroopt.logs.log import read_log
     from hydroopt.machine.machine_file import load_machine

@@ -17,8 +17,13 @@ from hydroopt.cli.options import (
     Fixed,
     MachineName,
     MapFile,
+    MotionFile,
     ParameterSetName,
+    PoseTables,
+    Processes,
     Quiet,
+    Rate,
+    Seed,
     TrainingLogs,
     Treat,
     parameter_values,
@@ -36,15 +41,9 @@ if TYPE_CHECKING:
     from hydroopt.study.table import Table
 
 Cells = Annotated[int, typer.Option(help="Number of cells.", min=1)]
-Seed = Annotated[int, typer.Option(help="Seed of the study, from which every cell derives its own.", min=0)]
-MethodName = Annotated[str, typer.Option(help="Method of identification, see hydroopt identify.")]
-Motion = Annotated[Path | None, typer.Option(help=(
-    "Log whose joint positions all cells follow, such as excite's trajectory.csv; random motions if not given."))]
-Duration = Annotated[float | None, typer.Option(help="Duration of random motions [s]; 33.28 if not given.")]
-Rate = Annotated[float | None, typer.Option(help=(
-    "Sampling rate of random motions [Hz]; if not given, the highest that the machine file states for a joint's "
-    "sensor, or 50."))]
-Workers = Annotated[int | None, typer.Option(help="Processes; the number of cores if not given.", min=1)]
+MethodName = Annotated[str, typer.Option(help="Method of estimation: see hydroopt identify.")]
+Duration = Annotated[float | None, typer.Option(help=(
+    "Duration of the random or designed motion [s]; 33.28 if not given."))]
 Scheduler = Annotated[str | None, typer.Option(
     help="Address of a Dask scheduler whose workers compute, e.g. tcp://host:8786; tls://host:8786 uses the "
     "certificates of Dask's configuration.")]
@@ -67,11 +66,11 @@ def montecarlo(
     cells: Cells = 100,
     seed: Seed = 0,
     method: MethodName = "sdp",
-    motion: Motion = None,
+    motion: MotionFile = None,
     map_file: MapFile = None,
     duration: Duration = None,
     rate: Rate = None,
-    workers: Workers = None,
+    processes: Processes = None,
     scheduler: Scheduler = None,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
@@ -79,7 +78,7 @@ def montecarlo(
 ) -> None:
     """Identify random machines from simulated logs: coverage of intervals, bias, scatter, unseen forces."""
     prepare = _montecarlo(cells, seed, method, motion, map_file, duration, rate, {})
-    _run(machine, parameter_set, prepare, output, workers, scheduler, quiet=quiet, as_json=as_json)
+    _run(machine, parameter_set, prepare, output, processes, scheduler, quiet=quiet, as_json=as_json)
 
 
 @app.command(cls=Command)
@@ -89,14 +88,14 @@ def sweep(
     vary: Annotated[list[str], typer.Option(help=(
         "What varies, NAME=VALUE,VALUE,...: accuracy (factor on the errors of all sensors), duration [s] or rate [Hz] "
         "of random motions; several make a grid."))],
-    cells: Annotated[int, typer.Option(help="Number of cells at each point of the grid.", min=1)] = 100,
+    cells: Annotated[int, typer.Option(help="Number of cells; at each point of the grid.", min=1)] = 100,
     seed: Seed = 0,
     method: MethodName = "sdp",
-    motion: Motion = None,
+    motion: MotionFile = None,
     map_file: MapFile = None,
     duration: Duration = None,
     rate: Rate = None,
-    workers: Workers = None,
+    processes: Processes = None,
     scheduler: Scheduler = None,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
@@ -104,7 +103,7 @@ def sweep(
 ) -> None:
     """Repeat the Monte Carlo study over a grid of sensor errors, durations and rates."""
     prepare = _montecarlo(cells, seed, method, motion, map_file, duration, rate, _grid(vary))
-    _run(machine, parameter_set, prepare, output, workers, scheduler, quiet=quiet, as_json=as_json)
+    _run(machine, parameter_set, prepare, output, processes, scheduler, quiet=quiet, as_json=as_json)
 
 
 @app.command(cls=Command)
@@ -117,7 +116,7 @@ def bootstrap(
     method: MethodName = "sdp",
     map_file: MapFile = None,
     treat: Treat = None,
-    workers: Workers = None,
+    processes: Processes = None,
     scheduler: Scheduler = None,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
@@ -132,20 +131,20 @@ def bootstrap(
         read = reading(read_log, described, map_file, treat)(logs)
         return study.bootstrap(described, read, cells=cells, seed=seed, method=method_of(method)), study.summary
 
-    _run(machine, parameter_set, prepare, output, workers, scheduler, quiet=quiet, as_json=as_json)
+    _run(machine, parameter_set, prepare, output, processes, scheduler, quiet=quiet, as_json=as_json)
 
 
 @app.command(cls=Command)
 def multistart(
     machine: MachineName,
-    poses: Annotated[list[Path], typer.Argument(metavar="POSES...", help="Pose tables (.csv, .parquet).")],
+    tables: PoseTables,
     output: Directory,
     cells: Cells = 100,
     seed: Seed = 0,
-    method: Annotated[str, typer.Option(help="Method of calibration, see hydroopt calibrate.")] = "joint",
+    method: Annotated[str, typer.Option(help="Method of estimation: see hydroopt calibrate.")] = "joint",
     map_file: MapFile = None,
     fix: Fixed = None,
-    workers: Workers = None,
+    processes: Processes = None,
     scheduler: Scheduler = None,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
@@ -157,12 +156,12 @@ def multistart(
         from hydroopt.logs.poses import read_pose_files
         from hydroopt.study import multistart as study
 
-        read = read_pose_files(poses, mapping=map_file)
+        read = read_pose_files(tables, mapping=map_file)
         problem = calibration_problem(described, read)
         held = problem.fixing(**parameter_values(fix or (), problem.parameters)).fixed
         return study.multistart(described, read, cells=cells, seed=seed, method=method, fixed=held), study.summary
 
-    _run(machine, parameter_set, prepare, output, workers, scheduler, quiet=quiet, as_json=as_json)
+    _run(machine, parameter_set, prepare, output, processes, scheduler, quiet=quiet, as_json=as_json)
 
 
 Summary = Callable[["Study", "Table"], dict[str, Any]]
@@ -198,19 +197,19 @@ def _montecarlo(cells: int, seed: int, method: str, motion: Path | None, map_fil
 
 
 def _run(machine: str, parameter_set: str | None, prepare: Callable[[Machine], tuple[Study, Summary]], output: Path,
-         workers: int | None, scheduler: str | None, *, quiet: bool, as_json: bool) -> None:
+         processes: int | None, scheduler: str | None, *, quiet: bool, as_json: bool) -> None:
     """Prepare a study, run the cells that are missing, and write the report."""
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.report import study as report
     from hydroopt.study.run import run
 
     if scheduler is not None:
-        refuse_given({"--workers": workers}, "the scheduler has its own workers", "leave it out, or --scheduler")
+        refuse_given({"--processes": processes}, "the scheduler has its own workers", "leave it out, or --scheduler")
     described = load_machine(machine, parameter_set=parameter_set)
     with progress(f"preparing {described.name}", quiet) as say:
         prepared, summary = prepare(described)
         try:
-            table = run(prepared, output, scheduler=scheduler, workers=workers or os.cpu_count() or 1, say=say)
+            table = run(prepared, output, scheduler=scheduler, workers=processes or os.cpu_count() or 1, say=say)
         except KeyboardInterrupt:
             done = len(list((output / "cells").glob("*.json")))
             raise StoppedError(f"interrupted after {done} of {len(prepared.cells)} cells, which are kept",

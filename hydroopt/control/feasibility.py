@@ -55,7 +55,7 @@ def refuse_flow(plant: Plant, motion: Trajectory) -> None:
     if most is not None and total[k] > most * (1 + TOLERANCE):
         raise ProblemError(
             f"at {t[k]:.2f} s the motion demands {total[k] * 6e4:.0f} L/min of a pump that gives "
-            f"{most * 6e4:.0f} L/min", where="--trajectory",
+            f"{most * 6e4:.0f} L/min", where="--motion",
             remedy=f"let it take {np.ceil(100 * (total[k] / most - 1)):.0f} % longer, or move fewer joints at a time")
 
 
@@ -70,7 +70,7 @@ def refuse_opening(plant: Plant, t: Array, demand: Demand, valves: Valves) -> No
     if abs(opening[k, i]) >= 1:
         raise ProblemError(
             f"at {t[k]:.2f} s the motion demands more of '{plant.actuators[i].actuator.name}' than its valve gives "
-            "when fully open", where="--trajectory",
+            "when fully open", where="--motion",
             remedy="drive it slower, or correct the valve's flow or the pump's pressure")
 
 

@@ -146,7 +146,7 @@ class Demands:
             raise ProblemError(
                 f"at {times[k]:.2f} s the motion demands {force[k, i]:.4g} {self.plant.model.force_units[i]} of "
                 f"'{self.plant.actuators[i].actuator.name}', which {pump / 1e5:.0f} bar cannot produce",
-                where="--trajectory", remedy="choose a motion with smaller loads, or correct masses or pump pressure")
+                where="--motion", remedy="choose a motion with smaller loads, or correct masses or pump pressure")
 
 
 def offset(model: Model, psi: Array) -> Array:

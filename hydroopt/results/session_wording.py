@@ -62,7 +62,7 @@ SESSION_WORDS: dict[Kind, Words] = {
         "These motions do not identify {subject} of the load.", "Move the load about more axes."),
     Kind.FORCE_SCALE_ASSUMED: Words(
         "Force readings are assumed to be right in scale: a common relative error of all of them is that of the mass.",
-        "State with --gain how large their relative errors may be."),
+        "State with --gain-error how large their relative errors may be."),
     Kind.NO_INTERIOR: Words(
         "Bounds or bodies leave no interior to sample: intervals are those of least squares without bounds."),
 }

@@ -89,8 +89,8 @@ def _finished(study: Study, indices: Sequence[int], workers: int) -> Iterator[tu
                         if index is None:
                             raise ProblemError(
                                 "a process for its cells ended before it could start", where=f"study '{study.name}'",
-                                remedy="in a script, run it below 'if __name__ == \"__main__\":'; use fewer --workers "
-                                "if memory is short")
+                                remedy="in a script, run it below 'if __name__ == \"__main__\":'; use fewer "
+                                "--processes if memory is short")
                         if waiting:
                             crew.update(_started(study, 1))
                     elif waiting:

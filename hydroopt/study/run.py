@@ -40,7 +40,7 @@ def run(study: Study, directory: str | Path, *, scheduler: str | None = None, wo
     """
     if not study.cells or workers < 1:
         raise ProblemError("a study needs at least one cell and one worker", where=f"study '{study.name}'",
-                           remedy="increase --cells or --workers")
+                           remedy="increase --cells or --processes")
     with claimed(directory):
         return _run(study, directory, scheduler, workers, say)
 

@@ -59,8 +59,8 @@ JOBS = {
     "plan-poses": Job("plan-poses cat215b -n 3 --candidates 50 --seed {seed}"),
     "excite": Job("excite {what}.toml --duration 8 --blend 1 --harmonics 2 --starts 2 --processes 2 --seconds 2",
                   exact=False),
-    "control": Job("control patu_{what}.toml --trajectory driven/log.csv --controller pi"),
-    "study": Job("study montecarlo crane.toml --cells 4 --duration 4 --rate 25 --workers 2", saved=False),
+    "control": Job("control patu_{what}.toml --motion driven/log.csv --controller pi"),
+    "study": Job("study montecarlo crane.toml --cells 4 --duration 4 --rate 25 --processes 2", saved=False),
     "codegen": Job("codegen {what}.toml --prefix crane", saved=False)}
 
 

@@ -24,7 +24,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
     place = tmp_path_factory.mktemp("control")
     (place / "path.csv").write_text(path(duration=6.0))
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(sys, "argv", ["hydroopt", "control", "patu655_lift", "--trajectory", str(place / "path.csv"),
+        patch.setattr(sys, "argv", ["hydroopt", "control", "patu655_lift", "--motion", str(place / "path.csv"),
                                     "-o", str(place / "out"), "--seed", "3", "--quiet"])
         with pytest.raises(SystemExit) as ended:
             cli.main()

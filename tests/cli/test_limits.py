@@ -14,7 +14,7 @@ NUMBERS = {"simulate": ("--duration", "--rate", "--seed"), "excite": ("--seconds
            "--rate", "--harmonics", "--starts"), "control": ("--gain", "--sensitivity", "--rate"),
            "identify": ("--ridge", "--tolerance", "--bandwidth"), "compare": ("--level",),
            "plan-poses": ("--poses", "--candidates")}
-OTHERS = {"excite": (), "simulate": (), "control": ("--trajectory", "none.csv"), "identify": ("none.csv",),
+OTHERS = {"excite": (), "simulate": (), "control": ("--motion", "none.csv"), "identify": ("none.csv",),
           "compare": ("none.csv", "none.csv"), "plan-poses": ("--poses", "2")}
 
 

@@ -28,12 +28,12 @@ def run(*arguments: str) -> str:
 @pytest.fixture(scope="module")
 def montecarlo(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, str]:
     out = tmp_path_factory.mktemp("study") / "out"
-    return out, run("montecarlo", *QUICK, "--cells", "5", "--workers", "1", "-o", str(out))
+    return out, run("montecarlo", *QUICK, "--cells", "5", "--processes", "1", "-o", str(out))
 
 
 @pytest.mark.slow
 def test_two_workers_give_the_same_bits_as_one(montecarlo: tuple[Path, str], tmp_path: Path) -> None:
-    said = json.loads(run("montecarlo", *QUICK, "--cells", "5", "--workers", "2", "--json", "-o", str(tmp_path)))
+    said = json.loads(run("montecarlo", *QUICK, "--cells", "5", "--processes", "2", "--json", "-o", str(tmp_path)))
     for name in ("results.csv", "summary.json", "study.json"):
         assert (tmp_path / name).read_bytes() == (montecarlo[0] / name).read_bytes()
     assert said == json.loads((tmp_path / "summary.json").read_text("utf-8"))
@@ -90,7 +90,8 @@ def terminal(tmp_path: Path) -> Iterator[tuple[object, Path]]:
         pytest.skip("no terminal to press Ctrl-C in")
     from fixtures.terminal import Terminal
 
-    running = Terminal("study", "montecarlo", *QUICK, "--cells", "2000", "--workers", "1", "-o", str(tmp_path / "out"))
+    running = Terminal("study", "montecarlo", *QUICK, "--cells", "2000", "--processes", "1", "-o",
+                       str(tmp_path / "out"))
     yield running, tmp_path / "out"
     running.close()
 

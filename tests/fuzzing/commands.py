@@ -22,13 +22,14 @@ from hydroopt.errors import LONGEST
 GOOD = {"show": ["MACHINE"], "codegen": ["MACHINE"], "simulate": ["ARM", "--duration", "2", "--rate", "20"],
         "identify": ["ARM", "LOG", "--method", "wls"], "calibrate": ["ARM", "POSES"],
         "plan-poses": ["ARM", "-n", "2"], "excite": ["ARM", "--log", "LOG", "--seconds", "1", "--duration", "9"],
-        "control": ["ARM", "--trajectory", "PATH", "--truth", "TRUTH"],
+        "control": ["ARM", "--motion", "PATH", "--truth", "TRUTH"],
         "compare": ["ARM", "ANSWER", "ANSWER", "ANSWER"],
         "identify-payload": ["ARM", "--unloaded", "ANSWER", "--loaded", "LOG"], "identify-valves": ["ARM", "LOG"]}
 """Good arguments by command; words in capitals stand for files."""
 OPTIONS = ("--map", "--treat", "--smoothing", "--bandwidth", "--method", "--loss", "--tolerance", "--ridge", "--seed",
            "--duration", "--rate", "--set", "--friction", "--holdout", "--fix", "--criterion", "--focus", "--rest",
-           "--gain", "--level", "--link", "--truth", "--prefix", "--functions", "--json", "--nonsense", "--motion")
+           "--gain", "--gain-error", "--level", "--link", "--truth", "--prefix", "--functions", "--json", "--nonsense",
+           "--motion")
 MAKERS: dict[str, Callable[[random.Random, Path], Callable[[], object]]] = {
     "LOG": kinds.KINDS["CSV log"][0], "POSES": kinds.KINDS["pose table"][0], "PATH": kinds.KINDS["trajectory"][0],
     "TRUTH": kinds.KINDS["truth"][0], "ANSWER": kinds.KINDS["estimate folder"][0]}

@@ -105,7 +105,7 @@ def test_three_sessions_leave_json_tables_and_page(made: Path, tmp_path: Path) -
 
 def test_json_is_the_file_and_what_is_not_told_is_null(made: Path, tmp_path: Path) -> None:
     printed = json.loads(run("identify-payload", "patu655_lift", "--unloaded", str(made / "kept"), "--loaded",
-                             str(made / "b/log.csv"), "--link", "lift", "--friction-changes", "--gain", "0.02",
+                             str(made / "b/log.csv"), "--link", "lift", "--friction-changes", "--gain-error", "0.02",
                              "--json", "-o", str(tmp_path)))
     assert printed | {"created": ""} == json.loads((tmp_path / "payload.json").read_text()) | {"created": ""}
     assert {path.name for path in tmp_path.iterdir()} == {"payload.json", "payload.csv", "report.html"}

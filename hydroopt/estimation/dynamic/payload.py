@@ -173,7 +173,7 @@ def payload(machine: Machine, unloaded: Sequence[Log] | str | Path, loaded: Sequ
         refuse_shared_samples(first, second)
         if gain and {len(first.triangles), len(second.triangles)} != {len(machine.actuators)}:
             raise ProblemError("gains are not identifiable from residuals that were weighted jointly", where="gain",
-                               remedy="identify without --motion fitted, --instruments and --correlated")
+                               remedy="identify without --fitted-motion, --instruments and --correlated")
         try:
             return _weighed(model, columns, names, gain, first, second, carrier, seed)
         except SolverError as error:
