@@ -10,6 +10,7 @@ from hydroopt.checks.agreement import MARGIN, SAMPLES, Agreement, Evaluated, agr
 from hydroopt.checks.alternatives import Alternative, alternatives
 from hydroopt.errors import HydrooptError, LogError
 from hydroopt.logs.any_log import AnyLog
+from hydroopt.logs.calibrator_angles import calibrator_channels
 from hydroopt.logs.joint_angles import angle_channels
 from hydroopt.logs.log import Log
 from hydroopt.logs.stream import LogStream
@@ -45,7 +46,8 @@ def examine(model: Model, log: AnyLog) -> tuple[Diagnostic, ...]:
     Nothing is corrected. A mistake is named only if the log read otherwise agrees far better: with less than half of
     the score and at least 100 lower, where the score is minus two log likelihoods of forces under the machine file's
     priors, and terms for force levels, lengths against angles, joint ranges and the sampling rate. Readings that agree
-    equally well are named together.
+    equally well are named together. A log recorded with the calibrator attached is not judged: its forces are not those
+    of the machine alone.
 
     Args:
         model: the machine.
@@ -62,6 +64,8 @@ def examine(model: Model, log: AnyLog) -> tuple[Diagnostic, ...]:
     >>> [(str(found.kind), found.subject) for found in examine(model, flipped)]
     [('log misread', ('boom.q',))]
     """
+    if calibrator_channels(model.machine, log):
+        return ()
     held = log if isinstance(log, Log) else _sample(model, log)
     mistakes, corrected = _mistakes(model, held)
     where = log.path or log.name

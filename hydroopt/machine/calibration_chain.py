@@ -6,7 +6,7 @@ from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
-from hydroopt.machine.links import Link
+from hydroopt.machine.links import JointFriction, Link
 from hydroopt.machine.quantity import Angle, ImpossibleError, Length, Lengths, Name, Noun
 
 CLOSES = {"ball": (0, 1, 2), "hinge": (0, 1, 2, 3, 4), "rigid": (0, 1, 2, 3, 4, 5), "plane": (2,)}
@@ -18,7 +18,8 @@ class Calibrator(Noun):
 
     Its links form a serial chain, the first one on the machine's link `parent`. `tip` is the ball's centre (3,)
     [m] in the frame at the far end of the last link, which is the tool's frame. Without links of its own it is a rigid
-    tool with a ball.
+    tool with a ball. Its joints have no actuators and turn without friction; bodies of its links load the machine's
+    actuators while it is attached.
     """
 
     parent: Name
@@ -32,6 +33,9 @@ class Calibrator(Noun):
             if link.parent != before:
                 raise ImpossibleError(f"link '{link.name}' is attached to '{link.parent}', not to '{before}'",
                                       "list a calibrator's links in their order, each on the one before")
+            if link.joint.friction != JointFriction():
+                raise ImpossibleError(f"the joint of '{link.name}' states friction, which a calibrator's joints do not "
+                                      "have", "leave it out")
             before = link.name
         return self
 

@@ -171,7 +171,7 @@ class MachineDescription(Noun):
         'm'
         """
         found: list[Number] = []
-        for link in self.links:
+        for link in (*self.links, *(self.calibrator.links if self.calibrator else ())):
             if link.body is not None:
                 found += addresses.body_numbers(link.name, link.body, f"{link.name}.body")
         for cylinder in self.cylinders:

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import casadi as ca
 
 from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.links import Link
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.spatial.poses import Pose, identity, roll_pitch_yaw
 
@@ -68,14 +69,18 @@ def base_motion(machine: Machine) -> Motion:
     return Motion(identity(), STILL, -gravity_in_base(machine), STILL, STILL)
 
 
-def link_motions(geometry: Geometry, symbols: Coordinates) -> dict[str, Motion]:
-    """Motion of the frame P_i of every link, and of the base, by the outward recursion of Newton and Euler."""
-    machine = geometry.machine
-    motions = {BASE: base_motion(machine)}
-    for link in machine.links:
+def link_motions(geometry: Geometry, symbols: Coordinates, links: tuple[Link, ...] | None = None) -> dict[str, Motion]:
+    """Motion of the frame P_i of every link, and of the base, by the outward recursion of Newton and Euler.
+
+    `symbols` are those of the moving joints of `links`, by default of the machine without its calibrator.
+    """
+    links = geometry.machine.links if links is None else links
+    joints = [link.name for link in links if link.joint.type != "locked"]
+    motions = {BASE: base_motion(geometry.machine)}
+    for link in links:
         q, qd, qdd = (0.0, 0.0, 0.0)
-        if link.name in machine.joints:
-            q, qd, qdd = (column[machine.joints.index(link.name)] for column in symbols)
+        if link.name in joints:
+            q, qd, qdd = (column[joints.index(link.name)] for column in symbols)
         step = geometry.far_end(link.parent) @ geometry.joint(link.name, q)
         slide, turn = (UP, STILL) if link.joint.type == "prismatic" else (STILL, UP)
         motions[link.name] = motions[link.parent].carry(step, slide * qd, slide * qdd, turn * qd, turn * qdd)

@@ -27,7 +27,9 @@ from hydroopt.spatial.inertia import Array
 class Model:
     """A machine's kinematics and dynamics; n joints, as many actuators, p dynamic parameters.
 
-    `actuator_inertia` tells the complete model (with barrels and rods) from the thesis's reduced one. All functions
+    `actuator_inertia` tells the complete model (with barrels and rods) from the thesis's reduced one. With `calibrator`
+    the bodies of the calibrator are parameters, too, the last ones; the functions here are those of the free machine,
+    to which `AttachedCalibrator` adds what the calibrator does while it is attached. All functions
     take and return columns in SI; joint vectors are in the order of ``machine.joints``, actuator forces in that of
     ``machine.actuators``, parameters in that of ``model.parameters``.
 
@@ -44,12 +46,13 @@ class Model:
     ((3, 1), ('N*m', 'N', 'N'))
     """
 
-    def __init__(self, machine: Machine, *, actuator_inertia: bool = True) -> None:
+    def __init__(self, machine: Machine, *, actuator_inertia: bool = True, calibrator: bool = False) -> None:
         if not isinstance(machine, Machine):
             raise ProblemError(f"this is {type(machine).__name__} {machine!r:.40}, not a Machine", where="Model",
                                remedy="give a Machine, such as load_machine('cat215b') returns")
         self.machine = machine
         self.actuator_inertia = actuator_inertia
+        self.calibrator = calibrator
         self.coordinates = coordinates(machine)
         self.geometry = Geometry(machine)
         self.dynamics = Dynamics(self.geometry, self.coordinates)
@@ -58,15 +61,22 @@ class Model:
     def __repr__(self) -> str:
         joints, inertia = len(self.machine.joints), "with" if self.actuator_inertia else "without"
         return (f"Model('{self.machine.name}': {joints} joint{'s' * (joints != 1)}, {len(self.parameters)} parameters, "
-                f"{inertia} actuator inertia)")
+                f"{inertia} actuator inertia{', with calibrator' * self.calibrator})")
 
     def __reduce__(self) -> tuple[object, ...]:
-        return partial(Model, actuator_inertia=self.actuator_inertia), (self.machine,)
+        return partial(Model, actuator_inertia=self.actuator_inertia, calibrator=self.calibrator), (self.machine,)
 
     @cached_property
     def parameters(self) -> ParameterSet:
         """Names, units, nominal values, bounds and prior of ψ (p,)."""
-        return dynamic_parameters.parameter_set(self.machine, actuator_inertia=self.actuator_inertia)
+        return dynamic_parameters.parameter_set(self.machine, actuator_inertia=self.actuator_inertia,
+                                                calibrator=self.calibrator)
+
+    @cached_property
+    def bodies(self) -> dict[str, dynamic_parameters.Owned]:
+        """Bodies whose numbers are parameters, by owner."""
+        return dynamic_parameters.bodies(self.machine, actuator_inertia=self.actuator_inertia,
+                                         calibrator=self.calibrator)
 
     @cached_property
     def forward_kinematics(self) -> ca.Function:
@@ -143,15 +153,27 @@ class Model:
         `pressure` (n,) [Pa] is an input if the model `needs_pressure`: p_head + p_rod of each cylinder, 0 for other
         actuators. Of a model that is not `linear` K is the derivative of the forces at the nominal parameters.
         """
-        K = self.dynamics.regressor(actuator_inertia=self.actuator_inertia)
+        K = self._widened(self.dynamics.regressor(actuator_inertia=self.actuator_inertia))
         return _dense("regressor", [*self._state.values()], [K], [*self._state], ["K"])
+
+    def _widened(self, K: ca.SX) -> ca.SX:
+        """K (n, p) with columns for the calibrator's bodies, which the free machine does not carry."""
+        return ca.horzcat(K, ca.SX(K.size1(), len(self.parameters) - K.size2()))
+
+    @property
+    def _free_size(self) -> int:
+        """Number of parameters of the free machine, which come first."""
+        return len(self.parameters) - sum(10 for owner in self.bodies if owner not in dynamic_parameters.bodies(
+            self.machine, actuator_inertia=self.actuator_inertia))
 
     @cached_property
     def regressor_pattern(self) -> NDArray[np.bool_]:
-        """Which entries (n, p) of the regressor are structurally nonzero."""
+        """Which entries (n, p) of the regressor are structurally nonzero, while a calibrator may be attached."""
         made = program(self.regressor if self.linear else self.linearised)
-        return np.array([made.number(entry) != 0.0 for entry in made.outputs[0].entries]).reshape(
+        pattern = np.array([made.number(entry) != 0.0 for entry in made.outputs[0].entries]).reshape(
             self.regressor.size_out(0))
+        pattern[:, self._free_size:] = True
+        return pattern
 
     @cached_property
     def inverse_dynamics(self) -> ca.Function:
@@ -164,7 +186,7 @@ class Model:
     def linearised(self) -> ca.Function:
         """(q, qd, qdd[, pressure], psi) → K (n, p), the derivative of the forces by ψ there, and the forces (n,)."""
         given = self._state | {"psi": ca.SX.sym("psi", len(self.parameters))}
-        K = self.dynamics.regressor(given["psi"], actuator_inertia=self.actuator_inertia)
+        K = self._widened(self.dynamics.regressor(given["psi"], actuator_inertia=self.actuator_inertia))
         force = self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
         return _dense("linearised", [*given.values()], [K, force], [*given], ["K", "force"])
 

@@ -39,10 +39,11 @@ class Scalar(NamedTuple):
     size: float = 1.0
 
 
-def bodies(machine: Machine, *, actuator_inertia: bool = True) -> dict[str, Owned]:
+def bodies(machine: Machine, *, actuator_inertia: bool = True, calibrator: bool = False) -> dict[str, Owned]:
     """Bodies that the machine states, by owner: ``boom``, ``boom_cylinder.rod``, ``boom_cylinder.barrel``.
 
-    Each link is followed by the rod and barrel of the cylinder that drives its joint (Eq. 4.54).
+    Each link is followed by the rod and barrel of the cylinder that drives its joint (Eq. 4.54). On request the links
+    of the calibrator come last.
     """
     found: dict[str, Owned] = {}
     for link in machine.links:
@@ -53,6 +54,9 @@ def bodies(machine: Machine, *, actuator_inertia: bool = True) -> dict[str, Owne
             for end, attachment in (("rod", driver.rod), ("barrel", driver.barrel)):
                 if attachment.body is not None:
                     found[f"{driver.name}.{end}"] = Owned(attachment.body, f"{driver.name}.{end}.body")
+    for link in machine.calibrator.links if calibrator and machine.calibrator else ():
+        if link.body is not None:
+            found[link.name] = Owned(link.body, f"{link.name}.body")
     return found
 
 
@@ -87,27 +91,32 @@ def passive_scalars(machine: Machine) -> dict[str, Scalar]:
     return {number.name: Scalar(number) for gas in machine.gas_cylinders for number in gas_numbers(gas)}
 
 
-def parameter_set(machine: Machine, *, actuator_inertia: bool = True) -> ParameterSet:
+def parameter_set(machine: Machine, *, actuator_inertia: bool = True, calibrator: bool = False) -> ParameterSet:
     """All dynamic parameters ψ of a machine, joint after joint (Eq. 4.55).
 
     Args:
         machine: where nominal values and confidences come from.
         actuator_inertia: whether barrels and rods belong to the model (the thesis's complete model).
+        calibrator: whether the bodies of the calibrator belong to it; they come last.
     """
-    found = bodies(machine, actuator_inertia=actuator_inertia)
+    found = bodies(machine, actuator_inertia=actuator_inertia, calibrator=calibrator)
     names: list[str] = []
     kinds: list[ParameterKind] = []
     units: list[str] = []
     blocks: list[tuple[Array, Array, Array, Array, Array]] = []  # nominal, lower, upper, size, information
+
+    def add_body(owner: str) -> None:
+        names.extend(f"{owner}.{element}" for element in inertia.NAMES)
+        kinds.extend(INERTIAL_KINDS)
+        units.extend(inertia.UNITS)
+        blocks.append(_body_block(found[owner], machine.notes))
+
     for link in machine.links:
         driver = _driver(machine, link.name)
         owners = [link.name, *([f"{driver.name}.rod", f"{driver.name}.barrel"] if driver else [])]
         for owner in owners:
             if owner in found:
-                names += [f"{owner}.{element}" for element in inertia.NAMES]
-                kinds += INERTIAL_KINDS
-                units += inertia.UNITS
-                blocks.append(_body_block(found[owner], machine.notes))
+                add_body(owner)
         if link.name in machine.joints:
             for name, scalar in scalars(machine, link.name).items():
                 names.append(name)
@@ -119,6 +128,9 @@ def parameter_set(machine: Machine, *, actuator_inertia: bool = True) -> Paramet
         kinds.append(scalar.number.kind)
         units.append(scalar.number.unit)
         blocks.append(scalar_block(scalar, machine.notes))
+    for link in machine.calibrator.links if machine.calibrator else ():
+        if link.name in found:
+            add_body(link.name)
     nominal, lower, upper, size = (np.concatenate([np.zeros(0), *(block[k] for block in blocks)]) for k in range(4))
     information = np.zeros((len(names), len(names)))
     start = 0

@@ -21,7 +21,8 @@ def machine_diagnostics(machine: Machine) -> tuple[Diagnostic, ...]:
     >>> machine_diagnostics(load_machine("cat215b"))
     ()
     """
-    pseudo = {owner: inertia.pseudo_inertia(owned.body.phi) for owner, owned in bodies(machine).items()}
+    pseudo = {owner: inertia.pseudo_inertia(owned.body.phi)
+              for owner, owned in bodies(machine, calibrator=True).items()}
     impossible = tuple(owner for owner, matrix in pseudo.items()
                        if np.linalg.eigvalsh(matrix)[0] < -ROUNDED * max(float(np.trace(matrix)), 1e-9))
     return (Diagnostic(Kind.IMPOSSIBLE_NOMINAL_BODIES, impossible),) if impossible else ()

@@ -26,8 +26,8 @@ Held = Fixture | Array
 """A fixture of the machine, or where a ball is held (3,) or (N, 3) [m]."""
 
 
-def close(model: KinematicModel, geometry: Array, q: Array, free: Sequence[int], fixture: Held) -> tuple[
-        Array, NDArray[np.bool_]]:
+def close(model: KinematicModel, geometry: Array, q: Array, free: Sequence[int], fixture: Held,
+          weight: Array | None = None) -> tuple[Array, NDArray[np.bool_]]:
     """Close chains by turning some joints, by as little as possible (Newton with the pseudo-inverse).
 
     Args:
@@ -36,11 +36,13 @@ def close(model: KinematicModel, geometry: Array, q: Array, free: Sequence[int],
         q: (N, n) initial joint vectors [rad, m].
         free: positions of the joints that may turn.
         fixture: what holds the tip.
+        weight: (number of free joints,) how easily each of them turns; all alike by default.
 
     Returns:
         (N, n) joint vectors and (N,) whether the chain closes.
     """
     q, turning = np.array(q, dtype=float), np.array(free, dtype=int)
+    ease = np.ones(turning.size) if weight is None else weight
     place = place_of(model, fixture, len(q))
     rows = list(fixture.closes if isinstance(fixture, Fixture) else CLOSES["ball"])
     closed = np.zeros(len(q), dtype=bool)
@@ -51,7 +53,7 @@ def close(model: KinematicModel, geometry: Array, q: Array, free: Sequence[int],
         gap, by_q = model.over(model.loop_by_angles, geometry, q[left], place[left])
         gap, by_q = gap[:, rows], by_q[:, rows]
         closed[left] = np.max(np.abs(gap[:, :, 0]), axis=1) < CLOSED
-        turn = -(np.linalg.pinv(by_q[:, :, turning], rcond=1e-6) @ gap)[:, :, 0]
+        turn = -ease * (np.linalg.pinv(by_q[:, :, turning] * ease, rcond=1e-6 / np.max(ease)) @ gap)[:, :, 0]
         turn *= np.minimum(1, STEP / np.maximum(np.max(np.abs(turn), axis=1, keepdims=True), 1e-300))
         q[np.ix_(left, turning)] += np.where(closed[left, None], 0.0, turn)
     return q, closed

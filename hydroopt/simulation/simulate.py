@@ -15,6 +15,7 @@ from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.parameter_set import ParameterKind
+from hydroopt.simulation.calibrator_motion import CalibratorMotion
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 
@@ -30,7 +31,7 @@ class Trajectory:
     """Joint positions, velocities and accelerations (N, n) at the times t (N,), in SI.
 
     `wrench` (N, 6) is what the surroundings exert on the machine at its tip, see `Model.wrench_forces`; None without
-    contact.
+    contact. `calibrator` is how the calibrator moves along, if it is attached.
     """
 
     t: Array
@@ -38,6 +39,7 @@ class Trajectory:
     qd: Array
     qdd: Array
     wrench: Array | None = None
+    calibrator: CalibratorMotion | None = None
 
 
 def random_trajectory(model: Model, *, duration: float, rate: float, seed: int, harmonics: int = 5,
@@ -148,6 +150,8 @@ def forces(model: Model, motion: Trajectory, psi: Array) -> Array:
     force = model.over(model.inverse_dynamics, *state, *extra, psi)[0][:, :, 0]
     if motion.wrench is not None:
         force = force + model.over(model.wrench_forces, motion.q, motion.wrench)[0][:, :, 0]
+    if motion.calibrator is not None:
+        force = force + motion.calibrator.regressor(*state) @ psi
     if not model.needs_pressure:
         return force
     # Stribeck speeds stay: there is no force, but one divides by them
@@ -207,6 +211,10 @@ def simulate(model: Model, motion: Trajectory, psi: Array | None = None, *, nois
         channels |= {f"{c.name}.length": lengths[:, k] for k, c in enumerate(machine.cylinders)}
     if motion.wrench is not None:
         channels |= dict(zip(WRENCH, motion.wrench.T, strict=True))
+    if motion.calibrator is not None:
+        joints = motion.calibrator.attached.joints
+        channels |= {f"{joint}.q": angle for joint, angle in zip(joints, motion.calibrator.q.T, strict=True)
+                     if machine.sensor(f"{joint}.q")}
     if noise:
         for channel in channels:
             sensor = machine.sensor(channel)

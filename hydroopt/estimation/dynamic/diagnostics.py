@@ -12,7 +12,6 @@ from hydroopt.estimation.dynamic.identification import Identification, Intervals
 from hydroopt.estimation.dynamic.score_covariance import STEADY
 from hydroopt.estimation.inference.identifiability import NONE, Confounded
 from hydroopt.logs.forces_from_pressures import force_noise
-from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.results.diagnostic import Diagnostic, probability
 from hydroopt.results.machine_diagnostics import machine_diagnostics
@@ -142,7 +141,7 @@ def _prior_conflict(found: Identification) -> Iterator[Diagnostic]:
 def _assumptions(found: Identification) -> Iterator[Diagnostic]:
     """Priors that were assumed, and priors that are too weak for a body."""
     model = found.problem.model
-    silent = tuple(owner for owner, owned in bodies(model.machine, actuator_inertia=model.actuator_inertia).items()
+    silent = tuple(owner for owner, owned in model.bodies.items()
                    if not any(note.sigma for path, note in model.machine.notes.items()
                               if path.startswith(f"{owned.path}.")))
     if silent and found.uses_priors:

@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from hydroopt.estimation.dynamic.folding import ROWS, ActuatorTriangles
 from hydroopt.estimation.dynamic.frequency_bands import BLOCK, ActuatorBands
 from hydroopt.estimation.dynamic.friction_sign import FEW_MOVING, dry_friction_known, speed_threshold
+from hydroopt.estimation.dynamic.with_calibrator import attached_calibrator, calibrator_remark
 from hydroopt.logs.any_log import AnyLog
+from hydroopt.logs.calibrator_angles import calibrator_channels
 from hydroopt.logs.forces_from_pressures import force_channels, pressures
 from hydroopt.logs.joint_angles import angle_channels, angle_noise, measured_angles
 from hydroopt.logs.log import Log
@@ -77,7 +79,7 @@ class Experiment:
     dry friction, is not known (Eq. 4.51, see `friction_sign`): those samples are not used for estimation. `remarks`
     state which channels were not used and how measured lengths compare with the geometry. `pressure` (N, n) [Pa] is
     p_head + p_rod of each cylinder whose seals' friction depends on it and 0 for all other actuators; None where no
-    friction does. `added` (N, n, p) is what faults of instruments add to the regressor.
+    friction does. `added` (N, n, p) is what an attached calibrator or faults of instruments add to the regressor.
     """
 
     model: Model
@@ -209,27 +211,32 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
 
     Joint angles are read from ``<joint>.q`` or, where a log lacks them, from the length of the cylinder that moves the
     joint. Forces are those of the pressures (Eq. 4.33, 4.61) or, where a log lacks one of them, ``<cylinder>.force`` or
-    ``<joint>.tau``. Channels that are not used are named in the notes.
+    ``<joint>.tau``. A log with angles of the calibrator's joints was recorded with the calibrator attached, see
+    `attached_calibrator`. Channels that are not used are named in the notes.
 
     Raises:
         LogError: a channel is missing or in a unit that does not suit its joint, or a length at which a triangle is
             open.
+        ProblemError: the attached calibrator cannot have moved as the log says.
     """
     smoothing = smoothing or SmoothingSpline(bandwidth=model.machine.bandwidth)
     angles = measured_angles(model, log)
     motion = condition(log.t, angles, log.segment, smoothing, angle_noise(model, log),
                        names=model.machine.joints, where=log.path or log.name)
+    attached = attached_calibrator(model, log, motion, smoothing)
+    added = None if attached is None else attached.regressor(motion.q, motion.qd, motion.qdd)
     slow, noise = speed_threshold(angles, motion)
     moving = np.abs(motion.qd) > slow
     moving &= np.mean(moving, axis=0) > FEW_MOVING
     return Experiment(model, log, motion, free_forces(model, log, motion.q),
-                      dry_friction_known(model, motion, moving, noise), remarks(model, log, angles),
-                      pressures(model, log))
+                      dry_friction_known(model, motion, moving, noise),
+                      (*remarks(model, log, angles), *calibrator_remark(attached)), pressures(model, log), added)
 
 
 def channels_used(model: Model, log: AnyLog) -> set[str]:
     """The channels that angles, forces and pressures are read from."""
-    return angle_channels(model, log) | force_channels(model, log) | wrench_channels(log)
+    return (angle_channels(model, log) | force_channels(model, log) | wrench_channels(log)
+            | (calibrator_channels(model.machine, log) if model.calibrator else set()))
 
 
 def remarks(model: Model, log: Log, angles: Array) -> tuple[str, ...]:

@@ -19,7 +19,7 @@ from hydroopt.estimation.inference.identifiability import COMBINATION, FULL, NON
 from hydroopt.estimation.inference.posterior import Posterior
 from hydroopt.estimation.inference.prior_conflict import PriorTest, prior_test
 from hydroopt.machine.machine import Machine
-from hydroopt.parameters.dynamic import bodies, carried
+from hydroopt.parameters.dynamic import carried
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.results.fit import Fit
 from hydroopt.spatial import inertia
@@ -168,8 +168,7 @@ class Identification:
     @cached_property
     def consistency(self) -> dict[str, float]:
         """Smallest eigenvalue of each body's pseudo-inertia at ψ; negative: no such body exists."""
-        names = bodies(self.problem.model.machine, actuator_inertia=self.problem.model.actuator_inertia)
-        at = {owner: self.problem.parameters.index(f"{owner}.m") for owner in names}
+        at = {owner: self.problem.parameters.index(f"{owner}.m") for owner in self.problem.model.bodies}
         return {owner: inertia.smallest_eigenvalue(self.psi[k : k + 10]) for owner, k in at.items()}
 
     def category(self, k: int) -> str:
@@ -181,10 +180,12 @@ class Identification:
 
 
 def body_groups(parameters: ParameterSet, machine: Machine) -> dict[str, tuple[str, ...]]:
-    """Owners of bodies that may be wrong together: each alone, all links, all barrels and rods, and all."""
+    """Owners of bodies that may be wrong together: each alone, all links, all barrels and rods, those of the
+    calibrator, and all."""
     owners = tuple(parameters.bodies)
     links = tuple(owner for owner in owners if owner in {link.name for link in machine.links})
-    ends = tuple(owner for owner in owners if owner not in links)
-    several = {"links": links, "barrels and rods": ends, "all bodies": owners}
+    ends = tuple(owner for owner in owners if "." in owner)
+    rest = tuple(owner for owner in owners if owner not in {*links, *ends})
+    several = {"links": links, "barrels and rods": ends, "calibrator": rest, "all bodies": owners}
     return {owner: (owner,) for owner in owners} | {
-        name: some for name, some in several.items() if len(some) > 1 and (name != "all bodies" or ends)}
+        name: some for name, some in several.items() if len(some) > 1 and (name != "all bodies" or some != links)}

@@ -24,6 +24,7 @@ from hydroopt.estimation.inference.problem import Distance
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.estimation.inference.whitening import gaussian_posterior
 from hydroopt.logs.any_log import AnyLog, in_memory
+from hydroopt.logs.calibrator_angles import calibrator_channels
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.frames import refuse_others
 from hydroopt.logs.log import Log
@@ -242,8 +243,9 @@ class IdentificationProblem:
         data, is then what angles and forces together make most probable.
 
         Raises:
-            ProblemError: instruments were given.
+            ProblemError: instruments were given, or the calibrator is attached in a log.
         """
+        self._refuse_calibrator("a fitted motion")
         if self.instruments:
             raise ProblemError("a fitted motion cannot be combined with instruments", where="motion",
                                remedy="choose one of the two")
@@ -258,9 +260,11 @@ class IdentificationProblem:
                 lengths of cylinders serve, which must stand beside the angles of all joints.
 
         Raises:
-            ProblemError: another number of logs, a fitted or correlated problem, or a joint without a second reading.
+            ProblemError: another number of logs, a fitted or correlated problem, a joint without a second reading, or
+                the calibrator is attached in a log.
             LogError: a reference does not cover its log, or lacks a joint.
         """
+        self._refuse_calibrator("instruments")
         if self.fitted_motion or self.correlated:
             raise ProblemError("instruments cannot be combined with a fitted motion or correlated channels",
                                where="motion", remedy="choose one of them")
@@ -270,6 +274,12 @@ class IdentificationProblem:
         held = in_memory(self.experiments, "a second reading")
         return replace(self, instruments=tuple(instrument(self.model, data, logs[k] if logs else None)
                                                for k, data in enumerate(held)))
+
+    def _refuse_calibrator(self, what: str) -> None:
+        for data in self.experiments:
+            if self.model.calibrator and calibrator_channels(self.model.machine, data.log):
+                raise ProblemError(f"{what} cannot be combined with an attached calibrator",
+                                   where=data.log.path or data.log.name, remedy="choose one of the two")
 
     def by_data_alone(self) -> IdentificationProblem:
         """Without shapes, symmetries, total masses, identical parts and bounds of the machine file, for method ``wls``.
@@ -435,7 +445,8 @@ def identification_problem(machine: Machine | Model, logs: Sequence[AnyLog],
         logs: training data.
         validation: logs for validation only.
         smoothing: how angles are differentiated; a smoothing spline by default.
-        actuator_inertia: whether barrels and rods belong to the model that is built.
+        actuator_inertia: whether barrels and rods belong to the model that is built. The calibrator's bodies do if a
+            log has angles of its joints.
 
     Raises:
         LogError: a channel is missing or a log is too short.
@@ -453,6 +464,8 @@ def identification_problem(machine: Machine | Model, logs: Sequence[AnyLog],
     refuse_repetition([*logs, *validation])
     if not logs:
         raise ProblemError("there is no training log", where="identification", remedy="give at least one")
-    model = machine if isinstance(machine, Model) else Model(machine, actuator_inertia=actuator_inertia)
+    model = machine if isinstance(machine, Model) else Model(
+        machine, actuator_inertia=actuator_inertia, calibrator=any(
+            calibrator_channels(machine, log) for log in (*logs, *validation)))
     train, held_out = ([prepared(log, model, smoothing) for log in some] for some in (logs, validation))
     return IdentificationProblem(model, tuple(train), tuple(held_out), force_noise(model, logs[0]))

@@ -21,6 +21,7 @@ from hydroopt.estimation.dynamic.friction_sign import FEW_MOVING, speed_threshol
 from hydroopt.kernels.native import threads
 from hydroopt.logs import streamed_smoothing
 from hydroopt.logs.any_log import AnyLog
+from hydroopt.logs.calibrator_angles import calibrator_channels
 from hydroopt.logs.forces_from_pressures import pressures
 from hydroopt.logs.joint_angles import angle_channels, angle_noise, measured_angles
 from hydroopt.logs.log import Log, missing
@@ -254,6 +255,8 @@ def streamed_experiment(model: Model, stream: LogStream, smoothing: Smoothing | 
     if zones or not model.linear:
         what = f"a dead zone in the friction of {', '.join(zones)}" if zones else "friction that is not linear"
         stream.loaded(what)
+    if model.calibrator and calibrator_channels(model.machine, stream):
+        stream.loaded("an attached calibrator")
     for channel in sorted(channels_used(model, stream) - set(stream.channels)):
         raise missing(channel, stream.channels, stream.path)
     return StreamedExperiment(model, stream, smoothing)

@@ -256,7 +256,8 @@ def stated(machine: Machine, parameters: ParameterSet, *, actuator_inertia: bool
         ProblemError: the reduced model lacks a body of a total mass.
     """
     found: list[Condition] = []
-    modelled = bodies(machine, actuator_inertia=actuator_inertia)
+    modelled = {owner: owned for owner, owned in bodies(machine, actuator_inertia=actuator_inertia,
+                                                        calibrator=True).items() if owner in parameters.bodies}
     for owner, owned in modelled.items():
         found += inside(parameters, owner, owned.body.shape) if owned.body.shape else ()
         found += [symmetry(parameters, owner, plane) for plane in dict.fromkeys(owned.body.symmetric)]

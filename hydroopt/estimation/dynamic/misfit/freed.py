@@ -90,7 +90,8 @@ class Freed:
             change = fault.by_parameters(view, size)
             force, moving = force - fault.effect(view, size)[:, :n], moving & ~fault.unsteady(view, size)[:, :n]
             added = added if change is None else added + change[:, :n]
-        return replace(data, force=force + added @ self.psi, moving=moving, added=added)
+        force = force + added @ self.psi
+        return replace(data, force=force, moving=moving, added=added if data.added is None else data.added + added)
 
     def widened(self, weighted: WeightedResiduals[IdentificationProblem]) -> WeightedResiduals[IdentificationProblem]:
         """The weighted residuals with what remains uncertain about the sizes in their covariance."""
