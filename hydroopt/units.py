@@ -108,6 +108,16 @@ def same_kind(unit: str, si: str) -> bool:
     return True
 
 
+def base_unit(unit: str, *, where: str) -> str:
+    """The SI unit of the same kind, such as ``kg*m`` of ``mm*t``.
+
+    Raises:
+        UnitError: the unit is unknown.
+    """
+    factor(unit, unit, where=where)
+    return f"{_registry.Quantity(1.0, unit).to_base_units().units:~C}" or "1"
+
+
 def _wrong(unit: str, si: str, where: str) -> UnitError:
     return UnitError(f"'{unit:.40}' is not a unit of the kind '{si}'", where=where,
                      remedy=f"use '{si}' or another unit of that kind")

@@ -14,6 +14,7 @@ from hydroopt.cli.options import (
     AsJson,
     Bandwidth,
     Directory,
+    Fixed,
     Holdout,
     LossName,
     MachineName,
@@ -27,6 +28,7 @@ from hydroopt.cli.options import (
     Validation,
     distance_of,
     loss_of,
+    parameter_values,
     parted,
     progress,
     reading,
@@ -69,6 +71,13 @@ def identify(
         "Friction terms of all actuators instead of the file's: coulomb, viscous, stribeck, reverse, seal, dead_zone "
         "joined by +, or none. 'auto', or several sets separated by commas: the one that predicts held-out data best "
         "with the fewest terms."))] = None,
+    fix: Fixed = None,
+    constraint: Annotated[list[str] | None, typer.Option(metavar="RELATION", help=(
+        "Linear relation that must hold, with ==, <= or >= and units, e.g. 'boom.m + 0.5*stick.m == 2518 kg'; "
+        "repeatable."))] = None,
+    prior: Annotated[list[str] | None, typer.Option(metavar="STATEMENT", help=(
+        "Linear sum that is known to a standard deviation, e.g. 'boom.m + stick.m = 2518 +- 25 kg'; added to the "
+        "confidences of the machine file; repeatable."))] = None,
     free: Annotated[str | None, typer.Option(help=(
         "Faults of instruments to estimate along, separated by commas: delay, lag, clock, tilt, gain, offset, drift, "
         "friction, one with its subject such as 'delay boom.q', or instruments."))] = None,
@@ -105,6 +114,12 @@ def identify(
         problem = _with_noisy_angles(problem.with_loss(kind).with_distance(far), fitted_motion, instruments,
                                      map_file)
         problem = problem.with_correlated_channels() if correlated else problem
+        for name, value in parameter_values(fix or (), problem.parameters).items():
+            problem = problem.fix(name, value)
+        for relation in constraint or ():
+            problem = problem.subject_to(relation, relation)
+        for statement in prior or ():
+            problem = problem.with_prior(statement, statement)
         return problem.free(*(word.strip() for word in free.split(","))) if free else problem
 
     with progress(f"identifying {described.name}", quiet):

@@ -54,8 +54,8 @@ Noise = Annotated[bool, typer.Option(help="Whether readings have the sensor erro
 Processes = Annotated[int | None, typer.Option(help="Processes at a time; the number of cores if not given.", min=1)]
 MotionFile = Annotated[Path | None, typer.Option("--motion", help=(
     "Log whose joint positions are followed, such as excite's trajectory.csv; a random motion if not given."))]
-Fixed = Annotated[list[str] | None, typer.Option(
-    help="Hold a parameter of the geometry, NAME=VALUE with unit, e.g. 'ball.y=0 m'; repeatable.")]
+Fixed = Annotated[list[str] | None, typer.Option(metavar="NAME[=VALUE]", help=(
+    "Hold a parameter at a value with unit, e.g. 'ball.y=0 m', or at its nominal one; repeatable."))]
 Focus = Annotated[list[str] | None, typer.Option(help=(
     "Parameter that alone counts; for excite also a part, payload or friction; repeatable."))]
 Rate = Annotated[float | None, typer.Option(help=(
@@ -159,19 +159,20 @@ def smoothing_of(text: str, bandwidth: float | None, machine: Machine) -> Smooth
 
 
 def parameter_values(stated: Sequence[str], parameters: ParameterSet) -> dict[str, float]:
-    """Values [SI] of parameters that --fix NAME=VALUE holds.
+    """Values [SI] of parameters that --fix NAME=VALUE holds, or --fix NAME at its nominal value.
 
     Raises:
-        ProblemError: a text has another form, or there is no such parameter.
+        ProblemError: there is no such parameter.
+        UnitError: the value has no unit, or one of another kind.
     """
     from hydroopt.units import to_si
 
     values = {}
     for text in stated:
         name, found, value = (part.strip() for part in text.partition("="))
-        if not found:
-            raise ProblemError(f"'{text}' is not NAME=VALUE", where="--fix", remedy="write e.g. --fix 'ball.y=0 m'")
-        values[name] = to_si(value, parameters.units[parameters.index(name)], where=f"--fix {name}")
+        k = parameters.index(name)
+        values[name] = to_si(value, parameters.units[k], where=f"--fix {name}") if found else float(
+            parameters.nominal[k])
     return values
 
 

@@ -69,7 +69,7 @@ def render(estimate: Estimate) -> str:
         weights=_weights(estimate), groups=groups, base=_base(estimate), totals=_totals(estimate),
         figures=_figures(estimate), condition=plain(estimate.identifiability.condition_number, 3),
         counts={c: sum(p.identifiability == c for g in groups for p in g.parameters)
-                for c in ("full", "combination", "not excited", "none")},
+                for c in ("full", "combination", "not excited", "none", "fixed")},
         confounded=[(c.name, plain(c.inflation, 3), ", ".join(c.partners)) for c in estimate.confounded],
         logs=[_log("training", e) for e in problem.experiments] + [_log("validation", e) for e in problem.validation],
         constraints=problem.constraint_names, priors=[f"{p.name}: {plain(p.value, 5)} ± {plain(p.sigma, 2)}"

@@ -29,6 +29,7 @@ GOOD = {"show": ["MACHINE"], "codegen": ["MACHINE"], "simulate": ["ARM", "--dura
 OPTIONS = ("--map", "--treat", "--smoothing", "--bandwidth", "--method", "--loss", "--tolerance", "--ridge", "--seed",
            "--duration", "--rate", "--set", "--friction", "--holdout", "--fix", "--criterion", "--focus", "--rest",
            "--gain", "--gain-error", "--level", "--link", "--truth", "--prefix", "--functions", "--json", "--nonsense",
+           "--constraint", "--prior",
            "--motion")
 MAKERS: dict[str, Callable[[random.Random, Path], Callable[[], object]]] = {
     "LOG": kinds.KINDS["CSV log"][0], "POSES": kinds.KINDS["pose table"][0], "PATH": kinds.KINDS["trajectory"][0],

@@ -248,7 +248,7 @@ def test_command_leaves_out_what_does_not_fit(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("options", "said"), [
     (("--method", "magic"), "not a method"), (("--loss", "cubes"), "does not exist"),
-    (("--fix", "ball.y"), "NAME=VALUE"),
+    (("--fix", "tip.x=1"), "no unit"),
     (("--fix", "tip.x=1 rad"), "rad"), (("--fix", "tip.q=1 m"), "did you mean tip"),
     (("--holdout-stage", "nowhere"), "no pose is of stage"), (("--holdout-stage", "high"), "no training pose is left"),
     (("--starts", "0"), "--starts"), (("--validate", "missing.csv"), "missing.csv")])

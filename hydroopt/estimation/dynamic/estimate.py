@@ -166,9 +166,19 @@ class Estimate(Identification, Answer):
                 self.problem.experiments, self.weighted_residuals.split_half, strict=True)],
             "prior_test": self._prior_test(),
             "between_logs": number(self.weighted_residuals.between_logs),
-            "active_constraints": list(self.active), "intervals": str(self.intervals), "notes": list(self.notes),
+            **self._stated(), "active_constraints": list(self.active),
+            "intervals": str(self.intervals), "notes": list(self.notes),
             "seed": self.seed, "test_of_fit": None if self.misfit is None else self.misfit.as_dict(),
             "freed": [] if self.freed is None else self.freed.as_dicts(), **chosen}
+
+    def _stated(self) -> dict[str, Any]:
+        """What was stated beyond confidences, by machine file and user: held parameters, constraints and priors."""
+        problem = self.problem
+        return {"fixed": dict(problem.fixed),
+                "constraints": [{"name": name, "active": name in self.active} for name in problem.constraint_names],
+                "priors": [{"name": one.name, "value": one.value, "std": one.sigma, "parameters": {
+                    problem.parameters.names[k]: float(one.row[k]) for k in np.flatnonzero(one.row)}}
+                    for one in (*problem.stated_priors, *problem.priors)]}
 
     def _prior_test(self) -> dict[str, Any] | None:
         """Whether data and priors agree; None where the method used no priors."""

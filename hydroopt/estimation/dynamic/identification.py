@@ -18,6 +18,7 @@ from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals
 from hydroopt.estimation.inference.identifiability import COMBINATION, FULL, NONE, Confounded, Identifiability
 from hydroopt.estimation.inference.posterior import Posterior
 from hydroopt.estimation.inference.prior_conflict import PriorTest, prior_test
+from hydroopt.estimation.inference.priors import with_priors
 from hydroopt.machine.machine import Machine
 from hydroopt.parameters.dynamic import carried
 from hydroopt.parameters.parameter_set import ParameterSet
@@ -110,7 +111,9 @@ class Identification:
     def prior_std(self) -> Array:
         """Standard deviation (p,) of the priors that the method used, NaN where it used none."""
         stated = self.problem.parameters.prior_std
-        return stated if self.uses_priors else np.full_like(stated, np.nan)
+        if not self.uses_priors:
+            return np.full_like(stated, np.nan)
+        return with_priors(self.problem.parameters, self.problem.priors) if self.problem.priors else stated
 
     @property
     def sigma(self) -> Array:
@@ -172,8 +175,11 @@ class Identification:
         return {owner: inertia.smallest_eigenvalue(self.psi[k : k + 10]) for owner, k in at.items()}
 
     def category(self, k: int) -> str:
-        """Of parameter k: ``full``, ``combination``, ``none``, or ``not excited`` where only this motion prevents more.
+        """Of parameter k: ``full``, ``combination``, ``none``, ``not excited`` where only this motion prevents more, or
+        ``fixed``.
         """
+        if self.problem.parameters.names[k] in self.problem.fixed:
+            return "fixed"
         found, possible = self.identifiability.category[k], self.structural.category[k]
         less = (possible, found) in ((FULL, COMBINATION), (FULL, NONE), (COMBINATION, NONE))
         return "not excited" if less else found

@@ -252,6 +252,8 @@ def _constrained_estimate(weighted: Weighted, method: str, solution: sdp.Optimum
     ambiguous = np.array(with_priors.category) != identifiability.FULL
     value = psi.copy()
     value[ambiguous | unobserved], std[ambiguous | unobserved], ci[ambiguous | unobserved] = np.nan, np.nan, np.nan
+    held = problem.parameters.select(problem.fixed)
+    value[held], std[held], ci[held] = psi[held], np.nan, np.nan
     return _assemble(weighted, method, psi, value, std, ci, solution.active, from_data, base_std, (note,), source, seed,
                      posterior)
 

@@ -12,13 +12,15 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.experiment import AnyExperiment
 from hydroopt.estimation.dynamic.instruments import instrument
+from hydroopt.estimation.dynamic.problem_text import problem_text
 from hydroopt.estimation.dynamic.training_logs import prepared, refuse_repetition
-from hydroopt.estimation.dynamic.weighted_residuals import LOSSES, Loss, weighted_residuals
+from hydroopt.estimation.dynamic.weighted_residuals import Loss, weighted_residuals
 from hydroopt.estimation.inference import conditions as physics
-from hydroopt.estimation.inference import listing, nlp, sdp
+from hydroopt.estimation.inference import nlp, sdp, statements
 from hydroopt.estimation.inference.conditions import Condition, ScaledBody
 from hydroopt.estimation.inference.constraints import Constraint, Expression
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
+from hydroopt.estimation.inference.listing import counted
 from hydroopt.estimation.inference.priors import Prior, linear_prior, prior_squares, stated_priors
 from hydroopt.estimation.inference.problem import Distance
 from hydroopt.estimation.inference.program import NonlinearProgram
@@ -111,28 +113,37 @@ class IdentificationProblem:
         """The unknowns ψ."""
         return self.model.parameters
 
-    def subject_to(self, name: str, relation: Expression) -> IdentificationProblem:
-        """With a named constraint, e.g. ``lambda p: p["boom.m"] + p["stick.m"] == 2518``.
+    def subject_to(self, name: str, relation: str | Expression) -> IdentificationProblem:
+        """With a named constraint: a linear one as text, ``"boom.m + stick.m == 2518 kg"``, or a function.
 
-        The relation is called with parameters in cvxpy for the convex methods and in CasADi for ``nlp``.
+        The function, e.g. ``lambda p: p["boom.m"] + p["stick.m"] == 2518``, is called with parameters [SI] in cvxpy for
+        the convex methods and in CasADi for ``nlp``.
 
         Raises:
-            ProblemError: the name exists already.
+            ProblemError: the name exists already, or the text is no linear relation between parameters.
+            UnitError: its units do not fit together.
         """
+        if isinstance(relation, str):
+            return self._with(statements.read_constraint(self.parameters, name, relation))
         self._refuse_taken(name)
         return replace(self, constraints=(*self.constraints, Constraint(name, relation)))
 
-    def with_prior(self, name: str, expression: str | Expression, *, value: float,
-                   sigma: float) -> IdentificationProblem:
+    def with_prior(self, name: str, expression: str | Expression, *, value: float | None = None,
+                   sigma: float | None = None) -> IdentificationProblem:
         """With a linear expression (or one parameter's name) known to be ``value ± sigma``, in SI.
 
-        It is added to the priors of the machine file.
+        Without these a text states all, with units: ``"boom.m + stick.m = 2518 +- 25 kg"``. It is added to the priors
+        of the machine file.
 
         Raises:
             ProblemError: the expression is not linear in the parameters, sigma is not positive, or the name is taken.
+            UnitError: units of the text do not fit together.
         """
         self._refuse_taken(name)
-        prior = linear_prior(self.parameters, name, expression, value, sigma)
+        if value is None or sigma is None:
+            prior = statements.read_prior(self.parameters, name, str(expression))
+        else:
+            prior = linear_prior(self.parameters, name, expression, value, sigma)
         return replace(self, priors=(*self.priors, prior))
 
     def with_total_mass(self, name: str, bodies: Sequence[str], value: float,
@@ -300,8 +311,8 @@ class IdentificationProblem:
         bounded = [] if self.data_alone else [
             f"the bounds of {name}" for name in self.parameters.names if name in machine.numbers
             and (note := machine.notes.get(machine.numbers[name].path)) and (note.lower, note.upper) != (None, None)]
-        return (*self.constraint_names, *(prior.name for prior in (*self.stated_priors, *self.priors)), *self.fixed,
-                *bounded)
+        return (*self.constraint_names, *(prior.name for prior in (*self.stated_priors, *self.priors)),
+                *(f"{name} fixed" for name in self.fixed), *bounded)
 
     @property
     def constraint_names(self) -> tuple[str, ...]:
@@ -407,32 +418,11 @@ class IdentificationProblem:
 
     def __repr__(self) -> str:
         return (f"{type(self).__name__}({self.model.machine.name}: {len(self.parameters)} parameters, "
-                f"{_counted(len(self.experiments), 'training log')}, loss {self.loss}, "
-                f"{_counted(len(self.constraint_names), 'constraint')})")
+                f"{counted(len(self.experiments), 'training log')}, loss {self.loss}, "
+                f"{counted(len(self.constraint_names), 'constraint')})")
 
     def __str__(self) -> str:
-        parameters, machine = self.parameters, self.model.machine
-        samples = sum(e.sample_count for e in self.experiments)
-        lines = [f"{self.where}: {samples} samples in {_counted(len(self.experiments), 'training log')}",
-                 f"variables ψ ({len(parameters)})", *listing.variables(parameters, self.fixed), "minimise the sum of"]
-        for actuator, std, unit in zip(machine.actuators, self.force_std, self.model.force_units, strict=True):
-            weight = f"σ = {listing.number(std)} {unit}" if np.isfinite(std) else "σ unknown"
-            again = ", re-estimated from the residuals" if self.reweight else ""
-            lines.append(f"  residuals of {actuator.name}: {LOSSES[self.loss]}, e = f − K·ψ [{unit}], {weight}{again}")
-        lines += ["  residuals of the actuators correlate: their covariance weights them"] * self.correlated
-        lines += ["  motion fitted together with the parameters: (q_measured − q)²/σ²"] * self.fitted_motion
-        lines += ["  instrumental variables from a second reading of the motion"] * bool(self.instruments)
-        known = int(np.sum(np.diag(parameters.information) > 0))
-        lines.append(f"  priors of the machine file: (ψ − nominal)ᵀ·Λ·(ψ − nominal) over {known} parameters")
-        lines += ["  log-det distance of every body from its nominal one"] * (self.distance == "log-det")
-        lines += [f"  {listing.prior(parameters, one)}" for one in (*self.stated_priors, *self.priors)]
-        conditions = self.statements(consistent=self.consistent)
-        return "\n".join([*lines, "subject to the bounds and", *listing.constraints(
-            parameters, conditions, self.constraints)])
-
-
-def _counted(count: int, noun: str) -> str:
-    return f"{count} {noun}{'s' * (count != 1)}"
+        return problem_text(self, (*self.stated_priors, *self.priors))
 
 
 def identification_problem(machine: Machine | Model, logs: Sequence[AnyLog],

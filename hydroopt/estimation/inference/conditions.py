@@ -218,6 +218,12 @@ def equal(name: str, parameters: ParameterSet, row: Array, value: float) -> Cond
     return _zero(name, parameters, row[None], np.array([value]))
 
 
+def at_least(name: str, parameters: ParameterSet, row: Array, value: float) -> Condition:
+    """One linear sum of parameters (p,) has a value or more."""
+    size = float(np.max(np.abs(row) * parameters.scale))
+    return Condition(name, "nonnegative", row[None] / size, np.array([value / size]))
+
+
 def inside(parameters: ParameterSet, owner: str, shape: Shape) -> tuple[Condition, ...]:
     """A body's mass lies inside a shape: two constraints, on its centre of mass and on its density.
 

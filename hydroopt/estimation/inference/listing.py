@@ -36,6 +36,15 @@ def table(header: Sequence[str], rows: Sequence[Sequence[str]], *, most: int = M
     return [*lines, *([f"  … {len(rows) - len(shown)} more"] if len(shown) < len(rows) else [])]
 
 
+def counted(count: int, noun: str) -> str:
+    """A number with its noun.
+
+    >>> counted(2, "constraint")
+    '2 constraints'
+    """
+    return f"{count} {noun}{'s' * (count != 1)}"
+
+
 def named_row(*cells: str | float) -> tuple[str, ...]:
     """Cells of a row as text: numbers to six digits, infinite ones as a dash.
 

@@ -28,8 +28,8 @@ from hydroopt.results.wording import Kind
 from hydroopt.simulation.simulate import random_trajectory, simulate
 
 CONTRACT = {*COMMON, "base_parameters", "conditioning", "physical_consistency", "seed"}
-EXTRA = {"total_masses", "weights", "active_constraints", "intervals", "notes", "test_of_fit", "freed", "split_half",
-         "between_logs", "prior_test"}
+EXTRA = {"fixed", "constraints", "priors", "total_masses", "weights", "active_constraints", "intervals", "notes",
+         "test_of_fit", "freed", "split_half", "between_logs", "prior_test"}
 FILES = {"estimate.json", "report.html", "parameters.csv", "base_parameters.csv", "fit.csv", "information.csv",
          "cat215b.toml"}
 

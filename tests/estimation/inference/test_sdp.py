@@ -235,7 +235,7 @@ def test_misspelt_parameter_gets_a_suggestion(noisy: IdentificationProblem, meth
 def test_linear_methods_refuse_what_they_cannot_honour(noisy: IdentificationProblem, method: Any) -> None:
     for extended in (noisy.subject_to("mine", lambda p: p["boom.m"] == 3), noisy.fix("boom.m"),
                      noisy.with_prior("mine", "boom.m", value=3.0, sigma=1.0)):
-        with pytest.raises(ProblemError, match=rf"'{method}' cannot honour (mine|boom\.m); use qp, sdp or nlp"):
+        with pytest.raises(ProblemError, match=rf"'{method}' cannot honour (mine|boom\.m fixed); use qp, sdp or nlp"):
             identify(extended, method)
 
 
