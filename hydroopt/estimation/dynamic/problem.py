@@ -13,7 +13,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.experiment import AnyExperiment
 from hydroopt.estimation.dynamic.instruments import instrument
 from hydroopt.estimation.dynamic.problem_text import problem_text
-from hydroopt.estimation.dynamic.training_logs import prepared, refuse_repetition
+from hydroopt.estimation.dynamic.training_logs import prepared, refuse_calibrator, refuse_repetition
 from hydroopt.estimation.dynamic.weighted_residuals import Loss, weighted_residuals
 from hydroopt.estimation.inference import conditions as physics
 from hydroopt.estimation.inference import nlp, sdp, statements
@@ -256,7 +256,7 @@ class IdentificationProblem:
         Raises:
             ProblemError: instruments were given, or the calibrator is attached in a log.
         """
-        self._refuse_calibrator("a fitted motion")
+        refuse_calibrator("a fitted motion", self.experiments)
         if self.instruments:
             raise ProblemError("a fitted motion cannot be combined with instruments", where="motion",
                                remedy="choose one of the two")
@@ -275,7 +275,7 @@ class IdentificationProblem:
                 the calibrator is attached in a log.
             LogError: a reference does not cover its log, or lacks a joint.
         """
-        self._refuse_calibrator("instruments")
+        refuse_calibrator("instruments", self.experiments)
         if self.fitted_motion or self.correlated:
             raise ProblemError("instruments cannot be combined with a fitted motion or correlated channels",
                                where="motion", remedy="choose one of them")
@@ -286,22 +286,8 @@ class IdentificationProblem:
         return replace(self, instruments=tuple(instrument(self.model, data, logs[k] if logs else None)
                                                for k, data in enumerate(held)))
 
-    def _refuse_calibrator(self, what: str) -> None:
-        for data in self.experiments:
-            if self.model.calibrator and calibrator_channels(self.model.machine, data.log):
-                raise ProblemError(f"{what} cannot be combined with an attached calibrator",
-                                   where=data.log.path or data.log.name, remedy="choose one of the two")
-
     def by_data_alone(self) -> IdentificationProblem:
-        """Without shapes, symmetries, total masses, identical parts and bounds of the machine file, for method ``wls``.
-
-        >>> import hydroopt as ho
-        >>> model = ho.Model(ho.load_machine("cat215b"))
-        >>> motion = ho.random_trajectory(model, duration=5.0, rate=20.0, seed=1)
-        >>> problem = identification_problem(model, [ho.simulate(model, motion, model.parameters.nominal)])
-        >>> problem.by_data_alone().stated_constraints
-        ()
-        """
+        """Without shapes, symmetries, total masses, identical parts and bounds of the machine file, for method ``wls``."""
         return replace(self, data_alone=True)
 
     @property
@@ -446,8 +432,10 @@ def identification_problem(machine: Machine | Model, logs: Sequence[AnyLog],
     >>> model = ho.Model(ho.load_machine("cat215b"))
     >>> motion = ho.random_trajectory(model, duration=5.0, rate=20.0, seed=1)
     >>> problem = identification_problem(model, [ho.simulate(model, motion, model.parameters.nominal)])
-    >>> problem.subject_to("arm", lambda p: p["boom.m"] + p["stick.m"] <= 2600.0)
-    IdentificationProblem(cat215b: 82 parameters, 1 training log, loss squares, 1 constraint)
+    >>> problem.by_data_alone().stated_constraints
+    ()
+    >>> problem.subject_to("arm", "boom.m + stick.m <= 2600 kg").stated_constraints
+    ('arm',)
     """
     for some in (logs, validation):
         refuse_others(some, (Log, LogStream), "log", "identification")

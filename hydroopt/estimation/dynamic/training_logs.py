@@ -9,6 +9,7 @@ from hydroopt.errors import HydrooptError, ProblemError, SolverError
 from hydroopt.estimation.dynamic import streamed_experiment
 from hydroopt.estimation.dynamic.experiment import AnyExperiment
 from hydroopt.logs.any_log import AnyLog
+from hydroopt.logs.calibrator_angles import calibrator_channels
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.model.model import Model
 from hydroopt.results.diagnostic import Diagnostic, of_kind
@@ -40,6 +41,14 @@ def explained(error: SolverError, of_logs: Sequence[Diagnostic]) -> SolverError:
     misread = of_kind(of_logs, Kind.LOG_MISREAD)
     return SolverError(f"{error.what}. {misread[0].text.rstrip('.')}", where=error.where,
                        remedy=misread[0].remedy.rstrip(".")) if misread else error
+
+
+def refuse_calibrator(what: str, experiments: Sequence[AnyExperiment]) -> None:
+    """Refuse logs with a calibrator attached, which `what` cannot be combined with."""
+    for data in experiments:
+        if data.model.calibrator and calibrator_channels(data.model.machine, data.log):
+            raise ProblemError(f"{what} cannot be combined with an attached calibrator",
+                               where=data.log.path or data.log.name, remedy="choose one of the two")
 
 
 def refuse_repetition(logs: Sequence[AnyLog]) -> None:
