@@ -287,7 +287,7 @@ class IdentificationProblem:
                                                for k, data in enumerate(held)))
 
     def by_data_alone(self) -> IdentificationProblem:
-        """Without shapes, symmetries, total masses, identical parts and bounds of the machine file, for method ``wls``."""
+        """Without statements and bounds of the machine file about its bodies and friction, for method ``wls``."""
         return replace(self, data_alone=True)
 
     @property
