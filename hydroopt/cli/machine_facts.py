@@ -57,7 +57,7 @@ def _cylinder_facts(model: Model, k: int) -> dict[str, Any]:
     """Areas, and length and lever arm over the range of the joint that the cylinder moves, others at mid-range."""
     machine = model.machine
     cylinder = machine.cylinders[k]
-    joint = machine.axis_of(cylinder)
+    joint = machine.main_joint(cylinder)
     q = np.tile([sum(machine.link(name).joint.range) / 2 for name in machine.joints], (181, 1))
     q[:, machine.joints.index(joint)] = np.linspace(*machine.link(joint).joint.range, 181)
     length, _, _, lever, _ = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)

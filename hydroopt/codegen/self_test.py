@@ -50,7 +50,7 @@ def states(interface: Interface, count: int = STATES, seed: int = 0, *, single: 
         drawn: Array = lower + (upper - lower) * rng.uniform(MARGIN, 1 - MARGIN, (count, len(links)))
         return drawn
 
-    ranges = {link.name: link.joint.range for link in chain.links if link.joint.type != "locked"}
+    ranges = {link.name: link.joint.range for link in chain.links if link.joint.independent}
     q = between({joint: ranges[joint] for joint in machine.joints})
     n = len(machine.joints)
     model = interface.complete

@@ -17,4 +17,4 @@ def calibrator_channels(machine: Machine, log: AnyLog) -> set[str]:
     links = machine.calibrator.links if machine.calibrator else ()
     if not any(link.body for link in links):
         return set()
-    return {f"{link.name}.q" for link in links if link.joint.type != "locked"} & set(log.channels)
+    return {f"{link.name}.q" for link in links if link.joint.moving} & set(log.channels)

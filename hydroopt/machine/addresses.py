@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 from hydroopt.machine.actuators import Cylinder, Drive, GasCylinder, Motor
 from hydroopt.machine.calibration_chain import Fixture
 from hydroopt.machine.links import Body, Link
+from hydroopt.machine.loops import Loop
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.machine.valves import EDGES, Circuit, Oil
 from hydroopt.spatial import inertia
@@ -114,15 +115,17 @@ def circuit_numbers(owner: str, circuit: Circuit) -> Iterator[Number]:
 
 
 def link_geometry(link: Link) -> Iterator[Number]:
-    """Denavit-Hartenberg parameters of a link (Eq. 3.8)."""
+    """Denavit-Hartenberg parameters of a link (Eq. 3.8), and the pin that it turns about if it states one."""
     for key, unit in DENAVIT_HARTENBERG.items():
         yield Number(f"{link.name}.{key}", ParameterKind.ANGLE if unit == "rad" else ParameterKind.LENGTH, unit,
                      getattr(link.joint, key), f"{link.name}.joint.{key}")
+    if link.pin is not None:
+        yield from point(f"{link.name}.pin", link.pin, f"{link.name}.pin")
 
 
 def joint_compliance(link: Link) -> Iterator[Number]:
     """How much a moving joint gives way under torque."""
-    if link.joint.compliance is not None and link.joint.type != "locked":
+    if link.joint.compliance is not None and link.joint.moving:
         yield Number(f"{link.name}.compliance", ParameterKind.COMPLIANCE,
                      "rad/(N*m)" if link.joint.type == "revolute" else "m/N", link.joint.compliance,
                      f"{link.name}.joint.compliance")
@@ -138,6 +141,11 @@ def pins(cylinder: Cylinder | GasCylinder) -> Iterator[Number]:
     """Coordinates of a cylinder's pins."""
     for end, attachment in (("barrel", cylinder.barrel), ("rod", cylinder.rod)):
         yield from point(f"{cylinder.name}.{end}", attachment.pin, f"{cylinder.name}.{end}.pin")
+
+
+def loop_numbers(loop: Loop) -> Iterator[Number]:
+    """Coordinates of the pin at which a loop closes."""
+    yield from point(loop.name, loop.to.pin, f"{loop.name}.to.pin")
 
 
 def fixture_numbers(fixture: Fixture) -> Iterator[Number]:

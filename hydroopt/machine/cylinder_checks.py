@@ -11,6 +11,7 @@ import numpy as np
 from hydroopt.machine.actuators import Cylinder, GasCylinder
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.mechanism import Mechanism
 from hydroopt.machine.quantity import ImpossibleError
 from hydroopt.spatial.cylinder_triangle import Triangle
 from hydroopt.spatial.inertia import Array
@@ -49,9 +50,9 @@ class _Grid(NamedTuple):
 
 def _on_grid(geometry: Geometry, cylinder: Cylinder | GasCylinder) -> _Grid:
     machine = geometry.machine
-    joints = machine.joints_between(cylinder.barrel.link, cylinder.rod.link)
+    joints = machine.moved_by(cylinder)
     q = ca.SX.sym("q", len(joints))
-    at = {joint: q[k] for k, joint in enumerate(joints)}
+    at = Mechanism(machine).positions(geometry, {joint: q[k] for k, joint in enumerate(joints)})
     length = ca.norm_2(geometry.pin(cylinder, "rod", at) - geometry.pin(cylinder, "barrel", at))
     function = ca.Function("length", [q], [length, ca.jacobian(length, q)[-1]])
     points = 721 if len(joints) == 1 else 25
@@ -93,7 +94,7 @@ def _check_on_grid(geometry: Geometry, cylinder: Cylinder) -> None:
     if turned.size:
         raise ImpossibleError(
             f"'{cylinder.name}' has a dead point near {place(int(turned[0]))}, where its lever arm on "
-            f"{geometry.machine.axis_of(cylinder)} changes sign", "correct its pins or narrow the joints' limits")
+            f"{geometry.machine.main_joint(cylinder)} changes sign", "correct its pins or narrow the joints' limits")
 
 
 def _lever_arm_keeps_sign(cylinder: Cylinder, joint: str, offset: float, lower: float, upper: float) -> None:

@@ -13,6 +13,7 @@ from hydroopt.machine.calibration_chain import Calibrator, Distance, Fixture, St
 from hydroopt.machine.environment import Footprint, Obstacle, Pump, Workspace
 from hydroopt.machine.fault_sizes import FaultSizes
 from hydroopt.machine.links import Link, Note
+from hydroopt.machine.loops import Loop, closures
 from hydroopt.machine.mass_statements import Identical, TotalMass
 from hydroopt.machine.quantity import Acceleration, Angle, Length, Name, Noun, Rate
 from hydroopt.machine.sensor import Sensor
@@ -35,6 +36,7 @@ class MachineDescription(Noun):
     orientation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
     bandwidth: Rate | None = Field(None, gt=0)
     links: tuple[Link, ...] = Field(min_length=1)
+    loops: tuple[Loop, ...] = ()
     cylinders: tuple[Cylinder, ...] = ()
     motors: tuple[Motor, ...] = ()
     drives: tuple[Drive, ...] = ()
@@ -58,8 +60,21 @@ class MachineDescription(Noun):
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """Names of the moving joints (those of their links), in the order of the joint vector q."""
-        return tuple(link.name for link in self.links if link.joint.type != "locked")
+        """Names of the joints that move by themselves (those of their links), in the order of the joint vector q."""
+        return tuple(link.name for link in self.links if link.joint.independent)
+
+    @property
+    def tree_joints(self) -> tuple[str, ...]:
+        """Names of all moving joints: those of q, and the dependent ones that loops determine."""
+        return tuple(link.name for link in self.links if link.joint.moving)
+
+    @property
+    def followed(self) -> dict[str, tuple[str, ...]]:
+        """The joints of q that each moving joint follows: an independent one itself."""
+        found: dict[str, tuple[str, ...]] = {joint: (joint,) for joint in self.joints}
+        for closure in closures(self.links, self.loops):
+            found |= dict.fromkeys((closure.first, closure.second), closure.follows)
+        return found
 
     @property
     def tip(self) -> str:
@@ -101,8 +116,14 @@ class MachineDescription(Noun):
         return (*self.cylinders, *self.gas_cylinders)
 
     def main_joint(self, actuator: Cylinder | Motor | Drive) -> str:
-        """The joint that an actuator is there to move: of several between a cylinder's ends the last one."""
-        return self.axis_of(actuator) if isinstance(actuator, Cylinder) else actuator.joint
+        """The joint of q that an actuator is there to move: of several that a cylinder moves the last one."""
+        return self.moved_by(actuator)[-1] if isinstance(actuator, Cylinder) else actuator.joint
+
+    def moved_by(self, cylinder: Cylinder | GasCylinder) -> tuple[str, ...]:
+        """The joints of q on which a cylinder's length depends."""
+        between, followed = self.joints_between(cylinder.barrel.link, cylinder.rod.link), self.followed
+        moving = {name for joint in between for name in followed.get(joint, ())}
+        return tuple(joint for joint in self.joints if joint in moving)
 
     def link(self, name: str) -> Link:
         """The link of this name."""
@@ -117,12 +138,12 @@ class MachineDescription(Noun):
         return tuple(chain)
 
     def joints_between(self, one: str, other: str) -> tuple[str, ...]:
-        """Moving joints on the way between two links, in the order of q."""
+        """Moving joints of the tree on the way between two links, in the order of the links."""
         apart = set(self.ancestry(one)) ^ set(self.ancestry(other))
-        return tuple(joint for joint in self.joints if joint in apart)
+        return tuple(joint for joint in self.tree_joints if joint in apart)
 
     def axis_of(self, cylinder: Cylinder | GasCylinder) -> str:
-        """The joint whose axis orients the cylinder's bodies: the last moving one between its ends."""
+        """The joint whose axis orients the cylinder's bodies: the last moving one of the tree between its ends."""
         return self.joints_between(cylinder.barrel.link, cylinder.rod.link)[-1]
 
     def effort_units(self, joint: str) -> tuple[str, str]:
@@ -156,7 +177,7 @@ class MachineDescription(Noun):
         if self.pump:
             units |= {"pump.p_supply": "Pa", "pump.p_tank": "Pa"}
         for link in self.chain:
-            if link.joint.type != "locked":
+            if link.joint.moving:
                 units[f"{link.name}.q"] = "m" if link.joint.type == "prismatic" else "rad"
             units[f"{link.name}.distance"] = "m"
         units |= dict.fromkeys(WRENCH[:3], "N") | dict.fromkeys(WRENCH[3:], "N*m")
@@ -176,7 +197,7 @@ class MachineDescription(Noun):
                 found += addresses.body_numbers(link.name, link.body, f"{link.name}.body")
         for cylinder in self.cylinders:
             found += addresses.cylinder_bodies(cylinder)
-        for joint in self.joints:
+        for joint in self.tree_joints:
             found += self.effort_numbers(joint)
         for gas in self.gas_cylinders:
             found += addresses.gas_numbers(gas)
@@ -188,7 +209,7 @@ class MachineDescription(Noun):
     def place(self, path: str) -> str:
         """Place in the machine file of a number's path: ``links[boom].body.m`` of ``boom.body.m``."""
         owner, _, rest = path.partition(".")
-        kinds = ("links", "cylinders", "motors", "drives", "gas_cylinders", "fixtures", "distances", "stages",
+        kinds = ("links", "loops", "cylinders", "motors", "drives", "gas_cylinders", "fixtures", "distances", "stages",
                  "total_masses")
         found = [kind for kind in kinds if any(part.name == owner for part in getattr(self, kind))]
         if self.calibrator and any(link.name == owner for link in self.calibrator.links):
@@ -197,8 +218,11 @@ class MachineDescription(Noun):
 
     def effort_numbers(self, joint: str) -> tuple[Number, ...]:
         """Friction, offset and rotor of a moving joint and its actuator, in the order of Eq. 4.53, 4.54."""
-        units, actuator = self.friction_units(joint), self.actuators[self.joints.index(joint)]
-        return (*addresses.joint_friction(self.link(joint), units), *addresses.actuator_numbers(actuator, units))
+        units = self.friction_units(joint)
+        own = tuple(addresses.joint_friction(self.link(joint), units))
+        if joint not in self.joints:
+            return own
+        return (*own, *addresses.actuator_numbers(self.actuators[self.joints.index(joint)], units))
 
     @property
     def hydraulic_numbers(self) -> tuple[Number, ...]:
@@ -212,6 +236,7 @@ class MachineDescription(Noun):
         links = (*self.links, *(self.calibrator.links if self.calibrator else ()))
         found = [*chain.from_iterable(map(addresses.link_geometry, links)),
                  *chain.from_iterable(map(addresses.joint_compliance, links)),
+                 *chain.from_iterable(map(addresses.loop_numbers, self.loops)),
                  *chain.from_iterable(map(addresses.dead_length, self.cylinders))]
         if self.calibrator:
             found += addresses.point("tip", self.calibrator.tip, "calibrator.tip")

@@ -21,7 +21,7 @@ class Geometry:
         numbers: all numbers of the geometry as the machine file states them.
         value: values by name: the file's numbers where no symbol replaces them.
 
-    Joint variables are given as a mapping from the names of joints; a joint left out is zero.
+    Joint variables are given as a mapping from the names of joints, dependent ones too; a joint left out is zero.
     """
 
     def __init__(self, machine: Machine, symbols: Mapping[str, ca.SX] | None = None) -> None:
@@ -47,8 +47,14 @@ class Geometry:
             return identity()
         return link_pose(*(self.value[f"{link}.{key}"] for key in ("a", "alpha", "beta")))
 
+    def seat(self, link: str) -> Pose:
+        """Frame about or along whose z axis a link's joint moves, relative to its parent's P_i or to the base frame."""
+        if self._link[link].pin is None:
+            return self.far_end(self._link[link].parent)
+        return Pose(identity().rotation, self.point(f"{link}.pin"))
+
     def joint(self, link: str, variable: ca.SX | float) -> Pose:
-        """A link's P_i relative to the far end of its parent."""
+        """A link's P_i relative to its joint's seat."""
         theta, d = self.value[f"{link}.theta"], self.value[f"{link}.d"]
         if self._link[link].joint.type == "prismatic":
             return joint_pose(theta, d + variable)
@@ -58,17 +64,31 @@ class Geometry:
         """Pose of a link's P_i relative to the *far end* of another, or to the base; only joints between them enter."""
         chains = self._ancestry(viewer), self._ancestry(link)
         shared = next(name for name in chains[0] if name in chains[1])
-        own = self._down(chains[1][: chains[1].index(shared)], q)
-        if link == shared:
-            own = self.far_end(link).inverse()
+        own = (self.far_end(link).inverse() if link == shared else
+               self._from_far_end(chains[1][: chains[1].index(shared)], q))
         if viewer == shared:
             return own
-        return (self._down(chains[0][: chains[0].index(shared)], q) @ self.far_end(viewer)).inverse() @ own
+        return (self._from_far_end(chains[0][: chains[0].index(shared)], q) @ self.far_end(viewer)).inverse() @ own
+
+    def from_seat(self, joint: str, link: str, q: Mapping[str, ca.SX]) -> Pose:
+        """Pose of a link's P_i, or of the base frame, seen from the seat of a joint; only joints between them enter."""
+        viewer = self._link[joint].parent
+        chain = self._ancestry(link)
+        if self._link[joint].pin is None:
+            return self.relative_pose(viewer, link, q)
+        if joint in chain:
+            return self._down(chain[: chain.index(joint) + 1], q)
+        return (self.far_end(viewer).inverse() @ self.seat(joint)).inverse() @ self.relative_pose(viewer, link, q)
+
+    def between(self, viewer: str, link: str) -> Pose:
+        """Pose of a link's P_i relative to that of another one, where no joint between them moves."""
+        return identity() if link == viewer else self.far_end(viewer) @ self.relative_pose(viewer, link, {})
 
     def triangle(self, cylinder: Cylinder | GasCylinder) -> tuple[str, Triangle] | None:
-        """Joint and triangle of a cylinder that spans one revolute joint; None for any other cylinder."""
+        """Joint and triangle of a cylinder that spans one revolute joint of q alone; None for any other cylinder."""
         between = self.machine.joints_between(cylinder.barrel.link, cylinder.rod.link)
-        if len(between) != 1 or self._link[between[0]].joint.type != "revolute":
+        joint = self._link[between[0]].joint
+        if len(between) != 1 or joint.type != "revolute" or joint.dependent:
             return None
         pins = {name: self.pin(cylinder, name, {}) for name in ("barrel", "rod")}
         moving = "barrel" if between[0] in self._ancestry(cylinder.barrel.link) else "rod"
@@ -77,15 +97,22 @@ class Geometry:
 
     def pin(self, cylinder: Cylinder | GasCylinder, end: str, q: Mapping[str, ca.SX]) -> ca.SX:
         """A pin (3,) [m] in the axis frame of the joint that orients the cylinder: the far end of the link before."""
-        before = self._link[self.machine.axis_of(cylinder)].parent
-        return self.relative_pose(before, getattr(cylinder, end).link, q).point(self.point(f"{cylinder.name}.{end}"))
+        pose = self.from_seat(self.machine.axis_of(cylinder), getattr(cylinder, end).link, q)
+        return pose.point(self.point(f"{cylinder.name}.{end}"))
+
+    def _from_far_end(self, chain: tuple[str, ...], q: Mapping[str, ca.SX]) -> Pose:
+        """Pose of the first link of a chain seen from the far end of the last one's parent."""
+        outermost, pose = self._link[chain[-1]], self._down(chain, q)
+        if outermost.pin is None:
+            return pose
+        return self.far_end(outermost.parent).inverse() @ self.seat(outermost.name) @ pose
 
     def _down(self, chain: tuple[str, ...], q: Mapping[str, ca.SX]) -> Pose:
-        pose: Pose | None = None
-        for name in reversed(chain):
-            step = self.joint(name, q.get(name, 0.0))
-            pose = step if pose is None else pose @ self.far_end(self._link[name].parent) @ step
-        return pose or identity()
+        """Pose of the first link of a chain seen from the seat of the last one."""
+        pose = self.joint(chain[-1], q.get(chain[-1], 0.0))
+        for name in reversed(chain[:-1]):
+            pose = pose @ self.seat(name) @ self.joint(name, q.get(name, 0.0))
+        return pose
 
     def _ancestry(self, name: str) -> tuple[str, ...]:
         chain = [name]

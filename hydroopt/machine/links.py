@@ -119,7 +119,7 @@ class Joint(Noun):
     """Modified Denavit-Hartenberg joint and link: Trans(z,d)·Rot(z,θ)·Trans(x,a)·Rot(x,α)·Rot(y,β) (Eq. 3.8).
 
     The joint variable adds to `theta` (revolute) or `d` (prismatic); a locked joint has none. Under the torque of
-    gravity the joint gives way by `compliance` times that torque.
+    gravity the joint gives way by `compliance` times that torque. A `dependent` joint follows others through a loop.
     """
 
     type: Literal["revolute", "prismatic", "locked"]
@@ -133,6 +133,7 @@ class Joint(Noun):
     max_speed: float | None = Field(None, gt=0, allow_inf_nan=False)
     max_acceleration: float | None = Field(None, gt=0, allow_inf_nan=False)
     compliance: AngularCompliance | None = Field(None, ge=0)
+    dependent: bool = False
     friction: JointFriction = JointFriction()
 
     @model_validator(mode="before")
@@ -153,6 +154,15 @@ class Joint(Noun):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
+        if self.dependent:
+            if self.type != "revolute":
+                raise ImpossibleError(f"a {self.type} joint cannot be dependent",
+                                      "make it revolute: loops close on pins", "dependent")
+            for key in ("lower", "upper", "max_speed", "max_acceleration", "compliance"):
+                if getattr(self, key) is not None:
+                    raise ImpossibleError(f"a dependent joint states '{key}'",
+                                          "remove it: the joints that it follows have limits", key)
+            return self
         if self.type == "locked":
             return self
         if self.lower is None or self.upper is None:
@@ -164,18 +174,33 @@ class Joint(Noun):
         return self
 
     @property
+    def moving(self) -> bool:
+        """Whether the joint moves, by itself or dependent on others."""
+        return self.type != "locked"
+
+    @property
+    def independent(self) -> bool:
+        """Whether the joint moves by itself: it has a place in the joint vector q."""
+        return self.moving and not self.dependent
+
+    @property
     def range(self) -> tuple[float, float]:
-        """Lower and upper limit [rad or m] of a moving joint."""
+        """Lower and upper limit [rad or m] of an independent joint."""
         assert self.lower is not None
         assert self.upper is not None
         return self.lower, self.upper
 
 
 class Link(Noun):
-    """A link with the joint that moves it; its body stands in P_i = Trans(z,d)·Rot(z,θ)."""
+    """A link with the joint that moves it; its body stands in P_i = Trans(z,d)·Rot(z,θ).
+
+    The joint's axis is the z axis of the parent's far end or, where a `pin` (3,) [m] is stated, passes through this
+    point of the parent's frame P (or the base frame), parallel to its z axis.
+    """
 
     name: Name
     parent: str
+    pin: Lengths | None = None
     joint: Joint
     body: Body | None = None
 

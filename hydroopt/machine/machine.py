@@ -49,6 +49,7 @@ class Machine(MachineDescription):
     def _invariants(self) -> Self:
         self._names()
         self._tree()
+        self._loops()
         self._actuation()
         self._chain()
         self._channels()
@@ -84,8 +85,8 @@ class Machine(MachineDescription):
 
     def _names(self) -> None:
         extra = self.calibrator.links if self.calibrator else ()
-        kinds = (self.links, extra, self.cylinders, self.motors, self.drives, self.gas_cylinders, self.fixtures,
-                 self.distances, self.stages, self.obstacles, self.total_masses, self.identical)
+        kinds = (self.links, extra, self.loops, self.cylinders, self.motors, self.drives, self.gas_cylinders,
+                 self.fixtures, self.distances, self.stages, self.obstacles, self.total_masses, self.identical)
         taken = {BASE: "the chassis"} | ({"pump": "the supply"} if self.pump else {})
         count = Counter([*taken, *(part.name for kind in kinds for part in kind)])
         for name, times in count.items():
@@ -106,6 +107,23 @@ class Machine(MachineDescription):
                                       "ancestor", "list every parent before its children")
             placed.add(link.name)
 
+    def _loops(self) -> None:
+        links = {link.name for link in self.links}
+        for loop in self.loops:
+            for name in (loop.link, loop.to.link):
+                if name not in links | ({BASE} if name is loop.to.link else set()):
+                    raise ImpossibleError(f"the loop '{loop.name}' closes over '{name}', which does not exist",
+                                          "name a link", f"loops[{loop.name}]")
+        followed = self.followed
+        for joint in self.tree_joints:
+            if joint not in followed:
+                raise ImpossibleError(f"nothing determines the dependent joint '{joint}'",
+                                      "state the loop that closes over it, or let it move by itself",
+                                      f"links[{joint}].joint.dependent")
+        if self.calibrator and (far := next((link.name for link in self.calibrator.links if link.joint.dependent), "")):
+            raise ImpossibleError(f"the calibrator's joint '{far}' is dependent, but no loop closes over a calibrator",
+                                  "let it move by itself", f"calibrator.links[{far}].joint.dependent")
+
     def _actuation(self) -> None:
         links = {link.name for link in self.links}
         driven: Counter[str] = Counter()
@@ -119,7 +137,7 @@ class Machine(MachineDescription):
                 raise ImpossibleError(f"no moving joint lies between the two ends of '{cylinder.name}'",
                                       "pin its ends to links that move relative to each other")
             if isinstance(cylinder, Cylinder):
-                driven.update(between)
+                driven.update(self.moved_by(cylinder))
         rotary: tuple[Motor | Drive, ...] = (*self.motors, *self.drives)
         for actuator in rotary:
             if actuator.joint not in self.joints:
@@ -128,7 +146,9 @@ class Machine(MachineDescription):
             driven[actuator.joint] += 1
         for joint in self.joints:
             if not driven[joint]:
-                raise ImpossibleError(f"nothing drives the joint '{joint}'", "add its actuator or make it locked")
+                raise ImpossibleError(f"nothing drives the joint '{joint}'",
+                                      "add its actuator, make it locked, or state the loop that determines it and make "
+                                      "it dependent")
         mains: dict[str, str] = {}
         for each in self.actuators:
             joint = self.main_joint(each)
@@ -154,7 +174,7 @@ class Machine(MachineDescription):
                                           "name two fixtures")
             if distance.between[0] == distance.between[1]:
                 raise ImpossibleError(f"'{distance.name}' starts and ends at the same fixture", "name two fixtures")
-        joints = {link.name for link in self.chain if link.joint.type != "locked"} | set(self.joints)
+        joints = {link.name for link in self.chain if link.joint.independent} | set(self.joints)
         for stage in self.stages:
             for name in (*stage.moves, *stage.locked):
                 if name not in joints:

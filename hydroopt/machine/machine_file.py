@@ -19,7 +19,7 @@ from pydantic import BaseModel, ValidationError
 
 from hydroopt.errors import MachineError
 from hydroopt.input_file import read_text, toml
-from hydroopt.machine import cylinder_checks, prior_checks
+from hydroopt.machine import cylinder_checks, linkages, loop_checks, prior_checks
 from hydroopt.machine.actuators import Cylinder, TorqueFriction
 from hydroopt.machine.links import Joint, JointFriction, Note
 from hydroopt.machine.machine import Machine
@@ -100,21 +100,14 @@ def read_machine(text: str, *, where: str = "machine", parameter_set: str | None
         raise MachineError("the file is empty", where=where, remedy="describe a machine in it")
     if "notes" in data:
         raise MachineError("this key is unknown", where=f"{where}: notes", remedy="remove it")
-    moved = _choose_parameter_set(data, parameter_set, where)
+    _default_parents(data)
+    in_linkages = linkages.expand(data, where)
+    moved = _choose_parameter_set(data, parameter_set, where) | in_linkages
     notes: dict[str, Note] = {}
     try:
         data = _strip_notes(data, "", "", notes)
-        before: Any = "base"
-        for link in links if isinstance(links := data.get("links"), list) else []:
-            if isinstance(link, dict):  # in a serial chain the parent is optional
-                before = link.setdefault("parent", before) and link.get("name")
-        calibrator = data.get("calibrator")
-        if isinstance(calibrator, dict):
-            before = calibrator.get("parent")
-            for link in more if isinstance(more := calibrator.get("links"), list) else []:
-                if isinstance(link, dict):
-                    before = link.setdefault("parent", before) and link.get("name")
         machine = Machine.model_validate(data | {"notes": notes}, context={"from_file": True})
+        loop_checks.check(machine)
         cylinder_checks.check(machine)
         prior_checks.check(machine)
     except ValidationError as error:
@@ -125,6 +118,20 @@ def read_machine(text: str, *, where: str = "machine", parameter_set: str | None
     except ImpossibleError as error:
         raise MachineError(error.what, where=_at(where, error.key, moved), remedy=error.remedy) from None
     return machine
+
+
+def _default_parents(data: dict[str, Any]) -> None:
+    """In a serial chain the parent is optional: it is the link before."""
+    before: Any = "base"
+    for link in links if isinstance(links := data.get("links"), list) else []:
+        if isinstance(link, dict):
+            before = link.setdefault("parent", before) and link.get("name")
+    calibrator = data.get("calibrator")
+    if isinstance(calibrator, dict):
+        before = calibrator.get("parent")
+        for link in more if isinstance(more := calibrator.get("links"), list) else []:
+            if isinstance(link, dict):
+                before = link.setdefault("parent", before) and link.get("name")
 
 
 def _with_base(data: dict[str, Any], where: str) -> dict[str, Any]:

@@ -128,7 +128,7 @@ def read_urdf(path: str | Path, *, tip: str | None = None) -> Machine:
     taken = {BASE, *(link.name for link in links)}
     return Machine(name=name, description=description, links=tuple(links), drives=tuple(
         Drive(name=_named(f"{link.name}_drive", taken), joint=link.name)
-        for link in links if link.joint.type != "locked"))
+        for link in links if link.joint.moving))
 
 
 def _held(tree: _Tree, moving: set[str], tip: str | None) -> list[str]:

@@ -17,6 +17,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.machine.calibration_chain import Fixture
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.kinematics import Coordinates, link_motions
+from hydroopt.model.mechanism import tree_motion
 from hydroopt.model.model import Model
 from hydroopt.model.regressor import body_regressor
 from hydroopt.spatial.inertia import Array
@@ -69,7 +70,10 @@ class AttachedCalibrator:
             "loop_rates", [symbols.q, symbols.qd],
             [ca.densify(ca.jacobian(loop, symbols.q)), ca.densify(ca.jtimes(rate, symbols.q, symbols.qd))],
             ["q", "qd"], ["C", "curvature"])
-        motions = link_motions(model.geometry, symbols, model.geometry.links)
+        n = len(machine.joints)
+        tree = tree_motion(model.geometry, Coordinates(*(column[:n] for column in symbols)))
+        whole = Coordinates(*(ca.vertcat(own, column[n:]) for own, column in zip(tree.symbols, symbols, strict=True)))
+        motions = tree.closed(link_motions(model.geometry, whole, model.geometry.links))
         columns = []
         for owner in self.owners:
             motion = motions[owner]
@@ -77,7 +81,6 @@ class AttachedCalibrator:
             columns.append(allowed.T @ body_regressor(motion))
         self.generalised = ca.Function("generalised", [*symbols], [ca.densify(ca.horzcat(*columns))],
                                        ["q", "qd", "qdd"], ["force"])
-        n = len(machine.joints)
         self._at_actuators = ca.Function("at_actuators", [model.coordinates.q],
                                          [ca.densify(model.dynamics.at_actuators(ca.SX.eye(n)))])
 

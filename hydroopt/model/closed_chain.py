@@ -16,6 +16,7 @@ from hydroopt.machine.addresses import Number
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.links import Link
 from hydroopt.machine.machine import BASE, Machine
+from hydroopt.machine.mechanism import Mechanism
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array
 from hydroopt.spatial.poses import Pose, identity, roll_pitch_yaw
@@ -55,7 +56,7 @@ class KinematicModel:
         self.machine = machine
         stated = Geometry(machine)
         self.links = stated.links
-        self.joints = tuple(link.name for link in self.links if link.joint.type != "locked")
+        self.joints = tuple(link.name for link in self.links if link.joint.independent)
         self.parameters = _parameters(machine, stated.numbers)
         self.oriented = any(fixture.kind != "ball" for fixture in machine.fixtures)
         self.taped = any(machine.sensor(f"{link.name}.distance") for link in machine.chain)
@@ -64,6 +65,7 @@ class KinematicModel:
         g, q, fixture = (ca.SX.sym("g", len(self.parameters)), ca.SX.sym("q", len(self.joints)),
                          ca.SX.sym("fixture", 3))
         place = ca.SX.sym("place", self.place_size)
+        self._mechanism = Mechanism(machine)
         self.geometry = Geometry(machine, {name: g[k] for k, name in enumerate(self.parameters.names)})
         deflected = self._deflected(q)
         poses = self._poses(deflected)
@@ -183,15 +185,16 @@ class KinematicModel:
         poses, variables = {BASE: identity()}, self._named(q)
         for link in self.links:
             joint_pose = self.geometry.joint(link.name, variables.get(link.name, 0.0))
-            poses[link.name] = poses[link.parent] @ self.geometry.far_end(link.parent) @ joint_pose
+            poses[link.name] = poses[link.parent] @ self.geometry.seat(link.name) @ joint_pose
         return poses
 
     def _named(self, q: ca.SX) -> dict[str, ca.SX]:
-        return {joint: q[k] for k, joint in enumerate(self.joints)}
+        """Positions of all moving joints, dependent ones too."""
+        return self._mechanism.positions(self.geometry, {joint: q[k] for k, joint in enumerate(self.joints)})
 
     def _before(self, poses: dict[str, Pose], joint: str) -> Pose:
         parent = next(link.parent for link in self.links if link.name == joint)
-        return poses[parent] @ self.geometry.far_end(parent)
+        return poses[parent] @ self.geometry.seat(joint)
 
     def _pin_distance(self, cylinder: Cylinder, q: ca.SX) -> ca.SX:
         pins = [self.geometry.pin(cylinder, end, self._named(q)) for end in ("barrel", "rod")]

@@ -8,7 +8,7 @@ import casadi as ca
 
 from hydroopt.machine.actuators import Cylinder, GasCylinder
 from hydroopt.machine.geometry import Geometry
-from hydroopt.model.kinematics import STILL, UP, Coordinates, Motion
+from hydroopt.model.kinematics import STILL, UP, Coordinates, Motion, rate
 from hydroopt.spatial.poses import Pose
 
 SHORTEST_LEVER = 1e-4
@@ -32,19 +32,20 @@ class CylinderMotion(NamedTuple):
 
 
 def cylinder_motion(geometry: Geometry, cylinder: Cylinder | GasCylinder, links: dict[str, Motion],
-                    coordinates: Coordinates) -> CylinderMotion:
+                    tree: Coordinates) -> CylinderMotion:
     """Motion of a cylinder between its pins, computed in the axis frame of the joint that orients it.
 
     In this frame only the joints between the pins move the cylinder; the frame's own motion is added last. With
     d = l·x from pin to pin, y·ḋ = l·ω_z and z·ḋ = −l·ω_y; the axis stays in the plane of x and z, which gives ω_x.
+    `tree` holds all moving joints, in the order of ``machine.tree_joints``.
     """
     machine = geometry.machine
     driven = machine.axis_of(cylinder)
     before = machine.link(driven).parent
-    q = {joint: coordinates.q[k] for k, joint in enumerate(machine.joints)}
+    q = {joint: tree.q[k] for k, joint in enumerate(machine.tree_joints)}
     pins = [geometry.pin(cylinder, end, q) for end in ("barrel", "rod")]
-    speeds = [_rate(pin, coordinates) for pin in pins]
-    accelerations = [_rate(speed, coordinates) for speed in speeds]
+    speeds = [rate(pin, tree) for pin in pins]
+    accelerations = [rate(speed, tree) for speed in speeds]
     d, dd, ddd = (rod - barrel for barrel, rod in (pins, speeds, accelerations))
     length = ca.norm_2(d)
     x = d / length
@@ -65,29 +66,22 @@ def cylinder_motion(geometry: Geometry, cylinder: Cylinder | GasCylinder, links:
     rate_y = turn_x * turn_z - (2 * speed * turn_y + ca.dot(z, ddd)) / length
     rate_x = lean * rate_z - turn_y * turn_z / across**2
     acceleration = ca.dot(x, ddd) + length * (turn_y**2 + turn_z**2)
-    frame, turn = links[before].fixed(geometry.far_end(before)), ca.horzcat(x, y, z)
+    frame, turn = links[before].fixed(geometry.seat(driven)), ca.horzcat(x, y, z)
     rotation, rotation_rate = ca.vertcat(turn_x, turn_y, turn_z), ca.vertcat(rate_x, rate_y, rate_z)
     bodies = [frame.carry(Pose(turn, pins[k]), turn.T @ speeds[k], turn.T @ accelerations[k], rotation, rotation_rate)
               for k in (0, 1)]
-    pin_turns = [turn_z - ca.dot(z, _rotation(geometry, before, end.link, q, coordinates))
+    pin_turns = [turn_z - ca.dot(z, _rotation(geometry, driven, end.link, q, tree))
                  for end in (cylinder.barrel, cylinder.rod)]
     return CylinderMotion(length, speed, acceleration, *bodies, *pin_turns)
 
 
-def _rotation(geometry: Geometry, viewer: str, link: str, q: dict[str, ca.SX], coordinates: Coordinates) -> ca.SX:
-    """Rotation rate (3,) [rad/s] of a link relative to the far end of another, in the frame there."""
+def _rotation(geometry: Geometry, seat: str, link: str, q: dict[str, ca.SX], tree: Coordinates) -> ca.SX:
+    """Rotation rate (3,) [rad/s] of a link relative to the seat of a joint, in the frame there."""
     machine = geometry.machine
     total = STILL
-    for joint in machine.joints_between(viewer, link):
+    for joint in machine.joints_between(machine.link(seat).parent, link):
         if machine.link(joint).joint.type == "revolute":
-            axis = geometry.relative_pose(viewer, joint, q).rotation[:, 2]
+            axis = geometry.from_seat(seat, joint, q).rotation[:, 2]
             sign = 1 if joint in machine.ancestry(link) else -1
-            total = total + sign * axis * coordinates.qd[machine.joints.index(joint)]
+            total = total + sign * axis * tree.qd[machine.tree_joints.index(joint)]
     return total
-
-
-def _rate(expression: ca.SX, coordinates: Coordinates) -> ca.SX:
-    """Time derivative of an expression in q and q̇."""
-    flat = ca.vec(expression)
-    rate = ca.jtimes(flat, ca.vertcat(coordinates.q, coordinates.qd), ca.vertcat(coordinates.qd, coordinates.qdd))
-    return ca.reshape(rate, expression.shape)

@@ -231,7 +231,7 @@ def _posture(model: Model, q: Array, free: list[int]) -> Posture:
         excess = max(length - shortest - cylinder.stroke, 0.0) - max(shortest - length, 0.0)
         if abs(excess) > CLOSE:
             beyond[cylinder.name] = excess
-        lever, usual = levers[:, row, machine.joints.index(machine.axis_of(cylinder))]
+        lever, usual = levers[:, row, machine.joints.index(machine.main_joint(cylinder))]
         if abs(lever) < SHORTEST_LEVER:
             dead.append(cylinder.name)
         elif lever * usual < 0:

@@ -16,7 +16,7 @@ STILL = ca.SX(3, 1)
 
 
 class Coordinates(NamedTuple):
-    """Joint variables q, their rates and accelerations, each (n,): [rad] or [m], per s, per s²."""
+    """Joint variables, their rates and accelerations, each (n,): [rad] or [m], per s, per s²."""
 
     q: ca.SX
     qd: ca.SX
@@ -59,6 +59,13 @@ def coordinates(machine: Machine) -> Coordinates:
     return Coordinates(ca.SX.sym("q", n), ca.SX.sym("qd", n), ca.SX.sym("qdd", n))
 
 
+def rate(expression: ca.SX, tree: Coordinates) -> ca.SX:
+    """Time derivative of an expression in joint variables and their rates."""
+    flat = ca.vec(expression)
+    found = ca.jtimes(flat, ca.vertcat(tree.q, tree.qd), ca.vertcat(tree.qd, tree.qdd))
+    return ca.reshape(found, expression.shape)
+
+
 def gravity_in_base(machine: Machine) -> ca.DM:
     """Gravity vector (3,) [m/s²] in the base frame."""
     return ca.DM(roll_pitch_yaw(machine.orientation).T @ (-machine.gravity * UP))
@@ -69,19 +76,19 @@ def base_motion(machine: Machine) -> Motion:
     return Motion(identity(), STILL, -gravity_in_base(machine), STILL, STILL)
 
 
-def link_motions(geometry: Geometry, symbols: Coordinates, links: tuple[Link, ...] | None = None) -> dict[str, Motion]:
+def link_motions(geometry: Geometry, tree: Coordinates, links: tuple[Link, ...] | None = None) -> dict[str, Motion]:
     """Motion of the frame P_i of every link, and of the base, by the outward recursion of Newton and Euler.
 
-    `symbols` are those of the moving joints of `links`, by default of the machine without its calibrator.
+    `tree` holds all moving joints of `links`, in their order; by default those of the machine without its calibrator.
     """
     links = geometry.machine.links if links is None else links
-    joints = [link.name for link in links if link.joint.type != "locked"]
+    joints = [link.name for link in links if link.joint.moving]
     motions = {BASE: base_motion(geometry.machine)}
     for link in links:
         q, qd, qdd = (0.0, 0.0, 0.0)
         if link.name in joints:
-            q, qd, qdd = (column[joints.index(link.name)] for column in symbols)
-        step = geometry.far_end(link.parent) @ geometry.joint(link.name, q)
+            q, qd, qdd = (column[joints.index(link.name)] for column in tree)
+        step = geometry.seat(link.name) @ geometry.joint(link.name, q)
         slide, turn = (UP, STILL) if link.joint.type == "prismatic" else (STILL, UP)
         motions[link.name] = motions[link.parent].carry(step, slide * qd, slide * qdd, turn * qd, turn * qdd)
     return motions

@@ -79,7 +79,7 @@ def _places(machine: Machine, angles: Mapping[str, ArrayLike], point: str, seen_
         if name not in known:
             raise ProblemError(f"there is no link '{name}'", where=f"machine '{machine.name}'",
                                remedy=f"use {', '.join(known)}")
-    joints = [each.name for each in geometry.links if each.joint.type != "locked"]
+    joints = [each.name for each in geometry.links if each.joint.independent]
     q = ca.SX.sym("q", len(joints))
     place = ca.SX(3, 1)
     if link != seen_from or point == TIP:

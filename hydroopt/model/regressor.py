@@ -18,6 +18,7 @@ from hydroopt.machine.machine import Machine
 from hydroopt.model.cylinder_motion import CylinderMotion, cylinder_motion
 from hydroopt.model.friction import friction_terms
 from hydroopt.model.kinematics import Coordinates, Motion, gravity_in_base, link_motions
+from hydroopt.model.mechanism import tree_motion
 from hydroopt.parameters.dynamic import bodies, parameter_set
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial import inertia
@@ -46,10 +47,11 @@ class Dynamics:
         self.machine: Machine = geometry.machine
         self.pressure = ca.SX.sym("pressure", len(self.machine.actuators))
         """Sum of the pressures [Pa] in both chambers of each cylinder, which only the friction of seals depends on."""
-        self.links = link_motions(geometry, coordinates)
-        self.cylinders: dict[str, CylinderMotion] = {
-            c.name: cylinder_motion(geometry, c, self.links, coordinates)
-            for c in self.machine.all_cylinders}
+        self.tree = tree_motion(geometry, coordinates)
+        links = link_motions(geometry, self.tree.symbols)
+        cylinders = {c.name: cylinder_motion(geometry, c, links, self.tree.symbols) for c in self.machine.all_cylinders}
+        self.links: dict[str, Motion] = self.tree.closed(links)
+        self.cylinders: dict[str, CylinderMotion] = self.tree.closed(cylinders)
         self.rates = ca.vertcat(*[self._rate_of(a) for a in self.machine.actuators])
         self.transmission = self._transmission()
         """(actuators, joints): actuator speed = transmission · q̇; its entries are the lever arms."""
@@ -64,9 +66,8 @@ class Dynamics:
         sparse = ca.SX(*full.shape)
         # joints that carry both ends of a cylinder do not change its length: the entry is zero, also symbolically
         for k, actuator in enumerate(self.machine.actuators):
-            between = (self.machine.joints_between(actuator.barrel.link, actuator.rod.link)
-                       if isinstance(actuator, Cylinder) else (actuator.joint,))
-            for joint in between:
+            moved = self.machine.moved_by(actuator) if isinstance(actuator, Cylinder) else (actuator.joint,)
+            for joint in moved:
                 j = self.machine.joints.index(joint)
                 sparse[k, j] = full[k, j]
         return sparse
@@ -198,10 +199,12 @@ class Dynamics:
         machine, qd = self.machine, self.coordinates.qd
         n = len(machine.joints)
         columns: dict[str, ca.SX] = {}
-        for k, (joint, actuator) in enumerate(zip(machine.joints, machine.actuators, strict=True)):
+        for joint, turn in zip(machine.tree_joints, ca.vertsplit(self.tree.values.qd), strict=True):
+            share = ca.jacobian(turn, qd).T
+            columns |= {f"{joint}.tau_coulomb": self.at_actuators(share * ca.sign(turn)),
+                        f"{joint}.tau_viscous": self.at_actuators(share * turn)}
+        for k, actuator in enumerate(machine.actuators):
             unit = ca.SX.eye(n)[:, k]
-            columns |= {f"{joint}.tau_coulomb": self.at_actuators(unit * ca.sign(qd[k])),
-                        f"{joint}.tau_viscous": self.at_actuators(unit * qd[k])}
             terms = friction_terms(actuator, self.rates[k], self.pressure[k], lambda name: psi[parameters.index(name)])
             columns |= {name: unit * term for name, term in terms.items()}
             if isinstance(actuator, Cylinder):

@@ -117,7 +117,7 @@ def parameter_set(machine: Machine, *, actuator_inertia: bool = True, calibrator
         for owner in owners:
             if owner in found:
                 add_body(owner)
-        if link.name in machine.joints:
+        if link.joint.moving:
             for name, scalar in scalars(machine, link.name).items():
                 names.append(name)
                 kinds.append(scalar.number.kind)

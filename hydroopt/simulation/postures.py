@@ -75,7 +75,7 @@ def place_of(model: KinematicModel, fixture: Held, count: int) -> Array:
 
 def limits(model: KinematicModel) -> tuple[Array, Array]:
     """Lower and upper limits (n,) [rad, m] of all joints."""
-    ranges = np.array([link.joint.range for link in model.links if link.joint.type != "locked"])
+    ranges = np.array([link.joint.range for link in model.links if link.joint.independent])
     return ranges[:, 0], ranges[:, 1]
 
 

@@ -49,7 +49,7 @@ def _exact_length(problem: CalibrationProblem) -> bool:
     machine, parameters = problem.model.machine, problem.parameters
     if machine.calibrator is None:
         return False
-    first = next((k for k, link in enumerate(machine.chain) if link.joint.type != "locked"), 0)
+    first = next((k for k, link in enumerate(machine.chain) if link.joint.independent), 0)
     lengths = {f"{link.name}.{key}": getattr(link.joint, key) for k, link in enumerate(machine.chain)
                for key in ("a", "d") if k > first or (k, key) == (first, "a")}
     lengths |= zip(("tip.x", "tip.y", "tip.z"), machine.calibrator.tip, strict=True)

@@ -176,7 +176,7 @@ class _Visit:
     def __init__(self, model: KinematicModel, stage: Stage, count: int, rng: np.random.Generator) -> None:
         self.model, self.stage, self.fixtures = model, stage, model.machine.fixtures
         machine = model.machine
-        self.chain = [model.joints.index(link.name) for link in machine.chain if link.joint.type != "locked"]
+        self.chain = [model.joints.index(link.name) for link in machine.chain if link.joint.independent]
         sensed = [k for k in self.chain if machine.sensor(f"{model.joints[k]}.q")]
         moves, locked = ({model.joints.index(joint) for joint in joints} for joints in (stage.moves, stage.locked))
         self.read = [k for k in postures.read_joints(model, stage) if k in self.chain]
@@ -189,7 +189,7 @@ class _Visit:
                                t=self.freedoms)
         links = {model.joints[k] for k in self.chain}
         lengths = {f"{cylinder.name}.length" for cylinder in machine.cylinders
-                   if links.issuperset(machine.joints_between(cylinder.barrel.link, cylinder.rod.link))}
+                   if links.issuperset(machine.moved_by(cylinder))}
         held = {row for fixture in self.fixtures for row in fixture.closes}
         self.rows = [i for i, name in enumerate(model.channels) if i in held
                      or (_read(machine, name) and (name in lengths or (name.startswith("tip.") and machine.tracker)
@@ -336,8 +336,7 @@ def _read(machine: Machine, *channels: str) -> bool:
 
 
 def _triangle_channels(machine: Machine, cylinder: Cylinder) -> list[str]:
-    between = machine.joints_between(cylinder.barrel.link, cylinder.rod.link)
-    return [f"{cylinder.name}.length", *(f"{joint}.q" for joint in between)]
+    return [f"{cylinder.name}.length", *(f"{joint}.q" for joint in machine.moved_by(cylinder))]
 
 
 def _triangle(machine: Machine, cylinder: Cylinder, count: int) -> Identified:

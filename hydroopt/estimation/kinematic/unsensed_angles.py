@@ -23,7 +23,7 @@ def guess_unsensed(problem: PoseEquations, theta: Array) -> Array:
     moving = np.flatnonzero(layout.moving.any(axis=0))
     if not moving.size:
         return q
-    ranges = np.array([link.joint.range for link in model.links if link.joint.type != "locked"])[moving]
+    ranges = np.array([link.joint.range for link in model.links if link.joint.independent])[moving]
     rng = np.random.default_rng(0)
     unread = layout.moving.any(axis=1)
     loops_only = bool(np.all(layout.held[unread]))  # the gap determines the angle, and is quicker than all rows

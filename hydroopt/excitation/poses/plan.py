@@ -148,7 +148,7 @@ class PosePlan(Answer):
                 columns[f"{joint} [{unit}]"] = printed
                 columns |= {f"{cylinder.name} [mm]": [f"{1e3 * length:.0f}" for length in self.lengths[:, k]]
                             for k, cylinder in enumerate(self.machine.cylinders)
-                            if joint in group.moves and self.machine.axis_of(cylinder) == joint}
+                            if joint in group.moves and self.machine.main_joint(cylinder) == joint}
             held = [(joint, *self._printed(joint)) for joint in group.locked]
             lock = ", ".join(f"{joint} at {angle[rows[0]]} {unit}" for joint, unit, angle in held)
             move = ", ".join(group.moves) or "all joints"

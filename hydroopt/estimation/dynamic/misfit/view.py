@@ -51,7 +51,7 @@ class View:
         """The view of an experiment at ψ."""
         machine, channels = experiment.model.machine, experiment.log.channels
         beside = tuple(k for k, c in enumerate(machine.cylinders) if f"{c.name}.length" in channels and all(
-            f"{joint}.q" in channels for joint in machine.joints_between(c.barrel.link, c.rod.link)))
+            f"{joint}.q" in channels for joint in machine.moved_by(c)))
         again = _too_smooth(experiment)
         view = cls(experiment, psi, beside, again)
         return replace(view, experiment=replace(experiment, motion=view._smoothed_again())) if again else view

@@ -1,0 +1,189 @@
+"""A machine with loops as MuJoCo sees it: a cut tree of hinges and slides, and pins that hold its cut ends together.
+
+Each cylinder is a barrel on a hinge and a rod that slides in it; its rod's pin closes one more loop. Where the tree
+stands, moves and accelerates follows from these pins alone, by Newton's method on MuJoCo's own positions and
+Jacobians, along a way from the stated posture. Actuator and pin forces then are the solution of one linear system.
+"""
+
+from __future__ import annotations
+
+from itertools import product
+from typing import NamedTuple
+
+import mujoco
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from hydroopt.machine.actuators import Cylinder
+from hydroopt.machine.links import Link
+from hydroopt.machine.machine import BASE, Machine
+from oracles.mujoco_tree import _give_mass
+
+STEPS = 12
+
+
+class Pin(NamedTuple):
+    """Two points, each fixed to a body, that are one."""
+
+    bodies: tuple[str, str]
+    points: tuple[np.ndarray, np.ndarray]
+
+
+class MujocoLoops:
+    """Links, barrels and rods with the bodies `clouds` (owner → φ)."""
+
+    def __init__(self, machine: Machine, clouds: dict[str, np.ndarray]) -> None:
+        self.machine = machine
+        spec = mujoco.MjSpec()
+        spec.option.gravity = [0, 0, -machine.gravity]
+        spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
+        tilt = Rotation.from_euler("xyz", machine.orientation)
+        self.bodies = {BASE: spec.worldbody.add_body(name=BASE, quat=tilt.as_quat(scalar_first=True))}
+        self.pins: list[Pin] = []
+        for link in machine.links:
+            start, turn = self._seat(link)
+            body = self.bodies[link.parent].add_body(
+                name=link.name, pos=start + turn.apply([0, 0, link.joint.d]),
+                quat=(turn * Rotation.from_euler("z", link.joint.theta)).as_quat(scalar_first=True))
+            self.bodies[link.name] = body
+            if link.joint.moving:
+                body.add_joint(name=link.name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+            _give_mass(body, clouds[link.name])
+        for loop in machine.loops:
+            far = np.array([machine.link(loop.link).joint.a, 0, 0])
+            self.pins.append(Pin((loop.link, loop.to.link), (far, np.array(loop.to.pin))))
+        for cylinder in machine.cylinders:
+            self._cylinder(cylinder, clouds)
+        self.model = spec.compile()
+        self.data = mujoco.MjData(self.model)
+        self.given = [self._dof(joint) for joint in machine.joints]
+        self.free = [k for k in range(self.model.nv) if k not in self.given]
+        driven = [self._dof(f"{a.name}.rod" if isinstance(a, Cylinder) else a.joint) for a in machine.actuators]
+        self.actuated = np.eye(self.model.nv)[:, driven]
+
+    def _seat(self, link: Link) -> tuple[np.ndarray, Rotation]:
+        """Where a link's joint sits in its parent's frame."""
+        if link.pin is not None:
+            return np.array(link.pin), Rotation.identity()
+        if link.parent == BASE:
+            return np.zeros(3), Rotation.identity()
+        before = self.machine.link(link.parent).joint
+        return np.array([before.a, 0, 0]), Rotation.from_euler("XY", [before.alpha, before.beta])
+
+    def _cylinder(self, cylinder: Cylinder, clouds: dict[str, np.ndarray]) -> None:
+        # the barrel turns about an axis parallel to that of the next joint towards the rod
+        after = next(name for name in self.machine.ancestry(cylinder.rod.link)
+                     if self.machine.link(name).parent == cylinder.barrel.link)
+        turn = self._seat(self.machine.link(after))[1]
+        barrel = self.bodies[cylinder.barrel.link].add_body(name=f"{cylinder.name}.barrel", pos=cylinder.barrel.pin,
+                                                            quat=turn.as_quat(scalar_first=True))
+        barrel.add_joint(name=f"{cylinder.name}.barrel", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+        rod = barrel.add_body(name=f"{cylinder.name}.rod")
+        rod.add_joint(name=f"{cylinder.name}.rod", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
+        for end, body in (("barrel", barrel), ("rod", rod)):
+            _give_mass(body, clouds[f"{cylinder.name}.{end}"])
+        self.pins.append(Pin((f"{cylinder.name}.rod", cylinder.rod.link), (np.zeros(3), np.array(cylinder.rod.pin))))
+
+    def _dof(self, joint: str) -> int:
+        return int(self.model.joint(joint).dofadr[0])
+
+    def _closure(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Gaps (3k,) of all pins, their Jacobian, and its derivative in time."""
+        gaps, rows, rates = [], [], []
+        for pin in self.pins:
+            places, jacobians, changes = [], [], []
+            for name, local in zip(*pin, strict=True):
+                body = self.model.body(name).id
+                place = self.data.xpos[body] + self.data.xmat[body].reshape(3, 3) @ local
+                jacobian, change = np.zeros((3, self.model.nv)), np.zeros((3, self.model.nv))
+                mujoco.mj_jac(self.model, self.data, jacobian, None, place, body)
+                mujoco.mj_jacDot(self.model, self.data, change, None, place, body)
+                places.append(place)
+                jacobians.append(jacobian)
+                changes.append(change)
+            for made, parts in ((gaps, places), (rows, jacobians), (rates, changes)):
+                made.append(parts[1] - parts[0])
+        return np.concatenate(gaps), np.vstack(rows), np.vstack(rates)
+
+    def _forward(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        mujoco.mj_fwdPosition(self.model, self.data)
+        mujoco.mj_fwdVelocity(self.model, self.data)
+        return self._closure()
+
+    def _close(self) -> bool:
+        """Newton's method on the pins' gaps, to rounding."""
+        if not self.pins:
+            return True
+        for _ in range(30):
+            gap, rows, _ = self._forward()
+            step = np.linalg.lstsq(rows[:, self.free], -gap, rcond=1e-9)[0]
+            self.data.qpos[self.free] += step
+            if np.max(np.abs(step)) < 1e-14:
+                break
+        return bool(np.max(np.abs(self._forward()[0])) < 1e-12)
+
+    def posture(self) -> np.ndarray:
+        """Independent joints (n,) in the middle of their ranges, or in the postures of loops, with all pins closed."""
+        q = {name: sum(self.machine.link(name).joint.range) / 2 for name in self.machine.joints}
+        known: dict[str, float] = {}
+        for loop in self.machine.loops:
+            known |= loop.posture
+        q |= {joint: value for joint, value in known.items() if joint in q}
+        self.data.qpos[:] = 0
+        self.data.qvel[:] = 0
+        for joint, value in (q | known).items():
+            self.data.qpos[self._dof(joint)] = value
+        tree = [self._dof(joint) for joint in self.machine.tree_joints]
+        every, self.pins = self.pins, self.pins[:len(self.machine.loops)]
+        free, self.free = self.free, [k for k in self.free if k in tree]
+        unstated = [self._dof(joint) for joint in self.machine.tree_joints if joint not in q | known]
+        begin = self.data.qpos.copy()
+        for guess in product(np.linspace(-3, 3, 7), repeat=len(unstated)):
+            self.data.qpos[:] = begin
+            self.data.qpos[unstated] = guess
+            if self._close() and np.all(np.abs((self.data.qpos - begin)[[self._dof(joint) for joint in known]]) < 0.4):
+                break
+        else:
+            raise AssertionError("no posture closes the loops near the stated one")
+        self.pins, self.free = every, free
+        for cylinder in self.machine.cylinders:
+            self._aim(cylinder)
+        assert self._close()
+        return np.array(list(q.values()))
+
+    def _aim(self, cylinder: Cylinder) -> None:
+        """Turn a barrel towards the pin of its rod, and pull the rod there."""
+        mujoco.mj_kinematics(self.model, self.data)
+        body = self.model.body(cylinder.rod.link).id
+        target = self.data.xpos[body] + self.data.xmat[body].reshape(3, 3) @ np.array(cylinder.rod.pin)
+        barrel = self.model.body(f"{cylinder.name}.barrel").id
+        seen = self.data.xmat[barrel].reshape(3, 3).T @ (target - self.data.xpos[barrel])
+        self.data.qpos[self._dof(f"{cylinder.name}.barrel")] += np.arctan2(seen[1], seen[0])
+        self.data.qpos[self._dof(f"{cylinder.name}.rod")] = np.hypot(seen[0], seen[1])
+
+    def actuator_forces(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        """Forces (n,) that move all bodies."""
+        start = self.posture()
+        for share in np.linspace(0, 1, STEPS + 1)[1:]:
+            self.data.qpos[self.given] = start + share * (q - start)
+            assert self._close()
+        _, rows, _ = self._forward()
+
+        def rest(given: np.ndarray, bias: np.ndarray) -> np.ndarray:
+            whole = np.zeros(self.model.nv)
+            whole[self.given] = given
+            whole[self.free] = np.linalg.lstsq(rows[:, self.free], -bias - rows[:, self.given] @ given, rcond=1e-9)[0]
+            return whole
+
+        self.data.qvel[:] = rest(qd, np.zeros(len(rows)))
+        _, rows, rates = self._forward()
+        self.data.qacc[:] = rest(qdd, rates @ self.data.qvel)
+        mujoco.mj_inverse(self.model, self.data)
+        both = np.hstack([self.actuated, rows.T])
+        found, *_ = np.linalg.lstsq(both, self.data.qfrc_inverse, rcond=1e-11)
+        assert np.allclose(both @ found, self.data.qfrc_inverse, rtol=1e-9, atol=1e-6)
+        return found[:len(self.machine.actuators)]
+
+    def tree(self) -> dict[str, float]:
+        """Positions of all moving joints."""
+        return {joint: float(self.data.qpos[self._dof(joint)]) for joint in self.machine.tree_joints}
