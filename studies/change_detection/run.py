@@ -10,6 +10,7 @@ from hydroopt import Log, Model, load_machine, payload, random_trajectory, rando
 from hydroopt.estimation.dynamic.change import holm, named_parts
 from hydroopt.estimation.dynamic.comparison import Wald, two_session_problem, wald
 from hydroopt.estimation.dynamic.stored_information import StoredInformation, stored_information
+from studies.change_detection import sessions
 
 PAIRS, CHANGED, LOADED = 240, 60, 20
 STEP, OF = 400.0, "boom_cylinder.f_coulomb"
@@ -19,7 +20,7 @@ NAMES = named_parts(MODEL.parameters, ["friction", "offset"])
 
 
 def run() -> dict:
-    """False alarms and their distribution, power for one change, and coverage of a load's intervals."""
+    """False alarms and their distribution, power for one change, coverage of a load's intervals; five sessions."""
     p, least, changed = false_alarms(range(PAIRS))
     inside, misses = loads(range(LOADED))
     seen, kept, errors = np.array(changed).T
@@ -31,7 +32,7 @@ def run() -> dict:
             "true_cause_kept": round(float(np.mean(kept)), 3),
             "single_cause_error_std": round(float(np.std(errors)), 3),
             "load_coverage": round(float(np.mean(inside)), 3), "load_numbers_told": len(inside),
-            "load_error_kg_median": round(float(np.median(misses)), 2)}
+            "load_error_kg_median": round(float(np.median(misses)), 2), **sessions.run()}
 
 
 def false_alarms(seeds: Iterable[int]) -> tuple[np.ndarray, np.ndarray, list[tuple[bool, bool, float]]]:
