@@ -11,40 +11,31 @@ from markupsafe import Markup
 from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
-from hydroopt.report.comparison import session_row
-from hydroopt.report.figures import BLUE, GREY, ORANGE, STYLE, WIDTH, svg
-from hydroopt.report.numbers import NONE, plain, quantity, unit_text
-from hydroopt.report.page import page
-from hydroopt.results.diagnostic import sentences
+from hydroopt.report.comparison import sessions_page
+from hydroopt.report.figures import BLUE, GREY, ORANGE, STYLE, panels, svg
+from hydroopt.report.numbers import NONE, p_value, percent, plain, quantity, unit_text
 
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.change_history import ChangeHistory, ParameterHistory, SessionValue
-
-COLUMNS = 3
 
 
 def render_history(history: ChangeHistory) -> str:
     """The page of several sessions compared; it needs nothing else."""
     changed = [one for one in history.histories if one.changed]
     drawn = changed or list(history.single[:1])
-    return page("change_history.html").render(
-        machine=history.machine, contradictions=history.contradictions, detected=history.detected,
-        p=f"{history.p_value:.2g}", phi=plain(history.split_half, 2), p_repeat=f"{history.p_value_repeat:.2g}",
-        tests=history.tests, level=plain(100 * history.level, 2), alone=bool(drawn) and not changed,
-        findings=[finding.text for finding in history.findings], diagnostics=sentences(history.diagnostics),
-        rows=[_row(one) for one in history.histories],
-        figure=Markup(svg(courses(drawn), "courses")) if drawn else "",
-        logs=[session_row(role, each, history.machine) for role, each in history.sessions.items()])
+    return sessions_page(
+        "change_history.html", history, f"changes over {len(history.sessions)} sessions", history.sessions,
+        "comparison.json, comparison.csv and sessions.csv", detected=history.detected, p=p_value(history.p_value),
+        tests=history.tests, level=plain(100 * history.level, 2), scatter=percent(history.scatter),
+        p_scatter=p_value(history.scatter_p_value), alone=bool(drawn) and not changed,
+        rows=[_row(one) for one in history.histories], figure=Markup(svg(courses(drawn), "courses")) if drawn else "")
 
 
 def courses(histories: Sequence[ParameterHistory]) -> Figure:
     """Each parameter over the sessions, its change since the first with 95 % intervals, and its step or drift."""
-    columns = min(COLUMNS, len(histories))
-    lines = -(-len(histories) // columns)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 2.3 * lines))
-        axes = np.asarray(figure.subplots(lines, columns, squeeze=False)).ravel()
-        for ax, one in zip(axes, histories, strict=False):
+        figure, axes = panels(len(histories), 2.3)
+        for ax, one in zip(axes, histories, strict=True):
             number = np.arange(1, len(one.values) + 1)
             change, ends = np.array([each.change for each in one.values]), np.array([each.ci95 for each in one.values])
             ax.axhline(0, color=GREY, lw=0.8)
@@ -61,8 +52,6 @@ def courses(histories: Sequence[ParameterHistory]) -> Figure:
                    xlim=(0.6, len(number) + 0.4))
             ax.xaxis.set_major_locator(MaxNLocator(nbins=min(len(number), 10), integer=True))
             ax.grid(axis="x", visible=False)
-        for ax in axes[len(histories):]:
-            ax.set_visible(False)
         figure.tight_layout()
     return figure
 
@@ -71,7 +60,7 @@ def _row(one: ParameterHistory) -> dict[str, Any]:
     shown = quantity(one.value, one.std, one.ci95)
     course = f"step at session {one.session}" if one.session is not None else str(one.course)
     return {"name": one.name, "unit": unit_text(one.unit), "value": shown.value, "interval": shown.interval,
-            "course": course, "changed": one.changed, "p": f"{one.p_value:.2g}" if np.isfinite(one.p_value) else NONE,
+            "course": course, "changed": one.changed, "p": p_value(one.p_value),
             "detectable": plain(one.largest_detectable, 2), "sessions": [_cell(value) for value in one.values[1:]]}
 
 

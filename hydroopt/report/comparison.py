@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import TYPE_CHECKING, Any
 
 import matplotlib
@@ -10,20 +10,18 @@ import numpy as np
 from markupsafe import Markup
 from matplotlib.figure import Figure
 
-from hydroopt.report.figures import BLUE, GREY, ORANGE, STYLE, WIDTH, svg
-from hydroopt.report.numbers import NONE, plain, quantity, unit_text
+from hydroopt.report.figures import BLUE, GREY, ORANGE, STYLE, panels, svg
+from hydroopt.report.numbers import p_value, plain, quantity, unit_text
 from hydroopt.report.page import page
 from hydroopt.results.diagnostic import sentences
 
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.change import Change, Difference
     from hydroopt.estimation.dynamic.payload import Payload
-    from hydroopt.estimation.dynamic.session_answer import Quantity
+    from hydroopt.estimation.dynamic.session_answer import Quantity, SessionAnswer
     from hydroopt.estimation.dynamic.stored_information import StoredInformation
     from hydroopt.estimation.dynamic.two_session_answer import TwoSessionAnswer
     from hydroopt.machine.machine import Machine
-
-COLUMNS = 3
 
 
 def render_change(change: Change) -> str:
@@ -40,18 +38,33 @@ def render_payload(load: Payload) -> str:
 
 def _page(answer: TwoSessionAnswer, title: str, rows: Sequence[dict[str, Any]],
           numbers: Sequence[Quantity], *, sessions: tuple[str, str], link: str = "") -> str:
-    drawn = differences(numbers)
-    return page("comparison.html").render(
-        machine=answer.machine, title=title, load=bool(link), link=link, status=str(answer.status),
+    drawn, name = differences(numbers), "payload" if link else "comparison"
+    return sessions_page(
+        "comparison.html", answer, title, sessions, f"{name}.json and {name}.csv", load=bool(link), link=link,
+        notes=answer.notes, rank=answer.rank, statistic=plain(answer.statistic, 3),
+        freedom=plain(answer.degrees_of_freedom, 3), p=p_value(answer.p_value), phi=plain(answer.split_half, 2),
+        p_repeat=p_value(answer.p_value_repeat), rows=rows,
+        figure=Markup(svg(drawn, "differences")) if drawn is not None else "")
+
+
+def sessions_page(template: str, answer: SessionAnswer, title: str, roles: Iterable[str], files: str, *,
+                  notes: Sequence[str] = (), **more: Any) -> str:
+    """A page on sessions: what all such pages have, and what its template needs beside.
+
+    Args:
+        template: extends sessions.html.
+        answer: about the sessions.
+        title: beside the machine's name.
+        roles: what the sessions are called.
+        files: in which the numbers stand.
+        notes: how it was computed, in sentences.
+        more: values for the template.
+    """
+    return page(template).render(
+        machine=answer.machine, title=title, contradictions=answer.contradictions, files=files, notes=notes,
         findings=[finding.text for finding in answer.findings], diagnostics=sentences(answer.diagnostics),
-        notes=list(answer.notes), rank=answer.rank, statistic=plain(answer.statistic, 3),
-        freedom=plain(answer.degrees_of_freedom, 3), p=f"{answer.p_value:.2g}",
-        phi=plain(answer.split_half, 2), p_repeat=f"{answer.p_value_repeat:.2g}", rows=rows,
-        file=f"{'payload' if link else 'comparison'}",
-        figure=Markup(svg(drawn, "differences")) if drawn is not None else "",
-        contradictions=answer.contradictions,
-        logs=[session_row(role, each, answer.machine) for role, each in zip(sessions, (answer.before, answer.after),
-                                                                            strict=True)])
+        logs=[_session_row(role, each, answer.machine)
+              for role, each in zip(roles, answer.sessions.values(), strict=True)], **more)
 
 
 def differences(rows: Sequence[Quantity]) -> Figure | None:
@@ -62,13 +75,9 @@ def differences(rows: Sequence[Quantity]) -> Figure | None:
             units.setdefault(one.unit, []).append(one)
     if not units:
         return None
-    columns = min(COLUMNS, len(units))
-    lines = -(-len(units) // columns)
-    height = lines * (0.24 * max(map(len, units.values())) + 0.75)
     with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, height))
-        axes = np.asarray(figure.subplots(lines, columns, squeeze=False)).ravel()
-        for ax, (unit, some) in zip(axes, units.items(), strict=False):
+        figure, axes = panels(len(units), 0.24 * max(map(len, units.values())) + 0.75)
+        for ax, (unit, some) in zip(axes, units.items(), strict=True):
             at = np.arange(len(some))
             colours = [ORANGE if getattr(one, "changed", False) else BLUE for one in some]
             ax.axvline(0, color=GREY, lw=0.8)
@@ -77,8 +86,6 @@ def differences(rows: Sequence[Quantity]) -> Figure | None:
             ax.set_yticks(at, [one.name for one in some])
             ax.set(ylim=(len(some) - 0.4, -0.6), xlabel="part of the reading" if unit == "1" else unit_text(unit))
             ax.grid(axis="y", visible=False)
-        for ax in axes[len(units):]:
-            ax.set_visible(False)
         figure.tight_layout()
     return figure
 
@@ -90,12 +97,12 @@ def _row(one: Quantity) -> dict[str, Any]:
 
 
 def _difference_row(one: Difference) -> dict[str, Any]:
-    return _row(one) | {"p": f"{one.p_holm:.2g}" if np.isfinite(one.p_holm) else NONE, "changed": one.changed,
+    return _row(one) | {"p": p_value(one.p_holm), "changed": one.changed,
                         "detectable": plain(one.detectable, 2), "finding": one.finding.text}
 
 
-def session_row(role: str, session: StoredInformation, machine: Machine) -> dict[str, Any]:
-    """Logs and weights of a session for the template of all pages on sessions."""
+def _session_row(role: str, session: StoredInformation, machine: Machine) -> dict[str, Any]:
+    """Logs and weights of a session."""
     return {"role": role, "inputs": session.inputs,
             "weights": [(name, plain(one["sigma"]), plain(one["correlation_time"], 3), one["samples"])
                         for name, one in session.weights(machine).items()]}

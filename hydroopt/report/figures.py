@@ -47,7 +47,9 @@ WIDTH = 11.0
 POINTS = 2000
 DOTS = 15000
 CLIP = 5.0
-"""Inches of a figure's width; points a line is thinned to; dots of a cloud; changes beyond are drawn at the edge."""
+COLUMNS = 3
+"""Inches of a figure's width; points a line is thinned to; dots of a cloud; changes beyond are drawn at the edge;
+panels side by side."""
 
 
 class Stretch(NamedTuple):
@@ -68,6 +70,17 @@ def svg(figure: Figure, name: str) -> str:
     text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
     text = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", text)
     return text.replace("<svg ", f'<svg class="figure" role="img" aria-label="{name}" ', 1)
+
+
+def panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
+    """A figure of so many panels of one height [in], three side by side at most."""
+    columns = min(COLUMNS, count)
+    lines = -(-count // columns)
+    figure = Figure(figsize=(WIDTH, height * lines))
+    axes = list(np.asarray(figure.subplots(lines, columns, squeeze=False)).ravel())
+    for ax in axes[count:]:
+        ax.set_visible(False)
+    return figure, axes[:count]
 
 
 def thin(x: Array, y: Array, points: int = POINTS) -> tuple[Array, Array]:

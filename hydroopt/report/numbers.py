@@ -7,6 +7,8 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hydroopt.results.diagnostic import LEAST_P
+
 NONE = "—"
 """What stands where there is no number."""
 
@@ -37,6 +39,15 @@ def plain(value: float, digits: int = 4) -> str:
     magnitude = _magnitude(value)
     exponent = magnitude if magnitude >= 6 or magnitude < -3 else 0
     return _written(value, digits - 1 - _magnitude(value), exponent, trim=True)
+
+
+def p_value(p: float) -> str:
+    """A p-value; one that is only tiny is never zero. A dash for NaN.
+
+    >>> p_value(0.0312), p_value(0.0)
+    ('0.031', '< 1e-15')
+    """
+    return NONE if math.isnan(p) else f"< {LEAST_P:.0e}" if p < LEAST_P else f"{p:.2g}"
 
 
 def percent(part: float) -> str:

@@ -10,6 +10,8 @@ from hydroopt.results.session_wording import SESSION_WORDS
 from hydroopt.results.wording import WORDS, Kind, filled
 
 _ALL_WORDS = WORDS | SESSION_WORDS
+LEAST_P = 1e-15
+"""p-value below which rounding errors leave no digit of it."""
 NAMED = 8
 """How many names of a list are written out."""
 
@@ -86,4 +88,4 @@ def sentences(diagnostics: Iterable[Diagnostic]) -> list[str]:
 
 def probability(p: float) -> str:
     """A p-value in words."""
-    return "p < 1e-6" if p < 1e-6 else f"p = {p:.2g}"
+    return f"p < {LEAST_P:.0e}" if p < LEAST_P else f"p = {p:.2g}"

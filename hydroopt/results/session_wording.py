@@ -26,10 +26,13 @@ SESSION_WORDS: dict[Kind, Words] = {
         "Vary speed and range of the motion in every session."),
     Kind.SESSIONS_DIFFER: Words(
         "A change over the {sessions} sessions is detected: {probability} in {tests} tests of {count} parameters "
-        "together; {repeat} if parts of one session may differ as the halves of its logs do (φ = {phi:.2g}).{decides}"),
+        "together."),
     Kind.SESSIONS_AGREE: Words(
-        "The {sessions} sessions agree: {probability} in {tests} tests of {count} parameters together; {repeat} if "
-        "parts of one session may differ as the halves of its logs do (φ = {phi:.2g}).{decides}"),
+        "No step or drift over the {sessions} sessions is detected: {probability} in {tests} tests of {count} "
+        "parameters together."),
+    Kind.SESSIONS_SCATTER: Words(
+        "Friction and offsets differ from session to session without any order ({probability}), by {scatter:.2g %} of "
+        "the friction force. Steps and drifts are held against that."),
     Kind.CHANGED_TOGETHER: Words("All parameters together fit {shapes}."),
     Kind.VARY_TOGETHER: Words("Neither one step nor a drift of all parameters together explains it."),
     Kind.SINGLE_COURSE: Words(
@@ -38,6 +41,9 @@ SESSION_WORDS: dict[Kind, Words] = {
     Kind.PARAMETER_AGREES: Words(
         "{subject} agrees over all sessions ({probability}); a step above {detectable:g} {unit} at {where} would have "
         "been detected."),
+    Kind.PARAMETER_SCATTERS: Words(
+        "{subject} differs from session to session by more than residuals explain, but without any order "
+        "({probability} of no step or drift); a step above {detectable:g} {unit} at {where} would have been detected."),
     Kind.MORE_CHANGED: Words(
         "What the parameters named below did does not explain all of it ({probability}): something else changed, too."),
     Kind.PARAMETER_NOT_VISIBLE: Words(

@@ -10,7 +10,8 @@ from threadpoolctl import threadpool_limits
 from hydroopt import Model, load_machine, random_trajectory, random_truth, simulate
 from hydroopt.estimation.dynamic.change import named_parts, usual_parts
 from hydroopt.estimation.dynamic.change_history import ChangeHistory, change_history
-from hydroopt.estimation.dynamic.session_scan import Shape, session_scan
+from hydroopt.estimation.dynamic.change_space import Shape
+from hydroopt.estimation.dynamic.session_scan import session_scan
 from hydroopt.estimation.dynamic.stored_information import StoredInformation, stored_information
 
 SESSIONS, AT, LEVEL = 5, 3, 0.05

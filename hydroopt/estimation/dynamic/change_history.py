@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 from functools import cached_property
 from pathlib import Path
@@ -15,9 +15,10 @@ from scipy import stats
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.dynamic.change import amount, named_parts, printed, refuse_level, usual_parts
+from hydroopt.estimation.dynamic.change import amount, holm, named_parts, printed, refuse_level, usual_parts
+from hydroopt.estimation.dynamic.change_space import ChangeSpace, Shape, SubspaceTest
 from hydroopt.estimation.dynamic.session_answer import Quantity, SessionAnswer
-from hydroopt.estimation.dynamic.session_scan import SessionScan, Shape, SubspaceTest, session_scan
+from hydroopt.estimation.dynamic.session_scan import SessionScan, session_scan
 from hydroopt.estimation.dynamic.stored_information import (
     StoredInformation,
     refuse_shared_samples,
@@ -48,6 +49,7 @@ class Course(StrEnum):
     STEP = "step"
     DRIFT = "drift"
     VARIES = "varies"
+    SCATTERS = "scatters"
     UNDECIDED = "undecided"
     NOT_VISIBLE = "not visible"
     NOT_IDENTIFIABLE = "not identifiable"
@@ -89,7 +91,7 @@ class ParameterHistory(Quantity):
     Attributes:
         course: what it did.
         session: the first with the new value, counted from 1; None where there is no step.
-        p_value: of no change, corrected for all parameters, sessions and shapes.
+        p_value: of no step or drift, corrected for all parameters, sessions and shapes.
         detectable: the step that would have been detected with a probability of 95 % at each later session (N−1,); inf
             where none is.
         alternatives: steps and drift that the sessions do not refute, the likeliest first.
@@ -143,7 +145,8 @@ class ParameterHistory(Quantity):
             return Diagnostic(Kind.PARAMETER_UNDECIDED, subject, evidence | {"alternatives": " or ".join(
                 f"{one.shape} ({100 * one.share:.0f} %)" for one in likeliest(self.alternatives))})
         blind = [str(k) for k, size in enumerate(self.detectable, 2) if not np.isfinite(size)]
-        kind = Kind.PARAMETER_AGREES if self.course is Course.AGREES else Kind.PARAMETER_NOT_VISIBLE
+        kind = {Course.AGREES: Kind.PARAMETER_AGREES, Course.SCATTERS: Kind.PARAMETER_SCATTERS}.get(
+            self.course, Kind.PARAMETER_NOT_VISIBLE)
         return Diagnostic(kind, subject, evidence | {
             "detectable": float(f"{self.largest_detectable:.2g}"), "size": float(f"{self.size:.2g}"),
             "where": f"any session but {', '.join(blind)}" if blind else "any session"})
@@ -164,8 +167,10 @@ class ChangeHistory(SessionAnswer):
     Attributes:
         machine: of all sessions.
         in_order: the sessions.
-        p_value: of no change of any parameter at any session, corrected for all tests.
-        p_value_repeat: the same, if parts of one session may differ by φ times what residuals explain.
+        p_value: of no step or drift of any parameter, corrected for all tests.
+        scatter: κ, how much friction and offsets differ from session to session without any order: their RMS force
+            relative to the friction force.
+        scatter_p_value: of no such differences.
         tests: number of tests.
         rank: number of identifiable combinations of changes.
         level: below which a p-value is significant.
@@ -181,7 +186,8 @@ class ChangeHistory(SessionAnswer):
     machine: Machine
     in_order: tuple[StoredInformation, ...]
     p_value: float
-    p_value_repeat: float
+    scatter: float
+    scatter_p_value: float
     tests: int
     rank: int
     level: float
@@ -204,7 +210,7 @@ class ChangeHistory(SessionAnswer):
     @property
     def detected(self) -> bool:
         """Whether anything changed."""
-        return (self.p_value if self.steady else self.p_value_repeat) < self.level
+        return self.p_value < self.level
 
     def history(self, name: str) -> ParameterHistory:
         """What one parameter did."""
@@ -215,10 +221,12 @@ class ChangeHistory(SessionAnswer):
         """Whether the sessions agree, what all parameters together did, and each of them."""
         whole = Diagnostic(Kind.SESSIONS_DIFFER if self.detected else Kind.SESSIONS_AGREE, (), {
             "count": len(self.histories), "sessions": len(self.in_order), "tests": self.tests,
-            "p_value": self.p_value, "probability": probability(self.p_value), "phi": self.split_half,
-            "p_value_over_phi": self.p_value_repeat, "repeat": probability(self.p_value_repeat),
-            "decides": "" if self.steady else " They do, so that the latter decides."})
-        return (whole, *(self._explained() if self.detected else ()),
+            "p_value": self.p_value, "probability": probability(self.p_value)})
+        scatter = Diagnostic(Kind.SESSIONS_SCATTER, (), {
+            "scatter": self.scatter, "p_value": self.scatter_p_value,
+            "probability": probability(self.scatter_p_value)})
+        return (whole, *((scatter,) if self.scatter_p_value < self.level else ()),
+                *(self._explained() if self.detected else ()),
                 *(one.finding for one in self.histories if one.identifiable))
 
     def _explained(self) -> Sequence[Diagnostic]:
@@ -249,8 +257,8 @@ class ChangeHistory(SessionAnswer):
     def details(self) -> Mapping[str, Any]:
         """Level, joint test, what each parameter did, and the weights of each session."""
         return {"level": self.level, "histories": [one.as_dict() for one in self.histories],
-                "test": {"p_value": self.p_value, "phi": self.split_half, "p_value_over_phi": self.p_value_repeat,
-                         "steady": self.steady, "tests": self.tests, "rank": self.rank,
+                "test": {"p_value": self.p_value, "tests": self.tests, "rank": self.rank, "scatter": self.scatter,
+                         "scatter_p_value": self.scatter_p_value, "phi": self.split_half,
                          "left_over": number(self.left_over)},
                 "together": [one.as_dict() for one in self.together],
                 "single": [one.as_dict() for one in self.single], "weights": self.weights}
@@ -267,7 +275,7 @@ class ChangeHistory(SessionAnswer):
 
 
 METHOD = "scan over sessions"
-"""One least squares over all sessions, and tests of steps at each session, drifts, and values of each session's own."""
+"""One least squares over all sessions, and tests of steps at each session and drifts."""
 
 
 def detect_changes(machine: Machine, sessions: Sequence[Sequence[Log] | Log | str | Path], *,
@@ -276,14 +284,16 @@ def detect_changes(machine: Machine, sessions: Sequence[Sequence[Log] | Log | st
     """Which parameters agree over several sessions in time order, drifted, or changed at which session.
 
     One least squares over all sessions, in which parameters that may not have changed are shared. Tested are a step
-    at each session, a linear drift (in the session's number), and values of each session's own: of all parameters
-    together, and of each by itself, whatever the others do. `level` is the probability that any of these raises an
-    alarm where nothing changed, and that any parameter is named that did not change: the distribution of the smallest
-    of all p-values is drawn, and names follow Holm's steps. A step or drift is refuted where values of each session's
-    own explain significantly more. The likeliest, if it is not refuted, is stated if it has 95 % of all likelihood;
-    otherwise the alternatives are named. Variances of residuals by frequency and their degrees of freedom determine
-    the tests. Where friction already differs between the halves of a log by φ times what these explain (p < 1 %),
-    squared differences count as 1/φ. Values are those of least squares, without bounds and conditions on bodies.
+    at each session and a linear drift (in the session's number): of all parameters together, and of each by itself,
+    whatever the others do. `level` is the probability that any of these raises an alarm where nothing changed, and that
+    any parameter is named that did not change: the distribution of the smallest of all p-values is drawn, and names
+    follow Holm's steps. A step or drift is refuted where values of each session's own explain significantly more. The
+    likeliest, if it is not refuted, is stated if it has 95 % of all likelihood; otherwise the alternatives are named.
+
+    Measured again, friction and offsets differ by more than residuals explain, without any order. Steps and drifts are
+    held against this scatter, which is estimated from the sessions themselves (`session_scatter`), beside variances
+    of residuals by frequency and their degrees of freedom. Scatter raises no alarm; it is stated where it is
+    significant. Values are those of least squares, without bounds and conditions on bodies.
 
     Args:
         machine: nominal description, the same for all sessions.
@@ -326,21 +336,22 @@ def detect_changes(machine: Machine, sessions: Sequence[Sequence[Log] | Log | st
 def change_history(model: Model, names: Sequence[str], sessions: Sequence[StoredInformation], level: float,
                    seed: int = 0) -> ChangeHistory:
     """What `detect_changes` answers, from the information of the sessions."""
-    phi = float(np.mean([session.split_half for session in sessions]))
-    steady = all(session.steady for session in sessions)
-    plain = session_scan(model, names, sessions, seed=seed)
-    repeat = plain if phi == 1 else replace(plain, phi=phi)
-    scan = plain if steady else repeat
-    detected = scan.p_value < level
-    together = scan.explanations(scan.together, scan.whole, level) if detected else {}
+    scan = session_scan(model, names, sessions, seed=seed)
+    detected, best = scan.p_value < level, scan.likeliest
+    space = scan.spaces[best]
+    together = ({} if not detected else
+                space.explanations({shape: space.together(shape) for shape in scan.together}, space.whole, level))
     named_steps, steps = scan.detectable(level)
-    histories = tuple(_history(model, scan, j, sessions, level, named_steps[j] if detected else steps[j])
-                      for j in range(len(names)))
-    named = scan.all_of([j for j, one in enumerate(histories) if one.changed])
-    rest = scan.left_over(named)
+    residual = scan.residual
+    disorder = (residual.left_over(residual.together(best)) if detected else residual.whole).p_value
+    own = holm(np.array([residual.own(j).p_value if scan.separate[j] else np.nan for j in range(len(names))]))
+    histories = tuple(_history(model, scan, j, sessions, level, named_steps[j] if detected else steps[j],
+                               max(disorder, own[j])) for j in range(len(names)))
+    named = space.all_of([j for j, one in enumerate(histories) if one.changed])
+    rest = space.left_over(named)
     return ChangeHistory(
-        model.machine, tuple(sessions), plain.p_value, repeat.p_value, scan.tests, scan.rank, level, histories,
-        tuple(Alternative(*one) for one in together.items()),
+        model.machine, tuple(sessions), scan.p_value, float(np.sqrt(scan.variances[best])), disorder, scan.tests,
+        scan.rank, level, histories, tuple(Alternative(*one) for one in together.items()),
         tuple(_single(model, scan, sessions, level, named, rest, steps)) if detected and rest.p_value < level else (),
         rest.p_value)
 
@@ -352,37 +363,40 @@ def likeliest(alternatives: Sequence[Alternative]) -> tuple[Alternative, ...]:
 
 
 def _history(model: Model, scan: SessionScan, j: int, sessions: Sequence[StoredInformation], level: float,
-             steps: Array) -> ParameterHistory:
-    name, own, shapes = scan.names[j], scan.own[j], scan.separate[j]
-    values = _values(scan, j)
-    if own is None:
+             steps: Array, disorder: float) -> ParameterHistory:
+    name, space = scan.names[j], scan.space_of(j)
+    values = _values(space, j)
+    if not scan.separate[j]:
         partners = tuple(scan.names[i] for i in scan.partners[j])
         nothing = _value(np.nan, np.nan, np.nan)
         return _made(model, name, values, nothing, Course.NOT_IDENTIFIABLE, None, np.nan, steps, (), partners)
     p_value = float(scan.p_values[j])
     if not (scan.p_value < level and p_value < level):
-        return _made(model, name, values, values[-1], Course.AGREES, None, p_value, steps, ())
-    kept = tuple(Alternative(*one) for one in scan.explanations(shapes, own, level).items())
+        course = Course.SCATTERS if disorder < level else Course.AGREES
+        return _made(model, name, values, values[-1], course, None, p_value, steps, ())
+    shapes = space.separate(j)
+    kept = tuple(Alternative(*one) for one in space.explanations(shapes, space.own(j), level).items())
     if not kept:
         return _made(model, name, values, values[-1], Course.VARIES, None, p_value, steps, ())
     if kept[0].share < DECIDED:
         return _made(model, name, values, values[-1], Course.UNDECIDED, None, p_value, steps, kept)
     shape = kept[0].shape
     course = Course.DRIFT if shape.session is None else Course.STEP
-    value = _value(*scan.size(j, shape, shapes[shape]))
+    value = _value(*space.size(j, shape, shapes[shape]))
     return _made(model, name, values, value, course, shape.session, p_value, steps, kept, log=_log(sessions, shape))
 
 
 def _single(model: Model, scan: SessionScan, sessions: Sequence[StoredInformation],
             level: float, named: Array, rest: SubspaceTest, steps: Array) -> Iterable[ParameterHistory]:
     """The changes of one more parameter that leave nothing significant of the rest, the likeliest first."""
+    space = scan.spaces[scan.likeliest]
     tests: dict[tuple[int, Shape], SubspaceTest] = {
-        (j, shape): test for j in range(len(scan.names)) for shape in scan.shapes
-        if (test := scan.alone(j, shape, named)) is not None}
-    for (j, shape), share in list(scan.explanations(tests, rest, level).items())[:EXPLANATIONS]:
+        (j, shape): test for j in range(len(scan.names)) for shape in space.shapes
+        if (test := space.alone(j, shape, named)) is not None}
+    for (j, shape), share in list(space.explanations(tests, rest, level).items())[:EXPLANATIONS]:
         course = Course.DRIFT if shape.session is None else Course.STEP
-        value = _value(*scan.size(j, shape, tests[j, shape]))
-        yield _made(model, scan.names[j], _values(scan, j, named), value, course, shape.session,
+        value = _value(*space.size(j, shape, tests[j, shape]))
+        yield _made(model, scan.names[j], _values(space, j, named), value, course, shape.session,
                     scan.p_value, steps[j], (Alternative(shape, share),),
                     log=_log(sessions, shape))
 
@@ -398,8 +412,8 @@ def _made(model: Model, name: str, values: tuple[SessionValue, ...], value: Sess
                             kept, values, size, partners, log)
 
 
-def _values(scan: SessionScan, j: int, given: Array | None = None) -> tuple[SessionValue, ...]:
-    return tuple(_value(*one) for one in zip(*scan.values(j, given), strict=True))
+def _values(space: ChangeSpace, j: int, given: Array | None = None) -> tuple[SessionValue, ...]:
+    return tuple(_value(*one) for one in zip(*space.values(j, given), strict=True))
 
 
 def _value(change: float, std: float, freedom: float) -> SessionValue:
