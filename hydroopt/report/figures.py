@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import io
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING, Any, NamedTuple
 
@@ -43,21 +43,26 @@ STYLE: dict[Any, Any] = {key: value for key, value in matplotlib.rcParamsDefault
 }
 """One look for all figures, whatever the user's settings; text stays text, so that pages are small and searchable."""
 
+OTHERS: dict[str, dict[str, Any]] = {"nominal": {"color": ORANGE, "ls": (0, (3, 1.5))}, "reduced": {"color": GREEN}}
+"""Looks of models that stand beside the identified one."""
 WIDTH = 11.0
 POINTS = 2000
+FEW = 600
 DOTS = 15000
 CLIP = 5.0
 COLUMNS = 3
-"""Inches of a figure's width; points a line is thinned to; dots of a cloud; changes beyond are drawn at the edge;
-panels side by side."""
+"""Inches of a figure's width; points a line is thinned to, and one for comparison; dots of a cloud; changes beyond
+are drawn at the edge; panels side by side."""
 
 
 class Stretch(NamedTuple):
-    """One log in a figure: its role, and the time [s] added to put it behind the one before."""
+    """One log in a figure: its role, its predicted forces (N, n), those of other models by name, and the time [s] added
+    to put it behind the one before."""
 
     role: str
     data: Experiment
     predicted: Array
+    others: Mapping[str, Array]
     shift: float
 
 
@@ -103,9 +108,14 @@ def thin(x: Array, y: Array, points: int = POINTS) -> tuple[Array, Array]:
 
 
 def forces(estimate: Estimate) -> Figure:
-    """Measured against predicted force of every actuator over time; validation on a shaded ground."""
+    """Measured against predicted force of every actuator over time; validation on a shaded ground.
+
+    Predictions of the nominal and the reduced model stand beside those of the identified one (Figure 37); where they
+    are far off, they are cut.
+    """
     machine = estimate.problem.model.machine
     logs = _timeline(estimate)
+    *others, identified = estimate.variants
     with matplotlib.rc_context(STYLE):
         figure, axes = _rows(len(machine.actuators), 1.45)
         for k, (actuator, unit) in enumerate(zip(machine.actuators, estimate.problem.model.force_units, strict=True)):
@@ -114,14 +124,21 @@ def forces(estimate: Estimate) -> Figure:
             for log in logs:
                 for rows in _segments(log):
                     t = log.data.motion.t[rows] + log.shift
-                    predicted = np.where(log.data.inside[rows], log.predicted[rows, k], np.nan)
-                    share = _share(rows, logs)
+                    inside, share = log.data.inside[rows], _share(rows, logs)
                     ax.plot(*thin(t, log.data.force[rows, k] * factor, share), color=GREY, lw=1.5)
-                    ax.plot(*thin(t, predicted * factor, share), color=BLUE, lw=0.9)
+                    for name in others:
+                        other = np.where(inside, log.others[name][rows, k] * factor, np.nan)
+                        ax.plot(*thin(t, other, share * FEW // POINTS), lw=0.9, **OTHERS[name])
+                    ax.plot(*thin(t, np.where(inside, log.predicted[rows, k], np.nan) * factor, share), color=BLUE,
+                            lw=0.9)
             _shade(ax, logs)
+            low, high = _reaches([log.data.force[:, k] * factor for log in logs])
+            ax.set_ylim(max(low, ax.get_ylim()[0]), min(high, ax.get_ylim()[1]))
             ax.set(title=actuator.name, ylabel=label)
         _time_axis(axes, logs)
-        handles = [Line2D([], [], color=GREY, lw=2, label="measured"), Line2D([], [], color=BLUE, label="predicted")]
+        handles = [Line2D([], [], color=GREY, lw=2, label="measured"),
+                   *(Line2D([], [], label=name, **OTHERS[name]) for name in others),
+                   Line2D([], [], color=BLUE, label=f"{identified}, identified")]
         _legend(figure, handles, logs)
     return figure
 
@@ -281,9 +298,11 @@ def _timeline(estimate: Estimate) -> list[Stretch]:
             ("validation", [e.plotted for e in estimate.problem.validation], estimate.predictions["validation"]))
     spans = [data.motion.t[-1] - data.motion.t[0] for _, some, _ in sets for data in some]
     gap, end = 0.012 * sum(spans), 0.0
+    *others, _ = estimate.variants.items()
     for role, some, predicted in sets:
         for data, forecast in zip(some, predicted, strict=True):
-            logs.append(Stretch(role, data, forecast, end - float(data.motion.t[0])))
+            beside = {name: estimate.predict(data, psi) for name, psi in others}
+            logs.append(Stretch(role, data, forecast, beside, end - float(data.motion.t[0])))
             end += float(data.motion.t[-1] - data.motion.t[0]) + gap
     return logs
 
@@ -307,6 +326,13 @@ def _force_axis(unit: str, values: Array, what: str = "") -> tuple[float, str]:
     kilo = bool(finite.size) and float(finite.max()) >= 2000
     word = what or ("force" if unit == "N" else "torque")
     return (1e-3 if kilo else 1.0), f"{word} [{'k' if kilo else ''}{unit_text(unit)}]"
+
+
+def _reaches(values: Sequence[Array]) -> tuple[float, float]:
+    """The lowest and highest force that an axis shows: half the range of what was measured beyond it."""
+    all_values = np.concatenate(values)
+    low, high = float(np.nanmin(all_values)), float(np.nanmax(all_values))
+    return low - 0.5 * (high - low), high + 0.5 * (high - low)
 
 
 def _reach(errors: Sequence[Array], sigma: float) -> float:

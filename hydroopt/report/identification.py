@@ -62,7 +62,8 @@ def render(estimate: Estimate) -> str:
     problem, friction, groups = estimate.problem, estimate.friction_choice, _groups(estimate)
     return page("identification.html").render(
         machine=problem.model.machine, estimate=estimate, diagnostics=sentences(estimate.diagnostics),
-        method=METHODS.get(estimate.method, ""), fit=_fit(estimate), friction=friction,
+        method=METHODS.get(estimate.method, ""), fit=_fit(estimate), models=list(estimate.variants),
+        fit_by_model=_fit_by_model(estimate), friction=friction,
         friction_rows=[(c, plain(c.training), f"{plain(c.held_out)} ± {plain(c.std, 2)}")
                        for c in (friction.candidates if friction else ())],
         misfit=estimate.misfit, misfit_readings=_readings(estimate.misfit), misfit_causes=_causes(estimate.misfit),
@@ -91,6 +92,14 @@ def _fit(estimate: Estimate) -> list[dict[str, Any]]:
                                   if channel != "all" or len(table) > 2))
     return [{"channel": channel, "unit": unit_text(next(t[channel].unit for t in sets if channel in t)),
              "cells": [_cells(table.get(channel)) for table in sets]} for channel in channels]
+
+
+def _fit_by_model(estimate: Estimate) -> list[tuple[str, str, str, list[tuple[str, str, str, bool]]]]:
+    """Data, channel, unit, and the cells of each model."""
+    words = {"train": "training"}
+    return [(words.get(data, data), channel, unit_text(one.unit), [
+        _cells(sets[data][channel]) for sets in estimate.fit_by_model.values()])
+        for data, table in estimate.fit.items() for channel, one in table.items()]
 
 
 def _cells(fit: Fit | None) -> tuple[str, str, str, bool]:

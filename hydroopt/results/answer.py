@@ -102,6 +102,11 @@ class Answer(ABC):
         """How closely data are followed, by data set (``train``, ``validation``) and channel; empty for a design."""
 
     @property
+    def fit_by_model(self) -> Mapping[str, Mapping[str, Mapping[str, Fit]]]:
+        """The same by name of several models that stand side by side; empty where there is one alone."""
+        return {}
+
+    @property
     @abstractmethod
     def inputs(self) -> tuple[Mapping[str, Any], ...]:
         """The files it is from: path, sha256, samples, role."""
@@ -125,8 +130,13 @@ class Answer(ABC):
 
     def __str__(self) -> str:
         lines = [f"{self.machine_name} by {self.method}: {self.status}"]
-        lines += [f"  {data:<10} {channel:<24} {fit}" for data, table in self.fit.items()
-                  for channel, fit in table.items()]
+        if self.fit_by_model:
+            lines.append(f"  {'RMS error and VAF by model':<42}" + "".join(f"{name:>22}" for name in self.fit_by_model))
+        for data, table in self.fit.items():
+            for channel, fit in table.items():
+                beside = "".join(f"{one.rms:10.4g} {100 * one.vaf:9.2f} %" for one in (
+                    sets[data][channel] for sets in self.fit_by_model.values()))
+                lines.append(f"  {data:<10} {channel:<24} " + (f"{fit.unit:<5}{beside}" if beside else str(fit)))
         return "\n".join([*lines, *(f"  {finding.text}" for finding in self.findings)])
 
     def to_frame(self) -> pd.DataFrame:
@@ -175,6 +185,9 @@ class SavedAnswer(Answer):
         self._parameters = ParameterTable.from_dicts(saved.get("parameters", ()))
         self._fit = {data: {channel: Fit.from_dict(entry) for channel, entry in table.items()}
                      for data, table in saved.get("fit", {}).items()}
+        self._fit_by_model = {name: {data: {channel: Fit.from_dict(entry) for channel, entry in table.items()}
+                                     for data, table in sets.items()}
+                              for name, sets in saved.get("fit_by_model", {}).items()}
 
     @property
     def machine_id(self) -> MachineId:
@@ -215,6 +228,11 @@ class SavedAnswer(Answer):
     def fit(self) -> Mapping[str, Mapping[str, Fit]]:
         """How closely data are followed, by data set and channel."""
         return self._fit
+
+    @property
+    def fit_by_model(self) -> Mapping[str, Mapping[str, Mapping[str, Fit]]]:
+        """How closely several models follow data."""
+        return self._fit_by_model
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:

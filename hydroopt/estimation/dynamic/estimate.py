@@ -145,6 +145,8 @@ class Estimate(Identification, Answer):
         found, structural, model = self.identifiability, self.structural, self.problem.model
         chosen = {} if self.friction_choice is None else {"friction_choice": self.friction_choice.as_dict()}
         return {
+            "fit_by_model": {name: {data: {channel: fit.as_dict() for channel, fit in table.items()}
+                                    for data, table in sets.items()} for name, sets in self.fit_by_model.items()},
             "base_parameters": list(self.base_parameters),
             "total_masses": [{"link": total.link, "bodies": list(total.bodies), "unit": "kg",
                               "value": number(total.value), "std": number(total.std),
@@ -191,8 +193,9 @@ class Estimate(Identification, Answer):
         """Tables as CSV, the information that the logs carry, and the calibrated machine where it can exist."""
         model = self.problem.model
         files = {"parameters.csv": self.parameters.to_csv(), "base_parameters.csv": csv_text(self.base_parameters),
-                 "fit.csv": csv_text([{"data": data, "channel": channel, **fit.as_dict()}
-                                      for data, table in self.fit.items() for channel, fit in table.items()]),
+                 "fit.csv": csv_text([{"model": name, "data": data, "channel": channel, **fit.as_dict()}
+                                      for name, sets in self.fit_by_model.items() for data, table in sets.items()
+                                      for channel, fit in table.items()]),
                  INFORMATION: information_csv(model.machine, self.problem.parameters.names,
                                               *self.weighted_residuals.stored())}
         if self.refuted:  # a machine identified from a misread log is none

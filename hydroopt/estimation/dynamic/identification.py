@@ -13,9 +13,17 @@ import numpy as np
 from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment
 from hydroopt.estimation.dynamic.friction_candidates import FrictionChoice
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
+from hydroopt.estimation.dynamic.reduced_model import reduced_parameters
 from hydroopt.estimation.dynamic.regressor_qr import predict
 from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals
-from hydroopt.estimation.inference.identifiability import COMBINATION, FULL, NONE, Confounded, Identifiability
+from hydroopt.estimation.inference.identifiability import (
+    COMBINATION,
+    FULL,
+    NONE,
+    RANK_TOLERANCE,
+    Confounded,
+    Identifiability,
+)
 from hydroopt.estimation.inference.posterior import Posterior
 from hydroopt.estimation.inference.prior_conflict import PriorTest, prior_test
 from hydroopt.estimation.inference.priors import with_priors
@@ -26,6 +34,8 @@ from hydroopt.results.fit import Fit
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 
+NOMINAL, REDUCED, COMPLETE = "nominal", "reduced", "complete"
+"""Models whose predictions stand side by side."""
 WITH_PRIORS = ("sdp", "qp", "nlp")
 """Methods that use the machine file's priors, bounds and statements; the others compute from the data alone."""
 
@@ -71,6 +81,7 @@ class Identification:
         intervals: where standard deviations and intervals come from.
         posterior: samples of the parameters, where intervals were sampled.
         friction_choice: how its friction terms were chosen, if they were.
+        tolerance, ridge: of a method without priors, as `identify` took them.
     """
 
     problem: IdentificationProblem
@@ -92,6 +103,8 @@ class Identification:
     seed: int = 0
     posterior: Posterior | None = None
     friction_choice: FrictionChoice | None = None
+    tolerance: float = RANK_TOLERANCE
+    ridge: float | None = None
 
     @cached_property
     def prior_test(self) -> PriorTest:
@@ -141,9 +154,18 @@ class Identification:
             found.append(TotalMass(link, owners, value, std, float(interval[0]), float(interval[1])))
         return tuple(found)
 
-    def predict(self, data: Experiment) -> Array:
-        """Actuator forces (N, n) for the motion of an experiment."""
-        return predict(self.problem.model, data, self.psi)
+    @cached_property
+    def variants(self) -> Mapping[str, Array]:
+        """Parameters ψ (p,) of the models that stand side by side, the identified one last (Figure 37): ``nominal`` by
+        the machine file, ``reduced`` without barrels and rods, and ``complete``."""
+        nominal, complete = {NOMINAL: self.problem.parameters.nominal}, self.problem.model.actuator_inertia
+        reduced = reduced_parameters(self.weighted_residuals, self.algorithm, self.tolerance, self.ridge)
+        between = {} if reduced is None else {REDUCED: reduced}
+        return nominal | between | {COMPLETE if complete else REDUCED: self.psi}
+
+    def predict(self, data: Experiment, psi: Array | None = None) -> Array:
+        """Actuator forces (N, n) for the motion of an experiment, by other parameters `psi` (p,) if given."""
+        return predict(self.problem.model, data, self.psi if psi is None else psi)
 
     @cached_property
     def predictions(self) -> Mapping[str, list[Array]]:
@@ -151,14 +173,20 @@ class Identification:
         return {"train": [self.predict(e.plotted) for e in self.problem.experiments],
                 "validation": [self.predict(e.plotted) for e in self.problem.validation]}
 
-    @cached_property
+    @property
     def fit(self) -> dict[str, dict[str, Fit]]:
         """Fit by data set and actuator; the entry ``all`` covers all actuators of one unit or of mixed units."""
-        sets = {"train": self.problem.experiments, "validation": self.problem.validation}
-        return {name: self._fit(data) for name, data in sets.items() if data}
+        return self.fit_by_model[[*self.fit_by_model][-1]]
 
-    def _fit(self, data: tuple[AnyExperiment, ...]) -> dict[str, Fit]:
-        count, force, squared, error = sum((e.moments(self.psi) for e in data), np.zeros((4, len(self.sigma))))
+    @cached_property
+    def fit_by_model(self) -> dict[str, dict[str, dict[str, Fit]]]:
+        """The same of each of the `variants`."""
+        sets = {"train": self.problem.experiments, "validation": self.problem.validation}
+        return {name: {which: self._fit(data, psi) for which, data in sets.items() if data}
+                for name, psi in self.variants.items()}
+
+    def _fit(self, data: tuple[AnyExperiment, ...], psi: Array) -> dict[str, Fit]:
+        count, force, squared, error = sum((e.moments(psi) for e in data), np.zeros((4, len(self.sigma))))
         sums, units = np.array([count, error, squared, squared - force**2 / count]), self.problem.model.force_units
         table = {actuator.name: Fit.of_sums(sums[:, k], units[k])
                  for k, actuator in enumerate(self.problem.model.machine.actuators)}

@@ -14,14 +14,14 @@ from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.identification import Intervals
 from hydroopt.estimation.dynamic.misfit.freed import Freed, free
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
+from hydroopt.estimation.dynamic.reduced_model import most_probable
 from hydroopt.estimation.dynamic.training_logs import contradictions, explained
 from hydroopt.estimation.dynamic.weighted_residuals import WeightedResiduals, misfit, weighted_residuals
-from hydroopt.estimation.inference import identifiability, nlp, sdp
+from hydroopt.estimation.inference import identifiability, sdp
 from hydroopt.estimation.inference import least_squares as linear
 from hydroopt.estimation.inference import posterior as uncertainty
 from hydroopt.estimation.inference.certificate import Certificate
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, Identifiability
-from hydroopt.estimation.inference.whitening import gaussian_posterior
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results.diagnostic import listed
 from hydroopt.spatial.inertia import Array
@@ -166,13 +166,9 @@ def _solve_at(problem: IdentificationProblem, point: Array, method: Method, tole
         psi, _, from_data = linear.base_least_squares(R, r, problem.parameters.names, tolerance)
         return linear.nearest(problem.parameters, from_data, psi)
 
-    def constrained(R: Array, r: Array) -> sdp.Optimum:
-        posterior = gaussian_posterior(problem, R, r)
-        return (nlp.interior_point(problem, posterior) if method == "nlp"
-                else sdp.semidefinite_program(problem, posterior, consistent=method == "sdp" and problem.consistent))
-
     weighted = weighted_residuals(
-        problem, tolerance, least_squares if method in _LINEAR else lambda R, r: constrained(R, r).psi, point)
+        problem, tolerance,
+        least_squares if method in _LINEAR else lambda R, r: most_probable(problem, method, R, r).psi, point)
     weighted = weighted if freed is None else freed.widened(weighted)
     names = problem.parameters.names
     from_data = identifiability.analyse(weighted.plain[0], names, tolerance=tolerance)
@@ -180,7 +176,7 @@ def _solve_at(problem: IdentificationProblem, point: Array, method: Method, tole
     _check_normal_equations(weighted.R, weighted.r, psi, from_data, where)
     if method in _LINEAR:
         return _linear_estimate(weighted, method, from_data, tolerance, ridge)
-    solution = constrained(weighted.R, weighted.r)
+    solution = most_probable(problem, method, weighted.R, weighted.r)
     return _constrained_estimate(weighted, method, solution, from_data, tolerance, intervals, seed)
 
 
@@ -218,7 +214,8 @@ def _linear_estimate(weighted: Weighted, method: str, from_data: Identifiability
         value = np.where(np.array(from_data.category) == identifiability.FULL, psi, np.nan)
         std, base_std = np.full_like(std, np.nan), np.full_like(base_std, np.nan)
     ci = value[:, None] + 1.959964 * std[:, None] * np.array([-1, 1])
-    return _assemble(weighted, method, psi, value, std, ci, (), from_data, base_std, (note,), source, 0)
+    return replace(_assemble(weighted, method, psi, value, std, ci, (), from_data, base_std, (note,), source, 0),
+                   tolerance=tolerance, ridge=ridge)
 
 
 def _constrained_estimate(weighted: Weighted, method: str, solution: sdp.Optimum, from_data: Identifiability,
