@@ -113,7 +113,8 @@ def closure(api: Symbols) -> Routine:
     missing = no_geometry(api)
     if not missing:
         outputs["by_geometry"] = ca.jacobian(rows, g)
-    guards = [Guard(value, ">", COINCIDENT, "OPEN_TRIANGLE") for value in ca.vertsplit(distance)] if count else []
+    guards = [*api.straight(chain.loop_sines(g, q))]
+    guards += [Guard(value, ">", COINCIDENT, "OPEN_TRIANGLE") for value in ca.vertsplit(distance)] if count else []
     return Routine("closure", "Loop closure with its Jacobians by angles and by geometry. Dynamic parameters do not "
                    "enter it." if not missing else "Loop closure with its Jacobian by angles. Dynamic parameters do "
                    "not enter it.", takes, reads, gives, outputs, tuple(guards), distance if count else None,

@@ -6,7 +6,6 @@ from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import casadi as ca
-import numpy as np
 
 from hydroopt.codegen import residuals
 from hydroopt.codegen.inverse_kinematics import inverse_kinematics, no_arm
@@ -18,8 +17,8 @@ from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.model.cylinder_motion import SHORTEST_LEVER
+from hydroopt.model.joint_from_length import joint_from_length
 from hydroopt.model.plant import Plant
-from hydroopt.spatial.cylinder_triangle import triangle_angle
 from hydroopt.spatial.inertia import Array
 
 
@@ -68,7 +67,7 @@ def _impossible(api: Symbols, name: str) -> str:
     match name:
         case "cylinder_state" if not machine.cylinders:
             return "the machine has no hydraulic cylinders"
-        case "joint_state" if not any(Geometry(machine).triangle(c) for c in machine.cylinders):
+        case "joint_state" if not any(joint_from_length(Geometry(machine), c) for c in machine.cylinders):
             return "no hydraulic cylinder of the machine moves a single joint"
         case "reduced_regressor" if not len(api.reduced.parameters):
             return "the reduced model has no dynamic parameters"
@@ -99,7 +98,8 @@ def _forward_kinematics(api: Symbols) -> Routine:
         Field("jacobian", (6, "joint"), "m/rad and 1", f"speed x, y, z and rate of rotation x, y, z of the far end of "
               f"{machine.tip}, in the base frame, per speed of each joint"))
     return Routine("forward_kinematics", "Poses of all links and the Jacobian of the last one's far end.",
-                   api.motion(), ("q",), gives, {"pose": ca.vertcat(*poses), "jacobian": api.dynamics.tip_jacobian})
+                   api.motion(), ("q",), gives, {"pose": ca.vertcat(*poses), "jacobian": api.dynamics.tip_jacobian},
+                   api.straight(api.dynamics.tree.sines))
 
 
 def _cylinder_state(api: Symbols) -> Routine:
@@ -122,22 +122,23 @@ def _joint_state(api: Symbols) -> Routine:
     q, qd = ca.SX(len(machine.joints), 1), ca.SX(len(machine.joints), 1)
     guards, covered = [], []
     for k, cylinder in enumerate(machine.cylinders):
-        found, nominal = api.dynamics.geometry.triangle(cylinder), Geometry(machine).triangle(cylinder)
-        if found is None or nominal is None:
+        found = joint_from_length(api.dynamics.geometry, cylinder)
+        if found is None:
             continue
-        joint, sides = found
-        middle = sum(machine.link(joint).joint.range) / 2
-        branch = int(np.sign(np.sin(middle + float(nominal[1].offset))))
-        angle = triangle_angle(sides, length[k], branch, middle)
+        sides, turn = found.sides, ca.SX.sym("turn")
+        angle = found.angle(length[k])
+        # through a linkage the joint turns faster or slower than the one of the triangle
+        ratio = ca.substitute(ca.jacobian(found.driven(turn), turn), turn, found.turn(length[k]))
         both = sides.fixed * sides.moving
         cosine = (sides.fixed**2 + sides.moving**2 + sides.lateral**2 - length[k]**2) / (2 * both)
-        lever = branch * both * ca.sqrt(1 - cosine**2) / length[k]
+        lever = found.branch * both * ca.sqrt(1 - cosine**2) / length[k]
         guards += [Guard(length[k], ">", COINCIDENT, "OPEN_TRIANGLE"),
                    Guard(cosine, "<=", 1.0, "OPEN_TRIANGLE", absolute=True),
-                   Guard(lever, ">", SHORTEST_LEVER, "DEAD_POINT", absolute=True)]
-        index = machine.joints.index(joint)
-        q[index], qd[index] = angle, speed[k] / lever
-        covered.append(joint)
+                   Guard(lever, ">", SHORTEST_LEVER, "DEAD_POINT", absolute=True),
+                   *api.straight(found.sines(found.turn(length[k])))]
+        index = machine.joints.index(found.joint)
+        q[index], qd[index] = angle, speed[k] / lever * ratio
+        covered.append(found.joint)
     takes = api.struct("lengths", "Readings of the cylinders' length transducers.",
                        Field("length", ("cylinder",), "m", "distance between the pins"),
                        Field("speed", ("cylinder",), "m/s", "its rate"))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from functools import cached_property
 from typing import NamedTuple
 
@@ -20,6 +20,8 @@ from hydroopt.spatial.inertia import NAMES, UNITS, Array
 
 COINCIDENT = 1e-3
 """Pin distance [m] below which pins count as coinciding."""
+STRAIGHT = 1e-4
+"""Sine of the angle between the bars of a loop below which it is at a dead point, or cannot close."""
 EMPTY = 1e-9
 """Volume [m³] below which a gas cylinder counts as empty."""
 DETERMINED = 1e-6
@@ -166,8 +168,9 @@ class Symbols:
         return self.dynamics.forces(self.inputs["psi"])
 
     def guards(self, *, levers: bool = False, gas: bool = False) -> tuple[Guard, ...]:
-        """Checks of pin distances, and if asked for of lever arms and gas volumes."""
-        found = [Guard(self.dynamics.cylinders[c.name].length, ">", COINCIDENT, "OPEN_TRIANGLE")
+        """Checks of loops and pin distances, and if asked for of lever arms and gas volumes."""
+        found = [*self.straight(self.dynamics.tree.sines)]
+        found += [Guard(self.dynamics.cylinders[c.name].length, ">", COINCIDENT, "OPEN_TRIANGLE")
                  for c in self.machine.all_cylinders]
         if levers:
             # the row of an actuator is that of the last joint it moves, so that the matrix of lever arms is triangular
@@ -177,6 +180,11 @@ class Symbols:
             found += [Guard(each.gas_volume(self.dynamics.cylinders[each.name].length), ">", EMPTY, "NO_GAS_VOLUME")
                       for each in self.machine.gas_cylinders]
         return tuple(found)
+
+    @staticmethod
+    def straight(sines: Iterable[ca.SX]) -> tuple[Guard, ...]:
+        """Checks that loops close, by the sines of the angles between their bars."""
+        return tuple(Guard(sine, ">", STRAIGHT, "OPEN_TRIANGLE", absolute=True) for sine in sines)
 
     def motion(self) -> str:
         """The struct of a motion."""

@@ -30,7 +30,7 @@ def check(machine: Machine) -> None:
     geometry = Geometry(machine)
     for cylinder in machine.cylinders:
         found = geometry.triangle(cylinder)
-        if found is None:
+        if found is None or found[0] not in machine.joints:
             _check_on_grid(geometry, cylinder)
             continue
         joint, sides = found

@@ -85,10 +85,9 @@ class Geometry:
         return identity() if link == viewer else self.far_end(viewer) @ self.relative_pose(viewer, link, {})
 
     def triangle(self, cylinder: Cylinder | GasCylinder) -> tuple[str, Triangle] | None:
-        """Joint and triangle of a cylinder that spans one revolute joint of q alone; None for any other cylinder."""
+        """Joint of the tree and triangle of a cylinder that spans one revolute joint; None for any other cylinder."""
         between = self.machine.joints_between(cylinder.barrel.link, cylinder.rod.link)
-        joint = self._link[between[0]].joint
-        if len(between) != 1 or joint.type != "revolute" or joint.dependent:
+        if len(between) != 1 or self._link[between[0]].joint.type != "revolute":
             return None
         pins = {name: self.pin(cylinder, name, {}) for name in ("barrel", "rod")}
         moving = "barrel" if between[0] in self._ancestry(cylinder.barrel.link) else "rod"

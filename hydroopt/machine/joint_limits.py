@@ -38,7 +38,7 @@ def within_strokes(machine: Machine) -> tuple[Machine, tuple[NarrowedLimits, ...
     geometry, changes = Geometry(machine), []
     for cylinder in machine.cylinders:
         found = geometry.triangle(cylinder)
-        if found is None:
+        if found is None or found[0] not in machine.joints:
             continue
         joint, sides = found
         lower, upper = machine.link(joint).joint.range

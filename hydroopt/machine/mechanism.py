@@ -49,6 +49,10 @@ class Bars(NamedTuple):
     second: ca.SX
     across: ca.SX
 
+    def sine(self, of: Dyad) -> ca.SX:
+        """Sine of the angle between both bars."""
+        return self.across / ca.sqrt(of.squares[0] * of.squares[1])
+
 
 def dyad(geometry: Geometry, closure: Closure, q: Mapping[str, Any]) -> Dyad:
     """The bars of a loop at joint positions by name; only those that move its span are used."""
@@ -107,6 +111,7 @@ class Mechanism:
     """
 
     def __init__(self, machine: Machine) -> None:
+        self._machine = machine
         self.closures = closures(machine.links, machine.loops)
         self.branches: tuple[int, ...] = ()
         for closure in self.closures:
@@ -124,6 +129,33 @@ class Mechanism:
             made = dyad(geometry, closure, found)
             found[closure.first], found[closure.second] = angles(made, bars(made, branch))
         return found
+
+    def sines(self, geometry: Geometry, q: Mapping[str, Any]) -> list[ca.SX]:
+        """Sine of the angle between the bars of each loop: zero at a dead point, not a number where it cannot close."""
+        at, found = self.positions(geometry, q), []
+        for closure, branch in zip(self.closures, self.branches, strict=True):
+            made = dyad(geometry, closure, at)
+            found.append(bars(made, branch).sine(made))
+        return found
+
+    def turned_round(self, geometry: Geometry, joint: str, other: str, value: float) -> Mechanism | None:
+        """The mechanism in which a joint of q follows a dependent one that follows it alone; None if there is none.
+
+        It is assembled as this one is where `joint` stands at `value`.
+        """
+        at = {name: float(each) for name, each in self.positions(geometry, {joint: ca.DM(value)}).items()}
+        flags = {joint: True, other: False}
+        links = tuple(link.model_copy(update={"joint": link.joint.model_copy(update={"dependent": flags[link.name]})})
+                      if link.name in flags else link for link in self._machine.links)
+        loops = tuple(loop.model_copy(update={"posture": at}) for loop in self._machine.loops
+                      if self._follows(loop.name) == (joint,))
+        try:
+            return Mechanism(self._machine.model_copy(update={"links": links, "loops": loops}))
+        except ImpossibleError:  # not in a closed form
+            return None
+
+    def _follows(self, loop: str) -> tuple[str, ...]:
+        return next(closure.follows for closure in self.closures if closure.loop.name == loop)
 
 
 def _branch(before: Mechanism, geometry: Geometry, closure: Closure) -> int:

@@ -99,6 +99,12 @@ class KinematicModel:
         self._symbols = g, q, tip, place
         self._runner = Runner()
 
+    def loop_sines(self, g: ca.SX, q: ca.SX) -> list[ca.SX]:
+        """Sines of the angles between the bars of the machine's linkages, at a geometry (p,) and joints (n,)."""
+        own_g, own_q = self._symbols[:2]
+        found = self._mechanism.sines(self.geometry, dict(zip(self.joints, ca.vertsplit(own_q), strict=True)))
+        return ca.substitute(found, [own_g, own_q], [g, q]) if found else []
+
     @property
     def channels(self) -> tuple[str, ...]:
         """Names of the rows (m,) of `observed`; the first `loop_rows` are the loop's residual."""

@@ -24,11 +24,13 @@ class TreeMotion(NamedTuple):
     """Motion of all moving joints of the tree, in the order of ``machine.tree_joints``.
 
     Expressions of the tree are built from `symbols`, in which nothing depends on anything; `closed` replaces those of
-    dependent joints by what loops make of the independent ones, `values`.
+    dependent joints by what loops make of the independent ones, `values`. `sines` are those of the angles between the
+    bars of each loop, in the independent joints: zero at a dead point, not a number where the loop cannot close.
     """
 
     symbols: Coordinates
     values: Coordinates
+    sines: tuple[ca.SX, ...] = ()
 
     def closed(self, parts: Parts) -> Parts:
         """The same mappings and tuples of expressions, in the independent joints."""
@@ -71,7 +73,8 @@ def tree_motion(geometry: Geometry, independent: Coordinates) -> TreeMotion:
     for closure, branch in zip(mechanism.closures, mechanism.branches, strict=True):
         # in terms of the tree, where a loop may follow the joints of another one, which is closed before
         values |= TreeMotion(tree, _stacked(values)).closed(_joint_motion(geometry, closure, branch, tree))
-    return TreeMotion(tree, _stacked(values))
+    at = dict(zip(machine.joints, ca.vertsplit(independent.q), strict=True))
+    return TreeMotion(tree, _stacked(values), tuple(mechanism.sines(geometry, at)))
 
 
 def _stacked(joints: Mapping[str, tuple[ca.SX, ...]]) -> Coordinates:

@@ -16,11 +16,11 @@ from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.model import lagrange
+from hydroopt.model.joint_from_length import joint_from_length
 from hydroopt.model.kinematics import coordinates
 from hydroopt.model.regressor import Dynamics
 from hydroopt.parameters import dynamic as dynamic_parameters
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
-from hydroopt.spatial.cylinder_triangle import triangle_angle, triangle_length
 from hydroopt.spatial.inertia import Array
 
 
@@ -100,24 +100,21 @@ class Model:
 
     @cached_property
     def triangles(self) -> Mapping[str, tuple[ca.Function, ca.Function]]:
-        """For every cylinder on one revolute joint: angle → length and length → angle (Eq. 3.26, 3.27).
+        """For every cylinder that one revolute joint moves, through a linkage or not: angle → length and length → angle
+        (Eq. 3.26, 3.27).
 
         The second function takes the branch with the sign of the lever arm in the joint's range, and returns NaN for a
         length at which the triangle cannot close.
         """
         pairs = {}
         for cylinder in self.machine.cylinders:
-            found = self.geometry.triangle(cylinder)
+            found = joint_from_length(self.geometry, cylinder)
             if found is None:
                 continue
-            joint, sides = found
-            middle = sum(self.machine.link(joint).joint.range) / 2
-            branch = int(np.sign(np.sin(middle + float(sides.offset))))
             angle, length = ca.SX.sym("angle"), ca.SX.sym("length")
             pairs[cylinder.name] = (
-                _dense("triangle_length", [angle], [triangle_length(sides, angle)], ["angle"], ["length"]),
-                _dense("triangle_angle", [length], [triangle_angle(sides, length, branch, middle)],
-                            ["length"], ["angle"]))
+                _dense("triangle_length", [angle], [found.length(angle)], ["angle"], ["length"]),
+                _dense("triangle_angle", [length], [found.angle(length)], ["length"], ["angle"]))
         return pairs
 
     @property

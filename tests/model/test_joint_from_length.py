@@ -1,0 +1,57 @@
+"""Joints from lengths of cylinders that drive them, straight or through a linkage."""
+
+import casadi as ca
+import numpy as np
+import pytest
+
+from fixtures.loops import excavator, measured_at_the_rocker, z_bar
+from hydroopt.codegen.routines import Interface
+from hydroopt.codegen.symbols import STRAIGHT
+from hydroopt.logs.joint_angles import angle_noise, measured_angles
+from hydroopt.logs.log import Log
+from hydroopt.model.model import Model
+
+
+@pytest.mark.parametrize(("machine", "covered"), [
+    (excavator, ("boom_cylinder", "stick_cylinder", "bucket_cylinder")),
+    (measured_at_the_rocker, ("boom_cylinder", "stick_cylinder", "bucket_cylinder")),
+    (z_bar, ("boom_jack",))])  # the other one's length depends on two joints
+def test_lengths_lead_back_to_the_joint_over_its_range(machine, covered):
+    model = Model(machine())
+    assert tuple(model.triangles) == covered
+    for row, cylinder in enumerate(machine().cylinders):
+        if cylinder.name not in covered:
+            continue
+        joint = machine().main_joint(cylinder)
+        angles = np.linspace(*machine().link(joint).joint.range, 101)
+        q = np.zeros((101, len(machine().joints))) + [sum(machine().link(name).joint.range) / 2
+                                                      for name in machine().joints]
+        q[:, machine().joints.index(joint)] = angles
+        lengths = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)[0][:, row, 0]
+        to_length, to_angle = model.triangles[cylinder.name]
+        np.testing.assert_allclose(np.asarray(to_length(angles)).ravel(), lengths, rtol=1e-13)
+        np.testing.assert_allclose(np.asarray(to_angle(lengths)).ravel(), angles, atol=1e-12)
+
+
+def test_a_log_of_lengths_needs_no_sensor_on_the_bucket():
+    model = Model(excavator())
+    q = np.column_stack([np.zeros(5), np.linspace(-0.3, 0.3, 5), np.linspace(-2, -1, 5), np.linspace(-2, 0, 5)])
+    lengths = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)[0][:, :, 0]
+    log = Log("lengths", np.arange(5.0), {"swing.q": q[:, 0]} | {
+        f"{c.name}.length": lengths[:, k] for k, c in enumerate(excavator().cylinders)})
+    np.testing.assert_allclose(measured_angles(model, log), q, atol=1e-12)
+    sensor = excavator().sensor("bucket_cylinder.length")
+    lever = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)[3][:, 2, 3]
+    assert angle_noise(model, log)[3] == pytest.approx(sensor.std / np.mean(np.abs(lever)), rel=1e-6)
+
+
+def test_generated_code_checks_that_loops_close():
+    """Every routine that stands on the loop has a check that holds in the range and fails where it cannot close."""
+    interface = Interface(excavator())
+    q = interface.inputs["q"]
+    for name in ("forward_kinematics", "cylinder_state", "inverse_dynamics", "regressor", "gravity_forces"):
+        guard = interface.routines[name].guards[0]
+        assert guard.status == "OPEN_TRIANGLE"
+        sine = ca.Function("sine", [q], [guard.value])
+        assert abs(float(sine([0, 0, -1, -1]))) > STRAIGHT
+        assert not abs(float(sine([0, 0, -1, 1.2]))) > STRAIGHT  # not a number: the bars do not reach
