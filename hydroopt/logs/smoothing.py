@@ -18,7 +18,8 @@ class SmoothingSpline:
     """Quintic smoothing spline; its weight follows from the stated noise, or from cross-validation.
 
     `cross_validate` asks for generalised cross-validation even where the noise is stated. Both suppose white noise;
-    where it is not white they pass too much, and the motion's `bandwidth` [Hz] bounds that: at most half of it passes.
+    where it is not white they pass too much, and the motion's `bandwidth` [Hz] bounds that: half of it passes then, and
+    all that is slower (see `spline`).
 
     >>> t = np.arange(200) / 50
     >>> motion = condition(t, np.sin(t), smoothing=SmoothingSpline(bandwidth=5.0), noise=1e-6)
@@ -71,6 +72,7 @@ class Motion:
         segment: (N,) index of the uninterrupted stretch.
         interior: (N,) False near the ends of a stretch, where derivatives lean on one side only.
         bandwidth: (n,) frequency passed by half (-6 dB), lowest of the stretches [Hz].
+        passes: (n,) how many times what smoothing left was smoothed.
         notes: what was done, in plain words.
     """
 
@@ -81,6 +83,7 @@ class Motion:
     segment: NDArray[np.int64]
     interior: NDArray[np.bool_]
     bandwidth: Array
+    passes: NDArray[np.int64]
     notes: tuple[str, ...]
 
 
@@ -129,7 +132,7 @@ def condition(
         return _fourier(times, positions, parts, smoothing, where)
 
     out = np.empty((3, *positions.shape))
-    bandwidth = np.full(positions.shape[1], np.inf)
+    bandwidth, passes = np.full(positions.shape[1], np.inf), np.ones(positions.shape[1], dtype=int)
     interior = np.zeros(times.size, bool)
     notes: list[str] = []
     starts = np.flatnonzero(np.diff(parts, prepend=parts[0] - 1))
@@ -144,13 +147,14 @@ def condition(
             stated = None if smoothing.cross_validate else stds
             if stop - start >= spline.MIN_SAMPLES:
                 refuse_too_slow(smoothing, float(times[-1] - times[0]), where)
-            out[:, span], corners, said = _spline(times[span], positions[span], smoothing, stated, names, here)
+            out[:, span], corners, used, said = _spline(times[span], positions[span], smoothing, stated, names, here)
+            passes = np.maximum(passes, used)
             notes += said
         bandwidth = np.minimum(bandwidth, corners)
         interior[span] = inside(times[span], corners)
     if isinstance(smoothing, Butterworth):
         notes.append(f"zero-phase Butterworth filter of order {smoothing.order}, {smoothing.cutoff:g} Hz")
-    return Motion(times, out[0], out[1], out[2], parts, interior, bandwidth, tuple(notes))
+    return Motion(times, out[0], out[1], out[2], parts, interior, bandwidth, passes, tuple(notes))
 
 
 def inside(t: Array, corners: Array) -> NDArray[np.bool_]:
@@ -185,18 +189,19 @@ def refuse_too_slow(smoothing: SmoothingSpline, duration: float, where: str) -> 
 
 
 def _spline(t: Array, q: Array, smoothing: SmoothingSpline, stds: Array | None, names: Sequence[str],
-            where: str) -> tuple[Array, Array, list[str]]:
+            where: str) -> tuple[Array, Array, NDArray[np.int64], list[str]]:
     refuse_too_short(t.size, where)
     out, corners, notes = np.empty((3, *q.shape)), np.empty(q.shape[1]), []
+    passes = np.ones(q.shape[1], dtype=int)
     for joint, column in enumerate(q.T):
         stated = None if stds is None or np.isnan(stds[joint]) else float(stds[joint])
         fitted = spline.fit(t, column, stated, smoothing.bandwidth)
         for order in range(3):
             out[order, :, joint] = fitted(t, order)
-        corners[joint] = fitted.bandwidth
+        corners[joint], passes[joint] = fitted.bandwidth, fitted.filter.passes
         name = names[joint] if names else f"joint {joint + 1}"
         notes.append(smoothing_note(name, where, fitted.bandwidth, fitted.residual, stated, smoothing))
-    return out, corners, notes
+    return out, corners, passes, notes
 
 
 def _butterworth(t: Array, q: Array, smoothing: Butterworth, where: str) -> Array:
@@ -251,4 +256,4 @@ def _fourier(t: Array, q: Array, segment: NDArray[np.int64], smoothing: Fourier,
                   f"residual std {r:.3g}" for j, r in enumerate(residual))
     return Motion(t, basis @ coefficients, cosine @ (w * a) - sine @ (w * b),
                   -(sine @ (w**2 * a) + cosine @ (w**2 * b)), segment, np.ones(t.size, bool),
-                  np.full(q.shape[1], harmonics / period), notes)
+                  np.full(q.shape[1], harmonics / period), np.ones(q.shape[1], dtype=int), notes)

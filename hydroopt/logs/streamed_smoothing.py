@@ -10,17 +10,17 @@ from numpy.typing import NDArray
 
 from hydroopt.logs import spline
 from hydroopt.logs.smoothing import Motion, SmoothingSpline, inside, refuse_too_short, refuse_too_slow, smoothing_note
-from hydroopt.logs.spline import Basis, Grid
+from hydroopt.logs.spline import Basis, Filter, Grid
 
 Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True)
 class Smoother:
-    """Knots, log10 λ in knot units and bandwidth [Hz] of every joint's spline, and how they were chosen in words."""
+    """Knots, filter and bandwidth [Hz] of every joint's spline, and how they were chosen in words."""
 
     grids: tuple[Grid, ...]
-    log_weights: tuple[float, ...]
+    filters: tuple[Filter, ...]
     bandwidth: Array
     notes: tuple[str, ...]
 
@@ -28,9 +28,12 @@ class Smoother:
     def margin(self) -> float:
         """How far [s] beyond a piece its smoothing has to reach, for what lies beyond to be felt no more.
 
-        A sample's influence falls by e within 1/(π·bandwidth): the slowest of the six roots of 1 + (ω/ω₀)⁶.
+        A sample's influence falls by e within 1/(π·bandwidth) of one smoothing: the slowest of the six roots of
+        1 + (ω/ω₀)⁶. Each further smoothing of what is left multiplies it by the time, three e-foldings at that length.
         """
-        return spline.DECAY / (np.pi * float(np.min(self.bandwidth)))
+        most = max(one.passes for one in self.filters)
+        once = float(np.min(self.bandwidth)) / spline.wider(most)
+        return (spline.DECAY + 3 * (most - 1)) / (np.pi * once)
 
     def motion(self, t: Array, q: Array, segment: NDArray[np.int64], needed: NDArray[np.bool_], where: str) -> Motion:
         """Smooth positions (N, n) of a piece at times t (N,); stretches in which no sample is `needed` (N,) stay NaN.
@@ -50,13 +53,14 @@ class Smoother:
                 basis = Basis(t[span], grid)
                 joints = [j for j, own in enumerate(self.grids) if own == grid]
                 right = basis.design.T @ q[span, joints]
-                coefficients = np.column_stack([basis.solve(10.0 ** self.log_weights[j], right[:, k])
+                coefficients = np.column_stack([basis.solve(self.filters[j], right[:, k])
                                                 for k, j in enumerate(joints)])
                 for order in range(3):
                     rows = basis.design if order == 0 else basis.derivative(basis.x, order)
                     out[order, span, joints] = (rows @ coefficients).T / basis.spacing**order
             interior[span] = inside(t[span], self.bandwidth)
-        return Motion(t, out[0], out[1], out[2], segment, interior, self.bandwidth, self.notes)
+        passes = np.array([one.passes for one in self.filters])
+        return Motion(t, out[0], out[1], out[2], segment, interior, self.bandwidth, passes, self.notes)
 
 
 def choose(pieces: Sequence[tuple[Array, Array]], grid: Grid, smoothing: SmoothingSpline, noise: Array,
@@ -75,15 +79,15 @@ def choose(pieces: Sequence[tuple[Array, Array]], grid: Grid, smoothing: Smoothi
         ProblemError: the bandwidth leaves nothing of the motion.
     """
     refuse_too_slow(smoothing, grid.duration, where)
-    grids, weights, corners, notes = [], [], [], []
+    grids, filters, corners, notes = [], [], [], []
     for j, name in enumerate(names):
         stated = None if smoothing.cross_validate or np.isnan(noise[j]) else float(noise[j])
-        bases, log_weight = spline.choose([(t, q[:, j]) for t, q in pieces], grid, stated, smoothing.bandwidth)
-        fitted = [basis.spline(q[:, j], log_weight) for basis, (_, q) in zip(bases, pieces, strict=True)]
+        bases, chosen = spline.choose([(t, q[:, j]) for t, q in pieces], grid, stated, smoothing.bandwidth)
+        fitted = [basis.spline(q[:, j], chosen) for basis, (_, q) in zip(bases, pieces, strict=True)]
         sizes = [t.size for t, _ in pieces]
         residual = float(np.sqrt(np.average([one.residual**2 for one in fitted], weights=sizes)))
         grids.append(bases[0].grid)
-        weights.append(log_weight)
+        filters.append(chosen)
         corners.append(min(one.bandwidth for one in fitted))
         notes.append(smoothing_note(name, where, corners[-1], residual, stated, smoothing))
-    return Smoother(tuple(grids), tuple(weights), np.array(corners), tuple(notes))
+    return Smoother(tuple(grids), tuple(filters), np.array(corners), tuple(notes))

@@ -57,6 +57,39 @@ def test_pieces_are_smoothed_as_the_whole(even: bool) -> None:
 def test_one_weight_for_several_pieces_lies_among_their_own() -> None:
     rng = np.random.default_rng(5)
     pieces = [(t, np.sin(w * t) + NOISE * rng.standard_normal(t.size)) for t, w in ((T[:400], 1.0), (T[450:], 4.0))]
-    own = [spline.fit(t, y, NOISE).weight for t, y in pieces]
-    bases, log_weight = spline.choose(pieces, Grid.of(T), NOISE)
-    assert own[1] < 10.0**log_weight * bases[0].spacing**5 < own[0]
+    own = [spline.fit(t, y, NOISE) for t, y in pieces]
+    bases, chosen = spline.choose(pieces, Grid.of(T), NOISE)
+
+    def weight(basis: spline.Basis, log_weight: float) -> float:
+        return 10.0**log_weight * basis.spacing**5
+
+    low, high = (weight(one.basis, one.filter.log_weight) for one in reversed(own))
+    assert low < weight(bases[0], chosen.log_weight) < high
+
+
+def test_a_stated_bandwidth_passes_by_half_and_what_is_slower_whole() -> None:
+    """Sines go through; one smoothing of the same bandwidth would take 4.5 % at 0.6 of it, and 0.4 % at 0.4."""
+    t = np.arange(6000) / 100
+    middle = slice(1500, 4500)
+    for part, passed in ((0.3, 1.0), (0.6, 0.9985), (1.0, 0.5), (2.0, 0.012)):
+        y = np.sin(2 * np.pi * part * t)
+        fitted = spline.fit(t, y, 1e-9, 1.0)
+        assert fitted.filter.passes == spline.SHARP
+        assert fitted.bandwidth == pytest.approx(1.0, rel=1e-9)
+        gain = fitted(t)[middle] @ y[middle] / (y[middle] @ y[middle])
+        assert gain == pytest.approx(passed, abs=5e-4)
+
+
+@pytest.mark.parametrize("sharp", [False, True])
+def test_pieces_of_a_motion_of_stated_bandwidth_are_smoothed_like_the_whole(sharp: bool) -> None:
+    rng = np.random.default_rng(6)
+    q = (np.sin(2 * T) + NOISE * rng.standard_normal(T.size))[:, None]
+    smoothing = SmoothingSpline(bandwidth=1.5 if sharp else 20.0)
+    whole = condition(T, q, smoothing=smoothing, noise=NOISE)
+    chosen = streamed_smoothing.choose([(T, q)], Grid.of(T), smoothing, np.full(1, NOISE), ["a"], "log")
+    assert whole.passes.tolist() == [spline.SHARP if sharp else 1]
+    margin = int(np.ceil(50 * chosen.margin)) + 1
+    window = slice(0, 400 + margin)
+    core = np.arange(T.size)[window] < 400
+    part = chosen.motion(T[window], q[window], np.zeros(core.size, int), core, "log")
+    np.testing.assert_allclose(part.qdd[core], whole.qdd[:400], rtol=0, atol=1e-9 * np.max(np.abs(whole.qdd)))

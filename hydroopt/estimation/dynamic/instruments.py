@@ -41,7 +41,8 @@ def instrument(model: Model, data: Experiment, reference: Log | None) -> Motion:
         states = [motion.q, motion.qd, motion.qdd]
     q, qd, qdd = (_at(reference.t, values, log.t) for values in states)
     every = np.ones(log.t.size, dtype=bool)
-    return Motion(log.t, q, qd, qdd, log.segment, every, data.motion.bandwidth, (f"instruments from {where}",))
+    return Motion(log.t, q, qd, qdd, log.segment, every, data.motion.bandwidth, data.motion.passes,
+                  (f"instruments from {where}",))
 
 
 def _at(t: Array, values: Array, times: Array) -> Array:

@@ -281,7 +281,7 @@ def _cut(data: Experiment, start: int, stop: int) -> Experiment:
     """Samples `start` to `stop` of an experiment."""
     m, span = data.motion, slice(start, stop)
     motion = Motion(m.t[span], m.q[span], m.qd[span], m.qdd[span], m.segment[span], m.interior[span], m.bandwidth,
-                    m.notes)
+                    m.passes, m.notes)
     return replace(data, log=data.log.slice(start, stop), motion=motion, force=data.force[span],
                    moving=data.moving[span], pressure=None if data.pressure is None else data.pressure[span])
 

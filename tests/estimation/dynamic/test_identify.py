@@ -137,7 +137,8 @@ def test_two_logs_are_one_log_of_both(noisy: IdentificationProblem) -> None:
     one, other = noisy.experiments
     joined = {key: np.concatenate([getattr(one.motion, key), getattr(other.motion, key)])
               for key in ("t", "q", "qd", "qdd", "segment", "interior")}
-    both = Experiment(one.model, one.log, Motion(**joined, bandwidth=one.motion.bandwidth, notes=()),
+    motion = Motion(**joined, bandwidth=one.motion.bandwidth, passes=one.motion.passes, notes=())
+    both = Experiment(one.model, one.log, motion,
                       np.concatenate([one.force, other.force]), np.concatenate([one.moving, other.moving]))
     sigma = np.array([700.0, 800.0, 900.0])
     (R, r, _), (S, s, _) = (regressor_qr.compress(parts).weighted(sigma)

@@ -54,7 +54,7 @@ def test_inner_products_are_those_of_the_dense_covariance() -> None:
 
     V = np.diag(np.broadcast_to(noise, taken.shape)[taken] ** 2)
     for j in range(n):
-        C = np.linalg.inv((dense(basis.gram) + 10.0 ** basis.log_weight_of(bandwidth[j]) * dense(basis.penalty))
+        C = np.linalg.inv((dense(basis.gram) + 10.0 ** basis.filter_of(bandwidth[j]).log_weight * dense(basis.penalty))
                           / angle_noise[j] ** 2)
         G = np.concatenate([sum(by_motion[o, k, i, j] * basis.derivative(basis.x[k : k + 1], o).toarray()
                                 / basis.spacing**o for o in range(3)) for k, i in np.argwhere(taken)])

@@ -32,21 +32,22 @@ def expectation(lift: Model, motion: Trajectory) -> ExpectedAccuracy:
     return expected_accuracy(lift, motion, structural(lift))
 
 
-@pytest.mark.parametrize("uneven", [False, True], ids=["even", "uneven"])
-def test_pull_back_is_the_derivative_by_each_sample(uneven: bool) -> None:
+@pytest.mark.parametrize(("uneven", "bandwidth", "passes"), [(False, 2.0, 1), (True, 2.0, 1), (True, 0.5, spline.SHARP)],
+                         ids=["even", "uneven", "sharp"])
+def test_pull_back_is_the_derivative_by_each_sample(uneven: bool, bandwidth: float, passes: int) -> None:
     """A spline of the same weight is fitted again with one sample after the other changed."""
     rng = np.random.default_rng(3)
     t = 5 + np.linspace(0, 4, 60) + uneven * rng.uniform(-0.03, 0.03, 60)
     y = np.sin(2 * t) + 0.05 * rng.standard_normal(60)
-    fitted = spline.fit(t, y, 0.05, 2.0)
+    fitted = spline.fit(t, y, 0.05, bandwidth)
     rows = [rng.standard_normal((4, 60)) for _ in range(3)]
 
     def told(y: Array) -> Array:
-        again = fitted.basis.spline(y, float(np.log10(fitted.weight / fitted.basis.spacing**5)))
+        again = fitted.basis.spline(y, fitted.filter)
         return np.sum([row @ again(t, order) for order, row in enumerate(rows)], axis=0)
 
-    np.testing.assert_allclose(fitted(t), fitted.basis.spline(
-        y, float(np.log10(fitted.weight / fitted.basis.spacing**5)))(t), atol=1e-12)
+    assert fitted.filter.passes == passes
+    np.testing.assert_allclose(fitted(t), fitted.basis.spline(y, fitted.filter)(t), atol=1e-12)
     step = 0.5
     slopes = np.column_stack([(told(y + step * e) - told(y - step * e)) / (2 * step) for e in np.eye(60)])
     np.testing.assert_allclose(fitted.pull_back(rows), slopes, rtol=0, atol=1e-9 * np.max(np.abs(slopes)))

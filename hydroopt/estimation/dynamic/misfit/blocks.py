@@ -46,7 +46,7 @@ def blocks_of(views: Sequence[View]) -> list[Block]:
     made: list[Block] = []
     for k, view in enumerate(views):
         motion = view.motion
-        pad = int(REACH / (float(np.min(view.bandwidth)) * float(np.median(np.diff(motion.t))))) + 1
+        pad = int(REACH / (float(np.min(view.motion.bandwidth)) * float(np.median(np.diff(motion.t))))) + 1
         size = len(motion.t)
         for a, b in stretches(motion.segment):
             count = max(1, round(PARTS * (b - a) / size)) if size <= PARTS * LONGEST else max(
@@ -113,7 +113,7 @@ class Data:
         own = slice(block.first - block.start, block.last - block.start)
         taken[own] = self._taken[block.view][block.first : block.last]
         return ErrorCovariance(view.motion.t[span], view.by_motion[:, span], taken, view.noise, view.angle_noise,
-                               view.bandwidth)
+                               view.motion.bandwidth)
 
     def columns(self, of_views: Sequence[Array]) -> Columns:
         """Columns from readings (N, c, k) of every view."""

@@ -85,7 +85,7 @@ class ErrorCovariance:
         """Cholesky factor, in band storage, of C⁻¹ + Gᵀ·D⁻¹·G."""
         n, half = len(noise), SUPPORT - 1
         size = basis.intervals + SUPPORT - 1
-        inverse = np.stack([(basis.gram + 10.0 ** basis.log_weight_of(float(bandwidth[j])) * basis.penalty)
+        inverse = np.stack([(basis.gram + 10.0 ** basis.filter_of(float(bandwidth[j])).log_weight * basis.penalty)
                             / noise[j] ** 2 for j in range(n)], axis=2)  # (half + 1, size, n)
         band = np.zeros((n * half + n, n * size))
         band[: n * half + 1 : n] = inverse.reshape(half + 1, n * size)

@@ -356,7 +356,7 @@ def _lines(view: View) -> Iterator[tuple[str, Line]]:
         return
     step = float(np.median(np.diff(motion.t[at])))
     hertz = np.fft.rfftfreq(at.size, step)
-    fast = hertz > max(SLOWEST_LINE, 2 * float(np.max(view.bandwidth)))
+    fast = hertz > max(SLOWEST_LINE, 2 * float(np.max(view.motion.bandwidth)))
     if np.sum(fast) < 16:
         return
     units = (*view.model.force_units, *["m"] * len(view.lengths))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import pairwise
@@ -16,16 +16,16 @@ from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.joint_angles import angle_noise, measured_angles
 from hydroopt.logs.smoothing import Motion
-from hydroopt.logs.spline import MIN_SAMPLES, Basis, Grid
+from hydroopt.logs.spline import MIN_SAMPLES, Basis, Grid, wider
 from hydroopt.machine.actuators import Cylinder, Drive
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
 SPIKE = 6.0
 """Distance from the running median, in robust standard deviations, beyond which a residual is a spike."""
-EXCESS, AGAIN, WIDER = 1.05, 3, 1.32
-"""What smoothing takes out as a multiple of the stated noise, beyond which some of it is motion; how often the rest is
-smoothed again, and by what that raises the frequency that passes by half."""
+EXCESS, AGAIN = 1.05, 4
+"""What smoothing takes out as a multiple of the stated noise, beyond which some of it is motion; by what the number of
+smoothings of what is left is multiplied then."""
 STEP = 1e-5
 """Step of finite differences as a part of the RMS of a coordinate."""
 
@@ -38,13 +38,11 @@ class View:
         experiment: the log and its smoothed motion.
         psi: (p,) parameters about which everything is linear.
         lengths: places in the machine's cylinders of the lengths that are measured beside the angles.
-        again: joints whose positions were smoothed `AGAIN` times more.
     """
 
     experiment: Experiment
     psi: Array
     lengths: tuple[int, ...]
-    again: frozenset[int] = frozenset()
 
     @classmethod
     def of(cls, experiment: Experiment, psi: Array) -> View:
@@ -52,9 +50,9 @@ class View:
         machine, channels = experiment.model.machine, experiment.log.channels
         beside = tuple(k for k, c in enumerate(machine.cylinders) if f"{c.name}.length" in channels and all(
             f"{joint}.q" in channels for joint in machine.moved_by(c)))
+        view = cls(experiment, psi, beside)
         again = _too_smooth(experiment)
-        view = cls(experiment, psi, beside, again)
-        return replace(view, experiment=replace(experiment, motion=view._smoothed_again())) if again else view
+        return replace(view, experiment=replace(experiment, motion=view._followed_closer(again))) if again else view
 
     @property
     def model(self) -> Model:
@@ -204,34 +202,31 @@ class View:
     def smoothed(self, course: Array, joint: int) -> Array:
         """What smoothing makes of a course (N,) in a joint's measured position: its part of q, qd and qdd (3, N)."""
         motion, made = self.motion, np.zeros((3, len(course)))
-        weight = float(motion.bandwidth[joint])
         for a, b in stretches(motion.segment):
             if b - a < MIN_SAMPLES:
                 continue
             basis, t = Basis(motion.t[a:b], Grid.of(motion.t[a:b])), motion.t[a:b]
-            for _ in range(1 + AGAIN * (joint in self.again)):
-                curve = basis.spline(course[a:b] - made[0, a:b], basis.log_weight_of(weight))
-                made[:, a:b] += [curve(t, order) for order in range(3)]
+            chosen = basis.filter_of(float(motion.bandwidth[joint]), int(motion.passes[joint]))
+            curve = basis.spline(course[a:b], chosen)
+            made[:, a:b] = [curve(t, order) for order in range(3)]
         return made
 
-    def _smoothed_again(self) -> Motion:
-        """The motion whose joints in `again` follow their measured positions closer.
+    def _followed_closer(self, joints: Sequence[int]) -> Motion:
+        """The motion with these joints' positions followed closer, since smoothing takes away some of the motion.
 
-        There smoothing takes away some of the motion itself. Adding what it makes of the rest leaves (1 − H)⁴ of the
-        motion instead of 1 − H, with H what passes, and passes about a third more of the frequencies.
+        Smoothing what is left `AGAIN` times as often passes at least a third more of the frequencies.
         """
+        passes, bandwidth = self.motion.passes.copy(), self.motion.bandwidth.copy()
+        for joint in joints:
+            bandwidth[joint] *= wider(AGAIN * passes[joint]) / wider(passes[joint])
+            passes[joint] *= AGAIN
+        closer = replace(self.motion, passes=passes, bandwidth=bandwidth)
+        view = replace(self, experiment=replace(self.experiment, motion=closer))
         angles = measured_angles(self.model, self.experiment.log)
-        state = [values.copy() for values in (self.motion.q, self.motion.qd, self.motion.qdd)]
-        for joint in self.again:
-            for values, made in zip(state, self.smoothed(angles[:, joint], joint), strict=True):
-                values[:, joint] = made
-        return replace(self.motion, q=state[0], qd=state[1], qdd=state[2])
-
-    @cached_property
-    def bandwidth(self) -> Array:
-        """Frequency (n,) [Hz] that the smoothing of each joint passes by half."""
-        repeated = np.isin(np.arange(len(self.motion.bandwidth)), list(self.again))
-        return np.asarray(self.motion.bandwidth * np.where(repeated, WIDER, 1.0))
+        state = np.array([closer.q, closer.qd, closer.qdd])
+        for joint in joints:
+            state[:, :, joint] = view.smoothed(angles[:, joint], joint)
+        return replace(closer, q=state[0], qd=state[1], qdd=state[2])
 
     def gravity(self, psi: Array) -> Array:
         """Forces (N, c, 3) of the bodies' weights per unit [m/s²] of gravity along the axes of the base frame."""
@@ -260,7 +255,7 @@ class View:
     def window(self) -> int:
         """Samples (odd) that a slow signal is averaged over: a quarter of the smoothing's shortest period."""
         step = float(np.median(np.diff(self.motion.t)))
-        return 2 * int(max(2.0, 0.125 / (float(np.max(self.bandwidth)) * step))) + 1
+        return 2 * int(max(2.0, 0.125 / (float(np.max(self.motion.bandwidth)) * step))) + 1
 
     @cached_property
     def speeds(self) -> Array:
@@ -287,10 +282,9 @@ def stretches(segment: NDArray[np.int64]) -> list[tuple[int, int]]:
     return list(pairwise(edges))
 
 
-def _too_smooth(experiment: Experiment) -> frozenset[int]:
+def _too_smooth(experiment: Experiment) -> list[int]:
     """Joints whose motion is smoothed more than noise calls for, by a stated bandwidth."""
     motion, model = experiment.motion, experiment.model
     stated = angle_noise(model, experiment.log)
     took = np.sqrt(np.mean((measured_angles(model, experiment.log) - motion.q) ** 2, axis=0))
-    limit = model.machine.bandwidth or np.inf
-    return frozenset(np.flatnonzero((motion.bandwidth > 0.98 * limit) | (took > EXCESS * stated)).tolist())
+    return [int(j) for j in np.flatnonzero((motion.passes > 1) | (took > EXCESS * stated))]
