@@ -2,24 +2,33 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, overload
+from importlib import import_module
+from typing import TYPE_CHECKING, Any, overload
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.dynamic.estimate import Estimate
-from hydroopt.estimation.dynamic.identify import identify
-from hydroopt.estimation.dynamic.problem import IdentificationProblem
-from hydroopt.estimation.hydraulic.estimate import HydraulicEstimate, identify_hydraulics
-from hydroopt.estimation.hydraulic.problem import HydraulicProblem
-from hydroopt.estimation.kinematic.calibrate import calibrate
-from hydroopt.estimation.kinematic.calibration import Calibration
-from hydroopt.estimation.kinematic.problem import CalibrationProblem
-from hydroopt.excitation.motion.design import design
-from hydroopt.excitation.motion.excitation import Excitation
-from hydroopt.excitation.motion.problem import ExcitationProblem
-from hydroopt.excitation.poses.exchange import fedorov_exchange
-from hydroopt.excitation.poses.plan import PosePlan
-from hydroopt.excitation.poses.problem import PoseProblem
+
+if TYPE_CHECKING:
+    from hydroopt.estimation.dynamic.estimate import Estimate
+    from hydroopt.estimation.dynamic.problem import IdentificationProblem
+    from hydroopt.estimation.hydraulic.estimate import HydraulicEstimate
+    from hydroopt.estimation.hydraulic.problem import HydraulicProblem
+    from hydroopt.estimation.kinematic.calibration import Calibration
+    from hydroopt.estimation.kinematic.problem import CalibrationProblem
+    from hydroopt.excitation.motion.excitation import Excitation
+    from hydroopt.excitation.motion.problem import ExcitationProblem
+    from hydroopt.excitation.poses.plan import PosePlan
+    from hydroopt.excitation.poses.problem import PoseProblem
+
+SOLVERS = {
+    ("hydroopt.estimation.dynamic.problem", "IdentificationProblem"): (
+        "hydroopt.estimation.dynamic.identify", "identify"),
+    ("hydroopt.estimation.kinematic.problem", "CalibrationProblem"): (
+        "hydroopt.estimation.kinematic.calibrate", "calibrate"),
+    ("hydroopt.estimation.hydraulic.problem", "HydraulicProblem"): (
+        "hydroopt.estimation.hydraulic.estimate", "identify_hydraulics"),
+    ("hydroopt.excitation.motion.problem", "ExcitationProblem"): ("hydroopt.excitation.motion.design", "design"),
+    ("hydroopt.excitation.poses.problem", "PoseProblem"): ("hydroopt.excitation.poses.exchange", "fedorov_exchange")}
+"""Module and name of each kind of problem's solver: only that of the problem at hand is imported."""
 
 
 @overload
@@ -56,11 +65,9 @@ def solve(problem: Any, *arguments: Any, **options: Any) -> Any:
     >>> estimate.method
     'wls'
     """
-    solvers: dict[type, Callable[..., Any]] = {
-        IdentificationProblem: identify, CalibrationProblem: calibrate, HydraulicProblem: identify_hydraulics,
-        ExcitationProblem: design, PoseProblem: fedorov_exchange}
-    for kind, solver in solvers.items():
-        if isinstance(problem, kind):
-            return solver(problem, *arguments, **options)
+    for kind in type(problem).__mro__:
+        if place := SOLVERS.get((kind.__module__, kind.__name__)):
+            module, name = place
+            return getattr(import_module(module), name)(problem, *arguments, **options)
     raise ProblemError(f"a {type(problem).__name__} cannot be solved", where="solve",
-                       remedy=f"give one of {', '.join(kind.__name__ for kind in solvers)}")
+                       remedy=f"give one of {', '.join(name for _, name in SOLVERS)}")

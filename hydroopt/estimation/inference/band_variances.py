@@ -18,7 +18,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import linalg, stats
+from scipy import linalg, special
 
 from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE
 from hydroopt.spatial.inertia import Array
@@ -189,7 +189,7 @@ def score_rows(channel: Channel, spectrum: Spectrum, scale: Array, shared: Seque
 
 def students(freedom: Array) -> Array:
     """Factors on rows of unit variance with which normal 95 % intervals are as wide as those of Student's t."""
-    return np.asarray(NORMAL / stats.t.ppf(0.975, np.minimum(freedom, MANY)))
+    return np.asarray(NORMAL / special.stdtrit(np.minimum(freedom, MANY), 0.975))
 
 
 def _smooth(estimate: Array, freedom: Array) -> tuple[Array, Array]:
@@ -253,4 +253,4 @@ def f_test(sums: Array, shares: Array, freedom: Array) -> FTest:
     eta = min(max(k / np.sum(1 / combined(shares, freedom)), 2.0) * (k + 1) / 2, MANY)
     left = eta - k + 1
     statistic = float(sums @ sums) * left / (eta * k)
-    return FTest(statistic, k, left, float(stats.f.sf(statistic, k, left)))
+    return FTest(statistic, k, left, float(special.fdtrc(k, left, statistic)))

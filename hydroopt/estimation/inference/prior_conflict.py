@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import stats
+from scipy import special
 
 from hydroopt.spatial.inertia import Array
 
@@ -89,6 +89,6 @@ def prior_test(R: Array, r: Array, prior: tuple[Array, Array], scale: Array, nom
         if information > INFORMED:
             score = float(np.sum(along * u / spread) + beside @ y)
             found.append(Conflict(name, 1 + score / information, information**-0.5,
-                                  float(2 * stats.norm.sf(abs(score) / np.sqrt(information)))))
-    return PriorTest(float(stats.chi2.sf(square, int(np.sum(tested)))) if np.any(tested) else 1.0,
+                                  float(2 * special.ndtr(-abs(score) / np.sqrt(information)))))
+    return PriorTest(float(special.chdtrc(int(np.sum(tested)), square)) if np.any(tested) else 1.0,
                      int(np.sum(tested)), tuple(sorted(found, key=lambda one: one.p_value)))

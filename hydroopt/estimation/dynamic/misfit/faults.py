@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import lfilter
+from scipy.linalg import solve_banded
 
 from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.machine.actuators import Cylinder
@@ -172,8 +172,10 @@ class Lag(Fault):
         part = step / (abs(size) + step)
         if part > 0.8:  # far shorter than a sample
             return np.asarray(-size * np.gradient(true, t, axis=0))
-        made = lfilter([part], [1.0, part - 1.0], true - true[0], axis=0) - (true - true[0])
-        return np.asarray(np.sign(size) * made)
+        moved = (true - true[0]).reshape(len(t), -1)
+        recursion = np.array([np.ones(len(t)), np.full(len(t), part - 1.0)])  # yᵢ = part·xᵢ + (1 − part)·yᵢ₋₁
+        made = solve_banded((1, 0), recursion, part * moved) - moved
+        return np.asarray(np.sign(size) * made.reshape(true.shape))
 
 
 @dataclass(frozen=True)
