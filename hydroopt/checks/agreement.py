@@ -122,8 +122,8 @@ def agreement(model: Model, log: Log, evaluated: Evaluated | None = None) -> Agr
     if rows.size < 8:
         return None
     around = rows[:, None] + np.arange(window) - window // 2
-    q, qd, qdd = (np.einsum("w,swn->sn", kernel[k], angles[around]) / step**k for k in range(3))
-    force = np.einsum("w,swn->sn", kernel[0], median_filter(measured[around], size=(1, SPIKE, 1), mode="nearest"))
+    q, qd, qdd = (np.tensordot(angles[around], kernel[k], (1, 0)) / step**k for k in range(3))
+    force = np.tensordot(median_filter(measured[around], size=(1, SPIKE, 1), mode="nearest"), kernel[0], (1, 0))
     state = (q, qd, qdd) if pressed is None else (q, qd, qdd, pressed[rows])
     key = np.concatenate([values.ravel() for values in state]).tobytes(), step
     if key not in evaluated:
@@ -162,7 +162,7 @@ def _window(angles: Array, log: Log) -> int:
         rows = _rows(log, window)
         if not rows.size:
             break
-        bent = np.einsum("w,swn->sn", kernel, angles[rows[:, None] + np.arange(window) - window // 2])
+        bent = np.tensordot(angles[rows[:, None] + np.arange(window) - window // 2], kernel, (1, 0))
         if np.all(noise * np.linalg.norm(kernel) < 0.15 * np.sqrt(np.mean(bent**2, axis=0)) + 1e-300):
             break
     return chosen
@@ -196,7 +196,7 @@ def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[
     information = parameters.information + np.diag(np.where(known, 0.0, 1 / (3 * parameters.scale) ** 2))
     covariance = np.linalg.inv(information)
     size = np.sqrt(np.mean(nominal**2, axis=0))
-    spread = np.sqrt(np.mean(np.einsum("snp,pk,snk->sn", K, covariance, K), axis=0))
+    spread = np.sqrt(np.mean(np.sum((K @ np.linalg.cholesky(covariance)) ** 2, axis=2), axis=0))
     stated = np.nan_to_num(force_noise(model, log), nan=0.0) * averaged
     rms = np.sqrt(np.mean(force**2, axis=0))
     expected = np.maximum(size, 0.3 * np.minimum(spread, 10 * size + 1e-9))

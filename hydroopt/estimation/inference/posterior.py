@@ -30,7 +30,7 @@ from hydroopt.spatial.inertia import Array
 
 Mask = NDArray[np.bool_]
 
-CHAINS, WARM_UP, SWEEPS, KEEP_EVERY, BLOCK, TRIES = 128, 60, 16, 2, 8, 6
+CHAINS, WARM_UP, SWEEPS, KEEP_EVERY, BLOCK, TRIES = 128, 30, 16, 2, 8, 6
 """Number of chains; sweeps of a warm-up and of sampling, of which every second is kept; coordinates moved together;
 proposals of each move."""
 
