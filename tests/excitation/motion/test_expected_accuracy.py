@@ -32,8 +32,8 @@ def expectation(lift: Model, motion: Trajectory) -> ExpectedAccuracy:
     return expected_accuracy(lift, motion, structural(lift))
 
 
-@pytest.mark.parametrize(("uneven", "bandwidth", "passes"), [(False, 2.0, 1), (True, 2.0, 1), (True, 0.5, spline.SHARP)],
-                         ids=["even", "uneven", "sharp"])
+@pytest.mark.parametrize(("uneven", "bandwidth", "passes"),
+                         [(False, 2.0, 1), (True, 2.0, 1), (True, 0.5, spline.SHARP)], ids=["even", "uneven", "sharp"])
 def test_pull_back_is_the_derivative_by_each_sample(uneven: bool, bandwidth: float, passes: int) -> None:
     """A spline of the same weight is fitted again with one sample after the other changed."""
     rng = np.random.default_rng(3)
