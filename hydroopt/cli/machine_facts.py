@@ -9,6 +9,7 @@ import numpy as np
 
 from hydroopt.estimation.inference import identifiability
 from hydroopt.estimation.kinematic.mobility import mobility
+from hydroopt.machine.loop_checks import LoopRange, loop_ranges
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.parameters import hydraulic as hydraulic_parameters
@@ -29,6 +30,7 @@ def machine_facts(machine: Machine) -> dict[str, Any]:
     return {"machine": {"name": machine.name, "parameter_set": machine.parameter_set, "sha256": machine.sha256,
                          "description": machine.description},
              "joints": [_joint_facts(machine, name) for name in machine.joints], "cylinders": cylinders,
+             "linkages": [_linkage_facts(each) for each in loop_ranges(machine)],
              "channels": machine.channel_units, "sensors": sensors, "parameters": parameters,
              "hydraulic_parameters": _parameter_facts(hydraulic_parameters.parameter_set(machine)),
              "identifiability": {"rank": found.rank, "full": found.count("full"),
@@ -51,6 +53,16 @@ def _joint_facts(machine: Machine, name: str) -> dict[str, Any]:
     actuator = machine.actuators[machine.joints.index(name)].name
     return {"joint": name, "type": joint.type, "actuator": actuator, "unit": unit,
             "lower": round(factor * (joint.lower or 0.0), 4), "upper": round(factor * (joint.upper or 0.0), 4)}
+
+
+def _linkage_facts(loop: LoopRange) -> dict[str, Any]:
+    """What follows what, its transmission ratio over the range, and the margin to a dead point."""
+    closure = loop.closure
+    return {"linkage": closure.loop.name, "follows": ", ".join(closure.follows),
+            "dependent": f"{closure.first}, {closure.second}",
+            "ratio": f"d {closure.first} / d {closure.follows[-1]}", "ratio_min": round(loop.ratio[0], 4),
+            "ratio_max": round(loop.ratio[1], 4), "margin_deg": round(math.degrees(loop.angle), 2),
+            "margin_at": loop.at}
 
 
 def _cylinder_facts(model: Model, k: int) -> dict[str, Any]:

@@ -59,6 +59,10 @@ def show(
     console.print(f"Of {len(facts['parameters'])} parameters a motion without noise identifies {counts['full']} "
                   f"individually and {counts['combination']} in combinations ({counts['rank']} base parameters); "
                   f"{counts['none']} have no effect on the actuator forces.")
+    for each in facts["linkages"]:
+        console.print(f"{each['linkage']}: {each['dependent']} follow {each['follows']}, {each['ratio']} from "
+                      f"{each['ratio_min']:.3f} to {each['ratio_max']:.3f}; least angle to a dead point "
+                      f"{each['margin_deg']:.1f} deg, at {each['margin_at']}", soft_wrap=True)
     if lines := facts["calibration"]["lines"]:
         console.print("[bold]Kinematic calibration[/bold]")
         for line in lines:

@@ -30,11 +30,13 @@ class LoopRange(NamedTuple):
         angle: least angle [rad] in the range between its bars, or by which they miss a straight line: its margin to a
             dead point. Not a number where the loop cannot close.
         posture: positions by name of the joints that it follows, where this is.
+        ratio: least and greatest speed of the first dependent joint per speed of the last joint that it follows.
     """
 
     closure: Closure
     angle: float
     posture: dict[str, float]
+    ratio: tuple[float, float]
 
     @property
     def at(self) -> str:
@@ -55,15 +57,17 @@ def loop_ranges(machine: Machine) -> tuple[LoopRange, ...]:
         q = ca.SX.sym("q", len(joints))
         at = mechanism.positions(geometry, {joint: q[i] for i, joint in enumerate(joints)})
         made = dyad(geometry, closure, at)
-        pair = bars(made, mechanism.branches[k])
-        function = ca.Function("margin", [q], [pair.across / ca.sqrt(made.squares[0] * made.squares[1])])
+        sine = bars(made, mechanism.branches[k]).sine(made)
+        function = ca.Function("margin", [q], [sine, ca.jacobian(at[closure.first], q[-1])])
         points = POINTS.get(len(joints), 15)
         grid = np.meshgrid(*(np.linspace(*machine.link(joint).joint.range, points) for joint in joints), indexing="ij")
         states = np.stack([values.ravel() for values in grid])
-        sines = np.abs(np.asarray(function(states)).ravel())
+        sines, ratios = (np.asarray(values).ravel() for values in function(states))
+        sines = np.abs(sines)
         worst = int(np.argmin(np.where(np.isfinite(sines), sines, -1.0)))
         angle = float(np.arcsin(min(sines[worst], 1.0)))
-        found.append(LoopRange(closure, angle, dict(zip(joints, states[:, worst].tolist(), strict=True))))
+        found.append(LoopRange(closure, angle, dict(zip(joints, states[:, worst].tolist(), strict=True)),
+                               (float(np.min(ratios)), float(np.max(ratios)))))
     return tuple(found)
 
 

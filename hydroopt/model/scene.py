@@ -29,7 +29,7 @@ class Plane(NamedTuple):
 
 
 class Scene(NamedTuple):
-    """One pose, every point (2,) [m] in the plane: joints' start and end by link, pins by cylinder."""
+    """One pose, every point (2,) [m] in the plane: joints' start and end by link, pins by cylinder and by loop."""
 
     start: dict[str, Array]
     axis: dict[str, Array]
@@ -38,6 +38,7 @@ class Scene(NamedTuple):
     barrel: dict[str, Array]
     rod: dict[str, Array]
     length: dict[str, float]
+    closing: dict[str, Array]
 
 
 def range_scenes(model: Model, q: Array) -> list[Scene]:
@@ -115,9 +116,11 @@ def scenes(model: Model, poses: Array, plane: Plane) -> list[Scene]:
                 mass[link.name] = look @ place(link.name, centre.tolist())
         pins = {one.name: [place(end.link, end.pin) for end in (one.barrel, one.rod)] for one in cylinders}
         found.append(Scene(
-            {link.name: look @ ends[link.parent][i, :3, 3] for link in machine.links},
+            {link.name: look @ (ends[link.parent][i, :3, 3] if link.pin is None else place(link.parent, link.pin))
+             for link in machine.links},
             {link.name: look @ frames[link.name][i, :3, 3] for link in machine.links},
             {link.name: look @ ends[link.name][i, :3, 3] for link in machine.links}, mass,
             {name: look @ pin[0] for name, pin in pins.items()}, {name: look @ pin[1] for name, pin in pins.items()},
-            {name: float(np.linalg.norm(pin[1] - pin[0])) for name, pin in pins.items()}))
+            {name: float(np.linalg.norm(pin[1] - pin[0])) for name, pin in pins.items()},
+            {loop.name: look @ place(loop.to.link, loop.to.pin) for loop in machine.loops}))
     return found

@@ -28,7 +28,8 @@ ROOM = (9.4, 5.6)
 def side_view(estimate: Estimate) -> Figure:
     """The machine at the mean pose of the training motion, with faint poses at the extremes that its joints reached."""
     machine, scenes = estimate.problem.model.machine, estimate.scenes
-    corners = np.array([p for s in scenes for part in s[:-1] for p in part.values()] + [np.zeros(2)])
+    corners = np.array([p for s in scenes for part in (s.start, s.axis, s.end, s.mass, s.barrel, s.rod, s.closing)
+                        for p in part.values()] + [np.zeros(2)])
     low, high = corners.min(axis=0), corners.max(axis=0)
     size = float(np.max(high - low))
     low, high = low - 0.07 * size, high + 0.07 * size
@@ -64,6 +65,7 @@ def _outline(machine: Machine, scene: Scene, link: Link) -> Array:
         points += [pins[cylinder.name] for end, pins in ((cylinder.barrel, scene.barrel), (cylinder.rod, scene.rod))
                    if end.link == link.name]
     points += [scene.start[child.name] for child in machine.links if child.parent == link.name]
+    points += [scene.closing[loop.name] for loop in machine.loops if loop.to.link == link.name]
     return _hull(np.array(points))
 
 
@@ -114,7 +116,7 @@ def _draw(ax: Axes, machine: Machine, scene: Scene, *, faint: bool) -> None:
             ax.plot(*np.array([barrel, rod]).T, ls="none", marker="o", ms=4.2, mfc="white", mec=colour, mew=1.2,
                     zorder=order + 0.6)
     if not faint:
-        joints = np.array([scene.axis[j] for j in machine.joints])
+        joints = np.array([*(scene.axis[joint] for joint in machine.tree_joints), *scene.closing.values()])
         ax.plot(*joints.T, ls="none", marker="o", ms=6.5, mfc="white", mec=INK, mew=1.6, zorder=order + 0.7)
 
 

@@ -4,8 +4,10 @@ import re
 
 import numpy as np
 import pytest
+from typer.testing import CliRunner
 
 from fixtures.loops import excavator, measured_at_the_rocker, z_bar
+from hydroopt.cli import app
 from hydroopt.errors import MachineError
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.loop_checks import loop_ranges
@@ -166,3 +168,9 @@ def test_what_cannot_be_is_refused_with_its_place(text, where, what):
     assert caught.value.remedy
     assert re.search(where, caught.value.where), caught.value
     assert re.search(what, caught.value.what), caught.value
+
+
+def test_show_prints_the_transmission_ratio_and_the_margin():
+    out = CliRunner().invoke(app, ["show", "excavator_bucket"]).output
+    assert ("bucket_linkage: rocker, coupler follow bucket, d rocker / d bucket from 0.339 to 0.758; least angle to a "
+            "dead point 46.9 deg, at bucket = 10.0 deg\n") in out

@@ -45,8 +45,9 @@ def crane() -> Machine:
 
 
 @pytest.mark.parametrize("machine", [
-    pytest.param(load_machine("kr300"), marks=pytest.mark.slow), load_machine("patu655_lift"), crane()],
-                         ids=["kr300", "patu655_lift", "crane_with_rod"])
+    pytest.param(load_machine("kr300"), marks=pytest.mark.slow),
+    pytest.param(load_machine("excavator_bucket"), marks=pytest.mark.slow), load_machine("patu655_lift"), crane()],
+                         ids=["kr300", "excavator_bucket", "patu655_lift", "crane_with_rod"])
 def test_other_machines_come_back(machine: Machine, record: Any) -> None:
     model = Model(machine)
     truth = random_truth(model, 3)
