@@ -55,15 +55,23 @@ class Cascade:
     def command(self, k: int, reading: Reading) -> Array:
         """Commands (n,) at sample k from the readings."""
         demand, gains = self.demand, self.gains
-        error = demand.length[k] - reading.length
+        error = self._controlled(k, demand.length[k] - reading.length)
         feedback = gains.position * (error + self._integral) + gains.force * (demand.measured_force[k] - reading.force)
         self._filtered = self._pole * self._filtered + (1 - self._pole) * feedback
         preview = demand.preview
-        command, opening = self.valves.command(preview.speed[k] + self._filtered, preview.force_rate[k],
-                                               preview.length[k], preview.pressure[k], reading.supply)
+        command, opening = self.valves.command(self._speed(k, reading), preview.force_rate[k], preview.length[k],
+                                               preview.pressure[k], reading.supply)
         # anti-windup: the integral is held while the valve is fully open
         self._integral += np.where(np.abs(opening) < 1, self.period * error / gains.integral_time, 0.0)
         return command
+
+    def _controlled(self, k: int, error: Array) -> Array:
+        """The part of the lengths' errors (n,) that position control answers for: all of it."""
+        return error
+
+    def _speed(self, k: int, reading: Reading) -> Array:
+        """Demanded speeds (n,) of the actuators."""
+        return np.asarray(self.demand.preview.speed[k] + self._filtered)
 
     def linear(self, point: Point) -> control.StateSpace:
         """The linearised controller: from q, forces and supply pressure to commands.

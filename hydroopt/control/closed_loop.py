@@ -40,6 +40,7 @@ class Run:
         pressure: of the chambers (N, n, 2) [Pa].
         flow: into the valves (N, n) [m³/s].
         p_supply: (N,) [Pa].
+        contact: force (N, 3) [N] of the plant's wall on the tip, in the base frame.
         stopped: why the run ended early, in words, with arrays that end there; "" if it did not.
     """
 
@@ -49,6 +50,7 @@ class Run:
     pressure: Array
     flow: Array
     p_supply: Array
+    contact: Array
     stopped: str
 
     @property
@@ -119,6 +121,7 @@ def simulate(demands: Demands, controller: Controller, psi: Array, theta: Array,
         outputs = plant.outputs.call({"x": x, "u": delay.current, "supply": plant.supply, "psi": psi, "theta": theta})
         q, flow = (np.asarray(outputs[key]).ravel() for key in ("q", "flow"))
         pressure, p_supply = np.asarray(outputs["pressure"]), float(outputs["p_supply"])
+        contact = np.asarray(outputs["contact"]).ravel()
         if np.any((q < lower - overrun) | (q > upper + overrun)):
             stopped = f"the machine hits its stops at {t[k]:.2f} s"
             break
@@ -129,15 +132,15 @@ def simulate(demands: Demands, controller: Controller, psi: Array, theta: Array,
         force = sensors.areas[:, 0] * p[:, 0] - sensors.areas[:, 1] * p[:, 1]
         reading = Reading(angles, length, force, np.array([readings[-1], tank]))
         u = np.clip(controller.command(k, reading), *demands.valves.limits)
-        rows.append((q, u, pressure, flow, np.array(p_supply)))
+        rows.append((q, u, pressure, flow, np.array(p_supply), contact))
         try:
             for seconds, command in delay.push(u):
                 x = np.asarray(steps[seconds](x, command, plant.supply)).ravel()
         except RuntimeError:
             raise SolverError(f"the plant cannot be integrated beyond {t[k]:.2f} s", where="control",
                               remedy="check the numbers of its circuits, or lower the gains") from None
-    q, u, pressure, flow, supply = (np.array(column) for column in zip(*rows, strict=True))
-    return Run(t[:len(rows)], q, u, pressure, flow, supply, stopped)
+    q, u, pressure, flow, supply, pushed = (np.array(column) for column in zip(*rows, strict=True))
+    return Run(t[:len(rows)], q, u, pressure, flow, supply, pushed, stopped)
 
 
 class CommandDelay:

@@ -17,18 +17,24 @@ from hydroopt.spatial.inertia import Array
 
 
 class Reference:
-    """A motion to follow, interpolated by polynomials of the fifth degree; after its end it stays at rest."""
+    """A motion to follow, interpolated by polynomials of the fifth degree; after its end it stays at rest.
+
+    A wrench at the tip that goes with it is interpolated linearly.
+    """
 
     def __init__(self, motion: Trajectory) -> None:
         self.start, self.end = float(motion.t[0]), float(motion.t[-1])
         spline = BPoly.from_derivatives(motion.t, np.stack([motion.q, motion.qd, motion.qdd], axis=1))
         self._orders = spline, spline.derivative(), spline.derivative(2)
+        self._wrench = None if motion.wrench is None else (motion.t, motion.wrench)
 
     def at(self, t: Array) -> Trajectory:
         """Positions, speeds and accelerations (N, n) at times (N,)."""
         inside = (t <= self.end)[:, None]
         q, qd, qdd = (order(np.minimum(t, self.end)) for order in self._orders)
-        return Trajectory(t, q, np.where(inside, qd, 0.0), np.where(inside, qdd, 0.0))
+        wrench = None if self._wrench is None else np.column_stack(
+            [np.interp(t, self._wrench[0], column) for column in self._wrench[1].T])
+        return Trajectory(t, q, np.where(inside, qd, 0.0), np.where(inside, qdd, 0.0), wrench)
 
 
 def lead(valves: Valves, period: float) -> Array:
@@ -100,7 +106,7 @@ class Demands:
         times = np.arange(self.t[0], self.t[-1] + np.max(leads) + period, period / 2)
         path = self.reference.at(times)
         if gravity_only:
-            path = Trajectory(times, path.q, 0 * path.q, 0 * path.q)
+            path = Trajectory(times, path.q, 0 * path.q, 0 * path.q, path.wrench)
         length, speed = (part[:, :, 0] for part in self.plant.model.over(self.plant.actuator_motion, path.q, path.qd))
         measured = forces(model, path, psi)
         force = measured - offset(model, psi)

@@ -13,6 +13,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.kernels.expression_graph import program
 from hydroopt.machine.actuators import Cylinder, Drive
 from hydroopt.machine.machine import Machine
+from hydroopt.model.contact import Wall
 from hydroopt.model.hydraulics import (
     AMBIENT,
     ActuatorHydraulics,
@@ -52,7 +53,8 @@ class Plant:
 
     Offsets of transducers in ψ have no effect here. The sign of dry friction is smoothed over the speed `SIGN_WIDTH`.
 
-    A `Machine` may be given instead of its model.
+    A `Machine` may be given instead of its model. A `wall` pushes on the tip, the far end of the machine's last link,
+    where it has pressed into it; `steady` knows no wall.
 
     Raises:
         ProblemError: an actuator states no circuit or is not hydraulic, or there is none.
@@ -66,9 +68,9 @@ class Plant:
         ('lift.q', 'lift.qd')
     """
 
-    def __init__(self, model: Model | Machine) -> None:
+    def __init__(self, model: Model | Machine, wall: Wall | None = None) -> None:
         model = model if isinstance(model, Model) else Model(model)
-        self.model, self.machine = model, model.machine
+        self.model, self.machine, self.wall = model, model.machine, wall
         machine = model.machine
         self.actuators: list[ActuatorHydraulics] = []
         if not machine.actuators:
@@ -85,8 +87,8 @@ class Plant:
             assert machine.oil is not None
             self.actuators.append(ActuatorHydraulics(actuator, actuator.circuit, machine.oil))
 
-    def __reduce__(self) -> tuple[type[Plant], tuple[Model]]:
-        return Plant, (self.model,)
+    def __reduce__(self) -> tuple[type[Plant], tuple[Model, Wall | None]]:
+        return Plant, (self.model, self.wall)
 
     @cached_property
     def parameters(self) -> ParameterSet:
@@ -173,10 +175,21 @@ class Plant:
             value = self.value(self.actuators[0], theta)
             capacity = volume * compressibility(self.actuators[0].oil, supply[0], value)
             rates.append((pump_flow(most, given[0], supply[0]) - ca.sum1(flow)) / capacity)
-        qdd = self._acceleration(q, qd, force, pressure, psi)
+        contact = self.contact(q, qd) if self.wall else ca.SX(3, 1)
+        wrench = ca.vertcat(contact, ca.SX(3, 1))
+        pushed = self.model.wrench_forces(q, wrench) if self.wall else ca.SX.zeros(n)
+        qdd = self._acceleration(q, qd, force - pushed, pressure, psi)
         return {"rates": ca.vertcat(qd, qdd, *rates), "q": q, "qd": qd, "qdd": qdd, "length": length, "speed": speed,
                 "spool": ca.vertcat(*spools), "pressure": pressure, "force": force, "flow": flow,
-                "p_supply": supply[0]}
+                "p_supply": supply[0], "contact": contact}
+
+    @cached_property
+    def contact(self) -> ca.Function:
+        """(q, qd) → force (3,) [N] of the wall on the tip, in the base frame."""
+        symbols, dynamics = self.model.coordinates, self.model.dynamics
+        force = self.wall.force(dynamics.tip.origin, dynamics.tip_jacobian[:3, :] @ symbols.qd) if self.wall else (
+            ca.SX(3, 1))
+        return ca.Function("contact", [symbols.q, symbols.qd], [ca.densify(force)], ["q", "qd"], ["force"])
 
     def value(self, each: ActuatorHydraulics, theta: ca.SX | Array) -> Value:
         """The numbers of an actuator's hydraulics, and of the oil, out of θ."""
@@ -234,7 +247,7 @@ class Plant:
         """(x, u, supply, psi, theta) → outputs.
 
         q, qd, qdd (n,) of the joints; length, speed, spool, force (n,) and pressure (n, 2) of the actuators; their flow
-        (n,) [m³/s] from the supply, and its pressure.
+        (n,) [m³/s] from the supply, and its pressure; the force (3,) [N] of the wall on the tip.
         """
         return self._function("outputs", *(key for key in self._parts if key != "rates"))
 
