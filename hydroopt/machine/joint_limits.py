@@ -4,11 +4,14 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
+import casadi as ca
 import numpy as np
 
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.loop_checks import FLAT
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.mechanism import Mechanism
 from hydroopt.spatial.cylinder_triangle import Triangle, triangle_angle
 
 INSIDE = 1e-6
@@ -27,8 +30,8 @@ class NarrowedLimits(NamedTuple):
 def within_strokes(machine: Machine) -> tuple[Machine, tuple[NarrowedLimits, ...]]:
     """The machine with limits that no stroke contradicts, and which limits this narrowed.
 
-    Only cylinders on one revolute joint count. A joint that its cylinder can move nowhere keeps its limits: the check
-    of the machine file says what is wrong.
+    Only cylinders that one joint moves count, through a linkage or on one revolute joint. A joint that its cylinder can
+    move nowhere keeps its limits: the check of the machine file says what is wrong.
 
     >>> from hydroopt.machine.machine_file import load_machine
     >>> narrower, changes = within_strokes(load_machine("cat215b").with_values({"boom_cylinder.dead_length": 1.3}))
@@ -37,18 +40,53 @@ def within_strokes(machine: Machine) -> tuple[Machine, tuple[NarrowedLimits, ...
     """
     geometry, changes = Geometry(machine), []
     for cylinder in machine.cylinders:
-        found = geometry.triangle(cylinder)
-        if found is None or found[0] not in machine.joints:
+        found, moved = geometry.triangle(cylinder), machine.moved_by(cylinder)
+        if found is None or len(moved) > 1:
             continue
-        joint, sides = found
+        joint = moved[0]
         lower, upper = machine.link(joint).joint.range
-        reach = _reach(cylinder, sides, (lower + upper) / 2)
+        reach = (_reach(cylinder, found[1], (lower + upper) / 2) if found[0] == joint
+                 else _reach_through_linkage(geometry, cylinder, joint))
         if reach is None:
             continue
         after = max(lower, reach[0]), min(upper, reach[1])
         if after != (lower, upper) and after[0] < after[1]:
             changes.append(NarrowedLimits(joint, cylinder.name, (lower, upper), after))
     return machine.with_joint_limits({change.joint: change.after for change in changes}), tuple(changes)
+
+
+def _reach_through_linkage(geometry: Geometry, cylinder: Cylinder, joint: str) -> tuple[float, float] | None:
+    """Angles [rad] about the middle of a joint's range that stroke, lever arm and loops allow; None if none."""
+    q, (lower, upper) = ca.SX.sym("q"), geometry.machine.link(joint).joint.range
+    mechanism = Mechanism(geometry.machine)
+    at = mechanism.positions(geometry, {joint: q})
+    length = ca.norm_2(geometry.pin(cylinder, "rod", at) - geometry.pin(cylinder, "barrel", at))
+    sines = ca.vertcat(*(sine for sine, closure in zip(mechanism.sines(geometry, {joint: q}), mechanism.closures,
+                                                       strict=True) if closure.follows == (joint,)))
+    function = ca.Function("length", [q], [length, ca.jacobian(length, q), sines])
+    middle = (lower + upper) / 2
+    sign = np.sign(float(function(middle)[1]))
+
+    def usable(angle: float) -> bool:
+        found, arm, clear = (np.asarray(values).ravel() for values in function(angle))
+        stroke = found[0] - cylinder.dead_length
+        return bool(0 <= stroke <= cylinder.stroke and arm[0] * sign > 0 and np.all(np.abs(clear) > np.sin(FLAT)))
+
+    if not usable(middle):
+        return None
+    ends = []
+    for end in (lower, upper):
+        grid = np.linspace(middle, end, 181)
+        bad = next((k for k, angle in enumerate(grid) if not usable(float(angle))), None)
+        if bad is None:
+            ends.append(float(end))
+            continue
+        good, past = float(grid[bad - 1]), float(grid[bad])
+        while abs(past - good) > INSIDE / 10:
+            half = (good + past) / 2
+            good, past = (half, past) if usable(half) else (good, half)
+        ends.append(good - np.copysign(INSIDE, end - middle))
+    return ends[0], ends[1]
 
 
 def _reach(cylinder: Cylinder, sides: Triangle, middle: float) -> tuple[float, float] | None:
