@@ -54,12 +54,28 @@ def render(excitation: Excitation) -> str:
     return page("excitation.html").render(
         machine=machine, excitation=excitation, diagnostics=excitation.diagnostics, series=basis.text, still=still,
         criterion=IN_WORDS[problem.information.criterion], focus=bool(problem.parameters.focus),
-        value=plain(excitation.value), condition=plain(excitation.condition_number, 3),
+        value=plain(excitation.value), random=_beside_random(excitation),
+        count=excitation.random_motions, gain=plain(excitation.gain, 3),
         duration=plain(basis.duration), fastest=plain(basis.fastest, 3), rate=plain(problem.rate),
         back=plain(1e-5 * problem.limits.back_pressure), known=bool(np.any(problem.parameters.prior)),
         limits=[_limit(use) for use in excitation.limits], base=_base(excitation),
         groups=_groups(excitation), sigma=_sigma(excitation, accuracy),
         figures={name: Markup(svg(figure, name)) for name, figure in figures.items() if figure is not None})
+
+
+def _beside_random(excitation: Excitation) -> list[tuple[str, str, str]]:
+    """What is compared with the best random motion: its name, by this motion, and by the random one."""
+    other = excitation.best_random
+    scalings = {"raw": "condition number, SI units", "unit columns": "condition number, columns of unit length",
+                "scaled": "condition number, as the design scales it"}
+    count = len(excitation.names)
+    return [("criterion", plain(excitation.value), plain(other.value)),
+            ("base parameters excited", f"{excitation.excited} of {count}", f"{other.excited} of {count}"),
+            *((text, _condition(excitation, name), _condition(other, name)) for name, text in scalings.items())]
+
+
+def _condition(excitation: Excitation, scaling: str) -> str:
+    return plain(excitation.condition_numbers.get(scaling, np.nan), 3)
 
 
 def _shown(value: float, unit: str) -> str:

@@ -55,6 +55,7 @@ class Kind(StrEnum):
 
     # design of a motion
     SEARCH_INTERRUPTED = "search interrupted"
+    RANDOM_TELLS_MORE = "a random motion tells more"
     NOT_LIMITED = "not limited"
     NO_FORCE_ACCURACY = "no accuracy of forces stated"
     NO_ANGLE_ACCURACY = "no accuracy of angles stated"
@@ -237,6 +238,9 @@ WORDS: dict[Kind, Words] = {
         "Drive a slower motion, or correct the machine's valves and pump."),
     Kind.VALVE_SATURATED: Words("With {subject} the valve of {valve} is fully open {part:.0f %} of the time."),
     Kind.SEARCH_INTERRUPTED: Words("The search was interrupted.", "A longer search may find a better motion."),
+    Kind.RANDOM_TELLS_MORE: Words(
+        "The best of {motions} random motions tells more than this one: the search ended too early.",
+        "Search longer (`--seconds`) or from more starts (`--starts`)."),
     Kind.NOT_LIMITED: Words("The machine file does not limit {subject}.", "State what must be limited."),
     Kind.NO_FORCE_ACCURACY: Words(
         "The machine file states no accuracy for the force of {subject}; its noise is assumed as a tenth of a typical "

@@ -10,8 +10,9 @@ from threadpoolctl import threadpool_limits
 
 from hydroopt import excitation_problem, load_machine
 from hydroopt.excitation.motion.basis import Fourier
-from hydroopt.excitation.motion.design import BACK_OFF, design, random_motion, resting_posture
+from hydroopt.excitation.motion.design import BACK_OFF, design
 from hydroopt.excitation.motion.problem import ExcitationProblem
+from hydroopt.excitation.motion.random_motion import random_motion, resting_posture
 from hydroopt.excitation.motion.sqp import FEASIBLE, LARGEST_RADIUS, sequential_quadratic_programming
 
 PATIENCE = 300.0

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 
 from hydroopt import Model, identification_problem, load_machine, simulate, solve
-from hydroopt.excitation.motion.design import random_motion, resting_posture
 from hydroopt.excitation.motion.problem import ExcitationProblem
+from hydroopt.excitation.motion.random_motion import random_motion, resting_posture
 from hydroopt.simulation.simulate import Trajectory
 
 

@@ -10,9 +10,10 @@ import numpy as np
 from hydroopt import excitation_problem, load_machine, random_trajectory
 from hydroopt.excitation.criteria import presumed_noise
 from hydroopt.excitation.motion.basis import Fourier
-from hydroopt.excitation.motion.design import design, random_motion, resting_posture
+from hydroopt.excitation.motion.design import design
 from hydroopt.excitation.motion.excitation import Excitation
 from hydroopt.excitation.motion.expected_accuracy import expected_accuracy
+from hydroopt.excitation.motion.random_motion import random_motion, resting_posture
 from hydroopt.simulation import simulate
 from studies.excitation import parts
 

@@ -340,7 +340,7 @@ def test_each_criterion_is_best_served_by_the_motion_for_it(written: Callable[..
         assert value == pytest.approx(own, abs=0.2)  # of the nodes, which stand for all samples
     assert judged("D", made["D"]) < judged("D", made["condition"])
     assert judged("condition", made["condition"]) < judged("condition", made["D"]) - 0.1
-    assert content(written(*SERIES, "--criterion", "condition"))["condition_number"] == pytest.approx(
+    assert content(written(*SERIES, "--criterion", "condition"))["condition_numbers"]["scaled"] == pytest.approx(
         np.sqrt(np.linalg.cond(made["condition"])), rel=0.02)
 
 

@@ -7,15 +7,17 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, ClassVar, NamedTuple
 
 import casadi as ca
 import numpy as np
 
 from hydroopt.errors import IdentifiabilityError, ProblemError
+from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE
 from hydroopt.excitation.motion.diagnostics import excitation_diagnostics
 from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from hydroopt.excitation.motion.problem import ExcitationProblem, State
+from hydroopt.excitation.motion.random_motion import best_random_motion
 from hydroopt.logs.table import encoded_columns
 from hydroopt.results import json_file
 from hydroopt.results.answer import Answer
@@ -78,6 +80,8 @@ class Excitation(Answer):
     """
 
     job = Job.EXCITATION
+    random_motions: ClassVar[int] = 100
+    """Random motions with the best of which it is compared."""
 
     problem: ExcitationProblem
     x: Array
@@ -98,7 +102,8 @@ class Excitation(Answer):
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What to know before the motion is driven."""
-        return excitation_diagnostics(self.problem, self.accuracy, stopped=self.stopped)
+        return excitation_diagnostics(self.problem, self.accuracy, stopped=self.stopped,
+                                     better_random=self.random_motions if self.gain < 1 else 0)
 
     @cached_property
     def accuracy(self) -> ExpectedAccuracy:
@@ -141,7 +146,11 @@ class Excitation(Answer):
         problem, basis = self.problem, self.problem.basis
         return {
             "criterion": problem.information.criterion, "value": self.value,
-            "condition_number": number(self.condition_number), "stopped": self.stopped,
+            "condition_numbers": self.condition_numbers, "excited": self.excited,
+            "best_random": {
+                "motions": self.random_motions, "value": number(self.best_random.value), "ratio": number(self.gain),
+                "condition_numbers": self.best_random.condition_numbers, "excited": self.best_random.excited},
+            "stopped": self.stopped,
             "focus": list(problem.parameters.focus_names), "priors": problem.parameters.bayesian,
             "seed": self.seed, "starts": self.starts, "rate": problem.rate, "duration": basis.duration,
             "samples": problem.samples, "resting": problem.resting,
@@ -177,8 +186,11 @@ class Excitation(Answer):
         problem = self.problem
         moving = [joint for joint in problem.machine.joints if joint not in problem.resting]
         tight = sorted((use for use in self.limits if math.isfinite(use.part)), key=lambda use: use.part)[:3]
+        scalings = ", ".join(f"{name} {x:.3g}" for name, x in self.condition_numbers.items())
         return (f"{self.machine_name}: {problem.basis.duration:g} s of {', '.join(moving)} at {problem.rate:g} Hz, "
-                f"{problem.information.criterion} = {self.value:.4g}, condition number {self.condition_number:.3g}\n"
+                f"{problem.information.criterion} = {self.value:.4g}, {self.best_random.value:.4g} by the best of "
+                f"{self.random_motions} random motions, whose {self.compared} {self.gain:.3g} times as large\n"
+                f"  condition number of {self.excited} of {len(self.names)} base parameters: {scalings}\n"
                 f"  least room: {', '.join(f'{use.name} {100 * use.part:.1f} %' for use in tight)}")
 
     @cached_property
@@ -256,8 +268,53 @@ class Excitation(Answer):
         units = self.problem.information.model.parameters.units
         return tuple(units[k] for k in self.problem.parameters.columns)
 
+    @cached_property
+    def _regressors(self) -> dict[str, Array]:
+        """Triangles (r, r) of the regressor of all base parameters, by scaling; see `condition_numbers`."""
+        parameters = self.problem.parameters
+        K = self.problem.information.model.over(self.problem.information.regressor, *self._states)[0]
+        rows = (K / (parameters.weight[:, None] * parameters.scale)).reshape(-1, K.shape[2])
+        raw = np.asarray(np.linalg.qr(rows, mode="r"))
+        lengths = np.linalg.norm(raw, axis=0)
+        return {"raw": raw, "unit columns": raw / np.where(lengths > 0, lengths, 1.0), "scaled": self.factor}
+
+    @cached_property
+    def excited(self) -> int:
+        """Number of base parameters of which the motion tells anything."""
+        return len(_sizes(self._regressors["unit columns"]))
+
+    @cached_property
+    def condition_numbers(self) -> dict[str, float]:
+        """Condition numbers of the regressor in the base parameters that are `excited`, by scaling.
+
+        ``raw`` in SI units; ``unit columns`` with columns of length one; ``scaled`` as the design sees it: forces in
+        standard deviations, parameters in their scales, and prior information added.
+        """
+        return {name: float(s[0] / s[-1]) for name, R in self._regressors.items() if len(s := _sizes(R))}
+
+    @cached_property
+    def best_random(self) -> Excitation:
+        """The best of `random_motions` random motions with the same functions of time within the same limits."""
+        return Excitation(self.problem, best_random_motion(self.problem, self.random_motions, self.seed), self.seed)
+
     @property
-    def condition_number(self) -> float:
-        """Of the weighted, scaled regressor, with the prior information."""
-        s = np.linalg.svd(self.factor, compute_uv=False)
-        return float(s[0] / s[-1]) if s[-1] > 0 else float("inf")
+    def compared(self) -> str:
+        """What `gain` is a ratio of."""
+        return {"condition": "condition number is", "E": "largest standard deviation is"}.get(
+            self.problem.information.criterion, "standard deviations are on average")
+
+    @property
+    def gain(self) -> float:
+        """Standard deviations of the best random motion over those of this one, as its criterion means them: their
+        geometric mean for D, root mean square for A, the largest for E; or the ratio of condition numbers.
+        """
+        criterion, other = self.problem.information.criterion, self.best_random.value
+        if criterion == "A":
+            return float(np.sqrt(other / self.value))
+        return float(np.exp((other - self.value) / (1.0 if criterion == "condition" else 2.0)))
+
+
+def _sizes(R: Array) -> Array:
+    """Singular values that are no rounding errors."""
+    s = np.linalg.svd(R, compute_uv=False)
+    return np.asarray(s[s > ROUNDING_TOLERANCE * s[0]])
