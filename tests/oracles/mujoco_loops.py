@@ -20,6 +20,8 @@ from hydroopt.machine.machine import BASE, Machine
 from oracles.mujoco_tree import _give_mass
 
 STEPS = 12
+NEGLIGIBLE = 1e-9 * np.array([1.0, 0, 0, 0, 1, 0, 0, 1, 0, 1])
+"""φ of what has no body: MuJoCo moves nothing without mass."""
 
 
 class Pin(NamedTuple):
@@ -48,7 +50,7 @@ class MujocoLoops:
             self.bodies[link.name] = body
             if link.joint.moving:
                 body.add_joint(name=link.name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
-            _give_mass(body, clouds[link.name])
+            _give_mass(body, clouds.get(link.name, NEGLIGIBLE))
         for loop in machine.loops:
             far = np.array([machine.link(loop.link).joint.a, 0, 0])
             self.pins.append(Pin((loop.link, loop.to.link), (far, np.array(loop.to.pin))))
@@ -81,7 +83,7 @@ class MujocoLoops:
         rod = barrel.add_body(name=f"{cylinder.name}.rod")
         rod.add_joint(name=f"{cylinder.name}.rod", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
         for end, body in (("barrel", barrel), ("rod", rod)):
-            _give_mass(body, clouds[f"{cylinder.name}.{end}"])
+            _give_mass(body, clouds.get(f"{cylinder.name}.{end}", NEGLIGIBLE))
         self.pins.append(Pin((f"{cylinder.name}.rod", cylinder.rod.link), (np.zeros(3), np.array(cylinder.rod.pin))))
 
     def _dof(self, joint: str) -> int:

@@ -5,12 +5,14 @@ import pytest
 
 from fixtures.loops import excavator, measured_at_the_rocker, z_bar
 from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.machine_file import load_machine
 from hydroopt.machine.mechanism import Mechanism
 from hydroopt.model.model import Model
 from oracles.mujoco_loops import MujocoLoops
 from oracles.subjects import forces, random_bodies, relative_error, states
 
-MACHINES = {"excavator": excavator, "measured at the rocker": measured_at_the_rocker, "Z-bar": z_bar}
+MACHINES = {"excavator": excavator, "measured at the rocker": measured_at_the_rocker, "Z-bar": z_bar,
+            "log crane": lambda: load_machine("patu655")}
 
 
 @pytest.fixture(scope="module", params=MACHINES.values(), ids=MACHINES.keys())
