@@ -22,8 +22,9 @@ README = (ROOT / "README.md").read_text("utf-8")
 
 
 def block(language: str) -> str:
+    """The first one of a language."""
     found = re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
-    assert len(found) == 1
+    assert found
     return found[0]
 
 
