@@ -11,6 +11,8 @@ from hydroopt.estimation.dynamic.change import holm, named_parts
 from hydroopt.estimation.dynamic.comparison import Wald, two_session_problem, wald
 from hydroopt.estimation.dynamic.stored_information import StoredInformation, stored_information
 from studies.change_detection import sessions
+from studies.panda_gaz2019 import run as panda
+from studies.ur10e_mamedov import run as ur10e
 
 PAIRS, CHANGED, LOADED = 240, 60, 20
 STEP, OF = 400.0, "boom_cylinder.f_coulomb"
@@ -19,8 +21,10 @@ MODEL = Model(load_machine("cat215b"))
 NAMES = named_parts(MODEL.parameters, ["friction", "offset"])
 
 
-def run() -> dict:
-    """False alarms and their distribution, power for one change, coverage of a load's intervals; five sessions."""
+def run() -> dict | None:
+    """False alarms and their distribution, power for one change, coverage of a load's intervals; several sessions."""
+    if not (ur10e.DATA.exists() and panda.DATA.exists()):
+        return None
     p, least, changed = false_alarms(range(PAIRS))
     inside, misses = loads(range(LOADED))
     seen, kept, errors = np.array(changed).T

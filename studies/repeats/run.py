@@ -30,6 +30,7 @@ KR300 = Path(__file__).parents[2] / "data" / "kr300"
 SIMULATED = {"cat215b": (33.28, 50.0, 10), "kr300": (10.0, 250.0, 10)}
 """Duration [s], rate [Hz] and number of simulated machines."""
 WITHIN = 1.96
+WORDS = {2: "halves", 3: "thirds", 4: "quarters"}
 
 
 def run() -> dict[str, Any] | None:
@@ -59,16 +60,19 @@ def run() -> dict[str, Any] | None:
     return results
 
 
+def whole_runs() -> dict[str, tuple[Machine, Log]]:
+    """Machines and one run of each, or of the UR10e three."""
+    found = {"kr300": (load_machine("kr300"), read_log(KR300 / "run_A.mat", mapping=KR300 / "map.toml"))}
+    for name in ("LEARNT", "UNSEEN", "UNLOADED"):
+        found[f"ur10e_{name.lower()}"] = (load_machine("ur10e"), ur10e.log(*getattr(ur10e, name)))
+    return found | {"panda": (load_machine("panda"), panda.recordings()[0])}
+
+
 def runs() -> dict[str, tuple[Machine, list[Log]]]:
     """Machines and the parts of one of their runs."""
-    run_a = read_log(KR300 / "run_A.mat", mapping=KR300 / "map.toml")
-    found = {"kr300_halves": (load_machine("kr300"), parts_of(run_a, 2)),
-             "kr300_thirds": (load_machine("kr300"), parts_of(run_a, 3))}
-    for name in ("LEARNT", "UNSEEN", "UNLOADED"):
-        halves = parts_of(ur10e.log(*getattr(ur10e, name)), 2)
-        found[f"ur10e_{name.lower()}_halves"] = (load_machine("ur10e"), halves)
-    found["panda_quarters"] = (load_machine("panda"), parts_of(panda.recordings()[0], 4))
-    return found
+    counts = {"kr300": (2, 3), "panda": (4,)}
+    return {f"{name}_{WORDS[count]}": (machine, parts_of(log, count))
+            for name, (machine, log) in whole_runs().items() for count in counts.get(name, (2,))}
 
 
 def parts_of(log: Log, count: int) -> list[Log]:
