@@ -36,7 +36,7 @@ class Case(NamedTuple):
     courses: int
 
 
-CASES = (Case("cat215b", 33.28, 50.0, "boom_cylinder.f_coulomb", 400.0, 50, 15),
+CASES = (Case("cat215b", 33.28, 50.0, "boom_cylinder.f_coulomb", 400.0, 40, 12),
          Case("patu655_lift", 20.0, 50.0, "lift_cylinder.f_coulomb", 200.0, 60, 15))
 
 

@@ -338,7 +338,7 @@ def change_history(model: Model, names: Sequence[str], sessions: Sequence[Stored
     """What `detect_changes` answers, from the information of the sessions."""
     scan = session_scan(model, names, sessions, seed=seed)
     detected, best = scan.p_value < level, scan.likeliest
-    space = scan.spaces[best]
+    space = scan.space(best)
     together = ({} if not detected else
                 space.explanations({shape: space.together(shape) for shape in scan.together}, space.whole, level))
     named_steps, steps = scan.detectable(level)
@@ -350,7 +350,7 @@ def change_history(model: Model, names: Sequence[str], sessions: Sequence[Stored
     named = space.all_of([j for j, one in enumerate(histories) if one.changed])
     rest = space.left_over(named)
     return ChangeHistory(
-        model.machine, tuple(sessions), scan.p_value, float(np.sqrt(scan.variances[best])), disorder, scan.tests,
+        model.machine, tuple(sessions), scan.p_value, float(np.sqrt(scan.variance(best))), disorder, scan.tests,
         scan.rank, level, histories, tuple(Alternative(*one) for one in together.items()),
         tuple(_single(model, scan, sessions, level, named, rest, steps)) if detected and rest.p_value < level else (),
         rest.p_value)
@@ -389,7 +389,7 @@ def _history(model: Model, scan: SessionScan, j: int, sessions: Sequence[StoredI
 def _single(model: Model, scan: SessionScan, sessions: Sequence[StoredInformation],
             level: float, named: Array, rest: SubspaceTest, steps: Array) -> Iterable[ParameterHistory]:
     """The changes of one more parameter that leave nothing significant of the rest, the likeliest first."""
-    space = scan.spaces[scan.likeliest]
+    space = scan.space(scan.likeliest)
     tests: dict[tuple[int, Shape], SubspaceTest] = {
         (j, shape): test for j in range(len(scan.names)) for shape in space.shapes
         if (test := space.alone(j, shape, named)) is not None}

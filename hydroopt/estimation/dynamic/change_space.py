@@ -134,7 +134,7 @@ class ChangeSpace:
         return dict(self._separate(parameter))
 
     def _separate(self, parameter: int) -> Iterator[tuple[Shape, SubspaceTest]]:
-        others = self._others[parameter]
+        others = self.others(parameter)
         for shape in self.shapes:
             test = self.alone(parameter, shape, others)
             if test is not None:
@@ -142,14 +142,13 @@ class ChangeSpace:
 
     def own(self, parameter: int) -> SubspaceTest:
         """Of values of each session's own of one parameter, whatever the others do; of rank 0 where there are none."""
-        block = without(self._others[parameter], self.effects[:, parameter])
+        block = without(self.others(parameter), self.effects[:, parameter])
         kept = np.linalg.norm(block, axis=0) > SEPARABLE * self.sizes[parameter]
         return self.tested(orthonormal(block[:, kept]) if np.any(kept) else block[:, :0])
 
-    @cached_property
-    def _others(self) -> list[Array]:
-        return [self.all_of([j for j in range(self.parameters) if j != parameter])
-                for parameter in range(self.parameters)]
+    def others(self, parameter: int) -> Array:
+        """Basis (k, ·) of all changes of all other parameters."""
+        return self.all_of([j for j in range(self.parameters) if j != parameter])
 
     def alone(self, parameter: int, shape: Shape, given: Array) -> SubspaceTest | None:
         """Of a change of one parameter, if only it and those that span `given` (k, ·) changed; None where it has no

@@ -9,7 +9,7 @@ compressed information; no log is fitted again.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 
@@ -65,29 +65,40 @@ class SessionScan:
         return sum(map(len, self._families))
 
     @cached_property
-    def variances(self) -> dict[Shape, float]:
-        """κ² of the sessions outside of each step and drift of all parameters."""
-        return {shape: self.scatter.variance(self.residual.together(shape).basis) for shape in self.residual.shapes}
+    def _explained(self) -> dict[Shape, Array]:
+        """Basis (k, ·) of each step and drift of all parameters, where only residuals are random."""
+        return {shape: self.residual.together(shape).basis for shape in self.residual.shapes}
 
-    @cached_property
-    def spaces(self) -> dict[Shape, ChangeSpace]:
-        """The changes where sessions scatter as much as they do outside of each step and drift."""
-        return {shape: self.residual.scattered(self.scatter.directions, variance, UNEQUAL)
-                for shape, variance in self.variances.items()}
+    def variance(self, shape: Shape, parameter: int | None = None) -> float:
+        """κ² outside of a step or drift of all parameters, and of one parameter whatever it did.
+
+        What a parameter did does not count against itself: its scatter is that of the others.
+        """
+        explained = self._explained[shape]
+        if parameter is not None:
+            explained = orthonormal(np.hstack([explained, self.residual.all_of([parameter])]))
+        return self.scatter.variance(explained)
+
+    def space(self, shape: Shape, parameter: int | None = None) -> ChangeSpace:
+        """The changes where sessions scatter as much as `variance` says."""
+        return self.residual.scattered(self.scatter.directions, self.variance(shape, parameter), UNEQUAL)
 
     @cached_property
     def together(self) -> dict[Shape, SubspaceTest]:
         """Of a change of all parameters at once, by shape."""
-        tests = {shape: space.together(shape) for shape, space in self.spaces.items()}
-        return {shape: test for shape, test in tests.items() if test.rank}
+        return {shape: self.space(shape).together(shape) for shape, basis in self._explained.items() if basis.shape[1]}
 
     @cached_property
     def separate(self) -> list[dict[Shape, SubspaceTest]]:
         """Of each parameter's change by shape, whatever the others do; none where the others could explain it."""
-        found = {shape: [space.separate(j).get(shape) for j in range(len(self.names))]
-                 for shape, space in self.spaces.items()}
-        return [{shape: test for shape, tests in found.items() if (test := tests[j]) is not None}
-                for j in range(len(self.names))]
+        return [dict(self._separate(j)) for j in range(len(self.names))]
+
+    def _separate(self, parameter: int) -> Iterator[tuple[Shape, SubspaceTest]]:
+        for shape in self.residual.shapes:
+            space = self.space(shape, parameter)
+            test = space.alone(parameter, shape, space.others(parameter))
+            if test is not None:
+                yield shape, test
 
     @property
     def likeliest(self) -> Shape:
@@ -97,7 +108,7 @@ class SessionScan:
     def space_of(self, parameter: int) -> ChangeSpace:
         """The changes where sessions scatter as they do outside of one parameter's likeliest step or drift."""
         tests = self.separate[parameter]
-        return self.spaces[min(tests, key=lambda shape: tests[shape].p_value) if tests else self.likeliest]
+        return self.space(min(tests, key=lambda shape: tests[shape].p_value) if tests else self.likeliest, parameter)
 
     @cached_property
     def _families(self) -> list[list[SubspaceTest]]:

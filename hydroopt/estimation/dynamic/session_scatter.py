@@ -2,8 +2,9 @@
 
 In each session, every friction and offset is off by a random amount whose RMS force is κ times the friction force of
 its actuator. A step or drift is held against that, and κ² is its mean over what the sessions say outside of this step
-or drift. Before, κ is as likely as Cauchy's density says (Gelman 2006), since few sessions leave it uncertain: a κ that
-is the most probable would often be zero.
+or drift (and, where one parameter is tested, outside of all that this parameter did, so that it cannot hide itself).
+Before, κ is as likely as Cauchy's density says (Gelman 2006), since few sessions leave it uncertain: the most probable
+κ would often be zero.
 """
 
 from __future__ import annotations
