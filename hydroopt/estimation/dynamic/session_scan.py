@@ -19,7 +19,7 @@ from scipy import special
 from hydroopt.errors import IdentifiabilityError
 from hydroopt.estimation.dynamic.change_space import SEPARABLE, ChangeSpace, Shape, SubspaceTest
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
-from hydroopt.estimation.dynamic.session_scatter import UNEQUAL, SessionScatter, random_amounts
+from hydroopt.estimation.dynamic.session_scatter import NONE, UNEQUAL, SessionScatter, random_amounts
 from hydroopt.estimation.dynamic.stored_information import StoredInformation
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
 from hydroopt.estimation.inference.least_squares import orthonormal, without
@@ -70,14 +70,11 @@ class SessionScan:
         return {shape: self.residual.together(shape).basis for shape in self.residual.shapes}
 
     def variance(self, shape: Shape, parameter: int | None = None) -> float:
-        """κ² outside of a step or drift of all parameters, and of one parameter whatever it did.
-
-        What a parameter did does not count against itself: its scatter is that of the others.
-        """
+        """κ² outside of a step or drift: of all parameters, or of those other than one, whatever that one did."""
         explained = self._explained[shape]
-        if parameter is not None:
-            explained = orthonormal(np.hstack([explained, self.residual.all_of([parameter])]))
-        return self.scatter.variance(explained)
+        if parameter is None:
+            return self.scatter.variance(explained, NONE)
+        return self.scatter.variance(orthonormal(np.hstack([explained, self.residual.all_of([parameter])])), 0.0)
 
     def space(self, shape: Shape, parameter: int | None = None) -> ChangeSpace:
         """The changes where sessions scatter as much as `variance` says."""

@@ -2,9 +2,12 @@
 
 In each session, every friction and offset is off by a random amount whose RMS force is κ times the friction force of
 its actuator. A step or drift is held against that, and κ² is its mean over what the sessions say outside of this step
-or drift (and, where one parameter is tested, outside of all that this parameter did, so that it cannot hide itself).
-Before, κ is as likely as Cauchy's density says (Gelman 2006), since few sessions leave it uncertain: the most probable
-κ would often be zero.
+or drift. Before, κ follows Cauchy's density (Gelman 2006): few sessions leave it uncertain, and the most probable κ
+would often be zero where it is not.
+
+Of all parameters together, κ is zero as likely as not, so that sound machines are seen as such. A single parameter may
+scatter where the others do not: κ is then not zero, and what this parameter did is left out of it, so that a large
+change does not hide itself.
 """
 
 from __future__ import annotations
@@ -21,8 +24,10 @@ from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.spatial.inertia import Array
 
+NONE = 0.5
+"""Probability that a machine's sessions do not scatter at all, before anything is measured."""
 USUAL = 0.1
-"""κ of half of all machines, before anything is measured."""
+"""Median κ of those that do."""
 GRID = np.append(0.0, np.geomspace(1e-4, 2.0, 60))
 """Values of κ that are told apart."""
 UNEQUAL = 2.0
@@ -41,14 +46,22 @@ class SessionScatter:
     directions: Array
     sums: Array
 
-    def variance(self, explained: Array) -> float:
-        """κ² by what an orthonormal basis (k, d) does not explain."""
+    def variance(self, explained: Array, none: float) -> float:
+        """κ² by what an orthonormal basis (k, d) does not explain; zero where nothing can scatter.
+
+        Args:
+            explained: the basis.
+            none: probability that κ is zero, before.
+        """
+        if not np.any(self.directions):
+            return 0.0
         outside = np.linalg.qr(explained, mode="complete")[0][:, explained.shape[1] :]
         effects, axes = np.linalg.eigh(outside.T @ self.directions @ self.directions.T @ outside)
         total = 1 + GRID[:, None] ** 2 * np.maximum(effects, 0.0)
         deviance = np.sum((axes.T @ outside.T @ self.sums) ** 2 / total + np.log(total), axis=1)
-        density = np.exp(-(deviance - deviance.min()) / 2) / (1 + (GRID / USUAL) ** 2)
-        return float(np.trapezoid(density * GRID**2, GRID) / np.trapezoid(density, GRID))
+        likelihood = np.exp(-(deviance - deviance.min()) / 2)
+        some = (1 - none) * likelihood * 2 / np.pi / USUAL / (1 + (GRID / USUAL) ** 2)
+        return float(np.trapezoid(some * GRID**2, GRID) / (none * likelihood[0] + np.trapezoid(some, GRID)))
 
 
 def random_amounts(model: Model, places: Sequence[int], sessions: Sequence[StoredInformation]) -> Array:
