@@ -35,7 +35,7 @@ from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array
 from studies import show
 
-SEEDS = range(10, 15)  # 1 to 4 served to choose the gains of the force
+SEEDS = range(10, 15)
 RATE = 50.0
 """Of sensors and controller [Hz]."""
 FORCE, STIFFNESS, DAMPING, FRICTION = 8e3, 1e6, 0.5, 0.2
