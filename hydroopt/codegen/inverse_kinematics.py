@@ -14,6 +14,7 @@ import numpy as np
 from hydroopt.codegen.symbols import Field, Guard, Kind, Routine, Symbols
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import BASE
+from hydroopt.machine.mechanism import Mechanism
 from hydroopt.spatial.poses import Pose, rotation_z
 
 STEPS = 5
@@ -49,6 +50,10 @@ def arm(api: Symbols) -> Arm:
 def no_arm(api: Symbols) -> str:
     """Why a machine has no closed form; "" if it has one."""
     solved, machine = arm(api).solved, api.machine
+    followed = machine.followed
+    for joint in machine.ancestry(machine.tip):
+        if joint in followed and joint not in machine.joints and {*solved} & {*followed[joint]}:
+            return f"{joint}, which moves the tip, follows {', '.join(followed[joint])} through a linkage"
     if any(machine.link(joint).joint.type != "revolute" for joint in solved):
         return f"{', '.join(solved)} do not all turn"
     steps = [np.array(ca.DM(step.rotation))[2, 2] for step in _steps(Geometry(machine), solved, {})[0][1:]]
@@ -65,7 +70,8 @@ def _steps(geometry: Geometry, solved: tuple[str, ...], q: dict[str, ca.SX]) -> 
         before = joint
     tip = geometry.far_end(before)
     if machine.tip != before:
-        tip = tip @ geometry.relative_pose(before, machine.tip, q) @ geometry.far_end(machine.tip)
+        at = Mechanism(machine).positions(geometry, q)
+        tip = tip @ geometry.relative_pose(before, machine.tip, at) @ geometry.far_end(machine.tip)
     return steps, tip.origin
 
 

@@ -96,7 +96,8 @@ def inverse_kinematics(model: Model, position: ArrayLike, rotation: ArrayLike | 
         if joint not in machine.joints:
             raise ProblemError(f"'{joint}' is not a moving joint of {machine.name}", where="inverse kinematics",
                                remedy=f"hold some of {', '.join(machine.joints)}")
-    onto = machine.ancestry(machine.tip)
+    followed = machine.followed
+    onto = {moving for link in machine.ancestry(machine.tip) for moving in followed.get(link, ())}
     free = [k for k, joint in enumerate(machine.joints) if joint in onto and joint not in fixed]
     if not 0 < len(free) <= len(target):
         what = f"{len(free)} joints move the tip, and {len(target)} numbers state where it shall be"
@@ -158,8 +159,13 @@ def _starts(model: Model, free: list[int], fixed: Mapping[str, float], count: in
 
 def _search(model: Model, q: Array, free: list[int], target: Array) -> tuple[Array, Array]:
     """Postures (N, n) at which the error is least, from others, and that error (N,)."""
-    q, damping = q.copy(), np.full(len(q), 1e-3)
     error, slope = _error(model, q, free, target)
+    closed = np.isfinite(error).all(axis=1) & np.isfinite(slope).all(axis=(1, 2))  # where all linkages can close
+    if not closed.any():
+        raise ProblemError("a linkage of the machine cannot close where its joints are held",
+                           where="inverse kinematics", remedy="hold them within their limits")
+    q, error, slope = q[closed].copy(), error[closed], slope[closed]
+    damping = np.full(len(q), 1e-3)
     size, left = np.linalg.norm(error, axis=1), np.arange(len(q))
     for _ in range(STEPS):
         gram = slope[left].transpose(0, 2, 1) @ slope[left]
@@ -170,7 +176,7 @@ def _search(model: Model, q: Array, free: list[int], target: Array) -> tuple[Arr
         tried[:, free] += step
         new, new_slope = _error(model, tried, free, target)
         new_size = np.linalg.norm(new, axis=1)
-        better = new_size < size[left]
+        better = (new_size < size[left]) & np.isfinite(new_slope).all(axis=(1, 2))
         there = left[better]
         q[there], error[there], slope[there], size[there] = (
             tried[better], new[better], new_slope[better], new_size[better])

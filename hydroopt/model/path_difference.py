@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from hydroopt.errors import ProblemError
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import BASE, Machine
+from hydroopt.machine.mechanism import Mechanism
 from hydroopt.spatial.inertia import Array
 
 TIP = "tip"
@@ -84,7 +85,8 @@ def _places(machine: Machine, angles: Mapping[str, ArrayLike], point: str, seen_
     place = ca.SX(3, 1)
     if link != seen_from or point == TIP:
         end = geometry.far_end(link).point(geometry.point(TIP)) if point == TIP else geometry.far_end(link).origin
-        place = geometry.relative_pose(seen_from, link, {name: q[k] for k, name in enumerate(joints)}).point(end)
+        at = Mechanism(machine).positions(geometry, {name: q[k] for k, name in enumerate(joints)})
+        place = geometry.relative_pose(seen_from, link, at).point(end)
     needed = [name for k, name in enumerate(joints) if ca.depends_on(place, q[k])]
     values = {name: np.asarray(angles[name], dtype=float) for name in joints if name in angles}
     sizes = {value.shape for value in values.values()}

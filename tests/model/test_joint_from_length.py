@@ -7,9 +7,14 @@ import pytest
 from fixtures.loops import excavator, measured_at_the_rocker, z_bar
 from hydroopt.codegen.routines import Interface
 from hydroopt.codegen.symbols import STRAIGHT
+from hydroopt.errors import ProblemError
 from hydroopt.logs.joint_angles import angle_noise, measured_angles
 from hydroopt.logs.log import Log
+from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.mechanism import Mechanism
+from hydroopt.model.inverse_kinematics import inverse_kinematics
 from hydroopt.model.model import Model
+from hydroopt.model.path_difference import path_difference
 
 
 @pytest.mark.parametrize(("machine", "covered"), [
@@ -55,3 +60,24 @@ def test_generated_code_checks_that_loops_close():
         sine = ca.Function("sine", [q], [guard.value])
         assert abs(float(sine([0, 0, -1, -1]))) > STRAIGHT
         assert not abs(float(sine([0, 0, -1, 1.2]))) > STRAIGHT  # not a number: the bars do not reach
+
+
+def test_a_sensor_on_the_rocker_leaves_the_bucket_where_it_is():
+    """The same postures whether the bucket or the rocker counts: inverse kinematics and points of a path."""
+    bucket, rocker = Model(excavator()), Model(measured_at_the_rocker())
+    q = np.array([[0.3, 0.1, -1.2, -0.7]])
+    at = Mechanism(excavator()).positions(Geometry(excavator()), dict(zip(excavator().joints, q[0], strict=True)))
+    same = np.array([[*q[0, :3], float(at["rocker"])]])
+    tips = [model.over(model.forward_kinematics, where)[-1] for model, where in ((bucket, q), (rocker, same))]
+    np.testing.assert_allclose(*tips, atol=1e-12)
+    found = inverse_kinematics(rocker, tips[0][0, :3, 3], held={"swing": 0.3, "boom": 0.1})
+    assert any(np.allclose(one.q, same[0], atol=1e-6) for one in found)
+    angles = {joint: same[:, k] for k, joint in enumerate(rocker.machine.joints)}
+    path = path_difference(rocker.machine, rocker.machine, angles, point="bucket")
+    np.testing.assert_allclose(path.first[0], tips[0][0, :3, 3], atol=1e-12)
+    assert "inverse_kinematics" in Interface(rocker.machine).routines
+
+
+def test_joints_held_where_a_linkage_cannot_close_are_refused():
+    with pytest.raises(ProblemError, match="cannot close where its joints are held"):
+        inverse_kinematics(Model(measured_at_the_rocker()), [7.0, 0.0, 1.0], held={"rocker": 2.95})

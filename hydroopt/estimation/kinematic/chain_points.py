@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hydroopt.estimation.kinematic.solution import KinematicSolution
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import BASE
+from hydroopt.machine.mechanism import Mechanism
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.spatial.inertia import Array
 
@@ -53,7 +54,7 @@ def _pins(model: KinematicModel, q: Array) -> Array:
     """Pins (N, c, 2, 3) [m] of the cylinders in the base frame, at the nominal geometry."""
     machine, geometry = model.machine, Geometry(model.machine)
     symbols = ca.SX.sym("q", len(model.joints))
-    angles = {joint: symbols[k] for k, joint in enumerate(model.joints)}
+    angles = Mechanism(machine).positions(geometry, {joint: symbols[k] for k, joint in enumerate(model.joints)})
     places = [geometry.relative_pose(BASE, getattr(cylinder, end).link, angles).point(
         geometry.point(f"{cylinder.name}.{end}")) for cylinder in machine.all_cylinders for end in ("barrel", "rod")]
     if not places:
