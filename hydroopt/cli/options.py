@@ -61,7 +61,8 @@ Focus = Annotated[list[str] | None, typer.Option(help=(
 Rate = Annotated[float | None, typer.Option(help=(
     "Samples per second [Hz]; the highest that the machine file states for a joint's sensor, or 50, if not given."))]
 SmoothingText = Annotated[str, typer.Option(help=(
-    "spline (weight from the stated noise), spline:cv (cross-validated), fourier:PERIOD:HARMONICS or "
+    "spline (weight from the stated noise), spline:cv (cross-validated), two-weights:SPEED:ACCELERATION (the thesis's "
+    "filter: weights on their squares, s^2 and s^4), fourier:PERIOD:HARMONICS or "
     "butterworth:HZ."))]
 Bandwidth = Annotated[float | None, typer.Option(
     help="Highest frequency of the motion [Hz], for spline; that of the machine file if not given.")]
@@ -136,13 +137,13 @@ def smoothing_of(text: str, bandwidth: float | None, machine: Machine) -> Smooth
     Raises:
         ProblemError: there is no such smoothing, or the bandwidth is not positive or has no effect.
     """
-    from hydroopt.logs.smoothing import Butterworth, Fourier, SmoothingSpline
+    from hydroopt.logs.smoothing import Butterworth, Fourier, SmoothingSpline, TwoWeights
 
     if bandwidth is not None and not 0 < bandwidth < math.inf:
         raise ProblemError(f"a bandwidth of {bandwidth:g} Hz is not positive and finite", where="--bandwidth",
                            remedy="give a positive frequency")
     kind, *numbers = text.split(":")
-    if bandwidth is not None and kind in ("fourier", "butterworth"):
+    if bandwidth is not None and kind in ("fourier", "butterworth", "two-weights"):
         raise ProblemError(f"the smoothing '{text}' takes no bandwidth", where="--bandwidth",
                            remedy="leave it out or choose --smoothing spline")
     try:
@@ -152,10 +153,13 @@ def smoothing_of(text: str, bandwidth: float | None, machine: Machine) -> Smooth
             return Fourier(float(numbers[0]), int(numbers[1]))
         if kind == "butterworth" and len(numbers) == 1:
             return Butterworth(float(numbers[0]))
+        if kind == "two-weights" and len(numbers) == 2:
+            return TwoWeights(float(numbers[0]), float(numbers[1]))
     except ValueError:
         pass
     raise ProblemError(f"the smoothing '{text}' does not exist", where="--smoothing",
-                       remedy="use spline, spline:cv, fourier:PERIOD:HARMONICS or butterworth:HZ")
+                       remedy="use spline, spline:cv, two-weights:SPEED:ACCELERATION, fourier:PERIOD:HARMONICS or "
+                              "butterworth:HZ")
 
 
 def parameter_values(stated: Sequence[str], parameters: ParameterSet) -> dict[str, float]:

@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import make_interp_spline
 
 from hydroopt.errors import LogError, ProblemError
-from hydroopt.logs import spline
+from hydroopt.logs import spline, two_weights
 
 Array = NDArray[np.float64]
 
@@ -59,7 +59,27 @@ class Butterworth:
     order: int = 4
 
 
-Smoothing = SmoothingSpline | Fourier | Butterworth
+@dataclass(frozen=True)
+class TwoWeights:
+    """The thesis's filter (section 4.5): weights on squared speed [s²] and squared acceleration [s⁴], both stated.
+
+    The motion is drawn towards standstill by `speed`, and towards uniform motion by `acceleration`: the part ``1 / (1 +
+    speed·ω² + acceleration·ω⁴)`` of an amplitude passes, half of it at the bandwidth. Above it, what passes of noise
+    falls with ω⁴ for positions and with ω² for accelerations. The spline passes ``1 / (1 + (ω/ω₀)⁶)``: it distorts
+    motion less below its bandwidth, passes less noise above, and chooses its weight by the noise. ``acceleration =
+    (2πf)⁻⁴`` alone has the bandwidth f.
+
+    >>> t = np.arange(200) / 50
+    >>> motion = condition(t, np.sin(t), smoothing=TwoWeights(speed=0.0, acceleration=(2 * np.pi * 5.0) ** -4))
+    >>> motion.bandwidth.round(6).tolist()
+    [5.0]
+    """
+
+    speed: float
+    acceleration: float
+
+
+Smoothing = SmoothingSpline | Fourier | Butterworth | TwoWeights
 
 
 @dataclass(frozen=True)
@@ -128,6 +148,8 @@ def condition(
     if stds is not None and np.any(np.isinf(stds) | (stds < 0)):
         raise ProblemError("the stated noise is negative or infinite", where=where,
                            remedy="give each joint's standard deviation in SI units")
+    if isinstance(smoothing, TwoWeights):
+        _refuse_weights(smoothing, where)
     if isinstance(smoothing, Fourier):
         return _fourier(times, positions, parts, smoothing, where)
 
@@ -140,7 +162,12 @@ def condition(
         span, here = slice(start, stop), f"{where}, samples {start + 1} to {stop}"
         if np.any(np.diff(times[span]) <= 0):
             raise LogError("times do not increase", where=here, remedy="correct the time stamps")
-        if isinstance(smoothing, Butterworth):
+        if isinstance(smoothing, TwoWeights):
+            refuse_too_short(stop - start, here)
+            weights = smoothing.speed, smoothing.acceleration
+            out[:, span] = two_weights.two_weights(times[span], positions[span], *weights)
+            corners = np.full(positions.shape[1], two_weights.bandwidth(*weights))
+        elif isinstance(smoothing, Butterworth):
             out[:, span] = _butterworth(times[span], positions[span], smoothing, here)
             corners = np.full(positions.shape[1], smoothing.cutoff)
         else:
@@ -152,6 +179,9 @@ def condition(
             notes += said
         bandwidth = np.minimum(bandwidth, corners)
         interior[span] = inside(times[span], corners)
+    if isinstance(smoothing, TwoWeights):
+        notes.append(f"the filter with two weights, {smoothing.speed:g} s² on squared speed and "
+                     f"{smoothing.acceleration:g} s⁴ on squared acceleration: {bandwidth[0]:.3g} Hz bandwidth")
     if isinstance(smoothing, Butterworth):
         notes.append(f"zero-phase Butterworth filter of order {smoothing.order}, {smoothing.cutoff:g} Hz")
     return Motion(times, out[0], out[1], out[2], parts, interior, bandwidth, passes, tuple(notes))
@@ -161,6 +191,14 @@ def inside(t: Array, corners: Array) -> NDArray[np.bool_]:
     """Which samples (N,) of a stretch do not lie near its ends, by the bandwidths [Hz] of its smoothing."""
     reach = min(0.5 / float(np.min(corners)), 0.1 * float(t[-1] - t[0]))
     return np.asarray((t >= t[0] + reach) & (t <= t[-1] - reach))
+
+
+def _refuse_weights(smoothing: TwoWeights, where: str) -> None:
+    weights = (smoothing.speed, smoothing.acceleration)
+    if not all(0 <= weight < np.inf for weight in weights) or not any(weights):
+        raise ProblemError(f"{smoothing.speed:g} s² and {smoothing.acceleration:g} s⁴ are no weights of a filter",
+                           where=where, remedy="give two that are not negative, one of them positive; "
+                                               "(2πf)⁻⁴ s⁴ on squared acceleration alone has the bandwidth f")
 
 
 def refuse_too_short(samples: int, where: str) -> None:

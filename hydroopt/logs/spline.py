@@ -1,8 +1,8 @@
 """Quintic smoothing spline: least squares with a penalty on the third derivative, in O(N).
 
-Minimises Σ (y_i − f(t_i))² + λ ∫ f'''(t)² dt over quintic splines on evenly spaced knots. It is the
-continuous form of the dynamic-programming filter of Dohrmann and Busby (penalised derivatives), and
-beats a cubic smoothing spline where accelerations matter: its second derivative stays smooth. λ is
+Minimises Σ (y_i − f(t_i))² + λ ∫ f'''(t)² dt over quintic splines on evenly spaced knots. The thesis's filter
+(`two_weights`) penalises the first and second derivatives instead, so that it distorts speeds and accelerations below
+its bandwidth. The spline leaves uniformly accelerated motion as it is, and its second derivative stays smooth. λ is
 chosen by unbiased risk (Mallows' C_L) when the noise is known, by generalised cross-validation when it
 is not; both sum over the pieces of a motion, so that the pieces of a long log have one λ and one grid of knots.
 

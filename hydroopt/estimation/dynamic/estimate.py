@@ -91,6 +91,9 @@ class Estimate(Identification, Answer):
         except np.linalg.LinAlgError:
             return None
 
+    def __str__(self) -> str:
+        return super().__str__() if self.ridge_strength is None else f"{super().__str__()}\n  {self.ridge_strength}"
+
     @property
     def findings(self) -> tuple[Diagnostic, ...]:
         """Sizes of freed faults, and the smallest faults that would have shown."""
@@ -144,6 +147,9 @@ class Estimate(Identification, Answer):
         """Base parameters, masses of links, conditioning, physical consistency, weights and how it was computed."""
         found, structural, model = self.identifiability, self.structural, self.problem.model
         chosen = {} if self.friction_choice is None else {"friction_choice": self.friction_choice.as_dict()}
+        strength = self.ridge_strength
+        ridge = {} if strength is None else {"ridge": {"lambda_over_largest": number(strength.of_largest),
+                                                       "lambda_over_smallest": number(strength.of_smallest)}}
         return {
             "fit_by_model": {name: {data: {channel: fit.as_dict() for channel, fit in table.items()}
                                     for data, table in sets.items()} for name, sets in self.fit_by_model.items()},
@@ -156,7 +162,7 @@ class Estimate(Identification, Answer):
                              "parameters": len(self.problem.parameters), "structural_rank": structural.rank,
                              "structurally_identifiable": structural.count("full"),
                              "structurally_in_combination": structural.count("combination"),
-                             "structurally_not_identifiable": structural.count("none")},
+                             "structurally_not_identifiable": structural.count("none"), **ridge},
             "physical_consistency": {owner: {"consistent": smallest >= 0, "min_eigenvalue": smallest}
                                      for owner, smallest in self.consistency.items()},
             "weights": {actuator.name: {"sigma": float(sigma), "unit": unit, "correlation_time": float(time),

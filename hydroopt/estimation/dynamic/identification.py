@@ -24,6 +24,7 @@ from hydroopt.estimation.inference.identifiability import (
     Confounded,
     Identifiability,
 )
+from hydroopt.estimation.inference.least_squares import RidgeStrength
 from hydroopt.estimation.inference.posterior import Posterior
 from hydroopt.estimation.inference.prior_conflict import PriorTest, prior_test
 from hydroopt.estimation.inference.priors import with_priors
@@ -82,6 +83,7 @@ class Identification:
         posterior: samples of the parameters, where intervals were sampled.
         friction_choice: how its friction terms were chosen, if they were.
         tolerance, ridge: of a method without priors, as `identify` took them.
+        ridge_strength: λ of ridge regression, for that method.
     """
 
     problem: IdentificationProblem
@@ -105,6 +107,7 @@ class Identification:
     friction_choice: FrictionChoice | None = None
     tolerance: float = RANK_TOLERANCE
     ridge: float | None = None
+    ridge_strength: RidgeStrength | None = None
 
     @cached_property
     def prior_test(self) -> PriorTest:

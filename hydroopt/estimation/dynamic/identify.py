@@ -203,9 +203,12 @@ def _linear_estimate(weighted: Weighted, method: str, from_data: Identifiability
     psi = linear.nearest(problem.parameters, from_data, psi)
     base_std = np.sqrt(np.diag(covariance))
     note, source = "standard deviations of weighted least squares on base parameters", Intervals.LEAST_SQUARES
+    strength: linear.RidgeStrength | None = None
     if method == "ridge":
-        psi, strength = linear.ridge(*weighted.plain[:2], ridge, rows=weighted.rows, rest=weighted.plain[2])
-        note = f"ridge strength {strength:.3g}; a shrunk estimate is biased, so that it has no valid interval"
+        psi, strength = linear.ridge(*weighted.plain[:2], ridge, rows=weighted.rows, rest=weighted.plain[2],
+                                     tolerance=tolerance)
+        note = (f"{strength} (Eq. 4.59: nearly optimal if much smaller than 1); a shrunk estimate is biased, so that "
+                "it has no valid interval")
     elif method == "tsvd":
         psi, rank = linear.truncated_svd(*weighted.plain[:2], tolerance)
         note = f"{rank} directions kept; those cut off are biased to zero, so that there is no valid interval"
@@ -214,8 +217,8 @@ def _linear_estimate(weighted: Weighted, method: str, from_data: Identifiability
         value = np.where(np.array(from_data.category) == identifiability.FULL, psi, np.nan)
         std, base_std = np.full_like(std, np.nan), np.full_like(base_std, np.nan)
     ci = value[:, None] + 1.959964 * std[:, None] * np.array([-1, 1])
-    return replace(_assemble(weighted, method, psi, value, std, ci, (), from_data, base_std, (note,), source, 0),
-                   tolerance=tolerance, ridge=ridge)
+    estimate = _assemble(weighted, method, psi, value, std, ci, (), from_data, base_std, (note,), source, 0)
+    return replace(estimate, tolerance=tolerance, ridge=ridge, ridge_strength=strength)
 
 
 def _constrained_estimate(weighted: Weighted, method: str, solution: sdp.Optimum, from_data: Identifiability,

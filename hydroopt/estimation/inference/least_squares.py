@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from scipy.linalg import svd
 
@@ -51,12 +53,30 @@ def nearest(parameters: ParameterSet, found: Identifiability, psi: Array) -> Arr
     return np.asarray(parameters.nominal + parameters.scale * step)
 
 
-def ridge(R: Array, r: Array, strength: float | None = None, *, rows: float | None = None,
-          rest: float = 0.0) -> tuple[Array, float]:
+class RidgeStrength(NamedTuple):
+    """λ of ridge regression (Eq. 4.59) over the largest eigenvalue of KᵀK, on columns of unit length, and over λ_min.
+
+    λ_min is the smallest eigenvalue that is not zero. The estimate is nearly optimal if λ is much smaller than λ_min.
+
+    >>> print(RidgeStrength(1e-6, 0.02))
+    ridge strength λ: 1e-06 of the largest eigenvalue of KᵀK, λ/λ_min = 0.02
+    """
+
+    of_largest: float
+    of_smallest: float
+
+    def __str__(self) -> str:
+        return (f"ridge strength λ: {self.of_largest:.3g} of the largest eigenvalue of KᵀK, "
+                f"λ/λ_min = {self.of_smallest:.3g}")
+
+
+def ridge(R: Array, r: Array, strength: float | None = None, *, rows: float | None = None, rest: float = 0.0,
+          tolerance: float = RANK_TOLERANCE) -> tuple[Array, RidgeStrength]:
     """Ridge regression on columns of unit length (Eq. 4.59); `strength` λ is relative to the largest eigenvalue of KᵀK.
 
     Without a strength, generalised cross-validation chooses it, for which the number of `rows` and the sum of squares
-    outside of R (`rest`) must be given if R is a triangle that stands for more. Returns ψ (p,) and the λ used.
+    outside of R (`rest`) must be given if R is a triangle that stands for more. Singular values below `tolerance` times
+    the largest count as zero. Returns ψ (p,) and the λ used.
     """
     lengths = np.linalg.norm(R, axis=0)
     lengths[lengths == 0] = 1.0
@@ -70,7 +90,8 @@ def ridge(R: Array, r: Array, strength: float | None = None, *, rows: float | No
         score = [(outside + np.sum((f * projected) ** 2)) / max(idle + np.sum(f), 1e-12) ** 2 for f in shrunk]
         strength = float(grid[int(np.argmin(score))])
     filtered = s / (s**2 + strength * s[0] ** 2) * projected
-    return Vt.T @ filtered / lengths, strength
+    smallest = np.min(s[significant(s, tolerance)], initial=s[0])
+    return Vt.T @ filtered / lengths, RidgeStrength(strength, float(strength * (s[0] / smallest) ** 2))
 
 
 def truncated_svd(R: Array, r: Array, tolerance: float) -> tuple[Array, int]:

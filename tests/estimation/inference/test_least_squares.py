@@ -88,8 +88,21 @@ def test_ridge_chooses_the_strength_that_predicts_each_sample_best_from_the_rest
         hat = K @ np.linalg.solve(K.T @ K + strength * np.linalg.norm(K, 2) ** 2 * np.eye(12), K.T)
         return float(np.sum((f - hat @ f) ** 2) / (40 - np.trace(hat)) ** 2)
 
-    chosen = least_squares.ridge(K, f)[1]
+    chosen = least_squares.ridge(K, f)[1].of_largest
     assert score(chosen) <= min(score(s) for s in np.logspace(-12, 0, 400)) * (1 + 1e-3)
+
+
+@pytest.mark.parametrize("strength", [1e-8, 1e-3])
+def test_ridge_compares_its_strength_with_the_smallest_eigenvalue_that_is_not_zero(dependent: tuple,
+                                                                                 strength: float) -> None:
+    K, f = dependent
+    unit = K / np.where(np.any(K, axis=0), np.linalg.norm(K, axis=0), 1.0)
+    values = np.linalg.eigvalsh(unit.T @ unit)[::-1]
+    smallest = values[np.linalg.matrix_rank(unit) - 1]
+    assert 0 < smallest < values[0]
+    found = least_squares.ridge(K, f, strength)[1]
+    assert found.of_largest == strength
+    assert found.of_smallest == pytest.approx(strength * values[0] / smallest)
 
 
 @pytest.mark.parametrize("tolerance", [1e-8, 0.2])
