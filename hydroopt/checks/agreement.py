@@ -123,6 +123,8 @@ def agreement(model: Model, log: Log, evaluated: Evaluated | None = None) -> Agr
         return None
     around = rows[:, None] + np.arange(window) - window // 2
     q, qd, qdd = (np.tensordot(angles[around], kernel[k], (1, 0)) / step**k for k in range(3))
+    for values, weights, order in ((qd, kernel[1], 1), (qdd, kernel[2], 2)):  # joints at rest have no motion but noise
+        values[:, np.mean(values**2, axis=0) < 2 * (_noise(angles) * np.linalg.norm(weights) / step**order) ** 2] = 0.0
     force = np.tensordot(median_filter(measured[around], size=(1, SPIKE, 1), mode="nearest"), kernel[0], (1, 0))
     state = (q, qd, qdd) if pressed is None else (q, qd, qdd, pressed[rows])
     key = np.concatenate([values.ravel() for values in state]).tobytes(), step
@@ -152,7 +154,7 @@ def _reversals(qd: Array) -> float:
 def _window(angles: Array, log: Log) -> int:
     """The shortest window whose second derivatives of angles are not mostly noise, the same for all joints."""
     longest = max(WINDOWS[0], int(np.max(np.bincount(log.segment - log.segment[0]))) // 6)
-    noise = np.std(np.diff(angles, 3, axis=0), axis=0) / np.sqrt(20.0)
+    noise = _noise(angles)
     chosen = WINDOWS[0]
     for window in WINDOWS:
         if window > longest:
@@ -166,6 +168,11 @@ def _window(angles: Array, log: Log) -> int:
         if np.all(noise * np.linalg.norm(kernel) < 0.15 * np.sqrt(np.mean(bent**2, axis=0)) + 1e-300):
             break
     return chosen
+
+
+def _noise(angles: Array) -> Array:
+    """Standard deviation (n,) of the angles' white noise, from third differences."""
+    return np.asarray(np.std(np.diff(angles, 3, axis=0), axis=0) / np.sqrt(20.0))
 
 
 def _polynomial(window: int) -> Array:

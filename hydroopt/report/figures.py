@@ -155,13 +155,13 @@ def residuals(estimate: Estimate) -> Figure:
             factor, label = _force_axis(unit, np.concatenate(errors), "residual")
             stride = max(1, sum(map(len, errors)) // DOTS)
             for log, error in zip(logs, errors, strict=True):
-                colour, moving = ORANGE if log.role == "validation" else BLUE, log.data.moving[:, k]
+                colour, known = ORANGE if log.role == "validation" else BLUE, log.data.known[:, k]
                 for rows in _segments(log):
                     t, share = log.data.motion.t[rows] + log.shift, _share(rows, logs)
                     over_time.plot(*thin(t, error[rows] * factor, share), color=colour, lw=0.7, alpha=0.35)
-                    taken = np.where(moving[rows], error[rows], np.nan)
+                    taken = np.where(known[rows], error[rows], np.nan)
                     over_time.plot(*thin(t, taken * factor, share), color=colour, lw=0.7)
-                for which, alpha in ((~moving, 0.18), (moving, 0.6)):
+                for which, alpha in ((~known, 0.18), (known, 0.6)):
                     at = np.flatnonzero(which & np.isfinite(error))[::stride]
                     over_speed.plot(log.data.motion.qd[at, k], error[at] * factor, ls="none", marker=".", ms=2.4, mew=0,
                                     color=colour, alpha=alpha, rasterized=True)
@@ -170,7 +170,7 @@ def residuals(estimate: Estimate) -> Figure:
                 band = 2 * estimate.sigma[k] * factor
                 ax.axhspan(-band, band, color=GREEN, alpha=0.13, lw=0, zorder=0.6)
                 ax.axhline(0, color=GREY, lw=0.6, zorder=0.7)
-            reach = factor * _reach([np.where(log.data.moving[:, k], error, np.nan)
+            reach = factor * _reach([np.where(log.data.known[:, k], error, np.nan)
                                      for log, error in zip(logs, errors, strict=True)], estimate.sigma[k])
             over_time.set(title=actuator.name, ylabel=label, ylim=(-reach, reach))
             over_speed.set_ylim(-reach, reach)

@@ -67,18 +67,29 @@ class Resampling:
         rng = np.random.default_rng(of_blocks)
         forces = [np.array(force) for force in predicted]
         for k, (block, widening) in enumerate(zip(self.blocks, self.widening, strict=True)):
-            used = [e.inside & e.moving[:, k] for e in experiments]
+            used = [e.inside & e.known[:, k] for e in experiments]
             residuals = [(e.force - force)[rows, k] for e, force, rows in zip(experiments, predicted, used,
                                                                          strict=True)]
             drawn = widening * redrawn(np.concatenate(residuals), int(block), rng)
             for force, rows, new in zip(forces, used, np.split(drawn, np.cumsum([len(x) for x in residuals])[:-1]),
                                         strict=True):
                 force[rows, k] += new
+        forces = [force if e.calm is None else
+                  force + _of_holds((e.force - fitted) * (e.inside[:, None] & e.calm), rng)
+                  for e, force, fitted in zip(experiments, forces, predicted, strict=True)]
         again = replace(problem, experiments=tuple(replace(e, force=force) for e, force in
                                                    zip(experiments, forces, strict=True)))
         psi = identify(again, self.method, seed=of_sampling).psi
         values = np.concatenate([psi[self.positions], self.grouping @ psi])
         return dict(zip((*self.names, *(f"base {name}" for name in self.base)), values.tolist(), strict=True))
+
+
+def _of_holds(residual: Array, rng: np.random.Generator) -> Array:
+    """Residuals (N, n), zero but in holds, with a random sign for each hold, whose friction is one unknown number."""
+    borders = np.diff(residual != 0, axis=0, prepend=False)
+    signs = rng.choice([-1.0, 1.0], borders.shape)
+    latest = np.maximum.accumulate(np.where(borders, np.arange(len(residual))[:, None], 0), axis=0)
+    return np.asarray(residual * np.take_along_axis(signs, latest, axis=0))
 
 
 def redrawn(residual: Array, block: int, rng: np.random.Generator) -> Array:
@@ -132,7 +143,7 @@ def bootstrap(machine: Machine, logs: Sequence[Log], *, cells: int, seed: int = 
     problem = identification_problem(machine, logs)
     found = identify(problem, method, seed=seed)
     held = in_memory(problem.experiments, "a bootstrap")
-    samples = np.sum([np.sum(e.inside[:, None] & e.moving, axis=0) for e in held], axis=0)
+    samples = np.sum([np.sum(e.inside[:, None] & e.known, axis=0) for e in held], axis=0)
     valued = np.flatnonzero(np.isfinite(found.value))
     n = len(machine.actuators)
     work = Resampling(

@@ -82,7 +82,7 @@ def _judged(estimate: Estimate, psi: Array, unseen: Log, prefix: str) -> dict[st
     problem = identification_problem(estimate.problem.model, [unseen])
     held_out, = (estimate.freed.corrected(problem) if estimate.freed else problem).experiments
     off = (held_out.force - held_out.predicted(estimate.psi)) / estimate.problem.force_std
-    used = held_out.inside[:, None] & held_out.moving
+    used = held_out.inside[:, None] & held_out.known
     return {f"{prefix}coverage": float(np.mean(np.abs(error) < 1.96 * estimate.base_std)),
             f"{prefix}unseen": float(np.sqrt(np.mean(off[used] ** 2)))}
 

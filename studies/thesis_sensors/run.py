@@ -124,7 +124,7 @@ def as_thesis(case: Case, model: str, accuracy: int, seed: int) -> list[tuple[st
 
 def moved(data: Experiment, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> Experiment:
     """The experiment with another motion, all of whose samples count as moving."""
-    return replace(data, motion=replace(data.motion, q=q, qd=qd, qdd=qdd), moving=np.ones_like(data.moving))
+    return replace(data, motion=replace(data.motion, q=q, qd=qd, qdd=qdd), known=np.ones_like(data.known))
 
 
 def ours(case: Case, model: str, accuracy: int, seed: int) -> list[tuple[str, dict]]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Protocol
 
@@ -12,7 +12,15 @@ from numpy.typing import NDArray
 
 from hydroopt.estimation.dynamic.folding import ROWS, ActuatorTriangles
 from hydroopt.estimation.dynamic.frequency_bands import BLOCK, ActuatorBands
-from hydroopt.estimation.dynamic.friction_sign import FEW_MOVING, dry_friction_known, speed_threshold
+from hydroopt.estimation.dynamic.friction_sign import (
+    DRY,
+    FEW_MOVING,
+    Phases,
+    SpeedLimits,
+    dry_friction_known,
+    has_dry_friction,
+)
+from hydroopt.estimation.dynamic.holds import Hold
 from hydroopt.estimation.dynamic.with_calibrator import attached_calibrator, calibrator_remark
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.calibrator_angles import calibrator_channels
@@ -23,6 +31,9 @@ from hydroopt.logs.smoothing import Motion, Smoothing, SmoothingSpline, conditio
 from hydroopt.logs.tip_wrench import free_forces, tip_wrench, wrench_channels
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
+
+STARTING = 1e-9
+"""Speed [rad/s or m/s] at which dry friction is that of a joint that just begins to move."""
 
 
 class AnyExperiment(Protocol):
@@ -75,8 +86,9 @@ class Experiment:
 
     Where the log states a wrench at the tip, what it adds is taken out of the forces.
     `inside` (N,) is False near the ends of a stretch, where derivatives of noisy angles are worse: those samples are
-    not used for estimation and validation. `moving` (N, n) is False where the sign of a joint's velocity, and so of its
-    dry friction, is not known (Eq. 4.51, see `friction_sign`): those samples are not used for estimation. `remarks`
+    not used for estimation and validation. `known` (N, n) is False where an actuator's dry friction is not known, since
+    the sign of its joint's velocity is not (Eq. 4.51, see `friction_sign`): those samples are not used one by one.
+    Where the joint is `calm` (N, n) then, each hold is one equation (`holds`); None stands for nowhere. `remarks`
     state which channels were not used and how measured lengths compare with the geometry. `pressure` (N, n) [Pa] is
     p_head + p_rod of each cylinder whose seals' friction depends on it and 0 for all other actuators; None where no
     friction does. `added` (N, n, p) is what an attached calibrator or faults of instruments add to the regressor.
@@ -86,10 +98,11 @@ class Experiment:
     log: Log
     motion: Motion
     force: Array
-    moving: NDArray[np.bool_]
+    known: NDArray[np.bool_]
     remarks: tuple[str, ...] = ()
     pressure: Array | None = None
     added: Array | None = None
+    calm: NDArray[np.bool_] | None = None
 
     def inputs(self, rows: slice | NDArray[np.intp] = slice(None)) -> tuple[Array, ...]:
         """Inputs of the model's regressor and inverse dynamics: q, qd, qdd and, where needed, pressure (·, n)."""
@@ -153,10 +166,10 @@ class Experiment:
         """Add the equations, linearised at `psi`; `weights` (N, n) multiply squared residuals."""
         for rows, K, force in self.chunks(psi):
             if weights is None:
-                triangles.fold(K, force, self.moving[rows])
+                triangles.fold(K, force, self.known[rows])
             else:
                 root = np.sqrt(weights[rows])
-                triangles.fold(K * root[:, :, None], force * root, self.moving[rows])
+                triangles.fold(K * root[:, :, None], force * root, self.known[rows])
 
     def predicted(self, psi: Array) -> Array:
         """Actuator forces (N, n) that the parameters ψ predict for the motion."""
@@ -187,8 +200,32 @@ class Experiment:
         (K, *_), force = self.equations(psi, block)
         t = self.motion.t[block]
         step = float(np.median(np.diff(t))) if len(t) > 1 else 1.0
-        bands.fold(K, force, self.inside[block, None] & self.moving[block], self.log.sample[block] >= middle, step)
+        bands.fold(K, force, self.inside[block, None] & self.known[block], self.log.sample[block] >= middle, step)
+        if self.calm is not None:
+            held = self.inside[block, None] & self.calm[block]
+            for i in np.flatnonzero(held.any(axis=0)).tolist():
+                edges = np.flatnonzero(np.diff(held[:, i], prepend=False, append=False))
+                for first, last in zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True):
+                    bands.holds.append(i, self._hold(K, force, block.start, (first, last), i, psi), step)
         return K, force
+
+    def _hold(self, K: Array, force: Array, origin: int, span: tuple[int, int], actuator: int,
+              psi: Array | None) -> Hold:
+        """The hold of an actuator in the samples `span`, first and last, of a block K, f that begins at `origin`."""
+        first, last = span
+        rows, own = slice(first, last + 1), np.flatnonzero(self.pattern[actuator])
+        row = slice(origin + first, origin + first + 1)
+        starts = np.zeros_like(self.motion.qd[row])
+        starts[0, actuator] = STARTING
+        state = replace(self, motion=replace(self.motion, q=self.motion.q[row], qd=starts, qdd=0 * starts),
+                        force=self.force[row], added=None,
+                        pressure=None if self.pressure is None else self.pressure[row])
+        dry = np.isin(np.array(self.model.parameters.kinds), DRY)
+        lever = np.abs(state.equations(psi)[0][0][0, actuator]) * dry
+        at = [int(self.log.sample[origin + k]) for k in span]
+        total = np.append((K[rows, actuator] * ~dry)[:, own].sum(axis=0), force[rows, actuator].sum())
+        return Hold(at[0], at[1], float(self.motion.t[origin + first]), float(self.motion.t[origin + last]),
+                    last - first + 1, total, lever)
 
     def bands(self, psi: Array | None = None) -> ActuatorBands:
         """The equations, linearised at `psi` (p,), by frequency."""
@@ -200,10 +237,17 @@ class Experiment:
     @property
     def notes(self) -> tuple[str, ...]:
         """How the log was treated, in sentences."""
-        still = np.sum(self.inside[:, None] & ~self.moving, axis=0)
         left_out = f"{int(np.sum(~self.inside))} of {len(self.inside)} samples at the ends of stretches left out"
-        return (*self.motion.notes, left_out,
-                f"standing still (no sign of friction) per joint: {still.tolist()} samples", *self.remarks)
+        inside, calm = self.inside[:, None], np.zeros_like(self.known) if self.calm is None else self.calm
+        held, unused = inside & calm, inside & ~self.known & ~calm
+        return (*self.motion.notes, left_out, standstill_note(np.sum(held, axis=0), np.sum(unused, axis=0)),
+                *self.remarks)
+
+
+def standstill_note(held: NDArray[np.intp], unused: NDArray[np.intp]) -> str:
+    """How many samples of each joint (n,) stand still and bound their dry friction only, and how many are left out."""
+    return (f"samples per joint at standstill, whose dry friction is bounded but not known: {held.tolist()}; "
+            f"at reversals, where its sign is not known, left out: {unused.tolist()}")
 
 
 def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Experiment:
@@ -223,14 +267,15 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
     angles = measured_angles(model, log)
     motion = condition(log.t, angles, log.segment, smoothing, angle_noise(model, log),
                        names=model.machine.joints, where=log.path or log.name)
+    limits = SpeedLimits.of(angles, motion)
+    phases = Phases.of(angles, motion, limits)
+    motion, often = phases.at_rest(motion), np.mean(phases.moving, axis=0) > FEW_MOVING
     attached = attached_calibrator(model, log, motion, smoothing)
     added = None if attached is None else attached.regressor(motion.q, motion.qd, motion.qdd)
-    slow, noise = speed_threshold(angles, motion)
-    moving = np.abs(motion.qd) > slow
-    moving &= np.mean(moving, axis=0) > FEW_MOVING
-    return Experiment(model, log, motion, free_forces(model, log, motion.q),
-                      dry_friction_known(model, motion, moving, noise),
-                      (*remarks(model, log, angles), *calibrator_remark(attached)), pressures(model, log), added)
+    known = dry_friction_known(model, motion, phases, limits.noise) & (often | ~has_dry_friction(model))
+    return Experiment(model, log, motion, free_forces(model, log, motion.q), known,
+                      (*remarks(model, log, angles), *calibrator_remark(attached)), pressures(model, log), added,
+                      phases.calm & ~known)
 
 
 def channels_used(model: Model, log: AnyLog) -> set[str]:

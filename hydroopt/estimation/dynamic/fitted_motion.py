@@ -235,7 +235,7 @@ class ForceRows:
         by_motion = np.stack(model.over(model.force_by_motion, *data.inputs(), psi), axis=2)
         (by_psi, *_), right = data.equations(psi)
         root = np.ones_like(right) if weights is None else np.sqrt(weights)
-        return cls(by_motion * root[:, :, None, None], by_psi * root[:, :, None], right * root, data.moving,
+        return cls(by_motion * root[:, :, None, None], by_psi * root[:, :, None], right * root, data.known,
                    covariance)
 
     def of(self, span: slice, basis: list[Array]) -> Array:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.fft import dct
 
 from hydroopt.estimation.dynamic.folding import ActuatorTriangles, folded_rows
+from hydroopt.estimation.dynamic.holds import Holds
 from hydroopt.estimation.inference.band_variances import Channel
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array
@@ -31,6 +32,7 @@ class ActuatorBands:
         own, contrast: for each actuator the columns of K_i by its pattern (n, p), and those that C_i repeats.
         counts: (n, B) residuals of each actuator in each band.
         samples, sums: (n,) number and (n, p+1) sums of the rows [K_i, f_i] over time.
+        holds: equations of joints at rest, which these rows do not contain.
     """
 
     def __init__(self, parameters: ParameterSet, pattern: NDArray[np.bool_]) -> None:
@@ -43,6 +45,7 @@ class ActuatorBands:
         self.counts = np.zeros((n, BANDS))
         self.samples = np.zeros(n)
         self.sums = np.zeros((n, p + 1))
+        self.holds = Holds(self.own)
 
     def fold(self, K: Array, force: Array, taken: NDArray[np.bool_], later: NDArray[np.bool_], step: float) -> None:
         """Add a block of samples in a row.
@@ -76,27 +79,28 @@ class ActuatorBands:
                 if edges[b] < edges[b + 1]:
                     self.rows[i][b] = folded_rows(self.rows[i][b], turned[edges[b] : edges[b + 1]])
 
-    def add(self, other: ActuatorBands) -> None:
-        """Add what another has folded."""
+    def add(self, other: ActuatorBands, step: float = 0.0) -> None:
+        """Add what another has folded: of another log, or of a later piece of the same one, sampled each `step` [s]."""
         for mine, others in zip(self.rows, other.rows, strict=True):
             for b, block in enumerate(others):
                 mine[b] = folded_rows(mine[b], block)
         self.counts += other.counts
         self.samples += other.samples
         self.sums += other.sums
+        self.holds.add(other.holds, step)
 
     def copy(self) -> ActuatorBands:
         """The same, to which others can be added."""
         return self.only(np.ones(len(self.own), dtype=bool))
 
     def only(self, actuators: NDArray[np.bool_]) -> ActuatorBands:
-        """Nothing but the rows of some actuators (n,)."""
+        """Nothing but the rows of some actuators (n,), and all holds."""
         part = object.__new__(ActuatorBands)
         part.own, part.contrast = self.own, self.contrast
         part.rows = [[block if here else block[:0] for block in blocks]
                      for blocks, here in zip(self.rows, actuators, strict=True)]
         part.counts, part.samples = self.counts * actuators[:, None], self.samples * actuators
-        part.sums = self.sums * actuators[:, None]
+        part.sums, part.holds = self.sums * actuators[:, None], self.holds.copy()
         return part
 
     def channels(self, *, contrasts: bool = False) -> tuple[Channel, ...]:

@@ -282,7 +282,7 @@ def _compared(fitted: Mapping[str, Estimate], failed: Mapping[str, str],
               for name, error in held_out.items()}
     best = min(fitted, key=lambda name: float(np.mean(blocks[name])))
     # the squared error that superfluous parameters gain or lose by fitting noise
-    independent = sum(float(np.sum(np.sum(e.inside[:, None] & e.moving, axis=0) / fitted[best_fit].correlation_time))
+    independent = sum(float(np.sum(np.sum(e.inside[:, None] & e.known, axis=0) / fitted[best_fit].correlation_time))
                       for e in in_memory(fitted[best_fit].problem.experiments, "a choice of friction"))
     differences = {}
     for name in fitted:

@@ -1,12 +1,20 @@
-"""Where the sign of a joint's velocity, and so of its dry friction, is known (Eq. 4.51)."""
+"""Where the sign of a joint's velocity, and so of its dry friction, is known (Eq. 4.51), and where joints stand still.
+
+In a sample a joint is in motion, calm, or in a reversal. Forces of an actuator without dry friction follow from the
+motion in all of them, and with dry friction in motion. While the joint is calm its friction is anything between −f and
+f (`holds`), and reversals are left out.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.logs.smoothing import Motion
 from hydroopt.machine.actuators import Cylinder
+from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
@@ -19,20 +27,115 @@ FEW_MOVING = 0.01
 """A joint that moves in less than this part of the samples counts as standing still, since noise has the same
 effect."""
 
+WINDOW, PARTS, SAME = 1.0, 4, 5.0
+"""A joint is calm where it is slow throughout this time [s]. It is at rest where the mean measured positions of so many
+parts of it differ by less than so many standard deviations."""
 
-def speed_threshold(angles: Array, motion: Motion) -> tuple[Array, Array]:
-    """Speed (n,) of each joint below which its sign is not known, and the noise (n,) of its speed."""
-    rms_speed, noise = np.sqrt(np.mean(motion.qd**2, axis=0)), NOISE_FACTOR * _velocity_noise(angles, motion)
-    return np.maximum(np.maximum(noise, OVERSHOOT * rms_speed), STANDSTILL), noise
+ROUNDING = 1e-9
+"""Error of times [s]."""
+
+DRY = (ParameterKind.COULOMB_FRICTION, ParameterKind.STRIBECK_FRICTION, ParameterKind.SEAL_FRICTION,
+       ParameterKind.PIN_FRICTION)
+"""Kinds of parameters whose force at standstill is not known."""
 
 
-def dry_friction_known(model: Model, motion: Motion, moving: NDArray[np.bool_], noise: Array) -> NDArray[np.bool_]:
-    """Where dry friction is known (N, n): where joints are `moving`, and inside dead zones, where it is zero.
+@dataclass(frozen=True, eq=False)
+class SpeedLimits:
+    """How slow counts as what, for each joint (n,).
 
-    Near the ends of a dead zone it is not known. `noise` (n,) bounds the errors of the joints' speeds.
+    Attributes:
+        slow: speed [rad/s or m/s] below which its sign may be wrong.
+        noise: that below which noise alone may turn it.
+        sigma: standard deviation of the measured positions [rad or m].
     """
-    machine = model.machine
-    known = moving.copy()
+
+    slow: Array
+    noise: Array
+    sigma: Array
+
+    @classmethod
+    def of(cls, angles: Array, motion: Motion) -> SpeedLimits:
+        """Those of measured positions (N, n) and the motion that they were smoothed to."""
+        sigma = np.std(angles - motion.q, axis=0)
+        step = float(np.median(np.diff(motion.t)))
+        bandwidth = np.clip(motion.bandwidth, 1 / float(motion.t[-1] - motion.t[0]), 0.5 / step)
+        # white noise, low-passed and differentiated: σ_v² = ∫₀^f (2πν)²·2σ²Δt dν
+        noise = NOISE_FACTOR * sigma * np.sqrt(8 / 3 * np.pi**2 * step * bandwidth**3)
+        rms_speed = np.sqrt(np.mean(motion.qd**2, axis=0))
+        return cls(np.maximum(np.maximum(noise, OVERSHOOT * rms_speed), STANDSTILL), noise, sigma)
+
+
+@dataclass(frozen=True, eq=False)
+class Phases:
+    """What each joint does in each sample (N, n): `moving` faster than its sign needs, or `calm`, and `rest` if it does
+    not move at all then.
+    """
+
+    moving: NDArray[np.bool_]
+    calm: NDArray[np.bool_]
+    rest: NDArray[np.bool_]
+
+    @classmethod
+    def of(cls, angles: Array, motion: Motion, limits: SpeedLimits) -> Phases:
+        """Those of measured positions (N, n) and the motion that they were smoothed to.
+
+        >>> t = np.arange(400) / 100
+        >>> q = np.maximum(t - 2, 0)[:, None]
+        >>> one = np.zeros(400, int)
+        >>> motion = Motion(t, q, 1.0 * (q > 0), 0 * q, one, t >= 0, np.array([5.0]), np.ones(1, int), ())
+        >>> found = Phases.of(q, motion, SpeedLimits.of(q, motion))
+        >>> int(np.flatnonzero(found.rest)[-1]), int(np.flatnonzero(found.moving)[0])
+        (150, 201)
+        """
+        moving = np.abs(motion.qd) > limits.slow
+        calm, rest = np.zeros_like(moving), np.zeros_like(moving)
+        edges = np.flatnonzero(np.diff(motion.segment, prepend=motion.segment[0] - 1, append=motion.segment[-1] + 1))
+        for start, stop in zip(edges[:-1].tolist(), edges[1:].tolist(), strict=True):
+            span, t = slice(start, stop), motion.t[start:stop]
+            places = np.array([np.searchsorted(t, t + WINDOW * (k / PARTS - 0.5) + sign * ROUNDING)
+                               for k, sign in zip(range(PARTS + 1), (-1, *[0] * (PARTS - 1), 1), strict=True)])
+            rest[span] = _same_mean(angles[span], places, limits.sigma)
+            moving[span] &= ~rest[span]
+            fast = np.concatenate([np.zeros((1, moving.shape[1])), np.cumsum(moving[span], axis=0)])
+            calm[span] = fast[places[-1]] == fast[places[0]]
+        return cls(moving, calm, rest & calm)
+
+    def at_rest(self, motion: Motion) -> Motion:
+        """The motion without the noise of speeds and accelerations where a joint is at rest.
+
+        Where all are, the ends of stretches are as good as their middle.
+        """
+        return replace(motion, qd=np.where(self.rest, 0.0, motion.qd), qdd=np.where(self.rest, 0.0, motion.qdd),
+                       interior=motion.interior | np.all(self.rest, axis=1))
+
+
+def _same_mean(angles: Array, places: NDArray[np.intp], sigma: Array) -> NDArray[np.bool_]:
+    """Whether positions (N, n) with noise of `sigma` (n,) have one mean in all parts of a window about each sample.
+
+    `places` (parts + 1, N) are the first samples of the parts, and one after the last.
+    """
+    middle = angles.mean(axis=0)
+    total = np.concatenate([np.zeros((1, angles.shape[1])), np.cumsum(angles - middle, axis=0)])
+    count = np.diff(places, axis=0)[:, :, None]
+    means = np.where(count > 0, np.diff(total[places], axis=0) / np.maximum(count, 1), np.nan)
+    fewest = np.min(np.where(count > 0, count, np.inf), axis=0)
+    allowed = np.maximum(SAME * sigma * np.sqrt(2 / fewest), STANDSTILL * WINDOW)
+    return np.asarray(np.nanmax(means, axis=0) - np.nanmin(means, axis=0) <= allowed)
+
+
+def has_dry_friction(model: Model) -> NDArray[np.bool_]:
+    """Which actuators' forces (n,) depend on dry friction."""
+    dry = np.isin(np.array(model.parameters.kinds), DRY)
+    return np.asarray(np.any(model.regressor_pattern & dry, axis=1))
+
+
+def dry_friction_known(model: Model, motion: Motion, phases: Phases, noise: Array) -> NDArray[np.bool_]:
+    """Where dry friction is known (N, n): where joints move, and inside dead zones, where it is zero.
+
+    Near the ends of a dead zone it is not known. `noise` (n,) bounds the errors of the joints' speeds. That of an
+    actuator without dry friction is known everywhere.
+    """
+    machine, known = model.machine, phases.moving.copy()
     for k, (joint, actuator) in enumerate(zip(machine.joints, machine.actuators, strict=True)):
         width = actuator.friction.dead_zone
         if width is None:
@@ -48,15 +151,4 @@ def dry_friction_known(model: Model, motion: Motion, moving: NDArray[np.bool_], 
         known[:, k] &= size > width + uncertainty
         if not other_dry:
             known[:, k] |= size < width - uncertainty
-    return known
-
-
-def _velocity_noise(angles: Array, motion: Motion) -> Array:
-    """Standard deviation of the smoothed velocities (n,): white noise, low-passed and differentiated.
-
-    σ_v² = ∫₀^f (2πν)²·2σ²Δt dν with the smoother's bandwidth f and the σ of its residuals.
-    """
-    sigma = np.std(angles - motion.q, axis=0)
-    step = float(np.median(np.diff(motion.t)))
-    bandwidth = np.clip(motion.bandwidth, 1 / float(motion.t[-1] - motion.t[0]), 0.5 / step)
-    return np.asarray(sigma * np.sqrt(8 / 3 * np.pi**2 * step * bandwidth**3))
+    return np.asarray(known | ~has_dry_friction(model))

@@ -76,7 +76,7 @@ def compress_jointly(model: Model, experiments: Sequence[Experiment], covariance
         block = np.concatenate([K, force[:, :, None]], axis=2)
         if weights is not None:
             block = block * np.sqrt(weights[which][rows])[:, :, None]
-        R = triangle(R, whitened(block, experiments[which].moving[rows], covariance))
+        R = triangle(R, whitened(block, experiments[which].known[rows], covariance))
     return split(R)
 
 
@@ -102,7 +102,7 @@ def compress_instrumented(model: Model, experiments: Sequence[Experiment], instr
         block = np.concatenate([Z, K, force[:, :, None]], axis=2) / sigma[:, None]
         if weights is not None:
             block = block * np.sqrt(weights[which][rows])[:, :, None]
-        R = triangle(R, block[experiments[which].moving[rows]])
+        R = triangle(R, block[experiments[which].known[rows]])
     # directions that the instruments do not excite would add the noise of K
     excited = list(analyse(R[:p, :p], model.parameters.names).basis)
     order = [*excited, *range(p, 2 * p + 1)]

@@ -12,8 +12,10 @@ from numpy.typing import NDArray
 from scipy import optimize
 from scipy.linalg import block_diag
 
-from hydroopt.estimation.dynamic.frequency_bands import ActuatorBands
+from hydroopt.estimation.dynamic.frequency_bands import BANDS, ActuatorBands
+from hydroopt.estimation.dynamic.holds import HoldEquations
 from hydroopt.estimation.inference.band_variances import (
+    MANY,
     Channel,
     ScoreRows,
     Shared,
@@ -73,16 +75,21 @@ class SplitHalf:
 
 @dataclass(frozen=True, eq=False)
 class ScoreCovariance:
-    """The information of each actuator, and what it rests on; see `WeightedResiduals`."""
+    """The information of each actuator, and what it rests on; see `WeightedResiduals`.
+
+    `holds` are rows (·, p+1) of [K, f] of each actuator at rest, whose errors have unit variance; the scores hold them
+    too.
+    """
 
     scores: tuple[ScoreRows, ...]
     correlation_time: Array
     between_logs: float
     split_half: tuple[SplitHalf, ...]
+    holds: tuple[Array, ...]
 
 
-def score_covariance(problem: PriorProblem, logs: Sequence[ActuatorBands], sigma: Array,
-                     least: Array) -> ScoreCovariance:
+def score_covariance(problem: PriorProblem, logs: Sequence[ActuatorBands], sigma: Array, least: Array,
+                     holds: Sequence[HoldEquations]) -> ScoreCovariance:
     """The information of each actuator about ψ by the covariance of its score.
 
     Args:
@@ -90,23 +97,53 @@ def score_covariance(problem: PriorProblem, logs: Sequence[ActuatorBands], sigma
         logs: equations of each log by frequency.
         sigma: (n,) standard deviation of each actuator's residual.
         least: (n,) standard deviation below which no frequency's is.
+        holds: equations of each actuator at rest.
     """
     scale, prior = problem.parameters.scale, problem.prior_rows
     together = logs[0].copy()
     for more in logs[1:]:
         together.add(more)
     channels = together.channels()
-    spectra = band_variances(channels, sigma, prior, scale, least**2)
-    between: float = np.nan
+    at_rest = [one.channel(BANDS) for one in holds]
+    found = band_variances([*channels, *at_rest], np.append(sigma, [one.initial_std for one in holds]), prior, scale,
+                           np.append(least, [one.least for one in holds]) ** 2)
+    spectra, between_holds = found[: len(channels)], found[len(channels):]
+    between_logs: float = np.nan
     shared: list[list[Shared]] = [[] for _ in channels]
     if len(logs) > 1:
-        between, shared = _between(logs, channels, spectra, problem.parameters, prior)
+        between_logs, shared = _between(logs, channels, spectra, problem.parameters, prior)
     weight = np.array([spectrum.weight for spectrum in spectra])
+    means = [one.mean(float(spectrum.variance[0])) for one, spectrum in zip(holds, between_holds, strict=True)]
+    rows = [_rows_at_rest(channel, spectrum, mean, len(scale))
+            for channel, spectrum, mean in zip(at_rest, between_holds, means, strict=True)]
     return ScoreCovariance(
-        tuple(score_rows(channel, spectrum, scale, extra)
-              for channel, spectrum, extra in zip(channels, spectra, shared, strict=True)),
-        np.maximum(1.0, 1 / (weight * sigma**2)), between,
-        _split_halves(logs, together, sigma, prior, scale, least))
+        tuple(score_rows(*_with_holds(channel, spectrum, hold, between, mean), scale, extra)
+              for channel, spectrum, hold, between, mean, extra
+              in zip(channels, spectra, at_rest, between_holds, means, shared, strict=True)),
+        np.maximum(1.0, 1 / (weight * sigma**2)), between_logs,
+        _split_halves(logs, together, sigma, prior, scale, least), tuple(rows))
+
+
+def _with_holds(channel: Channel, spectrum: Spectrum, at_rest: Channel, between: Spectrum,
+                mean: Array) -> tuple[Channel, Spectrum]:
+    """One channel of an actuator's rows in motion, their mean at rest and their differences at rest, a band each."""
+    rows, counts = list(channel.rows), channel.counts
+    variance, freedom, weight = spectrum.variance, spectrum.freedom, spectrum.weight
+    for block, count, own, known in ((mean, float(len(mean)), 1.0, MANY),
+                                     (at_rest.rows[0] * np.sqrt(between.weight), at_rest.counts[0],
+                                      between.weight * between.variance[0], between.freedom[0])):
+        if count:
+            rows, counts = [*rows, block / np.sqrt(weight)], np.append(counts, count)
+            variance, freedom = np.append(variance, own / weight), np.append(freedom, known)
+    return Channel(channel.columns, tuple(rows), counts), Spectrum(variance, freedom, weight)
+
+
+def _rows_at_rest(channel: Channel, spectrum: Spectrum, mean: Array, count: int) -> Array:
+    """The rows at rest with errors of unit variance, in all `count` columns and that of the force."""
+    own = np.vstack([np.sqrt(spectrum.weight) * channel.rows[0], mean])
+    rows = np.zeros((len(own), count + 1))
+    rows[:, np.append(channel.columns, count)] = own
+    return rows
 
 
 @dataclass(frozen=True, eq=False)

@@ -14,10 +14,24 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import LogError, ProblemError
-from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment, channels_used, experiment, remarks
+from hydroopt.estimation.dynamic.experiment import (
+    AnyExperiment,
+    Experiment,
+    channels_used,
+    experiment,
+    remarks,
+    standstill_note,
+)
 from hydroopt.estimation.dynamic.folding import ROWS, ActuatorTriangles
 from hydroopt.estimation.dynamic.frequency_bands import BLOCK, ActuatorBands
-from hydroopt.estimation.dynamic.friction_sign import FEW_MOVING, speed_threshold
+from hydroopt.estimation.dynamic.friction_sign import (
+    FEW_MOVING,
+    WINDOW,
+    Phases,
+    SpeedLimits,
+    dry_friction_known,
+    has_dry_friction,
+)
 from hydroopt.kernels.native import threads
 from hydroopt.logs import streamed_smoothing
 from hydroopt.logs.any_log import AnyLog
@@ -44,21 +58,21 @@ Made = TypeVar("Made")
 
 
 class Totals:
-    """Totals over all samples: triangles of samples in which a joint moves and of those in which it stands still, how
-    often each joint moves, numbers of samples and of samples used, and findings of data quality.
+    """Totals over all samples: rows whose dry friction is known, with the holds, triangles of all others, how often
+    each joint moves, numbers of samples and of samples used, and findings of data quality.
     """
 
     def __init__(self, model: Model) -> None:
         pattern = model.regressor_pattern
-        self.moved, self.still = ActuatorBands(model.parameters, pattern), ActuatorTriangles(pattern)
+        self.known, self.others = ActuatorBands(model.parameters, pattern), ActuatorTriangles(pattern)
         self.moving = np.zeros(len(model.machine.joints))
         self.samples = self.sample_count = 0
         self.findings: tuple[Finding, ...] = ()
 
-    def add(self, other: Totals) -> None:
-        """Add what another holds."""
-        self.moved.add(other.moved)
-        self.still.add(other.still)
+    def add(self, other: Totals, step: float) -> None:
+        """Add what a later piece of the log holds; `step` [s] is that between samples."""
+        self.known.add(other.known, step)
+        self.others.add(other.others)
         self.moving += other.moving
         self.samples, self.sample_count = self.samples + other.samples, self.sample_count + other.sample_count
         self.findings += other.findings
@@ -80,8 +94,8 @@ class StreamedExperiment:
     workers: int = field(default_factory=lambda: min(WORKERS, threads()))
 
     @cached_property
-    def _sample(self) -> tuple[Smoother, Experiment]:
-        """The smoothing of all pieces, and a sample of the log with it."""
+    def _sample(self) -> tuple[Smoother, SpeedLimits, Experiment]:
+        """The smoothing of all pieces, how slow counts as what, and a sample of the log with both."""
         model, log = self.model, self.stream.sample(self._angle_channels)
         angles, where = measured_angles(model, log), self.stream.path
         edges = np.flatnonzero(np.diff(log.segment)) + 1
@@ -92,18 +106,12 @@ class StreamedExperiment:
             raise LogError(f"a motion of {np.min(chosen.bandwidth):.2g} Hz is too slow to be smoothed in pieces",
                            where=where, remedy="keep every tenth sample, or state a higher --bandwidth")
         motion = chosen.motion(log.t, angles, log.segment, np.ones(log.size, bool), where)
-        moving = np.abs(motion.qd) > speed_threshold(angles, motion)[0]
-        return chosen, Experiment(model, log, motion, free_forces(model, log, motion.q), moving,
-                                  remarks(model, log, angles), pressures(model, log))
+        limits = SpeedLimits.of(angles, motion)
+        return chosen, limits, _experiment(model, log, angles, motion, limits, remarks(model, log, angles))
 
     @property
     def _angle_channels(self) -> list[str]:
         return sorted(angle_channels(self.model, self.stream))
-
-    @cached_property
-    def _slow(self) -> Array:
-        sample = self._sample[1]
-        return speed_threshold(measured_angles(self.model, sample.log), sample.motion)[0]
 
     @cached_property
     def totals(self) -> Totals:
@@ -115,17 +123,17 @@ class StreamedExperiment:
         margin = self._margin
         totals = Totals(self.model)
         for part in self._over(lambda window: self._folded(*window), self.stream.windows((margin, BLOCK + margin))):
-            totals.add(part)
+            totals.add(part, self.stream.survey.step)
         return totals
 
     @property
     def moves(self) -> np.ndarray:
-        """Which joints (n,) move in more samples than noise explains."""
-        return self.totals.moving > FEW_MOVING * self.totals.samples
+        """Which joints (n,) move in more samples than noise explains, or drive without dry friction."""
+        return (self.totals.moving > FEW_MOVING * self.totals.samples) | ~has_dry_friction(self.model)
 
     @property
     def folded(self) -> ActuatorTriangles:
-        """The samples in which a joint moves."""
+        """The samples whose dry friction is known."""
         return self.bands().triangles
 
     @property
@@ -141,7 +149,7 @@ class StreamedExperiment:
     @property
     def plotted(self) -> Experiment:
         """What figures show of it: a block from the middle of the sample, or all of a short log."""
-        sample = self._sample[1]
+        sample = self._sample[2]
         if self.stream.size <= sample.log.size:
             return sample
         middle = sample.log.size // 2 // SAMPLED * SAMPLED
@@ -155,19 +163,20 @@ class StreamedExperiment:
     @property
     def notes(self) -> tuple[str, ...]:
         """How the log was treated, in sentences."""
-        chosen, sample = self._sample
+        chosen, _, sample = self._sample
         totals, plotted = self.totals, self.plotted.log
-        still = totals.sample_count - self.folded.samples
-        left_out, stood = totals.samples - totals.sample_count, still.astype(int).tolist()
+        bands, left_out = self.bands(), totals.samples - totals.sample_count
+        held = bands.holds.samples
+        unused = (totals.sample_count - bands.samples - held).astype(int)
         return (f"read in pieces of {self.stream.piece} samples; {sample.log.size} samples chose the smoothing, and "
                 f"figures show samples {plotted.rows[0]} to {plotted.rows[1]}", *chosen.notes,
                 f"{left_out} of {totals.samples} samples at the ends of stretches left out",
-                f"standing still (no sign of friction) per joint: {stood} samples", *sample.remarks)
+                standstill_note(held, unused), *sample.remarks)
 
     def moments(self, psi: Array) -> Array:
         """Sums (4, n) over the samples that take part: 1, force, force² and error² of the prediction by ψ."""
         v, last = np.append(psi, -1.0), np.append(0.0 * psi, -1.0)
-        both = (self.totals.moved.triangles, self.totals.still)
+        both = (self.totals.known.triangles, self.totals.others)
         return np.array([sum(some.samples for some in both), sum(some.sums[:, -1] for some in both),
                          sum(some.squares(last) for some in both), sum(some.squares(v) for some in both)])
 
@@ -181,23 +190,23 @@ class StreamedExperiment:
 
     def fold_into(self, triangles: ActuatorTriangles, psi: Array | None = None,
                   weights: Array | None = None) -> None:
-        """Add the samples in which a joint moves: forces are linear in ψ, and squared residuals have no weights."""
+        """Add the samples whose dry friction is known: forces are linear in ψ, and squares have no weights."""
         assert weights is None
         triangles.add(self.folded)
 
     def bands(self, psi: Array | None = None) -> ActuatorBands:
-        """The equations of the samples in which a joint moves, by frequency; forces are linear in ψ."""
-        return self.totals.moved.only(self.moves)
+        """The equations of the samples whose dry friction is known, by frequency; forces are linear in ψ."""
+        return self.totals.known.only(self.moves)
 
     @property
     def _margin(self) -> int:
         """Number of rows by which pieces overlap."""
-        return int(np.ceil(self._sample[0].margin / self.stream.survey.step)) + 1
+        return int(np.ceil((self._sample[0].margin + WINDOW) / self.stream.survey.step)) + 1
 
     def _over(self, work: Callable[[Given], Made], given: Iterable[Given]) -> Iterator[Made]:
         """Results of `work` on all inputs, in their order, computed in parallel with few results in memory."""
         # created before threads use them
-        _ = self._slow, self.model.regressor, self.model.inverse_dynamics, self.model.wrench_forces
+        _ = self._sample, self.model.regressor, self.model.inverse_dynamics, self.model.wrench_forces
         waiting: deque[Future[Made]] = deque()
         with threadpool_limits(limits=1, user_api="blas"), ThreadPoolExecutor(self.workers) as pool:
             try:
@@ -213,11 +222,12 @@ class StreamedExperiment:
 
     def _prepared(self, log: Log, needed: Rows) -> Experiment:
         """A piece as an experiment, whose motion is right in the rows `needed`, first and last."""
-        rows = (log.sample >= needed[0]) & (log.sample <= needed[1])
-        motion = self._sample[0].motion(log.t, measured_angles(self.model, log), log.segment, rows,
+        beside = int(np.ceil(WINDOW / self.stream.survey.step))
+        rows = (log.sample >= needed[0] - beside) & (log.sample <= needed[1] + beside)
+        angles = measured_angles(self.model, log)
+        motion = self._sample[0].motion(log.t, angles, log.segment, rows,
                                         f"{log.path}, rows {needed[0]} to {needed[1]}")
-        return Experiment(self.model, log, motion, free_forces(self.model, log, motion.q),
-                          np.abs(motion.qd) > self._slow, (), pressures(self.model, log))
+        return _experiment(self.model, log, angles, motion, self._sample[1])
 
     def _folded(self, samples: Samples, core: Rows) -> Totals:
         """The totals of the blocks that begin in one piece, so that no border of pieces cuts a block."""
@@ -229,14 +239,15 @@ class StreamedExperiment:
         if a == b:
             return totals
         data = self._prepared(log, (first, last - 1))
-        totals.samples, totals.moving = int(b - a), np.sum(data.moving[a:b], axis=0).astype(float)
+        totals.samples, totals.moving = int(b - a), np.sum(
+            np.abs(data.motion.qd[a:b]) > self._sample[1].slow, axis=0).astype(float)
         totals.sample_count = int(np.sum(data.inside[a:b]))
         for block in data.blocks(origin, (int(a), int(b))):
-            K, force = data.fold_block(totals.moved, block, float(np.mean(self.stream.rows)))
-            still = data.inside[block, None] & ~data.moving[block]
-            for start in range(0, len(force) if np.any(still) else 0, ROWS):
+            K, force = data.fold_block(totals.known, block, float(np.mean(self.stream.rows)))
+            others = data.inside[block, None] & ~data.known[block]
+            for start in range(0, len(force) if np.any(others) else 0, ROWS):
                 rows = slice(start, start + ROWS)
-                totals.still.fold(K[rows], force[rows], still[rows])
+                totals.others.fold(K[rows], force[rows], others[rows])
         return totals
 
 
@@ -283,7 +294,18 @@ def _cut(data: Experiment, start: int, stop: int) -> Experiment:
     motion = Motion(m.t[span], m.q[span], m.qd[span], m.qdd[span], m.segment[span], m.interior[span], m.bandwidth,
                     m.passes, m.notes)
     return replace(data, log=data.log.slice(start, stop), motion=motion, force=data.force[span],
-                   moving=data.moving[span], pressure=None if data.pressure is None else data.pressure[span])
+                   known=data.known[span], pressure=None if data.pressure is None else data.pressure[span],
+                   calm=None if data.calm is None else data.calm[span])
+
+
+def _experiment(model: Model, log: Log, angles: Array, motion: Motion, limits: SpeedLimits,
+                remarks: tuple[str, ...] = ()) -> Experiment:
+    """An experiment of a piece: how often a joint moves in all of the log is not known yet."""
+    phases = Phases.of(angles, motion, limits)
+    motion = phases.at_rest(motion)
+    known = dry_friction_known(model, motion, phases, limits.noise)
+    return Experiment(model, log, motion, free_forces(model, log, motion.q), known, remarks, pressures(model, log),
+                      calm=phases.calm & ~known)
 
 
 def _joined(findings: Iterable[Finding]) -> Iterator[Finding]:

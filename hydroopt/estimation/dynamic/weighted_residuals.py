@@ -107,6 +107,8 @@ class WeightedResiduals(Generic[Problem]):
         between_logs: standard deviation of friction and offsets from log to log, relative to the friction force; NaN
             for a single log.
         split_half: how much friction and offsets differ between the halves of each log.
+        holds: rows (·, p+1) of [K, f] of each actuator at rest (`hydroopt.estimation.dynamic.holds`), whose errors have
+            unit variance.
         fit: of motion and parameters together, where requested.
     """
 
@@ -123,6 +125,7 @@ class WeightedResiduals(Generic[Problem]):
     correlation_time: Array
     between_logs: float
     split_half: tuple[SplitHalf, ...]
+    holds: tuple[Array, ...]
     fit: fitted_motion.FittedMotion | None = None
 
     def problem_at(self, psi: Array) -> Problem:
@@ -182,7 +185,7 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
         point: (p,) parameters at which forces are linearised that are not linear in them; the nominal ones if None.
 
     Raises:
-        IdentifiabilityError: no joint moves.
+        IdentifiabilityError: no joint moves, and there is a single posture.
         SolverError: a fitted motion does not converge.
     """
     model, experiments = problem.model, problem.experiments
@@ -190,13 +193,16 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
     point = problem.parameters.nominal if point is None else point
     folded = [data.bands(point) for data in experiments]
     data = compressed(folded)
-    if not np.any(data.samples):
+    holds = folded[0].holds.copy()
+    for more in folded[1:]:
+        holds.add(more.holds)
+    if not np.any(data.samples) and np.max(holds.counts) < 2:
         names = ", ".join(e.log.path or e.log.name for e in experiments)
-        raise IdentifiabilityError("no joint moves in the training logs", where=names,
-                                   remedy="record a log in which the joints move")
+        raise IdentifiabilityError("no joint moves in the training logs, and they hold a single posture", where=names,
+                                   remedy="record a log in which the joints move, or rest in several postures")
     sigma, weights = _sigma(problem, data, tolerance), None
     if problem.loss != "squares":
-        data, sigma, weights, folded = _robust(problem, data, sigma, point)
+        data, sigma, weights, folded = _robust(problem, data, folded, sigma, point)
     # for nonlinear forces, least squares without bounds may leave the range in which the linearisation holds
     psi = _least_squares(problem, *data.weighted(sigma)[:2], tolerance) if model.linear else point
     correlation = _correlation(problem, psi) if problem.correlated else np.eye(len(sigma))
@@ -206,40 +212,53 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
                                 weights, psi, most_probable, where)
         problem, psi = problem.with_experiments(fit.experiments(fit.psi)), fit.psi
         folded = [one.bands(psi) for one in problem.experiments]
-    found = score_covariance(problem, folded, sigma, _smallest(data) if problem.reweight else sigma)
+    equations = tuple(holds.equations(_second_moment(problem, data, sigma), np.nan_to_num(problem.force_std)))
+    found = score_covariance(problem, folded, sigma, _smallest(data) if problem.reweight else sigma, equations)
     # correlated residuals carry less information than as many independent ones
     wide = sigma * np.sqrt(found.correlation_time)
     plain = data.weighted(wide)
     if fit is not None:
         fit = fitted_motion.fit(model, fit.motion(psi), _covariance(correlation, wide), weights, psi, most_probable,
                                 where)
-        R, r, rest = plain = fit.R, fit.r, fit.rest
+        plain = fit.R, fit.r, fit.rest
     elif problem.instruments:
-        R, r, rest = plain = compress_instrumented(model, loaded, problem.instruments, wide, weights, psi=point)
+        plain = compress_instrumented(model, loaded, problem.instruments, wide, weights, psi=point)
     elif problem.correlated:
-        R, r, rest = plain = compress_jointly(model, loaded, _covariance(correlation, wide), weights, psi=point)
-    elif not model.linear:
-        R, r, rest = plain = data.weighted(wide)
+        plain = compress_jointly(model, loaded, _covariance(correlation, wide), weights, psi=point)
     mixed = problem.fitted_motion or problem.instruments or problem.correlated
+    R, r, rest = plain = split(triangle(_triangle(*plain), *found.holds))
     scores: tuple[ScoreRows, ...] = ()
     if mixed:
-        triangles = np.block([[R, r[:, None]], [np.zeros((1, len(r))), np.full((1, 1), np.sqrt(rest))]])[None]
+        triangles = _triangle(R, r, rest)[None]
     elif not model.linear:
-        triangles = data.triangles / wide[:, None, None]
+        triangles = np.array([_triangle(*split(triangle(own, at_rest)))
+                              for own, at_rest in zip(data.triangles / wide[:, None, None], found.holds, strict=True)])
     else:
         scores = found.scores
         triangles = np.array([one.triangle(widened=True) for one in scores])
         R, r, rest = split(triangle(*triangles))
     return WeightedResiduals(problem, R, r, rest, plain, data.samples, triangles, scores, sigma, correlation,
-                             found.correlation_time, found.between_logs, found.split_half, fit)
+                             found.correlation_time, found.between_logs, found.split_half, found.holds, fit)
+
+
+def _triangle(R: Array, r: Array, rest: float) -> Array:
+    """T (p+1, p+1) with ``‖T·[ψ; −1]‖² = ‖R·ψ − r‖² + rest``."""
+    return np.block([[R, r[:, None]], [np.zeros((1, len(r))), np.full((1, 1), np.sqrt(rest))]])
+
+
+def _second_moment(problem: ResidualProblem, data: CompressedRegressor, sigma: Array) -> Array:
+    """Expectation (p, p) of ψ·ψᵀ by the samples in motion and the priors."""
+    found = gaussian_posterior(problem, *data.weighted(sigma)[:2])
+    return np.asarray(np.outer(found.offset, found.offset) + found.slope @ found.slope.T)
 
 
 def misfit(weighted: WeightedResiduals[Problem], psi: Array) -> float:
     """The loss of all residuals of forces at ψ (p,), weighted in the same way but without linearisation."""
-    problem, total = weighted.problem, 0.0
+    problem = weighted.problem
+    total = float(sum(np.sum((rows @ np.append(psi, -1.0)) ** 2) for rows in weighted.holds))
     wide = weighted.sigma * np.sqrt(weighted.correlation_time)
     for residual, data in zip(_residuals(problem, psi), _loaded(problem), strict=True):
-        taken = data.inside[:, None] & data.moving
+        taken = data.inside[:, None] & data.known
         if problem.loss == "squares":
             total += float(np.sum(whitened(residual[:, :, None], taken, _covariance(weighted.correlation, wide)) ** 2))
             continue
@@ -269,7 +288,8 @@ def _sigma(problem: ResidualProblem, data: CompressedRegressor, tolerance: float
         R, r, _ = data.weighted(sigma)
         psi, _, identifiable = least_squares.base_least_squares(R, r, problem.parameters.names, tolerance)
         freedom = np.maximum(data.samples - identifiable.rank / len(sigma), 1.0)
-        sigma = np.maximum(np.sqrt(data.squares(psi) / freedom), floor)
+        estimated = np.maximum(np.sqrt(data.squares(psi) / freedom), floor)
+        sigma = np.where(data.samples > 0, estimated, sigma)  # as stated for actuators at rest
     return np.asarray(sigma)
 
 
@@ -282,8 +302,8 @@ def _smallest(data: CompressedRegressor) -> Array:
     return 1e-11 * np.maximum(_rms_force(data), 1e-12)
 
 
-def _robust(problem: ResidualProblem, data: CompressedRegressor, sigma: Array, point: Array
-            ) -> tuple[CompressedRegressor, Array, list[Array], list[ActuatorBands]]:
+def _robust(problem: ResidualProblem, data: CompressedRegressor, folded: Sequence[ActuatorBands], sigma: Array,
+            point: Array) -> tuple[CompressedRegressor, Array, list[Array], list[ActuatorBands]]:
     """Iteratively reweighted least squares: Huber (95 % efficient at 1.345 σ) or Student-t (4 degrees of freedom).
 
     The residuals are those of the most probable parameters before constraints, which good data hardly move. At these,
@@ -309,7 +329,10 @@ def _robust(problem: ResidualProblem, data: CompressedRegressor, sigma: Array, p
     mean = np.nan_to_num(np.nanmean(np.concatenate(_taken(problem, bent)), axis=0), nan=1.0)
     pseudo = [replace(e, force=e.force - res + weight * res / mean)
               for e, res, weight in zip(_loaded(problem), residuals, weights, strict=True)]
-    return data, sigma, weights, [one.bands(point) for one in pseudo]
+    bands = [one.bands(point) for one in pseudo]
+    for one, other in zip(bands, folded, strict=True):
+        one.holds = other.holds
+    return data, sigma, weights, bands
 
 
 def _loaded(problem: ResidualProblem) -> tuple[Experiment, ...]:
@@ -330,7 +353,7 @@ def _residuals(problem: ResidualProblem, psi: Array) -> list[Array]:
 
 def _taken(problem: ResidualProblem, residuals: Sequence[Array]) -> list[Array]:
     """Residuals, NaN where they are not used."""
-    return [np.where(e.inside[:, None] & e.moving, res, np.nan)
+    return [np.where(e.inside[:, None] & e.known, res, np.nan)
             for res, e in zip(residuals, _loaded(problem), strict=True)]
 
 

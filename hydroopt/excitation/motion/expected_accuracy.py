@@ -81,7 +81,7 @@ def expected_accuracy(model: Model, motion: Trajectory, structure: Identifiabili
     (data,) = in_memory(problem.experiments, "the expected accuracy")
     stated = np.isfinite(force_noise(model))  # else the simulated log has no noise
     sigma = np.where(stated, estimate.sigma, noise)
-    weight = (data.inside[:, None] & data.moving) / (sigma**2 * np.where(stated, estimate.correlation_time, 1.0))
+    weight = (data.inside[:, None] & data.known) / (sigma**2 * np.where(stated, estimate.correlation_time, 1.0))
     scale, basis = model.parameters.scale, np.array(structure.basis)
     K = model.over(model.regressor, motion.q, motion.qd, motion.qdd)[0] * scale
     rows: Array = np.asarray(np.linalg.qr((K * np.sqrt(weight)[:, :, None]).reshape(-1, K.shape[2]), mode="r"))

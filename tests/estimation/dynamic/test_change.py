@@ -95,7 +95,7 @@ def test_value_and_spread_are_those_of_one_dense_least_squares():
         data = experiment(PLANAR, log, PERIODIC)
         K = PLANAR.over(PLANAR.regressor, data.motion.q, data.motion.qd, data.motion.qdd)[0]
         for i in range(2):
-            taken = data.inside & data.moving[:, i]
+            taken = data.inside & data.known[:, i]
             nearest = np.linalg.lstsq(K[taken, i], data.force[taken, i], rcond=1e-12)[0]
             score = sessions[k].triangles[i][:-1, :-1]
             rows.append(np.hstack([score, k * score[:, places]]))
@@ -188,7 +188,7 @@ def test_a_session_in_which_a_joint_rests_tells_nothing_of_it():
     assert one.finding.kind is Kind.CHANGE_NOT_IDENTIFIABLE
     assert np.isfinite(found.difference("upper_drive.tau_viscous").std)
     with pytest.raises(IdentifiabilityError, match="do not identify a change"):
-        detect_change(PLANAR.machine, [log], [still], parts=["fore_drive"], smoothing=PERIODIC)
+        detect_change(PLANAR.machine, [log], [still], parts=["fore_drive.tau_viscous"], smoothing=PERIODIC)
 
 
 @pytest.mark.parametrize("level", [0.0, 1.0, float("nan")])

@@ -133,15 +133,15 @@ def test_samples_within_a_dead_zone_take_part_where_no_other_friction_is_dry() -
     q, qd, qdd = data.inputs()
     speed = np.abs(Model(machine).over(Model(machine).cylinder_kinematics, q, qd, qdd)[1][:, 0, 0])
     without = experiment(Model(crane(coulomb=500.0, viscous=3000.0)), log, PERIODIC)
-    expected = (speed < 0.01) | without.moving[:, 0] & (speed > 0.01)
+    expected = (speed < 0.01) | without.known[:, 0] & (speed > 0.01)
     clear = np.abs(speed - 0.01) > 1e-6
-    np.testing.assert_array_equal(data.moving[clear, 0], expected[clear])
-    assert np.sum(data.moving) > np.sum(without.moving)
+    np.testing.assert_array_equal(data.known[clear, 0], expected[clear])
+    assert np.sum(data.known) > np.sum(without.known)
     pinned = experiment(Model(crane(coulomb=500.0, rod_pin=50.0, dead_zone=0.01)), log, PERIODIC)
-    assert not np.any(pinned.moving & (speed < 0.01)[:, None])
+    assert not np.any(pinned.known & (speed < 0.01)[:, None])
     # near the ends of the zone noise hides on which side the speed is
     noisy = experiment(Model(machine), logs_of(machine, seeds=(1,), noise=True)[0], PERIODIC)
-    assert np.sum(noisy.moving) < np.sum(data.moving)
+    assert np.sum(noisy.known) < np.sum(data.known)
     assert identify(identification_problem(machine, [log], smoothing=PERIODIC), "wls")["lift_cylinder.f_coulomb"] == (
         pytest.approx(500.0, rel=1e-6))
 

@@ -123,7 +123,7 @@ def test_chunks_fold_into_what_one_factorisation_gives(
         for data in noisy.experiments:
             motion = data.motion
             K = noisy.model.over(noisy.model.regressor, motion.q, motion.qd, motion.qdd)[0][:, i]
-            whole.append(np.column_stack([K, data.force[:, i]])[data.inside & data.moving[:, i]])
+            whole.append(np.column_stack([K, data.force[:, i]])[data.inside & data.known[:, i]])
         rows = np.concatenate(whole)
         gram = rows.T @ rows
         norm = np.sqrt(np.diag(gram))
@@ -139,7 +139,7 @@ def test_two_logs_are_one_log_of_both(noisy: IdentificationProblem) -> None:
               for key in ("t", "q", "qd", "qdd", "segment", "interior")}
     motion = Motion(**joined, bandwidth=one.motion.bandwidth, passes=one.motion.passes, notes=())
     both = Experiment(one.model, one.log, motion,
-                      np.concatenate([one.force, other.force]), np.concatenate([one.moving, other.moving]))
+                      np.concatenate([one.force, other.force]), np.concatenate([one.known, other.known]))
     sigma = np.array([700.0, 800.0, 900.0])
     (R, r, _), (S, s, _) = (regressor_qr.compress(parts).weighted(sigma)
                             for parts in ((one, other), (both,)))
@@ -188,8 +188,8 @@ def test_standstill_takes_no_part(wheel: Model) -> None:
         torque[resting] = stuck
         log = Log("stop and go", t, {"wheel.q": q + 1e-5 * rng.standard_normal(t.size), "wheel.tau": torque})
         problem = identification_problem(wheel.machine, [log])
-        assert not np.any(problem.experiments[0].moving[resting])
-        assert np.mean(problem.experiments[0].moving[~resting]) > 0.6
+        assert not np.any(problem.experiments[0].known[resting])
+        assert np.mean(problem.experiments[0].known[~resting]) > 0.6
         estimates.append(identify(problem, "wls"))
     for estimate in estimates:
         assert estimate["drive.tau_coulomb"] == pytest.approx(5, rel=0.02)
@@ -262,11 +262,11 @@ def test_a_joint_that_stands_still_is_not_excited(stiff_stick: IdentificationPro
 
 
 @pytest.mark.parametrize("noise", [False, True], ids=["perfect", "noisy"])
-def test_a_log_in_which_nothing_moves_is_refused(cat215b: Model, noise: bool) -> None:
+def test_a_log_of_a_single_posture_is_refused(cat215b: Model, noise: bool) -> None:
     t = np.arange(1000) / 20
     still = Trajectory(t, np.tile([0.1, -0.3, 1.4], (1000, 1)), np.zeros((1000, 3)), np.zeros((1000, 3)))
     problem = identification_problem(cat215b.machine, [simulate(cat215b, still, noise=noise)])
-    assert np.max(np.mean(problem.experiments[0].moving, axis=0)) < 0.01
+    assert np.max(np.mean(problem.experiments[0].known, axis=0)) < 0.01
     with pytest.raises(IdentifiabilityError, match="joints move"):
         identify(problem, "sdp")
 

@@ -109,7 +109,7 @@ def test_a_freed_tilt_shares_its_effect_with_an_unknown_moment(
     (size,), (std,) = np.degrees(estimate.freed.size), np.degrees(estimate.freed.std)
     assert abs(size - 3.0) < 3 * std < 1.0  # 1.95 ± 0.10 with the column of the level machine
     (data,) = estimate.problem.experiments
-    used = data.inside[:, None] & data.moving
+    used = data.inside[:, None] & data.known
     left = np.sqrt(np.sum(used * (data.force - data.predicted(estimate.psi)) ** 2, axis=0) / np.sum(used, axis=0))
     assert np.all(left < 1.5 * estimate.problem.force_std)
 

@@ -65,7 +65,7 @@ def test_fitted_motion_is_the_optimum_of_the_whole_problem(sensed: Model, record
     points, weights = np.polynomial.legendre.leggauss(5)
     inner = (np.arange(count)[:, None] * spacing + spacing * (1 + points) / 2).ravel()
     root = np.sqrt(np.tile(weights * spacing / 2, count))
-    taken = data.moving[:, 0]
+    taken = data.known[:, 0]
 
     def residuals(x: np.ndarray) -> np.ndarray:
         spline, (offset, coulomb, viscous, inertia) = BSpline(knots, x[:-4], 5), x[-4:]
@@ -122,7 +122,7 @@ def test_instruments_solve_their_own_equations(noisy: IdentificationProblem, exa
     R, r, _ = compress_instrumented(model, experiments, problem.instruments, sigma)
     rows: dict[str, list] = {"Z": [], "K": [], "f": []}
     for data, other in zip(experiments, problem.instruments, strict=True):
-        taken = (data.inside[:, None] & data.moving).ravel()
+        taken = (data.inside[:, None] & data.known).ravel()
         for name, motion in (("Z", other), ("K", data.motion)):
             K = model.over(model.regressor, motion.q, motion.qd, motion.qdd)[0] / sigma[:, None]
             rows[name].append(K.reshape(-1, K.shape[2])[taken])
@@ -143,7 +143,7 @@ def test_channels_that_err_together_are_weighted_as_generalised_least_squares(no
     for data in experiments:
         K = model.over(model.regressor, data.motion.q, data.motion.qd, data.motion.qdd)[0]
         for k in np.flatnonzero(data.inside):
-            here = np.flatnonzero(data.moving[k])
+            here = np.flatnonzero(data.known[k])
             if here.size:
                 inverse = np.linalg.inv(covariance[np.ix_(here, here)])
                 information += K[k, here].T @ inverse @ K[k, here]

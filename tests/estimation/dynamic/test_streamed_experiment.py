@@ -100,8 +100,8 @@ def totals(cat215b: Model, path: Path) -> StreamedExperiment:
 @pytest.mark.parametrize("workers", [2, 5])
 def test_workers_change_no_bit(cat215b: Model, totals: StreamedExperiment, workers: int) -> None:
     other = StreamedExperiment(cat215b, totals.stream, totals.smoothing, workers)
-    for one, two in ((totals.totals.moved.triangles, other.totals.moved.triangles),
-                     (totals.totals.still, other.totals.still)):
+    for one, two in ((totals.totals.known.triangles, other.totals.known.triangles),
+                     (totals.totals.others, other.totals.others)):
         np.testing.assert_array_equal(one.full, two.full)
         np.testing.assert_array_equal(one.sums, two.sums)
     np.testing.assert_array_equal(totals.bands().counts, other.bands().counts)

@@ -161,7 +161,7 @@ def test_a_whole_identification_at_a_bound(wheel: Model) -> None:
     psi = np.array([0.5, -0.03, 3.0, 2.0])
     log = Log("wheel", t, {"wheel.q": q, "wheel.tau": columns @ psi + noise})
     problem = identification_problem(wheel.machine, [log], smoothing=Fourier(period=40.0, harmonics=12))
-    rows = problem.experiments[0].moving[:, 0]
+    rows = problem.experiments[0].known[:, 0]
     estimates = [identify(problem, "qp", seed=seed) for seed in range(6)]
     estimate = estimates[0]
     unbounded = np.linalg.lstsq(columns[rows], (columns @ psi + noise)[rows], rcond=None)[0][1]

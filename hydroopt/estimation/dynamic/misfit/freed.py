@@ -85,13 +85,13 @@ class Freed:
 
     def _corrected(self, data: Experiment) -> Experiment:
         view, n = View.of(data, self.psi), data.force.shape[1]
-        force, added, moving = data.force, np.zeros((*data.force.shape, len(self.psi))), data.moving
+        force, added, known = data.force, np.zeros((*data.force.shape, len(self.psi))), data.known
         for fault, size in zip(self.faults, self.size.tolist(), strict=True):
             change = fault.by_parameters(view, size)
-            force, moving = force - fault.effect(view, size)[:, :n], moving & ~fault.unsteady(view, size)[:, :n]
+            force, known = force - fault.effect(view, size)[:, :n], known & ~fault.unsteady(view, size)[:, :n]
             added = added if change is None else added + change[:, :n]
         force = force + added @ self.psi
-        return replace(data, force=force, moving=moving, added=added if data.added is None else data.added + added)
+        return replace(data, force=force, known=known, added=added if data.added is None else data.added + added)
 
     def widened(self, weighted: WeightedResiduals[IdentificationProblem]) -> WeightedResiduals[IdentificationProblem]:
         """The weighted residuals with what remains uncertain about the sizes in their covariance."""
@@ -101,7 +101,7 @@ class Freed:
         for data in in_memory(weighted.problem.experiments, "a freed fault"):
             view, n = View.of(data, self.psi), data.force.shape[1]
             S = np.stack([f.sensitivity(view, s)[:, :n] for f, s in zip(self.faults, self.size, strict=True)], axis=2)
-            taken = (data.inside[:, None] & data.moving) * weight
+            taken = (data.inside[:, None] & data.known) * weight
             cross += np.einsum("Nnp,Nn,Nnk->pk", view.regressor[:, :n], taken, S, optimize=True)
         scale = np.maximum(np.linalg.norm(weighted.plain[0], axis=0), 1e-300)
         inverse = np.linalg.pinv(weighted.plain[0] / scale, rcond=1e-9)

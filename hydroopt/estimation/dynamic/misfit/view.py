@@ -114,13 +114,13 @@ class View:
     def usable(self) -> NDArray[np.bool_]:
         """Readings (N, c) away from the ends of stretches and, of forces, from standstill and reversals."""
         inside = self.motion.interior[:, None]
-        forces = inside & self.experiment.moving
+        forces = inside & self.experiment.known
         return np.column_stack([forces, np.broadcast_to(inside, (len(inside), len(self.lengths)))])
 
     @cached_property
     def slowest(self) -> Array:
         """Speed (n,) at which the sign of each joint's dry friction is known in this log; inf where it never is."""
-        speed = np.where(self.experiment.moving, np.abs(self.motion.qd), np.inf)
+        speed = np.where(self.experiment.known, np.abs(self.motion.qd), np.inf)
         return np.asarray(np.min(speed, axis=0))
 
     @cached_property
