@@ -66,7 +66,7 @@ def render(excitation: Excitation) -> str:
 def _beside_random(excitation: Excitation) -> list[tuple[str, str, str]]:
     """What is compared with the best random motion: its name, by this motion, and by the random one."""
     other = excitation.best_random
-    scalings = {"raw": "condition number, SI units", "unit columns": "condition number, columns of unit length",
+    scalings = {"raw": "condition number, SI units", "unit_columns": "condition number, columns of unit length",
                 "scaled": "condition number, as the design scales it"}
     count = len(excitation.names)
     return [("criterion", plain(excitation.value), plain(other.value)),

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hydroopt.errors import ProblemError, SolverError
+from hydroopt.errors import HydrooptError, ProblemError
 from hydroopt.estimation.dynamic.folding import split, triangle
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.inference import least_squares, nlp, sdp
@@ -53,23 +53,26 @@ def reduced_parameters(weighted: WeightedResiduals[IdentificationProblem], metho
     kept = parameters.select(small.parameters.names)
     psi = np.zeros(len(parameters))
     try:
-        restricted = _restricted(problem, small, kept)
-        if method not in ("wls", "ridge", "tsvd"):
-            R, r, _ = _columns(kept, weighted.R, weighted.r, weighted.rest)
-            psi[kept] = most_probable(restricted, method, R, r).psi
-            return psi
-    except (ProblemError, SolverError):
+        psi[kept] = _solved(weighted, _restricted(problem, small, kept), kept, method, tolerance, ridge)
+    except HydrooptError:  # a statement cannot hold without barrels and rods, or the solver gives no answer
         return None
+    return psi
+
+
+def _solved(weighted: WeightedResiduals[IdentificationProblem], restricted: IdentificationProblem, kept: Sequence[int],
+            method: str, tolerance: float, ridge: float | None) -> Array:
+    """The parameters (k,) that are kept, by a method of `hydroopt.estimation.dynamic.identify.METHODS`."""
     R, r, rest = _columns(kept, *weighted.plain)
     if method == "ridge":
-        psi[kept] = least_squares.ridge(R, r, ridge, rows=weighted.rows, rest=rest)[0]
-    elif method == "tsvd":
-        psi[kept] = least_squares.truncated_svd(R, r, tolerance)[0]
-    else:
-        R, r, _ = _columns(kept, weighted.R, weighted.r, weighted.rest)
-        found, _, identifiable = least_squares.base_least_squares(R, r, small.parameters.names, tolerance)
-        psi[kept] = least_squares.nearest(small.parameters, identifiable, found)
-    return psi
+        return least_squares.ridge(R, r, ridge, rows=weighted.rows, rest=rest)[0]
+    if method == "tsvd":
+        return least_squares.truncated_svd(R, r, tolerance)[0]
+    R, r, _ = _columns(kept, weighted.R, weighted.r, weighted.rest)
+    if method != "wls":
+        return most_probable(restricted, method, R, r).psi
+    parameters = restricted.parameters
+    found, _, identifiable = least_squares.base_least_squares(R, r, parameters.names, tolerance)
+    return least_squares.nearest(parameters, identifiable, found)
 
 
 def _columns(kept: Sequence[int], R: Array, r: Array, rest: float) -> tuple[Array, Array, float]:

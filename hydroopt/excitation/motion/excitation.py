@@ -186,7 +186,7 @@ class Excitation(Answer):
         problem = self.problem
         moving = [joint for joint in problem.machine.joints if joint not in problem.resting]
         tight = sorted((use for use in self.limits if math.isfinite(use.part)), key=lambda use: use.part)[:3]
-        scalings = ", ".join(f"{name} {x:.3g}" for name, x in self.condition_numbers.items())
+        scalings = ", ".join(f"{name.replace('_', ' ')} {x:.3g}" for name, x in self.condition_numbers.items())
         return (f"{self.machine_name}: {problem.basis.duration:g} s of {', '.join(moving)} at {problem.rate:g} Hz, "
                 f"{problem.information.criterion} = {self.value:.4g}, {self.best_random.value:.4g} by the best of "
                 f"{self.random_motions} random motions, whose {self.compared} {self.gain:.3g} times as large\n"
@@ -276,18 +276,18 @@ class Excitation(Answer):
         rows = (K / (parameters.weight[:, None] * parameters.scale)).reshape(-1, K.shape[2])
         raw = np.asarray(np.linalg.qr(rows, mode="r"))
         lengths = np.linalg.norm(raw, axis=0)
-        return {"raw": raw, "unit columns": raw / np.where(lengths > 0, lengths, 1.0), "scaled": self.factor}
+        return {"raw": raw, "unit_columns": raw / np.where(lengths > 0, lengths, 1.0), "scaled": self.factor}
 
     @cached_property
     def excited(self) -> int:
         """Number of base parameters of which the motion tells anything."""
-        return len(_sizes(self._regressors["unit columns"]))
+        return len(_sizes(self._regressors["unit_columns"]))
 
     @cached_property
     def condition_numbers(self) -> dict[str, float]:
         """Condition numbers of the regressor in the base parameters that are `excited`, by scaling.
 
-        ``raw`` in SI units; ``unit columns`` with columns of length one; ``scaled`` as the design sees it: forces in
+        ``raw`` in SI units; ``unit_columns`` with columns of length one; ``scaled`` as the design sees it: forces in
         standard deviations, parameters in their scales, and prior information added.
         """
         return {name: float(s[0] / s[-1]) for name, R in self._regressors.items() if len(s := _sizes(R))}

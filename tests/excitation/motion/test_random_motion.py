@@ -54,9 +54,9 @@ def test_condition_numbers_are_those_of_the_regressor() -> None:
     raw = K.reshape(-1, K.shape[2])
     scaled = (K * asked.weight[:, None] * asked.scale).reshape(raw.shape)
     assert motion.condition_numbers == pytest.approx({
-        "raw": np.linalg.cond(raw), "unit columns": np.linalg.cond(raw / np.linalg.norm(raw, axis=0)),
+        "raw": np.linalg.cond(raw), "unit_columns": np.linalg.cond(raw / np.linalg.norm(raw, axis=0)),
         "scaled": np.linalg.cond(scaled)}, rel=1e-6)
-    assert motion.condition_numbers["unit columns"] < motion.condition_numbers["raw"]
+    assert motion.condition_numbers["unit_columns"] < motion.condition_numbers["raw"]
 
 
 def test_a_motion_that_does_not_tell_all_excites_fewer_base_parameters(problem: ExcitationProblem,
@@ -87,7 +87,7 @@ def test_the_gain_is_a_ratio_of_standard_deviations(criterion: str, monkeypatch:
     assert said["best_random"]["motions"] == 2
     assert said["best_random"]["ratio"] == pytest.approx(motion.gain)
     assert set(said["condition_numbers"]) == set(said["best_random"]["condition_numbers"]) == {
-        "raw", "unit columns", "scaled"}
+        "raw", "unit_columns", "scaled"}
     assert "best of 2 random motions" in (tmp_path / "report.html").read_text()
     assert f"best of 2 random motions, whose {motion.compared}" in str(motion)
     assert bool(of_kind(motion.diagnostics, Kind.RANDOM_TELLS_MORE)) == (motion.gain < 1)
