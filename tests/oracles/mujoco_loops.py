@@ -143,7 +143,8 @@ class MujocoLoops:
         for guess in product(np.linspace(-3, 3, 7), repeat=len(unstated)):
             self.data.qpos[:] = begin
             self.data.qpos[unstated] = guess
-            if self._close() and np.all(np.abs((self.data.qpos - begin)[[self._dof(joint) for joint in known]]) < 0.4):
+            moved = (self.data.qpos - begin)[[self._dof(joint) for joint in known]] if self._close() else np.pi
+            if np.all(np.abs(np.angle(np.exp(1j * moved))) < 0.4):
                 break
         else:
             raise AssertionError("no posture closes the loops near the stated one")
