@@ -52,7 +52,7 @@ def expand(data: dict[str, Any], where: str) -> dict[str, str]:
             moved |= {f"links[{name}].joint.a": f"{own}.length", f"links[{name}].joint.friction": f"{own}.friction",
                       f"links[{name}]": own}
         links[there:there] = made
-        loops = data.setdefault("loops", [])
+        loops = _list(data.setdefault("loops", []), f"{where}: loops")
         loops.append({"name": linkage["name"], "link": names[1], "posture": linkage["posture"],
                       "to": {"link": linkage["moves"], "pin": linkage["coupler"]["pin"]}})
         moved |= {f"loops[{linkage['name']}].to.pin": f"linkages[{linkage['name']}].coupler.pin",
@@ -62,7 +62,8 @@ def expand(data: dict[str, Any], where: str) -> dict[str, str]:
 
 def _list(node: Any, where: str) -> list[Any]:
     if not isinstance(node, list):
-        raise MachineError("must be a list of tables", where=where, remedy="write [[linkages]] above each of them")
+        key = where.rpartition(" ")[2]
+        raise MachineError("must be a list of tables", where=where, remedy=f"write [[{key}]] above each of them")
     return node
 
 

@@ -138,6 +138,7 @@ def test_the_margin_to_dead_points_has_its_posture():
     "no unit": (digger('length = "0.9 m"', "length = 0.9"), r"linkages\[four_bar\]\.rocker\.length", "has no unit"),
     "no table": (digger("rocker = {", "rocker = 3\nrockers = {"), r"linkages\[four_bar\]", "table|unknown"),
     "not a list": (digger("[[linkages]]", "[linkages]"), "linkages", "must be a list of tables"),
+    "loops not a list": ("loops = 3\n" + DIGGER, "loops", "must be a list of tables"),
     "wrong unit": (digger('length = "0.9 m"', 'length = "0.9 kg"'), r"linkages\[four_bar\]\.rocker\.length", "kg"),
     "not parallel": (digger('a = "3 m",', 'a = "3 m", alpha = "5 deg",'), r"linkages\[four_bar\]",
                      "axes of 'rocker' and 'bucket' in the loop 'four_bar' do not point the same way"),
