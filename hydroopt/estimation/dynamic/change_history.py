@@ -292,8 +292,9 @@ def detect_changes(machine: Machine, sessions: Sequence[Sequence[Log] | Log | st
 
     Measured again, friction and offsets differ by more than residuals explain, without any order. Steps and drifts are
     held against this scatter, which is estimated from the sessions themselves (`session_scatter`), beside variances
-    of residuals by frequency and their degrees of freedom. Scatter raises no alarm; it is stated where it is
-    significant. Values are those of least squares, without bounds and conditions on bodies.
+    of residuals by frequency and their degrees of freedom. Where friction already differs between the halves of a log
+    by φ times what these explain (p < 1 %), squared differences count as 1/φ. Scatter raises no alarm; it is stated
+    where it is significant. Values are those of least squares, without bounds and conditions on bodies.
 
     Args:
         machine: nominal description, the same for all sessions.

@@ -227,10 +227,16 @@ def session_scan(model: Model, names: Sequence[str], sessions: Sequence[StoredIn
     mixed[np.ix_(touched, touched)] = np.abs(hidden)
     blocks = mixed.reshape(*shape, *shape).max(axis=(1, 3)) > 1e-3
     freedom = np.concatenate([*(session.freedom.ravel() for session in sessions), np.full(len(prior), np.inf)])
-    space = ChangeSpace(effects.reshape(-1, *shape), size.reshape(shape), left.T @ rest, left, freedom,
-                        solution.reshape(*shape, -1), np.eye(left.shape[1]))
-    random = columns * random_amounts(model, places, sessions)[:, None]
+    unit = np.sqrt(_within_logs(sessions))
+    space = ChangeSpace(effects.reshape(-1, *shape) / unit, size.reshape(shape) / unit, left.T @ rest / unit, left,
+                        freedom, solution.reshape(*shape, -1) * unit, np.eye(left.shape[1]))
+    random = columns * random_amounts(model, places, sessions)[:, None] / unit
     return SessionScan(tuple(names), space,
                        SessionScatter(left.T @ without(U, random.reshape(len(rows), -1)), space.sums),
                        tuple(tuple(int(i) for i in np.flatnonzero(row) if i != j) for j, row in enumerate(blocks)),
                        seed)
+
+
+def _within_logs(sessions: Sequence[StoredInformation]) -> float:
+    """φ by which squared differences exceed what residuals explain, where they do so between the halves of a log."""
+    return 1.0 if all(one.steady for one in sessions) else float(np.mean([one.split_half for one in sessions]))

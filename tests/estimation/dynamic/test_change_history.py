@@ -149,6 +149,14 @@ def test_what_the_named_parameters_leave_is_told_with_its_likeliest_cause():
     assert "alone explains the rest, with a step at session 4" in of_kind(found.findings, Kind.SINGLE_COURSE)[0].text
 
 
+def test_logs_that_differ_within_themselves_hold_the_sessions_to_that():
+    sound, unsteady = (compared(over_sessions(0.5, Shape(3), np.random.default_rng(6), split_half=phi))
+                       for phi in (1.0, 30.0))
+    assert sound.detected
+    assert not unsteady.detected
+    assert unsteady.p_value > 0.05 > sound.p_value
+
+
 def test_sessions_that_scatter_hold_steps_to_that():
     rng, truth = np.random.default_rng(6), PLANAR.parameters.nominal
     friction = PLANAR.parameters.matching("friction")
