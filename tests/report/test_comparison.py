@@ -16,6 +16,7 @@ from hydroopt import cli, load_machine, read_log
 from hydroopt.cli import app
 from hydroopt.errors import SolverError
 from hydroopt.estimation.dynamic.change import detect_change
+from hydroopt.estimation.dynamic.experiment import experiment
 from hydroopt.estimation.dynamic.payload import payload
 from hydroopt.estimation.dynamic.stored_information import stored_information
 from hydroopt.model.model import Model
@@ -182,15 +183,20 @@ def test_a_failed_solver_leaves_its_reason_only(made: Path, tmp_path: Path, monk
 
 
 def test_what_is_kept_reproduces_the_fit(made: Path) -> None:
-    """Independent of the code that reads it: the triangles' normal equations give back the weighted residual."""
+    """Independent of the code that reads it: the triangles' normal equations fit the log as its own least squares do."""
     content = json.loads((made / "kept/estimate.json").read_text())
     with (made / "kept/information.csv").open() as file:
         rows = list(csv.DictReader(file))
     names = [one["name"] for one in content["parameters"]]
     T = np.array([[float(row[key]) for key in [*names, "force"]] for row in rows])
-    calibrated = load_machine(made / "kept/patu655_lift.toml")
-    from hydroopt.model.model import Model
-    psi = Model(calibrated).parameters.nominal
-    weight = content["weights"]["lift_cylinder"]
-    squares = float(np.sum((T @ [*psi, -1.0]) ** 2)) * weight["correlation_time"]
-    assert squares / weight["samples"] == pytest.approx(1.0, abs=0.05)
+    data = experiment(Model(CRANE), read_log(made / "a/log.csv"))
+    taken = data.inside & data.known[:, 0]
+    K, force = (values[taken, 0] for values in (data.equations()[0][0], data.force))
+    size = np.maximum(np.linalg.norm(K, axis=0), 1e-12)
+
+    def error(rows: np.ndarray, right: np.ndarray) -> float:
+        psi = np.linalg.lstsq(rows / size, right, rcond=1e-9)[0] / size
+        return float(np.linalg.norm(force - K @ psi))
+
+    assert error(T[:, :-1], T[:, -1]) == pytest.approx(error(K, force), rel=0.02)
+    assert content["weights"]["lift_cylinder"]["samples"] == len(force)
