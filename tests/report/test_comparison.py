@@ -183,7 +183,7 @@ def test_a_failed_solver_leaves_its_reason_only(made: Path, tmp_path: Path, monk
 
 
 def test_what_is_kept_reproduces_the_fit(made: Path) -> None:
-    """Independent of the code that reads it: the triangles' normal equations fit the log as its own least squares do."""
+    """Independent of the code that reads it: the triangles fit the log as its own least squares do."""
     content = json.loads((made / "kept/estimate.json").read_text())
     with (made / "kept/information.csv").open() as file:
         rows = list(csv.DictReader(file))
