@@ -127,10 +127,12 @@ def test_samples_stay_on_a_linear_equality_and_inside_inequalities(free_wheel: I
 
 
 @pytest.mark.slow
-def test_fixed_parameter_has_no_spread_and_a_curved_equality_no_intervals(noisy: IdentificationProblem) -> None:
+def test_fixed_parameter_has_no_interval_and_a_curved_equality_no_intervals(noisy: IdentificationProblem) -> None:
     fixed = identify(noisy.fix("boom.m", 1700.0))
     k = noisy.parameters.index("boom.m")
-    assert fixed.std[k] == pytest.approx(0, abs=1e-6)
+    assert (fixed.value[k], fixed.category(k)) == (1700.0, "fixed")
+    assert np.isnan(fixed.std[k])
+    assert np.ptp(fixed.posterior.samples[:, k]) == pytest.approx(0, abs=1e-6)
     assert np.nanmax(fixed.std) > 0
     curved = identify(noisy.subject_to("product", lambda p: p["boom.m"] * p["stick.m"] == 1.2e6), "nlp")
     assert np.all(np.isnan(curved.std))
