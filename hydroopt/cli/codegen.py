@@ -36,5 +36,5 @@ def codegen(
         echo(f"! {diagnostic}", err=True)
     if not quiet:
         echo(f"{output}: {', '.join(files)}")
-        for reason, names in code.missing.items():
-            echo(f"missing: {', '.join(names)}, since {reason}")
+    for reason, names in code.missing.items():
+        echo(f"missing: {', '.join(names)}, since {reason}", err=quiet)

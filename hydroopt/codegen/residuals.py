@@ -115,10 +115,15 @@ def closure(api: Symbols) -> Routine:
         outputs["by_geometry"] = ca.jacobian(rows, g)
     guards = [*api.straight(chain.loop_sines(g, q))]
     guards += [Guard(value, ">", COINCIDENT, "OPEN_TRIANGLE") for value in ca.vertsplit(distance)] if count else []
+    held = [one.name for one in api.machine.fixtures if one.kind != "ball"]
+    lost = {"by_geometry": missing} if missing else {}
+    if held:
+        lost["orientation"] = (f"fixtures {', '.join(held)} are no balls, and this routine compares the tip's position "
+                               "with the fixture's only")
     return Routine("closure", "Loop closure with its Jacobians by angles and by geometry. Dynamic parameters do not "
                    "enter it." if not missing else "Loop closure with its Jacobian by angles. Dynamic parameters do "
                    "not enter it.", takes, reads, gives, outputs, tuple(guards), distance if count else None,
-                   {"by_geometry": missing} if missing else {})
+                   lost)
 
 
 def wrench_forces(api: Symbols) -> Routine:
