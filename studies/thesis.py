@@ -158,7 +158,7 @@ def identified(problem: IdentificationProblem, names: Iterable[str]) -> np.ndarr
 
     Rows are not weighted, as in Eq. 4.58, so that newtons count as much as newton metres.
     """
-    R, r, _ = compress(problem.model, problem.experiments).weighted(np.ones(len(problem.force_std)))
+    R, r, _ = compress(problem.experiments).weighted(np.ones(len(problem.force_std)))
     columns = problem.parameters.select(list(names))
     psi = np.zeros(len(problem.parameters))
     psi[columns] = truncated_svd(R[:, columns], r, RANK_TOLERANCE)[0]

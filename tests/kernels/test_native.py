@@ -214,9 +214,21 @@ def test_a_compiler_that_hangs_is_ended_with_all_that_it_started(folder: Path, c
     assert len(compiled) == 1  # it is not tried again
     assert "no answer within 1 s" in caplog.text
     pid = int(told.read_text())
-    status = Path(f"/proc/{pid}/stat")
-    assert not status.exists() or status.read_text().rpartition(")")[2].split()[0] in "ZX"
+    assert _ends(pid, within=10.0)
     assert not list(folder.iterdir())
+
+
+def _ends(pid: int, within: float) -> bool:
+    """Whether a process has ended or ends within a time [s]: one that is killed needs a turn of a busy machine to."""
+    until, status = time.monotonic() + within, Path(f"/proc/{pid}/stat")
+    while time.monotonic() < until:
+        try:
+            if status.read_text().rpartition(")")[2].split()[0] in "ZX":
+                return True
+        except OSError:
+            return True
+        time.sleep(0.05)
+    return False
 
 
 def test_a_compiler_finds_nothing_in_the_working_directory(folder: Path, compiled: list[Path],
