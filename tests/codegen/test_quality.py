@@ -408,8 +408,8 @@ def test_random_inputs_give_a_status_and_a_result_that_fits_it(machine: str, rea
     for (routine, mode), count in counts.items():
         assert sum(count[status] for status in STATUSES) == INPUTS // len(MODES)
         assert count["unknown"] == 0, (routine, mode, count)
-        if (routine, mode) != ("prepare", "tiny"):  # that a triangle has no sides shows in what was made of them
-            assert count["touched"] == 0, (routine, mode, count)
+        # that a triangle has no sides shows in what was prepared of them
+        assert count["touched"] <= (count["OPEN_TRIANGLE"] if routine == "prepare" else 0), (routine, mode, count)
         if mode == "bad":
             assert count["NOT_FINITE"] > 0, (routine, count)
         if mode == "usual" or (mode == "near" and routine != "payload_start"):
