@@ -98,17 +98,21 @@ class Holds:
         """Number of samples (n,) in all holds, the short ones too."""
         return np.array([sum(hold.samples for hold in holds) for holds in self.holds])
 
-    def equations(self, second_moment: Array, noise: Array) -> Iterator[HoldEquations]:
+    def levers(self, count: int) -> list[Array]:
+        """Sizes (h, count) of the columns of dry friction of each actuator, in its holds that last long enough."""
+        return [np.array([hold.lever for hold in holds]).reshape(-1, count) for holds in self.lasting]
+
+    def equations(self, second_moments: Sequence[Array], noise: Array) -> Iterator[HoldEquations]:
         """Those of each actuator.
 
         Args:
-            second_moment: (p, p) expectation of ψ·ψᵀ, from which the size of the friction follows.
+            second_moments: (p, p) expectation of ψ·ψᵀ for each actuator, from which the size of its friction follows.
             noise: (n,) standard deviation of each actuator's force reading.
         """
-        for own, holds, sigma in zip(self.own, self.lasting, noise, strict=True):
+        for own, holds, levers, moment, sigma in zip(self.own, self.lasting, self.levers(len(second_moments[0])),
+                                                     second_moments, noise, strict=True):
             means = np.array([hold.total / hold.samples for hold in holds]).reshape(-1, len(own) + 1)
-            levers = np.array([hold.lever for hold in holds]).reshape(-1, len(second_moment))
-            bound = float(np.einsum("hj,jk,hk->", levers, second_moment, levers)) / max(len(holds), 1)
+            bound = float(np.einsum("hj,jk,hk->", levers, moment, levers)) / max(len(holds), 1)
             yield HoldEquations(own, means, max(bound, 0.0), float(sigma))
 
 

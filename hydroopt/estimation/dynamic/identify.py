@@ -168,7 +168,8 @@ def _solve_at(problem: IdentificationProblem, point: Array, method: Method, tole
 
     weighted = weighted_residuals(
         problem, tolerance,
-        least_squares if method in _LINEAR else lambda R, r: most_probable(problem, method, R, r).psi, point)
+        least_squares if method in _LINEAR else lambda R, r: most_probable(problem, method, R, r).psi, point,
+        priors=method not in _LINEAR)
     weighted = weighted if freed is None else freed.widened(weighted)
     names = problem.parameters.names
     from_data = identifiability.analyse(weighted.plain[0], names, tolerance=tolerance)

@@ -88,6 +88,24 @@ class ScoreCovariance:
     holds: tuple[Array, ...]
 
 
+def correlation_time(spectra: Sequence[Spectrum], sigma: Array) -> Array:
+    """Variance (n,) of the residuals where the parameters act over σ², at least 1; in samples."""
+    return np.maximum(1.0, 1 / (np.array([spectrum.weight for spectrum in spectra]) * sigma**2))
+
+
+def spectra_in_motion(problem: PriorProblem, logs: Sequence[ActuatorBands], sigma: Array,
+                      least: Array) -> tuple[Spectrum, ...]:
+    """Spectra of each actuator's residuals, arguments as of `score_covariance`, by the samples in motion alone."""
+    return band_variances(_together(logs).channels(), sigma, problem.prior_rows, problem.parameters.scale, least**2)
+
+
+def _together(logs: Sequence[ActuatorBands]) -> ActuatorBands:
+    together = logs[0].copy()
+    for more in logs[1:]:
+        together.add(more)
+    return together
+
+
 def score_covariance(problem: PriorProblem, logs: Sequence[ActuatorBands], sigma: Array, least: Array,
                      holds: Sequence[HoldEquations]) -> ScoreCovariance:
     """The information of each actuator about ψ by the covariance of its score.
@@ -100,9 +118,7 @@ def score_covariance(problem: PriorProblem, logs: Sequence[ActuatorBands], sigma
         holds: equations of each actuator at rest.
     """
     scale, prior = problem.parameters.scale, problem.prior_rows
-    together = logs[0].copy()
-    for more in logs[1:]:
-        together.add(more)
+    together = _together(logs)
     channels = together.channels()
     at_rest = [one.channel(BANDS) for one in holds]
     found = band_variances([*channels, *at_rest], np.append(sigma, [one.initial_std for one in holds]), prior, scale,
@@ -112,7 +128,6 @@ def score_covariance(problem: PriorProblem, logs: Sequence[ActuatorBands], sigma
     shared: list[list[Shared]] = [[] for _ in channels]
     if len(logs) > 1:
         between_logs, shared = _between(logs, channels, spectra, problem.parameters, prior)
-    weight = np.array([spectrum.weight for spectrum in spectra])
     means = [one.mean(float(spectrum.variance[0])) for one, spectrum in zip(holds, between_holds, strict=True)]
     rows = [_rows_at_rest(channel, spectrum, mean, len(scale))
             for channel, spectrum, mean in zip(at_rest, between_holds, means, strict=True)]
@@ -120,7 +135,7 @@ def score_covariance(problem: PriorProblem, logs: Sequence[ActuatorBands], sigma
         tuple(score_rows(*_with_holds(channel, spectrum, hold, between, mean), scale, extra)
               for channel, spectrum, hold, between, mean, extra
               in zip(channels, spectra, at_rest, between_holds, means, shared, strict=True)),
-        np.maximum(1.0, 1 / (weight * sigma**2)), between_logs,
+        correlation_time(spectra, sigma), between_logs,
         _split_halves(logs, together, sigma, prior, scale, least), tuple(rows))
 
 

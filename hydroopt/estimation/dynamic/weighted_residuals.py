@@ -13,6 +13,7 @@ from hydroopt.estimation.dynamic import fitted_motion
 from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment
 from hydroopt.estimation.dynamic.folding import split, triangle
 from hydroopt.estimation.dynamic.frequency_bands import ActuatorBands
+from hydroopt.estimation.dynamic.holds import Holds
 from hydroopt.estimation.dynamic.regressor_qr import (
     CompressedRegressor,
     compress,
@@ -20,7 +21,12 @@ from hydroopt.estimation.dynamic.regressor_qr import (
     compress_jointly,
     compressed,
 )
-from hydroopt.estimation.dynamic.score_covariance import SplitHalf, score_covariance
+from hydroopt.estimation.dynamic.score_covariance import (
+    SplitHalf,
+    correlation_time,
+    score_covariance,
+    spectra_in_motion,
+)
 from hydroopt.estimation.inference import least_squares
 from hydroopt.estimation.inference.band_variances import ScoreRows
 from hydroopt.estimation.inference.nlp import ResidualTerm
@@ -109,6 +115,8 @@ class WeightedResiduals(Generic[Problem]):
         split_half: how much friction and offsets differ between the halves of each log.
         holds: rows (·, p+1) of [K, f] of each actuator at rest (`hydroopt.estimation.dynamic.holds`), whose errors have
             unit variance.
+        stated_friction: actuators whose size of dry friction at rest is the machine file's, though its confidences do
+            not count otherwise: no sample in motion shows it.
         fit: of motion and parameters together, where requested.
     """
 
@@ -126,6 +134,7 @@ class WeightedResiduals(Generic[Problem]):
     between_logs: float
     split_half: tuple[SplitHalf, ...]
     holds: tuple[Array, ...]
+    stated_friction: tuple[str, ...] = ()
     fit: fitted_motion.FittedMotion | None = None
 
     def problem_at(self, psi: Array) -> Problem:
@@ -161,6 +170,9 @@ class WeightedResiduals(Generic[Problem]):
     def notes(self) -> tuple[str, ...]:
         """How angles and channels were treated, in sentences."""
         notes = []
+        if self.stated_friction:
+            notes.append(f"no sample in motion shows the dry friction of {', '.join(self.stated_friction)}: its size "
+                         "at rest is taken from the machine file")
         if self.problem.fitted_motion:
             notes.append("motion and parameters are fitted together; the fit of the training data is that of the "
                          "fitted motion, validation data keep their smoothed motion")
@@ -175,7 +187,7 @@ class WeightedResiduals(Generic[Problem]):
 
 
 def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostProbable,
-           point: Array | None = None) -> WeightedResiduals[Problem]:
+           point: Array | None = None, *, priors: bool = True) -> WeightedResiduals[Problem]:
     """Weight residuals and compress them.
 
     Args:
@@ -183,6 +195,8 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
         tolerance: part of the largest singular value below which a direction is not identifiable.
         most_probable: the estimator with which a motion is fitted.
         point: (p,) parameters at which forces are linearised that are not linear in them; the nominal ones if None.
+        priors: whether the machine file's confidences count. Without them, they tell the size of dry friction at rest
+            only where no sample in motion does.
 
     Raises:
         IdentifiabilityError: no joint moves, and there is a single posture.
@@ -212,8 +226,13 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
                                 weights, psi, most_probable, where)
         problem, psi = problem.with_experiments(fit.experiments(fit.psi)), fit.psi
         folded = [one.bands(psi) for one in problem.experiments]
-    equations = tuple(holds.equations(_second_moment(problem, data, sigma), np.nan_to_num(problem.force_std)))
-    found = score_covariance(problem, folded, sigma, _smallest(data) if problem.reweight else sigma, equations)
+    stated = _stated_friction(problem, data, holds) if not priors else ()
+    least, wide = _smallest(data) if problem.reweight else sigma, sigma
+    if np.any(holds.counts):
+        wide = sigma * np.sqrt(correlation_time(spectra_in_motion(problem, folded, sigma, least), sigma))
+    equations = tuple(holds.equations(_second_moments(problem, data, wide, priors, stated),
+                                      np.nan_to_num(problem.force_std)))
+    found = score_covariance(problem, folded, sigma, least, equations)
     # correlated residuals carry less information than as many independent ones
     wide = sigma * np.sqrt(found.correlation_time)
     plain = data.weighted(wide)
@@ -238,7 +257,7 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
         triangles = np.array([one.triangle(widened=True) for one in scores])
         R, r, rest = split(triangle(*triangles))
     return WeightedResiduals(problem, R, r, rest, plain, data.samples, triangles, scores, sigma, correlation,
-                             found.correlation_time, found.between_logs, found.split_half, found.holds, fit)
+                             found.correlation_time, found.between_logs, found.split_half, found.holds, stated, fit)
 
 
 def _triangle(R: Array, r: Array, rest: float) -> Array:
@@ -246,10 +265,23 @@ def _triangle(R: Array, r: Array, rest: float) -> Array:
     return np.block([[R, r[:, None]], [np.zeros((1, len(r))), np.full((1, 1), np.sqrt(rest))]])
 
 
-def _second_moment(problem: ResidualProblem, data: CompressedRegressor, sigma: Array) -> Array:
-    """Expectation (p, p) of ψ·ψᵀ by the samples in motion and the priors."""
-    found = gaussian_posterior(problem, *data.weighted(sigma)[:2])
-    return np.asarray(np.outer(found.offset, found.offset) + found.slope @ found.slope.T)
+def _stated_friction(problem: ResidualProblem, data: CompressedRegressor, holds: Holds) -> tuple[str, ...]:
+    """Actuators with dry friction at rest that no sample in motion shows, so that only the machine file tells it."""
+    shown = np.any(data.triangles[:, :, :-1] != 0, axis=(0, 1))
+    levers = holds.levers(len(shown))
+    return tuple(actuator.name for actuator, lever in zip(problem.model.machine.actuators, levers, strict=True)
+                 if np.any(lever[:, ~shown] != 0))
+
+
+def _second_moments(problem: ResidualProblem, data: CompressedRegressor, sigma: Array, priors: bool,
+                    stated: Sequence[str]) -> list[Array]:
+    """Expectation (p, p) of ψ·ψᵀ for each actuator, by the samples in motion and, where they count, the priors."""
+    def expected(*, priors: bool) -> Array:
+        found = gaussian_posterior(problem, *data.weighted(sigma)[:2], priors=priors)
+        return np.asarray(np.outer(found.offset, found.offset) + found.slope @ found.slope.T)
+
+    by = {counts: expected(priors=counts) for counts in {priors, priors or bool(stated)}}
+    return [by[priors or actuator.name in stated] for actuator in problem.model.machine.actuators]
 
 
 def misfit(weighted: WeightedResiduals[Problem], psi: Array) -> float:

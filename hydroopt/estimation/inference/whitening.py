@@ -65,8 +65,8 @@ class GaussianPosterior:
                                  self.right - self.root @ origin)
 
 
-def gaussian_posterior(problem: InferenceProblem, R: Array, r: Array) -> GaussianPosterior:
-    """The Gaussian ``exp(−½‖R·ψ − r‖²)`` times the priors."""
+def gaussian_posterior(problem: InferenceProblem, R: Array, r: Array, *, priors: bool = True) -> GaussianPosterior:
+    """The Gaussian ``exp(−½‖R·ψ − r‖²)`` times the priors, or without them."""
     nominal, scale = problem.parameters.nominal, problem.parameters.scale
     p = len(nominal)
 
@@ -74,7 +74,7 @@ def gaussian_posterior(problem: InferenceProblem, R: Array, r: Array) -> Gaussia
         return (np.vstack([np.vstack([R, rows]) * scale, np.eye(p) / WIDEST]),
                 np.concatenate([r - R @ nominal, right - rows @ nominal, np.zeros(p)]))
 
-    A, b = stacked(*problem.prior_rows)
+    A, b = stacked(*(problem.prior_rows if priors else (np.zeros((0, p)), np.zeros(0))))
     U, s, Vt = np.linalg.svd(A, full_matrices=False)
     mean, slope = Vt.T @ (U.T @ b / s), Vt.T / s
     root, rest = np.eye(p), np.zeros(p)

@@ -104,6 +104,31 @@ def test_friction_at_rest_does_not_bias_gravity(at_rest: str) -> None:
     assert len(np.unique(np.array(scaled)[:, 0])) == 6
 
 
+def swing_and_rest() -> Trajectory:
+    """Three swings of four seconds each, and two seconds of rest after each of them."""
+    t = np.arange(0, 18, 1 / RATE)
+    share = np.clip(t % 6 / 4, 0.0, 1.0)
+    begin, size, phase = np.radians(10 + 20 * (t // 6)), np.radians(20), 2 * np.pi * share
+    q = begin + size * (share - np.sin(phase) / (2 * np.pi)) - size * np.sin(phase) ** 2 / 4
+    qd, qdd = (np.gradient(of, t) for of in (q, np.gradient(q, t)))
+    return Trajectory(t, q[:, None], qd[:, None], qdd[:, None])
+
+
+@pytest.mark.parametrize("moves", [True, False])
+def test_least_squares_take_the_size_of_friction_from_the_file_only_where_nothing_moves(moves: bool) -> None:
+    motion, answers = swing_and_rest() if moves else twelve_holds(), []
+    for stated in (2000.0, 20.0):
+        path, machine = f"{CRANE.cylinders[0].name}.friction.coulomb", CRANE
+        notes = dict(machine.notes) | {path: machine.notes[path].model_copy(update={"sigma": stated})}
+        model = Model(machine.model_copy(update={"notes": notes}))
+        log = simulate(model, motion, model.parameters.nominal, seed=3)
+        answers.append(identify(identification_problem(model, [log]).by_data_alone(), "wls"))
+    assert ("the dry friction of lift_cylinder: its size at rest is taken from the machine file"
+            in " ".join(answers[0].notes)) is not moves
+    one, other = (np.linalg.norm(answer.weighted_residuals.holds[0][-1]) for answer in answers)
+    assert other / one == pytest.approx(1.0, rel=0.05) if moves else other > 5 * one  # the mean over all holds
+
+
 def test_one_hold_is_one_equation_however_long_it_is() -> None:
     model = crane(1000.0)
     log = simulate(model, twelve_holds(), model.parameters.nominal, seed=3)
@@ -111,7 +136,7 @@ def test_one_hold_is_one_equation_however_long_it_is() -> None:
     assert bands.holds.counts.tolist() == [COUNT]
     assert bands.samples.tolist() == [0]
     assert bands.holds.samples.tolist() == [COUNT * SAMPLES]
-    (equations,) = bands.holds.equations(np.outer(model.parameters.nominal, model.parameters.nominal), np.zeros(1))
+    (equations,) = bands.holds.equations([np.outer(model.parameters.nominal, model.parameters.nominal)], np.zeros(1))
     assert equations.bound == pytest.approx(1000.0**2)  # the lever of a cylinder's own friction is 1
     assert len(equations.differences) == COUNT - 1
     dense = np.linalg.lstsq(np.column_stack([np.ones(COUNT), equations.means[:, :-1]]), equations.means[:, -1],
