@@ -2,7 +2,8 @@
 
 CasADi's own code keeps the order and the sharing in which expressions were written. Here every operation is looked up
 before it is made, whatever the order or the signs of its operands, and quotients become products with a shared
-reciprocal. That changes rounding, and what overflows on the way to a finite result; nothing else.
+reciprocal, sine and cosine of an angle found by atan2 with the vector itself. That changes rounding, what overflows on
+the way to a finite result, and where this vector vanishes, which has no direction: there it is no number; nothing else.
 """
 
 from __future__ import annotations
@@ -231,12 +232,36 @@ class _Maker:
                 op = "pow"
         if op not in UNARY | BINARY or (op == "pow" and self.number(b) is None):
             raise NotImplementedError(f"the operation '{op}' has no C counterpart here")
+        if op in ("sin", "cos") and (turn := self.vector_angle(a)) is not None:
+            return self.of_sum(op, *turn)
         if op in EVEN:
             return self.node(op, (Ref(a.node),))
         if op in ODD:
             ref = self.node(op, (Ref(a.node),))
             return -ref if a.negative else ref
         return self.positive(op, operands)
+
+    def vector_angle(self, angle: Ref) -> tuple[Ref, Ref] | None:
+        """An angle as that of a vector and what is added to it; None if no term of it is one."""
+        node = self.nodes[angle.node]
+        terms = node.operands if node.op == "sum" else (Ref(angle.node),)
+        own = next((term for term in terms if self.nodes[term.node].op == "atan2"), None)
+        if own is None:
+            return None
+        rest = self.sum(term for term in terms if term != own)
+        return (-own, -rest) if angle.negative else (own, rest)
+
+    def of_sum(self, op: str, own: Ref, rest: Ref) -> Ref:
+        """Sine or cosine of a vector's angle and another one, without the angle of the vector."""
+        y, x = self.nodes[own.node].operands
+        unit = self.inverse(self.apply("sqrt", [self.sum((self.product((x, x)), self.product((y, y))))]))
+        cosine, sine = self.product((x, unit)), self.product((-y if own.negative else y, unit))
+        value = self.number(rest)
+        along, across = ((self.apply("cos", [rest]), self.apply("sin", [rest])) if value is None else
+                         (self.constant(math.cos(value)), self.constant(math.sin(value))))
+        if op == "cos":
+            return self.sum((self.product((cosine, along)), -self.product((sine, across))))
+        return self.sum((self.product((sine, along)), self.product((cosine, across))))
 
     def positive(self, op: str, operands: list[Ref]) -> Ref:
         # a negative operand becomes a value of its own

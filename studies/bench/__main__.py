@@ -4,6 +4,7 @@ import sys
 
 from studies.bench import jobs, kernels
 from studies.bench.excitation import excitation
+from studies.bench.linkage import linkage
 from studies.bench.montecarlo import montecarlo
 from studies.bench.plant import plant
 from studies.bench.start import start
@@ -11,8 +12,8 @@ from studies.bench.streaming import streaming
 
 # memory first: the most that this process has ever held counts as the peak of those that it starts
 PARTS = {"streaming": streaming, "identify": jobs.identify, "calibration": jobs.calibration,
-         "excavator": kernels.excavator, "arm": kernels.arm, "batch": kernels.batch, "first": kernels.first,
-         "excitation": excitation, "plant": plant, "start": start, "montecarlo": montecarlo}
+         "excavator": kernels.excavator, "arm": kernels.arm, "linkage": linkage, "batch": kernels.batch,
+         "first": kernels.first, "excitation": excitation, "plant": plant, "start": start, "montecarlo": montecarlo}
 
 
 def main(names: list[str]) -> None:
