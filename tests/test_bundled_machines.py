@@ -1,0 +1,105 @@
+"""Every bundled machine: its file, its weight against its actuators, and the main jobs with it."""
+
+from __future__ import annotations
+
+import subprocess
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from fixtures.periodic import PERIOD, PERIODIC
+from fixtures.tiers import tiered
+from hydroopt.cli import app
+from hydroopt.cli.machine_facts import machine_facts
+from hydroopt.estimation.dynamic.identify import identify
+from hydroopt.estimation.dynamic.problem import identification_problem
+from hydroopt.estimation.inference.identifiability import structural
+from hydroopt.machine.actuators import Drive
+from hydroopt.machine.machine_file import bundled, load_machine
+from hydroopt.model.model import Model
+from hydroopt.simulation.simulate import Trajectory, forces, random_trajectory, random_truth, simulate
+from oracles.subjects import states
+
+MODELS = Path(__file__).parents[1] / "models"
+LONG = {"cat215b", "panda", "panda_mukca", "kr300", "ur10", "ur10e", "excavator_bucket"}
+"""Machines with several parameter sets, valves or six joints and more, whose files may be longer than 150 lines."""
+UNACTUATED = {"panda_mukca"}
+"""Machines that state geometry only: no bodies, so that nothing is to be identified from forces."""
+DYNAMIC = tuple(name for name in bundled() if name not in UNACTUATED)
+
+
+@cache
+def model(name: str) -> Model:
+    return Model(load_machine(name))
+
+
+@pytest.mark.parametrize("name", bundled())
+def test_file_is_short_and_says_where_its_numbers_come_from(name: str) -> None:
+    lines = (MODELS / f"{name}.toml").read_text("utf-8").splitlines()
+    assert len(lines) <= 150 or name in LONG
+    assert all(line.startswith("#") for line in lines[:2]), "the header says what it is and where its numbers come from"
+    machine = load_machine(name)
+    assert machine.name == name
+    assert machine.description
+    unsourced = [path for path, note in machine.notes.items() if note.sigma is not None and not note.source]
+    assert not unsourced, f"{unsourced[:3]} state a confidence without a source"
+
+
+@pytest.mark.parametrize("name", DYNAMIC)
+def test_actuators_carry_the_weight(name: str) -> None:
+    """Static forces in random postures stay within what relief pressures and motors allow."""
+    subject = model(name)
+    q, qd, qdd = states(subject.machine, np.random.default_rng(1), 400)
+    held = forces(subject, Trajectory(np.arange(400.0), q, 0 * qd, 0 * qdd), subject.parameters.nominal)
+    assert np.all(np.isfinite(held))
+    for k, actuator in enumerate(subject.machine.actuators):
+        if isinstance(actuator, Drive):
+            push = pull = actuator.max_torque
+        else:
+            push, pull = ((area * actuator.relief_pressure if actuator.relief_pressure else None)
+                          for area in actuator.areas)
+        if push is not None:
+            assert -pull < held[:, k].min(), f"{actuator.name} cannot hold the machine"
+            assert held[:, k].max() < push, f"{actuator.name} cannot hold the machine"
+
+
+@pytest.mark.parametrize("name", bundled())
+def test_show_has_nothing_to_object(name: str) -> None:
+    facts = machine_facts(load_machine(name))
+    assert not facts["diagnostics"]
+    assert all(each["margin_deg"] > 10 for each in facts["linkages"])
+
+
+@pytest.mark.parametrize("name", tiered(DYNAMIC, lambda name: name == "patu655"))
+def test_perfect_sensors_give_back_the_truth(name: str) -> None:
+    subject = model(name)
+    truth = random_truth(subject, 3)
+    logs = [simulate(subject, random_trajectory(subject, duration=PERIOD, rate=12.5, seed=seed), truth, noise=False,
+                     name=f"motion {seed}") for seed in (1, 2, 99)]
+    problem = identification_problem(subject.machine, logs[:2], logs[2:], smoothing=PERIODIC)
+    estimate = identify(problem, "wls", tolerance=1e-9, intervals=False)
+    assert max(fit.relative for fit in estimate.fit["validation"].values()) < 1e-9
+    grouping = structural(subject).grouping
+    base = grouping @ truth
+    np.testing.assert_allclose(grouping @ estimate.psi, base, rtol=1e-6, atol=1e-11 * np.max(np.abs(base)))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", DYNAMIC)
+def test_a_motion_is_designed_within_all_limits(name: str, tmp_path: Path) -> None:
+    answer = CliRunner().invoke(app, ["excite", name, "--seconds", "2", "--starts", "2", "--processes", "1", "--quiet",
+                                      "-o", str(tmp_path / "out")])
+    assert answer.exit_code == 0, answer.output
+    assert (tmp_path / "out" / "trajectory.csv").is_file()
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", bundled())
+def test_generated_c_compiles_and_passes_its_own_test(name: str, tmp_path: Path) -> None:
+    answer = CliRunner().invoke(app, ["codegen", name, "-o", str(tmp_path / "c")])
+    assert answer.exit_code == 0, answer.output
+    made = subprocess.run(["make", "-C", str(tmp_path / "c"), "check"], capture_output=True, text=True, check=False)
+    assert made.returncode == 0, made.stdout + made.stderr
