@@ -146,18 +146,23 @@ def _with_base(data: dict[str, Any], where: str) -> dict[str, Any]:
     return merged
 
 
-def _merged(base: Any, own: Any) -> Any:
-    """What a machine is based on, with its own statements in place."""
+def _merged(base: Any, own: Any, key: str = "") -> Any:
+    """What a machine is based on, with its own statements in place.
+
+    Of parts with a name those that the base has not come last, as a link behind its parent, but stages first: what
+    moved before is frozen.
+    """
     if isinstance(base, dict) and isinstance(own, dict):
-        return base | {key: _merged(base[key], value) if key in base else value for key, value in own.items()}
+        return base | {name: _merged(base[name], value, name) if name in base else value for name, value in own.items()}
     parts = [part for each in (base, own) if isinstance(each, list) for part in each]
     if not parts or not isinstance(base, list) or not isinstance(own, list) or not all(
             isinstance(part, dict) and "name" in part for part in parts):
         return own
     stated = {part["name"]: part for part in own}
     known = {part["name"] for part in base}
-    return [*(part for part in own if part["name"] not in known),
-            *(_merged(part, stated.get(part["name"], {})) for part in base)]
+    more = [part for part in own if part["name"] not in known]
+    same = [_merged(part, stated.get(part["name"], {})) for part in base]
+    return more + same if key == "stages" else same + more
 
 
 def _choose_parameter_set(data: dict[str, Any], wanted: str | None, where: str) -> dict[str, str]:
