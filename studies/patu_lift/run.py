@@ -8,6 +8,7 @@ from hydroopt import identification_problem, load_machine, read_log, solve
 from hydroopt.estimation.dynamic.regressor_qr import predict
 from hydroopt.results.diagnostic import of_kind
 from hydroopt.results.wording import Kind
+from studies.patu_lift.tilt import with_tilt
 
 HERE = Path(__file__).parent
 DATA = HERE.parents[2] / "shared" / "data" / "patu_log_crane" / "patu_measured_100Hz.csv"
@@ -32,4 +33,5 @@ def run() -> dict | None:
         "friction_against_gravity_reported": any(found.evidence["effects"] == "Coulomb friction and gravity"
                                                  for found in of_kind(estimate.diagnostics, Kind.CONFOUNDED)),
         "friction_std_without_prior_N": round(float(free.std[friction]), 0),
-        "friction_std_with_prior_N": round(float(estimate.std[friction]), 0)}
+        "friction_std_with_prior_N": round(float(estimate.std[friction]), 0),
+        **with_tilt(DATA)}
