@@ -21,11 +21,11 @@ ROOT = Path(__file__).parents[1]
 README = (ROOT / "README.md").read_text("utf-8")
 
 
-def block(language: str) -> str:
-    """The first one of a language."""
+def block(language: str, place: int = 0) -> str:
+    """The first one of a language, or one after it."""
     found = re.findall(rf"```{language}\n(.*?)```", README, re.DOTALL)
-    assert found
-    return found[0]
+    assert len(found) > place
+    return found[place]
 
 
 def test_python_in_the_readme_runs_and_is_short(tmp_path: Path) -> None:
@@ -50,6 +50,19 @@ def test_gravity_loads_the_boom_of_the_machine_file_in_the_readme() -> None:
     facts = {row["name"]: row["identifiability"] for row in machine_facts(machine)["parameters"]}
     assert facts["lift.mc_x"] == "full"
     assert [n for n in names if n.startswith("lift_cylinder")] == ["lift_cylinder.f_coulomb", "lift_cylinder.f_viscous"]
+
+
+def test_the_linkage_in_the_readme_is_that_of_the_bundled_machine(tmp_path: Path) -> None:
+    bundled = hydroopt.load_machine("excavator_bucket")
+    text = (ROOT / "models" / "excavator_bucket.toml").read_text("utf-8")
+    without, count = re.subn(r"\[\[linkages\]\].*?(?=\[\[motors\]\])", "", text, flags=re.DOTALL)
+    assert count == 1
+    file = tmp_path / "excavator.toml"
+    file.write_text(f"{without}\n{block('toml', 1)}", "utf-8")
+    machine = hydroopt.load_machine(str(file))
+    at = [0.0, 0.5, -1.0, -0.3]
+    lengths = [hydroopt.Model(one).cylinder_kinematics(at, 0, 0)[0] for one in (machine, bundled)]
+    assert [float(length) for length in lengths[0].nz] == pytest.approx([*map(float, lengths[1].nz)], abs=2e-3)
 
 
 @pytest.mark.slow

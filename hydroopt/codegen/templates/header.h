@@ -58,7 +58,7 @@ typedef struct {
 {% endif %}
 } {{ p }}_constants_t;
 
-/* Compute once what depends on the parameters alone. */
+/* Compute once what depends on the parameters alone. Use the constants only if the status is {{ P }}_OK. */
 {{ p }}_status_t {{ p }}_prepare(const {{ p }}_params_t *params, {{ p }}_constants_t *constants);
 
 {% for routine in code.routines.values() if routine.name != "payload_update" %}
