@@ -36,18 +36,22 @@ def turned(a: Array, b: Array) -> float:
 
 
 def free(subject: Model) -> list[str]:
-    """The first three joints that move the tip; of a Panda, whose first three axes meet, the fourth for the third."""
-    onto = subject.machine.ancestry(subject.machine.tip)
-    joints = [joint for joint in subject.machine.joints if joint in onto]
-    return [joints[0], joints[1], joints[3]] if subject.machine.name.startswith("panda") else joints[:3]
+    """The first joints that move the tip independently of each other: at most three, fewer of a planar machine."""
+    q = subjects.states(subject.machine, np.random.default_rng(10), 1)[0]
+    J, found = subject.over(subject.tip_jacobian, q)[0][0, :3], []
+    for k in range(len(subject.machine.joints)):
+        if np.linalg.matrix_rank(J[:, [*found, k]], tol=1e-6) > len(found):
+            found.append(k)
+    return [subject.machine.joints[k] for k in found]
 
 
 @pytest.mark.parametrize("name", tiered([*bundled(), "made_up"], lambda name: name != "panda_mukca"))
 def test_every_branch_brings_the_tip_there_and_the_first_posture_is_one(name: str) -> None:
-    """The place of the tip, by the first three joints that move it; all others are held."""
+    """The place of the tip, by the first joints that move it independently; all others are held."""
     subject, rng = model(name), np.random.default_rng(11)
+    moving = free(subject)
     for q in subjects.states(subject.machine, rng, 6)[0]:
-        held = {joint: q[k] for k, joint in enumerate(subject.machine.joints) if joint not in free(subject)}
+        held = {joint: q[k] for k, joint in enumerate(subject.machine.joints) if joint not in moving}
         target = pose(subject, q)[:3, 3]
         postures = inverse_kinematics(subject, target, held=held)
         for each in postures:
