@@ -9,6 +9,7 @@ import numpy as np
 
 from hydroopt.estimation.inference import identifiability
 from hydroopt.estimation.kinematic.mobility import mobility
+from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.loop_checks import LoopRange, loop_ranges
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
@@ -31,6 +32,7 @@ def machine_facts(machine: Machine) -> dict[str, Any]:
                          "description": machine.description},
              "joints": [_joint_facts(machine, name) for name in machine.joints], "cylinders": cylinders,
              "linkages": [_linkage_facts(each) for each in loop_ranges(machine)],
+             "couplings": [_coupling_facts(machine, each) for each in machine.couplings],
              "channels": machine.channel_units, "sensors": sensors, "parameters": parameters,
              "hydraulic_parameters": _parameter_facts(hydraulic_parameters.parameter_set(machine)),
              "identifiability": {"rank": found.rank, "full": found.count("full"),
@@ -57,12 +59,21 @@ def _joint_facts(machine: Machine, name: str) -> dict[str, Any]:
 
 def _linkage_facts(loop: LoopRange) -> dict[str, Any]:
     """What follows what, its transmission ratio over the range, and the margin to a dead point."""
-    closure = loop.closure
-    return {"linkage": closure.loop.name, "follows": ", ".join(closure.follows),
-            "dependent": f"{closure.first}, {closure.second}",
-            "ratio": f"d {closure.first} / d {closure.follows[-1]}", "ratio_min": round(loop.ratio[0], 4),
+    closure = loop.assembly.closure
+    return {"linkage": ", ".join(each.name for each in closure.statements), "follows": ", ".join(closure.follows),
+            "dependent": ", ".join(closure.joints),
+            "ratio": f"d {closure.joints[0]} / d {closure.follows[-1]}", "ratio_min": round(loop.ratio[0], 4),
             "ratio_max": round(loop.ratio[1], 4), "margin_deg": round(math.degrees(loop.angle), 2),
             "margin_at": loop.at}
+
+
+def _coupling_facts(machine: Machine, coupling: Coupling) -> dict[str, Any]:
+    """A linear relation of joints, in words with its units."""
+    units = machine.coupling_units(coupling)
+    terms = [f"{ratio:.6g}{'' if (unit := units[f'ratio.{joint}']) == '1' else f' {unit}'} * {joint}"
+             for joint, ratio in coupling.ratios.items()]
+    offset = [f"{coupling.offset:.6g} {units['offset']}"] * (coupling.offset != 0)
+    return {"coupling": coupling.name, "relation": f"{coupling.joint} = {' + '.join((*terms, *offset))}"}
 
 
 def _cylinder_facts(model: Model, k: int) -> dict[str, Any]:

@@ -59,6 +59,8 @@ def show(
     console.print(f"Of {len(facts['parameters'])} parameters a motion without noise identifies {counts['full']} "
                   f"individually and {counts['combination']} in combinations ({counts['rank']} base parameters); "
                   f"{counts['none']} have no effect on the actuator forces.")
+    for each in facts["couplings"]:
+        console.print(f"{each['coupling']}: {each['relation']}", soft_wrap=True)
     for each in facts["linkages"]:
         console.print(f"{each['linkage']}: {each['dependent']} follow {each['follows']}, {each['ratio']} from "
                       f"{each['ratio_min']:.3f} to {each['ratio_max']:.3f}; least angle to a dead point "

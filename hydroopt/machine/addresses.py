@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from hydroopt.machine.actuators import Cylinder, Drive, GasCylinder, Motor
 from hydroopt.machine.calibration_chain import Fixture
+from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.links import Body, Link
 from hydroopt.machine.loops import Loop
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
@@ -144,8 +145,21 @@ def pins(cylinder: Cylinder | GasCylinder) -> Iterator[Number]:
 
 
 def loop_numbers(loop: Loop) -> Iterator[Number]:
-    """Coordinates of the pin at which a loop closes."""
+    """Coordinates of the pins at which a loop closes, and the length of its rod."""
     yield from point(loop.name, loop.to.pin, f"{loop.name}.to.pin")
+    if loop.pin is not None:
+        yield from point(f"{loop.name}.pin", loop.pin, f"{loop.name}.pin")
+    if loop.length is not None:
+        yield Number(f"{loop.name}.length", ParameterKind.LENGTH, "m", loop.length, f"{loop.name}.length")
+
+
+def coupling_numbers(coupling: Coupling, units: Mapping[str, str]) -> Iterator[Number]:
+    """Ratios and offset of a coupling; `units` by their keys."""
+    for joint, ratio in coupling.ratios.items():
+        yield Number(f"{coupling.name}.ratio.{joint}", ParameterKind.RATIO, units[f"ratio.{joint}"], ratio,
+                     f"{coupling.name}.ratios.{joint}")
+    yield Number(f"{coupling.name}.offset", ParameterKind.ANGLE if units["offset"] == "rad" else ParameterKind.LENGTH,
+                 units["offset"], coupling.offset, f"{coupling.name}.offset")
 
 
 def fixture_numbers(fixture: Fixture) -> Iterator[Number]:

@@ -10,10 +10,12 @@ from hydroopt.machine import addresses
 from hydroopt.machine.actuators import Cylinder, Drive, GasCylinder, Motor
 from hydroopt.machine.addresses import Number
 from hydroopt.machine.calibration_chain import Calibrator, Distance, Fixture, Stage, Tracker
+from hydroopt.machine.closures import closures
+from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.environment import Footprint, Obstacle, Pump, Workspace
 from hydroopt.machine.fault_sizes import FaultSizes
 from hydroopt.machine.links import Link, Note
-from hydroopt.machine.loops import Loop, closures
+from hydroopt.machine.loops import Loop
 from hydroopt.machine.mass_statements import Identical, TotalMass
 from hydroopt.machine.quantity import Acceleration, Angle, Length, Name, Noun, Rate
 from hydroopt.machine.sensor import Sensor
@@ -37,6 +39,7 @@ class MachineDescription(Noun):
     bandwidth: Rate | None = Field(None, gt=0)
     links: tuple[Link, ...] = Field(min_length=1)
     loops: tuple[Loop, ...] = ()
+    couplings: tuple[Coupling, ...] = ()
     cylinders: tuple[Cylinder, ...] = ()
     motors: tuple[Motor, ...] = ()
     drives: tuple[Drive, ...] = ()
@@ -65,15 +68,15 @@ class MachineDescription(Noun):
 
     @property
     def tree_joints(self) -> tuple[str, ...]:
-        """Names of all moving joints: those of q, and the dependent ones that loops determine."""
+        """Names of all moving joints: those of q, and the dependent ones that loops and couplings determine."""
         return tuple(link.name for link in self.links if link.joint.moving)
 
     @property
     def followed(self) -> dict[str, tuple[str, ...]]:
         """The joints of q that each moving joint follows: an independent one itself."""
         found: dict[str, tuple[str, ...]] = {joint: (joint,) for joint in self.joints}
-        for closure in closures(self.links, self.loops):
-            found |= dict.fromkeys((closure.first, closure.second), closure.follows)
+        for closure in closures(self.links, self.loops, self.couplings):
+            found |= dict.fromkeys(closure.joints, closure.follows)
         return found
 
     @property
@@ -150,6 +153,18 @@ class MachineDescription(Noun):
         """SI units of a joint's effort (torque, or force where it slides) and of its viscous coefficient."""
         return ("N", "N*s/m") if self.link(joint).joint.type == "prismatic" else ("N*m", "N*m*s/rad")
 
+    def position_unit(self, joint: str) -> str:
+        """SI unit of a joint's position."""
+        return "m" if self.link(joint).joint.type == "prismatic" else "rad"
+
+    def coupling_units(self, coupling: Coupling) -> dict[str, str]:
+        """SI units of a coupling's ratios by joint, and of its offset."""
+        own, units = self.position_unit(coupling.joint), {}
+        for joint in coupling.ratios:
+            other = self.position_unit(joint)
+            units[f"ratio.{joint}"] = "1" if own == other else f"{own}/{other}"
+        return units | {"offset": own}
+
     def friction_units(self, joint: str) -> dict[str, str]:
         """SI units of what a joint, motor or drive may state as friction, by key."""
         effort, viscosity = self.effort_units(joint)
@@ -209,8 +224,8 @@ class MachineDescription(Noun):
     def place(self, path: str) -> str:
         """Place in the machine file of a number's path: ``links[boom].body.m`` of ``boom.body.m``."""
         owner, _, rest = path.partition(".")
-        kinds = ("links", "loops", "cylinders", "motors", "drives", "gas_cylinders", "fixtures", "distances", "stages",
-                 "total_masses")
+        kinds = ("links", "loops", "couplings", "cylinders", "motors", "drives", "gas_cylinders", "fixtures",
+                 "distances", "stages", "total_masses")
         found = [kind for kind in kinds if any(part.name == owner for part in getattr(self, kind))]
         if self.calibrator and any(link.name == owner for link in self.calibrator.links):
             found.append("calibrator.links")
@@ -237,6 +252,8 @@ class MachineDescription(Noun):
         found = [*chain.from_iterable(map(addresses.link_geometry, links)),
                  *chain.from_iterable(map(addresses.joint_compliance, links)),
                  *chain.from_iterable(map(addresses.loop_numbers, self.loops)),
+                 *chain.from_iterable(addresses.coupling_numbers(each, self.coupling_units(each))
+                                      for each in self.couplings),
                  *chain.from_iterable(map(addresses.dead_length, self.cylinders))]
         if self.calibrator:
             found += addresses.point("tip", self.calibrator.tip, "calibrator.tip")

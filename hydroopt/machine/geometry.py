@@ -8,6 +8,7 @@ import casadi as ca
 
 from hydroopt.machine.actuators import Cylinder, GasCylinder
 from hydroopt.machine.addresses import AXES, TURNS
+from hydroopt.machine.loops import Loop
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.spatial.cylinder_triangle import Triangle, triangle
 from hydroopt.spatial.poses import Pose, identity, joint_pose, link_pose
@@ -83,6 +84,18 @@ class Geometry:
     def between(self, viewer: str, link: str) -> Pose:
         """Pose of a link's P_i relative to that of another one, where no joint between them moves."""
         return identity() if link == viewer else self.far_end(viewer) @ self.relative_pose(viewer, link, {})
+
+    def loop_ends(self, loop: Loop) -> tuple[ca.SX, ca.SX]:
+        """Both ends (3,) [m] of a loop, each in P_i of the link that it names."""
+        own = self.far_end(loop.link).origin if loop.pin is None else self.point(f"{loop.name}.pin")
+        return own, self.point(loop.name)
+
+    def loop_gap(self, loop: Loop, q: Mapping[str, ca.SX]) -> ca.SX:
+        """From one end of a loop to the other (3,) [m], in the seat of its first joint that turns."""
+        own, target = self.loop_ends(loop)
+        joints = self.machine.joints_between(loop.link, loop.to.link)
+        first = next((joint for joint in joints if self._link[joint].joint.type == "revolute"), joints[0])
+        return self.from_seat(first, loop.to.link, q).point(target) - self.from_seat(first, loop.link, q).point(own)
 
     def triangle(self, cylinder: Cylinder | GasCylinder) -> tuple[str, Triangle] | None:
         """Joint of the tree and triangle of a cylinder that spans one revolute joint; None for any other cylinder."""

@@ -61,8 +61,7 @@ def _reach_through_linkage(geometry: Geometry, cylinder: Cylinder, joint: str) -
     mechanism = Mechanism(geometry.machine)
     at = mechanism.positions(geometry, {joint: q})
     length = ca.norm_2(geometry.pin(cylinder, "rod", at) - geometry.pin(cylinder, "barrel", at))
-    sines = ca.vertcat(*(sine for sine, closure in zip(mechanism.sines(geometry, {joint: q}), mechanism.closures,
-                                                       strict=True) if closure.follows == (joint,)))
+    sines = ca.vertcat(*mechanism.sines(geometry, {joint: q}))
     function = ca.Function("length", [q], [length, ca.jacobian(length, q), sines])
     middle = (lower + upper) / 2
     sign = np.sign(float(function(middle)[1]))

@@ -119,7 +119,8 @@ class Joint(Noun):
     """Modified Denavit-Hartenberg joint and link: Trans(z,d)·Rot(z,θ)·Trans(x,a)·Rot(x,α)·Rot(y,β) (Eq. 3.8).
 
     The joint variable adds to `theta` (revolute) or `d` (prismatic); a locked joint has none. Under the torque of
-    gravity the joint gives way by `compliance` times that torque. A `dependent` joint follows others through a loop.
+    gravity the joint gives way by `compliance` times that torque. A `dependent` joint follows others through a loop or
+    coupling.
     """
 
     type: Literal["revolute", "prismatic", "locked"]
@@ -155,9 +156,8 @@ class Joint(Noun):
     @model_validator(mode="after")
     def _ordered(self) -> Self:
         if self.dependent:
-            if self.type != "revolute":
-                raise ImpossibleError(f"a {self.type} joint cannot be dependent",
-                                      "make it revolute: loops close on pins", "dependent")
+            if self.type == "locked":
+                raise ImpossibleError("a locked joint cannot be dependent", "let it turn or slide", "dependent")
             for key in ("lower", "upper", "max_speed", "max_acceleration", "compliance"):
                 if getattr(self, key) is not None:
                     raise ImpossibleError(f"a dependent joint states '{key}'",

@@ -7,15 +7,18 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from hydroopt.machine.assembly import Assembly
+from hydroopt.machine.closures import DyadClosure, closures, place, said
 from hydroopt.machine.geometry import Geometry
-from hydroopt.machine.loops import Closure
+from hydroopt.machine.loops import Loop
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.mechanism import Mechanism, bars, dyad, gap
+from hydroopt.machine.mechanism import Mechanism, said_posture
 from hydroopt.machine.quantity import ImpossibleError
 from hydroopt.spatial.inertia import Array
 
 POINTS = {1: 721, 2: 61}
-"""Points of each joint's range where a loop follows one or two joints; 15 where it follows more."""
+FEW = 15
+"""Points of each joint's range where a loop follows one or two joints, and where it follows more."""
 FLAT = np.radians(1.0)
 """Angle [rad] between the bars of a loop, or between them stretched, below which it is at a dead point."""
 PLANAR = 1e-9
@@ -23,25 +26,22 @@ PLANAR = 1e-9
 
 
 class LoopRange(NamedTuple):
-    """A loop over the ranges of the joints that it follows.
+    """A loop, or several that close together, over the ranges of the joints that they follow.
 
     Attributes:
-        closure: the loop, see `Closure`.
+        assembly: the loop as it is assembled.
         angle: least angle [rad] in the range between its bars, or by which they miss a straight line: its margin to a
-            dead point. Not a number where the loop cannot close.
+            dead point, in general that of `Solved.sine`. Not a number where the loop cannot close.
+        at: where this is, in words.
         posture: positions by name of the joints that it follows, where this is.
         ratio: least and greatest speed of the first dependent joint per speed of the last joint that it follows.
     """
 
-    closure: Closure
+    assembly: Assembly
     angle: float
+    at: str
     posture: dict[str, float]
     ratio: tuple[float, float]
-
-    @property
-    def at(self) -> str:
-        """The posture in words."""
-        return ", ".join(f"{joint} = {np.degrees(value):.1f} deg" for joint, value in self.posture.items())
 
 
 def loop_ranges(machine: Machine) -> tuple[LoopRange, ...]:
@@ -52,72 +52,83 @@ def loop_ranges(machine: Machine) -> tuple[LoopRange, ...]:
     ()
     """
     mechanism, geometry, found = Mechanism(machine), Geometry(machine), []
-    for k, closure in enumerate(mechanism.closures):
+    for assembly in mechanism.assemblies:
+        closure = assembly.closure
         joints = closure.follows
         q = ca.SX.sym("q", len(joints))
         at = mechanism.positions(geometry, {joint: q[i] for i, joint in enumerate(joints)})
-        made = dyad(geometry, closure, at)
-        sine = bars(made, mechanism.branches[k]).sine(made)
-        function = ca.Function("margin", [q], [sine, ca.jacobian(at[closure.first], q[-1])])
-        points = POINTS.get(len(joints), 15)
+        sine = assembly.solved(geometry, at).sine
+        if sine is None:
+            continue
+        function = ca.Function("margin", [q], [sine, ca.jacobian(at[closure.joints[0]], q[-1])])
+        points = POINTS.get(len(joints), FEW)
         grid = np.meshgrid(*(np.linspace(*machine.link(joint).joint.range, points) for joint in joints), indexing="ij")
         states = np.stack([values.ravel() for values in grid])
         sines, ratios = (np.asarray(values).ravel() for values in function(states))
-        sines = np.abs(sines)
-        worst = int(np.argmin(np.where(np.isfinite(sines), sines, -1.0)))
-        angle = float(np.arcsin(min(sines[worst], 1.0)))
-        found.append(LoopRange(closure, angle, dict(zip(joints, states[:, worst].tolist(), strict=True)),
-                               (float(np.min(ratios)), float(np.max(ratios)))))
+        # where the branch changes its sign the loop passes a dead point
+        signed = sines * np.sign(sines[np.argmax(np.isfinite(sines))])
+        worst = int(np.argmin(np.where(np.isfinite(signed), signed, -2.0)))
+        posture = dict(zip(joints, states[:, worst].tolist(), strict=True))
+        found.append(LoopRange(assembly, float(np.arcsin(min(signed[worst], 1.0))), said_posture(machine, posture),
+                               posture, (float(np.min(ratios)), float(np.max(ratios)))))
     return tuple(found)
 
 
 def check(machine: Machine) -> None:
     """Check every loop over the ranges of the joints that it follows, on a grid.
 
-    It must be planar, close everywhere, and keep away from dead points, where its bars lie in one line.
+    A loop that closes by a pin must be planar. All must close everywhere, and keep away from dead points, where their
+    bars lie in one line.
 
     Raises:
         ImpossibleError: names the loop, the posture and the remedy.
     """
-    if not machine.loops:
-        return
-    geometry, mechanism = Geometry(machine), Mechanism(machine)
-    for closure in mechanism.closures:
-        _planar(geometry, mechanism, closure)
+    geometry = Geometry(machine)
+    for closure in closures(machine.links, machine.loops, machine.couplings):
+        for statement in closure.statements:
+            if isinstance(statement, Loop) and statement.closed_by == "pin":
+                _planar(geometry, statement, alike=isinstance(closure, DyadClosure))
+    mechanism = Mechanism(machine)
     for each in loop_ranges(machine):
-        loop = each.closure.loop
+        closure = each.assembly.closure
         if not np.isfinite(each.angle):
-            made = dyad(geometry, each.closure, mechanism.positions(geometry, _numbers(each.posture)))
-            raise ImpossibleError(f"the loop '{loop.name}' cannot close at {each.at}: {gap(made)}",
-                                  "correct its pins and lengths, or narrow the joints' limits", f"loops[{loop.name}]")
+            why = each.assembly.why_open(geometry, mechanism.positions(geometry, _numbers(each.posture)))
+            raise ImpossibleError(f"{said(closure)} cannot close at {each.at}: {why}",
+                                  "correct its pins and lengths, or narrow the joints' limits",
+                                  place(closure.statements[0]))
         if each.angle < FLAT:
-            raise ImpossibleError(f"the loop '{loop.name}' has a dead point at {each.at}, where "
-                                  f"'{each.closure.first}' and '{each.closure.second}' lie in one line",
-                                  "correct its pins and lengths, or narrow the joints' limits", f"loops[{loop.name}]")
+            raise ImpossibleError(f"{said(closure)} has a dead point at {each.at}, where {each.assembly.dead}",
+                                  "correct its pins and lengths, or narrow the joints' limits",
+                                  place(closure.statements[0]))
 
 
 def _numbers(q: dict[str, float]) -> dict[str, ca.DM]:
     return {joint: ca.DM(value) for joint, value in q.items()}
 
 
-def _planar(geometry: Geometry, mechanism: Mechanism, closure: Closure) -> None:
-    machine, loop, first = geometry.machine, closure.loop, closure.first
-    middle = {joint: sum(machine.link(joint).joint.range) / 2 for joint in machine.joints}
-    q = mechanism.positions(geometry, _numbers(middle))
-    for joint in machine.joints_between(loop.link, loop.to.link):
-        kind = machine.link(joint).joint.type
-        if kind != "revolute":
-            raise ImpossibleError(f"the {kind} joint '{joint}' lies in the loop '{loop.name}', which has pins only",
-                                  "close the loop over revolute joints", f"loops[{loop.name}]")
-        axis: Array = np.asarray(geometry.from_seat(first, joint, q).rotation)[:, 2]
-        if abs(axis[2] - 1) > PLANAR:
+def _planar(geometry: Geometry, loop: Loop, *, alike: bool) -> None:
+    """Refuse a loop in space, which shows wherever its joints stand; those of a dyad turn `alike`, to the same side."""
+    machine, where = geometry.machine, f"loops[{loop.name}]"
+    joints = machine.joints_between(loop.link, loop.to.link)
+    turning = [joint for joint in joints if machine.link(joint).joint.type == "revolute"]
+    if not turning:
+        raise ImpossibleError(f"no joint of the loop '{loop.name}' turns, but it closes on a pin",
+                              "close it over a joint that turns", where)
+    first = next((joint for joint in turning if machine.link(joint).joint.dependent), turning[0])
+    for joint in joints:
+        axis: Array = np.asarray(geometry.from_seat(first, joint, {}).rotation)[:, 2]
+        if joint not in turning:
+            if abs(axis[2]) > PLANAR:
+                raise ImpossibleError(f"the joint '{joint}' in the loop '{loop.name}' slides out of the plane in which "
+                                      f"'{first}' turns, but a pin closes planar loops only",
+                                      "let it slide across the axes of the others", where)
+        elif abs((axis[2] if alike else abs(axis[2])) - 1) > PLANAR:
             raise ImpossibleError(f"the axes of '{first}' and '{joint}' in the loop '{loop.name}' do not point the "
                                   "same way, but a pin closes planar loops only",
-                                  "make them parallel and let both turn to the same side", f"loops[{loop.name}]")
-    ends = [geometry.from_seat(first, loop.link, q).point(geometry.far_end(loop.link).origin),
-            geometry.from_seat(first, loop.to.link, q).point(geometry.point(loop.name))]
+                                  "make them parallel and let both turn to the same side", where)
+    own, target = geometry.loop_ends(loop)
+    ends = [geometry.from_seat(first, link, {}).point(end) for link, end in ((loop.link, own), (loop.to.link, target))]
     aside = float(ends[1][2] - ends[0][2])
     if abs(aside) > PLANAR:
         raise ImpossibleError(f"the pins at which the loop '{loop.name}' closes are {1e3 * abs(aside):.4g} mm apart "
-                              "along its axes", "let the pin's z, or a joint's d, close this gap",
-                              f"loops[{loop.name}].to.pin")
+                              "along its axes", "let the pin's z, or a joint's d, close this gap", f"{where}.to.pin")

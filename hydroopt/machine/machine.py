@@ -8,12 +8,13 @@ from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any, Self
 
-from pydantic import ModelWrapValidatorHandler, ValidationError, model_validator
+from pydantic import ModelWrapValidatorHandler, ValidationError, ValidationInfo, model_validator
 
 from hydroopt.errors import MachineError
 from hydroopt.input_file import similar
 from hydroopt.machine import addresses
 from hydroopt.machine.actuators import Cylinder, Drive, Motor
+from hydroopt.machine.closures import place
 from hydroopt.machine.description import BASE, MachineDescription
 from hydroopt.machine.links import Note
 from hydroopt.machine.quantity import ImpossibleError
@@ -60,13 +61,16 @@ class Machine(MachineDescription):
 
     @model_validator(mode="wrap")
     @classmethod
-    def _units_fit(cls, data: Any, handler: ModelWrapValidatorHandler[Self]) -> Self:
+    def _units_fit(cls, data: Any, handler: ModelWrapValidatorHandler[Self], info: ValidationInfo) -> Self:
         # only here are both the type of a joint and the unit of a text available
         machine = handler(data)
-        for place, text, si in machine._stated_units(data) if isinstance(data, Mapping) else ():
+        from_file = bool((info.context or {}).get("from_file"))
+        for where, text, si in machine._stated_units(data) if isinstance(data, Mapping) else ():
             if isinstance(text, str) and not same_kind(unit := text.strip().partition(" ")[2].strip(), si):
                 raise ImpossibleError(f"'{unit}' is not a unit of the kind '{si}', which its joint or valve calls for",
-                                      f"use '{si}' or another unit of that kind", place)
+                                      f"use '{si}' or another unit of that kind", where)
+            if from_file and si != "1" and isinstance(text, int | float):
+                raise ImpossibleError(f"{text:.9g} has no unit", f"write it as \"{text:.9g} {si}\"", where)
         return machine
 
     def _stated_units(self, data: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
@@ -76,17 +80,27 @@ class Machine(MachineDescription):
         frictions += [(f"{kind}[{part.name}].friction", part.joint, _under(raw, "friction"))
                       for kind in ("motors", "drives")
                       for part, raw in zip(getattr(self, kind), data.get(kind, ()), strict=True)]
-        for place, joint, raw in frictions:
+        for where, joint, raw in frictions:
             for key, si in self.friction_units(joint).items():
-                yield f"{place}.{key}", _under(raw, key), si
+                yield f"{where}.{key}", _under(raw, key), si
+        for loop, raw in zip(self.loops, data.get("loops", ()), strict=True):
+            for joint in loop.posture:
+                if any(link.name == joint for link in self.links):
+                    yield f"{place(loop)}.posture.{joint}", _under(raw, "posture", joint), self.position_unit(joint)
+        for coupling, raw in zip(self.couplings, data.get("couplings", ()), strict=True):
+            units = self.coupling_units(coupling)
+            yield f"{place(coupling)}.offset", _under(raw, "offset"), units["offset"]
+            for joint in coupling.ratios:
+                yield f"{place(coupling)}.ratios.{joint}", _under(raw, "ratios", joint), units[f"ratio.{joint}"]
         for k, (sensor, raw) in enumerate(zip(self.sensors, data.get("sensors", ()), strict=True)):
             for key in ("accuracy", "resolution"):
                 yield f"sensors[{k}].{key}", _under(raw, key), self.channel_units[sensor.channels[0]]
 
     def _names(self) -> None:
         extra = self.calibrator.links if self.calibrator else ()
-        kinds = (self.links, extra, self.loops, self.cylinders, self.motors, self.drives, self.gas_cylinders,
-                 self.fixtures, self.distances, self.stages, self.obstacles, self.total_masses, self.identical)
+        kinds = (self.links, extra, self.loops, self.couplings, self.cylinders, self.motors, self.drives,
+                 self.gas_cylinders, self.fixtures, self.distances, self.stages, self.obstacles, self.total_masses,
+                 self.identical)
         taken = {BASE: "the chassis"} | ({"pump": "the supply"} if self.pump else {})
         count = Counter([*taken, *(part.name for kind in kinds for part in kind)])
         for name, times in count.items():
@@ -114,11 +128,21 @@ class Machine(MachineDescription):
                 if name not in links | ({BASE} if name is loop.to.link else set()):
                     raise ImpossibleError(f"the loop '{loop.name}' closes over '{name}', which does not exist",
                                           "name a link", f"loops[{loop.name}]")
+        for coupling in self.couplings:
+            for joint in coupling.joints:
+                if joint not in self.tree_joints:
+                    raise ImpossibleError(f"the coupling '{coupling.name}' relates '{joint}', which is not a moving "
+                                          f"joint", f"use some of {', '.join(self.tree_joints)}", place(coupling))
+            for joint, ratio in coupling.ratios.items():
+                if joint == coupling.joint or ratio == 0:
+                    raise ImpossibleError(f"the coupling '{coupling.name}' states "
+                                          + (f"'{joint}' by itself" if joint == coupling.joint else "a ratio of zero"),
+                                          "remove it", f"{place(coupling)}.ratios.{joint}")
         followed = self.followed
         for joint in self.tree_joints:
             if joint not in followed:
                 raise ImpossibleError(f"nothing determines the dependent joint '{joint}'",
-                                      "state the loop that closes over it, or let it move by itself",
+                                      "state the loop or coupling that determines it, or let it move by itself",
                                       f"links[{joint}].joint.dependent")
         if self.calibrator and (far := next((link.name for link in self.calibrator.links if link.joint.dependent), "")):
             raise ImpossibleError(f"the calibrator's joint '{far}' is dependent, but no loop closes over a calibrator",

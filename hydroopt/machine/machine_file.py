@@ -21,7 +21,9 @@ from hydroopt.errors import MachineError
 from hydroopt.input_file import read_text, toml
 from hydroopt.machine import cylinder_checks, linkages, loop_checks, prior_checks
 from hydroopt.machine.actuators import Cylinder, TorqueFriction
+from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.links import Joint, JointFriction, Note
+from hydroopt.machine.loops import Loop
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.quantity import ImpossibleError, Noun, Quantity
 from hydroopt.machine.sensor import Sensor
@@ -344,9 +346,10 @@ def _plain(node: BaseModel, path: str, machine: Machine) -> dict[str, Any]:
         if isinstance(value, BaseModel):
             table[key] = _plain(value, at, machine)
         elif isinstance(value, dict):
-            unit = _unit(node, key, machine, "")
-            table[key] = {name: _noted(_with_unit(item, unit), machine.notes.get(f"{at}.{name}"), unit)
-                          for name, item in value.items()}
+            table[key] = {}
+            for name, item in value.items():
+                unit = _unit(node, key, machine, name)
+                table[key][name] = _noted(_with_unit(item, unit), machine.notes.get(f"{at}.{name}"), unit)
         elif isinstance(value, tuple) and value and isinstance(value[0], BaseModel):
             table[key] = [_plain(item, getattr(item, "name", f"{at}.{k}"), machine) for k, item in enumerate(value)]
         else:
@@ -358,8 +361,12 @@ def _plain(node: BaseModel, path: str, machine: Machine) -> dict[str, Any]:
 def _unit(node: BaseModel, key: str, machine: Machine, owner: str) -> str | None:
     """SI unit of a field: from its annotation, or from the kind of the joint or channel it belongs to.
 
-    `owner` is the name of the part that the field belongs to.
+    `owner` is the name of the part that the field belongs to, or of the joint whose number it is.
     """
+    if isinstance(node, Coupling) and key in ("ratios", "offset"):
+        return machine.coupling_units(node)["offset" if key == "offset" else f"ratio.{owner}"]
+    if isinstance(node, Loop) and key == "posture":
+        return machine.position_unit(owner)
     if isinstance(node, JointFriction | TorqueFriction):
         driven = {part.name: part.joint for part in machine.actuators if not isinstance(part, Cylinder)}
         return machine.friction_units(driven.get(owner, owner))[key]

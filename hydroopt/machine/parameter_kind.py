@@ -34,6 +34,7 @@ class ParameterKind(StrEnum):
     ORIENTATION = "orientation"
     DEAD_LENGTH = "dead length"
     COMPLIANCE = "compliance"
+    RATIO = "transmission ratio"
     LOCKED_ANGLE = "locked angle"
     DRIFT = "drift"
 

@@ -1,8 +1,11 @@
-"""Motion of all joints of the tree from that of the independent ones: loops in closed form, with their rates.
+"""Motion of all joints of the tree from that of the independent ones: what loops and couplings determine, with rates.
 
-With the angles α₁, α₂ of a loop's bars (`hydroopt.machine.mechanism`) and the rate of the span w between their ends
+With the angles α₁, α₂ of a dyad's bars (`hydroopt.machine.dyads`) and the rate of the span w between their ends
 
     ẇ = α̇₁·u₁⊥ + α̇₂·u₂⊥,   ẅ + α̇₁²·u₁ + α̇₂²·u₂ = α̈₁·u₁⊥ + α̈₂·u₂⊥.
+
+Rates of any other loop follow from its equations c = 0 by implicit differentiation: with J the derivative of c by the
+dependent joints x, J·ẋ is what the joints before leave of ċ, and J·ẍ what they and ẋ leave of c̈.
 """
 
 from __future__ import annotations
@@ -12,20 +15,26 @@ from typing import Any, NamedTuple, TypeVar
 
 import casadi as ca
 
+from hydroopt.machine.assembly import Assembly
+from hydroopt.machine.closures import DyadClosure
+from hydroopt.machine.dyads import Bars, DyadAssembly, angles, bars, dyad
+from hydroopt.machine.equations import closure_equations
 from hydroopt.machine.geometry import Geometry
-from hydroopt.machine.loops import Closure
-from hydroopt.machine.mechanism import Bars, Mechanism, angles, bars, dyad
+from hydroopt.machine.linear_closures import LinearAssembly
+from hydroopt.machine.mechanism import Mechanism
 from hydroopt.model.kinematics import Coordinates, rate
 
 Parts = TypeVar("Parts")
+JointMotion = dict[str, tuple[ca.SX, ca.SX, ca.SX]]
+"""Position, rate and acceleration of joints by name."""
 
 
 class TreeMotion(NamedTuple):
     """Motion of all moving joints of the tree, in the order of ``machine.tree_joints``.
 
     Expressions of the tree are built from `symbols`, in which nothing depends on anything; `closed` replaces those of
-    dependent joints by what loops make of the independent ones, `values`. `sines` are those of the angles between the
-    bars of each loop, in the independent joints: zero at a dead point, not a number where the loop cannot close.
+    dependent joints by what loops and couplings make of the independent ones, `values`. `sines` are those of
+    `hydroopt.machine.mechanism.Mechanism.sines`, in the independent joints.
     """
 
     symbols: Coordinates
@@ -62,17 +71,17 @@ def _filled(parts: Any, leaves: Iterator[Any]) -> Any:
 def tree_motion(geometry: Geometry, independent: Coordinates) -> TreeMotion:
     """Motion of the tree's joints from that of the independent ones, in the order of ``machine.joints``."""
     machine = geometry.machine
-    if not machine.loops:
-        return TreeMotion(independent, independent)
     mechanism = Mechanism(machine)
+    if not mechanism.assemblies:
+        return TreeMotion(independent, independent)
     given = {joint: tuple(column[k] for column in independent) for k, joint in enumerate(machine.joints)}
     symbols = {joint: given.get(joint) or tuple(ca.SX.sym(f"{joint}{dots}") for dots in ("", "_d", "_dd"))
                for joint in machine.tree_joints}
     tree = _stacked(symbols)
     values = dict(symbols)
-    for closure, branch in zip(mechanism.closures, mechanism.branches, strict=True):
+    for assembly in mechanism.assemblies:
         # in terms of the tree, where a loop may follow the joints of another one, which is closed before
-        values |= TreeMotion(tree, _stacked(values)).closed(_joint_motion(geometry, closure, branch, tree))
+        values |= TreeMotion(tree, _stacked(values)).closed(_joint_motion(geometry, assembly, tree))
     at = dict(zip(machine.joints, ca.vertsplit(independent.q), strict=True))
     return TreeMotion(tree, _stacked(values), tuple(mechanism.sines(geometry, at)))
 
@@ -81,12 +90,47 @@ def _stacked(joints: Mapping[str, tuple[ca.SX, ...]]) -> Coordinates:
     return Coordinates(*(ca.vertcat(*column) for column in zip(*joints.values(), strict=True)))
 
 
-def _joint_motion(geometry: Geometry, closure: Closure, branch: int,
-                  tree: Coordinates) -> dict[str, tuple[ca.SX, ca.SX, ca.SX]]:
-    """Position, rate and acceleration of a loop's dependent joints."""
-    names = geometry.machine.tree_joints
+def _joint_motion(geometry: Geometry, assembly: Assembly, tree: Coordinates) -> JointMotion:
+    """Position, rate and acceleration of a closure's dependent joints."""
+    match assembly:
+        case DyadAssembly():
+            return _dyad_motion(geometry, assembly, tree)
+        case LinearAssembly():
+            return _linear_motion(geometry, assembly, tree)
+    return _implicit_motion(geometry, assembly, tree)
+
+
+def _linear_motion(geometry: Geometry, assembly: LinearAssembly, tree: Coordinates) -> JointMotion:
+    (joint,), names = assembly.closure.joints, geometry.machine.tree_joints
+    q, qd, qdd = (dict(zip(names, ca.vertsplit(column), strict=True)) for column in tree)
+    return {joint: (assembly.moved(geometry, q), assembly.moved(geometry, qd, offset=False),
+                    assembly.moved(geometry, qdd, offset=False))}
+
+
+def _implicit_motion(geometry: Geometry, assembly: Assembly, tree: Coordinates) -> JointMotion:
+    names, own = geometry.machine.tree_joints, assembly.closure.joints
+    q = dict(zip(names, ca.vertsplit(tree.q), strict=True))
+    places = [names.index(joint) for joint in own]
+    equations = closure_equations(geometry, assembly.closure.statements, q)
+    before = Coordinates(*(ca.SX(column) for column in tree))
+    before.qd[places] = before.qdd[places] = 0
+    found = [ca.vertcat(*(ca.SX(assembly.solved(geometry, q).positions[joint]) for joint in own))]
+    J = ca.jacobian(equations, tree.q[places])
+    speed = rate(equations, tree)
+    # with the rates before alone, then with all rates and the accelerations before alone
+    first = ca.jtimes(equations, tree.q, before.qd)
+    second = ca.jtimes(speed, ca.vertcat(tree.q, tree.qd), ca.vertcat(tree.qd, before.qdd))
+    for left in (first, second):
+        found.append(ca.solve(J, -left))
+        known = [tree.q[places], tree.qd[places]][:len(found) - 1]
+        found[-1] = ca.substitute(found[-1], ca.vertcat(*known), ca.vertcat(*found[:-1]))
+    return {joint: (found[0][k], found[1][k], found[2][k]) for k, joint in enumerate(own)}
+
+
+def _dyad_motion(geometry: Geometry, assembly: DyadAssembly, tree: Coordinates) -> JointMotion:
+    closure, names = assembly.closure, geometry.machine.tree_joints
     made = dyad(geometry, closure, dict(zip(names, ca.vertsplit(tree.q), strict=True)))
-    found = bars(made, branch)
+    found = bars(made, assembly.branch)
     speed = rate(made.span, tree)
     first, second = _turns(found, speed)
     drawn = rate(speed, tree) + first**2 * found.first + second**2 * found.second
@@ -105,12 +149,14 @@ def _turns(found: Bars, rates: ca.SX) -> tuple[ca.SX, ca.SX]:
     return ca.dot(rates, found.second) / found.across, -ca.dot(rates, found.first) / found.across
 
 
-def _seat_turn(geometry: Geometry, closure: Closure, tree: Coordinates) -> tuple[ca.SX, ca.SX]:
+def _seat_turn(geometry: Geometry, closure: DyadClosure, tree: Coordinates) -> tuple[ca.SX, ca.SX]:
     """Rate and acceleration at which the second joint's seat turns against the first one's."""
     machine = geometry.machine
     here, there = (machine.link(name).parent for name in (closure.first, closure.second))
     total = [ca.SX(0), ca.SX(0)]
     for joint in machine.joints_between(here, there):
+        if machine.link(joint).joint.type == "prismatic":
+            continue
         sign, k = (1 if joint in machine.ancestry(there) else -1), machine.tree_joints.index(joint)
         total = [total[0] + sign * tree.qd[k], total[1] + sign * tree.qdd[k]]
     return total[0], total[1]

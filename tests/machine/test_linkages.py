@@ -147,8 +147,8 @@ def test_the_margin_to_dead_points_has_its_posture():
     "limits": (LINKS + digger("dependent = true, a = \"0.9 m\"", "dependent = true, a = \"0.9 m\", lower = \"0 deg\"",
                               LOOP) + ACTUATORS, r"links\[rocker\]\.joint\.lower", "a dependent joint states 'lower'"),
     "sliding": (LINKS + digger('type = "revolute", dependent = true, a = "0.9 m"',
-                               'type = "prismatic", dependent = true, a = "0.9 m"', LOOP) + ACTUATORS,
-                r"links\[rocker\]\.joint\.dependent", "a prismatic joint cannot be dependent"),
+                               'type = "prismatic", dependent = true, a = "0.9 m"', LOOP).replace("80 deg", "0.1 m")
+                + ACTUATORS, r"loops\[four_bar\]", "'rocker' in the loop 'four_bar' slides out of the plane"),
     "no loop": (LINKS + LOOP.partition("[[loops]]")[0] + ACTUATORS, r"links\[rocker\]\.joint\.dependent",
                 "nothing determines the dependent joint 'rocker'"),
     "one left": (LINKS + digger("dependent = true, a = \"0.7 m\"", "lower = \"0 deg\", upper = \"1 deg\"", LOOP)

@@ -25,10 +25,11 @@ NEGLIGIBLE = 1e-9 * np.array([1.0, 0, 0, 0, 1, 0, 0, 1, 0, 1])
 
 
 class Pin(NamedTuple):
-    """Two points, each fixed to a body, that are one."""
+    """Two points, each fixed to a body, that are one, or that a rod of a length keeps apart."""
 
     bodies: tuple[str, str]
     points: tuple[np.ndarray, np.ndarray]
+    length: float | None = None
 
 
 class MujocoLoops:
@@ -49,11 +50,13 @@ class MujocoLoops:
                 quat=(turn * Rotation.from_euler("z", link.joint.theta)).as_quat(scalar_first=True))
             self.bodies[link.name] = body
             if link.joint.moving:
-                body.add_joint(name=link.name, type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
+                slides = link.joint.type == "prismatic"
+                body.add_joint(name=link.name, axis=[0, 0, 1],
+                               type=mujoco.mjtJoint.mjJNT_SLIDE if slides else mujoco.mjtJoint.mjJNT_HINGE)
             _give_mass(body, clouds.get(link.name, NEGLIGIBLE))
         for loop in machine.loops:
-            far = np.array([machine.link(loop.link).joint.a, 0, 0])
-            self.pins.append(Pin((loop.link, loop.to.link), (far, np.array(loop.to.pin))))
+            far = (machine.link(loop.link).joint.a, 0, 0) if loop.pin is None else loop.pin
+            self.pins.append(Pin((loop.link, loop.to.link), (np.array(far), np.array(loop.to.pin)), loop.length))
         for cylinder in machine.cylinders:
             self._cylinder(cylinder, clouds)
         self.model = spec.compile()
@@ -77,6 +80,9 @@ class MujocoLoops:
         after = next(name for name in self.machine.ancestry(cylinder.rod.link)
                      if self.machine.link(name).parent == cylinder.barrel.link)
         turn = self._seat(self.machine.link(after))[1]
+        if self.machine.link(after).joint.type == "prismatic":  # then about the x axis of the joint's frame
+            turn *= (Rotation.from_euler("z", self.machine.link(after).joint.theta)
+                     * Rotation.from_matrix([[0, 0, 1], [0, -1, 0], [1, 0, 0]]))
         barrel = self.bodies[cylinder.barrel.link].add_body(name=f"{cylinder.name}.barrel", pos=cylinder.barrel.pin,
                                                             quat=turn.as_quat(scalar_first=True))
         barrel.add_joint(name=f"{cylinder.name}.barrel", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
@@ -94,7 +100,7 @@ class MujocoLoops:
         gaps, rows, rates = [], [], []
         for pin in self.pins:
             places, jacobians, changes = [], [], []
-            for name, local in zip(*pin, strict=True):
+            for name, local in zip(pin.bodies, pin.points, strict=True):
                 body = self.model.body(name).id
                 place = self.data.xpos[body] + self.data.xmat[body].reshape(3, 3) @ local
                 jacobian, change = np.zeros((3, self.model.nv)), np.zeros((3, self.model.nv))
@@ -103,8 +109,21 @@ class MujocoLoops:
                 places.append(place)
                 jacobians.append(jacobian)
                 changes.append(change)
-            for made, parts in ((gaps, places), (rows, jacobians), (rates, changes)):
-                made.append(parts[1] - parts[0])
+            gap, row, change = (parts[1] - parts[0] for parts in (places, jacobians, changes))
+            if pin.length is not None:
+                speed = row @ self.data.qvel
+                gap, row, change = (np.atleast_1d((gap @ gap - pin.length**2) / 2), (gap @ row)[None],
+                                    (gap @ change + speed @ row)[None])
+            for made, part in ((gaps, gap), (rows, row), (rates, change)):
+                made.append(part)
+        for coupling in self.machine.couplings:
+            row = np.zeros((1, self.model.nv))
+            row[0, self._dof(coupling.joint)] = 1
+            for joint, ratio in coupling.ratios.items():
+                row[0, self._dof(joint)] -= ratio
+            gaps.append(row @ self.data.qpos - coupling.offset)
+            rows.append(row)
+            rates.append(0 * row)
         return np.concatenate(gaps), np.vstack(rows), np.vstack(rates)
 
     def _forward(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -114,7 +133,7 @@ class MujocoLoops:
 
     def _close(self) -> bool:
         """Newton's method on the pins' gaps, to rounding."""
-        if not self.pins:
+        if not self.pins and not self.machine.couplings:
             return True
         for _ in range(30):
             gap, rows, _ = self._forward()
@@ -138,7 +157,9 @@ class MujocoLoops:
         tree = [self._dof(joint) for joint in self.machine.tree_joints]
         every, self.pins = self.pins, self.pins[:len(self.machine.loops)]
         free, self.free = self.free, [k for k in self.free if k in tree]
-        unstated = [self._dof(joint) for joint in self.machine.tree_joints if joint not in q | known]
+        coupled = {coupling.joint for coupling in self.machine.couplings}
+        unstated = [self._dof(joint) for joint in self.machine.tree_joints if joint not in q | known
+                    and joint not in coupled]
         begin = self.data.qpos.copy()
         for guess in product(np.linspace(-3, 3, 7), repeat=len(unstated)):
             self.data.qpos[:] = begin

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from fixtures.closures import crank, scissor, sleeve, telescope
 from fixtures.loops import cut_open, excavator, measured_at_the_rocker, random_linkage, z_bar
 from hydroopt.kernels.expression_graph import program
 from hydroopt.machine.geometry import Geometry
@@ -14,6 +15,7 @@ from oracles.mujoco_loops import MujocoLoops
 from oracles.subjects import forces, random_bodies, relative_error, states
 
 MACHINES = {"excavator": excavator, "measured at the rocker": measured_at_the_rocker, "Z-bar": z_bar,
+            "telescope": telescope, "crank": crank, "sleeve": sleeve, "scissor": scissor,
             "log crane": lambda: load_machine("patu655")}
 
 
@@ -52,8 +54,9 @@ def test_pins_stay_together(subject):
     ends = dict(zip((link.name for link in machine.links), subject.over(subject.forward_kinematics, q), strict=True))
     for loop in machine.loops:
         to = np.asarray(subject.geometry.far_end(loop.to.link).inverse().point(subject.geometry.point(loop.name)))
-        held = ends[loop.to.link] @ np.append(to, 1.0)
-        assert np.max(np.abs(ends[loop.link][:, :3, 3] - held[:, :3])) < 1e-12
+        own = np.asarray(subject.geometry.far_end(loop.link).inverse().point(subject.geometry.loop_ends(loop)[0]))
+        held, holds = (ends[name] @ np.append(at, 1.0) for name, at in ((loop.to.link, to), (loop.link, own)))
+        assert np.max(np.abs(holds - held)) < 1e-12
 
 
 def test_friction_of_dependent_joints_takes_the_power_that_actuators_give():
