@@ -222,7 +222,7 @@ def _force_terms(model: Model, log: Log, K: Array, both: Array, steady: NDArray[
     allowed = np.clip(rms, size, np.sqrt(size**2 + spread**2 + stated**2))
     levels = float(np.sum((np.log(np.maximum(rms, 1e-12) / np.maximum(allowed, 1e-12)) / LEVEL) ** 2))
     missed = np.sqrt(np.mean((force - nominal) ** 2, axis=0)) / np.maximum(rms, 1e-12)
-    names = (actuator.name for actuator in model.machine.actuators)
+    names = (balance.name for balance in model.machine.balances)
     return squares, priors, float(np.sum(noise)), levels, dict(zip(names, missed.tolist(), strict=True))
 
 

@@ -122,7 +122,7 @@ def alternatives(model: Model, log: Log) -> Iterator[Alternative]:
     angles = [f"{joint}.q" for joint in machine.joints if f"{joint}.q" in here]
     turning = [name for name in angles if machine.channel_units[name] == "rad"]
     lengths = {f"{c.name}.length": c for c in machine.cylinders if f"{c.name}.length" in here}
-    chambers = [a.chambers for a in machine.actuators if not isinstance(a, Drive) and set(a.chambers) <= here]
+    chambers = [a.chambers for a in machine.measured_actuators if not isinstance(a, Drive) and set(a.chambers) <= here]
     clocks = [Clock(factor, f"the time in {unit}") for unit, factor in CLOCKS.items()]
     pressures = _pressure_units(log, [name for pair in chambers for name in pair])
     yield from _signs(angles)
@@ -172,8 +172,8 @@ def _pressure_units(log: Log, names: list[str]) -> list[Scaled]:
 def _efforts(model: Model, here: set[str], chambers: set[str]) -> Iterator[Alternative]:
     """Mistakes in forces and torques that are read directly."""
     machine = model.machine
-    names = [name for joint, a in zip(machine.joints, machine.actuators, strict=True)
-             if (name := f"{a.name}.force" if isinstance(a, Cylinder) else f"{joint}.tau") in here
+    names = [name for a in machine.measured_actuators
+             if (name := f"{a.name}.force" if isinstance(a, Cylinder) else f"{a.joint}.tau") in here
              and not chambers & set(a.effort_factors)]
     yield from (Exchanged(((a, b),), f"{a} and {b} exchanged") for a, b in combinations(names, 2))
     yield from _signs(names)

@@ -52,8 +52,9 @@ def _joint_facts(machine: Machine, name: str) -> dict[str, Any]:
     joint = machine.link(name).joint
     turn = joint.type == "revolute"
     unit, factor = ("deg", 180 / math.pi) if turn else ("m", 1.0)
-    actuator = machine.actuators[machine.joints.index(name)].name
-    return {"joint": name, "type": joint.type, "actuator": actuator, "unit": unit,
+    drivers = ", ".join(each.name if each.measured else f"{each.name} (not measured)"
+                        for each in machine.drivers[name]) or "passive"
+    return {"joint": name, "type": joint.type, "actuator": drivers, "unit": unit,
             "lower": round(factor * (joint.lower or 0.0), 4), "upper": round(factor * (joint.upper or 0.0), 4)}
 
 

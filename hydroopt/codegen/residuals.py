@@ -138,8 +138,7 @@ def wrench_forces(api: Symbols) -> Routine:
 
 def tip_wrench(api: Symbols) -> Routine:
     """The wrench that explains measured forces."""
-    torque = api.dynamics.transmission.T @ (api.measured - api.predicted)
-    wrench, determined = api.dynamics.tip_wrench(torque)
+    wrench, determined = api.dynamics.tip_wrench(api.dynamics.at_joints(api.measured - api.predicted))
     api.symbol("wrench", 6)
     moved = sum(bool(api.dynamics.tip_jacobian[:, k].nnz()) for k in range(len(api.machine.joints)))
     meaning = ("force x, y, z and moment x, y, z" if moved >= 6 else "force x, y, z, and zero for the moment"

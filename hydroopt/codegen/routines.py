@@ -208,7 +208,7 @@ def _meaning(api: Symbols) -> str:
 
 def _payload_update(api: Symbols) -> Routine:
     last = api.machine.links[-1].name
-    rows = api.dynamics.at_actuators(api.dynamics.joint_regressor(last))
+    rows = api.dynamics.at_balances(api.dynamics.joint_regressor(last))
     motion = api.structs[api.motion()].fields
     takes = api.struct("load_sample", "A motion with the forces measured in it.", *motion,
                        Field("force", ("actuator",), "N or N*m", "measured force of each actuator"),

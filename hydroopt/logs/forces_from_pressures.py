@@ -1,4 +1,4 @@
-"""Actuator forces of a machine from the pressures in a log (Eq. 4.33, 4.61), and their noise."""
+"""Measured forces of a machine from the pressures in a log (Eq. 4.33, 4.61), and their noise."""
 
 from __future__ import annotations
 
@@ -9,39 +9,63 @@ import numpy as np
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import reading
-from hydroopt.machine.actuators import Cylinder
+from hydroopt.machine.actuators import Actuator, Cylinder
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
+POSTURES = 200
+"""Number of postures over which lever arms are averaged."""
 
-def _force_channels(model: Model, log: AnyLog | None, k: int) -> Mapping[str, float]:
+
+def _force_channels(model: Model, log: AnyLog | None, actuator: Actuator) -> Mapping[str, float]:
     """The channels that an actuator's force is read from, with their factors; pressures where there is no log."""
-    joint, actuator = model.machine.joints[k], model.machine.actuators[k]
-    direct = f"{actuator.name}.force" if isinstance(actuator, Cylinder) else f"{joint}.tau"
+    # where several drive a joint, its torque is that of all together
+    direct = (f"{actuator.name}.force" if isinstance(actuator, Cylinder) else f"{actuator.joint}.tau"
+              if len(model.machine.drivers[actuator.joint]) == 1 else "")
     parts = model.force_from_pressure[actuator.name]
     if log is not None and direct in log.channels and not set(parts) <= set(log.channels):
         return {direct: 1.0}
     return parts
 
 
-def forces(model: Model, log: Log) -> Array:
-    """Measured forces (N, n) of all actuators."""
-    factors = [_force_channels(model, log, k) for k in range(len(model.machine.actuators))]
-    return np.column_stack([sum((factor * reading(model.machine, log, channel) for channel, factor in parts.items()),
-                                np.zeros(log.t.size)) for parts in factors])
+def actuator_forces(model: Model, log: Log) -> Array:
+    """Forces (N, a) of all actuators [N or N·m], in the order of ``machine.actuators``; zero for unmeasured ones."""
+    measured, found = model.machine.measured_actuators, []
+    for actuator in model.machine.actuators:
+        parts = _force_channels(model, log, actuator) if actuator in measured else {}
+        found.append(sum((factor * reading(model.machine, log, channel) for channel, factor in parts.items()),
+                         np.zeros(log.t.size)))
+    return np.column_stack(found)
+
+
+def forces(model: Model, log: Log, q: Array) -> Array:
+    """Measured forces (N, r) of the balances at joint positions q (N, n)."""
+    found = actuator_forces(model, log)
+    return found if model.machine.one_each else np.asarray(
+        np.einsum("nra,na->nr", model.over(model.shares, q)[0], found))
 
 
 def force_noise(model: Model, log: AnyLog | None = None) -> Array:
-    """Standard deviation of each actuator's force from its sensors' accuracy (n,); NaN where the file states none.
+    """Standard deviation (r,) of each measured force from its sensors' accuracy; NaN where the file states none, and of
+    passive joints, whose force is known exactly.
 
     The sensors are those of the channels that `log` has, as in `experiment`; those of the pressures without a log.
+    Lever arms count by their mean square over postures within the joints' limits.
     """
-    stds = []
-    for k in range(len(model.machine.actuators)):
-        parts = _force_channels(model, log, k)
-        sensors = [(model.machine.sensor(channel), factor) for channel, factor in parts.items()]
+    machine, stds = model.machine, []
+    for actuator in machine.measured_actuators:
+        parts = _force_channels(model, log, actuator)
+        sensors = [(machine.sensor(channel), factor) for channel, factor in parts.items()]
         stds.append(np.sqrt(sum((s.std * factor) ** 2 if s else np.nan for s, factor in sensors)))
-    return np.array(stds)
+    if machine.one_each:
+        return np.array(stds)
+    limits = np.array([machine.link(joint).joint.range for joint in machine.joints])
+    postures = np.random.default_rng(0).uniform(limits[:, 0], limits[:, 1], (POSTURES, len(limits)))
+    places = [machine.actuators.index(each) for each in machine.measured_actuators]
+    squares = np.nanmean(model.over(model.shares, postures)[0][:, :, places] ** 2, axis=0)
+    # one without a share in a balance does not count in it, also if its sensors are not stated
+    made = np.sqrt(np.sum(np.where(squares > 0, squares * np.array(stds) ** 2, 0.0), axis=1))
+    return np.where(made > 0, made, np.nan)
 
 
 def _sealing_channels(model: Model) -> Mapping[str, tuple[str, str]]:
@@ -50,7 +74,7 @@ def _sealing_channels(model: Model) -> Mapping[str, tuple[str, str]]:
 
 
 def pressures(model: Model, log: Log) -> Array | None:
-    """The pressures (N, n) [Pa] that the friction of seals depends on; None where none does."""
+    """The pressures (N, a) [Pa] that the friction of seals depends on; None where none does."""
     machine, pressed = model.machine, _sealing_channels(model)
     return np.column_stack([sum((reading(machine, log, channel) for channel in pressed.get(actuator.name, ())),
                                 np.zeros(log.t.size)) for actuator in machine.actuators]) if pressed else None
@@ -58,6 +82,6 @@ def pressures(model: Model, log: Log) -> Array | None:
 
 def force_channels(model: Model, log: AnyLog) -> set[str]:
     """The channels that forces, and the pressures on seals, are read from."""
-    parts = (*(_force_channels(model, log, k) for k in range(len(model.machine.actuators))),
+    parts = (*(_force_channels(model, log, each) for each in model.machine.measured_actuators),
              *_sealing_channels(model).values())
     return {channel for part in parts for channel in part}

@@ -14,10 +14,9 @@ from hydroopt.spatial.inertia import Array
 
 def _angle_channel(model: Model, log: AnyLog, joint: str) -> str:
     """The channel that the angle of a joint is read from."""
-    actuator = model.machine.actuators[model.machine.joints.index(joint)]
-    by_length = f"{actuator.name}.length"
-    stands_in = f"{joint}.q" not in log.channels and by_length in log.channels and actuator.name in model.triangles
-    return by_length if stands_in else f"{joint}.q"
+    direct, lengths = f"{joint}.q", (f"{each.name}.length" for each in model.machine.drivers[joint]
+                                     if each.name in model.triangles)
+    return direct if direct in log.channels else next((one for one in lengths if one in log.channels), direct)
 
 
 def angle_channels(model: Model, log: AnyLog) -> set[str]:

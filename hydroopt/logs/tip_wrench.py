@@ -43,7 +43,7 @@ def tip_wrench(log: Log) -> Array | None:
 
 
 def free_forces(model: Model, log: Log, q: Array) -> Array:
-    """Actuator forces (N, n) as if nothing touched the tip: measured ones minus what a stated wrench adds to them.
+    """Measured forces (N, r) as if nothing touched the tip: measured ones minus what a stated wrench adds to them.
 
     Args:
         model: the machine.
@@ -54,5 +54,5 @@ def free_forces(model: Model, log: Log, q: Array) -> Array:
         LogError: a channel is missing.
     """
     wrench = tip_wrench(log)
-    measured = forces(model, log)
+    measured = forces(model, log, q)
     return measured if wrench is None else measured - model.over(model.wrench_forces, q, wrench)[0][:, :, 0]

@@ -32,6 +32,9 @@ from hydroopt.machine.quantity import (
 )
 from hydroopt.machine.valves import Circuit
 
+SHARED_PRESSURE = 1e7
+"""Pressure difference [Pa] by which hydraulic actuators compare with drives where they share a load."""
+
 
 class CylinderFriction(Noun):
     """Friction of a cylinder and the offset of its force reading (Eq. 4.54); unstated terms are not modelled.
@@ -76,7 +79,8 @@ class Cylinder(Noun):
     """A hydraulic cylinder, or several equal jacks side by side, between two links.
 
     Areas and diameters are those of one jack and are multiplied by `jacks`; bodies, friction and forces are those of
-    all jacks together, which move as one. `dead_length` is the pin distance when fully retracted.
+    all jacks together, which move as one. `dead_length` is the pin distance when fully retracted. Of a cylinder that is
+    not `measured` no log holds the pressures or the force; its length may be logged all the same.
     """
 
     name: Name
@@ -91,6 +95,7 @@ class Cylinder(Noun):
     stroke: Length = Field(gt=0)
     max_speed: Speed | None = Field(None, gt=0)
     relief_pressure: Pressure | None = Field(None, gt=0)
+    measured: bool = True
     friction: CylinderFriction = CylinderFriction()
     circuit: Circuit | None = None
 
@@ -120,6 +125,10 @@ class Cylinder(Noun):
         quarter = self.jacks * math.pi / 4
         return quarter * self.bore**2, quarter * (self.bore**2 - self.rod_diameter**2)
 
+    @property
+    def capacity(self) -> float:
+        """Force [N] by which it shares a load with others: that of `SHARED_PRESSURE` on the head side."""
+        return SHARED_PRESSURE * self.areas[0]
 
     @property
     def chambers(self) -> tuple[str, str]:
@@ -156,12 +165,16 @@ class TorqueFriction(Noun):
 
 
 class Motor(Noun):
-    """A hydraulic motor on a joint: torque = torque_per_pressure · gear · (p_a − p_b) (Eq. 4.61)."""
+    """A hydraulic motor on a joint: torque = torque_per_pressure · gear · (p_a − p_b) (Eq. 4.61).
+
+    Of a motor that is not `measured` no log holds the pressures or the torque.
+    """
 
     name: Name
     joint: str
     torque_per_pressure: TorquePerPressure = Field(gt=0)
     gear: Number = Field(1.0, gt=0)
+    measured: bool = True
     relief_pressure: Pressure | None = Field(None, gt=0)
     friction: TorqueFriction = TorqueFriction()
     circuit: Circuit | None = None
@@ -170,6 +183,11 @@ class Motor(Noun):
     def areas(self) -> tuple[float, float]:
         """What sides a and b displace per radian of the joint [m³/rad]."""
         return (self.torque_per_pressure * self.gear,) * 2
+
+    @property
+    def capacity(self) -> float:
+        """Torque [N·m] by which it shares a load with others: that of `SHARED_PRESSURE`."""
+        return SHARED_PRESSURE * self.areas[0]
 
     @property
     def chambers(self) -> tuple[str, str]:
@@ -193,14 +211,21 @@ def _by_pressures(actuator: Cylinder | Motor) -> dict[str, float]:
 
 
 class Drive(Noun):
-    """A joint driven directly by a sensed torque, as in an electric arm; torques are those on the joint's side."""
+    """A joint driven directly by a torque that is sensed if `measured`, as in an electric arm; torques are those on the
+    joint's side."""
 
     name: Name
     joint: str
     gear: Number = Field(1.0, gt=0)
+    measured: bool = True
     max_torque: Torque | None = Field(None, gt=0)
     rotor_inertia: Inertia | None = Field(None, ge=0)
     friction: TorqueFriction = TorqueFriction()
+
+    @property
+    def capacity(self) -> float:
+        """Torque [N·m] by which it shares a load with others."""
+        return self.max_torque or 1.0
 
     @property
     def effort_factors(self) -> dict[str, float]:
@@ -211,6 +236,10 @@ class Drive(Noun):
     def effort_symbol(self) -> Literal["tau"]:
         """What the names of parameters of its torque begin with, after the dot."""
         return "tau"
+
+
+Actuator = Cylinder | Motor | Drive
+"""What moves joints by a force of its own."""
 
 
 class GasCylinder(Noun):

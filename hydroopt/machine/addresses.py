@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
-from hydroopt.machine.actuators import Cylinder, Drive, GasCylinder, Motor
+from hydroopt.machine.actuators import Actuator, Cylinder, Drive, GasCylinder
 from hydroopt.machine.calibration_chain import Fixture
 from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.links import Body, Link
@@ -66,7 +66,7 @@ def joint_friction(link: Link, units: Mapping[str, str]) -> Iterator[Number]:
                          f"{link.name}.joint.friction.{key}")
 
 
-def actuator_numbers(actuator: Cylinder | Motor | Drive, units: Mapping[str, str]) -> Iterator[Number]:
+def actuator_numbers(actuator: Actuator, units: Mapping[str, str]) -> Iterator[Number]:
     """Offset, friction and rotor of an actuator; `units` of torques by key, which a cylinder does not need."""
     name, friction, path = actuator.name, actuator.friction, f"{actuator.name}.friction"
     units = _CYLINDER_UNITS if isinstance(actuator, Cylinder) else units

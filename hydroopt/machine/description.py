@@ -7,8 +7,9 @@ from itertools import chain
 from pydantic import Field
 
 from hydroopt.machine import addresses
-from hydroopt.machine.actuators import Cylinder, Drive, GasCylinder, Motor
+from hydroopt.machine.actuators import Actuator, Cylinder, Drive, GasCylinder, Motor
 from hydroopt.machine.addresses import Number
+from hydroopt.machine.balances import Balance, balance
 from hydroopt.machine.calibration_chain import Calibrator, Distance, Fixture, Stage, Tracker
 from hydroopt.machine.closures import closures
 from hydroopt.machine.couplings import Coupling
@@ -93,15 +94,43 @@ class MachineDescription(Noun):
         return (*own, *self.calibrator.links)
 
     @property
-    def actuators(self) -> tuple[Cylinder | Motor | Drive, ...]:
-        """The actuators in the order of the joints they drive: the order of measured forces."""
-        found: tuple[Cylinder | Motor | Drive, ...] = (*self.cylinders, *self.motors, *self.drives)
+    def actuators(self) -> tuple[Actuator, ...]:
+        """All actuators in the order of the joints that they are there to move."""
+        found: tuple[Actuator, ...] = (*self.cylinders, *self.motors, *self.drives)
         return tuple(sorted(found, key=lambda actuator: self.joints.index(self.main_joint(actuator))))
 
     @property
+    def balances(self) -> tuple[Balance, ...]:
+        """The measured equations of motion in the order of their joints: the order of measured forces."""
+        drivers, found = self.drivers, []
+        for joint in self.joints:
+            made = balance(joint, drivers[joint], prismatic=self.link(joint).joint.type == "prismatic")
+            found += [made] if made else []
+        return tuple(found)
+
+    @property
+    def measured_actuators(self) -> tuple[Actuator, ...]:
+        """The measured actuators that a balance depends on, in the order of `actuators`."""
+        at = {each.joint for each in self.balances}
+        return tuple(each for each in self.actuators if each.measured and at.intersection(self.moved_by(each)))
+
+    @property
+    def one_each(self) -> bool:
+        """Whether each joint of q has one actuator, which is measured: balances are then the actuators' forces."""
+        balances = self.balances
+        return len(balances) == len(self.joints) and all(each.alone for each in balances)
+
+    @property
+    def drivers(self) -> dict[str, tuple[Actuator, ...]]:
+        """The actuators that are there to move each joint of q."""
+        mains = [(self.main_joint(each), each) for each in self.actuators]
+        return {joint: tuple(each for main, each in mains if main == joint) for joint in self.joints}
+
+    @property
     def sealed(self) -> tuple[str, ...]:
-        """Names of the cylinders whose friction depends on their pressures."""
-        return tuple(cylinder.name for cylinder in self.cylinders if cylinder.friction.seal is not None)
+        """Names of the measured cylinders whose friction depends on their pressures."""
+        return tuple(each.name for each in self.measured_actuators
+                     if isinstance(each, Cylinder) and each.friction.seal is not None)
 
     @property
     def circuits(self) -> dict[str, Circuit]:
@@ -118,13 +147,15 @@ class MachineDescription(Noun):
         """Hydraulic and gas-charged cylinders."""
         return (*self.cylinders, *self.gas_cylinders)
 
-    def main_joint(self, actuator: Cylinder | Motor | Drive) -> str:
+    def main_joint(self, actuator: Actuator) -> str:
         """The joint of q that an actuator is there to move: of several that a cylinder moves the last one."""
-        return self.moved_by(actuator)[-1] if isinstance(actuator, Cylinder) else actuator.joint
+        return self.moved_by(actuator)[-1]
 
-    def moved_by(self, cylinder: Cylinder | GasCylinder) -> tuple[str, ...]:
-        """The joints of q on which a cylinder's length depends."""
-        between, followed = self.joints_between(cylinder.barrel.link, cylinder.rod.link), self.followed
+    def moved_by(self, part: Actuator | GasCylinder) -> tuple[str, ...]:
+        """The joint of q that a motor or drive turns, or those on which a cylinder's length depends."""
+        if isinstance(part, Motor | Drive):
+            return (part.joint,)
+        between, followed = self.joints_between(part.barrel.link, part.rod.link), self.followed
         moving = {name for joint in between for name in followed.get(joint, ())}
         return tuple(joint for joint in self.joints if joint in moving)
 
@@ -232,12 +263,10 @@ class MachineDescription(Noun):
         return f"{found[0]}[{owner}].{rest}" if found else path
 
     def effort_numbers(self, joint: str) -> tuple[Number, ...]:
-        """Friction, offset and rotor of a moving joint and its actuator, in the order of Eq. 4.53, 4.54."""
+        """Friction, offset and rotor of a moving joint and its actuators, in the order of Eq. 4.53, 4.54."""
         units = self.friction_units(joint)
-        own = tuple(addresses.joint_friction(self.link(joint), units))
-        if joint not in self.joints:
-            return own
-        return (*own, *addresses.actuator_numbers(self.actuators[self.joints.index(joint)], units))
+        return (*addresses.joint_friction(self.link(joint), units), *chain.from_iterable(
+            addresses.actuator_numbers(each, units) for each in self.drivers.get(joint, ())))
 
     @property
     def hydraulic_numbers(self) -> tuple[Number, ...]:

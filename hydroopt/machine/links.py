@@ -120,7 +120,7 @@ class Joint(Noun):
 
     The joint variable adds to `theta` (revolute) or `d` (prismatic); a locked joint has none. Under the torque of
     gravity the joint gives way by `compliance` times that torque. A `dependent` joint follows others through a loop or
-    coupling.
+    coupling. A `passive` joint moves by itself, but no actuator is there to move it.
     """
 
     type: Literal["revolute", "prismatic", "locked"]
@@ -135,6 +135,7 @@ class Joint(Noun):
     max_acceleration: float | None = Field(None, gt=0, allow_inf_nan=False)
     compliance: AngularCompliance | None = Field(None, ge=0)
     dependent: bool = False
+    passive: bool = False
     friction: JointFriction = JointFriction()
 
     @model_validator(mode="before")
@@ -155,6 +156,9 @@ class Joint(Noun):
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
+        if self.passive and not self.independent:
+            raise ImpossibleError(f"a {'dependent' if self.dependent else 'locked'} joint cannot be passive",
+                                  "remove 'passive', or let the joint move by itself", "passive")
         if self.dependent:
             if self.type == "locked":
                 raise ImpossibleError("a locked joint cannot be dependent", "let it turn or slide", "dependent")

@@ -13,7 +13,7 @@ from pydantic import ModelWrapValidatorHandler, ValidationError, ValidationInfo,
 from hydroopt.errors import MachineError
 from hydroopt.input_file import similar
 from hydroopt.machine import addresses
-from hydroopt.machine.actuators import Cylinder, Drive, Motor
+from hydroopt.machine.actuators import Actuator, Drive, Motor
 from hydroopt.machine.closures import place
 from hydroopt.machine.description import BASE, MachineDescription
 from hydroopt.machine.links import Note
@@ -150,39 +150,49 @@ class Machine(MachineDescription):
 
     def _actuation(self) -> None:
         links = {link.name for link in self.links}
-        driven: Counter[str] = Counter()
         for cylinder in self.all_cylinders:
             for end, attachment in (("barrel", cylinder.barrel), ("rod", cylinder.rod)):
                 if attachment.link not in links | {BASE}:
                     raise ImpossibleError(f"the {end} of '{cylinder.name}' is pinned to '{attachment.link}', which "
                                           "does not exist", "name a link or the base")
-            between = self.joints_between(cylinder.barrel.link, cylinder.rod.link)
-            if not between:
+            if not self.joints_between(cylinder.barrel.link, cylinder.rod.link):
                 raise ImpossibleError(f"no moving joint lies between the two ends of '{cylinder.name}'",
                                       "pin its ends to links that move relative to each other")
-            if isinstance(cylinder, Cylinder):
-                driven.update(self.moved_by(cylinder))
         rotary: tuple[Motor | Drive, ...] = (*self.motors, *self.drives)
         for actuator in rotary:
             if actuator.joint not in self.joints:
                 raise ImpossibleError(f"'{actuator.name}' drives '{actuator.joint}', which is not a moving joint",
                                       "name the link whose joint it drives")
-            driven[actuator.joint] += 1
-        for joint in self.joints:
-            if not driven[joint]:
-                raise ImpossibleError(f"nothing drives the joint '{joint}'",
-                                      "add its actuator, make it locked, or state the loop that determines it and make "
-                                      "it dependent")
-        mains: dict[str, str] = {}
-        for each in self.actuators:
-            joint = self.main_joint(each)
-            if joint in mains:
-                raise ImpossibleError(f"the joint '{joint}' is driven by both '{mains[joint]}' and '{each.name}'",
-                                      "keep one of them")
-            mains[joint] = each.name
-        if len(self.actuators) != len(self.joints):
-            raise ImpossibleError(f"{len(self.actuators)} actuators drive {len(self.joints)} moving joints",
-                                  "give every moving joint one actuator")
+        across = {joint: each.name for each in self.actuators for joint in self.moved_by(each)[:-1]}
+        for joint, drivers in self.drivers.items():
+            self._driven(joint, drivers, across.get(joint))
+        if not self.measured_actuators:
+            raise ImpossibleError("no equation of motion contains a measured force",
+                                  "measure at least one joint's actuators: all of them that move it")
+
+    def _driven(self, joint: str, drivers: tuple[Actuator, ...], across: str | None) -> None:
+        if self.link(joint).joint.passive:
+            if drivers:
+                raise ImpossibleError(f"the joint '{joint}' is passive, but '{drivers[0].name}' drives it",
+                                      "remove 'passive', or the actuator", f"links[{joint}].joint.passive")
+            return
+        if not drivers:
+            only = f"; '{across}' crosses it, but drives another joint" if across else ""
+            raise ImpossibleError(f"nothing drives the joint '{joint}'{only}",
+                                  "add its actuator, with measured = false if no log holds its force; make the joint "
+                                  "locked, or passive if it swings freely; or state the loop that determines it and "
+                                  "make it dependent")
+        sensed = [each.name for each in drivers if isinstance(each, Drive) and each.measured]
+        if len(sensed) > 1:
+            raise ImpossibleError(f"'{sensed[0]}' and '{sensed[1]}' are both measured by '{joint}.tau'",
+                                  "state one drive with the torque of both")
+        unmeasured = [each for each in drivers if not each.measured]
+        for each in unmeasured:
+            if len(unmeasured) > 1 and len(moved := self.moved_by(each)) > 1:
+                other = next(one.name for one in unmeasured if one is not each)
+                raise ImpossibleError(f"'{each.name}', which moves {' and '.join(moved)}, and '{other}' are not "
+                                      f"measured: the equation of '{joint}' cannot eliminate both",
+                                      "measure one of them, or pin the first to the two sides of one joint")
 
     def _chain(self) -> None:
         if self.calibrator and self.calibrator.parent not in {link.name for link in self.links}:

@@ -81,16 +81,25 @@ class AttachedCalibrator:
             columns.append(allowed.T @ body_regressor(motion))
         self.generalised = ca.Function("generalised", [*symbols], [ca.densify(ca.horzcat(*columns))],
                                        ["q", "qd", "qdd"], ["force"])
-        self._at_actuators = ca.Function("at_actuators", [model.coordinates.q],
-                                         [ca.densify(model.dynamics.at_actuators(ca.SX.eye(n)))])
+        self._at_balances = ca.Function("at_balances", [model.coordinates.q],
+                                        [ca.densify(model.dynamics.at_balances(ca.SX.eye(n)))])
 
     @property
     def joints(self) -> tuple[str, ...]:
-        """The calibrator's joints (r,)."""
+        """The calibrator's joints (c,)."""
         return self.kinematics.joints[len(self.model.machine.joints):]
 
     def regressor(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """What the calibrator adds to the model's regressor K (N, n, p), for a motion (N, n + r) on the closed loop.
+        """What the calibrator adds to the model's regressor K (N, r, p), for a motion (N, n + c) on the closed loop.
+
+        Raises:
+            ProblemError: see `at_joints`.
+        """
+        n = len(self.model.machine.joints)
+        return np.asarray(self.kinematics.over(self._at_balances, q[:, :n])[0] @ self.at_joints(q, qd, qdd))
+
+    def at_joints(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Generalised forces (N, n, p) per parameter that the calibrator loads the machine's joints with.
 
         Raises:
             ProblemError: the calibrator cannot follow all motions of the machine, so that forces between the two
@@ -108,7 +117,7 @@ class AttachedCalibrator:
                                where=self.model.machine.name, remedy="give the calibrator the joints it needs")
         generalised = over(self.generalised, q, qd, qdd)[0]
         at_joints = generalised[:, :n] + np.swapaxes(G, 1, 2) @ generalised[:, n:]
-        K = np.zeros((len(q), n, len(parameters)))
+        made = np.zeros((len(q), n, len(parameters)))
         places = np.concatenate([np.arange(len(parameters))[parameters.bodies[owner]] for owner in self.owners])
-        K[:, :, places] = over(self._at_actuators, q[:, :n])[0] @ at_joints
-        return K
+        made[:, :, places] = at_joints
+        return made

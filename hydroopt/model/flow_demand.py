@@ -22,7 +22,7 @@ def chamber_flows(actuator: Cylinder | Motor, speed: Any) -> tuple[Any, Any]:
 
 
 def demanded_flow(machine: Machine, speed: Array) -> Array:
-    """Flow (N,) [m³/s] that the actuators demand of the pump at speeds (N, n) [m/s or rad/s].
+    """Flow (N,) [m³/s] that the actuators demand of the pump at their speeds (N, a) [m/s or rad/s].
 
     Example:
         >>> from hydroopt.machine.machine_file import load_machine

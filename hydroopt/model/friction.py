@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import casadi as ca
 
-from hydroopt.machine.actuators import Cylinder, Drive, Motor
+from hydroopt.machine.actuators import Actuator, Cylinder
 
 
 def sign_of(speed: ca.SX, dead_zone: float | None) -> ca.SX:
@@ -17,7 +17,7 @@ def sign_of(speed: ca.SX, dead_zone: float | None) -> ca.SX:
     return (ca.sign(speed - dead_zone) + ca.sign(speed + dead_zone)) / 2
 
 
-def friction_terms(actuator: Cylinder | Motor | Drive, speed: ca.SX, pressure: ca.SX,
+def friction_terms(actuator: Actuator, speed: ca.SX, pressure: ca.SX,
                    value: Callable[[str], ca.SX | float]) -> dict[str, ca.SX]:
     """Derivatives of an actuator's friction force by its parameters, by the name of the parameter.
 

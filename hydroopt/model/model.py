@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from hydroopt.errors import ProblemError
 from hydroopt.kernels.expression_graph import program
 from hydroopt.kernels.native import Runner
-from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.model import lagrange
@@ -25,13 +24,14 @@ from hydroopt.spatial.inertia import Array
 
 
 class Model:
-    """A machine's kinematics and dynamics; n joints, as many actuators, p dynamic parameters.
+    """A machine's kinematics and dynamics; n joints, r balances, p dynamic parameters.
 
     `actuator_inertia` tells the complete model (with barrels and rods) from the thesis's reduced one. With `calibrator`
     the bodies of the calibrator are parameters, too, the last ones; the functions here are those of the free machine,
     to which `AttachedCalibrator` adds what the calibrator does while it is attached. All functions
-    take and return columns in SI; joint vectors are in the order of ``machine.joints``, actuator forces in that of
-    ``machine.actuators``, parameters in that of ``model.parameters``.
+    take and return columns in SI; joint vectors are in the order of ``machine.joints``, measured forces in that of
+    ``machine.balances``, which is that of the actuators where each joint has one, pressures and forces of actuators in
+    that of ``machine.actuators``, parameters in that of ``model.parameters``.
 
     Raises:
         ProblemError: `machine` is not a `Machine`.
@@ -145,9 +145,9 @@ class Model:
 
     @cached_property
     def regressor(self) -> ca.Function:
-        """(q, qd, qdd[, pressure]) → K (n, p), actuator forces per parameter (Eq. 4.55).
+        """(q, qd, qdd[, pressure]) → K (r, p), measured forces per parameter (Eq. 4.55).
 
-        `pressure` (n,) [Pa] is an input if the model `needs_pressure`: p_head + p_rod of each cylinder, 0 for other
+        `pressure` (a,) [Pa] is an input if the model `needs_pressure`: p_head + p_rod of each cylinder, 0 for other
         actuators. Of a model that is not `linear` K is the derivative of the forces at the nominal parameters.
         """
         K = self._widened(self.dynamics.regressor(actuator_inertia=self.actuator_inertia))
@@ -165,7 +165,7 @@ class Model:
 
     @cached_property
     def regressor_pattern(self) -> NDArray[np.bool_]:
-        """Which entries (n, p) of the regressor are structurally nonzero, while a calibrator may be attached."""
+        """Which entries (r, p) of the regressor are structurally nonzero, while a calibrator may be attached."""
         made = program(self.regressor if self.linear else self.linearised)
         pattern = np.array([made.number(entry) != 0.0 for entry in made.outputs[0].entries]).reshape(
             self.regressor.size_out(0))
@@ -174,14 +174,37 @@ class Model:
 
     @cached_property
     def inverse_dynamics(self) -> ca.Function:
-        """(q, qd, qdd[, pressure], psi) → measured actuator forces (n,) [N or N·m] (Eq. 4.56)."""
+        """(q, qd, qdd[, pressure], psi) → measured forces (r,) [N or N·m] (Eq. 4.56)."""
         given = self._state | {"psi": ca.SX.sym("psi", len(self.parameters))}
         force = self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
         return _dense("inverse_dynamics", [*given.values()], [force], [*given], ["force"])
 
     @cached_property
+    def actuator_forces(self) -> ca.Function:
+        """(q, qd, qdd[, pressure], load (n,), psi) → forces (a,) [N or N·m] of all actuators, measured or not, that
+        carry a motion and a load at the joints; `shared_load` states how actuators of one joint share it."""
+        given = self._state | {"load": ca.SX.sym("load", len(self.machine.joints)),
+                               "psi": ca.SX.sym("psi", len(self.parameters))}
+        force = self.dynamics.actuator_forces(given["psi"], given["load"], actuator_inertia=self.actuator_inertia)
+        return _dense("actuator_forces", [*given.values()], [force], [*given], ["force"])
+
+    @cached_property
+    def passive_accelerations(self) -> ca.Function:
+        """(q, qd, qdd, wrench (6,), load (n,), psi) → accelerations of the passive joints, for which nothing but the
+        load acts there; those in `qdd` count as zero."""
+        passive = [k for k, balance in enumerate(self.machine.balances) if not balance.actuators]
+        joints, qdd = [self.dynamics.kept[k] for k in passive], self.coordinates.qdd
+        given = {**self.coordinates._asdict(), "wrench": ca.SX.sym("wrench", 6),
+                 "load": ca.SX.sym("load", len(self.machine.joints)), "psi": ca.SX.sym("psi", len(self.parameters))}
+        balance = (self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
+                   + self.dynamics.wrench_forces(given["wrench"]) + self.dynamics.at_balances(given["load"]))[passive]
+        rest = ca.substitute(balance, qdd[joints], ca.DM.zeros(len(joints)))
+        found = ca.solve(ca.jacobian(balance, qdd[joints]), -rest) if joints else ca.SX(0, 1)
+        return _dense("passive_accelerations", [*given.values()], [found], [*given], ["qdd"])
+
+    @cached_property
     def linearised(self) -> ca.Function:
-        """(q, qd, qdd[, pressure], psi) → K (n, p), the derivative of the forces by ψ there, and the forces (n,)."""
+        """(q, qd, qdd[, pressure], psi) → K (r, p), the derivative of the forces by ψ there, and the forces (r,)."""
         given = self._state | {"psi": ca.SX.sym("psi", len(self.parameters))}
         K = self._widened(self.dynamics.regressor(given["psi"], actuator_inertia=self.actuator_inertia))
         force = self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
@@ -189,7 +212,7 @@ class Model:
 
     @cached_property
     def force_by_motion(self) -> ca.Function:
-        """(q, qd, qdd[, pressure], psi) → derivatives (n, n) of forces by q, qd, qdd; jumps of dry friction count as
+        """(q, qd, qdd[, pressure], psi) → derivatives (r, n) of forces by q, qd, qdd; jumps of dry friction count as
         zero."""
         given = self._state | {"psi": ca.SX.sym("psi", len(self.parameters))}
         force = self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
@@ -198,23 +221,23 @@ class Model:
 
     @cached_property
     def lagrange_forces(self) -> ca.Function:
-        """(q, qd, qdd, psi) → the part of the actuator forces due to bodies, from their energies."""
+        """(q, qd, qdd, psi) → the part of the measured forces due to bodies, from their energies."""
         psi = ca.SX.sym("psi", len(self.parameters))
         total = ca.SX.zeros(len(self.machine.joints))
         for owner in dynamic_parameters.bodies(self.machine, actuator_inertia=self.actuator_inertia):
             total += lagrange.joint_forces(self.dynamics, owner, psi[self.parameters.bodies[owner]])
-        return _dense("lagrange_forces", [*self.coordinates, psi], [self.dynamics.at_actuators(total)],
+        return _dense("lagrange_forces", [*self.coordinates, psi], [self.dynamics.at_balances(total)],
                            ["q", "qd", "qdd", "psi"], ["force"])
 
     @cached_property
     def gravity_forces(self) -> ca.Function:
-        """(q, psi) → actuator forces (n, 3) per unit [m/s²] of gravity along each axis of the base frame."""
+        """(q, psi) → measured forces (r, 3) per unit [m/s²] of gravity along each axis of the base frame."""
         psi = ca.SX.sym("psi", len(self.parameters))
         moment = ca.SX.zeros(3)
         for owner in dynamic_parameters.bodies(self.machine, actuator_inertia=self.actuator_inertia):
             phi, pose = psi[self.parameters.bodies[owner]], self.dynamics.body_motion(owner).pose
             moment += phi[0] * pose.origin + pose.rotation @ phi[1:4]
-        force = self.dynamics.at_actuators(-ca.jacobian(moment, self.coordinates.q).T)
+        force = self.dynamics.at_balances(-ca.jacobian(moment, self.coordinates.q).T)
         return _dense("gravity_forces", [self.coordinates.q, psi], [force], ["q", "psi"], ["force"])
 
     @cached_property
@@ -240,7 +263,7 @@ class Model:
 
     @cached_property
     def wrench_forces(self) -> ca.Function:
-        """(q, wrench (6,)) → what the wrench adds to the actuator forces (n,) of `inverse_dynamics` [N or N·m].
+        """(q, wrench (6,)) → what the wrench adds to the measured forces (r,) of `inverse_dynamics` [N or N·m].
 
         The wrench is what the surroundings exert on the machine at its tip: force x, y, z [N] and moment x, y, z about
         the tip [N·m], along the axes of the base frame. By virtual work it adds −Jᵀ·wrench at the joints.
@@ -251,23 +274,23 @@ class Model:
 
     @cached_property
     def tip_wrench(self) -> ca.Function:
-        """(q, qd, qdd[, pressure], force, psi) → the wrench (6,) at the tip that explains measured actuator forces, see
+        """(q, qd, qdd[, pressure], force, psi) → the wrench (6,) at the tip that explains measured forces, see
         `wrench_forces`, and how well the posture determines it, from 0 (not at all) to 1.
 
         Where fewer than six joints move the tip it is the force alone, without a moment about the tip, and of fewer
         than three joints the part of the force along the motions of the tip. With more joints than unknowns squares of
         the joints' torques are least.
         """
-        force = ca.SX.sym("force", len(self.machine.actuators))
+        force = ca.SX.sym("force", len(self.machine.balances))
         given = self._state | {"force": force, "psi": ca.SX.sym("psi", len(self.parameters))}
         missing = force - self.dynamics.forces(given["psi"], actuator_inertia=self.actuator_inertia)
-        found = self.dynamics.tip_wrench(self.dynamics.transmission.T @ missing)
+        found = self.dynamics.tip_wrench(self.dynamics.at_joints(missing))
         return _dense("tip_wrench", [*given.values()], list(found), [*given], ["wrench", "determined"])
 
     @cached_property
     def residual(self) -> ca.Function:
-        """(q, qd, qdd[, pressure], force, psi) → measured minus predicted actuator forces (n,)."""
-        psi, force = ca.SX.sym("psi", len(self.parameters)), ca.SX.sym("force", len(self.machine.actuators))
+        """(q, qd, qdd[, pressure], force, psi) → measured minus predicted forces (r,)."""
+        psi, force = ca.SX.sym("psi", len(self.parameters)), ca.SX.sym("force", len(self.machine.balances))
         predicted = self.inverse_dynamics(*self._state.values(), psi)
         return _dense("residual", [*self._state.values(), force, psi], [force - predicted],
                            [*self._state, "force", "psi"], ["residual"])
@@ -279,16 +302,25 @@ class Model:
 
     @property
     def force_units(self) -> tuple[str, ...]:
-        """Unit of each actuator's force."""
-        machine = self.machine
-        return tuple("N" if isinstance(a, Cylinder) or machine.link(j).joint.type == "prismatic" else "N*m"
-                     for a, j in zip(machine.actuators, machine.joints, strict=True))
+        """Unit of each measured force."""
+        return tuple(each.unit for each in self.machine.balances)
+
+    @cached_property
+    def shares(self) -> ca.Function:
+        """q → shares (r, a): measured forces of the balances = shares · forces of the actuators; lever arms [m or 1]
+        where several actuators are there to move a joint."""
+        return _dense("shares", [self.coordinates.q], [self.dynamics.shares], ["q"], ["shares"])
+
+    @cached_property
+    def transmission(self) -> ca.Function:
+        """q → lever arms (a, n) of all actuators [m, m/rad or 1]: their speeds per speed of each joint."""
+        return _dense("transmission", [self.coordinates.q], [self.dynamics.transmission], ["q"], ["transmission"])
 
     @cached_property
     def force_from_pressure(self) -> Mapping[str, Mapping[str, float]]:
-        """For every actuator the channels that its force is computed from, with factors [N/Pa, N·m/Pa or 1] (Eq. 4.33,
-        4.61)."""
-        return {actuator.name: actuator.effort_factors for actuator in self.machine.actuators}
+        """For every measured actuator the channels that its force is computed from, with factors [N/Pa, N·m/Pa or 1]
+        (Eq. 4.33, 4.61)."""
+        return {actuator.name: actuator.effort_factors for actuator in self.machine.measured_actuators}
 
     def over(self, function: ca.Function, *columns: Array, out: list[Array] | None = None) -> list[Array]:
         """Evaluate a function at N samples, see `Runner.over`."""

@@ -57,7 +57,7 @@ class Plant:
     where it has pressed into it; `steady` knows no wall.
 
     Raises:
-        ProblemError: an actuator states no circuit or is not hydraulic, or there is none.
+        ProblemError: an actuator states no circuit or is not hydraulic, or a joint does not have one measured actuator.
 
     Example:
         >>> import hydroopt as ho
@@ -76,6 +76,11 @@ class Plant:
         if not machine.actuators:
             raise ProblemError("no joint moves", where=machine.name, remedy="hydraulics need cylinders or hydraulic "
                                "motors on all joints")
+        if not machine.one_each:
+            many = next(each for each in machine.joints if [one.measured for one in machine.drivers[each]] != [True])
+            raise ProblemError(f"'{many}' does not have one measured actuator", where=machine.name,
+                               remedy="hydraulics need one cylinder or hydraulic motor with measured pressures on each "
+                                      "joint")
         for actuator in machine.actuators:
             if isinstance(actuator, Drive):
                 raise ProblemError(f"'{actuator.name}' is driven directly, not by oil", where=machine.name,

@@ -1,23 +1,28 @@
-"""Regressor: actuator forces f = K(q, q̇, q̈)·ψ, linear in all parameters but Stribeck speeds (Eq. 4.14 to 4.56).
+"""Regressor: measured forces f = K(q, q̇, q̈)·ψ, linear in all parameters but Stribeck speeds (Eq. 4.14 to 4.56).
 
 The thesis eliminates the pin forces of every cylinder by hand (Eq. 4.23 to 4.44). Projecting each body's wrench on the
 motion that the joints allow removes them all at once, for any tree and any position of the pins, since pin forces do no
 work. Friction opposes the motion here; Eqs. 4.32 and 4.51 as printed, taken together, make a piston's assist it.
+
+Rows are the machine's balances (`hydroopt.machine.balances`): an actuator's force where a single one moves the joint,
+as in the thesis, and otherwise the joint's own equation, from which unmeasured forces are eliminated.
 """
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from functools import cached_property
 
 import casadi as ca
 import numpy as np
 
-from hydroopt.machine.actuators import Cylinder, Drive, GasCylinder, Motor
+from hydroopt.machine.actuators import Actuator, Cylinder, Drive, GasCylinder
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.model.cylinder_motion import CylinderMotion, cylinder_motion
 from hydroopt.model.friction import friction_terms
 from hydroopt.model.kinematics import Coordinates, Motion, gravity_in_base, link_motions
+from hydroopt.model.load_sharing import shared_load
 from hydroopt.model.mechanism import tree_motion
 from hydroopt.parameters.dynamic import bodies, parameter_set
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
@@ -56,18 +61,21 @@ class Dynamics:
         self.transmission = self._transmission()
         """(actuators, joints): actuator speed = transmission · q̇; its entries are the lever arms."""
 
-    def _rate_of(self, actuator: Cylinder | Motor | Drive) -> ca.SX:
+    def _rate_of(self, actuator: Actuator) -> ca.SX:
         if isinstance(actuator, Cylinder):
             return self.cylinders[actuator.name].speed
-        return self.coordinates.qd[self.machine.joints.index(actuator.joint)]
+        return self.coordinates.qd[self.joint_of(actuator)]
+
+    def joint_of(self, actuator: Actuator) -> int:
+        """Place in q of the joint that an actuator is there to move."""
+        return self.machine.joints.index(self.machine.main_joint(actuator))
 
     def _transmission(self) -> ca.SX:
         full = ca.jacobian(self.rates, self.coordinates.qd)
         sparse = ca.SX(*full.shape)
         # joints that carry both ends of a cylinder do not change its length: the entry is zero, also symbolically
         for k, actuator in enumerate(self.machine.actuators):
-            moved = self.machine.moved_by(actuator) if isinstance(actuator, Cylinder) else (actuator.joint,)
-            for joint in moved:
+            for joint in self.machine.moved_by(actuator):
                 j = self.machine.joints.index(joint)
                 sparse[k, j] = full[k, j]
         return sparse
@@ -87,12 +95,56 @@ class Dynamics:
         motion = self.body_motion(owner)
         return ca.jacobian(ca.vertcat(motion.velocity, motion.rotation), self.coordinates.qd)
 
-    def at_actuators(self, generalised: ca.SX) -> ca.SX:
-        """Actuator forces (n, ·) that do the same work as generalised forces (n, ·)."""
-        pattern = self.transmission.sparsity()
-        if pattern.is_diag():
-            return ca.diag(1 / ca.diag(self.transmission)) @ generalised
-        return ca.solve(self.transmission.T, generalised)
+    @cached_property
+    def work(self) -> ca.SX:
+        """(n, n), upper triangular: generalised forces = work · x, with one entry of x for each joint.
+
+        It is the force of the one actuator that is there to move the joint; or of an unmeasured one that moves other
+        joints too; else the generalised force at the joint itself.
+        """
+        machine, made = self.machine, ca.SX.eye(len(self.machine.joints))
+        for j, drivers in enumerate(machine.drivers.values()):
+            lost = [each for each in drivers if not each.measured and len(machine.moved_by(each)) > 1]
+            for each in lost or (drivers if len(drivers) == 1 and drivers[0].measured else ()):
+                made[:, j] = self.transmission[machine.actuators.index(each), :].T
+        return made
+
+    def at_balances(self, generalised: ca.SX) -> ca.SX:
+        """What the balances measure (r, ·) where generalised forces (n, ·) act, without those that they eliminate."""
+        work = self.work
+        diagonal = work.sparsity().is_diag()
+        found = ca.diag(1 / ca.diag(work)) @ generalised if diagonal else ca.solve(work, generalised)
+        return found if len(self.kept) == work.size1() else found[self.kept, :]
+
+    @cached_property
+    def kept(self) -> list[int]:
+        """Places in q of the joints of the balances."""
+        return [self.machine.joints.index(each.joint) for each in self.machine.balances]
+
+    @cached_property
+    def shares(self) -> ca.SX:
+        """(r, actuators): measured forces of the balances = shares · forces of the actuators; zero for those that are
+        not measured."""
+        machine = self.machine
+        made = ca.SX(len(machine.balances), len(machine.actuators))
+        alone = {each.alone.name: k for k, each in enumerate(machine.balances) if each.alone}
+        for each in machine.measured_actuators:
+            i = machine.actuators.index(each)
+            if each.name in alone:
+                made[alone[each.name], i] = 1
+            else:
+                made[:, i] = self.at_balances(self.transmission[i, :].T)
+        return made
+
+    def at_joints(self, measured: ca.SX) -> ca.SX:
+        """Generalised forces (r, ·) at the joints of the balances, where these measure (r, ·)."""
+        return self.work[self.kept, self.kept] @ measured
+
+    def projected(self, generalised: ca.SX) -> ca.SX:
+        """Generalised forces (n, ·) as those at the joints of the balances (r, ·) that these measure alike."""
+        if len(self.kept) == generalised.size1():
+            return generalised
+        return self.at_joints(self.at_balances(generalised))
 
     @cached_property
     def tip(self) -> Pose:
@@ -121,7 +173,7 @@ class Dynamics:
         for drive in self.machine.drives:
             place = parameters.positions.get(f"{drive.name}.rotor_inertia")
             if place is not None:
-                joint = self.machine.joints.index(drive.joint)
+                joint = self.joint_of(drive)
                 total[joint, joint] += drive.gear**2 * psi[place]
         return total
 
@@ -136,12 +188,12 @@ class Dynamics:
         return total
 
     def wrench_forces(self, wrench: ca.SX) -> ca.SX:
-        """What a wrench (6,) that acts on the machine at the tip adds to the actuator forces (n,): −Jᵀ·wrench at the
+        """What a wrench (6,) that acts on the machine at the tip adds to the measured forces (r,): −Jᵀ·wrench at the
         joints, by virtual work."""
-        return self.at_actuators(-self.tip_jacobian.T @ wrench)
+        return self.at_balances(-self.tip_jacobian.T @ wrench)
 
     def tip_wrench(self, torque: ca.SX) -> tuple[ca.SX, ca.SX]:
-        """Wrench (6,) at the tip that `wrench_forces` says the actuators carry with `torque` (n,) at the joints.
+        """Wrench (6,) at the tip that `wrench_forces` says the actuators carry with `torque` (r,) of `at_joints`.
 
         Six joints or more determine force and moment, fewer the force alone: the moment then counts as zero. Fewer than
         three determine the force within the motions that the tip has, and the rest of it counts as zero. With more
@@ -150,9 +202,10 @@ class Dynamics:
         Returns:
             The wrench, and a number in 0 … 1 which is 0 where the posture determines no wrench.
         """
-        moving = [k for k in range(self.tip_jacobian.size2()) if self.tip_jacobian[:, k].nnz()]
+        jacobian = self.projected(self.tip_jacobian.T).T
+        moving = [k for k in range(jacobian.size2()) if jacobian[:, k].nnz()]
         rows = 6 if len(moving) >= 6 else 3
-        J = ca.densify(self.tip_jacobian[:rows, moving])
+        J = ca.densify(jacobian[:rows, moving])
         wide = len(moving) >= rows
         gram = J @ J.T if wide else J.T @ J
         pivots, lower, order = ca.ldl(gram, False)
@@ -165,7 +218,7 @@ class Dynamics:
         return ca.vertcat(-found, ca.SX.zeros(6 - rows)), ca.fmax(least, 0.0)
 
     def regressor(self, psi: ca.SX | None = None, *, actuator_inertia: bool = True) -> ca.SX:
-        """K (n, p): measured actuator forces = K·ψ, columns in the order of `parameter_set` (Eq. 4.55).
+        """K (r, p): measured forces of the balances = K·ψ, columns in the order of `parameter_set` (Eq. 4.55).
 
         Of forces that are not linear in the parameters K is the derivative at `psi` (p,), or at the nominal values,
         where a Stribeck force of zero counts as its typical size: it would hide its speed.
@@ -175,56 +228,95 @@ class Dynamics:
             psi = ca.DM(np.where(parameters.nominal == 0, parameters.scale, parameters.nominal))
         columns: dict[str, ca.SX] = {}
         for owner in bodies(self.machine, actuator_inertia=actuator_inertia):
-            block = self.at_actuators(self.joint_regressor(owner))
+            block = self.at_balances(self.joint_regressor(owner))
             columns |= {f"{owner}.{element}": block[:, k] for k, element in enumerate(inertia.NAMES)}
-        columns |= self._friction_columns(parameters, psi) | self._gas_columns()
+        columns |= self._effort_columns(parameters, psi)
         return ca.horzcat(*[columns[name] for name in parameters.names])
 
     def forces(self, psi: ca.SX, *, actuator_inertia: bool = True) -> ca.SX:
-        """K·ψ (n,) in fewer operations: each body's wrench is computed before it is projected on the joints."""
+        """K·ψ (r,) in fewer operations: each body's wrench is computed before it is projected on the joints."""
         parameters = parameter_set(self.machine, actuator_inertia=actuator_inertia)
-        place = parameters.positions
+        total = self.at_balances(self._of_bodies(parameters, psi, actuator_inertia=actuator_inertia))
+        return _added(total, parameters, psi, self._effort_columns(parameters, psi))
+
+    def actuator_forces(self, psi: ca.SX, load: ca.SX | None = None, *, actuator_inertia: bool = True) -> ca.SX:
+        """Forces (a,) of all actuators, measured or not, that a motion demands, see `shared_load`.
+
+        They carry bodies, friction at joints and pins, gas, and a `load` (n,) of generalised forces; each has its own
+        friction and offset besides.
+        """
+        parameters = parameter_set(self.machine, actuator_inertia=actuator_inertia)
+        total = self._of_bodies(parameters, psi, actuator_inertia=actuator_inertia)
+        total = _added(total, parameters, psi, self._joint_columns())
+        found = shared_load(self.machine, self.transmission, total if load is None else total + load)
+        own = (self._own_friction(k, parameters, psi) for k in range(len(self.machine.actuators)))
+        return ca.vertcat(*(_added(force, parameters, psi, terms)
+                            for force, terms in zip(ca.vertsplit(found), own, strict=True)))
+
+    def _of_bodies(self, parameters: ParameterSet, psi: ca.SX, *, actuator_inertia: bool) -> ca.SX:
         total = ca.SX.zeros(len(self.machine.joints))
         for owner in bodies(self.machine, actuator_inertia=actuator_inertia):
             phi = psi[parameters.bodies[owner]]
             total += self._allowed(owner).T @ (body_regressor(self.body_motion(owner)) @ phi)
-        total = self.at_actuators(total)
-        for name, column in (self._friction_columns(parameters, psi) | self._gas_columns()).items():
-            # a Stribeck speed acts in the column of its force already
-            if name in place and parameters.kind(name) is not ParameterKind.STRIBECK_SPEED:
-                total += column * psi[place[name]]
         return total
 
-    def _friction_columns(self, parameters: ParameterSet, psi: ca.SX) -> dict[str, ca.SX]:
-        machine, qd = self.machine, self.coordinates.qd
-        n = len(machine.joints)
+    def _own_friction(self, k: int, parameters: ParameterSet, psi: ca.SX) -> dict[str, ca.SX]:
+        """Terms of an actuator's own force, by parameter."""
+        return friction_terms(self.machine.actuators[k], self.rates[k], self.pressure[k],
+                              lambda name: psi[parameters.index(name)])
+
+    def _effort_columns(self, parameters: ParameterSet, psi: ca.SX) -> dict[str, ca.SX]:
+        """Columns (r,) of everything but bodies."""
+        columns = {name: self.at_balances(column) for name, column in self._joint_friction().items()}
+        for k, actuator in enumerate(self.machine.actuators):
+            share = self.shares[:, k]
+            columns |= {name: share * term if share.nnz() else share
+                        for name, term in self._own_friction(k, parameters, psi).items()}
+            columns |= {name: self.at_balances(column) for name, column in self._of_actuator(actuator).items()}
+        return columns | {name: self.at_balances(column) for name, column in self._gas_columns().items()}
+
+    def _joint_columns(self) -> dict[str, ca.SX]:
+        """Generalised forces (n,) per parameter of friction at joints and pins, of rotors and of gas."""
+        columns = self._joint_friction()
+        for actuator in self.machine.actuators:
+            columns |= self._of_actuator(actuator)
+        return columns | self._gas_columns()
+
+    def _joint_friction(self) -> dict[str, ca.SX]:
         columns: dict[str, ca.SX] = {}
-        for joint, turn in zip(machine.tree_joints, ca.vertsplit(self.tree.values.qd), strict=True):
-            share = ca.jacobian(turn, qd).T
-            columns |= {f"{joint}.tau_coulomb": self.at_actuators(share * ca.sign(turn)),
-                        f"{joint}.tau_viscous": self.at_actuators(share * turn)}
-        for k, actuator in enumerate(machine.actuators):
-            unit = ca.SX.eye(n)[:, k]
-            terms = friction_terms(actuator, self.rates[k], self.pressure[k], lambda name: psi[parameters.index(name)])
-            columns |= {name: unit * term for name, term in terms.items()}
-            if isinstance(actuator, Cylinder):
-                motion = self.cylinders[actuator.name]
-                for pin, turn in (("n_barrel", motion.barrel_turn), ("n_rod", motion.rod_turn)):
-                    share = ca.jacobian(turn, qd).T * ca.sign(turn)
-                    columns[f"{actuator.name}.{pin}"] = self.at_actuators(share)
-            elif isinstance(actuator, Drive):
-                inertial = unit * actuator.gear**2 * self.coordinates.qdd[k]
-                columns[f"{actuator.name}.rotor_inertia"] = self.at_actuators(inertial)
+        for joint, turn in zip(self.machine.tree_joints, ca.vertsplit(self.tree.values.qd), strict=True):
+            share = ca.jacobian(turn, self.coordinates.qd).T
+            columns |= {f"{joint}.tau_coulomb": share * ca.sign(turn), f"{joint}.tau_viscous": share * turn}
         return columns
+
+    def _of_actuator(self, actuator: Actuator) -> dict[str, ca.SX]:
+        """Generalised forces of the friction of its pins, and of its rotor."""
+        qd, qdd = self.coordinates.qd, self.coordinates.qdd
+        if isinstance(actuator, Cylinder):
+            motion = self.cylinders[actuator.name]
+            return {f"{actuator.name}.{pin}": ca.jacobian(turn, qd).T * ca.sign(turn)
+                    for pin, turn in (("n_barrel", motion.barrel_turn), ("n_rod", motion.rod_turn))}
+        if isinstance(actuator, Drive):
+            at = self.joint_of(actuator)
+            return {f"{actuator.name}.rotor_inertia": ca.SX.eye(qd.size1())[:, at] * actuator.gear**2 * qdd[at]}
+        return {}
 
     def _gas_columns(self) -> dict[str, ca.SX]:
         columns: dict[str, ca.SX] = {}
         for gas in self.machine.gas_cylinders:
             motion = self.cylinders[gas.name]
-            share = ca.jacobian(motion.speed, self.coordinates.qd).T
             # the force of the gas relieves the actuators and enters with a minus sign
-            columns[f"{gas.name}.precharge"] = -self.at_actuators(share * gas_force(gas, motion.length))
+            columns[f"{gas.name}.precharge"] = -(ca.jacobian(motion.speed, self.coordinates.qd).T
+                                                 * gas_force(gas, motion.length))
         return columns
+
+
+def _added(total: ca.SX, parameters: ParameterSet, psi: ca.SX, columns: Mapping[str, ca.SX]) -> ca.SX:
+    """A sum and columns times their parameters; a Stribeck speed acts in the column of its force already."""
+    for name, column in columns.items():
+        if name in parameters.positions and parameters.kind(name) is not ParameterKind.STRIBECK_SPEED:
+            total = total + column * psi[parameters.positions[name]]
+    return total
 
 
 def gas_force(gas: GasCylinder, length: ca.SX) -> ca.SX:

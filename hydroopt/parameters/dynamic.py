@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydroopt.machine.actuators import Cylinder, Drive, Motor
+from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.addresses import Number, gas_numbers
 from hydroopt.machine.links import Body, Note
 from hydroopt.machine.machine import Machine
@@ -42,18 +42,19 @@ class Scalar(NamedTuple):
 def bodies(machine: Machine, *, actuator_inertia: bool = True, calibrator: bool = False) -> dict[str, Owned]:
     """Bodies that the machine states, by owner: ``boom``, ``boom_cylinder.rod``, ``boom_cylinder.barrel``.
 
-    Each link is followed by the rod and barrel of the cylinder that drives its joint (Eq. 4.54). On request the links
+    Each link is followed by the rods and barrels of the cylinders that drive its joint (Eq. 4.54). On request the links
     of the calibrator come last.
     """
     found: dict[str, Owned] = {}
+    drivers = machine.drivers
     for link in machine.links:
         if link.body is not None:
             found[link.name] = Owned(link.body, f"{link.name}.body")
-        driver = _driver(machine, link.name)
-        if actuator_inertia and isinstance(driver, Cylinder):
-            for end, attachment in (("rod", driver.rod), ("barrel", driver.barrel)):
-                if attachment.body is not None:
-                    found[f"{driver.name}.{end}"] = Owned(attachment.body, f"{driver.name}.{end}.body")
+        for driver in drivers.get(link.name, ()):
+            if actuator_inertia and isinstance(driver, Cylinder):
+                for end, attachment in (("rod", driver.rod), ("barrel", driver.barrel)):
+                    if attachment.body is not None:
+                        found[f"{driver.name}.{end}"] = Owned(attachment.body, f"{driver.name}.{end}.body")
     for link in machine.calibrator.links if calibrator and machine.calibrator else ():
         if link.body is not None:
             found[link.name] = Owned(link.body, f"{link.name}.body")
@@ -71,8 +72,8 @@ def carried(machine: Machine, *, actuator_inertia: bool = True) -> dict[str, tup
 
 
 def scalars(machine: Machine, joint: str) -> dict[str, Scalar]:
-    """Friction, offset and rotor parameters of one moving joint and its actuator, in the order of Eq. 4.53, 4.54."""
-    driver = _driver(machine, joint)
+    """Friction, offset and rotor parameters of one moving joint and its actuators, in the order of Eq. 4.53, 4.54."""
+    sealed = {f"{each.name}.f_seal": each for each in machine.drivers.get(joint, ()) if isinstance(each, Cylinder)}
     found = {}
     for number in machine.effort_numbers(joint):
         scalar = Scalar(number)
@@ -80,8 +81,9 @@ def scalars(machine: Machine, joint: str) -> dict[str, Scalar]:
             scalar = Scalar(number, -np.inf)
         elif number.kind is ParameterKind.STRIBECK_SPEED:
             scalar = Scalar(number, number.value / SPEED_RANGE, number.value * SPEED_RANGE, number.value)
-        elif isinstance(driver, Cylinder) and number.kind is ParameterKind.SEAL_FRICTION:
-            scalar = Scalar(number, 0.0, driver.areas[1], 0.01 * driver.areas[0])
+        elif number.kind is ParameterKind.SEAL_FRICTION:
+            areas = sealed[number.name].areas
+            scalar = Scalar(number, 0.0, areas[1], 0.01 * areas[0])
         found[number.name] = scalar
     return found
 
@@ -111,10 +113,10 @@ def parameter_set(machine: Machine, *, actuator_inertia: bool = True, calibrator
         units.extend(inertia.UNITS)
         blocks.append(_body_block(found[owner], machine.notes))
 
+    drivers = machine.drivers
     for link in machine.links:
-        driver = _driver(machine, link.name)
-        owners = [link.name, *([f"{driver.name}.rod", f"{driver.name}.barrel"] if driver else [])]
-        for owner in owners:
+        ends = [f"{driver.name}.{end}" for driver in drivers.get(link.name, ()) for end in ("rod", "barrel")]
+        for owner in (link.name, *ends):
             if owner in found:
                 add_body(owner)
         if link.joint.moving:
@@ -142,10 +144,6 @@ def parameter_set(machine: Machine, *, actuator_inertia: bool = True, calibrator
     sigma = np.sqrt(np.diag(np.linalg.inv(information + np.diag(~known * 1.0))))
     scale = np.where(known, sigma, np.maximum(np.abs(nominal), size))
     return ParameterSet(tuple(names), tuple(kinds), tuple(units), nominal, lower, upper, scale, information)
-
-
-def _driver(machine: Machine, joint: str) -> Cylinder | Motor | Drive | None:
-    return machine.actuators[machine.joints.index(joint)] if joint in machine.joints else None
 
 
 def _body_block(owned: Owned, notes: dict[str, Note]) -> tuple[Array, Array, Array, Array, Array]:

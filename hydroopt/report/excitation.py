@@ -118,8 +118,8 @@ def _groups(excitation: Excitation) -> list[tuple[str, list[tuple[str, ...]]]]:
 
 def _sigma(excitation: Excitation, accuracy: ExpectedAccuracy) -> list[tuple[str, str, str]]:
     model = excitation.problem.information.model
-    return [(actuator.name, plain(float(sigma), 3), unit_text(unit)) for actuator, sigma, unit in
-            zip(model.machine.actuators, accuracy.sigma, model.force_units, strict=True)]
+    return [(balance.name, plain(float(sigma), 3), unit_text(unit)) for balance, sigma, unit in
+            zip(model.machine.balances, accuracy.sigma, model.force_units, strict=True)]
 
 
 def _motion(excitation: Excitation) -> list[Panel]:

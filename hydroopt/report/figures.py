@@ -108,7 +108,7 @@ def thin(x: Array, y: Array, points: int = POINTS) -> tuple[Array, Array]:
 
 
 def forces(estimate: Estimate) -> Figure:
-    """Measured against predicted force of every actuator over time; validation on a shaded ground.
+    """Measured against predicted force of every balance over time; validation on a shaded ground.
 
     Predictions of the nominal and the reduced model stand beside those of the identified one (Figure 37); where they
     are far off, they are cut.
@@ -117,10 +117,10 @@ def forces(estimate: Estimate) -> Figure:
     logs = _timeline(estimate)
     *others, identified = estimate.variants
     with matplotlib.rc_context(STYLE):
-        figure, axes = _rows(len(machine.actuators), 1.45)
-        for k, (actuator, unit) in enumerate(zip(machine.actuators, estimate.problem.model.force_units, strict=True)):
+        figure, axes = _rows(len(machine.balances), 1.45)
+        for k, balance in enumerate(machine.balances):
             ax = axes[k][0]
-            factor, label = _force_axis(unit, np.concatenate([log.data.force[:, k] for log in logs]))
+            factor, label = _force_axis(balance.unit, np.concatenate([log.data.force[:, k] for log in logs]))
             for log in logs:
                 for rows in _segments(log):
                     t = log.data.motion.t[rows] + log.shift
@@ -134,7 +134,7 @@ def forces(estimate: Estimate) -> Figure:
             _shade(ax, logs)
             low, high = _reaches([log.data.force[:, k] * factor for log in logs])
             ax.set_ylim(max(low, ax.get_ylim()[0]), min(high, ax.get_ylim()[1]))
-            ax.set(title=actuator.name, ylabel=label)
+            ax.set(title=balance.name, ylabel=label)
         _time_axis(axes, logs)
         handles = [Line2D([], [], color=GREY, lw=2, label="measured"),
                    *(Line2D([], [], label=name, **OTHERS[name]) for name in others),
@@ -144,15 +144,16 @@ def forces(estimate: Estimate) -> Figure:
 
 
 def residuals(estimate: Estimate) -> Figure:
-    """Measured minus predicted force of every actuator over time and against its joint's velocity."""
+    """Measured minus predicted force of every balance over time and against its joint's velocity."""
     machine = estimate.problem.model.machine
     logs = _timeline(estimate)
     with matplotlib.rc_context(STYLE):
-        figure, axes = _rows(len(machine.actuators), 1.55, widths=(2.0, 1.0))
-        for k, (actuator, unit) in enumerate(zip(machine.actuators, estimate.problem.model.force_units, strict=True)):
+        figure, axes = _rows(len(machine.balances), 1.55, widths=(2.0, 1.0))
+        for k, balance in enumerate(machine.balances):
             over_time, over_speed = axes[k]
+            joint = machine.joints.index(balance.joint)
             errors = [np.where(log.data.inside, log.data.force[:, k] - log.predicted[:, k], np.nan) for log in logs]
-            factor, label = _force_axis(unit, np.concatenate(errors), "residual")
+            factor, label = _force_axis(balance.unit, np.concatenate(errors), "residual")
             stride = max(1, sum(map(len, errors)) // DOTS)
             for log, error in zip(logs, errors, strict=True):
                 colour, known = ORANGE if log.role == "validation" else BLUE, log.data.known[:, k]
@@ -163,8 +164,8 @@ def residuals(estimate: Estimate) -> Figure:
                     over_time.plot(*thin(t, taken * factor, share), color=colour, lw=0.7)
                 for which, alpha in ((~known, 0.18), (known, 0.6)):
                     at = np.flatnonzero(which & np.isfinite(error))[::stride]
-                    over_speed.plot(log.data.motion.qd[at, k], error[at] * factor, ls="none", marker=".", ms=2.4, mew=0,
-                                    color=colour, alpha=alpha, rasterized=True)
+                    over_speed.plot(log.data.motion.qd[at, joint], error[at] * factor, ls="none", marker=".", ms=2.4,
+                                    mew=0, color=colour, alpha=alpha, rasterized=True)
             _shade(over_time, logs)
             for ax in (over_time, over_speed):
                 band = 2 * estimate.sigma[k] * factor
@@ -172,13 +173,13 @@ def residuals(estimate: Estimate) -> Figure:
                 ax.axhline(0, color=GREY, lw=0.6, zorder=0.7)
             reach = factor * _reach([np.where(log.data.known[:, k], error, np.nan)
                                      for log, error in zip(logs, errors, strict=True)], estimate.sigma[k])
-            over_time.set(title=actuator.name, ylabel=label, ylim=(-reach, reach))
+            over_time.set(title=balance.name, ylabel=label, ylim=(-reach, reach))
             over_speed.set_ylim(-reach, reach)
             over_speed.locator_params(axis="y", nbins=5)
             over_speed.tick_params(labelleft=False)
-            sliding = machine.link(machine.joints[k]).joint.type == "prismatic"
+            sliding = machine.link(balance.joint).joint.type == "prismatic"
             speed = "m/s" if sliding else "rad/s"
-            over_speed.set_xlabel(f"velocity of joint {machine.joints[k]} [{speed}]", labelpad=2)
+            over_speed.set_xlabel(f"velocity of joint {balance.joint} [{speed}]", labelpad=2)
         _time_axis(axes, logs)
         handles: list[Line2D | Patch] = [
             Line2D([], [], color=BLUE, lw=1.5, label="training"),

@@ -127,9 +127,9 @@ def _causes(misfit: Misfit | None) -> list[tuple[str, str, str, str, str, bool, 
 
 
 def _weights(estimate: Estimate) -> list[tuple[str, str, str, str]]:
-    """Actuator, σ of its residual with unit, and correlation time in samples."""
+    """Actuator or joint, σ of its residual with unit, and correlation time in samples."""
     return [(a.name, plain(s), unit_text(unit), plain(t, 3)) for a, s, unit, t in
-            zip(estimate.problem.model.machine.actuators, estimate.sigma, estimate.problem.model.force_units,
+            zip(estimate.problem.model.machine.balances, estimate.sigma, estimate.problem.model.force_units,
                 estimate.correlation_time, strict=True)]
 
 

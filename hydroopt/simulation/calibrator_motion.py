@@ -30,8 +30,15 @@ class CalibratorMotion:
     qdd: Array
 
     def regressor(self, q: Array, qd: Array, qdd: Array) -> Array:
-        """What the calibrator adds to the regressor K (N, n, p) for the machine's motion (N, n)."""
-        return self.attached.regressor(*(np.hstack(pair) for pair in ((q, self.q), (qd, self.qd), (qdd, self.qdd))))
+        """What the calibrator adds to the regressor K (N, r, p) for the machine's motion (N, n)."""
+        return self.attached.regressor(*self._with((q, qd, qdd)))
+
+    def at_joints(self, q: Array, qd: Array, qdd: Array) -> Array:
+        """Generalised forces (N, n, p) per parameter that it loads the machine's joints with."""
+        return self.attached.at_joints(*self._with((q, qd, qdd)))
+
+    def _with(self, motion: tuple[Array, Array, Array]) -> tuple[Array, ...]:
+        return tuple(np.hstack(pair) for pair in zip(motion, (self.q, self.qd, self.qdd), strict=True))
 
 
 def follow(attached: AttachedCalibrator, q: Array, qd: Array, qdd: Array,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,11 +16,15 @@ from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.simulation.calibrator_motion import CalibratorMotion
+from hydroopt.simulation.passive_joints import passive_motion
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 
 USED = 0.9
 """Part of the tightest limit of a joint that a random motion uses."""
+
+PASSES, SETTLED = 200, 1e-3
+"""How often the pressures on seals are found again, until they change by less [Pa]."""
 
 BACK_PRESSURE = 5e5
 """Pressure [Pa] in the chamber that a simulated actuator does not push with."""
@@ -141,10 +145,13 @@ def random_truth(model: Model, seed: int, *, tries: int = 20000) -> Array:
 
 
 def forces(model: Model, motion: Trajectory, psi: Array) -> Array:
-    """Noise-free actuator forces (N, n) of a motion with the parameters ψ.
+    """Noise-free forces (N, a) of all actuators, measured or not, in a motion with the parameters ψ.
 
-    The friction of seals depends on pressures and these on the force, which is so found for both at once.
+    The friction of seals depends on pressures and these on the force, which is so found for both at once. Actuators of
+    one joint share its load by the rule of `shared_load`.
     """
+    if not model.machine.one_each:
+        return _shared_forces(model, motion, psi)
     state, still = (motion.q, motion.qd, motion.qdd), np.zeros_like(motion.q)
     extra = (still,) if model.needs_pressure else ()
     force = model.over(model.inverse_dynamics, *state, *extra, psi)[0][:, :, 0]
@@ -167,6 +174,29 @@ def forces(model: Model, motion: Trajectory, psi: Array) -> Array:
     return force
 
 
+def _shared_forces(model: Model, motion: Trajectory, psi: Array) -> Array:
+    machine, state = model.machine, (motion.q, motion.qd, motion.qdd)
+    load = np.zeros_like(motion.q)
+    if motion.wrench is not None:
+        load -= np.einsum("nij,ni->nj", model.over(model.tip_jacobian, motion.q)[0], motion.wrench)
+    if motion.calibrator is not None:
+        load += motion.calibrator.at_joints(*state) @ psi
+    if not model.needs_pressure:
+        return model.over(model.actuator_forces, *state, load, psi)[0][:, :, 0]
+    sealed = {k: each for k, each in enumerate(machine.actuators)
+              if isinstance(each, Cylinder) and each.name in machine.sealed}
+    pressure = np.zeros((len(motion.t), len(machine.actuators)))
+    for _ in range(PASSES):
+        force = model.over(model.actuator_forces, *state, pressure, load, psi)[0][:, :, 0]
+        before = pressure.copy()
+        for k, each in sealed.items():
+            pressure[:, k] = sum(_chambers(force[:, k], *each.areas, *each.chambers).values())
+        if np.max(np.abs(pressure - before)) <= SETTLED:
+            return np.asarray(force)
+    raise ProblemError(f"the seals of {', '.join(machine.sealed)} would hold them against any pressure",
+                       where="simulate", remedy="keep the seals well below the rod sides' areas")
+
+
 def _sealed(without: Array, share: Array, head: float, rod: float) -> Array:
     """Force f (N,) of a cylinder whose seals add `share` times the sum p_head + p_rod that goes with f itself.
 
@@ -180,7 +210,7 @@ def _sealed(without: Array, share: Array, head: float, rod: float) -> Array:
 
 def simulate(model: Model, motion: Trajectory, psi: Array | None = None, *, noise: bool = True, seed: int = 0,
              name: str = "simulated") -> Log:
-    """The log that the machine's sensors would record.
+    """The log that the machine's sensors would record. Passive joints start as `motion` states and follow the others.
 
     Args:
         model: the machine.
@@ -199,9 +229,13 @@ def simulate(model: Model, motion: Trajectory, psi: Array | None = None, *, nois
     psi = model.parameters.nominal if psi is None else psi
     rng = np.random.default_rng(seed)
     machine = model.machine
+    q, qd, qdd = passive_motion(model, motion.t, (motion.q, motion.qd, motion.qdd), psi, motion.wrench)
+    motion = replace(motion, q=q, qd=qd, qdd=qdd)
     force = forces(model, motion, psi)
     channels = {f"{joint}.q": motion.q[:, k] for k, joint in enumerate(machine.joints)}
     for k, actuator in enumerate(machine.actuators):
+        if actuator not in machine.measured_actuators:
+            continue
         if isinstance(actuator, Drive):
             channels[f"{actuator.joint}.tau"] = force[:, k]
         else:

@@ -145,7 +145,7 @@ def bootstrap(machine: Machine, logs: Sequence[Log], *, cells: int, seed: int = 
     held = in_memory(problem.experiments, "a bootstrap")
     samples = np.sum([np.sum(e.inside[:, None] & e.known, axis=0) for e in held], axis=0)
     valued = np.flatnonzero(np.isfinite(found.value))
-    n = len(machine.actuators)
+    n = len(machine.balances)
     work = Resampling(
         machine, tuple(logs), method, tuple(problem.parameters.names[k] for k in valued), valued,
         tuple(problem.parameters.names[k] for k in found.identifiability.basis), found.psi,
@@ -172,5 +172,6 @@ def summary(study: Study, table: Table) -> dict[str, Any]:
                      "bias": float(np.mean(refits)) - value, "scatter": scatter, "stated_std": stated,
                      "scatter_over_stated": scatter / stated if scatter is not None and stated else None})
     return {"cells": len(table), **failed(table),
-            "block_samples": dict(zip((a.name for a in work.machine.actuators), work.blocks.tolist(), strict=True)),
+            "block_samples": {each.name: size for each, size in zip(work.machine.balances, work.blocks.tolist(),
+                                                                    strict=True)},
             "parameters": rows[: len(work.names)], "base_parameters": rows[len(work.names):]}

@@ -74,7 +74,7 @@ class Trial:
                        f"{total.link} in all.std": total.std, f"{total.link} in all.inside":
                        int(total.low <= mass <= total.high) if np.isfinite(total.low) else None}
         rms = unseen_error(self, truth, estimate.psi)
-        return result | {f"{a.name}.rms": float(x) for a, x in zip(self.machine.actuators, rms, strict=True)}
+        return result | {f"{each.name}.rms": float(x) for each, x in zip(self.machine.balances, rms, strict=True)}
 
 
 # once in each process, because the model depends on no cell's seed
@@ -167,8 +167,8 @@ def _point(trial: Any, table: Table) -> dict[str, Any]:
             "coverage": _mean(np.array(covered)),
             "coverage_std_error": float(np.std(by_cell, ddof=1) / np.sqrt(len(by_cell))) if len(by_cell) > 1 else None,
             "coverage_half_width": 1.96 * float(np.sqrt(0.95 * 0.05 / max(fewest, 1))),
-            "prediction": {actuator.name: quantiles(table.column(f"{actuator.name}.rms"))
-                           for actuator in trial.machine.actuators},
+            "prediction": {balance.name: quantiles(table.column(f"{balance.name}.rms"))
+                           for balance in trial.machine.balances},
             "parameters": rows}
 
 

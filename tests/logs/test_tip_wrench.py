@@ -50,13 +50,14 @@ def test_simulated_forces_contain_the_wrench_by_virtual_work(contact: tuple[Traj
     plain = simulate(EXCAVATOR, replace(motion, wrench=None), noise=False)
     assert not set(WRENCH) & set(plain.channels)
     np.testing.assert_array_equal(np.column_stack([log.channel(name) for name in WRENCH]), motion.wrench)
-    added = forces(EXCAVATOR, log) - forces(EXCAVATOR, plain)
+    added = forces(EXCAVATOR, log, motion.q) - forces(EXCAVATOR, plain, motion.q)
     second = ComplexMachine(EXCAVATOR.machine)
     for k in (0, 500, 1600):
         q = motion.q[k]
         expected = np.linalg.solve(second.transmission(q).T, -second.tip_jacobian(q).T @ motion.wrench[k]).real
-        np.testing.assert_allclose(added[k], expected, rtol=0, atol=1e-9 * np.abs(forces(EXCAVATOR, log)).max())
-    np.testing.assert_allclose(free_forces(EXCAVATOR, log, motion.q), forces(EXCAVATOR, plain), rtol=0,
+        largest = np.abs(forces(EXCAVATOR, log, motion.q)).max()
+        np.testing.assert_allclose(added[k], expected, rtol=0, atol=1e-9 * largest)
+    np.testing.assert_allclose(free_forces(EXCAVATOR, log, motion.q), forces(EXCAVATOR, plain, motion.q), rtol=0,
                                atol=1e-9 * np.abs(added).max())
 
 
@@ -64,7 +65,7 @@ def test_wrench_is_read_back_from_the_pressures(contact: tuple[Trajectory, Log])
     """What acts on the tip without a moment shows in the forces of a calibrated machine."""
     motion = replace(contact[0], wrench=contact[0].wrench * [1, 1, 1, 0, 0, 0])
     log, model = simulate(EXCAVATOR, motion, noise=False), EXCAVATOR
-    found = model.over(model.tip_wrench, motion.q, motion.qd, motion.qdd, forces(model, log),
+    found = model.over(model.tip_wrench, motion.q, motion.qd, motion.qdd, forces(model, log, motion.q),
                        model.parameters.nominal)[0][:, :, 0]
     np.testing.assert_allclose(found, motion.wrench, rtol=0, atol=1e-6)
 

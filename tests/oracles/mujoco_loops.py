@@ -187,6 +187,23 @@ class MujocoLoops:
 
     def actuator_forces(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """Forces (n,) that move all bodies."""
+        rows = self._inverse(q, qd, qdd)
+        both = np.hstack([self.actuated, rows.T])
+        found, *_ = np.linalg.lstsq(both, self.data.qfrc_inverse, rcond=1e-11)
+        assert np.allclose(both @ found, self.data.qfrc_inverse, rtol=1e-9, atol=1e-6)
+        return found[:len(self.machine.actuators)]
+
+    def virtual_work(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Generalised forces (n,) that move all bodies, and the actuators' lever arms (a, n): no force of theirs is
+        solved for, so that there may be more or fewer of them than joints."""
+        rows = self._inverse(q, qd, qdd)
+        way = np.zeros((self.model.nv, len(self.given)))
+        way[self.given] = np.eye(len(self.given))
+        way[self.free] = -np.linalg.lstsq(rows[:, self.free], rows[:, self.given], rcond=1e-9)[0]
+        return way.T @ self.data.qfrc_inverse, self.actuated.T @ way
+
+    def _inverse(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
+        """MuJoCo's inverse dynamics of the cut tree in a state; the Jacobian of the pins there."""
         start = self.posture()
         for share in np.linspace(0, 1, STEPS + 1)[1:]:
             self.data.qpos[self.given] = start + share * (q - start)
@@ -203,10 +220,7 @@ class MujocoLoops:
         _, rows, rates = self._forward()
         self.data.qacc[:] = rest(qdd, rates @ self.data.qvel)
         mujoco.mj_inverse(self.model, self.data)
-        both = np.hstack([self.actuated, rows.T])
-        found, *_ = np.linalg.lstsq(both, self.data.qfrc_inverse, rcond=1e-11)
-        assert np.allclose(both @ found, self.data.qfrc_inverse, rtol=1e-9, atol=1e-6)
-        return found[:len(self.machine.actuators)]
+        return rows
 
     def tree(self) -> dict[str, float]:
         """Positions of all moving joints."""

@@ -66,11 +66,11 @@ def _unexplained(found: Identification) -> Iterator[Diagnostic]:
     data = "validation" if "validation" in found.fit else "training"
     table = found.fit["validation" if data == "validation" else "train"]
     stated = np.nan_to_num(force_noise(found.problem.model, found.problem.experiments[0].log))
-    for actuator, noise in zip(found.problem.model.machine.actuators, stated, strict=True):
-        fit = table[actuator.name]
+    for balance, noise in zip(found.problem.model.machine.balances, stated, strict=True):
+        fit = table[balance.name]
         beyond = np.sqrt(max(fit.rms**2 - (ABOVE_NOISE * noise) ** 2, 0.0))
         if beyond and UNEXPLAINED * fit.rms < fit.relative * beyond and fit.relative <= 1:
-            yield Diagnostic(Kind.UNEXPLAINED_ACTUATOR, (actuator.name,), {"relative": fit.relative, "data": data})
+            yield Diagnostic(Kind.UNEXPLAINED_ACTUATOR, (balance.name,), {"relative": fit.relative, "data": data})
 
 
 def _sampling(found: Identification) -> Iterator[Diagnostic]:
@@ -105,11 +105,11 @@ def _residuals(found: Identification) -> Iterator[Diagnostic]:
     """Residuals beyond the sensors' noise."""
     model = found.problem.model
     stated = force_noise(model, found.problem.experiments[0].log)
-    for k, actuator in enumerate(model.machine.actuators):
+    for k, balance in enumerate(model.machine.balances):
         if np.isfinite(stated[k]) and found.sigma[k] > ABOVE_NOISE * stated[k]:
-            yield Diagnostic(Kind.RESIDUALS_ABOVE_NOISE, (actuator.name,),
+            yield Diagnostic(Kind.RESIDUALS_ABOVE_NOISE, (balance.name,),
                              {"ratio": number(found.sigma[k] / stated[k]) if stated[k] else None,
-                              "noise": float(stated[k]), "unit": model.force_units[k]})
+                              "noise": float(stated[k]), "unit": balance.unit})
 
 
 def _repeats(found: Identification) -> Iterator[Diagnostic]:

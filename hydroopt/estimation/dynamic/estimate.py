@@ -165,10 +165,10 @@ class Estimate(Identification, Answer):
                              "structurally_not_identifiable": structural.count("none"), **ridge},
             "physical_consistency": {owner: {"consistent": smallest >= 0, "min_eigenvalue": smallest}
                                      for owner, smallest in self.consistency.items()},
-            "weights": {actuator.name: {"sigma": float(sigma), "unit": unit, "correlation_time": float(time),
+            "weights": {balance.name: {"sigma": float(sigma), "unit": unit, "correlation_time": float(time),
                                         "samples": int(samples)}
-                        for actuator, sigma, unit, time, samples in zip(
-                            model.machine.actuators, self.sigma, model.force_units, self.correlation_time,
+                        for balance, sigma, unit, time, samples in zip(
+                            model.machine.balances, self.sigma, model.force_units, self.correlation_time,
                             self.weighted_residuals.samples, strict=True)},
             "split_half": [{"log": data.log.path or data.log.name, **half.as_dict()} for data, half in zip(
                 self.problem.experiments, self.weighted_residuals.split_half, strict=True)],

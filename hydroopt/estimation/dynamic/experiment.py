@@ -216,7 +216,7 @@ class Experiment:
         rows, own = slice(first, last + 1), np.flatnonzero(self.pattern[actuator])
         row = slice(origin + first, origin + first + 1)
         starts = np.zeros_like(self.motion.qd[row])
-        starts[0, actuator] = STARTING
+        starts[0, self.model.dynamics.kept[actuator]] = STARTING
         state = replace(self, motion=replace(self.motion, q=self.motion.q[row], qd=starts, qdd=0 * starts),
                         force=self.force[row], added=None,
                         pressure=None if self.pressure is None else self.pressure[row])
@@ -269,13 +269,14 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
                        names=model.machine.joints, where=log.path or log.name)
     limits = SpeedLimits.of(angles, motion)
     phases = Phases.of(angles, motion, limits)
-    motion, often = phases.at_rest(motion), np.mean(phases.moving, axis=0) > FEW_MOVING
+    motion, kept = phases.at_rest(motion), model.dynamics.kept
+    often = np.mean(phases.moving, axis=0)[kept] > FEW_MOVING
     attached = attached_calibrator(model, log, motion, smoothing)
     added = None if attached is None else attached.regressor(motion.q, motion.qd, motion.qdd)
     known = dry_friction_known(model, motion, phases, limits.noise) & (often | ~has_dry_friction(model))
     return Experiment(model, log, motion, free_forces(model, log, motion.q), known,
                       (*remarks(model, log, angles), *calibrator_remark(attached)), pressures(model, log), added,
-                      phases.calm & ~known)
+                      phases.calm[:, kept] & ~known)
 
 
 def channels_used(model: Model, log: AnyLog) -> set[str]:

@@ -23,7 +23,7 @@ from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE, random
 from hydroopt.estimation.inference.least_squares import base_least_squares
 from hydroopt.logs.any_log import AnyLog, in_memory
 from hydroopt.logs.smoothing import Smoothing
-from hydroopt.machine.actuators import Cylinder, Drive, Motor
+from hydroopt.machine.actuators import Actuator, Cylinder
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
@@ -105,7 +105,7 @@ def with_friction(machine: Machine, terms: str, *, speeds: Mapping[str, float] |
     return Machine.model_validate(machine.model_dump(exclude={"notes", *parts}) | parts | {"notes": notes})
 
 
-def _refitted(part: Cylinder | Motor | Drive, terms: Sequence[str], initial: Mapping[str, float],
+def _refitted(part: Actuator, terms: Sequence[str], initial: Mapping[str, float],
               notes: dict[str, Any]) -> Any:
     """An actuator with other friction terms, with `initial` values or zero; their confidences go into `notes`."""
     stated, path = part.friction.model_dump(), f"{part.name}.friction"
@@ -137,7 +137,8 @@ def _rms_speeds(model: Model, motions: Sequence[tuple[Array, ...]]) -> dict[str,
     for motion in motions:
         strokes = model.over(model.cylinder_kinematics, *motion[:3])[1][:, :, 0]
         for k, actuator in enumerate(model.machine.actuators):
-            rates = strokes[:, cylinders.index(actuator.name)] if isinstance(actuator, Cylinder) else motion[1][:, k]
+            rates = (strokes[:, cylinders.index(actuator.name)] if isinstance(actuator, Cylinder)
+                     else motion[1][:, model.machine.joints.index(actuator.joint)])
             squares[k] += np.sum(rates**2)
         count += len(motion[0])
     # an actuator that never moves has no typical speed
@@ -171,7 +172,7 @@ def friction_problem(machine: Machine, logs: Sequence[AnyLog], validation: Seque
 
 def _best_start(problem: IdentificationProblem) -> dict[str, float]:
     """Factors, by actuator, by which Stribeck speeds fit the training data best."""
-    parameters, actuators = problem.parameters, problem.model.machine.actuators
+    parameters, balances = problem.parameters, problem.model.machine.balances
     heights, at = (parameters.places(kind) for kind in (ParameterKind.STRIBECK_FRICTION, ParameterKind.STRIBECK_SPEED))
     squares = []
     for part in INITIAL_SPEEDS:
@@ -182,7 +183,8 @@ def _best_start(problem: IdentificationProblem) -> dict[str, float]:
         R, r, _ = data.weighted(np.where(sigma > 0, sigma, 1.0))
         squares.append(data.squares(base_least_squares(R, r, parameters.names, RANK_TOLERANCE)[0]))
     best = np.argmin(squares, axis=0)
-    return {actuator.name: INITIAL_SPEEDS[k] for actuator, k in zip(actuators, best, strict=True)}
+    return {actuator.name: INITIAL_SPEEDS[k] for balance, k in zip(balances, best, strict=True)
+            for actuator in balance.actuators}
 
 
 def choose_friction(machine: Machine, logs: Sequence[AnyLog], validation: Sequence[AnyLog],

@@ -124,31 +124,34 @@ def _same_mean(angles: Array, places: NDArray[np.intp], sigma: Array) -> NDArray
 
 
 def has_dry_friction(model: Model) -> NDArray[np.bool_]:
-    """Which actuators' forces (n,) depend on dry friction."""
+    """Which measured forces (r,) depend on dry friction."""
     dry = np.isin(np.array(model.parameters.kinds), DRY)
     return np.asarray(np.any(model.regressor_pattern & dry, axis=1))
 
 
 def dry_friction_known(model: Model, motion: Motion, phases: Phases, noise: Array) -> NDArray[np.bool_]:
-    """Where dry friction is known (N, n): where joints move, and inside dead zones, where it is zero.
+    """Where the dry friction in each balance is known (N, r): where its joint moves, and inside dead zones, where it is
+    zero.
 
-    Near the ends of a dead zone it is not known. `noise` (n,) bounds the errors of the joints' speeds. That of an
-    actuator without dry friction is known everywhere.
+    Near the ends of a dead zone it is not known. `noise` (n,) bounds the errors of the joints' speeds. That of a
+    balance without dry friction is known everywhere.
     """
-    machine, known = model.machine, phases.moving.copy()
-    for k, (joint, actuator) in enumerate(zip(machine.joints, machine.actuators, strict=True)):
-        width = actuator.friction.dead_zone
-        if width is None:
-            continue
-        speed, uncertainty = motion.qd[:, k], np.full(len(motion.t), noise[k])
-        other_dry = machine.link(joint).joint.friction.coulomb is not None
-        if isinstance(actuator, Cylinder):
-            c = machine.all_cylinders.index(actuator)
-            _, speeds, _, arms, _ = model.over(model.cylinder_kinematics, motion.q, motion.qd, motion.qdd)
-            speed, uncertainty = speeds[:, c, 0], np.linalg.norm(arms[:, c] * noise, axis=1)
-            other_dry |= actuator.friction.barrel_pin is not None or actuator.friction.rod_pin is not None
-        size = np.abs(speed)
-        known[:, k] &= size > width + uncertainty
-        if not other_dry:
-            known[:, k] |= size < width - uncertainty
+    machine, known = model.machine, phases.moving[:, model.dynamics.kept]
+    for k, balance in enumerate(machine.balances):
+        j = machine.joints.index(balance.joint)
+        for actuator in balance.actuators:
+            width = actuator.friction.dead_zone
+            if width is None:
+                continue
+            speed, uncertainty = motion.qd[:, j], np.full(len(motion.t), noise[j])
+            other_dry = machine.link(balance.joint).joint.friction.coulomb is not None or not balance.alone
+            if isinstance(actuator, Cylinder):
+                c = machine.all_cylinders.index(actuator)
+                _, speeds, _, arms, _ = model.over(model.cylinder_kinematics, motion.q, motion.qd, motion.qdd)
+                speed, uncertainty = speeds[:, c, 0], np.linalg.norm(arms[:, c] * noise, axis=1)
+                other_dry |= actuator.friction.barrel_pin is not None or actuator.friction.rod_pin is not None
+            size = np.abs(speed)
+            known[:, k] &= size > width + uncertainty
+            if not other_dry:
+                known[:, k] |= size < width - uncertainty
     return np.asarray(known | ~has_dry_friction(model))

@@ -113,15 +113,16 @@ def _solve(problem: IdentificationProblem, method: Method, tolerance: float, rid
         return _solve_at(problem, parameters.nominal, method, tolerance, ridge, intervals, seed, freed)
     speeds = np.array([kind is ParameterKind.STRIBECK_SPEED for kind in parameters.kinds])
     nonlinear = speeds | np.array([kind is ParameterKind.STRIBECK_FRICTION for kind in parameters.kinds])
-    owners = [actuator.name for actuator in problem.model.machine.actuators]
-    stribeck_forces = {k: owners.index(parameters.owner(parameters.names[k]))
-               for k in parameters.places(ParameterKind.STRIBECK_FRICTION)}
+    rows = {actuator.name: k for k, balance in enumerate(problem.model.machine.balances)
+            for actuator in balance.actuators}
+    stribeck_forces = {k: rows[owner] for k in parameters.places(ParameterKind.STRIBECK_FRICTION)
+                       if (owner := parameters.owner(parameters.names[k])) in rows}
     final = partial(_solve_at, problem, method=method, tolerance=tolerance, ridge=ridge, intervals=intervals, seed=seed,
                     freed=freed)
-    point, negligible = parameters.nominal.copy(), np.full(len(owners), np.inf)
+    point, negligible = parameters.nominal.copy(), np.full(len(problem.model.machine.balances), np.inf)
     for _ in range(MAX_STEPS):
-        for k, actuator in stribeck_forces.items():  # a speed without force is not identifiable
-            point[k] *= abs(point[k]) > negligible[actuator]
+        for k, row in stribeck_forces.items():  # a speed without force is not identifiable
+            point[k] *= abs(point[k]) > negligible[row]
         estimate = _solve_at(problem, point, method, tolerance, ridge, False, seed, freed)
         negligible = NEGLIGIBLE_FORCE * estimate.sigma
         unobserved = speeds & (np.array(estimate.identifiability.category) == identifiability.NONE)

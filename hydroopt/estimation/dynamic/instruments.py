@@ -50,10 +50,11 @@ def _at(t: Array, values: Array, times: Array) -> Array:
 
 
 def _second_angle(model: Model, data: Experiment, joint: str) -> Array:
-    actuator = model.machine.actuators[model.machine.joints.index(joint)]
-    log, channel = data.log, f"{actuator.name}.length"
-    if f"{joint}.q" not in log.channels or channel not in log.channels or actuator.name not in model.triangles:
-        record = f"record '{channel}' beside '{joint}.q', or " if actuator.name in model.triangles else ""
+    log = data.log
+    lengths = [f"{each.name}.length" for each in model.machine.drivers[joint] if each.name in model.triangles]
+    channel = next((one for one in lengths if one in log.channels), None)
+    if f"{joint}.q" not in log.channels or channel is None:
+        record = f"record '{lengths[0]}' beside '{joint}.q', or " if lengths else ""
         raise ProblemError(f"the joint '{joint}' has no second reading", where=log.path or log.name,
                            remedy=f"{record}give a log of the motion that was driven")
     return angle_from_length(model, log, channel)

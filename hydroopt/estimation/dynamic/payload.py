@@ -171,7 +171,7 @@ def payload(machine: Machine, unloaded: Sequence[Log] | str | Path, loaded: Sequ
     with threadpool_limits(limits=1, user_api="blas"):
         first, second = stored_information(model, unloaded, smoothing), stored_information(model, loaded, smoothing)
         refuse_shared_samples(first, second)
-        if gain and {len(first.triangles), len(second.triangles)} != {len(machine.actuators)}:
+        if gain and {len(first.triangles), len(second.triangles)} != {len(machine.balances)}:
             raise ProblemError("gains are not identifiable from residuals that were weighted jointly", where="gain",
                                remedy="identify without --fitted-motion, --instruments and --correlated")
         try:
@@ -225,7 +225,7 @@ def _carried(model: Model, link: str) -> Array:
 
 def _problem(model: Model, columns: Array, names: Sequence[str], gain: float, *, mass: float) -> TwoSessionProblem:
     """Two sessions of which the second has one more body, of about this mass within the machine's reach."""
-    parameters, p, n = model.parameters, len(model.parameters), len(model.machine.actuators) if gain else 0
+    parameters, p, n = model.parameters, len(model.parameters), len(model.machine.balances) if gain else 0
     twice = doubled(parameters, names)
     chosen, c = np.eye(p)[twice], len(twice)
     unknowns = joined(parameters, _load(model.machine, mass), second_parameters(parameters, twice), _gains(model, gain))
@@ -250,7 +250,7 @@ def _load(machine: Machine, mass: float) -> ParameterSet:
 
 
 def _gains(model: Model, gain: float) -> ParameterSet:
-    names = tuple(f"{actuator.name}.gain" for actuator in model.machine.actuators) if gain else ()
+    names = tuple(f"{balance.name}.gain" for balance in model.machine.balances) if gain else ()
     n = len(names)
     return ParameterSet(names, (ParameterKind.FORCE_GAIN,) * n, ("1",) * n, np.zeros(n), np.full(n, -np.inf),
                         np.full(n, np.inf), np.full(n, gain), np.eye(n) / (gain or 1.0) ** 2)

@@ -18,10 +18,11 @@ def problem_text(problem: ResidualProblem, priors: Sequence[Prior]) -> str:
     samples = sum(e.sample_count for e in problem.experiments)
     lines = [f"{problem.where}: {samples} samples in {counted(len(problem.experiments), 'training log')}",
              f"variables ψ ({len(parameters)})", *listing.variables(parameters, problem.fixed), "minimise the sum of"]
-    for actuator, std, unit in zip(machine.actuators, problem.force_std, problem.model.force_units, strict=True):
-        weight = f"σ = {listing.number(std)} {unit}" if np.isfinite(std) else "σ unknown"
+    for balance, std in zip(machine.balances, problem.force_std, strict=True):
+        weight = f"σ = {listing.number(std)} {balance.unit}" if np.isfinite(std) else "σ unknown"
         again = ", re-estimated from the residuals" if problem.reweight else ""
-        lines.append(f"  residuals of {actuator.name}: {LOSSES[problem.loss]}, e = f − K·ψ [{unit}], {weight}{again}")
+        lines.append(f"  residuals of {balance.name}: {LOSSES[problem.loss]}, e = f − K·ψ [{balance.unit}], "
+                     f"{weight}{again}")
     lines += ["  residuals of the actuators correlate: their covariance weights them"] * problem.correlated
     lines += ["  motion fitted together with the parameters: (q_measured − q)²/σ²"] * problem.fitted_motion
     lines += ["  instrumental variables from a second reading of the motion"] * bool(problem.instruments)

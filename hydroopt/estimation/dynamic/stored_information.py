@@ -61,9 +61,9 @@ class StoredInformation:
     of_logs: tuple[Diagnostic, ...] = ()
 
     def weights(self, machine: Machine) -> dict[str, dict[str, float]]:
-        """σ, τ and number of residuals of each actuator, by name."""
-        return {actuator.name: {"sigma": float(sigma), "correlation_time": float(time), "samples": int(samples)}
-                for actuator, sigma, time, samples in zip(machine.actuators, self.sigma, self.correlation_time,
+        """σ, τ and number of residuals of each balance, by name."""
+        return {balance.name: {"sigma": float(sigma), "correlation_time": float(time), "samples": int(samples)}
+                for balance, sigma, time, samples in zip(machine.balances, self.sigma, self.correlation_time,
                                                           self.samples, strict=True)}
 
 
@@ -134,8 +134,8 @@ def _header(names: Sequence[str]) -> list[str]:
 
 
 def _owners(machine: Machine, triangles: int) -> list[str]:
-    """The actuator of each triangle, or ``all`` for a joint one."""
-    return [actuator.name for actuator in machine.actuators] if triangles == len(machine.actuators) else ["all"]
+    """The balance of each triangle, or ``all`` for a joint one."""
+    return [balance.name for balance in machine.balances] if triangles == len(machine.balances) else ["all"]
 
 
 def _read(model: Model, folder: Path) -> StoredInformation:
@@ -157,7 +157,7 @@ def _read(model: Model, folder: Path) -> StoredInformation:
     triangles, freedom = _triangles(model, text, folder / INFORMATION)
     details = estimate.details()
     try:
-        weights = [details["weights"][actuator.name] for actuator in model.machine.actuators]
+        weights = [details["weights"][balance.name] for balance in model.machine.balances]
         sigma, times, samples = (np.array([float(w[key]) for w in weights])
                                  for key in ("sigma", "correlation_time", "samples"))
         inputs = [{key: one[key] for key in ("path", "sha256", "samples", "first_sample", "last_sample")}

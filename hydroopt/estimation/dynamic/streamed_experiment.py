@@ -65,7 +65,7 @@ class Totals:
     def __init__(self, model: Model) -> None:
         pattern = model.regressor_pattern
         self.known, self.others = ActuatorBands(model.parameters, pattern), ActuatorTriangles(pattern)
-        self.moving = np.zeros(len(model.machine.joints))
+        self.moving = np.zeros(len(model.machine.balances))
         self.samples = self.sample_count = 0
         self.findings: tuple[Finding, ...] = ()
 
@@ -128,7 +128,7 @@ class StreamedExperiment:
 
     @property
     def moves(self) -> np.ndarray:
-        """Which joints (n,) move in more samples than noise explains, or drive without dry friction."""
+        """Which balances' joints (r,) move in more samples than noise explains, or drive without dry friction."""
         return (self.totals.moving > FEW_MOVING * self.totals.samples) | ~has_dry_friction(self.model)
 
     @property
@@ -239,8 +239,8 @@ class StreamedExperiment:
         if a == b:
             return totals
         data = self._prepared(log, (first, last - 1))
-        totals.samples, totals.moving = int(b - a), np.sum(
-            np.abs(data.motion.qd[a:b]) > self._sample[1].slow, axis=0).astype(float)
+        moving = np.sum(np.abs(data.motion.qd[a:b]) > self._sample[1].slow, axis=0).astype(float)
+        totals.samples, totals.moving = int(b - a), moving[self.model.dynamics.kept]
         totals.sample_count = int(np.sum(data.inside[a:b]))
         for block in data.blocks(origin, (int(a), int(b))):
             K, force = data.fold_block(totals.known, block, float(np.mean(self.stream.rows)))
@@ -305,7 +305,7 @@ def _experiment(model: Model, log: Log, angles: Array, motion: Motion, limits: S
     motion = phases.at_rest(motion)
     known = dry_friction_known(model, motion, phases, limits.noise)
     return Experiment(model, log, motion, free_forces(model, log, motion.q), known, remarks, pressures(model, log),
-                      calm=phases.calm & ~known)
+                      calm=phases.calm[:, model.dynamics.kept] & ~known)
 
 
 def _joined(findings: Iterable[Finding]) -> Iterator[Finding]:

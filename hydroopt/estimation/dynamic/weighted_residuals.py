@@ -147,9 +147,9 @@ class WeightedResiduals(Generic[Problem]):
         model, std = self.problem.model, self.sigma * np.sqrt(self.correlation_time)
         if len(self.triangles) < len(std):
             return (ResidualTerm("all actuators", "1", self.triangles[0], None),)
-        actuators = zip(model.machine.actuators, model.force_units, self.triangles, std, strict=True)
+        balances = zip(model.machine.balances, model.force_units, self.triangles, std, strict=True)
         return tuple(ResidualTerm(one.name, unit, triangle * sigma, float(sigma))
-                     for one, unit, triangle, sigma in actuators)
+                     for one, unit, triangle, sigma in balances)
 
     def stored(self) -> tuple[Array, Array]:
         """Triangles with rows of unit variance, and degrees of freedom (·, p+1): inf where none were estimated."""
@@ -179,7 +179,7 @@ class WeightedResiduals(Generic[Problem]):
         if self.problem.instruments:
             notes.append("two-stage least squares with instruments from a second reading of the motion")
         if self.problem.correlated:
-            names = [a.name for a in self.problem.model.machine.actuators]
+            names = [each.name for each in self.problem.model.machine.balances]
             pairs = [f"{names[j]} and {names[i]} {self.correlation[i, j]:.2f}" for i in range(len(names))
                      for j in range(i)]
             notes.append(f"residuals weighted by their covariance; correlations: {', '.join(pairs)}")
@@ -227,7 +227,7 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
         problem, psi = problem.with_experiments(fit.experiments(fit.psi)), fit.psi
         folded = [one.bands(psi) for one in problem.experiments]
     stated = _stated_friction(problem, data, holds) if not priors else ()
-    least, wide = _smallest(data) if problem.reweight else sigma, sigma
+    least, wide = _smallest(_rms_force(problem, data)) if problem.reweight else sigma, sigma
     if np.any(holds.counts):
         wide = sigma * np.sqrt(correlation_time(spectra_in_motion(problem, folded, sigma, least), sigma))
     equations = tuple(holds.equations(_second_moments(problem, data, wide, priors, stated),
@@ -266,22 +266,22 @@ def _triangle(R: Array, r: Array, rest: float) -> Array:
 
 
 def _stated_friction(problem: ResidualProblem, data: CompressedRegressor, holds: Holds) -> tuple[str, ...]:
-    """Actuators with dry friction at rest that no sample in motion shows, so that only the machine file tells it."""
+    """Balances with dry friction at rest that no sample in motion shows, so that only the machine file tells it."""
     shown = np.any(data.triangles[:, :, :-1] != 0, axis=(0, 1))
     levers = holds.levers(len(shown))
-    return tuple(actuator.name for actuator, lever in zip(problem.model.machine.actuators, levers, strict=True)
+    return tuple(balance.name for balance, lever in zip(problem.model.machine.balances, levers, strict=True)
                  if np.any(lever[:, ~shown] != 0))
 
 
 def _second_moments(problem: ResidualProblem, data: CompressedRegressor, sigma: Array, priors: bool,
                     stated: Sequence[str]) -> list[Array]:
-    """Expectation (p, p) of ψ·ψᵀ for each actuator, by the samples in motion and, where they count, the priors."""
+    """Expectation (p, p) of ψ·ψᵀ for each balance, by the samples in motion and, where they count, the priors."""
     def expected(*, priors: bool) -> Array:
         found = gaussian_posterior(problem, *data.weighted(sigma)[:2], priors=priors)
         return np.asarray(np.outer(found.offset, found.offset) + found.slope @ found.slope.T)
 
     by = {counts: expected(priors=counts) for counts in {priors, priors or bool(stated)}}
-    return [by[priors or actuator.name in stated] for actuator in problem.model.machine.actuators]
+    return [by[priors or balance.name in stated] for balance in problem.model.machine.balances]
 
 
 def misfit(weighted: WeightedResiduals[Problem], psi: Array) -> float:
@@ -311,11 +311,12 @@ def _least_squares(problem: ResidualProblem, R: Array, r: Array, tolerance: floa
 
 def _sigma(problem: ResidualProblem, data: CompressedRegressor, tolerance: float) -> Array:
     """Standard deviation (n,) of each actuator's residual: stated by its sensors, then estimated from the fit."""
-    sigma = np.where(np.isfinite(problem.force_std), problem.force_std, 0.1 * _rms_force(data))
+    size = _rms_force(problem, data)
+    sigma = np.where(np.isfinite(problem.force_std), problem.force_std, 0.1 * size)
     sigma = np.where(sigma > 0, sigma, 1.0)
     if not problem.reweight:
         return np.asarray(sigma)
-    floor = _smallest(data)
+    floor = _smallest(size)
     for _ in range(3):
         R, r, _ = data.weighted(sigma)
         psi, _, identifiable = least_squares.base_least_squares(R, r, problem.parameters.names, tolerance)
@@ -325,13 +326,18 @@ def _sigma(problem: ResidualProblem, data: CompressedRegressor, tolerance: float
     return np.asarray(sigma)
 
 
-def _rms_force(data: CompressedRegressor) -> Array:
-    return np.asarray(np.linalg.norm(data.triangles[:, :, -1], axis=1) / np.sqrt(np.maximum(data.samples, 1.0)))
+def _rms_force(problem: ResidualProblem, data: CompressedRegressor) -> Array:
+    """Size (r,) of each measured force; where nothing acts, of the largest of the model's terms, which cancel there."""
+    total = np.linalg.norm(data.triangles[:, :, -1], axis=1)
+    terms = np.linalg.norm(data.triangles[:, :, :-1], axis=1) * np.abs(problem.parameters.nominal)
+    passive = np.array([not each.actuators for each in problem.model.machine.balances])
+    largest = np.max(terms, axis=1, initial=0.0)
+    return np.asarray(np.where(passive, largest, total) / np.sqrt(np.maximum(data.samples, 1.0)))
 
 
-def _smallest(data: CompressedRegressor) -> Array:
-    """Standard deviation (n,) of rounding errors."""
-    return 1e-11 * np.maximum(_rms_force(data), 1e-12)
+def _smallest(size: Array) -> Array:
+    """Standard deviation (r,) of rounding errors of forces of this size (r,)."""
+    return 1e-11 * np.maximum(size, 1e-12)
 
 
 def _robust(problem: ResidualProblem, data: CompressedRegressor, folded: Sequence[ActuatorBands], sigma: Array,

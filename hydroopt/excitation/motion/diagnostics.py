@@ -58,8 +58,8 @@ def _unlimited(problem: ExcitationProblem) -> Iterator[Diagnostic]:
 
 def _unstated(problem: ExcitationProblem) -> Iterator[Diagnostic]:
     model = problem.information.model
-    forces = [actuator.name for actuator, std in zip(model.machine.actuators, force_noise(model), strict=True)
-              if not np.isfinite(std)]
+    forces = [balance.name for balance, std in zip(model.machine.balances, force_noise(model), strict=True)
+              if balance.actuators and not np.isfinite(std)]
     if forces:
         yield Diagnostic(Kind.NO_FORCE_ACCURACY, tuple(forces))
     angles = [joint for joint in model.machine.joints if model.machine.sensor(f"{joint}.q") is None]

@@ -48,7 +48,7 @@ class Limits:
         derivatives: of it, (m, n) each, by q, qd and qdd.
         scale: (m,) of the rows.
         lower, upper: bounds (m,), divided by the scales.
-        margin: (n,) force [N, N·m] that each actuator keeps in reserve.
+        margin: (a,) force [N, N·m] that each actuator keeps in reserve.
         back_pressure: [Pa] in the chamber that does not push.
     """
 
@@ -131,13 +131,13 @@ class Limits:
 
     def _efforts(self) -> None:
         model = self.model
-        force = model.dynamics.forces(ca.DM(model.parameters.nominal), actuator_inertia=model.actuator_inertia)
+        force = _actuator_forces(model, ca.DM(model.parameters.nominal))
         for k, actuator in enumerate(model.machine.actuators):
             margin = float(self.margin[k])
             if isinstance(actuator, Drive):
                 if (most := actuator.max_torque) is not None:
-                    self._add(f"{actuator.name} torque", model.force_units[k], force[k], margin - most, most - margin,
-                              most)
+                    unit = model.machine.effort_units(actuator.joint)[0]
+                    self._add(f"{actuator.name} torque", unit, force[k], margin - most, most - margin, most)
                 continue
             if actuator.relief_pressure is None:
                 continue
@@ -191,14 +191,25 @@ class Limits:
             self._add(f"tipping over edge {k + 1}", "N*m", restoring, 0.0, scale=total)
 
 
+def _actuator_forces(model: Model, psi: ca.SX) -> ca.SX:
+    """Forces (a,) of all actuators in the model's coordinates."""
+    dynamics = model.dynamics
+    made = dynamics.forces if model.machine.one_each else dynamics.actuator_forces
+    return made(psi, actuator_inertia=model.actuator_inertia)
+
+
 def margins(model: Model, samples: int = 400, seed: int = 0) -> Array:
-    """Reserve of force [N, N·m] (n,) of each actuator for the uncertainty of the nominal parameters.
+    """Reserve of force [N, N·m] (a,) of each actuator for the uncertainty of the nominal parameters.
 
     Twice the standard deviation of its force by the machine file's confidences, the median over random states within
     the joints' limits; parameters without a stated confidence count as exact.
     """
     states = random_states(model, samples, np.random.default_rng(seed))
-    K = model.over(model.regressor, *states)[0]
+    psi = ca.SX.sym("psi", len(model.parameters))
+    by_psi = model.regressor if model.machine.one_each else ca.Function(
+        "by_psi", [*model.coordinates], [ca.densify(ca.substitute(
+            ca.jacobian(_actuator_forces(model, psi), psi), psi, model.parameters.nominal))])
+    K = model.over(by_psi, *states)[0]
     information = model.parameters.information
     known = np.diag(information) > 0
     covariance = np.linalg.inv(information[np.ix_(known, known)])

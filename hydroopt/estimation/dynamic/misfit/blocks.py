@@ -160,16 +160,15 @@ def _with(view: View, chosen: Sequence[tuple[Fault, float]]) -> Array:
 
 def _course(view: View, over: str) -> Array:
     """Part of the log that has gone by, or position or speed of each reading's joint or actuator (N, c)."""
-    t, motion, machine = view.motion.t, view.motion, view.model.machine
+    t = view.motion.t
     if over == "time":
         return np.repeat(((t - t[0]) / (t[-1] - t[0]))[:, None], len(view.names), axis=1)
-    own = [*range(len(machine.actuators)), *(machine.actuators.index(machine.cylinders[k]) for k in view.lengths)]
-    return np.asarray((motion.q if over == "position" else view.speeds)[:, own])
+    return view.positions if over == "position" else view.speeds
 
 
 def _geometry(view: View) -> Array:
     """What errors of pins, dead length and transducer do to lengths (N, c, 4 each): ℓ² = A + B·cos(q + φ)."""
-    n, count = len(view.model.machine.actuators), len(view.lengths)
+    n, count = len(view.model.machine.balances), len(view.lengths)
     made = np.zeros((*view.predicted.shape, 4 * count))
     for k in range(count):
         length = view.predicted[:, n + k]

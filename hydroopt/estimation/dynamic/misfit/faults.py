@@ -17,6 +17,7 @@ from scipy.linalg import solve_banded
 
 from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.machine.actuators import Cylinder
+from hydroopt.machine.balances import Balance
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.spatial.inertia import Array
@@ -27,6 +28,14 @@ DRIFT = 3e5
 """Usual drift of a pressure reading over a log [Pa]."""
 OF_FORCE = ("drift", "friction")
 """Faults whose usual sizes a machine file states as parts of the RMS force."""
+FRICTION = {"viscous": "speed-dependent (viscous) friction", "quadratic": "friction with the square of the speed",
+            "coulomb": "dry (Coulomb) friction", "one way": "friction that differs between the two directions",
+            "stribeck": "friction that falls with speed (Stribeck)", "load": "friction that grows with the load",
+            "seal": "friction of seals that grows with the pressures"}
+"""Courses of friction, in words."""
+KNOWN = {"viscous": ParameterKind.VISCOUS_FRICTION, "coulomb": ParameterKind.COULOMB_FRICTION,
+         "stribeck": ParameterKind.STRIBECK_FRICTION, "seal": ParameterKind.SEAL_FRICTION}
+"""Kinds of parameters of a model that has such friction."""
 REVERSALS = 4
 """How often the times are found again at which a joint with play reverses."""
 
@@ -106,8 +115,8 @@ class OfMotion(Fault):
     def unsteady(self, view: View, size: float) -> NDArray[np.bool_]:
         """Readings (N, c) of joints that move too slowly in that motion for the sign of their friction to be known."""
         chosen = np.zeros(view.predicted.shape, dtype=bool)
-        slow = np.abs(self.state(view, size)[1]) <= view.slowest
-        chosen[:, : slow.shape[1]] = slow
+        slow, kept = np.abs(self.state(view, size)[1]) <= view.slowest, view.model.dynamics.kept
+        chosen[:, : len(kept)] = slow[:, kept]
         return _only(chosen, self._concerned(view))
 
     @property
@@ -122,7 +131,7 @@ class OfMotion(Fault):
 
     def _difference(self, view: View, up: Sequence[Array], down: Sequence[Array]) -> Array:
         made = (self._beyond(view, up) - self._beyond(view, down)) / (2 * self._step)
-        reverses = np.sign(up[1]) != np.sign(down[1])
+        reverses = (np.sign(up[1]) != np.sign(down[1]))[:, view.model.dynamics.kept]
         made[:, : reverses.shape[1]][reverses] = 0.0
         return made
 
@@ -306,14 +315,14 @@ def _placed(view: View, values: Array, readings: tuple[int, ...]) -> Array:
 
 
 def _seal_pressure(view: View, reading: int) -> Array:
-    actuator = view.model.machine.actuators[reading]
+    actuator = view.model.machine.balances[reading].alone
     assert isinstance(actuator, Cylinder)
     return np.asarray(sum(view.pressures[channel] for channel in actuator.chambers))
 
 
 def listed(view: View) -> Iterator[Fault]:
     """All faults that a log's readings are searched for, of the sizes that the machine file states."""
-    forces = range(len(view.model.machine.actuators))
+    forces = range(len(view.model.machine.balances))
     for fault in _usual(view):
         stated = view.model.machine.faults.of(fault.group)
         if stated is not None and fault.group in OF_FORCE and isinstance(fault, Added) and fault.reading in forces:
@@ -323,9 +332,9 @@ def listed(view: View) -> Iterator[Fault]:
 
 
 def _usual(view: View) -> Iterator[Fault]:
-    machine, n = view.model.machine, len(view.model.machine.actuators)
+    machine, n = view.model.machine, len(view.model.machine.balances)
     everything = tuple(range(n))
-    names = tuple(a.name for a in machine.actuators)
+    names = tuple(each.name for each in machine.balances)
     yield ForcesLate("delay", ("forces",), "all force readings are late against the angles", "ms", 0.03, 1e3,
                      motion=True, readings=everything)
     yield ForcesLate("clock", ("forces",), "the clock of the forces drifts against that of the angles, over the log",
@@ -366,43 +375,41 @@ def _of_joints(view: View) -> Iterator[Fault]:
 
 
 def _of_forces(view: View, k: int) -> Iterator[Fault]:
-    model = view.model
-    actuator, unit = model.machine.actuators[k], model.force_units[k]
+    balance = view.model.machine.balances[k]
+    actuator, name, unit, has = balance.alone, balance.name, balance.unit, set(_kinds_of(view, balance))
     size = TYPICAL * float(np.sqrt(np.mean(view.measured[:, k] ** 2)))
-    name, has = actuator.name, set(_kinds_of(view, actuator.name))
-    chambers = [channel for channel in actuator.effort_factors if channel in view.pressures]
+    if not balance.actuators:  # nothing is read, and forces that cancel have the size of the largest of them
+        terms = view.regressor[:, k] * view.psi
+        size = TYPICAL * float(np.sqrt(np.max(np.mean(terms**2, axis=0), initial=0.0)))
+        yield from (Added("friction", (name,), f"{name} has {FRICTION[course]}, which the model lacks", unit, size,
+                          course=course, reading=k) for course in ("viscous", "coulomb"))
+        return
+    factors = actuator.effort_factors if actuator else {}
+    chambers = [channel for channel in factors if channel in view.pressures]
     for channel in chambers:
         yield Added("gain", (channel,), f"{channel} reads too much, or the area that it acts on is larger than stated",
-                    "%", TYPICAL, 100.0, course="channel", reading=k, weight=actuator.effort_factors[channel],
+                    "%", TYPICAL, 100.0, course="channel", reading=k, weight=factors[channel],
                     channel=channel)
     if not chambers:
         yield Added("gain", (name,), f"the force readings of {name} are too large", "%", TYPICAL, 100.0,
                     course="reading", reading=k)
-    drift = max(abs(f) for f in actuator.effort_factors.values()) * DRIFT if chambers else size
+    drift = max(abs(f) for f in factors.values()) * DRIFT if chambers else size
     yield Added("drift", (name,), f"the force readings of {name} drift over the log", unit, drift, course="time",
                 reading=k)
     if ParameterKind.FORCE_OFFSET not in has:
         yield Added("bias", (name,), f"the force readings of {name} have an offset", unit, drift, course="constant",
                     reading=k)
-    terms = {"viscous": (ParameterKind.VISCOUS_FRICTION, "speed-dependent (viscous) friction"),
-             "quadratic": (None, "friction with the square of the speed"),
-             "coulomb": (ParameterKind.COULOMB_FRICTION, "dry (Coulomb) friction"),
-             "one way": (None, "friction that differs between the two directions"),
-             "stribeck": (ParameterKind.STRIBECK_FRICTION, "friction that falls with speed (Stribeck)"),
-             "load": (None, "friction that grows with the load")}
-    if len(chambers) == len(actuator.effort_factors) == 2 and isinstance(actuator, Cylinder):
-        terms["seal"] = (ParameterKind.SEAL_FRICTION, "friction of seals that grows with the pressures")
-    for course, (kind, words) in terms.items():
-        if kind is None or kind not in has:
+    sealed = len(chambers) == len(factors) == 2 and isinstance(actuator, Cylinder)
+    for course, words in FRICTION.items():
+        if KNOWN.get(course) not in has and (sealed or course != "seal"):
             yield Added("friction", (name,), f"{name} has {words}, which the model lacks", unit, size, course=course,
                         reading=k)
 
 
-def _kinds_of(view: View, owner: str) -> Iterator[ParameterKind]:
-    parameters, machine = view.model.parameters, view.model.machine
-    joint = machine.joints[[a.name for a in machine.actuators].index(owner)]
+def _kinds_of(view: View, balance: Balance) -> Iterator[ParameterKind]:
+    parameters, owners = view.model.parameters, (balance.joint, *(each.name for each in balance.actuators))
     for name, kind in zip(parameters.names, parameters.kinds, strict=True):
-        if not kind.is_inertial and parameters.owner(name) in (owner, joint):
+        if not kind.is_inertial and parameters.owner(name) in owners:
             yield kind
 
 

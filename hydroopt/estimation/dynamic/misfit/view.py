@@ -32,7 +32,7 @@ STEP = 1e-5
 
 @dataclass(frozen=True, eq=False)
 class View:
-    """Residuals (N, c) of the c readings of a log: the forces of all actuators, then measured lengths of cylinders.
+    """Residuals (N, c) of the c readings of a log: the forces of all balances, then measured lengths of cylinders.
 
     Attributes:
         experiment: the log and its smoothed motion.
@@ -66,9 +66,10 @@ class View:
 
     @cached_property
     def names(self) -> tuple[str, ...]:
-        """Actuators and length channels, reading by reading."""
-        cylinders = self.model.machine.cylinders
-        return (*(a.name for a in self.model.machine.actuators), *(f"{cylinders[k].name}.length" for k in self.lengths))
+        """Balances and length channels, reading by reading."""
+        machine = self.model.machine
+        return (*(each.name for each in machine.balances),
+                *(f"{machine.cylinders[k].name}.length" for k in self.lengths))
 
     def readings(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Predicted readings (N, c) of a motion (N, n) at ψ."""
@@ -120,8 +121,10 @@ class View:
     @cached_property
     def slowest(self) -> Array:
         """Speed (n,) at which the sign of each joint's dry friction is known in this log; inf where it never is."""
-        speed = np.where(self.experiment.known, np.abs(self.motion.qd), np.inf)
-        return np.asarray(np.min(speed, axis=0))
+        kept = self.model.dynamics.kept
+        found = np.full(self.motion.qd.shape[1], np.inf)
+        found[kept] = np.min(np.where(self.experiment.known, np.abs(self.motion.qd[:, kept]), np.inf), axis=0)
+        return found
 
     @cached_property
     def spike_share(self) -> Array:
@@ -132,7 +135,7 @@ class View:
     def stated_noise(self) -> Array:
         """Standard deviation (c,) of the readings that the machine file states; NaN where it states none."""
         machine = self.model.machine
-        sensors = [machine.sensor(name) for name in self.names[len(machine.actuators):]]
+        sensors = [machine.sensor(name) for name in self.names[len(machine.balances):]]
         return np.append(force_noise(self.model, self.experiment.log), [s.std if s else np.nan for s in sensors])
 
     @cached_property
@@ -246,8 +249,9 @@ class View:
         """Pressures [Pa] (N,) by channel, without the share of the force's noise that is theirs, and low-passed."""
         log, noise = self.experiment.log, self.residual
         found: dict[str, Array] = {}
-        for k, actuator in enumerate(self.model.machine.actuators):
-            if isinstance(actuator, Drive) or not set(actuator.chambers) <= set(log.channels):
+        for k, balance in enumerate(self.model.machine.balances):
+            actuator = balance.alone
+            if actuator is None or isinstance(actuator, Drive) or not set(actuator.chambers) <= set(log.channels):
                 continue
             sensors = [self.model.machine.sensor(channel) for channel in actuator.chambers]
             stds = np.array([sensor.std if sensor else np.nan for sensor in sensors])
@@ -264,16 +268,21 @@ class View:
         return 2 * int(max(2.0, 0.125 / (float(np.max(self.motion.bandwidth)) * step))) + 1
 
     @cached_property
+    def positions(self) -> Array:
+        """Position (N, c) [m or rad] of the joint that each reading belongs to."""
+        machine = self.model.machine
+        of_lengths = [machine.joints.index(machine.main_joint(machine.cylinders[k])) for k in self.lengths]
+        return np.asarray(self.motion.q[:, [*self.model.dynamics.kept, *of_lengths]])
+
+    @cached_property
     def speeds(self) -> Array:
-        """Speeds (N, n) of the actuators [m/s or rad/s]."""
+        """Speed (N, c) [m/s or rad/s] of the actuator or, where it is not one, of the joint of each reading."""
         machine, motion = self.model.machine, self.motion
-        made = motion.qd.copy()
-        if machine.cylinders:
-            speeds = self.model.over(self.model.cylinder_kinematics, motion.q, motion.qd, motion.qdd)[1][:, :, 0]
-            for k, actuator in enumerate(machine.actuators):
-                if isinstance(actuator, Cylinder):
-                    made[:, k] = speeds[:, machine.all_cylinders.index(actuator)]
-        return made
+        strokes = (self.model.over(self.model.cylinder_kinematics, motion.q, motion.qd, motion.qdd)[1][:, :, 0]
+                   if machine.cylinders else np.zeros((len(motion.t), 0)))
+        made = [strokes[:, machine.all_cylinders.index(each.alone)] if isinstance(each.alone, Cylinder)
+                else motion.qd[:, j] for each, j in zip(machine.balances, self.model.dynamics.kept, strict=True)]
+        return np.column_stack([*made, *(strokes[:, k] for k in self.lengths)])
 
 
 def _slow(x: Array, window: int) -> Array:

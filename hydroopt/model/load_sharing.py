@@ -1,0 +1,32 @@
+"""How the actuators of a machine share the load of its joints: the rule of simulations, limits and generated code.
+
+Of all forces that carry the load, those have the least sum of (force/capacity)²: actuators side by side have the same
+pressure difference where their lever arms are the same, and one at its dead point carries nothing. Where each joint has
+one actuator there is nothing to share.
+"""
+
+from __future__ import annotations
+
+import casadi as ca
+
+from hydroopt.machine.machine import Machine
+
+
+def shared_load(machine: Machine, transmission: ca.SX, load: ca.SX) -> ca.SX:
+    """Forces (a,) of all actuators that carry generalised forces (n,) at the joints; passive joints carry themselves.
+
+    Args:
+        machine: whose actuators.
+        transmission: (a, n) their lever arms.
+        load: (n,) generalised forces [N·m or N].
+    """
+    driven = [k for k, drivers in enumerate(machine.drivers.values()) if drivers]
+    arms = transmission[:, driven].T
+    if arms.size1() == arms.size2():
+        return _solved(arms, load[driven])
+    square = ca.diag(ca.DM([each.capacity**2 for each in machine.actuators]))
+    return square @ arms.T @ _solved(arms @ square @ arms.T, load[driven])
+
+
+def _solved(matrix: ca.SX, right: ca.SX) -> ca.SX:
+    return right / ca.diag(matrix) if matrix.sparsity().is_diag() else ca.solve(matrix, right)
