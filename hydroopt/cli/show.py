@@ -10,7 +10,7 @@ import typer
 
 from hydroopt.cli.options import AsJson, MachineName, ParameterSetName, progress
 from hydroopt.cli.terminal import echo
-from hydroopt.errors import ProblemError, visible
+from hydroopt.errors import visible
 
 if TYPE_CHECKING:
     from rich.table import Table
@@ -23,7 +23,7 @@ def show(
     hydraulics: Annotated[bool, typer.Option("--hydraulics", help=(
         "Show frequency, damping and gain of every joint on its oil over the workspace."))] = False,
     output: Annotated[Path | None, typer.Option("-o", "--output", help=(
-        "Directory that receives everything; with --hydraulics: hydraulics.html and hydraulics.csv."))] = None,
+        "Directory that receives everything: machine.html, or with --hydraulics hydraulics.html and .csv."))] = None,
     parameter_set: ParameterSetName = None,
     as_json: AsJson = False,
 ) -> None:
@@ -38,10 +38,9 @@ def show(
     if hydraulics:
         _hydraulics(described, output, as_json=as_json)
         return
-    if output is not None:
-        raise ProblemError("without --hydraulics no file is written", where="--output",
-                           remedy="leave it out, or add --hydraulics")
     facts = machine_facts(described)
+    if output is not None:
+        _page(described, facts, output)
     if as_json:
         echo(json.dumps(facts, indent=1))
         return
@@ -69,6 +68,20 @@ def show(
         console.print("[bold]Kinematic calibration[/bold]")
         for line in lines:
             console.print(escape(line), soft_wrap=True)
+    if output is not None:
+        echo(f"{output / 'machine.html'}")
+
+
+def _page(machine: Machine, facts: dict[str, Any], output: Path) -> None:
+    from hydroopt.files import write_files
+    from hydroopt.model.model import Model
+    from hydroopt.model.over_range import lever_arms, transmission_ratios
+    from hydroopt.model.scene import limit_scenes
+    from hydroopt.report import machine as report
+
+    model = Model(machine)
+    drawn = report.render(machine, facts, limit_scenes(model), lever_arms(model), transmission_ratios(model))
+    write_files(output, {"machine.html": drawn})
 
 
 def _hydraulics(machine: Machine, output: Path | None, *, as_json: bool) -> None:

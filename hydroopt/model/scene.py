@@ -50,6 +50,16 @@ def range_scenes(model: Model, q: Array) -> list[Scene]:
     return scenes(model, poses, plane)
 
 
+def limit_scenes(model: Model) -> list[Scene]:
+    """The machine in the middle of all ranges, then at both limits of each joint that moves it in the plane."""
+    limits = np.array([model.machine.link(joint).joint.range for joint in model.machine.joints])
+    middle = limits.mean(axis=1)
+    q = np.tile(middle, (2 * len(middle), 1))
+    for k, limit in enumerate(limits):
+        q[2 * k : 2 * k + 2, k] = limit
+    return range_scenes(model, q)
+
+
 def vertical_plane(model: Model, mean: Array) -> Plane:
     """The vertical plane perpendicular to the horizontal axis that most joints share.
 

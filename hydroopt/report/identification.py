@@ -80,7 +80,8 @@ def render(estimate: Estimate) -> str:
 
 def _figures(estimate: Estimate) -> dict[str, Markup]:
     drawn = {"forces": figures.forces(estimate), "residuals": figures.residuals(estimate),
-             "side-view": side_view.side_view(estimate),
+             "side-view": side_view.side_view(estimate.problem.model.machine, estimate.scenes,
+                                              "mean pose of the training data", "poses at its joints' extremes"),
              "changes": figures.changes(figures.changes_of(estimate.parameters))}
     return {name: Markup(figures.svg(figure, name)) for name, figure in drawn.items() if figure is not None}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from typing import TYPE_CHECKING
 
@@ -18,16 +19,14 @@ from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE, STYLE, WIDTH
 from hydroopt.spatial.inertia import Array
 
 if TYPE_CHECKING:
-    from hydroopt.estimation.dynamic.estimate import Estimate
     from hydroopt.model.scene import Scene
 
 ROOM = (9.4, 5.6)
 """Largest width and height of the drawing [in]."""
 
 
-def side_view(estimate: Estimate) -> Figure:
-    """The machine at the mean pose of the training motion, with faint poses at the extremes that its joints reached."""
-    machine, scenes = estimate.problem.model.machine, estimate.scenes
+def side_view(machine: Machine, scenes: Sequence[Scene], first: str, others: str) -> Figure:
+    """The machine in its first scene, with the others faint behind it; `first` and `others` say what they are."""
     corners = np.array([p for s in scenes for part in (s.start, s.axis, s.end, s.mass, s.barrel, s.rod, s.closing)
                         for p in part.values()] + [np.zeros(2)])
     low, high = corners.min(axis=0), corners.max(axis=0)
@@ -49,7 +48,7 @@ def side_view(estimate: Estimate) -> Figure:
         _labels(ax, machine, scenes[0], scale * 72, (low, high))
         if machine.gravity:
             _gravity(ax)
-        figure.legend(handles=_handles(machine), loc="upper left", ncols=6, borderaxespad=0.2,
+        figure.legend(handles=_handles(machine, first, others), loc="upper left", ncols=6, borderaxespad=0.2,
                       bbox_to_anchor=(max(0.01, (left - 0.1) / WIDTH), 1.0))
     return figure
 
@@ -133,7 +132,7 @@ def _gravity(ax: Axes) -> None:
     ax.text(0.968, 0.865, "g", transform=ax.transAxes, ha="right", va="center", style="italic", fontsize=10)
 
 
-def _handles(machine: Machine) -> list[Line2D]:
+def _handles(machine: Machine, first: str, others: str) -> list[Line2D]:
     handles = [Line2D([], [], ls="none", marker="o", ms=6, mfc="white", mec=INK, mew=1.6, label="joint")]
     if machine.cylinders:
         handles.append(Line2D([], [], color=BLUE, lw=4, label="cylinder"))
@@ -142,8 +141,8 @@ def _handles(machine: Machine) -> list[Line2D]:
     if any(link.body for link in machine.links):
         handles.append(Line2D([], [], ls="none", marker="o", ms=6, mfc="white", mec=ORANGE, mew=1.2,
                               label="nominal centre of mass"))
-    return [*handles, Line2D([], [], color=INK, lw=2.6, label="mean pose of the training data"),
-            Line2D([], [], color=INK, lw=1.6, alpha=0.25, label="poses at its joints' extremes")]
+    return [*handles, Line2D([], [], color=INK, lw=2.6, label=first),
+            Line2D([], [], color=INK, lw=1.6, alpha=0.25, label=others)]
 
 
 def _labels(ax: Axes, machine: Machine, scene: Scene, points: float, limits: tuple[Array, Array]) -> None:

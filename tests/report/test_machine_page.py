@@ -1,0 +1,40 @@
+"""The page of a machine: picture, lever arms and transmission ratios, tables."""
+
+import numpy as np
+from typer.testing import CliRunner
+
+from hydroopt.cli import app
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.model import Model
+from hydroopt.model.over_range import lever_arms, transmission_ratios
+from hydroopt.model.scene import limit_scenes
+
+
+def test_show_draws_the_machine_with_its_linkage(tmp_path):
+    answer = CliRunner().invoke(app, ["show", "wheel_loader", "-o", str(tmp_path / "out")])
+    assert answer.exit_code == 0, answer.output
+    assert answer.output.endswith("machine.html\n")
+    page = (tmp_path / "out" / "machine.html").read_text("utf-8")
+    assert page.count("<svg") == 2
+    for text in ("bellcrank", "tilt_cylinder: lever arm [m]", "d bellcrank / d bucket", "middle of all ranges"):
+        assert text in page
+
+
+def test_loops_close_in_every_scene():
+    model = Model(load_machine("wheel_loader"))
+    scenes = limit_scenes(model)
+    assert len(scenes) == 1 + 2 * 2  # the middle, and both limits of lift and bucket
+    for scene in scenes:
+        np.testing.assert_allclose(scene.end["link"], scene.closing["z_bar"], atol=1e-9)
+
+
+def test_lever_arms_are_the_slopes_of_lengths():
+    model = Model(load_machine("wheel_loader"))
+    lift, tilt = lever_arms(model)
+    (ratio,) = transmission_ratios(model)
+    assert (lift.joint, tilt.joint, ratio.subject, ratio.joint) == ("lift", "bucket", "bellcrank", "bucket")
+    q = np.tile([np.radians(2.5), 0.0], (len(tilt.position), 1))
+    q[:, 1] = tilt.position
+    length = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)[0][:, 1, 0]
+    np.testing.assert_allclose(np.gradient(length, tilt.position)[1:-1], tilt.value[1:-1], atol=2e-4)
+    assert ratio.value.max() < 0, "a Z-bar's bellcrank turns against the bucket"
