@@ -97,7 +97,7 @@ class MujocoLoops:
 
     def _closure(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """Gaps (3k,) of all pins, their Jacobian, and its derivative in time."""
-        gaps, rows, rates = [], [], []
+        gaps, rows, rates = [np.zeros(0)], [np.zeros((0, self.model.nv))], [np.zeros((0, self.model.nv))]
         for pin in self.pins:
             places, jacobians, changes = [], [], []
             for name, local in zip(pin.bodies, pin.points, strict=True):

@@ -4,10 +4,9 @@ import numpy as np
 import pytest
 
 from fixtures.closures import crank, scissor, sleeve, telescope
-from fixtures.loops import cut_open, excavator, measured_at_the_rocker, random_linkage, z_bar
+from fixtures.loops import cut_open, excavator, measured_at_the_rocker, z_bar
 from hydroopt.kernels.expression_graph import program
 from hydroopt.machine.geometry import Geometry
-from hydroopt.machine.loop_checks import loop_ranges
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.machine.mechanism import Mechanism
 from hydroopt.model.model import Model
@@ -75,22 +74,6 @@ def test_friction_of_dependent_joints_takes_the_power_that_actuators_give():
             for term, power in (("tau_viscous", turn**2), ("tau_coulomb", abs(turn))):
                 column = K[row, :, model.parameters.index(f"{joint}.{term}")]
                 assert column @ rates == pytest.approx(power, rel=1e-6)
-
-
-@pytest.mark.parametrize("count", [4, pytest.param(100, marks=pytest.mark.slow)])
-def test_random_linkages(count):
-    """Some come close to a dead point, where forces are large and rounding is multiplied."""
-    rng, nearest = np.random.default_rng(45 + count), []
-    for _ in range(count):
-        machine = random_linkage(rng)
-        subject = Model(machine)
-        nearest.append(loop_ranges(machine)[0].angle)
-        psi, clouds = random_bodies(subject, rng)
-        state = states(machine, rng, 3)
-        tree = MujocoLoops(machine, clouds)
-        expected = np.array([tree.actuator_forces(*row) for row in zip(*state, strict=True)])
-        assert relative_error(forces(subject, state, psi), expected) < 1e-9
-    assert count < 100 or np.degrees(min(nearest)) < 10
 
 
 def test_the_loop_costs_a_tenth_of_the_operations_of_the_open_tree():

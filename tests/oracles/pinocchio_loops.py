@@ -1,0 +1,102 @@
+"""A machine with loops as Pinocchio sees it: accelerations by its constrained dynamics, at a state from MuJoCo's pins.
+
+The tree is cut where `MujocoLoops` cuts it, and built here from the machine's numbers a second time. Accelerations
+follow from actuator forces: the way round that `inverse_dynamics` does not take. Loops are closed by pins alone.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+
+from hydroopt.machine.actuators import Cylinder
+from hydroopt.machine.links import Link
+from hydroopt.machine.machine import BASE, Machine
+from oracles.mujoco_loops import NEGLIGIBLE, MujocoLoops
+from oracles.pinocchio_tree import _inertia, _shift, _turn
+
+
+class PinocchioLoops:
+    """Links, barrels and rods with the bodies `clouds` (owner → φ)."""
+
+    def __init__(self, machine: Machine, clouds: dict[str, np.ndarray]) -> None:
+        self.machine, self.clouds = machine, clouds
+        self.model = pin.Model()
+        self.model.gravity.linear = np.array([0, 0, -machine.gravity])
+        tilt = pin.SE3.Identity()
+        for axis, angle in enumerate(machine.orientation):
+            tilt = _turn(angle, axis) * tilt
+        self.places = {BASE: (0, tilt)}
+        self.ends = dict(self.places)
+        self._carried_by(BASE)
+        self.pins = pin.StdVec_RigidConstraintModel()
+        for loop in machine.loops:
+            far = (machine.link(loop.link).joint.a, 0, 0) if loop.pin is None else loop.pin
+            self._close(self._at(loop.link, far), self._at(loop.to.link, loop.to.pin))
+        for cylinder in machine.cylinders:
+            self._close(self.places[f"{cylinder.name}.rod"], self._at(cylinder.rod.link, cylinder.rod.pin))
+        self.data = self.model.createData()
+        self.pin_data = pin.StdVec_RigidConstraintData()
+        self.pin_data.extend(each.createData() for each in self.pins)
+        pin.initConstraintDynamics(self.model, self.data, self.pins, self.pin_data)
+
+    def _carried_by(self, link: str) -> None:
+        """Add what hangs on a link, branch by branch: Pinocchio wants the joints of each branch in a row."""
+        for cylinder in self.machine.cylinders:
+            if cylinder.barrel.link == link:
+                self._cylinder(cylinder)
+        for child in self.machine.links:
+            if child.parent == link:
+                self._link(child)
+                self._carried_by(child.name)
+
+    def _link(self, link: Link) -> None:
+        j = link.joint
+        joint, place = self.ends[link.parent] if link.pin is None else self._at(link.parent, link.pin)
+        place = place * _shift((0, 0, j.d)) * _turn(j.theta, 2)
+        if j.moving:
+            kind = pin.JointModelPZ() if j.type == "prismatic" else pin.JointModelRZ()
+            joint, place = self.model.addJoint(joint, kind, place, link.name), pin.SE3.Identity()
+        self._place(link.name, joint, place)
+        self.ends[link.name] = joint, place * _shift((j.a, 0, 0)) * _turn(j.alpha, 0) * _turn(j.beta, 1)
+
+    def _cylinder(self, cylinder: Cylinder) -> None:
+        # the barrel turns about an axis parallel to that of the next joint towards the rod
+        after = next(link for link in map(self.machine.link, self.machine.ancestry(cylinder.rod.link))
+                     if link.parent == cylinder.barrel.link)
+        joint, place = self._at(cylinder.barrel.link, cylinder.barrel.pin)
+        if after.pin is None and after.parent != BASE:
+            before = self.machine.link(after.parent).joint
+            place = place * _turn(before.alpha, 0) * _turn(before.beta, 1)
+        if after.joint.type == "prismatic":  # its axis is then the x axis of the joint's frame
+            place = place * _turn(after.joint.theta, 2) * _turn(np.pi, 2) * _turn(-np.pi / 2, 1)
+        for end, kind in (("barrel", pin.JointModelRZ()), ("rod", pin.JointModelPX())):
+            name = f"{cylinder.name}.{end}"
+            joint, place = self.model.addJoint(joint, kind, place, name), pin.SE3.Identity()
+            self._place(name, joint, place)
+
+    def _place(self, name: str, joint: int, place: pin.SE3) -> None:
+        self.places[name] = joint, place
+        self.model.appendBodyToJoint(joint, _inertia(self.clouds.get(name, NEGLIGIBLE)), place)
+
+    def _at(self, link: str, point: tuple[float, ...]) -> tuple[int, pin.SE3]:
+        joint, place = self.places[link]
+        return joint, place * _shift(point)
+
+    def _close(self, one: tuple[int, pin.SE3], other: tuple[int, pin.SE3]) -> None:
+        self.pins.append(pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, self.model, *one, *other,
+                                                  pin.ReferenceFrame.LOCAL))
+
+    def accelerations(self, at: MujocoLoops, actuator_forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Accelerations of all joints that these forces cause, and those that MuJoCo's state has."""
+        names = [self.model.names[k] for k in range(1, self.model.njoints)]
+        dofs = [at.model.joint(name).dofadr[0] for name in names]
+        q, v, expected = (array[dofs].copy() for array in (at.data.qpos, at.data.qvel, at.data.qacc))
+        drive = dict.fromkeys(names, 0.0)
+        for actuator, force in zip(self.machine.actuators, actuator_forces, strict=True):
+            drive[f"{actuator.name}.rod" if isinstance(actuator, Cylinder) else actuator.joint] += force
+        # pins hold twice what is in no plane: the proximal term decides how they share it
+        near = pin.ProximalSettings(1e-12, 1e-12, 1e-8, 100)
+        found = pin.constraintDynamics(self.model, self.data, q, v, np.array(list(drive.values())), self.pins,
+                                       self.pin_data, near)
+        return found, expected
