@@ -31,7 +31,7 @@ def machine_facts(machine: Machine) -> dict[str, Any]:
     return {"machine": {"name": machine.name, "parameter_set": machine.parameter_set, "sha256": machine.sha256,
                          "description": machine.description},
              "joints": [_joint_facts(machine, name) for name in machine.joints], "cylinders": cylinders,
-             "linkages": [_linkage_facts(each) for each in loop_ranges(machine)],
+             "linkages": [_linkage_facts(machine, each) for each in loop_ranges(machine)],
              "couplings": [_coupling_facts(machine, each) for each in machine.couplings],
              "channels": machine.channel_units, "sensors": sensors, "parameters": parameters,
              "hydraulic_parameters": _parameter_facts(hydraulic_parameters.parameter_set(machine)),
@@ -58,13 +58,13 @@ def _joint_facts(machine: Machine, name: str) -> dict[str, Any]:
             "lower": round(factor * (joint.lower or 0.0), 4), "upper": round(factor * (joint.upper or 0.0), 4)}
 
 
-def _linkage_facts(loop: LoopRange) -> dict[str, Any]:
+def _linkage_facts(machine: Machine, loop: LoopRange) -> dict[str, Any]:
     """What follows what, its transmission ratio over the range, and the margin to a dead point."""
-    closure = loop.assembly.closure
+    closure, last = loop.assembly.closure, loop.assembly.closure.follows[-1]
+    ratios = [{"ratio": f"d {joint} / d {last}", "min": round(least, 4), "max": round(greatest, 4),
+               "unit": machine.ratio_unit(joint, last)} for joint, (least, greatest) in loop.ratios.items()]
     return {"linkage": ", ".join(each.name for each in closure.statements), "follows": ", ".join(closure.follows),
-            "dependent": ", ".join(closure.joints),
-            "ratio": f"d {closure.joints[0]} / d {closure.follows[-1]}", "ratio_min": round(loop.ratio[0], 4),
-            "ratio_max": round(loop.ratio[1], 4), "margin_deg": round(math.degrees(loop.angle), 2),
+            "dependent": ", ".join(closure.joints), "ratios": ratios, "margin_deg": round(math.degrees(loop.angle), 2),
             "margin_at": loop.at}
 
 

@@ -61,9 +61,10 @@ def show(
     for each in facts["couplings"]:
         console.print(f"{each['coupling']}: {each['relation']}", soft_wrap=True)
     for each in facts["linkages"]:
-        console.print(f"{each['linkage']}: {each['dependent']} follow {each['follows']}, {each['ratio']} from "
-                      f"{each['ratio_min']:.3f} to {each['ratio_max']:.3f}; least angle to a dead point "
-                      f"{each['margin_deg']:.1f} deg, at {each['margin_at']}", soft_wrap=True)
+        ratios = ", ".join(f"{one['ratio']} from {one['min']:.3f} to {one['max']:.3f}"
+                           + (one["unit"] != "1") * f" {one['unit']}" for one in each["ratios"])
+        console.print(f"{each['linkage']}: {each['dependent']} follow {each['follows']}, {ratios}; least angle to a "
+                      f"dead point {each['margin_deg']:.1f} deg, at {each['margin_at']}", soft_wrap=True)
     if lines := facts["calibration"]["lines"]:
         console.print("[bold]Kinematic calibration[/bold]")
         for line in lines:

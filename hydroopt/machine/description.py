@@ -188,13 +188,15 @@ class MachineDescription(Noun):
         """SI unit of a joint's position."""
         return "m" if self.link(joint).joint.type == "prismatic" else "rad"
 
+    def ratio_unit(self, joint: str, other: str) -> str:
+        """SI unit of the speed of one joint per speed of another one."""
+        own, unit = self.position_unit(joint), self.position_unit(other)
+        return "1" if own == unit else f"{own}/{unit}"
+
     def coupling_units(self, coupling: Coupling) -> dict[str, str]:
         """SI units of a coupling's ratios by joint, and of its offset."""
-        own, units = self.position_unit(coupling.joint), {}
-        for joint in coupling.ratios:
-            other = self.position_unit(joint)
-            units[f"ratio.{joint}"] = "1" if own == other else f"{own}/{other}"
-        return units | {"offset": own}
+        ratios = {f"ratio.{joint}": self.ratio_unit(coupling.joint, joint) for joint in coupling.ratios}
+        return ratios | {"offset": self.position_unit(coupling.joint)}
 
     def friction_units(self, joint: str) -> dict[str, str]:
         """SI units of what a joint, motor or drive may state as friction, by key."""

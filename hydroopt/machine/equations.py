@@ -10,6 +10,7 @@ import casadi as ca
 from hydroopt.machine.closures import Statement
 from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.loops import Loop
 
 
 def closure_equations(geometry: Geometry, statements: Sequence[Statement], q: Mapping[str, Any]) -> ca.SX:
@@ -28,6 +29,13 @@ def closure_equations(geometry: Geometry, statements: Sequence[Statement], q: Ma
             length = geometry.value[f"{each.name}.length"]
             gap = (ca.sumsqr(gap) - length**2) / (2 * length)
         rows.append(gap[:2] if each.closed_by == "pin" else gap)
+    return ca.vertcat(*rows)
+
+
+def directions(geometry: Geometry, statements: Sequence[Statement], q: Mapping[str, Any]) -> ca.SX:
+    """The equations, and of a rod the whole vector between its ends: what joints move."""
+    rows = [geometry.loop_gap(each, q) if isinstance(each, Loop) and each.closed_by == "rod"
+            else closure_equations(geometry, (each,), q) for each in statements]
     return ca.vertcat(*rows)
 
 

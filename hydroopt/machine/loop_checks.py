@@ -12,7 +12,8 @@ from hydroopt.machine.closures import DyadClosure, closures, place, said
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.loops import Loop
 from hydroopt.machine.machine import Machine
-from hydroopt.machine.mechanism import Mechanism, said_posture
+from hydroopt.machine.mechanism import Mechanism
+from hydroopt.machine.posture import said_posture
 from hydroopt.machine.quantity import ImpossibleError
 from hydroopt.spatial.inertia import Array
 
@@ -34,14 +35,14 @@ class LoopRange(NamedTuple):
             dead point, in general that of `Solved.sine`. Not a number where the loop cannot close.
         at: where this is, in words.
         posture: positions by name of the joints that it follows, where this is.
-        ratio: least and greatest speed of the first dependent joint per speed of the last joint that it follows.
+        ratios: least and greatest speed of each dependent joint per speed of the last joint that it follows.
     """
 
     assembly: Assembly
     angle: float
     at: str
     posture: dict[str, float]
-    ratio: tuple[float, float]
+    ratios: dict[str, tuple[float, float]]
 
 
 def loop_ranges(machine: Machine) -> tuple[LoopRange, ...]:
@@ -60,17 +61,18 @@ def loop_ranges(machine: Machine) -> tuple[LoopRange, ...]:
         sine = assembly.solved(geometry, at).sine
         if sine is None:
             continue
-        function = ca.Function("margin", [q], [sine, ca.jacobian(at[closure.joints[0]], q[-1])])
+        function = ca.Function("margin", [q], [sine, *(ca.jacobian(at[joint], q[-1]) for joint in closure.joints)])
         points = POINTS.get(len(joints), FEW)
         grid = np.meshgrid(*(np.linspace(*machine.link(joint).joint.range, points) for joint in joints), indexing="ij")
         states = np.stack([values.ravel() for values in grid])
-        sines, ratios = (np.asarray(values).ravel() for values in function(states))
+        sines, *slopes = (np.asarray(values).ravel() for values in function(states))
         # where the branch changes its sign the loop passes a dead point
         signed = sines * np.sign(sines[np.argmax(np.isfinite(sines))])
         worst = int(np.argmin(np.where(np.isfinite(signed), signed, -2.0)))
         posture = dict(zip(joints, states[:, worst].tolist(), strict=True))
         found.append(LoopRange(assembly, float(np.arcsin(min(signed[worst], 1.0))), said_posture(machine, posture),
-                               posture, (float(np.min(ratios)), float(np.max(ratios)))))
+                               posture, {joint: (float(np.min(slope)), float(np.max(slope)))
+                                         for joint, slope in zip(closure.joints, slopes, strict=True)}))
     return tuple(found)
 
 

@@ -19,10 +19,12 @@ from hydroopt.machine.closures import (
     place,
 )
 from hydroopt.machine.dyads import DyadAssembly
+from hydroopt.machine.general_loops import assembled
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.linear_closures import LinearAssembly
 from hydroopt.machine.loops import Loop
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.posture import apart, said_posture, turns
 from hydroopt.machine.quantity import ImpossibleError
 from hydroopt.machine.sliders import SliderAssembly
 
@@ -103,8 +105,12 @@ class Mechanism:
         """
         if self._at is not None:
             return {joint: self._at[joint] for joint in (*closure.follows, *closure.joints)}
-        stated = {joint: value for each in closure.statements if isinstance(each, Loop)
-                  for joint, value in each.posture.items()}
+        stated: dict[str, float] = {}
+        for each in closure.statements:
+            for joint, value in each.posture.items() if isinstance(each, Loop) else ():
+                if stated.setdefault(joint, value) != value:
+                    raise ImpossibleError(f"the loops that close together have two postures of '{joint}'",
+                                          "state one posture of all of them", f"{place(each)}.posture.{joint}")
         _refuse_posture(closure, stated)
         return stated
 
@@ -118,8 +124,26 @@ def _assembled(before: Mechanism, geometry: Geometry, closure: Closure) -> Assem
         case SliderClosure():
             return _nearest(before, geometry, (SliderAssembly(closure, 1), SliderAssembly(closure, -1)))
         case GeneralClosure():
-            raise ImpossibleError("loops of this kind are not supported", "use planar loops with two joints each",
-                                  place(closure.statements[0]))
+            return _tracked(before, geometry, closure)
+
+
+_KNOWN: dict[tuple[str, str], Assembly] = {}
+"""What tracking has found of loops, by their links and their posture: the same machine is assembled many times."""
+REMEMBERED = 64
+
+
+def _tracked(before: Mechanism, geometry: Geometry, closure: GeneralClosure) -> Assembly:
+    """Loops that close together, by Newton's method."""
+    posture = before.posture(closure)
+    key = (geometry.machine.model_dump_json(include={"links", "loops", "couplings"}), repr((closure.joints, posture)))
+    if key not in _KNOWN:
+        q = ca.SX.sym("q", len(closure.follows))
+        at = before.positions(geometry, dict(zip(closure.follows, ca.vertsplit(q), strict=True)))
+        found = assembled(geometry, closure, posture, at, q)
+        while len(_KNOWN) >= REMEMBERED:
+            _KNOWN.pop(next(iter(_KNOWN)))
+        _KNOWN[key] = found
+    return _KNOWN[key]
 
 
 def _nearest(before: Mechanism, geometry: Geometry, ways: tuple[BranchedAssembly, BranchedAssembly]) -> Assembly:
@@ -133,12 +157,12 @@ def _nearest(before: Mechanism, geometry: Geometry, ways: tuple[BranchedAssembly
     if not all(np.isfinite(value) for found in turned for value in found.values()):
         raise ImpossibleError(f"the loop '{loop.name}' cannot close in its own posture, {at}: "
                               f"{ways[0].why_open(geometry, q)}", "correct its pins and lengths, or the posture", where)
-    apart = [[_apart(geometry.machine, joint, found[joint], posture[joint]) for joint in stated]
+    away = [[apart(geometry.machine, joint, found[joint], posture[joint]) for joint in stated]
              for found in turned]
-    best = 0 if max(apart[0]) <= max(apart[1]) else 1
-    beyond = any(distance > WITHIN for joint, distance in zip(stated, apart[best], strict=True)
-                 if geometry.machine.link(joint).joint.type == "revolute")
-    if max(apart[best]) > NEAR * max(apart[1 - best]) or beyond:
+    best = 0 if max(away[0]) <= max(away[1]) else 1
+    beyond = any(distance > WITHIN for joint, distance in zip(stated, away[best], strict=True)
+                 if turns(geometry.machine, joint))
+    if max(away[best]) > NEAR * max(away[1 - best]) or beyond:
         stands = " or ".join(said_posture(geometry.machine, {joint: found[joint] for joint in stated})
                              for found in turned)
         raise ImpossibleError(f"the posture of '{loop.name}' is not near one of the two ways to assemble it: at {at} "
@@ -163,17 +187,3 @@ def _refuse_posture(closure: Closure, posture: Mapping[str, float]) -> None:
         raise ImpossibleError(f"the posture of '{loop.name}' does not state {said}",
                               "state one posture: the joints that the loop follows, and about where "
                               + ("its dependent ones stand" if together else "a dependent one stands"), where)
-
-
-def said_posture(machine: Machine, posture: Mapping[str, float]) -> str:
-    """Positions of joints in words."""
-    slides = {joint for joint in posture if machine.link(joint).joint.type == "prismatic"}
-    return ", ".join(f"{joint} = {value:.3f} m" if joint in slides else f"{joint} = {np.degrees(value):.1f} deg"
-                     for joint, value in posture.items())
-
-
-def _apart(machine: Machine, joint: str, one: float, other: float) -> float:
-    """How far two positions [rad or m] of a joint are apart."""
-    if machine.link(joint).joint.type == "prismatic":
-        return abs(one - other)
-    return float(abs(np.arctan2(np.sin(one - other), np.cos(one - other))))

@@ -1,0 +1,244 @@
+"""Loops that no closed form solves: Newton's method from a start that a polynomial of the joints before gives.
+
+All solutions over the ranges of the joints that the loops follow are tracked from the stated posture, along straight
+lines; a polynomial is fitted to them, and as many steps of Newton's method are taken from it as bring every sample to
+rounding. The number of steps is fixed, so that positions are one expression, whose derivatives are exact as well.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from itertools import combinations_with_replacement
+from typing import Any, NamedTuple
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+
+from hydroopt.machine.assembly import Solved
+from hydroopt.machine.closures import GeneralClosure, place, said
+from hydroopt.machine.equations import closure_equations, directions
+from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.posture import apart, said_posture, turns
+from hydroopt.machine.quantity import ImpossibleError
+from hydroopt.spatial.inertia import Array
+
+CLOSED = 1e-5
+"""Equations [m or rad] that leave more than this before the last step make positions that are not numbers."""
+LAST, ROUNDING = 1e-8, 1e-12
+"""Errors [rad or m] of positions that are allowed before the last step and after it."""
+CALIBRATED = 0.03
+"""How far [rad or m] calibrated geometry may move positions from those of the machine file."""
+SAMPLES = {1: 96, 2: 256}
+DEGREES = {1: (8, 14), 2: (5, 8), 3: (3, 5)}
+"""Samples, and degrees of the polynomial that are tried, by how many joints the loops follow; 512 and (2, 3) where
+these are more."""
+MOST = 6
+"""Greatest number of Newton's steps."""
+ALONG, CORRECTIONS = 32, 3
+"""Steps of the tracking from the posture to a sample, and Newton's steps in each of them."""
+MOBILE = 1e-9
+"""Volume of `Solved.sine` below which loops determine nothing."""
+WITHIN = np.radians(45.0)
+"""A posture is near to the one that closes if no joint is farther from it than this angle [rad]."""
+
+
+class Start(NamedTuple):
+    """A polynomial in u = (q − middle)/half of the joints that loops follow: a start of Newton's method.
+
+    Attributes:
+        middle, half: (n,) of the ranges.
+        powers: which variables each term is the product of.
+        coefficients: (m, terms).
+    """
+
+    middle: tuple[float, ...]
+    half: tuple[float, ...]
+    powers: tuple[tuple[int, ...], ...]
+    coefficients: Array
+
+    def terms(self, q: Any) -> list[Any]:
+        """The terms at joint positions (n,), be they numbers, arrays or symbols."""
+        u = [(q[k] - self.middle[k]) / self.half[k] for k in range(len(self.middle))]
+        made: dict[tuple[int, ...], Any] = {(): 0 * u[0] + 1.0}
+        for each in self.powers[1:]:
+            made[each] = u[each[-1]] if len(each) == 1 else made[each[:-1]] * u[each[-1]]
+        return [made[each] for each in self.powers]
+
+
+class GeneralAssembly(NamedTuple):
+    """Loops as they are assembled: a start, and the number of Newton's steps from it."""
+
+    closure: GeneralClosure
+    start: Start
+    steps: int
+
+    def solved(self, geometry: Geometry, q: Mapping[str, Any]) -> Solved:
+        """Positions of their joints, from those before."""
+        own, x = self.closure.joints, ca.SX.sym("x", len(self.closure.joints))
+        at = {**q, **dict(zip(own, ca.vertsplit(x), strict=True))}
+        equations = closure_equations(geometry, self.closure.statements, at)
+        J = ca.jacobian(equations, x)
+        terms = self.start.terms([q[joint] for joint in self.closure.follows])
+        found = ca.vertcat(*(sum((float(a) * term for a, term in zip(row, terms, strict=True)), ca.SX(0))
+                             for row in self.start.coefficients))
+        for left in reversed(range(self.steps)):
+            gap, slope = ca.substitute([equations, J], [x], [found])
+            step = ca.solve(slope, gap)
+            if not left:
+                step *= ca.sqrt(1 - (ca.sumsqr(gap) / CLOSED**2)**2)
+            found -= step
+        volume = ca.substitute(_volume(geometry, self.closure, at, J, x), x, found)
+        return Solved(dict(zip(own, ca.vertsplit(found), strict=True)), volume)
+
+    def why_open(self, geometry: Geometry, q: Mapping[str, Any]) -> str:
+        """Why they cannot close, in words."""
+        return "no positions of its joints near those of its posture bring its ends together"
+
+    @property
+    def dead(self) -> str:
+        """What happens at a dead point, in words."""
+        return f"it no longer determines {' and '.join(self.closure.joints)}"
+
+
+def _volume(geometry: Geometry, closure: GeneralClosure, at: Mapping[str, Any], J: ca.SX, x: ca.SX) -> ca.SX:
+    """Determinant of the equations' Jacobian over the lengths of the directions in which each joint moves the ends."""
+    ways = ca.jacobian(directions(geometry, closure.statements, at), x)
+    sizes = [ca.norm_2(ways[:, k]) for k in range(ways.size2())]
+    volume = ca.det(J)
+    for size in sizes:
+        volume /= size
+    return volume
+
+
+class _Problem(NamedTuple):
+    """Equations of loops as a function of their joints (m, N) and those that they follow (n, N)."""
+
+    geometry: Geometry
+    closure: GeneralClosure
+    function: ca.Function
+
+    def values(self, x: Array, q: Array) -> tuple[Array, Array, Array]:
+        """Equations (N, m), Jacobian (N, m, m) and volume (N,)."""
+        count, size = x.shape[1], x.shape[0]
+        gap, slope, volume = (np.array(value) for value in self.function.map(count)(x, q))
+        return gap.T, slope.reshape(size, count, size).transpose(1, 0, 2), volume.ravel()
+
+    def step(self, x: Array, q: Array) -> Array:
+        """One step of Newton's method (m, N)."""
+        gap, slope, _ = self.values(x, q)
+        usable: NDArray[np.bool_] = np.logical_and(np.isfinite(slope).all(axis=(1, 2)), np.isfinite(gap).all(axis=1))
+        slope = np.where(usable[:, None, None], slope, np.eye(len(x)))
+        gap = np.where(usable[:, None], gap, 0.0)
+        try:
+            found = np.linalg.solve(slope, gap[..., None])[..., 0]
+        except np.linalg.LinAlgError:  # somewhere exactly singular
+            found = np.einsum("nij,nj->ni", np.linalg.pinv(slope, rcond=1e-12), gap)
+        return np.asarray(x - np.where(usable[:, None], found, np.nan).T)
+
+    def tracked(self, x: Array, begin: Array, ends: Array) -> Array:
+        """Positions (m, N) at `ends` (n, N), by small steps from x (m,) at `begin` (n,); NaN where they get lost."""
+        count = ends.shape[1]
+        q = np.tile(begin[:, None], count)
+        at = before = np.tile(x[:, None], count)
+        sign = np.sign(self.values(at[:, :1], q[:, :1])[2])
+        for share in np.linspace(0, 1, ALONG + 1)[1:]:
+            q = begin[:, None] + share * (ends - begin[:, None])
+            guess, before = 2 * at - before, at
+            for _ in range(CORRECTIONS):
+                guess = self.step(guess, q)
+            gap, _, volume = self.values(guess, q)
+            lost = ~(np.max(np.abs(gap), axis=1) < CLOSED) | (np.sign(volume) != sign)
+            at = np.where(lost, np.nan, guess)
+        for _ in range(CORRECTIONS):
+            at = self.step(at, q)
+        return at
+
+
+def assembled(geometry: Geometry, closure: GeneralClosure, posture: Mapping[str, float],
+              before: Mapping[str, ca.SX], follows: ca.SX) -> GeneralAssembly:
+    """Loops as a posture states that they are assembled.
+
+    Args:
+        geometry: its numbers.
+        closure: the loops.
+        posture: positions of all joints that they determine or follow.
+        before: positions of the joints before, in the symbols (n,) of those that the loops `follow`.
+
+    Raises:
+        ImpossibleError: they do not close near the posture or over the range, or determine nothing.
+    """
+    machine, own = geometry.machine, closure.joints
+    x = ca.SX.sym("x", len(own))
+    at = {**before, **dict(zip(own, ca.vertsplit(x), strict=True))}
+    equations = closure_equations(geometry, closure.statements, at)
+    J = ca.jacobian(equations, x)
+    problem = _Problem(geometry, closure, ca.Function("equations", [x, follows], [
+        equations, ca.densify(J), _volume(geometry, closure, at, J, x)]))
+    begin = np.array([posture[joint] for joint in closure.follows])
+    here = _closed(problem, posture, begin)
+    ranges = np.array([machine.link(joint).joint.range for joint in closure.follows])
+    middle, half = ranges.mean(axis=1), np.ptp(ranges, axis=1) / 2
+    n = len(begin)
+    count = SAMPLES.get(n, 512)
+    u = 2 * qmc.Halton(n, scramble=False).random(count + 1)[1:].T - 1
+    u = np.sin(np.pi / 2 * u)  # denser towards the ends of the ranges, as the nodes of Chebyshev's polynomials
+    corners = np.array(np.meshgrid(*[[-1.0, 0.0, 1.0]] * n, indexing="ij")).reshape(n, -1)[:, :count]
+    q = middle[:, None] + half[:, None] * np.hstack([corners, u])
+    positions = problem.tracked(here, begin, q)
+    if (lost := np.flatnonzero(~np.isfinite(positions).all(axis=0))).size:
+        nearest = lost[np.argmin(np.linalg.norm((q[:, lost] - begin[:, None]) / half[:, None], axis=0))]
+        words = said_posture(machine, dict(zip(closure.follows, q[:, nearest].tolist(), strict=True)))
+        raise ImpossibleError(f"{said(closure)} cannot close, or passes a dead point, on the way from its posture to "
+                              f"{words}", "correct its pins and lengths, or narrow the joints' limits",
+                              place(closure.statements[0]))
+    lowest, highest = DEGREES.get(n, (2, 3))
+    for degree in range(lowest, highest + 1):
+        powers = tuple(each for k in range(degree + 1) for each in combinations_with_replacement(range(n), k))
+        shape = Start(tuple(middle.tolist()), tuple(half.tolist()), powers, np.zeros((len(own), len(powers))))
+        terms = np.array(shape.terms(q))
+        fitted = np.linalg.lstsq(terms[:, ::2].T, positions[:, ::2].T, rcond=None)[0].T
+        steps = _steps(problem, fitted @ terms, q, positions)
+        if steps is not None:
+            return GeneralAssembly(closure, shape._replace(coefficients=fitted), steps)
+    raise ImpossibleError(f"{said(closure)} is too near to a dead point in the range of {', '.join(closure.follows)} "
+                          "for Newton's method", "narrow the joints' limits", place(closure.statements[0]))
+
+
+def _steps(problem: _Problem, start: Array, q: Array, positions: Array) -> int | None:
+    """How many steps bring all samples to rounding, also of other geometry; None if none do."""
+    signs = 1 - 2 * (np.arange(start.size).reshape(start.shape) % 3 % 2)
+    error, at = np.inf, start + CALIBRATED * signs
+    for count in range(1, MOST + 1):
+        before, at = error, problem.step(at, q)
+        error = float(np.max(np.abs(at - positions)))
+        if before < LAST and error < ROUNDING * (1 + float(np.max(np.abs(positions)))):
+            return count
+    return None
+
+
+def _closed(problem: _Problem, posture: Mapping[str, float], begin: Array) -> Array:
+    """Positions (m,) near those of a posture that close the loops."""
+    machine, closure = problem.geometry.machine, problem.closure
+    where = f"{place(closure.statements[0])}.posture"
+    words = said_posture(machine, {joint: posture[joint] for joint in closure.follows})
+    here = np.array([[posture[joint]] for joint in closure.joints])
+    for _ in range(50):
+        step = problem.step(here, begin[:, None]) - here
+        # no joint jumps farther than a posture may be off
+        here = here + step * min(1.0, 0.3 / max(float(np.max(np.abs(step))), 1e-300))
+    gap, _, volume = problem.values(here, begin[:, None])
+    if not np.max(np.abs(gap)) < 1e-9:
+        raise ImpossibleError(f"{said(closure)} cannot close near the posture of '{closure.statements[0].name}', "
+                              f"{words}", "correct pins and lengths, or the posture", where)
+    if not abs(float(volume[0])) > MOBILE:
+        raise ImpossibleError(f"{said(closure)} does not hold {', '.join(closure.joints)}: they can move while "
+                              f"{', '.join(closure.follows)} rest", "correct its pins, let one of them move by itself, "
+                              "or remove a loop that repeats another one", place(closure.statements[0]))
+    for joint, value in zip(closure.joints, here[:, 0].tolist(), strict=True):
+        if turns(machine, joint) and apart(machine, joint, value, posture[joint]) > WITHIN:
+            stands = said_posture(machine, dict(zip(closure.joints, here[:, 0].tolist(), strict=True)))
+            raise ImpossibleError(f"{said(closure)} does not close near its posture: at {words} stands {stands}",
+                                  "state the posture that the machine has", where)
+    return np.asarray(here[:, 0])
