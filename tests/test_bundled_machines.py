@@ -19,6 +19,7 @@ from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.machine.actuators import Drive
 from hydroopt.machine.machine_file import bundled, load_machine
 from hydroopt.model.model import Model
+from hydroopt.simulation.passive_joints import passive_motion
 from hydroopt.simulation.simulate import Trajectory, forces, random_trajectory, random_truth, simulate
 from oracles.subjects import states
 
@@ -28,6 +29,8 @@ LONG = {"cat215b", "panda", "panda_mukca", "kr300", "ur10", "ur10e", "excavator_
 UNACTUATED = {"panda_mukca"}
 """Machines that state geometry only: no bodies, so that nothing is to be identified from forces."""
 DYNAMIC = tuple(name for name in bundled() if name not in UNACTUATED)
+SWINGING = ("forestry_crane",)
+"""Machines with passive joints, whose motion no period repeats."""
 
 
 @cache
@@ -54,15 +57,17 @@ def test_actuators_carry_the_weight(name: str) -> None:
     q, qd, qdd = states(subject.machine, np.random.default_rng(1), 400)
     held = forces(subject, Trajectory(np.arange(400.0), q, 0 * qd, 0 * qdd), subject.parameters.nominal)
     assert np.all(np.isfinite(held))
-    for k, actuator in enumerate(subject.machine.actuators):
-        if isinstance(actuator, Drive):
-            push = pull = actuator.max_torque
+    for k, balance in enumerate(subject.machine.balances):
+        if balance.alone is None:
+            continue  # several actuators share the load, or none is there
+        if isinstance(balance.alone, Drive):
+            push = pull = balance.alone.max_torque
         else:
-            push, pull = ((area * actuator.relief_pressure if actuator.relief_pressure else None)
-                          for area in actuator.areas)
+            push, pull = ((area * balance.alone.relief_pressure if balance.alone.relief_pressure else None)
+                          for area in balance.alone.areas)
         if push is not None:
-            assert -pull < held[:, k].min(), f"{actuator.name} cannot hold the machine"
-            assert held[:, k].max() < push, f"{actuator.name} cannot hold the machine"
+            assert -pull < held[:, k].min(), f"{balance.name} cannot hold the machine"
+            assert held[:, k].max() < push, f"{balance.name} cannot hold the machine"
 
 
 @pytest.mark.parametrize("name", bundled())
@@ -72,7 +77,8 @@ def test_show_has_nothing_to_object(name: str) -> None:
     assert all(each["margin_deg"] > 10 for each in facts["linkages"])
 
 
-@pytest.mark.parametrize("name", tiered(DYNAMIC, lambda name: name == "patu655"))
+@pytest.mark.parametrize("name", tiered(
+    [name for name in DYNAMIC if name not in SWINGING], lambda name: name in ("patu655", "scissor_lift")))
 def test_perfect_sensors_give_back_the_truth(name: str) -> None:
     subject = model(name)
     truth = random_truth(subject, 3)
@@ -84,6 +90,20 @@ def test_perfect_sensors_give_back_the_truth(name: str) -> None:
     state = states(subject.machine, np.random.default_rng(2), 200)
     (K,) = subject.over(subject.regressor, *state)
     np.testing.assert_allclose(K @ estimate.psi, K @ truth, rtol=0, atol=1e-8 * np.max(np.abs(K @ truth)))
+
+
+@pytest.mark.parametrize("name", SWINGING)
+def test_what_swings_freely_follows_the_truth_of_its_balance(name: str) -> None:
+    """Nothing acts in passive joints: with the true bodies and friction their rows are zero along the motion."""
+    subject = model(name)
+    truth = random_truth(subject, 3)
+    path = random_trajectory(subject, duration=8.0, rate=10.0, seed=1)
+    q, qd, qdd = passive_motion(subject, path.t, (path.q, path.qd, path.qdd), truth)
+    passive = [k for k, balance in enumerate(subject.machine.balances) if not balance.actuators]
+    driven = [k for k in range(q.shape[1]) if k not in passive]
+    np.testing.assert_allclose(q[:, driven], path.q[:, driven], atol=1e-12)
+    (K,) = subject.over(subject.regressor, q, qd, qdd)
+    assert np.max(np.abs((K @ truth)[:, passive])) < 1e-9 * np.max(np.abs(K @ truth))
 
 
 @pytest.mark.slow

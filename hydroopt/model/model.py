@@ -200,7 +200,7 @@ class Model:
                    + self.dynamics.wrench_forces(given["wrench"]) + self.dynamics.at_balances(given["load"]))[passive]
         rest = ca.substitute(balance, qdd[joints], ca.DM.zeros(len(joints)))
         found = ca.solve(ca.jacobian(balance, qdd[joints]), -rest) if joints else ca.SX(0, 1)
-        return _dense("passive_accelerations", [*given.values()], [found], [*given], ["qdd"])
+        return _dense("passive_accelerations", [*given.values()], [found], [*given], ["accelerations"])
 
     @cached_property
     def linearised(self) -> ca.Function:

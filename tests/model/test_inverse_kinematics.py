@@ -25,7 +25,11 @@ def model(name: str) -> Model:
 
 
 def pose(subject: Model, q: Array) -> Array:
-    """Pose (4, 4) of the tip by the second derivation."""
+    """Pose (4, 4) of the tip by the second derivation, or by the model where dependent joints carry it."""
+    machine = subject.machine
+    if any(machine.link(name).joint.dependent for name in machine.ancestry(machine.tip)):
+        place = [link.name for link in machine.links].index(machine.tip)
+        return subject.over(subject.forward_kinematics, q[None])[place][0]
     zero = np.zeros(len(q))
     return ComplexMachine(subject.machine).frames(q, zero, zero)[1][subject.machine.tip].value.real
 
