@@ -61,10 +61,8 @@ def show(
     for each in facts["couplings"]:
         console.print(f"{each['coupling']}: {each['relation']}", soft_wrap=True)
     for each in facts["linkages"]:
-        ratios = ", ".join(f"{one['ratio']} from {one['min']:.3f} to {one['max']:.3f}"
-                           + (one["unit"] != "1") * f" {one['unit']}" for one in each["ratios"])
-        console.print(f"{each['linkage']}: {each['dependent']} follow {each['follows']}, {ratios}; least angle to a "
-                      f"dead point {each['margin_deg']:.1f} deg, at {each['margin_at']}", soft_wrap=True)
+        console.print(f"{each['linkage']}: {each['dependent']} follow {each['follows']}, {_ratios(each)}; least angle "
+                      f"to a dead point {each['margin_deg']:.1f} deg, at {each['margin_at']}", soft_wrap=True)
     if lines := facts["calibration"]["lines"]:
         console.print("[bold]Kinematic calibration[/bold]")
         for line in lines:
@@ -81,8 +79,15 @@ def _page(machine: Machine, facts: dict[str, Any], output: Path) -> None:
     from hydroopt.report import machine as report
 
     model = Model(machine)
+    facts = facts | {"linkages": [each | {"ratios": _ratios(each)} for each in facts["linkages"]]}
     drawn = report.render(machine, facts, limit_scenes(model), lever_arms(model), transmission_ratios(model))
     write_files(output, {"machine.html": drawn})
+
+
+def _ratios(linkage: dict[str, Any]) -> str:
+    """Ranges of a linkage's transmission ratios, in words."""
+    return ", ".join(f"{one['ratio']} from {one['min']:.3f} to {one['max']:.3f}"
+                     + (one["unit"] != "1") * f" {one['unit']}" for one in linkage["ratios"])
 
 
 def _hydraulics(machine: Machine, output: Path | None, *, as_json: bool) -> None:
