@@ -23,7 +23,10 @@ Key = str | int
 
 
 class ColumnMap(BaseModel):
-    """Where one channel stands in a file: value = factor × (column − minus) [unit] + offset."""
+    """Where one channel stands in a file: value = factor × (column − minus) [unit] + offset.
+
+    The offset alone is a value that holds throughout the file, such as the slope that the machine stood on.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -37,8 +40,10 @@ class ColumnMap(BaseModel):
 
     @model_validator(mode="after")
     def _one_source(self) -> "ColumnMap":
+        if self.column is self.variable is None and self.offset is not None and self.minus is self.row is None:
+            return self
         if (self.column is None) == (self.variable is None):
-            raise ValueError("give either 'column' or, for a .mat file, 'variable'")
+            raise ValueError("give either 'column' or, for a .mat file, 'variable', or for a constant 'offset' alone")
         if self.variable is None and self.row is not None:
             raise ValueError("'row' belongs to a 'variable' of a .mat file")
         if self.variable is not None and self.minus is not None:
@@ -52,7 +57,8 @@ class ColumnMap(BaseModel):
         """Keys of the raw columns this channel needs."""
         if self.variable is not None:
             return ((self.variable, self.row),)
-        assert self.column is not None
+        if self.column is None:
+            return ()
         return (self.column,) if self.minus is None else (self.column, self.minus)
 
     def shift(self, si: str, where: str) -> float:

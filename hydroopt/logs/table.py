@@ -84,7 +84,7 @@ def in_si(layout: LogMap, table: Table, where: str) -> tuple[dict[str, Array], d
     units: dict[str, str] = {}
     for name, column in layout.columns.items():
         si = si_unit(name, column.unit)
-        raw = [table.columns[key] for key in column.keys]
+        raw = [table.columns[key] for key in column.keys] or [np.zeros(len(table.rows))]
         with np.errstate(over="ignore", invalid="ignore"):
             difference = raw[0] if len(raw) == 1 else raw[0] - raw[1]
             values[name] = column.factor * factor(column.unit, si) * difference + column.shift(si, where)

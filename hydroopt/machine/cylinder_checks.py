@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import casadi as ca
@@ -20,22 +20,29 @@ from hydroopt.spatial.inertia import Array
 def check(machine: Machine) -> None:
     """Check every cylinder over the range of the joints it moves.
 
-    The triangle must close, the stroke must cover the range, and the lever arm must keep its sign. For a cylinder on
-    one revolute joint this is exact; any other is checked on a grid of its joints. The volume of a gas cylinder must
-    stay positive and its pins apart, also checked on a grid.
+    The triangle must close, the stroke must cover the range, and the lever arm must keep its sign; of several actuators
+    that are there to move one joint each may pass a dead point, but not all at once. For a cylinder on one revolute
+    joint this is exact; any other is checked on a grid of its joints. The volume of a gas cylinder must stay positive
+    and its pins apart, also checked on a grid.
 
     Raises:
         ImpossibleError: names the cylinder, the place and the remedy.
     """
     geometry = Geometry(machine)
+    drivers = machine.drivers
     for cylinder in machine.cylinders:
-        found = geometry.triangle(cylinder)
+        found, alone = geometry.triangle(cylinder), len(drivers[machine.main_joint(cylinder)]) == 1
         if found is None or found[0] not in machine.joints:
-            _check_on_grid(geometry, cylinder)
+            _check_on_grid(geometry, cylinder, alone=alone)
             continue
         joint, sides = found
-        _lever_arm_keeps_sign(cylinder, joint, float(sides.offset), *machine.link(joint).joint.range)
+        if alone:
+            _lever_arm_keeps_sign(cylinder, joint, float(sides.offset), *machine.link(joint).joint.range)
         _stroke_suffices(cylinder, joint, sides, *machine.link(joint).joint.range)
+    for joint, several in drivers.items():
+        cylinders = [each for each in several if isinstance(each, Cylinder) and machine.moved_by(each) == (joint,)]
+        if len(several) == len(cylinders) > 1:
+            _not_dead_at_once(geometry, joint, cylinders)
     for gas in machine.gas_cylinders:
         _gas_has_room(geometry, gas)
 
@@ -81,7 +88,19 @@ def _gas_has_room(geometry: Geometry, gas: GasCylinder) -> None:
             "correct its volume, area, reference length or pins, or narrow the joints' limits")
 
 
-def _check_on_grid(geometry: Geometry, cylinder: Cylinder) -> None:
+def _not_dead_at_once(geometry: Geometry, joint: str, cylinders: Sequence[Cylinder]) -> None:
+    """Refuse a posture in which none of the cylinders of a joint has a lever arm, or all of them change its sign."""
+    grids = [_on_grid(geometry, each) for each in cylinders]
+    signs = np.sign([each.arms for each in grids])
+    dead = np.flatnonzero(np.all(signs[:, 1:] * signs[:, :-1] <= 0, axis=0))
+    if dead.size:
+        names = " and ".join(f"'{each.name}'" for each in cylinders)
+        raise ImpossibleError(f"{names} all have a dead point near {grids[0].place(int(dead[0]))}, where nothing "
+                              f"moves '{joint}'",
+                              "correct their pins or narrow the joint's limits")
+
+
+def _check_on_grid(geometry: Geometry, cylinder: Cylinder, *, alone: bool) -> None:
     lengths, arms, place = _on_grid(geometry, cylinder)
     beyond = np.flatnonzero((lengths < cylinder.dead_length - 1e-9)
                             | (lengths > cylinder.dead_length + cylinder.stroke + 1e-9))
@@ -91,7 +110,7 @@ def _check_on_grid(geometry: Geometry, cylinder: Cylinder) -> None:
             f"{cylinder.dead_length:.3f} to {cylinder.dead_length + cylinder.stroke:.3f} m",
             "correct dead length, stroke, pins or the joints' limits")
     turned = np.flatnonzero(arms * arms[0] <= 0)
-    if turned.size:
+    if turned.size and alone:
         raise ImpossibleError(
             f"'{cylinder.name}' has a dead point near {place(int(turned[0]))}, where its lever arm on "
             f"{geometry.machine.main_joint(cylinder)} changes sign", "correct its pins or narrow the joints' limits")
@@ -117,7 +136,9 @@ def _stroke_suffices(cylinder: Cylinder, joint: str, sides: Triangle, lower: flo
             f"the triangle of '{cylinder.name}' is open at every {joint}: its pins can be {shortest:.3f} to "
             f"{longest:.3f} m apart, the cylinder {retracted:.3f} to {extended:.3f} m long",
             "correct its pins, dead length or stroke")
-    for angle in (lower, upper):
+    # in between, a length is longest or shortest at the dead points
+    first = np.ceil((lower + offset) / np.pi)
+    for angle in (lower, upper, *(np.arange(first, (upper + offset) / np.pi) * np.pi - offset)):
         length = np.sqrt(fixed**2 + moving**2 + lateral**2 - 2 * fixed * moving * np.cos(angle + offset))
         if not retracted - 1e-9 <= length <= extended + 1e-9:
             raise ImpossibleError(

@@ -64,12 +64,18 @@ class JointFromLength(NamedTuple):
 
 
 def joint_from_length(geometry: Geometry, cylinder: Cylinder) -> JointFromLength | None:
-    """The joint that follows from a cylinder's length alone; None where it takes more, or other, than a length."""
+    """The joint that follows from a cylinder's length alone; None where it takes more, or other, than a length.
+
+    Beside other actuators a cylinder may pass a dead point, on both sides of which its lengths are the same.
+    """
     machine, nominal = geometry.machine, Geometry(geometry.machine)
     found, stated, moved = geometry.triangle(cylinder), nominal.triangle(cylinder), machine.moved_by(cylinder)
     if found is None or stated is None or len(moved) != 1:
         return None
     (joint,), (turns, sides), forward = moved, found, Mechanism(machine)
+    lower, upper = (limit + float(stated[1].offset) for limit in machine.link(joint).joint.range)
+    if len(machine.drivers[joint]) > 1 and (turns != joint or np.ceil(lower / np.pi) * np.pi <= upper):
+        return None
     middle = sum(machine.link(joint).joint.range) / 2
     backward = None if turns == joint else forward.turned_round(nominal, joint, turns, middle)
     if turns != joint and backward is None:

@@ -6,8 +6,11 @@ import pytest
 from pydantic import ValidationError
 
 from fixtures.drives import CRANE, crane, crossing
+from hydroopt.machine.cylinder_checks import check
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
+from hydroopt.machine.quantity import ImpossibleError
+from hydroopt.model.model import Model
 
 
 def test_one_measured_actuator_a_joint_is_its_balance() -> None:
@@ -68,3 +71,17 @@ def test_two_unmeasured_actuators_one_of_them_across_joints() -> None:
                                               "rod": {"link": "grapple", "pin": (-0.3, 0.4, 0.0)}}]
     with pytest.raises(ValidationError, match="'grab', which moves stick and grapple, and 'tilt' are not measured"):
         Machine.model_validate(data)
+
+
+def test_of_two_cylinders_each_may_pass_a_dead_point_but_not_both_at_once() -> None:
+    machine = crane()
+    check(machine)
+    assert set(Model(machine).triangles) == {"swing_left", "swing_right", "boom_right", "reach"}
+    data = machine.model_dump()
+    data["cylinders"] = [each for each in data["cylinders"] if each["name"] != "boom_right"]
+    with pytest.raises(ImpossibleError, match="'boom_left' has a dead point at boom = 35"):
+        check(Machine.model_validate({**data, "sensors": ()}))
+    left, right = (each for each in machine.cylinders if each.name.startswith("boom"))
+    twin = right.model_copy(update={"barrel": left.barrel, "rod": left.rod})
+    with pytest.raises(ImpossibleError, match="'boom_left' and 'boom_right' all have a dead point near boom = 35"):
+        check(machine.model_copy(update={"cylinders": (left, twin)}))

@@ -1,0 +1,71 @@
+"""Bodies and friction of machines with several, unmeasured or no actuators on a joint come back from exact logs."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from fixtures.drives import crane, crossing
+from hydroopt.estimation.dynamic.experiment import Experiment, experiment
+from hydroopt.estimation.dynamic.identify import identify
+from hydroopt.estimation.dynamic.problem import IdentificationProblem
+from hydroopt.estimation.inference.identifiability import structural
+from hydroopt.logs.forces_from_pressures import force_noise, forces
+from hydroopt.model.model import Model
+from hydroopt.parameters.parameter_set import ParameterKind
+from hydroopt.simulation.passive_joints import passive_motion
+from hydroopt.simulation.simulate import random_trajectory, simulate
+
+MACHINES = {"one of two not measured, and a passive joint": lambda: crane("swing_right"),
+            "alone and not measured": lambda: crane("boom_right", "reach"), "across two joints": crossing}
+
+
+def exact(model: Model, psi: np.ndarray, seed: int) -> Experiment:
+    """An experiment without noise and with the motion that was simulated, whose forces agree with its log."""
+    motion = random_trajectory(model, duration=10.0, rate=20.0, seed=seed)
+    q, qd, qdd = passive_motion(model, motion.t, (motion.q, motion.qd, motion.qdd), psi)
+    log = simulate(model, replace(motion, q=q, qd=qd, qdd=qdd), psi, noise=False)
+    made, every = experiment(model, log), np.ones(len(q), dtype=bool)
+    made = replace(made, motion=replace(made.motion, q=q, qd=qd, qdd=qdd, interior=every),
+                   known=np.ones_like(made.known), calm=None)
+    predicted, read = made.predicted(psi), forces(model, log, q)
+    assert np.max(np.abs(read - predicted)) < 1e-8 * np.max(np.abs(read))  # passive joints are integrated to 1e-10
+    return replace(made, force=np.where(np.any(read != 0, axis=0), predicted, read))
+
+
+@pytest.mark.parametrize("machine", MACHINES.values(), ids=MACHINES.keys())
+def test_exact_logs_give_the_truth(machine: Any) -> None:
+    model = Model(machine(), actuator_inertia=False)  # barrels and rods side by side are hard to tell apart
+    rng, truth = np.random.default_rng(5), model.parameters.nominal.copy()
+    for block in model.parameters.bodies.values():
+        truth[block] *= rng.uniform(0.7, 1.4)
+    friction = [not kind.is_inertial for kind in model.parameters.kinds]
+    truth[friction] *= rng.uniform(0.5, 1.5, sum(friction))
+    train, seen = (tuple(exact(model, truth, seed) for seed in seeds) for seeds in ((1, 2), (99,)))
+    problem = IdentificationProblem(model, train, seen, force_noise(model))
+    found = identify(problem, "wls", tolerance=1e-9, intervals=False)
+    assert max(fit.rms for fit in found.fit["validation"].values()) < 1e-7 * np.max(np.abs(seen[0].force))
+    structure = structural(model)
+    base = structure.grouping @ truth
+    np.testing.assert_allclose(structure.grouping @ found.psi, base, rtol=1e-6, atol=1e-9 * np.max(np.abs(base)))
+    unmeasured = [each.name for each in model.machine.actuators if each not in model.machine.measured_actuators]
+    for name, kind, category in zip(model.parameters.names, model.parameters.kinds, structure.category, strict=True):
+        if kind is ParameterKind.VISCOUS_FRICTION and name.partition(".")[0] in unmeasured:
+            assert category == "none"
+
+
+def test_noise_of_a_balance_follows_from_its_actuators_lever_arms() -> None:
+    machine = crane()
+    model = Model(machine)
+    swing, boom, reach, grapple = force_noise(model)
+    a, b = machine.cylinders[0].areas
+    one = float(np.hypot(a, b) * machine.sensors[1].std)
+    assert reach == pytest.approx(one)
+    assert np.isnan(grapple)
+    q = np.random.default_rng(1).uniform(*np.array([machine.link(j).joint.range for j in machine.joints]).T, (4000, 4))
+    arms = model.over(model.transmission, q)[0]
+    for k, sigma in ((0, swing), (1, boom)):
+        assert sigma == pytest.approx(one * np.sqrt(np.mean(np.sum(arms[:, :, k] ** 2, axis=1))), rel=0.05)
