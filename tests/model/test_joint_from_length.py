@@ -4,13 +4,15 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from fixtures.closures import telescope
 from fixtures.loops import excavator, measured_at_the_rocker, z_bar
 from hydroopt.codegen.routines import Interface
 from hydroopt.codegen.symbols import STRAIGHT
-from hydroopt.errors import ProblemError
-from hydroopt.logs.joint_angles import angle_noise, measured_angles
+from hydroopt.errors import LogError, ProblemError
+from hydroopt.logs.joint_angles import angle_channels, angle_noise, measured_angles
 from hydroopt.logs.log import Log
 from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.machine import Machine
 from hydroopt.machine.mechanism import Mechanism
 from hydroopt.model.inverse_kinematics import inverse_kinematics
 from hydroopt.model.model import Model
@@ -48,6 +50,59 @@ def test_a_log_of_lengths_needs_no_sensor_on_the_bucket():
     sensor = excavator().sensor("bucket_cylinder.length")
     lever = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)[3][:, 2, 3]
     assert angle_noise(model, log)[3] == pytest.approx(sensor.std / np.mean(np.abs(lever)), rel=1e-6)
+
+
+def lengths_alone(machine, q, **channels):
+    """A log of cylinder lengths at joint vectors (N, n), and of other channels."""
+    model = Model(machine)
+    lengths = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)[0][:, :, 0]
+    return model, Log("lengths", np.arange(float(len(q))), channels | {
+        f"{c.name}.length": lengths[:, k] for k, c in enumerate(machine.cylinders)})
+
+
+def spread(machine, count=200, seed=4):
+    """Joint vectors (N, n) all over the joints' ranges."""
+    lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
+    return lower + (upper - lower) * np.random.default_rng(seed).random((count, len(lower)))
+
+
+def test_a_joint_whose_cylinder_spans_two_follows_from_both_lengths():
+    q = spread(z_bar())
+    model, log = lengths_alone(z_bar(), q, **{"frame.q": q[:, 0]})
+    assert angle_channels(model, log) == {"frame.q", "boom_jack.length", "tilt_jack.length"}
+    np.testing.assert_allclose(measured_angles(model, log), q, atol=1e-12)
+
+
+def test_joints_that_slide_follow_from_lengths():
+    q = spread(telescope())
+    np.testing.assert_allclose(measured_angles(*lengths_alone(telescope(), q)), q, atol=1e-12)
+
+
+def test_noise_of_joints_that_several_lengths_give_together():
+    """As the spread of the joints that noisy lengths give."""
+    sensors = [{"channels": [f"{name}_jack.length"], "accuracy": 1e-4, "distribution": "gaussian"}
+               for name in ("boom", "tilt")]
+    machine = Machine.model_validate(z_bar().model_dump() | {"sensors": sensors})
+    q = spread(machine, 4000)
+    model, log = lengths_alone(machine, q, **{"frame.q": q[:, 0]})
+    rng = np.random.default_rng(6)
+    noisy = Log("noisy", log.t, {"frame.q": q[:, 0]} | {
+        f"{name}_jack.length": log.channel(f"{name}_jack.length") + 1e-4 * rng.standard_normal(len(q))
+        for name in ("boom", "tilt")})
+    stated, found = angle_noise(model, log), np.std(measured_angles(model, noisy) - q, axis=0)
+    assert found[2] == pytest.approx(stated[2], rel=0.1)
+
+
+def test_lengths_that_no_posture_has_are_named_with_their_sample():
+    q = spread(z_bar(), 5)
+    model, log = lengths_alone(z_bar(), q, **{"frame.q": q[:, 0]})
+    channels = {name: log.channel(name).copy() for name in log.channels}
+    channels["tilt_jack.length"][3] = 5.0
+    with pytest.raises(LogError, match=r"no posture of bucket on the way from mid-range has the lengths at sample \d"):
+        measured_angles(model, Log("lengths", log.t, channels))
+    del channels["tilt_jack.length"]
+    with pytest.raises(LogError, match=r"bucket\.q"):
+        measured_angles(model, Log("lengths", log.t, channels))
 
 
 def test_generated_code_checks_that_loops_close():

@@ -8,6 +8,8 @@ from typing import Any
 import numpy as np
 import pytest
 
+from fixtures.closures import crank as slider_crank
+from fixtures.closures import spherical, telescope
 from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
@@ -46,8 +48,9 @@ def crane() -> Machine:
 
 @pytest.mark.parametrize("machine", [
     pytest.param(load_machine("kr300"), marks=pytest.mark.slow),
-    pytest.param(load_machine("excavator_bucket"), marks=pytest.mark.slow), load_machine("patu655_lift"), crane()],
-                         ids=["kr300", "excavator_bucket", "patu655_lift", "crane_with_rod"])
+    pytest.param(load_machine("excavator_bucket"), marks=pytest.mark.slow), load_machine("patu655_lift"), crane(),
+    *(pytest.param(made(), marks=pytest.mark.slow) for made in (telescope, slider_crank, spherical))],
+                         ids=lambda machine: machine.name)
 def test_other_machines_come_back(machine: Machine, record: Any) -> None:
     model = Model(machine)
     truth = random_truth(model, 3)
