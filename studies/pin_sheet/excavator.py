@@ -1,4 +1,4 @@
-"""The excavator in its plane, written a second time: a numeric loop instead of a formula, derivatives by complex steps."""
+"""The excavator in its plane, written a second time: a numeric loop, no formula, and derivatives by complex steps."""
 
 from collections.abc import Callable
 

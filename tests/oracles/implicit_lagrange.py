@@ -53,11 +53,6 @@ class Solution(NamedTuple):
     actuator_rates: np.ndarray
     lengths: np.ndarray
 
-    @property
-    def actuator_forces(self) -> np.ndarray:
-        """Forces of as many actuators as there are independent joints."""
-        return np.linalg.solve(self.actuator_rates.T, self.joint_forces)
-
 
 class ImplicitLagrange:
     """Links, barrels and rods with the bodies `clouds` (owner → φ)."""

@@ -87,16 +87,17 @@ class PinocchioLoops:
         self.pins.append(pin.RigidConstraintModel(pin.ContactType.CONTACT_3D, self.model, *one, *other,
                                                   pin.ReferenceFrame.LOCAL))
 
-    def accelerations(self, at: MujocoLoops, actuator_forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Accelerations of all joints that these forces cause, and those that MuJoCo's state has."""
+    def accelerations(self, at: MujocoLoops, actuator_forces: np.ndarray,
+                      joint_forces: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Accelerations of all joints that forces of actuators and joints cause, and those that MuJoCo's state has."""
         names = [self.model.names[k] for k in range(1, self.model.njoints)]
         dofs = [at.model.joint(name).dofadr[0] for name in names]
         q, v, expected = (array[dofs].copy() for array in (at.data.qpos, at.data.qvel, at.data.qacc))
-        drive = dict.fromkeys(names, 0.0)
+        drive = dict.fromkeys(names, 0.0) | dict(zip(self.machine.joints, joint_forces, strict=True))
         for actuator, force in zip(self.machine.actuators, actuator_forces, strict=True):
             drive[f"{actuator.name}.rod" if isinstance(actuator, Cylinder) else actuator.joint] += force
+        torques = np.array([drive[name] for name in names])
         # pins hold twice what is in no plane: the proximal term decides how they share it
         near = pin.ProximalSettings(1e-12, 1e-12, 1e-8, 100)
-        found = pin.constraintDynamics(self.model, self.data, q, v, np.array(list(drive.values())), self.pins,
-                                       self.pin_data, near)
+        found = pin.constraintDynamics(self.model, self.data, q, v, torques, self.pins, self.pin_data, near)
         return found, expected

@@ -112,6 +112,20 @@ def forces(subject: Model, state: list[np.ndarray], psi: np.ndarray) -> np.ndarr
     return found[:, :, 0]
 
 
+def balances(machine: Machine, arms: np.ndarray, torque: np.ndarray) -> np.ndarray:
+    """What the balances measure (r,): unknown forces of lone measured actuators and of one unmeasured actuator a joint,
+    or generalised forces at joints."""
+    columns = np.eye(len(machine.joints))
+    for j, joint in enumerate(machine.joints):
+        drivers = machine.drivers[joint]
+        lost = [each for each in drivers if not each.measured]
+        chosen = lost[:1] or (drivers if len(drivers) == 1 else ())
+        for each in chosen:
+            columns[:, j] = arms[machine.actuators.index(each)]
+    found = np.linalg.solve(columns, torque)
+    return found[[machine.joints.index(each.joint) for each in machine.balances]]
+
+
 def relative_error(found: np.ndarray, expected: np.ndarray) -> float:
     """Largest deviation over N samples (N, n), as a part of each column's largest value."""
     return float(np.max(np.max(np.abs(found - expected), axis=0) / np.max(np.abs(expected), axis=0)))

@@ -6,7 +6,7 @@ import pytest
 from fixtures.drives import crane, crossing
 from hydroopt.model.model import Model
 from oracles.mujoco_loops import MujocoLoops
-from oracles.subjects import forces, random_bodies, relative_error, states
+from oracles.subjects import balances, forces, random_bodies, relative_error, states
 
 MACHINES = {
     "all measured": crane,
@@ -33,20 +33,6 @@ def moved(subject):
     tree = MujocoLoops(subject.machine, clouds)
     torque, arms = zip(*(tree.virtual_work(*row) for row in zip(*state, strict=True)), strict=True)
     return state, psi, np.array(torque), np.array(arms)
-
-
-def balances(machine, arms, torque):
-    """What the balances measure (r,): unknown forces of lone measured actuators and of one unmeasured actuator a joint,
-    or generalised forces at joints."""
-    columns = np.eye(len(machine.joints))
-    for j, joint in enumerate(machine.joints):
-        drivers = machine.drivers[joint]
-        lost = [each for each in drivers if not each.measured]
-        chosen = lost[:1] or (drivers if len(drivers) == 1 else ())
-        for each in chosen:
-            columns[:, j] = arms[machine.actuators.index(each)]
-    found = np.linalg.solve(columns, torque)
-    return found[[machine.joints.index(each.joint) for each in machine.balances]]
 
 
 def test_balances(subject, moved):

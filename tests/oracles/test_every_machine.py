@@ -24,7 +24,7 @@ from hydroopt.model.model import Model
 from oracles.implicit_lagrange import ImplicitLagrange, Solution
 from oracles.mujoco_loops import MujocoLoops
 from oracles.pinocchio_loops import PinocchioLoops
-from oracles.subjects import forces, random_bodies, relative_error, states
+from oracles.subjects import balances, forces, random_bodies, relative_error, states
 
 WITHOUT_FORCES = {"panda_mukca"}
 """Machines that state geometry only."""
@@ -93,25 +93,30 @@ def test_random_mechanisms(count: int) -> None:
 
 
 def check_lagrange(made: Trial) -> None:
-    expected = np.array([solution.actuator_forces for solution in made.solutions])
+    expected = np.array([balances(made.subject.machine, each.actuator_rates, each.joint_forces)
+                         for each in made.solutions])
     (K,) = made.subject.over(made.subject.regressor, *made.state)
     assert relative_error(forces(made.subject, made.state, made.psi), expected) < 1e-9
     assert relative_error(K @ made.psi, expected) < 1e-9
 
 
 def check_constrained(made: Trial) -> None:
-    found = forces(made.subject, made.state, made.psi)
-    machine = made.subject.machine
+    """Measured equations of motion by MuJoCo; and what Pinocchio makes of the forces of all actuators."""
+    subject, machine = made.subject, made.subject.machine
     mujoco, expected = MujocoLoops(machine, made.clouds), []
     only_pins = not machine.couplings and all(loop.closed_by == "pin" for loop in machine.loops)
     pinocchio = PinocchioLoops(machine, made.clouds) if only_pins else None
-    for row, own in zip(made.rows, found, strict=True):
-        expected.append(mujoco.actuator_forces(*row))
-        if pinocchio is None:
-            continue
-        caused, moved = pinocchio.accelerations(mujoco, own)
-        assert np.max(np.abs(caused - moved)) < 1e-6 * np.max(np.abs(moved))
-    assert relative_error(found, np.array(expected)) < 1e-9
+    unloaded = np.zeros((len(made.rows), len(machine.joints)))
+    pushed = subject.over(subject.actuator_forces, *made.state, unloaded, made.psi)[0][:, :, 0]
+    undriven = np.array([not machine.drivers[joint] for joint in machine.joints])
+    for row, force in zip(made.rows, pushed, strict=True):
+        torque, arms = mujoco.virtual_work(*row)
+        expected.append(balances(machine, arms, torque))
+        if pinocchio is not None:
+            # a passive joint is held to its motion
+            caused, moved = pinocchio.accelerations(mujoco, force, undriven * (torque - arms.T @ force))
+            assert np.max(np.abs(caused - moved)) < 1e-6 * np.max(np.abs(moved))
+    assert relative_error(forces(subject, made.state, made.psi), np.array(expected)) < 1e-9
 
 
 def check_work_of_pressures(made: Trial) -> None:
