@@ -108,7 +108,8 @@ def _check_on_grid(geometry: Geometry, cylinder: Cylinder, *, alone: bool) -> No
         raise ImpossibleError(
             f"'{cylinder.name}' would be {lengths[beyond[0]]:.3f} m long at {place(int(beyond[0]))} but can only be "
             f"{cylinder.dead_length:.3f} to {cylinder.dead_length + cylinder.stroke:.3f} m",
-            "correct dead length, stroke, pins or the joints' limits")
+            f"correct dead length and stroke (the whole range takes {lengths.min():.3f} to {lengths.max():.3f} m), "
+            "pins or the joints' limits")
     turned = np.flatnonzero(arms * arms[0] <= 0)
     if turned.size and alone:
         raise ImpossibleError(
@@ -138,9 +139,13 @@ def _stroke_suffices(cylinder: Cylinder, joint: str, sides: Triangle, lower: flo
             "correct its pins, dead length or stroke")
     # in between, a length is longest or shortest at the dead points
     first = np.ceil((lower + offset) / np.pi)
-    for angle in (lower, upper, *(np.arange(first, (upper + offset) / np.pi) * np.pi - offset)):
-        length = np.sqrt(fixed**2 + moving**2 + lateral**2 - 2 * fixed * moving * np.cos(angle + offset))
+    angles = (lower, upper, *(np.arange(first, (upper + offset) / np.pi) * np.pi - offset))
+    lengths = {angle: float(np.sqrt(fixed**2 + moving**2 + lateral**2 - 2 * fixed * moving * np.cos(angle + offset)))
+               for angle in angles}
+    for angle, length in lengths.items():
         if not retracted - 1e-9 <= length <= extended + 1e-9:
             raise ImpossibleError(
                 f"'{cylinder.name}' would be {length:.3f} m long at {joint} = {np.degrees(angle):.1f} deg but can only "
-                f"be {retracted:.3f} to {extended:.3f} m", "correct dead length, stroke, pins or the joint's limits")
+                f"be {retracted:.3f} to {extended:.3f} m",
+                f"correct dead length and stroke (the whole range takes {min(lengths.values()):.3f} to "
+                f"{max(lengths.values()):.3f} m), pins or the joint's limits")
