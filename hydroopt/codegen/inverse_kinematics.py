@@ -52,8 +52,10 @@ def no_arm(api: Symbols) -> str:
     solved, machine = arm(api).solved, api.machine
     followed = machine.followed
     for joint in machine.ancestry(machine.tip):
-        if joint in followed and joint not in machine.joints and {*solved} & {*followed[joint]}:
+        if joint in followed and joint not in machine.joints and (not solved or {*solved} & {*followed[joint]}):
             return f"{joint}, which moves the tip, follows {', '.join(followed[joint])} through a linkage"
+    if not solved:
+        return "no joint moves the tip"
     if any(machine.link(joint).joint.type != "revolute" for joint in solved):
         return f"{', '.join(solved)} do not all turn"
     steps = [np.array(ca.DM(step.rotation))[2, 2] for step in _steps(Geometry(machine), solved, {})[0][1:]]

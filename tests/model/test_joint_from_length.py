@@ -4,7 +4,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from fixtures.closures import telescope
+from fixtures.closures import six_bar, telescope
 from fixtures.loops import excavator, measured_at_the_rocker, z_bar
 from hydroopt.codegen.routines import Interface
 from hydroopt.codegen.symbols import STRAIGHT
@@ -115,6 +115,17 @@ def test_generated_code_checks_that_loops_close():
         sine = ca.Function("sine", [q], [guard.value])
         assert abs(float(sine([0, 0, -1, -1]))) > STRAIGHT
         assert not abs(float(sine([0, 0, -1, 1.2]))) > STRAIGHT  # not a number: the bars do not reach
+
+
+@pytest.mark.slow
+def test_generated_code_checks_that_newtons_steps_close_loops():
+    interface = Interface(six_bar())
+    assert "inverse_kinematics" not in interface.routines  # the lever, which is the tip, follows the crank
+    guard, q = interface.routines["inverse_dynamics"].guards[0], interface.inputs["q"]
+    assert guard.status == "OPEN_TRIANGLE"
+    sine = ca.Function("sine", [q], [guard.value])
+    assert abs(float(sine(1.0))) > STRAIGHT
+    assert not abs(float(sine(4.0))) > STRAIGHT
 
 
 def test_a_sensor_on_the_rocker_leaves_the_bucket_where_it_is():
