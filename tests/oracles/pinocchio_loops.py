@@ -1,7 +1,7 @@
 """A machine with loops as Pinocchio sees it: accelerations by its constrained dynamics, at a state from MuJoCo's pins.
 
 The tree is cut where `MujocoLoops` cuts it, and built here from the machine's numbers a second time. Accelerations
-follow from actuator forces: the way round that `inverse_dynamics` does not take. Loops are closed by pins alone.
+follow from actuator forces: the way round that `inverse_dynamics` does not take. It has no rods of a fixed length.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 
 from hydroopt.machine.actuators import Cylinder
+from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.links import Link
 from hydroopt.machine.machine import BASE, Machine
 from oracles.mujoco_loops import NEGLIGIBLE, MujocoLoops
@@ -97,7 +98,23 @@ class PinocchioLoops:
         for actuator, force in zip(self.machine.actuators, actuator_forces, strict=True):
             drive[f"{actuator.name}.rod" if isinstance(actuator, Cylinder) else actuator.joint] += force
         torques = np.array([drive[name] for name in names])
+        found = self._moved(q, v, torques)
+        if rows := [self._row(coupling, names) for coupling in self.machine.couplings]:
+            # accelerations are linear in the forces of couplings, which leave none along their rows
+            held = np.array(rows)
+            by_force = np.array([self._moved(q, v, torques + row) - found for row in held]).T
+            found = self._moved(q, v, torques - held.T @ np.linalg.solve(held @ by_force, held @ found))
+        return found, expected
+
+    def _row(self, coupling: Coupling, names: list[str]) -> np.ndarray:
+        """What a coupling keeps at zero of all joints' accelerations."""
+        row = np.zeros(len(names))
+        row[names.index(coupling.joint)] = 1
+        for joint, ratio in coupling.ratios.items():
+            row[names.index(joint)] -= ratio
+        return row
+
+    def _moved(self, q: np.ndarray, v: np.ndarray, torques: np.ndarray) -> np.ndarray:
         # pins hold twice what is in no plane: the proximal term decides how they share it
         near = pin.ProximalSettings(1e-12, 1e-12, 1e-8, 100)
-        found = pin.constraintDynamics(self.model, self.data, q, v, torques, self.pins, self.pin_data, near)
-        return found, expected
+        return pin.constraintDynamics(self.model, self.data, q, v, torques, self.pins, self.pin_data, near).copy()

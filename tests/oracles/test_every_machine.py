@@ -13,7 +13,7 @@ import pytest
 from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
-from fixtures.closures import crank, scissor, sleeve, telescope
+from fixtures.closures import crank, scissor, six_bar, sleeve, spherical, steering, telescope
 from fixtures.loops import z_bar
 from fixtures.mechanisms import KINDS, random_mechanism, with_all_bodies
 from hydroopt.machine.geometry import Geometry
@@ -53,7 +53,8 @@ def trial(machine: Machine, seed: int, count: int) -> Trial:
     return Trial(subject, psi, clouds, state, lagrange, [lagrange.solve(*row) for row in zip(*state, strict=True)])
 
 
-FIXTURES = {"telescope": telescope, "crank": crank, "sleeve": sleeve, "scissor": scissor, "Z-bar": z_bar}
+FIXTURES = {"telescope": telescope, "crank": crank, "sleeve": sleeve, "scissor": scissor, "six bars": six_bar,
+            "steering": steering, "spherical": spherical, "Z-bar": z_bar}
 
 
 @pytest.fixture(scope="module", params=[*(name for name in bundled() if name not in WITHOUT_FORCES), *FIXTURES])
@@ -104,8 +105,8 @@ def check_constrained(made: Trial) -> None:
     """Measured equations of motion by MuJoCo; and what Pinocchio makes of the forces of all actuators."""
     subject, machine = made.subject, made.subject.machine
     mujoco, expected = MujocoLoops(machine, made.clouds), []
-    only_pins = not machine.couplings and all(loop.closed_by == "pin" for loop in machine.loops)
-    pinocchio = PinocchioLoops(machine, made.clouds) if only_pins else None
+    with_rods = any(loop.closed_by == "rod" for loop in machine.loops)
+    pinocchio = None if with_rods else PinocchioLoops(machine, made.clouds)
     unloaded = np.zeros((len(made.rows), len(machine.joints)))
     pushed = subject.over(subject.actuator_forces, *made.state, unloaded, made.psi)[0][:, :, 0]
     undriven = np.array([not machine.drivers[joint] for joint in machine.joints])
