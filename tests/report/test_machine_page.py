@@ -39,3 +39,14 @@ def test_lever_arms_are_the_slopes_of_lengths():
     length = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)[0][:, 1, 0]
     np.testing.assert_allclose(np.gradient(length, tilt.position)[1:-1], tilt.value[1:-1], atol=2e-4)
     assert ratio.value.max() < 0, "a Z-bar's bellcrank turns against the bucket"
+
+
+def test_show_takes_a_machine_without_bodies_and_friction(tmp_path):
+    """What a new file states first: geometry alone."""
+    (tmp_path / "arm.toml").write_text(
+        'name = "arm"\n[[links]]\nname = "lift"\n'
+        'joint = { type = "revolute", a = "1 m", lower = "0 deg", upper = "9 deg" }\n'
+        '[[drives]]\nname = "drive"\njoint = "lift"\n', encoding="utf-8")
+    answer = CliRunner().invoke(app, ["show", str(tmp_path / "arm.toml"), "-o", str(tmp_path / "out")])
+    assert answer.exit_code == 0, answer.output
+    assert "Of 0 parameters" in answer.output

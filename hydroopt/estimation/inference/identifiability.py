@@ -149,7 +149,7 @@ def structural(model: Model, *, samples: int = 400, seed: int = 0,
     if model.needs_pressure:
         states = (*states, rng.uniform(*PRESSURES, states[0].shape))
     K = model.over(model.regressor, *states)[0]
-    return analyse(K.reshape(-1, K.shape[2]), model.parameters.names, tolerance=tolerance)
+    return analyse(K.reshape(K.shape[0] * K.shape[1], K.shape[2]), model.parameters.names, tolerance=tolerance)
 
 
 def random_states(model: Model, samples: int, rng: np.random.Generator) -> tuple[Array, Array, Array]:
