@@ -9,6 +9,7 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
+from hydroopt.errors import ProblemError
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
@@ -94,6 +95,9 @@ class Symbols:
     """
 
     def __init__(self, machine: Machine, *, fold_geometry: bool = False, psi: Array | None = None) -> None:
+        if not machine.one_each:
+            raise ProblemError("code is generated for one measured actuator a joint only", where=machine.name,
+                               remedy="describe the part of the machine for which that holds")
         self.machine = machine
         self.chain = KinematicModel(machine)
         self.complete, self.reduced = Model(machine), Model(machine, actuator_inertia=False)

@@ -75,6 +75,9 @@ def excitation_problem(machine: Machine, basis: Basis, *, criterion: str = "D", 
         >>> motion.trajectory.q.shape
         (1001, 1)
     """
+    if passive := [joint for joint in machine.joints if machine.link(joint).joint.passive]:
+        raise ProblemError(f"no motion of '{passive[0]}' can be designed, since the joint is passive",
+                           where=machine.name, remedy="make it locked in the file that the motion is designed with")
     model = Model(machine)
     model.refuse_seals("excitation")
     measured = measured_information(machine, logs) if logs else None
