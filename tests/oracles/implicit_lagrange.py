@@ -164,13 +164,16 @@ class ImplicitLagrange:
             known |= loop.posture
         stated = [k for k in self.free if self.names[k] in known]
         unknown = [k for k in self.free if self.names[k] not in known]
+        found: list[tuple[float, np.ndarray]] = []
         for guess in product(np.linspace(-3, 3, 7), repeat=len(unknown)):
             z = np.array([known.get(name, 0.0) for name in self.names])
             z[unknown] = guess
             about = z.copy()
-            if self._close(z) and np.all(np.abs(_wrapped((z - about)[stated])) < 0.4):
-                return z
-        raise AssertionError("no posture closes the loops near the stated one")
+            if self._close(z):
+                found.append((float(np.max(np.abs(_wrapped((z - about)[stated])), initial=0.0)), z))
+        away, nearest = min(found, key=lambda each: each[0], default=(np.inf, np.empty(0)))
+        assert away < 0.4, "no posture closes the loops near the stated one"
+        return nearest
 
     def solve(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> Solution:
         if self.start is None:

@@ -161,14 +161,17 @@ class MujocoLoops:
         unstated = [self._dof(joint) for joint in self.machine.tree_joints if joint not in q | known
                     and joint not in coupled]
         begin = self.data.qpos.copy()
+        found: list[tuple[float, np.ndarray]] = []
         for guess in product(np.linspace(-3, 3, 7), repeat=len(unstated)):
             self.data.qpos[:] = begin
             self.data.qpos[unstated] = guess
-            moved = (self.data.qpos - begin)[[self._dof(joint) for joint in known]] if self._close() else np.pi
-            if np.all(np.abs(np.angle(np.exp(1j * moved))) < 0.4):
-                break
-        else:
-            raise AssertionError("no posture closes the loops near the stated one")
+            if self._close():
+                moved = (self.data.qpos - begin)[[self._dof(joint) for joint in known]]
+                away = float(np.max(np.abs(np.angle(np.exp(1j * moved))), initial=0.0))
+                found.append((away, self.data.qpos.copy()))
+        away, nearest = min(found, key=lambda each: each[0], default=(np.inf, begin))
+        assert away < 0.4, "no posture closes the loops near the stated one"
+        self.data.qpos[:] = nearest
         self.pins, self.free = every, free
         for cylinder in self.machine.cylinders:
             self._aim(cylinder)

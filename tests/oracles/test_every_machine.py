@@ -130,7 +130,8 @@ def check_work_of_pressures(made: Trial) -> None:
         for n, (solution, pressures) in enumerate(zip(made.solutions, drawn[:, k], strict=True)):
             head, rod = np.array(cylinder.areas) * (solution.actuator_rates[row] @ made.state[1][n])
             force = np.array(cylinder.areas) @ (pressures * [1, -1])
-            work, size = pressures @ [head, -rod], pressures @ np.abs([head, rod])
+            turned = np.abs(solution.actuator_rates[row]) @ np.abs(made.state[1][n])  # joints may cancel each other
+            work, size = pressures @ [head, -rod], pressures @ cylinder.areas * turned
             assert abs(force * speeds[n, k, 0] - work) <= 1e-12 * size
             assert abs(force * arms[n, k] @ made.state[1][n] - work) <= 1e-12 * size
             assert lengths[n, k, 0] == pytest.approx(solution.lengths[k], rel=1e-12)
