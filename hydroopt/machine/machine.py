@@ -166,7 +166,7 @@ class Machine(MachineDescription):
         across = {joint: each.name for each in self.actuators for joint in self.moved_by(each)[:-1]}
         for joint, drivers in self.drivers.items():
             self._driven(joint, drivers, across.get(joint))
-        if not self.measured_actuators:
+        if self.joints and not self.measured_actuators:
             raise ImpossibleError("no equation of motion contains a measured force",
                                   "measure at least one joint's actuators: all of them that move it")
 
