@@ -133,7 +133,8 @@ def forces(estimate: Estimate) -> Figure:
                             lw=0.9)
             _shade(ax, logs)
             low, high = _reaches([log.data.force[:, k] * factor for log in logs])
-            ax.set_ylim(max(low, ax.get_ylim()[0]), min(high, ax.get_ylim()[1]))
+            if low < high:  # nothing acts at a passive joint
+                ax.set_ylim(max(low, ax.get_ylim()[0]), min(high, ax.get_ylim()[1]))
             ax.set(title=balance.name, ylabel=label)
         _time_axis(axes, logs)
         handles = [Line2D([], [], color=GREY, lw=2, label="measured"),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
 from enum import StrEnum
@@ -134,7 +135,7 @@ class Answer(ABC):
             lines.append(f"  {'RMS error and VAF by model':<42}" + "".join(f"{name:>22}" for name in self.fit_by_model))
         for data, table in self.fit.items():
             for channel, fit in table.items():
-                beside = "".join(f"{one.rms:10.4g} {100 * one.vaf:9.2f} %" for one in (
+                beside = "".join(f"{one.rms:10.4g} {_percent(one.vaf)}" for one in (
                     sets[data][channel] for sets in self.fit_by_model.values()))
                 lines.append(f"  {data:<10} {channel:<24} " + (f"{fit.unit:<5}{beside}" if beside else str(fit)))
         return "\n".join([*lines, *(f"  {finding.text}" for finding in self.findings)])
@@ -276,3 +277,8 @@ def load(directory: str | Path) -> SavedAnswer:
         return SavedAnswer(folder, content)
     except (LookupError, ValueError, TypeError, AttributeError, ArithmeticError):
         raise json_file.not_an_answer(folder) from None
+
+
+def _percent(part: float) -> str:
+    """A part of one in per cent; a dash for NaN, as of what nothing measures."""
+    return f"{100 * part:9.2f} %" if math.isfinite(part) else f"{'–':>9}  "

@@ -11,11 +11,12 @@ import pytest
 from fixtures.drives import crane, crossing
 from hydroopt.estimation.dynamic.experiment import Experiment, experiment
 from hydroopt.estimation.dynamic.identify import identify
-from hydroopt.estimation.dynamic.problem import IdentificationProblem
+from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.inference.identifiability import structural
 from hydroopt.logs.forces_from_pressures import force_noise, forces
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterKind
+from hydroopt.results.wording import Kind
 from hydroopt.simulation.passive_joints import passive_motion
 from hydroopt.simulation.simulate import random_trajectory, simulate
 
@@ -69,3 +70,15 @@ def test_noise_of_a_balance_follows_from_its_actuators_lever_arms() -> None:
     arms = model.over(model.transmission, q)[0]
     for k, sigma in ((0, swing), (1, boom)):
         assert sigma == pytest.approx(one * np.sqrt(np.mean(np.sum(arms[:, :, k] ** 2, axis=1))), rel=0.05)
+
+
+def test_what_nothing_reads_has_neither_spikes_nor_a_signal_that_is_missed() -> None:
+    model = Model(crane(), actuator_inertia=False)
+    logs = [simulate(model, random_trajectory(model, duration=10.0, rate=50.0, seed=seed), model.parameters.nominal,
+                     seed=seed) for seed in (1, 2)]
+    found = identify(identification_problem(model, logs[:1], logs[1:]), intervals=False)
+    assert found.misfit
+    assert found.misfit.spikes["grapple"] == 0
+    assert "grapple" not in found.misfit.lines
+    assert not [one for one in found.diagnostics if one.kind is Kind.WORSE_THAN_ZERO]
+    assert "nan" not in str(found)

@@ -361,6 +361,8 @@ def _lines(view: View) -> Iterator[tuple[str, Line]]:
         return
     units = (*view.model.force_units, *["m"] * len(view.lengths))
     for k, name in enumerate(view.names):
+        if not view.read[k]:
+            continue
         r = np.where(view.taken[at, k], view.residual[at, k], 0.0)
         power = np.abs(np.fft.rfft(r - r.mean())[fast]) ** 2
         top = int(np.argmax(power))

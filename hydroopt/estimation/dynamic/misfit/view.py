@@ -71,6 +71,12 @@ class View:
         return (*(each.name for each in machine.balances),
                 *(f"{machine.cylinders[k].name}.length" for k in self.lengths))
 
+    @property
+    def read(self) -> NDArray[np.bool_]:
+        """Which of them (c,) are read by a sensor: all but the balances of passive joints, where nothing acts."""
+        balances = [bool(each.actuators) for each in self.model.machine.balances]
+        return np.array([*balances, *[True] * len(self.lengths)])
+
     def readings(self, q: Array, qd: Array, qdd: Array) -> Array:
         """Predicted readings (N, c) of a motion (N, n) at ψ."""
         motion = replace(self.motion, q=q, qd=qd, qdd=qdd)
@@ -104,7 +110,8 @@ class View:
         off = self.residual - median_filter(self.residual, size=(7, 1), mode="nearest")
         used = self.motion.interior
         size = 1.4826 * np.median(np.abs(off[used]), axis=0) if used.any() else np.ones(off.shape[1])
-        return np.asarray(np.abs(off) > SPIKE * np.maximum(size, 1e-9 * np.abs(self.predicted).max(axis=0) + 1e-300))
+        least = 1e-9 * np.abs(self.predicted).max(axis=0) + 1e-300
+        return np.asarray(self.read & (np.abs(off) > SPIKE * np.maximum(size, least)))
 
     @cached_property
     def taken(self) -> NDArray[np.bool_]:
