@@ -5,6 +5,7 @@ import pytest
 
 from fixtures.closures import crank, scissor, six_bar, sleeve, spherical, steering, telescope
 from fixtures.loops import cut_open, excavator, measured_at_the_rocker, z_bar
+from fixtures.tiers import tiered
 from hydroopt.kernels.expression_graph import program
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine_file import load_machine
@@ -21,9 +22,9 @@ TOGETHER = ("six-bar", "spherical")
 """By Newton's method, whose second derivatives are long."""
 
 
-@pytest.fixture(scope="module", params=MACHINES.values(), ids=MACHINES.keys())
+@pytest.fixture(scope="module", params=tiered(MACHINES, lambda name: name != "scissor"))
 def subject(request):
-    return Model(request.param())
+    return Model(MACHINES[request.param]())
 
 
 def test_bodies_of_links_barrels_and_rods(subject):
@@ -38,8 +39,7 @@ def test_bodies_of_links_barrels_and_rods(subject):
     assert relative_error(K @ psi, found) < 1e-12
 
 
-@pytest.mark.parametrize("name", [pytest.param(name, marks=[pytest.mark.slow] * (name in TOGETHER))
-                                  for name in MACHINES])
+@pytest.mark.parametrize("name", tiered(MACHINES, lambda name: name not in TOGETHER))
 def test_bodies_by_their_energies(name):
     subject, rng = Model(MACHINES[name]()), np.random.default_rng(41)
     psi, state = random_bodies(subject, rng)[0], states(subject.machine, rng, 20)

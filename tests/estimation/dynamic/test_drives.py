@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
 
 from fixtures.drives import crane, crossing
+from fixtures.tiers import tiered
 from hydroopt.estimation.dynamic.experiment import Experiment, experiment
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
@@ -37,9 +37,9 @@ def exact(model: Model, psi: np.ndarray, seed: int) -> Experiment:
     return replace(made, force=np.where(np.any(read != 0, axis=0), predicted, read))
 
 
-@pytest.mark.parametrize("machine", MACHINES.values(), ids=MACHINES.keys())
-def test_exact_logs_give_the_truth(machine: Any) -> None:
-    model = Model(machine(), actuator_inertia=False)  # barrels and rods side by side are hard to tell apart
+@pytest.mark.parametrize("name", tiered(MACHINES, lambda name: name == "across two joints"))
+def test_exact_logs_give_the_truth(name: str) -> None:
+    model = Model(MACHINES[name](), actuator_inertia=False)  # barrels and rods side by side are hard to tell apart
     rng, truth = np.random.default_rng(5), model.parameters.nominal.copy()
     for block in model.parameters.bodies.values():
         truth[block] *= rng.uniform(0.7, 1.4)
@@ -53,8 +53,8 @@ def test_exact_logs_give_the_truth(machine: Any) -> None:
     base = structure.grouping @ truth
     np.testing.assert_allclose(structure.grouping @ found.psi, base, rtol=1e-6, atol=1e-9 * np.max(np.abs(base)))
     unmeasured = [each.name for each in model.machine.actuators if each not in model.machine.measured_actuators]
-    for name, kind, category in zip(model.parameters.names, model.parameters.kinds, structure.category, strict=True):
-        if kind is ParameterKind.VISCOUS_FRICTION and name.partition(".")[0] in unmeasured:
+    for own, kind, category in zip(model.parameters.names, model.parameters.kinds, structure.category, strict=True):
+        if kind is ParameterKind.VISCOUS_FRICTION and own.partition(".")[0] in unmeasured:
             assert category == "none"
 
 
