@@ -1,4 +1,4 @@
-"""How the actuators of a machine share the load of its joints: the rule of simulations, limits and generated code.
+"""How the actuators of a machine share the load of its joints: the rule of simulations and limits.
 
 Of all forces that carry the load, those have the least sum of (force/capacity)²: actuators side by side have the same
 pressure difference where their lever arms are the same, and one at its dead point carries nothing. Where each joint has
