@@ -11,7 +11,7 @@ import pytest
 from typer.testing import CliRunner
 
 from fixtures.periodic import PERIOD, PERIODIC
-from fixtures.tiers import tiered
+from fixtures.tiers import machines, tiered
 from hydroopt.cli import app
 from hydroopt.cli.machine_facts import machine_facts
 from hydroopt.estimation.dynamic.identify import identify
@@ -38,7 +38,7 @@ def model(name: str) -> Model:
     return Model(load_machine(name))
 
 
-@pytest.mark.parametrize("name", bundled())
+@pytest.mark.parametrize("name", machines())
 def test_file_is_short_and_says_where_its_numbers_come_from(name: str) -> None:
     lines = (MODELS / f"{name}.toml").read_text("utf-8").splitlines()
     assert len(lines) <= 150 or name in LONG
@@ -50,7 +50,7 @@ def test_file_is_short_and_says_where_its_numbers_come_from(name: str) -> None:
     assert not unsourced, f"{unsourced[:3]} state a confidence without a source"
 
 
-@pytest.mark.parametrize("name", DYNAMIC)
+@pytest.mark.parametrize("name", machines(DYNAMIC))
 def test_actuators_carry_the_weight(name: str) -> None:
     """Static forces in random postures stay within what relief pressures and motors allow."""
     subject = model(name)
@@ -70,7 +70,7 @@ def test_actuators_carry_the_weight(name: str) -> None:
             assert held[:, k].max() < push, f"{balance.name} cannot hold the machine"
 
 
-@pytest.mark.parametrize("name", bundled())
+@pytest.mark.parametrize("name", machines())
 def test_show_has_nothing_to_object(name: str) -> None:
     facts = machine_facts(load_machine(name))
     assert not facts["diagnostics"]

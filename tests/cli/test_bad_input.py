@@ -39,7 +39,8 @@ def check(code, out, err, case, folder):
     assert not output.is_dir() or not [p for p in output.rglob("*") if p.is_file()]
 
 
-@pytest.mark.parametrize("name", tiered(CASES, lambda name: name != "Parquet that declares 11 GB"))
+@pytest.mark.parametrize("name", tiered(CASES, lambda name: name not in (
+    "Parquet that declares 11 GB", "study: scheduler that is not there")))
 def test_bad_input_is_refused_in_one_sentence(name, tmp_path, monkeypatch, capsys):
     case = CASES[name]
     monkeypatch.setattr(sys, "argv", ["hydroopt", *case.spoil(tmp_path)])

@@ -153,6 +153,7 @@ def test_limits_are_kept_with_room(kind: str, written: Callable[..., Path]) -> N
     assert {"lift_cylinder p_head", "lift_cylinder p_rod"} < limits.keys()
 
 
+@pytest.mark.slow
 def test_joint_that_rests_does_so_exactly(written: Callable[..., Path]) -> None:
     directory = written(*RESTING)
     said, (_, q, qd, qdd) = content(directory), states(directory)

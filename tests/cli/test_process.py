@@ -12,6 +12,7 @@ from pathlib import Path
 
 import pytest
 
+from fixtures.tiers import tiered
 from hydroopt.files import claimed
 
 pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals and users of POSIX")
@@ -50,7 +51,8 @@ def test_any_encoding_can_print_everything(environment: dict[str, str]) -> None:
     assert (done.stdout, done.stderr) == ("\\u03c3 \\udcff\n", "")
 
 
-@pytest.mark.parametrize("moment", ["hydroopt.cli", "typer", "hydroopt.machine.machine_file", "numpy", "casadi"])
+@pytest.mark.parametrize("moment", tiered(
+    ["hydroopt.cli", "typer", "hydroopt.machine.machine_file", "numpy", "casadi"], lambda moment: moment == "casadi"))
 def test_ctrl_c_while_modules_are_imported_ends_in_a_sentence(tmp_path: Path, moment: str) -> None:
     """The signal comes when a module begins to be imported."""
     program = (f"import runpy, signal, sys\\n"

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pytest
 from typer.testing import CliRunner
 
 from hydroopt import load_machine
@@ -9,6 +10,7 @@ from hydroopt.cli import app
 from hydroopt.machine.machine_file import dump_machine
 
 
+@pytest.mark.slow
 def test_closure_names_fixtures_that_it_holds_in_position_only(tmp_path: Path) -> None:
     crane = load_machine("cat215b")
     first, *rest = crane.fixtures

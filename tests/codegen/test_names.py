@@ -104,7 +104,7 @@ HOSTILE = {
 LONG = "a" * 300
 
 
-@pytest.mark.parametrize("kind", HOSTILE)
+@pytest.mark.parametrize("kind", tiered(HOSTILE, lambda kind: list(HOSTILE).index(kind) % 4 == 0))
 @pytest.mark.parametrize("part", tiered(["machine", "link", "cylinder"], lambda part: part == "link"))
 def test_hostile_names_in_a_machine_file_are_refused(kind: str, part: str, codegen) -> None:
     name = HOSTILE[kind]
@@ -115,7 +115,7 @@ def test_hostile_names_in_a_machine_file_are_refused(kind: str, part: str, codeg
     codegen.of(text).refused("machine.toml")
 
 
-@pytest.mark.parametrize("kind", HOSTILE)
+@pytest.mark.parametrize("kind", tiered(HOSTILE, lambda kind: list(HOSTILE).index(kind) % 4 == 0))
 def test_hostile_prefixes_are_refused(kind: str, codegen) -> None:
     outcome = codegen.of(description(), "--prefix", HOSTILE[kind])
     if kind == "empty":

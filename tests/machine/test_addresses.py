@@ -5,16 +5,17 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from fixtures.tiers import machines
 from hydroopt.errors import MachineError
 from hydroopt.machine.links import Note
-from hydroopt.machine.machine_file import bundled, dump_machine, load_machine, read_machine
+from hydroopt.machine.machine_file import dump_machine, load_machine, read_machine
 from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.model import Model
 from hydroopt.parameters import hydraulic
 
 
-@pytest.mark.parametrize("name", bundled())
+@pytest.mark.parametrize("name", machines())
 def test_every_parameter_has_an_address_with_its_nominal_value(name: str) -> None:
     machine = load_machine(name)
     numbers = machine.numbers
@@ -24,7 +25,7 @@ def test_every_parameter_has_an_address_with_its_nominal_value(name: str) -> Non
             assert numbers[one][:4] == (one, kind, unit, value)
 
 
-@pytest.mark.parametrize("name", bundled())
+@pytest.mark.parametrize("name", machines())
 def test_writing_one_number_changes_this_one_alone(name: str) -> None:
     machine = load_machine(name)
     before = {one: number.value for one, number in machine.numbers.items()}
@@ -36,7 +37,7 @@ def test_writing_one_number_changes_this_one_alone(name: str) -> None:
         assert after[one] == wanted
 
 
-@pytest.mark.parametrize("name", bundled())
+@pytest.mark.parametrize("name", machines())
 def test_writing_what_stands_there_changes_nothing(name: str) -> None:
     machine = load_machine(name)
     outside = {one: number.value for one, number in machine.numbers.items() if not number.kind.is_inertial}

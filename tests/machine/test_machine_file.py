@@ -12,6 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from fixtures.bad_input_cases import DIGGER
+from fixtures.tiers import ONE_OF_A_KIND, machines
 from hydroopt.errors import MachineError
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.links import Note
@@ -159,7 +160,7 @@ def test_parameter_sets(arm: Machine) -> None:
         read_machine(ARM, parameter_set="middle")
 
 
-@pytest.mark.parametrize("name", bundled())
+@pytest.mark.parametrize("name", machines())
 def test_bundled_machines_survive_being_written(name: str) -> None:
     machine = load_machine(name)
     again = read_machine(dump_machine(machine))
@@ -205,7 +206,7 @@ def shuffled(node: Any) -> Any:
 
 
 @pytest.mark.parametrize(
-    "text", [ARM, *(dump_machine(load_machine(name)) for name in bundled())], ids=["arm", *bundled()]
+    "text", [ARM, *(dump_machine(load_machine(name)) for name in ONE_OF_A_KIND)], ids=["arm", *ONE_OF_A_KIND]
 )
 def test_digest_is_that_of_the_content_not_of_its_layout(text: str) -> None:
     machine = read_machine(text)

@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 import pytest
 
-from fixtures.tiers import tiered
+from fixtures.tiers import ONE_OF_A_KIND, tiered
 from hydroopt.errors import ProblemError
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine_file import bundled, load_machine
@@ -49,7 +49,8 @@ def free(subject: Model) -> list[str]:
     return [subject.machine.joints[k] for k in found]
 
 
-@pytest.mark.parametrize("name", tiered([*bundled(), "made_up"], lambda name: name != "panda_mukca"))
+@pytest.mark.parametrize("name", tiered(
+    [*bundled(), "made_up"], lambda name: name in (*ONE_OF_A_KIND, "ur10", "made_up")))
 def test_every_branch_brings_the_tip_there_and_the_first_posture_is_one(name: str) -> None:
     """The place of the tip, by the first joints that move it independently; all others are held."""
     subject, rng = model(name), np.random.default_rng(11)
@@ -100,6 +101,7 @@ def branches_of_cat215b(place: Array) -> int:
     return count
 
 
+@pytest.mark.slow
 def test_no_branch_of_an_excavator_is_missing() -> None:
     subject, rng = model("cat215b"), np.random.default_rng(14)
     counts = []

@@ -7,10 +7,11 @@ import re
 import numpy as np
 import pytest
 
+from fixtures.tiers import machines
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.change import named_parts
 from hydroopt.excitation.criteria import design_parameters, presumed_noise
-from hydroopt.machine.machine_file import bundled, load_machine
+from hydroopt.machine.machine_file import load_machine
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.model import Model
@@ -31,7 +32,7 @@ KINDS = {
 """By what stands after the last dot of a name."""
 
 
-@pytest.mark.parametrize("name", bundled())
+@pytest.mark.parametrize("name", machines())
 def test_every_parameter_of_every_bundled_machine_has_its_kind_and_owner(name: str) -> None:
     machine = load_machine(name)
     model = Model(machine)

@@ -72,6 +72,7 @@ def test_noise_of_a_balance_follows_from_its_actuators_lever_arms() -> None:
         assert sigma == pytest.approx(one * np.sqrt(np.mean(np.sum(arms[:, :, k] ** 2, axis=1))), rel=0.05)
 
 
+@pytest.mark.slow
 def test_what_nothing_reads_has_neither_spikes_nor_a_signal_that_is_missed() -> None:
     model = Model(crane(), actuator_inertia=False)
     logs = [simulate(model, random_trajectory(model, duration=10.0, rate=50.0, seed=seed), model.parameters.nominal,

@@ -216,6 +216,7 @@ def test_seals_that_cannot_be_are_said_and_not_exported(tmp_path: Path) -> None:
     assert not (tmp_path / "patu655_lift.toml").exists()
 
 
+@pytest.mark.slow
 def test_an_earlier_result_is_not_left_beside_a_new_one(tmp_path: Path) -> None:
     """The calibrated machine of one method must not pass for that of the next, which has none."""
     machine = load_machine("cat215b")

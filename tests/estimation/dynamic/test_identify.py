@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy.signal import lfilter
 
+from fixtures.tiers import tiered
 from hydroopt.errors import IdentifiabilityError, LogError, ProblemError, SolverError
 from hydroopt.estimation.dynamic import regressor_qr
 from hydroopt.estimation.dynamic.estimate import Estimate
@@ -87,7 +88,7 @@ def test_correlated_noise_widens_what_is_told(turning: Any) -> None:
 # --- outliers
 
 
-@pytest.mark.parametrize("loss", ["huber", "student_t"])
+@pytest.mark.parametrize("loss", tiered(["huber", "student_t"], lambda loss: loss == "huber"))
 def test_gross_outliers_are_resisted(cat215b: Model, noisy: IdentificationProblem, loss: Any) -> None:
     rng = np.random.default_rng(3)
     logs = []
@@ -161,6 +162,7 @@ def test_priors_fill_in_what_no_motion_shows(noisy: IdentificationProblem) -> No
     assert np.isnan(identify(noisy, "wls")["swing.I_xx"])
 
 
+@pytest.mark.slow
 def test_two_sources_are_better_than_one(noisy: IdentificationProblem, cat_truth: np.ndarray) -> None:
     """Unseen forces: data with the file's confidences beat the data alone and the file alone."""
     both, data = identify(noisy, "sdp", intervals=False), identify(noisy, "wls")
@@ -322,6 +324,7 @@ def test_functions_of_one_name_are_not_confused(cat215b: Model) -> None:
     np.testing.assert_array_equal(cat215b.over(two, values)[0].ravel(), [0, 2, 4])
 
 
+@pytest.mark.slow
 def test_a_link_in_all_weighs_what_its_bodies_were_weighed_to(noisy: IdentificationProblem,
                                                             noisy_estimate: Estimate) -> None:
     bodies = ("boom", "boom_cylinder.rod", "stick_cylinder.barrel")

@@ -78,6 +78,7 @@ def test_linear_methods_solve_the_columns_that_are_left(method: str, noisy: Iden
     assert least * (1 - 1e-9) <= reached <= least * (1.0 + (1e-6 if method == "wls" else 0.05))
 
 
+@pytest.mark.slow
 def test_what_stands_side_by_side(estimate: Estimate, tmp_path: Path) -> None:
     assert list(estimate.variants) == ["nominal", "reduced", "complete"]
     assert estimate.variants["complete"] is estimate.psi
@@ -102,6 +103,7 @@ def test_what_stands_side_by_side(estimate: Estimate, tmp_path: Path) -> None:
     assert len(printed[2].split()) == 3 + 3 * 3
 
 
+@pytest.mark.slow
 def test_there_is_no_reduced_model_where_a_statement_binds_a_rod(noisy: IdentificationProblem) -> None:
     for bound in (noisy.fix("boom_cylinder.rod.m"), noisy.subject_to("weighed", "boom.m + boom_cylinder.rod.m <= 3 t"),
                   noisy.with_prior("rod", "boom_cylinder.rod.m = 100 +- 20 kg"),

@@ -69,12 +69,14 @@ def test_pieces_tell_what_the_whole_tells(cat215b: Model, path: Path) -> None:
             n for n in other.notes if left_out in n or "still" in n]
 
 
+@pytest.mark.slow
 def test_the_most_probable_machine_is_the_same(cat215b: Model, path: Path) -> None:
     whole, pieces = (identified(cat215b, one, "qp") for one in (read_log(path), stream(path, piece=BORDER)))
     scale = cat215b.parameters.scale
     np.testing.assert_allclose(pieces.psi / scale, whole.psi / scale, atol=1e-6)
 
 
+@pytest.mark.slow
 def test_borders_leave_no_trace_in_a_log_with_gaps_and_losses(
         cat215b: Model, log: Log, tmp_path: Path) -> None:
     broken = {name: x.copy() for name, x in log.channels.items()}

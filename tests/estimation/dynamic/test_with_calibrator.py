@@ -56,6 +56,7 @@ def test_free_and_attached_logs_together_give_back_the_truth(method: str) -> Non
     assert np.max(unseen_error(estimate.psi)) < 1e-7
 
 
+@pytest.mark.slow
 def test_attached_logs_are_biased_unless_the_calibrator_is_described(tmp_path: Path) -> None:
     logs = [log(seed, with_rig=True, noise=True) for seed in (31, 32)]
     described = identify(identification_problem(MACHINE, logs), "sdp", intervals=False)

@@ -602,6 +602,7 @@ def test_intervals_with_data_shape_and_symmetry_are_those_of_a_random_walk() -> 
     np.testing.assert_allclose(np.mean((walk > low) & (walk < high), axis=0), 0.95, atol=0.015)
 
 
+@pytest.mark.slow
 def test_wide_confidences_with_log_det_have_a_diagnostic(problems: tuple[IdentificationProblem,
                                                                          IdentificationProblem]) -> None:
     estimate = identify(problems[1].with_distance("log-det"), intervals=False)

@@ -214,7 +214,7 @@ def test_ipopt_says_that_wishes_contradict(noisy: IdentificationProblem) -> None
         identify(wish.subject_to("product", lambda p: p["boom.m"] * p["stick.m"] == 1.2e6), "nlp")
 
 
-@pytest.mark.parametrize("method", ["sdp", "nlp"])
+@pytest.mark.parametrize("method", tiered(["sdp", "nlp"], lambda method: method == "sdp"))
 @pytest.mark.parametrize("relation", [lambda p: None, lambda p: True, lambda p: p["boom.m"],
                                       lambda p: p["boom.m"] + p["stick.m"], lambda p: 2 * p["boom.m"]],
                          ids=["none", "bool", "parameter", "sum", "product"])

@@ -374,6 +374,7 @@ def test_held_out_poses_are_predicted(model: KinematicModel, machine: Machine,
     assert unseen.vaf > 0.999
 
 
+@pytest.mark.slow
 def test_several_starts_say_whether_the_answer_is_one(model: KinematicModel, machine: Machine,
                                                       closed: tuple[np.ndarray, list[str]]) -> None:
     problem = held(calibration_problem(machine, read(model, closed, 0), priors=False))

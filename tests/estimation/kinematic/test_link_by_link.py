@@ -63,7 +63,7 @@ def apart(q: np.ndarray, truth: np.ndarray) -> float:
 
 
 @pytest.mark.parametrize("sweep", [False, True])
-@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("seed", tiered(range(4), lambda seed: seed == 0))
 def test_excavator(seed: int, sweep: bool) -> None:
     problem, q = excavator(seed, sweep=sweep)
     theta, found, _ = link_by_link.sequential_least_squares(problem, start(problem, seed), np.zeros_like(q))
