@@ -44,6 +44,7 @@ def run(folder: Path, *arguments: str) -> str:
     return done.stdout
 
 
+@pytest.mark.slow
 def test_a_command_runs_nothing_that_lies_there(hostile: Path) -> None:
     assert "PATU 655" in run(hostile, "-m", "hydroopt", "show", "patu655_lift")
 
@@ -58,6 +59,7 @@ def test_a_study_and_its_processes_run_nothing_that_lies_there(hostile: Path, tm
 
 @pytest.mark.parametrize("module", [
     "hydroopt.report.figures", pytest.param("hydroopt.control.python_control", marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_matplotlib_reads_no_settings_there(module: str, hostile: Path) -> None:
     code = f"import os, {module}, matplotlib as m; print(m.rcParams['text.usetex'], os.getcwd())"
     assert run(hostile, "-P", "-c", code) == f"False {hostile}\n"

@@ -202,6 +202,7 @@ def test_json_is_the_file_and_summary_names_the_report(tmp_path: Path) -> None:
         assert f"! {each['text']}" in text
 
 
+@pytest.mark.slow
 def test_nothing_is_written_where_foreign_c_lies(tmp_path: Path) -> None:
     (tmp_path / "c").mkdir()
     (tmp_path / "c/patu655_lift.c").write_text("int main(void) { return 0; }\n")
@@ -364,6 +365,7 @@ def test_focus_serves_what_it_is_on(written: Callable[..., Path]) -> None:
     assert served("", "") < served("", "lift.mc_x") - 0.5
 
 
+@pytest.mark.slow
 def test_priors_are_asked_for(written: Callable[..., Path]) -> None:
     said = content(written(*SERIES, "--priors"))
     assert said["priors"]

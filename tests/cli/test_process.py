@@ -26,6 +26,7 @@ def shell(script: str, **environment: str) -> subprocess.CompletedProcess[str]:
                           env=os.environ | {"H": " ".join(COMMAND)} | environment)
 
 
+@pytest.mark.slow
 def test_output_that_cannot_be_written_is_said_or_not_needed() -> None:
     script = "$H study --help {}; echo $? >&2"
     assert shell("set -o pipefail; $H study --help | head -1; echo $? >&2").stderr == "0\n"
@@ -129,6 +130,7 @@ def place(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder
 
 
+@pytest.mark.slow
 def test_a_worker_ends_when_its_parent_is_killed(tmp_path: Path) -> None:
     program = """
 import multiprocessing, os, pickle
@@ -150,6 +152,7 @@ if __name__ == "__main__":
     assert ends(worker)
 
 
+@pytest.mark.slow
 def test_a_compiler_and_what_it_starts_end_when_the_command_is_killed(tmp_path: Path) -> None:
     started = tmp_path / "started"
     slow = tmp_path / "cc"

@@ -381,6 +381,7 @@ def test_prepared_anew_they_say_what_the_model_of_the_changed_machine_says(
 
 
 @pytest.mark.parametrize("subject", tiered(["cat215b", "panda_mukca"], lambda subject: subject == "cat215b"))
+@pytest.mark.slow
 def test_after_a_calibration_only_the_values_change(subject: str) -> None:
     """The code that would be generated from the calibrated machine is the code that is there already."""
     at = case(subject, moved=True)

@@ -132,6 +132,7 @@ def test_words_that_cannot_begin_names_are_refused_as_prefix(name: str, codegen)
 
 
 @pytest.mark.parametrize("name", tiered(["int", "While", "x_", LONG], lambda name: name == "While"))
+@pytest.mark.slow
 def test_machines_whose_name_cannot_begin_names_take_a_prefix(name: str, codegen) -> None:
     codegen.of(description(machine=name)).refused(f"'{name.lower()[:30]}", "--prefix")
     outcome = codegen.of(description(machine=name), "--prefix", "own", "--functions", "inverse_dynamics")
@@ -179,6 +180,7 @@ def test_names_that_are_the_same_in_capitals_are_refused(names: dict[str, str], 
 
 
 @pytest.mark.parametrize("part", tiered(["link", "cylinder", "second"], lambda part: part == "cylinder"))
+@pytest.mark.slow
 def test_long_names_are_refused(part: str, codegen) -> None:
     codegen.of(description(**{part: LONG})).refused("'aaaaaaaaaa", "shorten")
     codegen.of(description(**{part: "a" * 50})).refused("'aaaaaaaaaa", "shorten")

@@ -155,6 +155,7 @@ def undefined(listed: str, prefix: str) -> set[str]:
             if not name.startswith((f"{prefix}_", "_GLOBAL_OFFSET_TABLE_"))}
 
 
+@pytest.mark.slow
 def test_doubles_are_noticed_where_there_are_some(objects) -> None:
     listed = must([tool("objdump"), "-d", "--no-show-raw-insn",
                    *objects("patu655_lift", "double", "gcc", "-O2")], Path("."))
@@ -164,6 +165,7 @@ def test_doubles_are_noticed_where_there_are_some(objects) -> None:
 
 @pytest.mark.skipif(os.uname().machine != "x86_64", reason="this is no x86-64")
 @pytest.mark.parametrize("machine", tiered(MACHINES, lambda machine: (machine, "float") in QUICK))
+@pytest.mark.slow
 def test_single_precision_has_no_double_instruction(machine: str, objects) -> None:
     made = objects(machine, "float", tool("gcc"), OPTIMISED[machine])
     found = instructions(must([tool("objdump"), "-d", "--no-show-raw-insn", *made], Path(".")))
@@ -284,6 +286,7 @@ def test_folder_tests_itself_by_make(machine: str, real: str, flags: tuple[str, 
 
 @pytest.mark.parametrize(("machine", "real"), tiered([("patu655_lift", "double"), ("cat215b", "float")],
                                                     lambda *case: case in QUICK))
+@pytest.mark.slow
 def test_folder_tests_itself_by_cmake(machine: str, real: str, folder, tmp_path: Path) -> None:
     place = copied(folder(machine, real), tmp_path / "elsewhere")
     tool("ctest")
@@ -387,6 +390,7 @@ def sanitized(folder, tmp_path_factory: pytest.TempPathFactory) -> Callable[[str
 
 
 @pytest.mark.parametrize(("machine", "real"), tiered(FUZZED, lambda *case: case in QUICK))
+@pytest.mark.slow
 def test_sanitizers_find_nothing_in_the_self_test(machine: str, real: str, sanitized) -> None:
     assert "self-test passed" in sanitized(machine, real)["selftest"]
 

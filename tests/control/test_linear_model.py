@@ -94,6 +94,7 @@ def test_a_missing_supply_pressure_is_named():
         sweeps(plant, plant.model.parameters.nominal, plant.parameters.nominal)
 
 
+@pytest.mark.slow
 def test_postures_without_steady_motion_are_counted_and_explained(tmp_path):
     """Half the pressure lifts in no posture, which the screen and the page say with the reason."""
     path = tmp_path / "weak.toml"

@@ -201,6 +201,7 @@ def script(folder: Path, compiling: str) -> str:
     return str(command)
 
 
+@pytest.mark.slow
 def test_a_compiler_that_hangs_is_ended_with_all_that_it_started(folder: Path, compiled: list[Path],
                                                                  monkeypatch: pytest.MonkeyPatch,
                                                                  caplog: pytest.LogCaptureFixture) -> None:

@@ -288,6 +288,7 @@ def test_logs_made_in_memory_are_checked():
     (176, 127, "crashes the reader"),  # the type of the numbers: SciPy's reader ends in SIGSEGV
     (144, 255, "not a readable MATLAB file"),
     (183, 120, "not a readable MATLAB file")])
+@pytest.mark.slow
 def test_a_byte_of_a_matlab_file_ends_in_a_sentence(tmp_path, at, value, pattern):
     """The reader runs in a process of its own, so that nothing in a file can end this one."""
     savemat(tmp_path / "log.mat", {"t": np.arange(9.0)[:, None], "q": np.zeros((9, 1))})

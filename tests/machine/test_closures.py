@@ -59,6 +59,7 @@ def test_where_newtons_steps_do_not_close_there_is_no_number():
     assert np.isnan(np.asarray(model.inverse_dynamics(4.0, 0, 0, model.parameters.nominal).full())).all()
 
 
+@pytest.mark.slow
 def test_derivatives_of_newtons_positions_are_exact():
     model = Model(six_bar())
     q, qd, qdd = np.array([[1.1]]), np.array([[0.7]]), np.array([[-0.4]])

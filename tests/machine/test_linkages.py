@@ -171,6 +171,7 @@ def test_what_cannot_be_is_refused_with_its_place(text, where, what):
     assert re.search(what, caught.value.what), caught.value
 
 
+@pytest.mark.slow
 def test_show_prints_the_transmission_ratio_and_the_margin():
     out = CliRunner().invoke(app, ["show", "excavator_bucket"]).output
     assert ("bucket_linkage: rocker, coupler follow bucket, d rocker / d bucket from 0.339 to 0.758, d coupler / d "

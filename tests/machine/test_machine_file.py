@@ -184,6 +184,7 @@ def numbers(low: float, high: float) -> st.SearchStrategy[float]:
 @given(lengths=st.lists(numbers(-1e3, 1e3), min_size=3, max_size=3), angle=numbers(0, 3.2),
        middle=numbers(-3, 3), half=st.floats(1e-3, 3), sigma=st.floats(1e-9, 1e3),
        mass=st.floats(1e-3, 1e6), note=st.text(st.characters(codec="utf-8", exclude_categories=["C"]), max_size=20))
+@pytest.mark.slow
 def test_any_number_survives_being_written_to_its_last_bit(
         lengths: list[float], angle: float, middle: float, half: float, sigma: float, mass: float, note: str) -> None:
     link = {"name": "arm", "parent": "base", "joint": {

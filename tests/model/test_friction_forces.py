@@ -115,6 +115,7 @@ def test_the_regressor_is_the_derivative_at_nominal_values() -> None:
     assert np.any(hidden.over(hidden.regressor, *inputs)[0][:, 1, hidden.parameters.index("lift.v_stribeck")])
 
 
+@pytest.mark.slow
 def test_other_machines_keep_their_functions() -> None:
     model = Model(load_machine("cat215b"))
     assert (model.linear, model.needs_pressure) == (True, False)

@@ -105,6 +105,7 @@ def test_lengths_that_no_posture_has_are_named_with_their_sample():
         measured_angles(model, Log("lengths", log.t, channels))
 
 
+@pytest.mark.slow
 def test_generated_code_checks_that_loops_close():
     """Every routine that stands on the loop has a check that holds in the range and fails where it cannot close."""
     interface = Interface(excavator())
@@ -128,6 +129,7 @@ def test_generated_code_checks_that_newtons_steps_close_loops():
     assert not abs(float(sine(4.0))) > STRAIGHT
 
 
+@pytest.mark.slow
 def test_a_sensor_on_the_rocker_leaves_the_bucket_where_it_is():
     """The same postures whether the bucket or the rocker counts: inverse kinematics and points of a path."""
     bucket, rocker = Model(excavator()), Model(measured_at_the_rocker())

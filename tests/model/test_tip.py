@@ -119,6 +119,7 @@ def test_stretched_arm_determines_no_wrench() -> None:
     assert float(subject.tip_wrench([0.3, 0.0, 1.5], zero, zero, zero, psi)[1]) > 0.1
 
 
+@pytest.mark.slow
 def test_complex_machine_computes_the_forces_of_the_model() -> None:
     rng = np.random.default_rng(9)
     for name in ("cat215b", "kr300", "patu655_lift", "made_up"):

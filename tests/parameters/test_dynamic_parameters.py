@@ -195,6 +195,7 @@ def test_parts_of_the_prior_belong_to_one_body_each(everything: Machine) -> None
 
 
 @pytest.mark.parametrize("stated", ["sigma absolute", pytest.param("sigma in percent", marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_confidences_of_mass_centre_and_inertia_propagate_as_monte_carlo_shows(stated: str) -> None:
     m, com, six = 50.0, np.array([1.2, -0.4, 0.3]), np.array([3.0, 0.2, -0.1, 9.0, 0.3, 8.0])
     sigma = {"m": 2.0, "com": 0.012, "inertia_com": 0.36}

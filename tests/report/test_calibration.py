@@ -196,6 +196,7 @@ def test_what_is_not_determined_has_no_number() -> None:
     assert content["conditioning"]["rank"] < content["conditioning"]["parameters"]
 
 
+@pytest.mark.slow
 def test_impossible_geometry_is_not_written(solved: Calibration, tmp_path: Path,
                                             monkeypatch: pytest.MonkeyPatch) -> None:
     def refuse(*_: Any, **__: Any) -> None:

@@ -104,6 +104,7 @@ def test_three_sessions_leave_json_tables_and_page(made: Path, tmp_path: Path) -
     assert str(answer) == "\n".join(printed.splitlines()[: len(answer.findings) + 1])
 
 
+@pytest.mark.slow
 def test_json_is_the_file_and_what_is_not_told_is_null(made: Path, tmp_path: Path) -> None:
     printed = json.loads(run("identify-payload", "patu655_lift", "--unloaded", str(made / "kept"), "--loaded",
                              str(made / "b/log.csv"), "--link", "lift", "--friction-changes", "--gain-error", "0.02",
@@ -120,6 +121,7 @@ def test_json_is_the_file_and_what_is_not_told_is_null(made: Path, tmp_path: Pat
     assert Kind.LOAD_MASS_CONFOUNDED in {one["kind"] for one in printed["diagnostics"]}
 
 
+@pytest.mark.slow
 def test_what_is_loaded_says_the_same(made: Path, tmp_path: Path) -> None:
     before, after = ([read_log(made / name / "log.csv")] for name in "ab")
     answers = (detect_change(CRANE, before, after), payload(CRANE, before, after, link="lift"))
@@ -137,6 +139,7 @@ def test_what_is_loaded_says_the_same(made: Path, tmp_path: Path) -> None:
 
 @pytest.mark.parametrize(("command", "options"), [("compare", ((), ())),
                                                   ("identify-payload", (["--unloaded"], ["--loaded"]))])
+@pytest.mark.slow
 def test_a_misread_log_ends_the_command_with_3(made: Path, tmp_path: Path, command: str, options) -> None:
     later = read_log(made / "b/log.csv")
     wrong = {name: values / 1e5 if ".p_" in name else values for name, values in later.channels.items()}
@@ -160,6 +163,7 @@ def test_what_contradicts_a_log_is_known_from_its_folder(made: Path, tmp_path: P
     assert stored_information(Model(CRANE), tmp_path).of_logs == (misread,)
 
 
+@pytest.mark.slow
 def test_quiet_is_quiet(made: Path, tmp_path: Path) -> None:
     assert run("compare", "patu655_lift", str(made / "a/log.csv"), str(made / "b/log.csv"),
                "--parts", "lift_cylinder.f_viscous", "--quiet", "-o", str(tmp_path)) == ""

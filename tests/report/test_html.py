@@ -101,6 +101,7 @@ def test_figures_do_not_share_ids(page: str) -> None:
     assert set(used) <= set(identifiers)
 
 
+@pytest.mark.slow
 def test_flags_inconsistent_bodies_and_suspect_estimates(page: str, estimate: Estimate) -> None:
     assert "not physically consistent: " not in page
     assert 'role="alert"' not in page
@@ -114,6 +115,7 @@ def test_flags_inconsistent_bodies_and_suspect_estimates(page: str, estimate: Es
     assert EVIL not in broken
 
 
+@pytest.mark.slow
 def test_dash_where_nothing_is_known(estimate: Estimate) -> None:
     unknown = np.full_like(estimate.std, np.nan)
     blank = render(replace(estimate, value=unknown, std=unknown, ci95=np.column_stack([unknown, unknown])))

@@ -24,6 +24,7 @@ def test_a_constant_error_lowers_vaf() -> None:
     assert np.isnan(Fit.of(signal, np.full(2, 7.0), "N").vaf)
 
 
+@pytest.mark.slow
 def test_an_offset_on_held_out_forces_shows() -> None:
     """With the mean of the error removed, VAF stayed near 100 % and no finding could speak of an offset."""
     model = Model(load_machine("ur10e"))

@@ -193,6 +193,7 @@ def test_the_command_starts_without_distributed() -> None:
     assert subprocess.run([sys.executable, "-c", code], env=HERE, check=False).returncode == 0
 
 
+@pytest.mark.slow
 def test_cells_that_fail_or_kill_are_recorded_and_do_no_harm(tmp_path: Path) -> None:
     sockets: list[object] = []
     table = run(quick.study(8, bad=2, deadly=5), tmp_path, workers=1, say=lambda _: sockets.extend(reachable()))

@@ -69,6 +69,7 @@ def test_one_joint_tells_a_moment_but_no_mass():
     assert "moment is x = 1.4" in found.findings[0].text
 
 
+@pytest.mark.slow
 def test_a_locked_link_without_a_body_carries_in_its_own_frame():
     """The load as seen from the arm that the grip is fixed to: turned by 0.3 rad, at its end and 0.1 m aside."""
     own = np.array([0.2, 0.05, -0.1])
@@ -125,6 +126,7 @@ def test_a_misread_scale_is_told_by_what_is_known_of_the_arm():
         assert gain.ci95[0] < 0.08 < gain.ci95[1]
 
 
+@pytest.mark.slow
 def test_a_light_load_is_still_a_possible_one():
     found = carried(SPATIAL, 0.0, COM, "fore", noise=TORQUE_NOISE)
     assert found.mass.ci95[0] >= 0

@@ -72,6 +72,7 @@ def test_a_change_seen_by_all_together_is_put_down_to_one():
     assert found.findings[0].text.startswith("A change is detected: all 6 parameters together, F(6, ")
 
 
+@pytest.mark.slow
 def test_part_of_a_body_changes_and_the_rest_does_not():
     """A ring of 0.5 kg on the fore arm's own axis: its mass alone changes, its moments do not."""
     new = moved(SPATIAL, fore__m=0.5)

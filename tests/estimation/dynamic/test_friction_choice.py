@@ -126,6 +126,7 @@ def test_the_spread_of_stribeck_speeds_is_what_each_estimate_tells() -> None:
 # --- samples
 
 
+@pytest.mark.slow
 def test_samples_within_a_dead_zone_take_part_where_no_other_friction_is_dry() -> None:
     machine = crane(coulomb=500.0, viscous=3000.0, dead_zone=0.01)
     log = logs_of(machine, seeds=(1,))[0]
@@ -211,6 +212,7 @@ def sticking() -> Estimate:
     return chosen(crane(coulomb=500.0, viscous=3000.0, stribeck=800.0, stribeck_speed=0.03))
 
 
+@pytest.mark.slow
 def test_what_predicts_is_chosen_not_what_fits(plain: Estimate) -> None:
     choice = plain.friction_choice
     assert choice.terms == "coulomb+viscous"
@@ -273,6 +275,7 @@ def test_seals_are_tried_where_pressures_were_measured() -> None:
 
 
 @pytest.mark.parametrize("speed", tiered([0.01, 0.03, 0.06], lambda speed: speed == 0.01))
+@pytest.mark.slow
 def test_stribeck_speeds_are_found_from_where_they_begin(speed: float) -> None:
     """Whatever the true one, over the range in which a log shows it."""
     machine = crane(coulomb=500.0, viscous=3000.0, stribeck=2000.0, stribeck_speed=speed)
@@ -289,6 +292,7 @@ def test_a_stated_stribeck_speed_stays() -> None:
     assert made.notes["lift_cylinder.friction.stribeck_speed"].sigma == 0.001
 
 
+@pytest.mark.slow
 def test_a_candidate_that_cannot_be_fitted_is_named_and_not_chosen(monkeypatch: pytest.MonkeyPatch) -> None:
     def failing(problem: Any, *more: Any, **options: Any) -> Any:
         if not problem.model.linear:

@@ -32,6 +32,7 @@ PERIODIC = Fourier(period=33.28, harmonics=20)
 # --- weights
 
 
+@pytest.mark.slow
 def test_noise_of_each_actuator_is_found(cat215b: Model, exact_logs: list[Log]) -> None:
     rng = np.random.default_rng(0)
     # pressures of stated accuracy 25 psi, in truth noisier by 40, 15 and 4 bar

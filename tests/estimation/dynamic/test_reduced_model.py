@@ -31,6 +31,7 @@ def ends(problem: IdentificationProblem) -> np.ndarray:
                            in problem.parameters.bodies.items() if owner not in small])
 
 
+@pytest.mark.slow
 def test_a_machine_without_barrels_and_rods_is_recovered_exactly_by_the_reduced_model(
         cat215b: Model, exact: IdentificationProblem, record: Callable[..., list[Log]], cat_truth: np.ndarray) -> None:
     truth = cat_truth.copy()
@@ -49,6 +50,7 @@ def estimate(noisy: IdentificationProblem) -> Estimate:
     return identify(noisy, intervals=False)
 
 
+@pytest.mark.slow
 def test_the_reduced_model_predicts_as_one_that_is_identified_by_itself(estimate: Estimate,
                                                                         noisy: IdentificationProblem) -> None:
     machine = noisy.model.machine
@@ -116,6 +118,7 @@ def test_there_is_no_reduced_model_where_a_statement_binds_a_rod(noisy: Identifi
     assert found.variants["reduced"][noisy.parameters.index("boom.m")] == pytest.approx(nominal, rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_machine_without_barrels_has_two_models() -> None:
     model = Model(load_machine("panda_mukca"))
     log = simulate(model, random_trajectory(model, duration=8.0, rate=20.0, seed=1), seed=1)

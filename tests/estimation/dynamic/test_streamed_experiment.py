@@ -129,6 +129,7 @@ def test_memory_does_not_grow_with_the_log(cat215b: Model, log: Log, tmp_path: P
     assert peaks[1] < 1.25 * peaks[0], peaks
 
 
+@pytest.mark.slow
 def test_what_needs_all_samples_is_refused(cat215b: Model, path: Path) -> None:
     pieces = stream(path, piece=BORDER)
     problem = identification_problem(cat215b.machine, [pieces])

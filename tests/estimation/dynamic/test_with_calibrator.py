@@ -46,6 +46,7 @@ def unseen_error(psi: np.ndarray) -> np.ndarray:
 
 
 @pytest.mark.parametrize("method", [pytest.param("wls", marks=pytest.mark.slow), "sdp"])
+@pytest.mark.slow
 def test_free_and_attached_logs_together_give_back_the_truth(method: str) -> None:
     problem = identification_problem(MACHINE, [log(1, with_rig=True), log(2, with_rig=True), log(3, with_rig=False)],
                                      [log(4, with_rig=True), log(5, with_rig=False)], smoothing=SMOOTHING)

@@ -93,6 +93,7 @@ def test_collocation_keeps_its_order():
     assert errors[0] / errors[1] > 2**4.5
 
 
+@pytest.mark.slow
 def test_covariance_is_that_of_the_simulation_s_own_derivatives():
     dynamics = cylinder()
     t = np.arange(300) * 0.01

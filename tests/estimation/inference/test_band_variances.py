@@ -68,6 +68,7 @@ def test_white_noise_has_one_variance_and_the_intervals_of_least_squares() -> No
 
 
 @pytest.mark.parametrize("a", [0.0, 0.8, -0.5])
+@pytest.mark.slow
 def test_intervals_hold_in_noise_of_any_colour(a: float) -> None:
     rng = np.random.default_rng(2)
     z = []

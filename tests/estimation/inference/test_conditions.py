@@ -332,6 +332,7 @@ def test_report_and_json_show_the_names(noisy_estimate: Any) -> None:
     assert next(row for row in content["parameters"] if row["name"] == "stick_cylinder.n_rod")["bound"] == "jacks"
 
 
+@pytest.mark.slow
 def test_calibrated_machine_keeps_what_was_stated(machine: Machine, noisy_estimate: Any) -> None:
     again = read_machine(dump_machine(calibrated_machine(noisy_estimate)))
     assert (again.total_masses, again.identical) == (machine.total_masses, machine.identical)

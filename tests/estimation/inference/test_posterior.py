@@ -33,6 +33,7 @@ def free_wheel(wheel: Model) -> IdentificationProblem:
     return IdentificationProblem(wheel, ())
 
 
+@pytest.mark.slow
 def test_gaussian_where_no_constraint_is_near(free_wheel: IdentificationProblem) -> None:
     rng = np.random.default_rng(0)
     R = rng.standard_normal((4, 4)) + 2 * np.eye(4)

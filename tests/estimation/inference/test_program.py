@@ -113,6 +113,7 @@ def test_a_user_appends_a_constraint_in_casadi(constrained: IdentificationProble
     assert cost > free + 1e-3  # the constraint is active
 
 
+@pytest.mark.slow
 def test_the_weights_are_fixed_numbers_of_the_program(noisy: IdentificationProblem) -> None:
     program = noisy.nlp()
     estimate = identify(noisy, "wls")
@@ -130,6 +131,7 @@ def test_the_weights_are_fixed_numbers_of_the_program(noisy: IdentificationProbl
 
 @pytest.mark.parametrize("changed", [lambda problem: problem, lambda problem: problem.with_distance("log-det")],
                          ids=["gaussian", "log-det"])
+@pytest.mark.slow
 def test_clarabel_by_hand_finds_the_estimate(constrained: IdentificationProblem, changed: Any) -> None:
     problem = changed(constrained)
     program = problem.cvxpy()

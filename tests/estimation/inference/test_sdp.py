@@ -78,6 +78,7 @@ def test_negative_mass_becomes_the_lightest_body(one_body: OneBody) -> None:
 
 
 @pytest.mark.parametrize("seed", tiered(range(4), lambda seed: seed == 0))
+@pytest.mark.slow
 def test_projection_on_possible_bodies_is_that_of_a_cholesky_factor(one_body: OneBody, seed: int) -> None:
     rng = np.random.default_rng(seed)
     phi = np.array([rng.uniform(1, 4), *rng.normal(0, 2, 9)])
@@ -153,6 +154,7 @@ def test_fix_holds_at_a_value_or_the_nominal_one(noisy: IdentificationProblem) -
         assert estimate.bound[noisy.parameters.index("boom.m")] == "boom.m fixed"
 
 
+@pytest.mark.slow
 def test_priors_pull_by_name_and_by_expression(noisy: IdentificationProblem) -> None:
     by_name = identify(noisy.with_prior("scale", "boom.m", value=1234.0, sigma=1e-3), intervals=False)
     assert by_name["boom.m"] == pytest.approx(1234, abs=0.01)
@@ -192,6 +194,7 @@ def test_contradicting_wishes_are_named_and_no_others(noisy: IdentificationProbl
     assert refusal.value.what == "these cannot hold together: light; heavy"
 
 
+@pytest.mark.slow
 def test_weight_below_nothing_contradicts_the_body(noisy: IdentificationProblem) -> None:
     with pytest.raises(ProblemError) as refusal:
         identify(noisy.subject_to("balloon", lambda p: p["boom.m"] <= -5), "sdp")

@@ -90,6 +90,7 @@ def answered(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return folder / "out"
 
 
+@pytest.mark.slow
 def test_the_command_heeds_statements_and_names_them(answered: Path) -> None:
     said = json.loads((answered / "estimate.json").read_text())
     rows = {row["name"]: row for row in said["parameters"]}

@@ -31,6 +31,7 @@ def problem() -> CalibrationProblem:
     return calibration_problem(machine, poses, fixed={"ball.y": 0.0})
 
 
+@pytest.mark.slow
 def test_the_program_has_the_same_optimum(problem: CalibrationProblem) -> None:
     solved = hydroopt.solve(problem)
     program = problem.nlp()
@@ -44,6 +45,7 @@ def test_the_program_has_the_same_optimum(problem: CalibrationProblem) -> None:
     assert dict.fromkeys(program.g_names) == dict.fromkeys(f"pose {k + 1}: loop closure" for k in range(24))
 
 
+@pytest.mark.slow
 def test_a_constraint_of_the_user_holds(problem: CalibrationProblem) -> None:
     program, arguments = problem.nlp(), problem.nlp().arguments()
     free = hydroopt.solve(problem)

@@ -72,6 +72,7 @@ def test_a_tape_alone_tells_of_the_machine_s_side_only(machine: Machine, taped: 
     assert rms(machine, free) == {("stick", "machine", "tape"): pytest.approx(0, abs=1e-9)}
 
 
+@pytest.mark.slow
 def test_the_answer_reports_both_sides(machine: Machine, taped: Poses) -> None:
     """Without the machine's resolvers stages tell of no distance; held-out poses with them do."""
     model = KinematicModel(machine)

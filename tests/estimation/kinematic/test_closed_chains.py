@@ -92,6 +92,7 @@ def test_without_noise_the_truth_comes_back(model: KinematicModel, closed: tuple
     np.testing.assert_allclose(turns, np.round(turns), atol=1e-8)
 
 
+@pytest.mark.slow
 def test_two_solved_geometries_without_a_calibrated_bias(model: KinematicModel, machine: Machine,
                                                          closed: tuple[np.ndarray, list[str]]) -> None:
     """A machine that differs from the file, not just a start that does."""
@@ -308,6 +309,7 @@ def test_compliance_is_what_gravity_bends(machine: Machine) -> None:
 
 
 @pytest.mark.parametrize("loss", ["huber", "student_t"])
+@pytest.mark.slow
 def test_robust_losses_bear_a_few_wild_poses(model: KinematicModel, machine: Machine,
                                              closed: tuple[np.ndarray, list[str]], loss: str) -> None:
     poses = read(model, closed, 0)
@@ -343,6 +345,7 @@ def test_sound_data_raise_no_alarm(model: KinematicModel, machine: Machine,
         assert solved.noise_scale == pytest.approx(1, abs=0.2)
 
 
+@pytest.mark.slow
 def test_a_bad_stretch_is_named_by_row_and_left_out(model: KinematicModel, machine: Machine,
                                                     closed: tuple[np.ndarray, list[str]]) -> None:
     poses = read(model, closed, 0)
@@ -580,6 +583,7 @@ def test_the_bundled_arm_comes_back(arm: CalibrationProblem, method: str) -> Non
     assert np.max(recovered(arm, method)) < 1e-8
 
 
+@pytest.mark.slow
 def test_play_in_a_joint_is_named(model: KinematicModel, machine: Machine) -> None:
     """The forearm's resolver lags by 1.5° on the side from which it comes."""
     stage, fixture = machine.stages[0], np.array(machine.fixtures[0].position)

@@ -113,6 +113,7 @@ def test_the_first_stage_identifies_the_eight_numbers_of_link_4() -> None:
     assert np.max(np.abs(found.parameters - problem.start)) < ACCURACY
 
 
+@pytest.mark.slow
 def test_a_turn_of_the_whole_machine_stays_open() -> None:
     """Nothing tells where about the swing's axis the fixture stands: its place is found up to that turn."""
     problem, q = excavator()

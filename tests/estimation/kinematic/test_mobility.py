@@ -105,6 +105,7 @@ def test_no_length_scale() -> None:
     assert obstacles(changed(loose, notes={"forearm.joint.a": Note()})) == ()
 
 
+@pytest.mark.slow
 def test_what_gives_a_scale() -> None:
     loose = changed(notes=free_lengths(CAT))
     pins = {f"{name}_cylinder.{end}.pin": Note() for name in ("boom", "stick") for end in ("barrel", "rod")}
@@ -159,6 +160,7 @@ def test_cylinders_tell_where_their_joints_stand() -> None:
     assert obstacles(one_stage("swing", "boom", "stick")) == ()
 
 
+@pytest.mark.slow
 def test_stages_share_a_sentence() -> None:
     far = obstacles(changed(fixtures=(Fixture(name="ball", position=(30, 0, 0)),)))
     assert [text.partition(":")[0] for text in far] == ["stages 'stick_moves', 'boom_moves', 'swing_moves'"]

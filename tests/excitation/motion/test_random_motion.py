@@ -32,6 +32,7 @@ def best(problem: ExcitationProblem) -> np.ndarray:
     return best_random_motion(problem, COUNT, seed=3)
 
 
+@pytest.mark.slow
 def test_the_best_random_motion_keeps_all_limits_and_no_other_is_better(problem: ExcitationProblem,
                                                                         best: np.ndarray) -> None:
     assert problem.excess(best, problem.fine) <= 0
@@ -68,6 +69,7 @@ def test_a_motion_that_does_not_tell_all_excites_fewer_base_parameters(problem: 
 
 
 @pytest.mark.parametrize("criterion", tiered(["D", "A", "E", "condition"], lambda criterion: criterion == "D"))
+@pytest.mark.slow
 def test_the_gain_is_a_ratio_of_standard_deviations(criterion: str, monkeypatch: pytest.MonkeyPatch,
                                                     tmp_path: Path) -> None:
     monkeypatch.setattr(Excitation, "random_motions", 2)

@@ -72,6 +72,7 @@ def test_plan_beats_random_choices(plan):
 
 @pytest.mark.parametrize(("focus", "seed"), tiered(product(((), ("stick.a", "stick.beta")), (0, 1, 2)),
                                                   lambda focus, seed: seed == len(focus)))
+@pytest.mark.slow
 def test_plan_is_the_best_of_all_subsets(focus, seed):
     size, count = 10, 4
     options = {"stages": ["stick_moves"], "candidates": size, "fixed": ONE, "focus": focus, "seed": seed}
@@ -108,6 +109,7 @@ def test_poses_close_within_limits_and_strokes(plan):
     assert np.ptp(each.lengths[:, 1]) < 0.7 < np.ptp(plan.lengths[:, 1])
 
 
+@pytest.mark.slow
 def test_std_is_that_of_finite_differences(plan):
     """Information of each pose's gap, AᵀPA with P = S⁻¹ − S⁻¹b(bᵀS⁻¹b)⁻¹bᵀS⁻¹, b the moving joint's column."""
     names, step, sigma = plan.names, 1e-6, CAT.sensor("yoke.q").std
@@ -186,6 +188,7 @@ def test_priors_count_if_wanted():
     np.testing.assert_array_equal(plan.std, seen.std)
 
 
+@pytest.mark.slow
 def test_drift_is_separated_from_motion_by_driving_out_and_back(plan):
     creeping = plan_poses(CREEPING, 15, candidates=200, fixed=FIXED)
     for stage in CREEPING.stages:
