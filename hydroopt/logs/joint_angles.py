@@ -1,4 +1,4 @@
-"""Joint angles of a machine from a log, read directly or computed from cylinder lengths, and their noise."""
+"""Joint angles of a machine from a log: read directly, or from dependent joints or cylinder lengths; their noise."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import reading
 from hydroopt.machine.machine import Machine
-from hydroopt.model.joints_from_lengths import joints_from_lengths
+from hydroopt.model.joints_from_readings import joints_from_readings, readings
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import Array
 
@@ -21,27 +21,31 @@ class _Sources(NamedTuple):
 
     Attributes:
         channels: of each joint that one channel gives: its own, or the length of the cylinder whose triangle moves it.
-        together: joints that the lengths of `cylinders` give together.
-        cylinders: the names of these.
+        solved: joints that `beside` give together: angles of joints that follow them, lengths of cylinders.
+        beside: these channels.
     """
 
     channels: dict[str, str]
-    together: tuple[str, ...]
-    cylinders: tuple[str, ...]
+    solved: tuple[str, ...]
+    beside: tuple[str, ...]
 
 
 def _sources(model: Model, log: AnyLog) -> _Sources:
-    machine = model.machine
+    machine, followed = model.machine, model.machine.followed
+    missing = {joint for joint in machine.joints if f"{joint}.q" not in log.channels}
+    angles = [joint for joint in machine.dependent_joints
+              if f"{joint}.q" in log.channels and missing & set(followed[joint])]
     channels = {joint: _own_channel(model, log, joint) for joint in machine.joints}
-    unread = [joint for joint, channel in channels.items() if channel not in log.channels]
-    cylinders = tuple(each.name for each in machine.cylinders if f"{each.name}.length" in log.channels
-                      and set(unread) & set(machine.moved_by(each)))
-    together = tuple(joint for joint in unread if any(joint in machine.moved_by(each) for each in machine.cylinders
-                                                      if each.name in cylinders))
-    if len(cylinders) < len(together):
+    following = {joint for each in angles for joint in followed[each]} & missing
+    unread = {joint for joint, channel in channels.items() if channel not in log.channels} - following
+    cylinders = [each for each in machine.cylinders if f"{each.name}.length" in log.channels
+                 and unread & set(machine.moved_by(each))]
+    touched = following | {joint for each in cylinders for joint in machine.moved_by(each)} & unread
+    solved = tuple(joint for joint in machine.joints if joint in touched)
+    beside = (*(f"{joint}.q" for joint in angles), *(f"{each.name}.length" for each in cylinders))
+    if len(beside) < len(solved):
         return _Sources(channels, (), ())
-    return _Sources({joint: channel for joint, channel in channels.items() if joint not in together}, together,
-                    cylinders)
+    return _Sources({joint: channel for joint, channel in channels.items() if joint not in touched}, solved, beside)
 
 
 def _own_channel(model: Model, log: AnyLog, joint: str) -> str:
@@ -54,39 +58,38 @@ def _own_channel(model: Model, log: AnyLog, joint: str) -> str:
 def angle_channels(model: Model, log: AnyLog) -> set[str]:
     """The channels that joint angles are read from."""
     sources = _sources(model, log)
-    return {*sources.channels.values(), *(f"{name}.length" for name in sources.cylinders)}
+    return {*sources.channels.values(), *sources.beside}
 
 
 def measured_angles(model: Model, log: Log) -> Array:
     """Positions (N, n) of all joints as read.
 
-    From ``<joint>.q``, from the length of the cylinder that moves the joint alone, or, where cylinders move several
-    joints, from their lengths together.
+    From ``<joint>.q``, else from the angle of a joint that follows it, else from the length of the cylinder that moves
+    the joint alone, or, where cylinders move several joints, from their lengths together.
 
     Raises:
         LogError: a channel is missing, or lengths that no posture has.
     """
     machine, sources = model.machine, _sources(model, log)
-    q = np.column_stack([np.zeros(log.size) if joint in sources.together else _angle(model, log, joint)[1]
+    q = np.column_stack([np.zeros(log.size) if joint in sources.solved else _angle(model, log, joint)[1]
                          for joint in machine.joints])
-    if not sources.together:
+    if not sources.solved:
         return q
-    lengths = np.column_stack([reading(machine, log, f"{name}.length") for name in sources.cylinders])
-    q = joints_from_lengths(model, q, *_places(machine, sources), lengths)
+    measured = np.column_stack([reading(machine, log, channel) for channel in sources.beside])
+    q = joints_from_readings(model, q, _places(machine, sources), sources.beside, measured)
     if (lost := np.flatnonzero(~np.isfinite(q).all(axis=1))).size:
-        said = ", ".join(f"{name} = {value:.4g} m" for name, value in zip(sources.cylinders, lengths[lost[0]],
-                                                                         strict=True))
-        raise LogError(f"no posture of {', '.join(sources.together)} on the way from mid-range has the lengths at "
+        said = ", ".join(f"{channel} = {value:.4g} {machine.channel_units[channel]}"
+                         for channel, value in zip(sources.beside, measured[lost[0]], strict=True))
+        raise LogError(f"no posture of {', '.join(sources.solved)} on the way from mid-range has the readings at "
                        f"sample {log.sample[lost[0]]}: {said}", where=log.path or log.name,
-                       remedy="correct the cylinders' geometry, or the transducers' zeros")
+                       remedy="correct the geometry of the machine file or the sensors' zeros, or read what changes "
+                       "steadily with each joint")
     return q
 
 
-def _places(machine: Machine, sources: _Sources) -> tuple[list[int], list[int]]:
-    """Places of joints in q and of cylinders in the machine's."""
-    names = [each.name for each in machine.cylinders]
-    return ([machine.joints.index(joint) for joint in sources.together],
-            [names.index(name) for name in sources.cylinders])
+def _places(machine: Machine, sources: _Sources) -> list[int]:
+    """Places in q of the joints that are solved for."""
+    return [machine.joints.index(joint) for joint in sources.solved]
 
 
 def _angle(model: Model, log: Log, joint: str) -> tuple[str, Array]:
@@ -116,12 +119,12 @@ def angle_noise(model: Model, log: Log) -> Array:
     """Standard deviation of each joint's reading (n,); NaN where the machine file states none.
 
     An angle that comes from a cylinder's length has that of the length over the lever arm's mean over the log; of
-    angles that come from several lengths together errors are propagated at every sample.
+    angles that are solved for errors are propagated at every sample.
     """
     machine, sources = model.machine, _sources(model, log)
     stds = np.full(len(machine.joints), np.nan)
     for k, joint in enumerate(machine.joints):
-        if joint in sources.together:
+        if joint in sources.solved:
             continue
         channel, angle = _angle(model, log, joint)
         sensor = machine.sensor(channel)
@@ -131,14 +134,12 @@ def angle_noise(model: Model, log: Log) -> Array:
             arm = length.jacobian()(angle[None], 0)
             std /= float(np.mean(np.abs(np.asarray(arm))))
         stds[k] = std
-    if sources.together:
-        own, read = _places(machine, sources)
-        q = measured_angles(model, log)
-        arms = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)[3][:, read]
+    if sources.solved:
+        own = _places(machine, sources)
+        arms = readings(model, measured_angles(model, log), sources.beside)[1]
         back = np.linalg.pinv(arms[:, :, own])
-        # errors of the lengths, and of the joints that are read, which change the lengths as well
-        spread = np.array([sensor.std if (sensor := machine.sensor(f"{name}.length")) else np.nan
-                           for name in sources.cylinders])
+        # errors of the readings, and of the joints that are read by themselves, which change these as well
+        spread = np.array([sensor.std if (sensor := machine.sensor(channel)) else np.nan for channel in sources.beside])
         others = [k for k in range(len(stds)) if k not in own and np.any(arms[:, :, k])]
         parts = [back * spread, *((back @ arms[:, :, [k]]) * stds[k] for k in others)]
         stds[own] = np.sqrt(np.mean(sum(np.sum(part**2, axis=2) for part in parts), axis=0))

@@ -73,6 +73,11 @@ class MachineDescription(Noun):
         return tuple(link.name for link in self.links if link.joint.moving)
 
     @property
+    def dependent_joints(self) -> tuple[str, ...]:
+        """Names of the joints that loops and couplings determine."""
+        return tuple(link.name for link in self.links if link.joint.moving and not link.joint.independent)
+
+    @property
     def followed(self) -> dict[str, tuple[str, ...]]:
         """The joints of q that each moving joint follows: an independent one itself."""
         found: dict[str, tuple[str, ...]] = {joint: (joint,) for joint in self.joints}
@@ -224,6 +229,8 @@ class MachineDescription(Noun):
         units |= {f"{name}.u": circuit.valve.command for name, circuit in self.circuits.items()}
         if self.pump:
             units |= {"pump.p_supply": "Pa", "pump.p_tank": "Pa"}
+        for joint in self.dependent_joints:
+            units[f"{joint}.q"] = self.position_unit(joint)
         for link in self.chain:
             if link.joint.moving:
                 units[f"{link.name}.q"] = "m" if link.joint.type == "prismatic" else "rad"

@@ -123,6 +123,14 @@ class KinematicModel:
                            ["g", "q", "place"], ["observed", "by_g", "by_q", "by_place"])
 
     @cached_property
+    def strokes_by_geometry(self) -> ca.Function:
+        """(g, q) -> `strokes`, pin distances (c,) [m], and the Jacobian of the strokes by g (c, p)."""
+        g, q = self._symbols[:2]
+        strokes, distances = self.strokes(g, q)
+        return ca.Function("strokes_by_geometry", [g, q], [strokes, distances, ca.jacobian(strokes, g)],
+                           ["g", "q"], ["stroke", "distance", "by_g"])
+
+    @cached_property
     def observed_by_angles(self) -> ca.Function:
         """(g, q, place) -> `observed` (m,) and its Jacobian by q (m, n)."""
         return self._by_angles(self.observed)

@@ -88,6 +88,14 @@ class Model:
         return _dense("forward_kinematics", [self.coordinates.q], list(ends.values()), ["q"], list(ends))
 
     @cached_property
+    def dependent_positions(self) -> ca.Function:
+        """q (n,) → positions (d,) [rad or m] of ``machine.dependent_joints`` and their derivatives by q (d, n)."""
+        tree, dependent = self.machine.tree_joints, self.machine.dependent_joints
+        position = ca.vertcat(*(self.dynamics.tree.values.q[tree.index(joint)] for joint in dependent))
+        return _dense("dependent_positions", [self.coordinates.q],
+                      [position, ca.jacobian(position, self.coordinates.q)], ["q"], ["position", "by_q"])
+
+    @cached_property
     def cylinder_kinematics(self) -> ca.Function:
         """(q, qd, qdd) → length, speed, acceleration (c,) and lever arm ∂length/∂q with its time derivative (c, n)."""
         motions = [self.dynamics.cylinders[c.name] for c in self.machine.all_cylinders]

@@ -20,6 +20,9 @@ STEPS = 40
 """Steps of Newton's method after which a chain counts as open."""
 STEP = 0.3
 """Largest change of an angle [rad] in one step of Newton's method."""
+REACHED, RESERVE = 3.0, 0.1
+"""How far from the ends of a stroke planned postures stay, so that the machine reaches them: so many standard
+deviations that the stated geometry leaves to the stroke there, and at most this part of the stroke."""
 
 
 Held = Fixture | Array
@@ -104,7 +107,7 @@ def read_joints(model: KinematicModel, stage: Stage | None = None) -> list[int]:
 def closed_postures(model: KinematicModel, count: int, rng: np.random.Generator, *, geometry: Array,
                     turning: Sequence[int], within_limits: Sequence[int], locked: Mapping[str, float],
                     fixture: Held | None, batch: int, give_up: Callable[[int, int], bool],
-                    within_strokes: bool = False) -> tuple[Array, int]:
+                    within_strokes: Array | None = None) -> tuple[Array, int]:
     """Random closed postures (K, n) [rad, m], K ≤ count, uniform over the joints' limits before they are closed.
 
     Args:
@@ -117,14 +120,14 @@ def closed_postures(model: KinematicModel, count: int, rng: np.random.Generator,
         fixture: what holds the tip; None for an open chain.
         batch: postures tried at once.
         give_up: whether to stop, by the number of postures found and tried.
-        within_strokes: whether the cylinders' lengths must be within their strokes.
+        within_strokes: (p,) standard deviations of the geometry, if the cylinders must be within their strokes also
+            where it is `REACHED` of them off, but never more than `RESERVE` of a stroke away from its ends.
 
     Returns:
         The postures and how many were tried.
     """
     low, high = limits(model)
-    dead, stroke = (np.array([getattr(each, key) for each in model.machine.cylinders])
-                    for key in ("dead_length", "stroke"))
+    stroke = np.array([cylinder.stroke for cylinder in model.machine.cylinders])
     found, tried = np.zeros((0, len(low))), 0
     while len(found) < count and not (tried and give_up(len(found), tried)):
         q = rng.uniform(low, high, (batch, len(low)))
@@ -134,9 +137,11 @@ def closed_postures(model: KinematicModel, count: int, rng: np.random.Generator,
         if fixture is not None:
             q, usable = close(model, geometry, q, turning, fixture)
         usable &= np.all(((q >= low) & (q <= high))[:, list(within_limits)], axis=1)
-        if within_strokes:
-            lengths = model.over(model.lengths, geometry, q)[0][:, :, 0]
-            usable &= np.all((lengths >= dead) & (lengths <= dead + stroke), axis=1)
+        if within_strokes is not None:
+            out, _, by_geometry = model.over(model.strokes_by_geometry, geometry, q)
+            spread = np.sqrt(np.sum((by_geometry * within_strokes) ** 2, axis=2))
+            reserve = np.minimum(REACHED * spread, RESERVE * stroke)
+            usable &= np.all((out[:, :, 0] >= reserve) & (out[:, :, 0] <= stroke - reserve), axis=1)
         found, tried = np.concatenate([found, q[usable]]), tried + batch
     return found[:count], tried
 

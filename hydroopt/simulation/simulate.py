@@ -232,7 +232,7 @@ def simulate(model: Model, motion: Trajectory, psi: Array | None = None, *, nois
     q, qd, qdd = passive_motion(model, motion.t, (motion.q, motion.qd, motion.qdd), psi, motion.wrench)
     motion = replace(motion, q=q, qd=qd, qdd=qdd)
     force = forces(model, motion, psi)
-    channels = {f"{joint}.q": motion.q[:, k] for k, joint in enumerate(machine.joints)}
+    channels = _positions(model, motion.q)
     for k, actuator in enumerate(machine.actuators):
         if actuator not in machine.measured_actuators:
             continue
@@ -256,6 +256,18 @@ def simulate(model: Model, motion: Trajectory, psi: Array | None = None, *, nois
                 channels[channel] = sensors.measure(channels[channel], sensor.accuracy, sensor.resolution, rng,
                                                     sensor.distribution)
     return Log(name, motion.t, channels, units={c: machine.channel_units[c] for c in channels})
+
+
+def _positions(model: Model, q: Array) -> dict[str, Array]:
+    """Positions that are read: of dependent joints with a sensor, and of all others but those that only these tell."""
+    machine = model.machine
+    read = {joint for joint in machine.dependent_joints if machine.sensor(f"{joint}.q")}
+    told = {joint for each in read for joint in machine.followed[each] if not machine.sensor(f"{joint}.q")}
+    found = {f"{joint}.q": q[:, k] for k, joint in enumerate(machine.joints) if joint not in told}
+    if read:
+        positions = model.over(model.dependent_positions, q)[0]
+        found |= {f"{joint}.q": positions[:, k, 0] for k, joint in enumerate(machine.dependent_joints) if joint in read}
+    return found
 
 
 def _chambers(force: Array, area: float, other_area: float, pushing: str, pulling: str) -> dict[str, Array]:

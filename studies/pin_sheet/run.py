@@ -41,7 +41,8 @@ def run() -> dict:
     model = KinematicModel(machine)
     names, nominal = model.parameters.names, model.parameters.nominal
     numbers = {name: float(value) for name, value in zip(names, nominal, strict=True)}
-    q = solve(pose_problem(machine, POSES, priors=True)).q
+    plan = solve(pose_problem(machine, POSES, priors=True))
+    q, planned = plan.q, dict(zip(plan.names, plan.std, strict=True))
     unseen = np.random.default_rng(5).uniform(*postures.limits(model), (UNSEEN, 4))
     lengths = model.over(model.lengths, nominal, unseen)[0][:, :, 0]
     tips = model.over(model.tip, nominal, unseen)[0][:, :, 0]
@@ -51,7 +52,9 @@ def run() -> dict:
     prior = np.eye(len(names)) / SHEET**2
     bound = np.linalg.inv(data + prior)
     at, _ = jacobians(numbers, unseen)
-    results: dict = {"poses": len(q), "numbers_of_the_sheet": len(names), "own_positions_apart_m": apart}
+    results: dict = {"poses": len(q), "numbers_of_the_sheet": len(names), "own_positions_apart_m": apart,
+                     "planned_std_off_bound": max(abs(planned[name] / std - 1) for name, std in zip(
+                         names, np.sqrt(np.diag(bound)), strict=True))}
     for case, factor in (("", 1.0), ("_priors_wrong", WRONG)):
         # the mean square error of the estimate that believes the sheet where it is off by `factor` times as much
         expected = bound @ (data + factor**2 * prior) @ bound

@@ -98,7 +98,7 @@ def test_lengths_that_no_posture_has_are_named_with_their_sample():
     model, log = lengths_alone(z_bar(), q, **{"frame.q": q[:, 0]})
     channels = {name: log.channel(name).copy() for name in log.channels}
     channels["tilt_jack.length"][3] = 5.0
-    with pytest.raises(LogError, match=r"no posture of bucket on the way from mid-range has the lengths at sample \d"):
+    with pytest.raises(LogError, match=r"no posture of bucket on the way from mid-range has the readings at sample \d"):
         measured_angles(model, Log("lengths", log.t, channels))
     del channels["tilt_jack.length"]
     with pytest.raises(LogError, match=r"bucket\.q"):

@@ -113,6 +113,11 @@ class LayoutBuilder:
             if self.poses.units[name] != known[name]:
                 raise ProblemError(f"'{name}' is given in a unit of the kind '{self.poses.units[name]}'",
                                    where=self.where, remedy=f"give it in '{known[name]}' or a unit of that kind")
+        for joint in self.machine.dependent_joints:
+            if np.any(np.isfinite(self.poses.channels.get(f"{joint}.q", np.nan))):
+                follows = " and ".join(f"'{each}.q'" for each in self.machine.followed[joint])
+                raise ProblemError(f"'{joint}.q' is the position of a joint that follows others, which a calibration "
+                                   "does not use", where=self.where, remedy=f"leave it out, and record {follows}")
         count, rows = len(self.poses), self.model.channels
         self.target, self.present = np.zeros((count, len(rows))), np.zeros((count, len(rows)), dtype=bool)
         for i, name in enumerate(rows):

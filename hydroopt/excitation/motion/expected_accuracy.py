@@ -22,7 +22,7 @@ from hydroopt.excitation.criteria import presumed_noise
 from hydroopt.logs import spline
 from hydroopt.logs.any_log import AnyLog, in_memory
 from hydroopt.logs.forces_from_pressures import force_noise
-from hydroopt.logs.joint_angles import angle_noise
+from hydroopt.logs.joint_angles import angle_noise, measured_angles
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import Trajectory, simulate
@@ -90,9 +90,10 @@ def expected_accuracy(model: Model, motion: Trajectory, structure: Identifiabili
     errors = [(pulled * noise[:, None]).reshape(-1, K.shape[2]).T]
     slopes = model.over(model.force_by_motion, motion.q, motion.qd, motion.qdd, psi)
     off = np.zeros((K.shape[2], 1))
-    for j, (joint, std) in enumerate(zip(machine.joints, angle_noise(model, log), strict=True)):
+    angles = measured_angles(model, log)
+    for j, std in enumerate(angle_noise(model, log)):
         if std > 0:
-            smooth = spline.fit(log.t, log.channel(f"{joint}.q"), float(std), machine.bandwidth)
+            smooth = spline.fit(log.t, angles[:, j], float(std), machine.bandwidth)
             weighted = [np.einsum("tia,ti->at", pulled, slope[:, :, j]) for slope in slopes]
             errors.append(std * smooth.pull_back(weighted))
             taken = smooth.again(motion.q[:, j])

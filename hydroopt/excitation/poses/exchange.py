@@ -53,7 +53,7 @@ def fedorov_exchange(problem: PoseProblem, *, candidates: int = 2000, seed: int 
         raise ProblemError(f"{count} poses cannot be chosen from {candidates} candidates", where="pose plan",
                            remedy="ask for fewer poses or more candidates")
     rng = np.random.default_rng(seed)
-    found = np.array([_candidates(model, group, candidates, rng) for group in groups])
+    found = np.array([_candidates(problem, group, candidates, rng) for group in groups])
     design = _Design(*linearised(problem, np.concatenate(found), *problem.labels(candidates)), problem.criterion,
                      problem.focus, len(groups))
     chosen = design.best(count)
@@ -67,13 +67,18 @@ def _lengths(model: KinematicModel, q: Array) -> Array:
     return model.over(model.lengths, model.parameters.nominal, q)[0][:, :, 0]
 
 
-def _candidates(model: KinematicModel, group: PoseGroup, count: int, rng: np.random.Generator) -> Array:
+def _candidates(problem: PoseProblem, group: PoseGroup, count: int, rng: np.random.Generator) -> Array:
     """Random closed postures (count, n) within the limits of joints and strokes, in the order of measuring.
+
+    They stay away from the ends of strokes as far as the uncertain geometry may shift these, so that the machine
+    reaches them.
 
     That order is the moving joint's, else that of the first joint that is read, so that there is little driving. Where
     locked joints drift, every second posture waits for the way back: otherwise drift and moving joint could not be
     separated.
     """
+    model = problem.model
+    sigma = np.where([name in problem.fixed for name in model.parameters.names], 0.0, model.parameters.scale)
     moving = [model.joints.index(joint) for joint in group.moves]
     held = {model.joints.index(joint) for joint in group.locked}
     turning = [k for k in postures.read_joints(model) if k not in held and k not in moving]
@@ -81,7 +86,7 @@ def _candidates(model: KinematicModel, group: PoseGroup, count: int, rng: np.ran
     batch = max(count, BATCH)
     found, tried = postures.closed_postures(
         model, count, rng, geometry=model.parameters.nominal, turning=turning, within_limits=turning + moving,
-        locked=group.locked, fixture=fixture, within_strokes=True, batch=batch,
+        locked=group.locked, fixture=fixture, within_strokes=sigma, batch=batch,
         give_up=lambda found, tried: tried > 3 * batch and found * TRIES < tried)
     if len(found) < count:
         raise ProblemError(f"only {len(found)} of {tried} random postures close within their limits",

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hydroopt.estimation.kinematic.observability import Observability
-from hydroopt.excitation.poses.problem import PoseProblem
+from hydroopt.excitation.poses.problem import PoseGroup, PoseProblem
 from hydroopt.logs.poses import Poses, Texts
 from hydroopt.machine.machine import Machine
 from hydroopt.results.answer import Answer
@@ -146,9 +146,8 @@ class PosePlan(Answer):
             for joint in (*group.moves, *read):
                 unit, printed = self._printed(joint)
                 columns[f"{joint} [{unit}]"] = printed
-                columns |= {f"{cylinder.name} [mm]": [f"{1e3 * length:.0f}" for length in self.lengths[:, k]]
-                            for k, cylinder in enumerate(self.machine.cylinders)
-                            if joint in group.moves and self.machine.main_joint(cylinder) == joint}
+                columns |= {title: texts for moved, title, texts in self._read_lengths(group) if moved == joint}
+            columns |= {title: texts for _, title, texts in self._read_lengths(group)}
             held = [(joint, *self._printed(joint)) for joint in group.locked]
             lock = ", ".join(f"{joint} at {angle[rows[0]]} {unit}" for joint, unit, angle in held)
             move = ", ".join(group.moves) or "all joints"
@@ -157,6 +156,13 @@ class PosePlan(Answer):
             text += [f"  {k + 1:4d}  " + "  ".join(f"{printed[k]:>{len(title)}}" for title, printed in columns.items())
                      for k in rows]
         return "\n".join(text) + "\n"
+
+    def _read_lengths(self, group: PoseGroup) -> list[tuple[str, str, list[str]]]:
+        """Of the cylinders that move without their joint being read, or have a transducer: joint, title, texts (N,)."""
+        return [(joint, f"{cylinder.name} [mm]", [f"{1e3 * length:.0f}" for length in self.lengths[:, k]])
+                for k, cylinder in enumerate(self.machine.cylinders)
+                if (joint := self.machine.main_joint(cylinder)) in group.moves
+                or f"{cylinder.name}.length" in self.problem.channels]
 
     def _printed(self, joint: str) -> tuple[str, list[str]]:
         """Unit and texts (N,) of a joint's variable."""

@@ -214,25 +214,29 @@ def calibration_of(problem: PoseProblem, q: Array, stage: Sequence[str] | Texts,
 
 
 def measured_channels(model: KinematicModel) -> tuple[str, ...]:
-    """Channels that are read in each pose: joints, and the tip where a tracker sees it.
+    """Channels that are read in each pose: joints, cylinders' lengths, and the tip where a tracker sees it.
 
     Raises:
         ProblemError: nothing is read.
     """
     tips = [f"tip.{axis}" for axis in "xyz"] if model.machine.tracker else []
     joints = [f"{model.joints[k]}.q" for k in postures.read_joints(model)]
-    channels = (*joints, *(tip for tip in tips if model.machine.sensor(tip)))
+    lengths = [f"{cylinder.name}.length" for cylinder in model.machine.cylinders]
+    channels = (*joints, *(channel for channel in (*lengths, *tips) if model.machine.sensor(channel)))
     if not channels:
-        raise ProblemError("no sensor reads a joint or the tip", where=f"machine '{model.machine.name}'",
+        raise ProblemError("no sensor reads a joint, a cylinder's length or the tip",
+                           where=f"machine '{model.machine.name}'",
                            remedy="state sensors with their accuracy in the machine file")
     return channels
 
 
 def _groups(machine: Machine, stages: Sequence[str] | None) -> tuple[PoseGroup, ...]:
-    if machine.calibrator is None or not (machine.fixtures or machine.tracker):
-        raise ProblemError("nothing holds or tracks the machine's tip, so that poses identify nothing",
-                           where=f"machine '{machine.name}'",
-                           remedy="state a calibrator with a fixture or a tracker in the machine file")
+    seen = machine.calibrator is not None and (machine.fixtures or machine.tracker)
+    if not seen and not any(machine.sensor(f"{cylinder.name}.length") for cylinder in machine.cylinders):
+        raise ProblemError("nothing holds or tracks the machine's tip, and no cylinder's length is read, so that poses "
+                           "identify nothing", where=f"machine '{machine.name}'",
+                           remedy="state a calibrator with a fixture or a tracker, or the sensor of a cylinder's "
+                           "length, in the machine file")
     known = {stage.name: stage for stage in machine.stages}
     for name in known if stages is None else stages:
         if name not in known:

@@ -14,13 +14,17 @@ from hydroopt.excitation.poses.exchange import fedorov_exchange
 from hydroopt.excitation.poses.problem import expected_uncertainty, pose_problem
 from hydroopt.logs.poses import read_poses
 from hydroopt.machine.calibration_chain import Tracker
+from hydroopt.machine.links import Note
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.machine.sensor import Sensor
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.results.answer import load
 from hydroopt.simulation import postures
 
-CREEPING = load_machine("cat215b")
+WHOLE = load_machine("cat215b")
+CREEPING = WHOLE.model_copy(update={"sensors": tuple(sensor for sensor in WHOLE.sensors
+                                                     if "boom_cylinder.length" not in sensor.channels)})
+"""As in the thesis: only the calibrator's joints are read."""
 CAT = CREEPING.model_copy(update={"stages": tuple(stage.model_copy(update={"drift": 0.0})
                                                   for stage in CREEPING.stages)})
 MODEL = KinematicModel(CAT)
@@ -160,12 +164,14 @@ def test_same_seed_same_plan(plan):
 
 
 def test_what_no_pose_identifies_does_not_matter(plan):
-    """The ball's y with the locked swing, and pins that no reading touches, leave the choice as it is."""
-    free = plan_poses(CAT, 15, candidates=200)
+    """The ball's y with the locked swing leaves the choice as it is; no reading touches the pins."""
+    everything = plan_poses(CAT, 15, candidates=60)
+    assert {name for name, value in zip(everything.names, everything.std, strict=True) if np.isinf(value)} > {*PINS}
+    free = plan_poses(CAT, 15, candidates=200, fixed=PINS)
     np.testing.assert_array_equal(free.q, plan.q)
     std = dict(zip(free.names, free.std, strict=True))
     blind = {name for name, value in std.items() if np.isinf(value)}
-    assert blind == {"ball.y", "swing.locked.stick_moves", *PINS}
+    assert blind == {"ball.y", "swing.locked.stick_moves"}
     for name in ("swing.a", "boom.a", "boom.d", "ball.x"):
         assert std[name] == pytest.approx(plan.std[plan.names.index(name)], rel=1e-6)
     assert free.observability.condition_number > 1
@@ -299,3 +305,30 @@ def test_problem_prints_itself_and_has_no_program():
     for program in (problem.nlp, problem.cvxpy):
         with pytest.raises(ProblemError, match="combinatorial"):
             program()
+
+
+def test_readings_of_lengths_identify_pins():
+    """Of a machine that nothing holds or tracks, too; without them poses of such a machine identify nothing."""
+    bucket = load_machine("excavator_bucket")
+    notes = {f"bucket_cylinder.{key}": Note(sigma=0.01) for key in ("rod.pin", "barrel.pin", "dead_length")}
+    machine = bucket.model_copy(update={"notes": dict(bucket.notes) | notes})
+    plan = plan_poses(machine, 12, candidates=100, priors=True)
+    assert {"bucket.q", "bucket_cylinder.length"} <= set(plan.problem.channels)
+    std = dict(zip(plan.names, plan.std, strict=True))
+    assert std["bucket_cylinder.dead_length"] < 0.008
+    assert "bucket_cylinder [mm]" in plan.sheet()
+    blind = machine.model_copy(update={"sensors": tuple(sensor for sensor in machine.sensors
+                                                        if "bucket_cylinder.length" not in sensor.channels)})
+    with pytest.raises(ProblemError, match="no cylinder's length is read"):
+        pose_problem(blind, 12)
+
+
+def test_planned_poses_can_be_reached_with_pins_as_uncertain_as_the_file_says():
+    assert WHOLE.notes["boom_cylinder.barrel.pin"].sigma
+    plan = plan_poses(WHOLE, 5, candidates=100, fixed={"ball.y": 0.0})
+    rng, model = np.random.default_rng(0), KinematicModel(WHOLE)
+    stroke = np.array([cylinder.stroke for cylinder in WHOLE.cylinders])
+    for _ in range(20):
+        geometry = model.parameters.nominal + model.parameters.scale * rng.standard_normal(len(model.parameters))
+        out = model.over(model.strokes, geometry, plan.q)[0][:, :, 0]
+        assert np.all((out >= 0) & (out <= stroke))
