@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
 from functools import cache
 from pathlib import Path
 
@@ -10,6 +9,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
+from fixtures import library
 from fixtures.periodic import PERIOD, PERIODIC
 from fixtures.tiers import machines, tiered
 from hydroopt.cli import app
@@ -115,11 +115,10 @@ def test_a_motion_is_designed_within_all_limits(name: str, tmp_path: Path) -> No
     assert (tmp_path / "out" / "trajectory.csv").is_file()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", [name for name in DYNAMIC if load_machine(name).one_each])
-def test_generated_c_compiles_and_passes_its_own_test(name: str, tmp_path: Path) -> None:
-    answer = CliRunner().invoke(app, ["codegen", name, "--functions", "inverse_dynamics", "--functions", "residual",
-                                      "-o", str(tmp_path / "c")])
-    assert answer.exit_code == 0, answer.output
-    made = subprocess.run(["make", "-C", str(tmp_path / "c"), "check"], capture_output=True, text=True, check=False)
+@pytest.mark.parametrize(("name", "real"), tiered(
+    [(name, real) for name in bundled() for real in ("double", "float")],
+    lambda name, real: (name, real) == ("tampere_manipulator", "double")))
+def test_generated_c_compiles_without_warnings_and_passes_its_own_test(name: str, real: str, tmp_path: Path) -> None:
+    folder = library.write(library.files(library.code(load_machine(name), single=real == "float")), tmp_path / "c")
+    made = library.run(["make", "CFLAGS=-O0 -Werror", "check"], folder)
     assert made.returncode == 0, made.stdout + made.stderr

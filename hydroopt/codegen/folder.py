@@ -48,6 +48,7 @@ STATUSES = {
 
 
 KINDS = {"joint": "moving joint", "link": "link", "actuator": "actuator", "cylinder": "hydraulic cylinder",
+         "balance": "measured equation of motion: an actuator's force where it alone moves a joint, or the joint's own",
          "reading": "transducer of the actuators", "geometry": "number of the geometry",
          "psi": "dynamic parameter", "reduced": "dynamic parameter of the model without barrels and rods",
          "body": "number of a body; moments and inertia about the origin of its frame, I_xy = -sum(m x y)",
@@ -219,11 +220,11 @@ class Code:
 
     def enumerators(self, kind: str, units: Sequence[str] = ()) -> list[tuple[str, str]]:
         """Enumerator and comment of each thing of a kind, with its unit or another one."""
-        names, own = self.interface.kinds[kind]
+        names, own, remarks = self.interface.kinds[kind]
         units = units or own
         self.names.count(kind)
-        return [(self.names.enumerator(kind, name), f"{name} [{units[k]}]" if units else name)
-                for k, name in enumerate(names)]
+        return [(self.names.enumerator(kind, name), (f"{name} [{units[k]}]" if units else name)
+                 + (f": {remarks[name]}" if name in remarks else "")) for k, name in enumerate(names)]
 
     def kinds_in_use(self) -> dict[str, list[tuple[str, str]]]:
         """Enumerators of all kinds that the structs count in."""

@@ -51,10 +51,11 @@ def _of_measurement(api: Symbols, name: str, text: str, gives: str, outputs: Map
 
 def residual(api: Symbols) -> Routine:
     """Measured minus predicted forces."""
-    gives = api.struct("residual", "Residuals of the actuators' forces.",
-                       Field("residual", ("actuator",), "N or N*m", "measured minus predicted force of each actuator"))
+    gives = api.struct("residual", f"Residuals of the {api.row}s' forces.",
+                       api.per_row("residual", "measured minus predicted force of each {row}"))
+    by_reading = "its `effort`" if api.row == "actuator" else "its `effort` times its actuator's share in the balance"
     return _of_measurement(api, "residual", "Measured forces minus those of the motion and of the wrench at the tip. "
-                           "The derivative by each reading is its `effort`.", gives,
+                           f"The derivative by each reading is {by_reading}.", gives,
                            {"residual": _residual_forces(api)})
 
 
@@ -63,7 +64,7 @@ def residual_by_motion(api: Symbols) -> Routine:
     units = {"by_q": "N/rad, N, N/m or N*m/rad", "by_qd": "per rad/s or m/s", "by_qdd": "per rad/s^2 or m/s^2"}
     meant = {"by_q": "position", "by_qd": "speed", "by_qdd": "acceleration"}
     gives = api.struct("residual_by_motion", "Derivatives of `residual` by the motion.", *(
-        Field(key, ("actuator", "joint"), unit, f"derivative by the {meant[key]} of each joint")
+        api.per_row(key, f"derivative by the {meant[key]} of each joint", "joint", unit=unit)
         for key, unit in units.items()))
     forces = _residual_forces(api)
     return _of_measurement(api, "residual_by_motion", "Derivatives of `residual` by the motion; jumps of dry friction "
@@ -73,16 +74,16 @@ def residual_by_motion(api: Symbols) -> Routine:
 
 def residual_by_parameters(api: Symbols) -> Routine:
     """Its derivative by the dynamic parameters."""
-    gives = api.struct("residual_by_parameters", "Derivative of `residual` by the dynamic parameters.", Field(
-        "by_psi", ("actuator", "psi"), "N or N*m per unit of psi", "derivative by each dynamic parameter"))
+    gives = api.struct("residual_by_parameters", "Derivative of `residual` by the dynamic parameters.", api.per_row(
+        "by_psi", "derivative by each dynamic parameter", "psi", unit="N or N*m per unit of psi"))
     return _of_measurement(api, "residual_by_parameters", "Derivative of `residual` by the dynamic parameters.", gives,
                            {"by_psi": -api.dynamics.regressor(api.inputs["psi"])})
 
 
 def residual_by_geometry(api: Symbols) -> Routine:
     """Its derivative by the numbers of the geometry."""
-    gives = api.struct("residual_by_geometry", "Derivative of `residual` by the geometry.", Field(
-        "by_geometry", ("actuator", "geometry"), "N or N*m per unit of geometry", "derivative by each number"))
+    gives = api.struct("residual_by_geometry", "Derivative of `residual` by the geometry.", api.per_row(
+        "by_geometry", "derivative by each number", "geometry", unit="N or N*m per unit of geometry"))
     return _of_measurement(api, "residual_by_geometry", "Derivative of `residual` by the numbers of the geometry.",
                            gives, {"by_geometry": ca.jacobian(_residual_forces(api), api.inputs["geometry"])})
 
@@ -140,9 +141,9 @@ def tip_wrench(api: Symbols) -> Routine:
     """The wrench that explains measured forces."""
     wrench, determined = api.dynamics.tip_wrench(api.dynamics.at_joints(api.measured - api.predicted))
     api.symbol("wrench", 6)
-    moved = sum(bool(api.dynamics.tip_jacobian[:, k].nnz()) for k in range(len(api.machine.joints)))
-    meaning = ("force x, y, z and moment x, y, z" if moved >= 6 else "force x, y, z, and zero for the moment"
-               if moved >= 3 else "force x, y, z within the motions of the tip, zero across them and for the moment")
+    unknown, told = api.dynamics.told
+    meaning = ("force x, y, z and moment x, y, z" if unknown == 6 else "force x, y, z, and zero for the moment"
+               if told == 3 else "force x, y, z within the motions of the tip, zero across them and for the moment")
     gives = api.struct("tip_wrench", "The wrench that the surroundings exert on the machine.", Field(
         "wrench", (6,), "N, N*m", f"{meaning}, at the far end of {api.machine.tip}, in the base frame"))
     return Routine("tip_wrench", "The wrench at the tip that explains the measured forces of a motion.",

@@ -18,6 +18,7 @@ from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.model.cylinder_motion import SHORTEST_LEVER
 from hydroopt.model.joint_from_length import joint_from_length
+from hydroopt.model.load_sharing import lever_arms
 from hydroopt.model.plant import Plant
 from hydroopt.spatial.inertia import Array
 
@@ -71,6 +72,8 @@ def _impossible(api: Symbols, name: str) -> str:
             return "no hydraulic cylinder of the machine moves a single joint"
         case "reduced_regressor" if not len(api.reduced.parameters):
             return "the reduced model has no dynamic parameters"
+        case "valve_feedforward" if not machine.one_each:
+            return "valves are inverted for one measured actuator on each joint"
         case "valve_feedforward" if len(machine.circuits) < len(machine.actuators):
             return "the machine file does not state the valves of all actuators"
         case "closure" if not (machine.calibrator or machine.cylinders):
@@ -152,25 +155,43 @@ def _joint_state(api: Symbols) -> Routine:
 
 
 def _actuator_forces(api: Symbols) -> Routine:
-    force = api.measured
-    names = api.complete.parameters.names
+    force, names = api.read, api.complete.parameters.names
     offsets = [next((api.inputs["psi"][names.index(f"{a}.{kind}")] for kind in ("f_offset", "tau_offset")
                      if f"{a}.{kind}" in names), ca.SX(0)) for a in api.kinds["actuator"].names]
-    torque = api.dynamics.transmission.T @ (force - ca.vertcat(*offsets))
+    read = [each in api.machine.measured_actuators for each in api.machine.actuators]
+    acting = ca.vertcat(*(each - offset if known else ca.SX(0) for each, offset, known in
+                          zip(ca.vertsplit(force), offsets, read, strict=True)))
+    outputs = {"force": force, "torque": api.dynamics.transmission.T @ acting}
     takes = api.struct("readings", "Readings of the actuators' transducers.",
                        Field("q", ("joint",), "rad or m", "position of each joint"),
                        Field("reading", ("reading",), "Pa or N*m", "reading of each transducer"))
-    gives = api.struct("loads", "Forces of the actuators and their effect.",
-                       Field("force", ("actuator",), "N or N*m", "force of each actuator by its readings, with offset"),
-                       Field("torque", ("joint",), "N*m or N", "effect of the forces, without offsets, at each joint"))
-    return Routine("actuator_forces", "Forces of the actuators from their pressures, and joint torques.", takes,
-                   ("q", "reading"), gives, {"force": force, "torque": torque}, api.guards(), api.lengths)
+    unread = ", ".join(each.name for each, known in zip(api.machine.actuators, read, strict=True) if not known)
+    members = (Field("force", ("actuator",), "N or N*m", "force of each actuator by its readings, with offset"
+                     + (f"; 0 for {unread}, which no balance contains" if unread else "")),
+               Field("torque", ("joint",), "N*m or N", "effect of the forces, without offsets, at each joint"))
+    if api.row == "actuator":
+        gives = api.struct("loads", "Forces of the actuators and their effect.", *members)
+        return Routine("actuator_forces", "Forces of the actuators from their pressures, and joint torques.", takes,
+                       ("q", "reading"), gives, outputs, api.guards(), api.lengths)
+    gives = api.struct("loads", "Forces of the actuators and their effect.", *members,
+                       api.per_row("balance", "measured force of each {row}, with offsets"))
+    return Routine("actuator_forces", "Forces of the actuators from their pressures, their effect at the joints, and "
+                   "what the balances measure.", takes, ("q", "reading"), gives, outputs | {"balance": api.measured},
+                   api.guards(levers=not api.dynamics.work.sparsity().is_diag()), api.lengths)
 
 
 def _inverse_dynamics(api: Symbols) -> Routine:
-    return Routine("inverse_dynamics", "Measured forces of a motion: bodies, friction and offsets.",
-                   api.motion(), ("q", "qd", "qdd"), api.efforts(), {"force": api.predicted},
-                   api.guards(levers=True, gas=True), api.lengths)
+    text, guards = "Measured forces of a motion: bodies, friction and offsets.", api.guards(levers=True, gas=True)
+    if api.row == "actuator":
+        return Routine("inverse_dynamics", text, api.motion(), ("q", "qd", "qdd"), api.efforts(),
+                       {"force": api.predicted}, guards, api.lengths)
+    gives = api.struct("motion_efforts", "Forces that a motion demands.", api.force, Field(
+        "actuator_force", ("actuator",), "N or N*m", "force of each actuator, measured or not; those of a joint share "
+        "its load with the least sum of (force/capacity)^2, and passive joints carry themselves"))
+    shared = lever_arms(api.machine, api.dynamics.transmission)
+    return Routine("inverse_dynamics", text, api.motion(), ("q", "qd", "qdd"), gives,
+                   {"force": api.predicted, "actuator_force": api.dynamics.actuator_forces(api.inputs["psi"])},
+                   (*guards, *api.arms(shared)), api.lengths)
 
 
 def _gravity_forces(api: Symbols) -> Routine:
@@ -186,16 +207,17 @@ def _gravity_forces(api: Symbols) -> Routine:
 
 
 def _regressor(api: Symbols) -> Routine:
-    gives = api.struct("regressor", f"Forces per unit of each dynamic parameter: {_meaning(api)}.", Field(
-        "K", ("actuator", "psi"), "N or N*m per unit of psi", "row for each actuator, column for each parameter"))
+    gives = api.struct("regressor", f"Forces per unit of each dynamic parameter: {_meaning(api)}.", api.per_row(
+        "K", "row for each {row}, column for each parameter", "psi", unit="N or N*m per unit of psi"))
     return Routine("regressor", "Regressor of the complete model, with barrels and rods.", api.motion(),
                    ("q", "qd", "qdd"), gives, {"K": api.dynamics.regressor(api.inputs["psi"])},
                    api.guards(levers=True, gas=True), api.lengths)
 
 
 def _reduced_regressor(api: Symbols) -> Routine:
-    gives = api.struct("reduced_regressor", "Forces per unit of each parameter, barrels and rods left out.", Field(
-        "K", ("actuator", "reduced"), "N or N*m per unit of psi", "row for each actuator, column for each parameter"))
+    text = "Forces per unit of each parameter, barrels and rods left out."
+    gives = api.struct("reduced_regressor", text, api.per_row(
+        "K", "row for each {row}, column for each parameter", "reduced", unit="N or N*m per unit of psi"))
     psi = api.inputs["psi"][list(api.complete.parameters.select(api.reduced.parameters.names))]
     return Routine("reduced_regressor", "Regressor of the reduced model, without barrels and rods.", api.motion(),
                    ("q", "qd", "qdd"), gives, {"K": api.dynamics.regressor(psi, actuator_inertia=False)},
@@ -211,8 +233,9 @@ def _payload_update(api: Symbols) -> Routine:
     rows = api.dynamics.at_balances(api.dynamics.joint_regressor(last))
     motion = api.structs[api.motion()].fields
     takes = api.struct("load_sample", "A motion with the forces measured in it.", *motion,
-                       Field("force", ("actuator",), "N or N*m", "measured force of each actuator"),
-                       Field("std", ("actuator",), "N or N*m", "its standard deviation, positive"))
+                       api.per_row("force", "measured force of each {row}"
+                                   + (", as of `actuator_forces`" if api.row == "balance" else "")),
+                       api.per_row("std", "its standard deviation, positive"))
     api.struct("load", f"Estimate of a load on {last}.",
                Field("phi", ("body",), "kg, kg*m, kg*m^2", f"mass, moments and inertia in the frame of {last}"),
                Field("std", ("body",), "kg, kg*m, kg*m^2", "standard deviation of phi"),
@@ -221,8 +244,8 @@ def _payload_update(api: Symbols) -> Routine:
                Field("unit", ("body", "body"), "", "for the routine: the covariance of phi is U D U^T, U unit upper"),
                Field("diagonal", ("body",), "", "for the routine: D"))
     gives = api.struct("load_rows", "Forces without load, and their derivative by the load.",
-                       Field("predicted", ("actuator",), "N or N*m", "force of each actuator without load"),
-                       Field("rows", ("actuator", "body"), "N or N*m per unit of phi", "force per unit of the load"))
+                       api.per_row("predicted", "force of each {row} without load"),
+                       api.per_row("rows", "force per unit of the load", "body", unit="N or N*m per unit of phi"))
     return Routine("payload_update", "One step of recursive least squares for the load.", takes, ("q", "qd", "qdd"),
                    gives, {"predicted": api.predicted, "rows": rows}, api.guards(levers=True, gas=True), api.lengths)
 

@@ -9,7 +9,8 @@ from typing import NamedTuple
 import casadi as ca
 import numpy as np
 
-from hydroopt.errors import ProblemError
+from hydroopt.machine.actuators import Cylinder
+from hydroopt.machine.balances import Balance
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
@@ -30,10 +31,12 @@ DETERMINED = 1e-6
 
 
 class Kind(NamedTuple):
-    """Items that an array index enumerates: names in order, and units if they are numbers."""
+    """Items that an array index enumerates: names in order, units if they are numbers, and what is to be known of them.
+    """
 
     names: tuple[str, ...]
     units: tuple[str, ...] = ()
+    remarks: Mapping[str, str] = {}
 
 
 class Field(NamedTuple):
@@ -92,30 +95,33 @@ class Symbols:
         values: arrays that `prepare` takes, by name; empty ones are left out.
         inputs: symbols of those arrays and of all inputs of routines, by name.
         structs: parameters, inputs and outputs.
+        row: what measured forces are counted in: actuators where each joint has a measured one, otherwise balances.
     """
 
     def __init__(self, machine: Machine, *, fold_geometry: bool = False, psi: Array | None = None) -> None:
-        if not machine.one_each:
-            raise ProblemError("code is generated for one measured actuator a joint only", where=machine.name,
-                               remedy="describe the part of the machine for which that holds")
         self.machine = machine
         self.chain = KinematicModel(machine)
         self.complete, self.reduced = Model(machine), Model(machine, actuator_inertia=False)
         self.complete.refuse_seals("codegen")
         self.folded = fold_geometry
         known, free, units = self.complete.parameters, self.chain.parameters, machine.channel_units
-        factors = [(channel, factor, units[channel], f"{unit}/({units[channel]})") for each, unit in
-                   zip(self.complete.force_from_pressure.values(), self.complete.force_units, strict=True)
-                   for channel, factor in each.items()]
+        self.row = "actuator" if machine.one_each else "balance"
+        efforts = ((each, "N" if isinstance(each, Cylinder) else machine.effort_units(each.joint)[0])
+                   for each in machine.measured_actuators)
+        factors = [(channel, factor, units[channel], f"{unit}/({units[channel]})") for each, unit in efforts
+                   for channel, factor in each.effort_factors.items()]
         self.kinds = {
             "joint": Kind(machine.joints, tuple(units[f"{joint}.q"] for joint in machine.joints)),
             "link": Kind(tuple(link.name for link in machine.links)),
-            "actuator": Kind(tuple(a.name for a in machine.actuators)),
+            "actuator": Kind(tuple(a.name for a in machine.actuators), remarks={
+                a.name: "not measured" for a in machine.actuators if not a.measured}),
             "cylinder": Kind(tuple(c.name for c in machine.cylinders)),
             "reading": Kind(tuple(f[0] for f in factors), tuple(f[2] for f in factors)),
             "geometry": Kind(() if fold_geometry else free.names, free.units), "psi": Kind(known.names, known.units),
             "reduced": Kind(self.reduced.parameters.names, self.reduced.parameters.units),
             "body": Kind(NAMES, tuple(UNITS)),
+            "balance": Kind(tuple(each.name for each in machine.balances), self.complete.force_units,
+                            {each.name: _measured_by(each) for each in machine.balances}),
             "chain": Kind(self.chain.joints, tuple(units[f"{joint}.q"] for joint in self.chain.joints))}
         self.units = {"effort": tuple(f[3] for f in factors)}
         values = {
@@ -159,12 +165,17 @@ class Symbols:
         return ca.vertcat(*(self.dynamics.cylinders[c.name].length for c in self.machine.cylinders))
 
     @property
-    def measured(self) -> ca.SX:
-        """Forces of the actuators by their readings (Eq. 4.33, 4.61)."""
-        channels = self.kinds["reading"].names
+    def read(self) -> ca.SX:
+        """Forces of the actuators by their readings (Eq. 4.33, 4.61); zero where nothing is read."""
+        channels, parts = self.kinds["reading"].names, self.complete.force_from_pressure
         share = self.inputs["effort"] * self.symbol("reading", len(channels))
-        return ca.vertcat(*(sum((share[channels.index(c)] for c in each), ca.SX(0))
-                            for each in self.complete.force_from_pressure.values()))
+        return ca.vertcat(*(sum((share[channels.index(c)] for c in parts.get(each.name, ())), ca.SX(0))
+                            for each in self.machine.actuators))
+
+    @property
+    def measured(self) -> ca.SX:
+        """Measured forces of the balances by the actuators' readings."""
+        return self.read if self.machine.one_each else self.dynamics.shares @ self.read
 
     @cached_property
     def predicted(self) -> ca.SX:
@@ -177,13 +188,19 @@ class Symbols:
         found += [Guard(self.dynamics.cylinders[c.name].length, ">", COINCIDENT, "OPEN_TRIANGLE")
                  for c in self.machine.all_cylinders]
         if levers:
-            # the row of an actuator is that of the last joint it moves, so that the matrix of lever arms is triangular
-            found += [Guard(bar, ">", SHORTEST_LEVER, "DEAD_POINT", absolute=True)
-                      for bar in ca.vertsplit(ca.diag(self.dynamics.transmission)) if not bar.is_constant()]
+            # balances solve a triangular matrix, whose diagonal has lever arms of actuators that are alone at a joint,
+            # or eliminated; several at a joint may pass their dead points
+            found += self.arms(ca.vertsplit(ca.diag(self.dynamics.work)))
         if gas:
             found += [Guard(each.gas_volume(self.dynamics.cylinders[each.name].length), ">", EMPTY, "NO_GAS_VOLUME")
                       for each in self.machine.gas_cylinders]
         return tuple(found)
+
+    @staticmethod
+    def arms(bars: Iterable[ca.SX]) -> tuple[Guard, ...]:
+        """Checks of lever arms."""
+        return tuple(Guard(bar, ">", SHORTEST_LEVER, "DEAD_POINT", absolute=True) for bar in bars
+                     if not bar.is_constant())
 
     @staticmethod
     def straight(sines: Iterable[ca.SX]) -> tuple[Guard, ...]:
@@ -197,7 +214,27 @@ class Symbols:
                            Field("qd", ("joint",), "rad/s or m/s", "its speed"),
                            Field("qdd", ("joint",), "rad/s^2 or m/s^2", "its acceleration"))
 
+    def per_row(self, name: str, text: str, *by: str, unit: str = "N or N*m") -> Field:
+        """A member with a row for each actuator or balance, and columns; ``{row}`` in its text stands for one of these.
+        """
+        return Field(name, (self.row, *by), unit, text.format(row=self.row))
+
+    @property
+    def force(self) -> Field:
+        """The member with measured forces."""
+        return self.per_row("force", "force of each {row}, a cylinder's positive where it pushes")
+
     def efforts(self) -> str:
-        """The struct of actuator forces."""
-        return self.struct("efforts", "Forces of the actuators, as measured by their pressures.", Field(
-            "force", ("actuator",), "N or N*m", "force of each actuator, a cylinder's positive where it pushes"))
+        """The struct of measured forces."""
+        text = "Forces of the actuators, as measured by their pressures."
+        return self.struct("efforts", text if self.row == "actuator" else "What the balances measure, see their index.",
+                           self.force)
+
+
+def _measured_by(balance: Balance) -> str:
+    """What a balance states, in words."""
+    if balance.alone:
+        return "the actuator's force"
+    if not balance.actuators:
+        return f"nothing drives {balance.joint}: measured is zero"
+    return f"what {' and '.join(each.name for each in balance.actuators)} do at {balance.joint} together"

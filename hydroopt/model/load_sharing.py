@@ -28,5 +28,23 @@ def shared_load(machine: Machine, transmission: ca.SX, load: ca.SX) -> ca.SX:
     return square @ arms.T @ _solved(arms @ square @ arms.T, load[driven])
 
 
+def lever_arms(machine: Machine, transmission: ca.SX) -> list[ca.SX]:
+    """Lever arm [m or 1] of the actuators that are there to move each driven joint, all together: where one is zero the
+    load cannot be shared.
+
+    It is the root of the pivot of `shared_load`'s equations, joints behind it eliminated, over the greatest capacity:
+    the lever arm itself where one actuator is there.
+    """
+    found: list[ca.SX] = []
+    driven = [k for k, drivers in enumerate(machine.drivers.values()) if drivers]
+    parts = transmission[:, driven].T @ ca.diag(ca.DM([each.capacity for each in machine.actuators]))
+    gram = parts @ parts.T
+    for k in reversed(range(len(driven))):
+        most = max(each.capacity for each in machine.drivers[machine.joints[driven[k]]])
+        found.insert(0, ca.sqrt(gram[k, k]) / most)
+        gram = gram[:k, :k] - gram[:k, k] @ gram[k, :k] / gram[k, k]
+    return found
+
+
 def _solved(matrix: ca.SX, right: ca.SX) -> ca.SX:
     return right / ca.diag(matrix) if matrix.sparsity().is_diag() else ca.solve(matrix, right)

@@ -285,9 +285,9 @@ class Model:
         """(q, qd, qdd[, pressure], force, psi) → the wrench (6,) at the tip that explains measured forces, see
         `wrench_forces`, and how well the posture determines it, from 0 (not at all) to 1.
 
-        Where fewer than six joints move the tip it is the force alone, without a moment about the tip, and of fewer
-        than three joints the part of the force along the motions of the tip. With more joints than unknowns squares of
-        the joints' torques are least.
+        Where the joints do not move the tip in all six ways it is the force alone, without a moment about the tip, and
+        where they move it along a plane or a line only the part of the force along that. With more joints than unknowns
+        squares of the joints' torques are least.
         """
         force = ca.SX.sym("force", len(self.machine.balances))
         given = self._state | {"force": force, "psi": ca.SX.sym("psi", len(self.parameters))}

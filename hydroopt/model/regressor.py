@@ -29,6 +29,11 @@ from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial import inertia
 from hydroopt.spatial.poses import Pose, skew
 
+POSTURES = 20
+"""Number of random postures that tell which wrenches a machine can measure."""
+RANK = 1e-6
+"""Singular value below which a direction is none, as a part of the greatest."""
+
 
 def body_regressor(motion: Motion) -> ca.SX:
     """Matrix (6, 10) with force and moment about the origin of P = A·φ (Eq. 4.14)."""
@@ -192,20 +197,41 @@ class Dynamics:
         joints, by virtual work."""
         return self.at_balances(-self.tip_jacobian.T @ wrench)
 
+    @cached_property
+    def told(self) -> tuple[int, int]:
+        """How many numbers of a wrench at the tip count as unknown, 6 or 3, and how many of these the measured forces
+        tell in a general posture of the machine as its file states it."""
+        jacobian, stated = self.projected(self.tip_jacobian.T).T, self.geometry.numbers
+        symbols = ca.vertcat(*(self.geometry.value[each.name] for each in stated))
+        at = ca.substitute(jacobian, symbols[free := [k for k in range(len(stated)) if not symbols[k].is_constant()]],
+                           ca.DM([stated[k].value for k in free])) if stated else jacobian
+        function = ca.Function("jacobian", [self.coordinates.q], [at])
+        lower, upper = np.array([self.machine.link(joint).joint.range for joint in self.machine.joints]).T
+        found = [np.array(function(q)) for q in np.random.default_rng(0).uniform(lower, upper, (POSTURES, len(lower)))]
+
+        def rank(rows: int) -> int:
+            return max((int(np.linalg.matrix_rank(J[:rows], RANK * np.linalg.norm(J[:rows], 2))) for J in found
+                        if np.all(np.isfinite(J))), default=0)
+
+        return (6, 6) if rank(6) == 6 else (3, rank(3))
+
     def tip_wrench(self, torque: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Wrench (6,) at the tip that `wrench_forces` says the actuators carry with `torque` (r,) of `at_joints`.
 
-        Six joints or more determine force and moment, fewer the force alone: the moment then counts as zero. Fewer than
-        three determine the force within the motions that the tip has, and the rest of it counts as zero. With more
-        joints than unknowns the squares of the joints' torques are least.
+        Joints that move the tip in all six ways determine force and moment, others the force alone: the moment then
+        counts as zero. Where they move it along a plane or a line only, they determine the force along that, and the
+        rest of it counts as zero. With more joints than unknowns the squares of the joints' torques are least.
 
         Returns:
             The wrench, and a number in 0 … 1 which is 0 where the posture determines no wrench.
         """
         jacobian = self.projected(self.tip_jacobian.T).T
         moving = [k for k in range(jacobian.size2()) if jacobian[:, k].nnz()]
-        rows = 6 if len(moving) >= 6 else 3
+        rows, rank = self.told
         J = ca.densify(jacobian[:rows, moving])
+        if rank < min(rows, len(moving)):
+            force, plane = _along(J, torque[moving], rank)
+            return ca.vertcat(-force, ca.SX.zeros(3)), plane
         wide = len(moving) >= rows
         gram = J @ J.T if wide else J.T @ J
         pivots, lower, order = ca.ldl(gram, False)
@@ -309,6 +335,19 @@ class Dynamics:
             columns[f"{gas.name}.precharge"] = -(ca.jacobian(motion.speed, self.coordinates.qd).T
                                                  * gas_force(gas, motion.length))
         return columns
+
+
+def _along(J: ca.SX, torque: ca.SX, rank: int) -> tuple[ca.SX, ca.SX]:
+    """Force (3,) with least squares of what Jᵀ·force leaves of `torque`, where J (3, n) has rank 2 or less: the
+    pseudo-inverse in closed form; and how evenly the plane determines it, from 0 to 1."""
+    gram, right = J @ J.T, J @ torque
+    trace = ca.trace(gram)
+    if rank == 0:
+        return ca.SX.zeros(3), ca.SX(0)
+    if rank == 1:
+        return right / trace, ca.SX(1)
+    area = sum((gram[i, i] * gram[k, k] - gram[i, k]**2 for i, k in ((0, 1), (1, 2), (2, 0))), ca.SX(0))
+    return (trace * right - gram @ right) / area, ca.fmax(4 * area / trace**2, 0.0)
 
 
 def _added(total: ca.SX, parameters: ParameterSet, psi: ca.SX, columns: Mapping[str, ca.SX]) -> ca.SX:

@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 from fixtures import library
-from fixtures.library import OK, OPEN_TRIANGLE, OUT_OF_STROKE, SINGULAR, SUBJECTS, Library, held, over
+from fixtures.library import BALANCED, OK, OPEN_TRIANGLE, OUT_OF_STROKE, SINGULAR, SUBJECTS, Library, held, over
 from fixtures.tiers import tiered
 from hydroopt.codegen.folder import STATUSES
 from hydroopt.codegen.routines import ROUTINES
@@ -36,12 +36,15 @@ from hydroopt.model.regressor import Dynamics
 Array = np.ndarray
 Values = dict[str, Array]
 
+EVERY = (*SUBJECTS, *BALANCED)
 PARAMETRIC = ("cat215b", "panda_mukca", "spatial")
 BUILDS = (("double", "-O0"), ("double", "-O3"), ("float", "-O0"), ("float", "-O3"))
 FEWER_BUILDS = {"panda_mukca": (("double", "-O3"), ("float", "-O0")), "spatial": (("double", "-O0"), ("float", "-O0")),
-                "cat215b folded": (("double", "-O3"), ("float", "-O0"))}
+                "cat215b folded": (("double", "-O3"), ("float", "-O0"))} | dict.fromkeys(
+                    BALANCED, (("double", "-O0"), ("float", "-O0")))
 """How machines are built whose code takes a compiler long, or is much like another's."""
-QUICK_BUILDS = {"cat215b": (("double", "-O0"),), "patu655_lift": (("double", "-O3"), ("float", "-O0"))}
+QUICK_BUILDS = {"cat215b": (("double", "-O0"),), "patu655_lift": (("double", "-O3"), ("float", "-O0")),
+                "twin": (("double", "-O0"),), "eliminated": (("float", "-O0"),)}
 """A diagonal of machines, precisions and levels that compile in a second or two; all others are slow."""
 
 
@@ -71,7 +74,7 @@ class Case:
     def __init__(self, subject: str, moved: bool) -> None:
         interface = library.subject(subject, "double").interface
         self.names = interface.kinds["geometry"].names
-        self.stated, self.rng = interface.machine, np.random.default_rng([SUBJECTS.index(subject), moved])
+        self.stated, self.rng = interface.machine, np.random.default_rng([EVERY.index(subject), moved])
         psi, free = interface.complete.parameters, interface.chain.parameters
         values = dict(interface.values)
         values["psi"] = psi.nominal + 0.3 * psi.scale * self.rng.standard_normal(len(psi))
@@ -169,20 +172,28 @@ class Case:
         cylinders = [c.name for c in machine.all_cylinders]
         psi = dict(zip(self.model.parameters.names, self.values["psi"], strict=True))
         force, torque, first = [], np.zeros((len(given["q"]), len(machine.joints))), 0
-        for joint, actuator in zip(machine.joints, machine.actuators, strict=True):
+        for actuator in machine.actuators:
+            if actuator not in machine.measured_actuators:
+                force.append(np.zeros(len(torque)))
+                continue
             stated = np.array(list(factors[actuator.name].values()))
             there = slice(first, first := first + len(stated))
             assert np.array_equal(self.values["effort"][there], held(stated))
             force.append(given["reading"][:, there] @ self.values["effort"][there])
             offset = sum(psi.get(f"{actuator.name}.{key}", 0.0) for key in ("f_offset", "tau_offset"))
             rate = (arms[:, cylinders.index(actuator.name)] if isinstance(actuator, Cylinder)
-                    else np.tile(np.array(machine.joints) == joint, (len(torque), 1)))
+                    else np.tile(np.array(machine.joints) == actuator.joint, (len(torque), 1)))
             torque += rate * (force[-1] - offset)[:, None]
-        return {"force": np.stack(force, axis=1), "torque": torque}
+        made = {"force": np.stack(force, axis=1), "torque": torque}
+        return made if machine.one_each else made | {"balance": self.measured(given)}
 
     def inverse_dynamics(self, given: Values) -> Values:
         state = (given["q"], given["qd"], given["qdd"], self.values["psi"])
-        return {"force": over(self.model.inverse_dynamics, *state)[0][:, :, 0]}
+        made = {"force": over(self.model.inverse_dynamics, *state)[0][:, :, 0]}
+        if self.machine.one_each:
+            return made
+        load = np.zeros(len(self.machine.joints))
+        return made | {"actuator_force": over(self.model.actuator_forces, *state[:3], load, state[3])[0][:, :, 0]}
 
     def gravity_forces(self, given: Values) -> Values:
         psi = np.where([name.endswith("_offset") for name in self.model.parameters.names], 0, self.values["psi"])
@@ -204,11 +215,17 @@ class Case:
         return {"force": over(self.model.wrench_forces, given["q"], given["wrench"])[0][:, :, 0]}
 
     def measured(self, given: Values) -> Array:
-        force, first = [], 0
-        for actuator in self.machine.actuators:
+        """What balances measure; unmeasured forces are such as leave nothing in the equations of their joints."""
+        machine, first = self.machine, 0
+        force = np.zeros((len(given["q"]), len(machine.actuators)))
+        for actuator in machine.measured_actuators:
             there = slice(first, first := first + len(actuator.effort_factors))
-            force.append(given["reading"][:, there] @ self.values["effort"][there])
-        return np.stack(force, axis=1)
+            force[:, machine.actuators.index(actuator)] = given["reading"][:, there] @ self.values["effort"][there]
+        if machine.one_each:
+            return force
+        arms = over(self.model.transmission, given["q"])[0]
+        return np.array([library.subjects.balances(machine, arm, arm.T @ each)
+                         for arm, each in zip(arms, force, strict=True)])
 
     def tip_wrench(self, given: Values) -> Values:
         state = (given["q"], given["qd"], given["qdd"], self.measured(given), self.values["psi"])
@@ -226,13 +243,14 @@ class Case:
         """Derivatives of the residual by q, qd, qdd and ψ, all of the functions of the model by CasADi."""
         n, model = len(self.machine.joints), self.model
         q, qd, qdd, w = (ca.SX.sym(name, k) for name, k in (("q", n), ("qd", n), ("qdd", n), ("w", 6)))
-        psi = ca.SX.sym("psi", len(self.values["psi"]))
-        force = model.inverse_dynamics(q, qd, qdd, psi) + model.wrench_forces(q, w)
-        return ca.Function("derivatives", [q, qd, qdd, w, psi],
-                           [ca.densify(-ca.jacobian(force, x)) for x in (q, qd, qdd, psi)])
+        psi, read = ca.SX.sym("psi", len(self.values["psi"])), ca.SX.sym("read", len(self.machine.actuators))
+        left = model.shares(q) @ read - model.inverse_dynamics(q, qd, qdd, psi) - model.wrench_forces(q, w)
+        return ca.Function("derivatives", [q, qd, qdd, w, psi, read],
+                           [ca.densify(ca.jacobian(left, x)) for x in (q, qd, qdd, psi)])
 
     def _derivatives(self, given: Values) -> list[Array]:
-        return over(self.derivatives, given["q"], given["qd"], given["qdd"], given["wrench"], self.values["psi"])
+        return over(self.derivatives, given["q"], given["qd"], given["qdd"], given["wrench"], self.values["psi"],
+                    self.actuator_forces(given)["force"])
 
     def residual_by_motion(self, given: Values) -> Values:
         return dict(zip(("by_q", "by_qd", "by_qdd"), self._derivatives(given), strict=False))
@@ -352,10 +370,10 @@ def has(subject: str, routine: str) -> bool:
     return True
 
 
-PAIRS = [(subject, routine) for subject in SUBJECTS for routine in PLAIN if has(subject, routine)]
+PAIRS = [(subject, routine) for subject in EVERY for routine in PLAIN if has(subject, routine)]
 
 
-@pytest.mark.parametrize("subject", tiered(SUBJECTS, lambda subject: subject in QUICK_BUILDS))
+@pytest.mark.parametrize("subject", tiered(EVERY, lambda subject: subject in QUICK_BUILDS))
 def test_machines_have_the_routines_that_their_parts_call_for(subject: str) -> None:
     described = library.machine(subject.partition(" ")[0])
     kinematics = () if subject in ("panda_mukca", "spatial") else ("inverse_kinematics",)

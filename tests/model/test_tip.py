@@ -7,6 +7,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from fixtures.drives import crane
 from fixtures.tiers import tiered
 from hydroopt.model import lagrange
 from hydroopt.model.model import Model
@@ -107,6 +108,28 @@ def test_tip_wrench_is_read_back_from_forces() -> None:
             found, determined = subject.tip_wrench(q, qd, qdd, force, psi)
             assert np.allclose(np.array(found).ravel(), wrench, rtol=0, atol=1e-6)
             assert 0 < float(determined) <= 1
+
+
+@pytest.mark.parametrize("subject", [model("tampere_manipulator"), Model(crane("swing_right"))],
+                         ids=["joints of a plane", "a plane that an unmeasured joint turns"])
+def test_tip_wrench_of_a_plane_is_the_force_in_it(subject: Model) -> None:
+    """Where three measured joints move the tip in a plane: with least squares, and nothing across the plane."""
+    rng = np.random.default_rng(81)
+    psi, _ = random_bodies(subject, rng)
+    for q, qd, qdd in zip(*states(subject.machine, rng, 5), strict=True):
+        free = np.array(subject.inverse_dynamics(q, qd, qdd, psi)).ravel()
+        columns = np.column_stack([np.array(subject.wrench_forces(q, unit)).ravel() for unit in np.eye(6)[:3]])
+        arms = np.array(subject.transmission(q))
+        # forces of actuators that are alone at a joint count there by their lever arms
+        at_joints = np.diag([1.0 if each.alone is None else arms[subject.machine.actuators.index(each.alone),
+                                                                  subject.machine.joints.index(each.joint)]
+                             for each in subject.machine.balances])
+        assert np.linalg.matrix_rank(columns, 1e-9 * np.linalg.norm(columns)) == 2
+        measured = rng.standard_normal(3) * 1e3
+        found, determined = subject.tip_wrench(q, qd, qdd, free + measured, psi)
+        expected = np.linalg.pinv(at_joints @ columns, rcond=1e-9) @ at_joints @ measured
+        assert np.allclose(np.array(found).ravel(), [*expected, 0, 0, 0], rtol=0, atol=1e-8 * np.abs(expected).max())
+        assert 0 < float(determined) <= 1
 
 
 def test_stretched_arm_determines_no_wrench() -> None:

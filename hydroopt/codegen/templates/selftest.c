@@ -105,8 +105,8 @@ int {{ p }}_selftest(void)
 {% for name in code.routines.payload_update.reads %}
         copy(in.{{ name }}, in_{{ name }}[0], sizeof(in.{{ name }}) / sizeof(in.{{ name }}[0]));
 {% endfor %}
-        copy(in.force, load_force, (size_t){{ P }}_ACTUATOR_COUNT);
-        copy(in.std, load_std, (size_t){{ P }}_ACTUATOR_COUNT);
+        copy(in.force, load_force, (size_t){{ P }}_{{ code.interface.row | upper }}_COUNT);
+        copy(in.std, load_std, (size_t){{ P }}_{{ code.interface.row | upper }}_COUNT);
         if ({{ p }}_payload_update(&constants, &in, &load) != {{ P }}_OK) {
             wrong++;
         }

@@ -146,7 +146,7 @@ static {{ p }}_status_t {{ p }}_load_rows(const {{ p }}_constants_t *constants, 
     if (!(load->forgetting > {{ 0 | number }}) || !(load->forgetting <= {{ 1 | number }})) {
         return {{ P }}_OUT_OF_RANGE;
     }
-    for (size_t i = 0U; i < (size_t){{ P }}_ACTUATOR_COUNT; i++) {
+    for (size_t i = 0U; i < (size_t){{ P }}_{{ code.interface.row | upper }}_COUNT; i++) {
         if (!(in->std[i] > {{ 0 | number }}) || !((in->std[i] * in->std[i]) > {{ 0 | number }})) {
             return {{ P }}_OUT_OF_RANGE;
         }
@@ -156,7 +156,7 @@ static {{ p }}_status_t {{ p }}_load_rows(const {{ p }}_constants_t *constants, 
         return status;
     }
     next = *load;
-    for (size_t i = 0U; i < (size_t){{ P }}_ACTUATOR_COUNT; i++) {
+    for (size_t i = 0U; i < (size_t){{ P }}_{{ code.interface.row | upper }}_COUNT; i++) {
         {{ p }}_load_observe(&next, made.rows[i], in->force[i] - made.predicted[i], in->std[i] * in->std[i]);
     }
     if (load->forgetting < {{ 1 | number }}) {
