@@ -92,7 +92,7 @@ def test_pins_of_linkages_are_numbers_like_others():
     other = machine.with_values({"rocker.a": 0.9, "bucket_linkage.y": 0.66, "rocker.pin.x": 2.2, "rocker.m": 150.0})
     assert (other.link("rocker").joint.a, other.loops[0].to.pin[1], other.link("rocker").pin[0]) == (0.9, 0.66, 2.2)
     assert machine.place("bucket_linkage.to.pin") == "loops[bucket_linkage].to.pin"
-    assert machine.notes["rocker.pin"].source == "pin sheet"
+    assert machine.notes["rocker.pin"].source == "pin sheet; sigma assumed"
 
 
 def test_the_published_sheet_closes_in_its_own_posture():
