@@ -244,7 +244,7 @@ def _length_terms(model: Model, log: Log, angles: Array, rows: Array) -> tuple[f
     """The largest mean gap [m] of a length that the angles do not come from, and the term of all."""
     machine, worst, total = model.machine, np.nan, 0.0
     read = {f"{joint}.q" for joint in machine.joints} & set(log.channels)
-    places = [(k, c) for k, c in enumerate(machine.all_cylinders) if f"{c.name}.length" in log.channels
+    places = [(k, c) for k, c in enumerate(machine.pinned) if f"{c.name}.length" in log.channels
               and any(f"{joint}.q" in read for joint in machine.moved_by(c))]
     if not places:
         return worst, total

@@ -201,7 +201,7 @@ def _gravity_forces(api: Symbols) -> Routine:
     psi = api.inputs["psi"]
     without_offsets = ca.SX(psi)
     without_offsets[offsets] = 0
-    return Routine("gravity_forces", "Static forces, gas cylinders included, offsets left out.",
+    return Routine("gravity_forces", "Static forces, gas cylinders and springs included, offsets left out.",
                    api.motion(), ("q",), api.efforts(), {"force": ca.substitute(static, psi, without_offsets)},
                    api.guards(levers=True, gas=True), api.lengths)
 

@@ -186,7 +186,7 @@ class Symbols:
         """Checks of loops and pin distances, and if asked for of lever arms and gas volumes."""
         found = [*self.straight(self.dynamics.tree.sines)]
         found += [Guard(self.dynamics.cylinders[c.name].length, ">", COINCIDENT, "OPEN_TRIANGLE")
-                 for c in self.machine.all_cylinders]
+                 for c in self.machine.pinned]
         if levers:
             # balances solve a triangular matrix, whose diagonal has lever arms of actuators that are alone at a joint,
             # or eliminated; several at a joint may pass their dead points

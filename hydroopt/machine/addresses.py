@@ -8,9 +8,10 @@ from typing import Any, NamedTuple
 from hydroopt.machine.actuators import Actuator, Cylinder, Drive, GasCylinder
 from hydroopt.machine.calibration_chain import Fixture
 from hydroopt.machine.couplings import Coupling
-from hydroopt.machine.links import Body, Link
+from hydroopt.machine.links import Body, JointSpring, Link
 from hydroopt.machine.loops import Loop
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
+from hydroopt.machine.springs import Pinned, Spring
 from hydroopt.machine.valves import EDGES, Circuit, Oil
 from hydroopt.spatial import inertia
 
@@ -92,6 +93,24 @@ def gas_numbers(gas: GasCylinder) -> Iterator[Number]:
     yield Number(f"{gas.name}.precharge", ParameterKind.GAS_PRESSURE, "Pa", gas.precharge, f"{gas.name}.precharge")
 
 
+def spring_numbers(spring: Spring) -> Iterator[Number]:
+    """Stiffness and preload of a spring between two pins."""
+    return _elastic(spring.name, spring, spring.name, {"stiffness": "N/m", "preload": "N"})
+
+
+def joint_spring(link: Link, units: Mapping[str, str]) -> Iterator[Number]:
+    """Stiffness and preload of the spring at a joint; `units` by key."""
+    if link.joint.spring is not None:
+        yield from _elastic(link.name, link.joint.spring, f"{link.name}.joint.spring", units)
+
+
+def _elastic(owner: str, spring: Spring | JointSpring, path: str, units: Mapping[str, str]) -> Iterator[Number]:
+    yield Number(f"{owner}.stiffness", ParameterKind.STIFFNESS, units["stiffness"], spring.stiffness,
+                 f"{path}.stiffness")
+    if spring.preload is not None:
+        yield Number(f"{owner}.preload", ParameterKind.PRELOAD, units["preload"], spring.preload, f"{path}.preload")
+
+
 def oil_numbers(oil: Oil) -> Iterator[Number]:
     """Bulk modulus and air of the oil."""
     yield Number("oil.bulk_modulus", ParameterKind.BULK_MODULUS, "Pa", oil.bulk_modulus, "oil.bulk_modulus")
@@ -138,7 +157,7 @@ def dead_length(cylinder: Cylinder) -> Iterator[Number]:
                  f"{cylinder.name}.dead_length")
 
 
-def pins(cylinder: Cylinder | GasCylinder) -> Iterator[Number]:
+def pins(cylinder: Pinned) -> Iterator[Number]:
     """Coordinates of a cylinder's pins."""
     for end, attachment in (("barrel", cylinder.barrel), ("rod", cylinder.rod)):
         yield from point(f"{cylinder.name}.{end}", attachment.pin, f"{cylinder.name}.{end}.pin")

@@ -78,7 +78,7 @@ def _on_chassis(data: dict[str, Any]) -> None:
 
     for link in parts("links"):
         moved(link, "parent")
-    for kind in ("cylinders", "gas_cylinders"):
+    for kind in ("cylinders", "gas_cylinders", "springs"):
         for part in parts(kind):
             for end in ("barrel", "rod"):
                 moved(part.get(end) if isinstance(part, dict) else None, "link")

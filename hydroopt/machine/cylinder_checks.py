@@ -13,6 +13,7 @@ from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.mechanism import Mechanism
 from hydroopt.machine.quantity import ImpossibleError
+from hydroopt.machine.springs import Pinned, Spring
 from hydroopt.spatial.cylinder_triangle import Triangle
 from hydroopt.spatial.inertia import Array
 
@@ -23,7 +24,7 @@ def check(machine: Machine) -> None:
     The triangle must close, the stroke must cover the range, and the lever arm must keep its sign; of several actuators
     that are there to move one joint each may pass a dead point, but not all at once. For a cylinder on one revolute
     joint this is exact; any other is checked on a grid of its joints. The volume of a gas cylinder must stay positive
-    and its pins apart, also checked on a grid.
+    and its pins and those of a spring apart, also checked on a grid.
 
     Raises:
         ImpossibleError: names the cylinder, the place and the remedy.
@@ -45,6 +46,8 @@ def check(machine: Machine) -> None:
             _not_dead_at_once(geometry, joint, cylinders)
     for gas in machine.gas_cylinders:
         _gas_has_room(geometry, gas)
+    for spring in machine.springs:
+        _apart(geometry, spring)
 
 
 class _Grid(NamedTuple):
@@ -55,7 +58,7 @@ class _Grid(NamedTuple):
     place: Callable[[int], str]
 
 
-def _on_grid(geometry: Geometry, cylinder: Cylinder | GasCylinder) -> _Grid:
+def _on_grid(geometry: Geometry, cylinder: Pinned) -> _Grid:
     machine = geometry.machine
     joints = machine.moved_by(cylinder)
     q = ca.SX.sym("q", len(joints))
@@ -75,11 +78,17 @@ def _on_grid(geometry: Geometry, cylinder: Cylinder | GasCylinder) -> _Grid:
     return _Grid(lengths, arms, place)
 
 
-def _gas_has_room(geometry: Geometry, gas: GasCylinder) -> None:
-    lengths, _, place = _on_grid(geometry, gas)
+def _apart(geometry: Geometry, part: GasCylinder | Spring) -> tuple[Array, Callable[[int], str]]:
+    """Lengths [m] of a part over its joints, and the place of each; refuses one whose pins meet."""
+    lengths, _, place = _on_grid(geometry, part)
     if (closed := np.flatnonzero(lengths < 1e-9)).size:
-        raise ImpossibleError(f"the pins of '{gas.name}' meet at {place(int(closed[0]))}, where its force has no "
+        raise ImpossibleError(f"the pins of '{part.name}' meet at {place(int(closed[0]))}, where its force has no "
                               "direction", "correct its pins or narrow the joints' limits")
+    return lengths, place
+
+
+def _gas_has_room(geometry: Geometry, gas: GasCylinder) -> None:
+    lengths, place = _apart(geometry, gas)
     volumes = gas.gas_volume(lengths)
     smallest = int(np.argmin(volumes))
     if not volumes[smallest] > 0:

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from functools import cached_property
 from itertools import chain
+from typing import Self
 
 from pydantic import Field
 
@@ -20,6 +22,7 @@ from hydroopt.machine.loops import Loop
 from hydroopt.machine.mass_statements import Identical, TotalMass
 from hydroopt.machine.quantity import Acceleration, Angle, Length, Name, Noun, Rate
 from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.springs import Pinned, Spring
 from hydroopt.machine.valves import Circuit, Oil
 
 BASE = "base"
@@ -45,6 +48,7 @@ class MachineDescription(Noun):
     motors: tuple[Motor, ...] = ()
     drives: tuple[Drive, ...] = ()
     gas_cylinders: tuple[GasCylinder, ...] = ()
+    springs: tuple[Spring, ...] = ()
     sensors: tuple[Sensor, ...] = ()
     calibrator: Calibrator | None = None
     fixtures: tuple[Fixture, ...] = ()
@@ -62,12 +66,19 @@ class MachineDescription(Noun):
     faults: FaultSizes = FaultSizes()
     notes: dict[str, Note] = Field(default_factory=dict)
 
-    @property
+    def __copy__(self) -> Self:
+        """A copy without what was derived from the numbers that the caller is about to change."""
+        copied = super().__copy__()
+        for name in set(vars(copied)) - set(type(self).model_fields):
+            del copied.__dict__[name]
+        return copied
+
+    @cached_property
     def joints(self) -> tuple[str, ...]:
         """Names of the joints that move by themselves (those of their links), in the order of the joint vector q."""
         return tuple(link.name for link in self.links if link.joint.independent)
 
-    @property
+    @cached_property
     def tree_joints(self) -> tuple[str, ...]:
         """Names of all moving joints: those of q, and the dependent ones that loops and couplings determine."""
         return tuple(link.name for link in self.links if link.joint.moving)
@@ -77,7 +88,7 @@ class MachineDescription(Noun):
         """Names of the joints that loops and couplings determine."""
         return tuple(link.name for link in self.links if link.joint.moving and not link.joint.independent)
 
-    @property
+    @cached_property
     def followed(self) -> dict[str, tuple[str, ...]]:
         """The joints of q that each moving joint follows: an independent one itself."""
         found: dict[str, tuple[str, ...]] = {joint: (joint,) for joint in self.joints}
@@ -98,13 +109,13 @@ class MachineDescription(Noun):
         own = (self.link(name) for name in reversed(self.ancestry(self.calibrator.parent)))
         return (*own, *self.calibrator.links)
 
-    @property
+    @cached_property
     def actuators(self) -> tuple[Actuator, ...]:
         """All actuators in the order of the joints that they are there to move."""
         found: tuple[Actuator, ...] = (*self.cylinders, *self.motors, *self.drives)
         return tuple(sorted(found, key=lambda actuator: self.joints.index(self.main_joint(actuator))))
 
-    @property
+    @cached_property
     def balances(self) -> tuple[Balance, ...]:
         """The measured equations of motion in the order of their joints: the order of measured forces."""
         drivers, found = self.drivers, []
@@ -113,7 +124,7 @@ class MachineDescription(Noun):
             found += [made] if made else []
         return tuple(found)
 
-    @property
+    @cached_property
     def measured_actuators(self) -> tuple[Actuator, ...]:
         """The measured actuators that a balance depends on, in the order of `actuators`."""
         at = {each.joint for each in self.balances}
@@ -125,7 +136,7 @@ class MachineDescription(Noun):
         balances = self.balances
         return len(balances) == len(self.joints) and all(each.alone for each in balances)
 
-    @property
+    @cached_property
     def drivers(self) -> dict[str, tuple[Actuator, ...]]:
         """The actuators that are there to move each joint of q."""
         mains = [(self.main_joint(each), each) for each in self.actuators]
@@ -148,15 +159,15 @@ class MachineDescription(Noun):
         return tuple(actuator for actuator in self.actuators if not isinstance(actuator, Drive))
 
     @property
-    def all_cylinders(self) -> tuple[Cylinder | GasCylinder, ...]:
-        """Hydraulic and gas-charged cylinders."""
-        return (*self.cylinders, *self.gas_cylinders)
+    def pinned(self) -> tuple[Pinned, ...]:
+        """The parts between two pins: hydraulic and gas-charged cylinders, and springs."""
+        return (*self.cylinders, *self.gas_cylinders, *self.springs)
 
     def main_joint(self, actuator: Actuator) -> str:
         """The joint of q that an actuator is there to move: of several that a cylinder moves the last one."""
         return self.moved_by(actuator)[-1]
 
-    def moved_by(self, part: Actuator | GasCylinder) -> tuple[str, ...]:
+    def moved_by(self, part: Actuator | Pinned) -> tuple[str, ...]:
         """The joint of q that a motor or drive turns, or those on which a cylinder's length depends."""
         if isinstance(part, Motor | Drive):
             return (part.joint,)
@@ -181,7 +192,7 @@ class MachineDescription(Noun):
         apart = set(self.ancestry(one)) ^ set(self.ancestry(other))
         return tuple(joint for joint in self.tree_joints if joint in apart)
 
-    def axis_of(self, cylinder: Cylinder | GasCylinder) -> str:
+    def axis_of(self, cylinder: Pinned) -> str:
         """The joint whose axis orients the cylinder's bodies: the last moving one of the tree between its ends."""
         return self.joints_between(cylinder.barrel.link, cylinder.rod.link)[-1]
 
@@ -210,6 +221,11 @@ class MachineDescription(Noun):
         return (dict.fromkeys(("offset", "coulomb", "coulomb_reverse", "stribeck"), effort)
                 | dict.fromkeys(("viscous", "viscous_reverse"), viscosity)
                 | dict.fromkeys(("stribeck_speed", "dead_zone"), speed))
+
+    def spring_units(self, joint: str) -> dict[str, str]:
+        """SI units of what a joint's spring states, by key."""
+        effort, position = self.effort_units(joint)[0], self.position_unit(joint)
+        return {"stiffness": f"{effort}/{position}", "reference": position, "preload": effort}
 
     @property
     def channel_units(self) -> dict[str, str]:
@@ -256,6 +272,8 @@ class MachineDescription(Noun):
             found += self.effort_numbers(joint)
         for gas in self.gas_cylinders:
             found += addresses.gas_numbers(gas)
+        for spring in self.springs:
+            found += addresses.spring_numbers(spring)
         found += [*self.hydraulic_numbers, *self.geometry_numbers]
         for fixture in self.fixtures:
             found += addresses.fixture_numbers(fixture)
@@ -264,7 +282,7 @@ class MachineDescription(Noun):
     def place(self, path: str) -> str:
         """Place in the machine file of a number's path: ``links[boom].body.m`` of ``boom.body.m``."""
         owner, _, rest = path.partition(".")
-        kinds = ("links", "loops", "couplings", "cylinders", "motors", "drives", "gas_cylinders", "fixtures",
+        kinds = ("links", "loops", "couplings", "cylinders", "motors", "drives", "gas_cylinders", "springs", "fixtures",
                  "distances", "stages", "total_masses")
         found = [kind for kind in kinds if any(part.name == owner for part in getattr(self, kind))]
         if self.calibrator and any(link.name == owner for link in self.calibrator.links):
@@ -274,7 +292,8 @@ class MachineDescription(Noun):
     def effort_numbers(self, joint: str) -> tuple[Number, ...]:
         """Friction, offset and rotor of a moving joint and its actuators, in the order of Eq. 4.53, 4.54."""
         units = self.friction_units(joint)
-        return (*addresses.joint_friction(self.link(joint), units), *chain.from_iterable(
+        return (*addresses.joint_friction(self.link(joint), units),
+                *addresses.joint_spring(self.link(joint), self.spring_units(joint)), *chain.from_iterable(
             addresses.actuator_numbers(each, units) for each in self.drivers.get(joint, ())))
 
     @property
@@ -298,7 +317,7 @@ class MachineDescription(Noun):
         if self.tracker:
             found += [*addresses.point("tracker", self.tracker.position, "tracker.position"),
                       *addresses.orientation("tracker", self.tracker.orientation, "tracker.orientation")]
-        return (*found, *chain.from_iterable(map(addresses.pins, self.all_cylinders)))
+        return (*found, *chain.from_iterable(map(addresses.pins, self.pinned)))
 
     def sensor(self, channel: str) -> Sensor | None:
         """The sensor that reads a channel, if the file states one."""

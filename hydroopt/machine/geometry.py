@@ -6,10 +6,10 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from hydroopt.machine.actuators import Cylinder, GasCylinder
 from hydroopt.machine.addresses import AXES, TURNS
 from hydroopt.machine.loops import Loop
 from hydroopt.machine.machine import BASE, Machine
+from hydroopt.machine.springs import Pinned
 from hydroopt.spatial.cylinder_triangle import Triangle, triangle
 from hydroopt.spatial.poses import Pose, identity, joint_pose, link_pose
 
@@ -97,7 +97,7 @@ class Geometry:
         first = next((joint for joint in joints if self._link[joint].joint.type == "revolute"), joints[0])
         return self.from_seat(first, loop.to.link, q).point(target) - self.from_seat(first, loop.link, q).point(own)
 
-    def triangle(self, cylinder: Cylinder | GasCylinder) -> tuple[str, Triangle] | None:
+    def triangle(self, cylinder: Pinned) -> tuple[str, Triangle] | None:
         """Joint of the tree and triangle of a cylinder that spans one revolute joint; None for any other cylinder."""
         between = self.machine.joints_between(cylinder.barrel.link, cylinder.rod.link)
         if len(between) != 1 or self._link[between[0]].joint.type != "revolute":
@@ -107,7 +107,7 @@ class Geometry:
         fixed = "rod" if moving == "barrel" else "barrel"
         return between[0], triangle(pins[fixed], pins[moving])
 
-    def pin(self, cylinder: Cylinder | GasCylinder, end: str, q: Mapping[str, ca.SX]) -> ca.SX:
+    def pin(self, cylinder: Pinned, end: str, q: Mapping[str, ca.SX]) -> ca.SX:
         """A pin (3,) [m] in the axis frame of the joint that orients the cylinder: the far end of the link before."""
         pose = self.from_seat(self.machine.axis_of(cylinder), getattr(cylinder, end).link, q)
         return pose.point(self.point(f"{cylinder.name}.{end}"))

@@ -24,8 +24,10 @@ from hydroopt.machine.quantity import (
     MassMoment,
     Name,
     Noun,
+    Position,
     Quantity,
     Six,
+    Stiffness,
     Torque,
     keyed,
 )
@@ -115,6 +117,14 @@ class JointFriction(Noun):
     viscous: AngularViscosity | None = Field(None, ge=0)
 
 
+class JointSpring(Noun):
+    """A spring about or along a joint: it turns it back with `preload` + `stiffness`·(q − `reference`)."""
+
+    stiffness: Stiffness = Field(ge=0)
+    reference: Position = 0.0
+    preload: Torque | None = None
+
+
 class Joint(Noun):
     """Modified Denavit-Hartenberg joint and link: Trans(z,d)·Rot(z,θ)·Trans(x,a)·Rot(x,α)·Rot(y,β) (Eq. 3.8).
 
@@ -137,6 +147,7 @@ class Joint(Noun):
     dependent: bool = False
     passive: bool = False
     friction: JointFriction = JointFriction()
+    spring: JointSpring | None = None
 
     @model_validator(mode="before")
     @classmethod

@@ -40,7 +40,7 @@ class Machine(MachineDescription):
 
     def __repr__(self) -> str:
         counts = {"joint": self.joints, "cylinder": self.cylinders, "motor": self.motors, "drive": self.drives,
-                  "gas cylinder": self.gas_cylinders}
+                  "gas cylinder": self.gas_cylinders, "spring": self.springs}
         said = ", ".join(f"{len(parts)} {noun}{'s' * (len(parts) != 1)}" for noun, parts in counts.items() if parts)
         return f"Machine('{self.name}': {said or 'no joints'})"
 
@@ -83,6 +83,10 @@ class Machine(MachineDescription):
         for where, joint, raw in frictions:
             for key, si in self.friction_units(joint).items():
                 yield f"{where}.{key}", _under(raw, key), si
+        for link, raw in zip(self.links, data["links"], strict=True):
+            if link.joint.spring is not None:
+                for key, si in self.spring_units(link.name).items():
+                    yield f"links[{link.name}].joint.spring.{key}", _under(raw, "joint", "spring", key), si
         for loop, raw in zip(self.loops, data.get("loops", ()), strict=True):
             for joint in loop.posture:
                 if any(link.name == joint for link in self.links):
@@ -99,8 +103,8 @@ class Machine(MachineDescription):
     def _names(self) -> None:
         extra = self.calibrator.links if self.calibrator else ()
         kinds = (self.links, extra, self.loops, self.couplings, self.cylinders, self.motors, self.drives,
-                 self.gas_cylinders, self.fixtures, self.distances, self.stages, self.obstacles, self.total_masses,
-                 self.identical)
+                 self.gas_cylinders, self.springs, self.fixtures, self.distances, self.stages, self.obstacles,
+                 self.total_masses, self.identical)
         taken = {BASE: "the chassis"} | ({"pump": "the supply"} if self.pump else {})
         count = Counter([*taken, *(part.name for kind in kinds for part in kind)])
         for name, times in count.items():
@@ -150,7 +154,7 @@ class Machine(MachineDescription):
 
     def _actuation(self) -> None:
         links = {link.name for link in self.links}
-        for cylinder in self.all_cylinders:
+        for cylinder in self.pinned:
             for end, attachment in (("barrel", cylinder.barrel), ("rod", cylinder.rod)):
                 if attachment.link not in links | {BASE}:
                     raise ImpossibleError(f"the {end} of '{cylinder.name}' is pinned to '{attachment.link}', which "

@@ -22,7 +22,7 @@ from hydroopt.input_file import read_text, toml
 from hydroopt.machine import base_motion, cylinder_checks, linkages, loop_checks, prior_checks
 from hydroopt.machine.actuators import Cylinder, TorqueFriction
 from hydroopt.machine.couplings import Coupling
-from hydroopt.machine.links import Joint, JointFriction, Note
+from hydroopt.machine.links import Joint, JointFriction, JointSpring, Note
 from hydroopt.machine.loops import Loop
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.quantity import ImpossibleError, Noun, Quantity
@@ -367,6 +367,8 @@ def _unit(node: BaseModel, key: str, machine: Machine, owner: str) -> str | None
         return machine.coupling_units(node)["offset" if key == "offset" else f"ratio.{owner}"]
     if isinstance(node, Loop) and key == "posture":
         return machine.position_unit(owner)
+    if isinstance(node, JointSpring):
+        return machine.spring_units(owner)[key]
     if isinstance(node, JointFriction | TorqueFriction):
         driven = {part.name: part.joint for part in machine.actuators if not isinstance(part, Cylinder)}
         return machine.friction_units(driven.get(owner, owner))[key]

@@ -27,6 +27,8 @@ class ParameterKind(StrEnum):
     FORCE_OFFSET = "force offset"
     FORCE_GAIN = "relative error of a force reading"
     GAS_PRESSURE = "gas pressure"
+    STIFFNESS = "stiffness"
+    PRELOAD = "preload"
 
     LENGTH = "length"
     ANGLE = "angle"
@@ -64,6 +66,11 @@ class ParameterKind(StrEnum):
         return self in (ParameterKind.COULOMB_FRICTION, ParameterKind.VISCOUS_FRICTION,
                         ParameterKind.STRIBECK_FRICTION, ParameterKind.STRIBECK_SPEED, ParameterKind.SEAL_FRICTION,
                         ParameterKind.PIN_FRICTION)
+
+    @property
+    def is_elastic(self) -> bool:
+        """Whether it describes a gas-charged cylinder or a spring."""
+        return self in (ParameterKind.GAS_PRESSURE, ParameterKind.STIFFNESS, ParameterKind.PRELOAD)
 
 
 INERTIAL_KINDS = (ParameterKind.MASS, *[ParameterKind.FIRST_MOMENT] * 3, *[ParameterKind.MOMENT_OF_INERTIA] * 6)

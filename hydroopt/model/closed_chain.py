@@ -235,7 +235,8 @@ def _gravity_torque(machine: Machine, links: tuple[Link, ...], poses: dict[str, 
 def _parameters(machine: Machine, numbers: tuple[Number, ...]) -> ParameterSet:
     """The numbers with a stated confidence, with Gaussian priors about their nominal values."""
     free, sigmas = [], []
-    unmeasured = {gas.name for gas in machine.gas_cylinders}  # no sensor measures their length
+    measurable = {each.name for each in machine.cylinders}
+    unmeasured = {each.name for each in machine.pinned} - measurable  # no sensor reads their length
     for number in numbers:
         if number.name.partition(".")[0] in unmeasured:
             continue

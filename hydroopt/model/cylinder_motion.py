@@ -6,8 +6,8 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from hydroopt.machine.actuators import Cylinder, GasCylinder
 from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.springs import Pinned
 from hydroopt.model.kinematics import STILL, UP, Coordinates, Motion, rate
 from hydroopt.spatial.poses import Pose
 
@@ -31,7 +31,7 @@ class CylinderMotion(NamedTuple):
     rod_turn: ca.SX
 
 
-def cylinder_motion(geometry: Geometry, cylinder: Cylinder | GasCylinder, links: dict[str, Motion],
+def cylinder_motion(geometry: Geometry, cylinder: Pinned, links: dict[str, Motion],
                     tree: Coordinates) -> CylinderMotion:
     """Motion of a cylinder between its pins, computed in the axis frame of the joint that orients it.
 

@@ -98,7 +98,7 @@ class Model:
     @cached_property
     def cylinder_kinematics(self) -> ca.Function:
         """(q, qd, qdd) → length, speed, acceleration (c,) and lever arm ∂length/∂q with its time derivative (c, n)."""
-        motions = [self.dynamics.cylinders[c.name] for c in self.machine.all_cylinders]
+        motions = [self.dynamics.cylinders[c.name] for c in self.machine.pinned]
         length, speed, acceleration = (ca.vertcat(*[getattr(m, key) for m in motions])
                                        for key in ("length", "speed", "acceleration"))
         lever_arm = ca.jacobian(length, self.coordinates.q) if motions else ca.SX(0, len(self.machine.joints))

@@ -59,7 +59,7 @@ class Dynamics:
         """Sum of the pressures [Pa] in both chambers of each cylinder, which only the friction of seals depends on."""
         self.tree = tree_motion(geometry, coordinates)
         links = link_motions(geometry, self.tree.symbols)
-        cylinders = {c.name: cylinder_motion(geometry, c, links, self.tree.symbols) for c in self.machine.all_cylinders}
+        cylinders = {c.name: cylinder_motion(geometry, c, links, self.tree.symbols) for c in self.machine.pinned}
         self.links: dict[str, Motion] = self.tree.closed(links)
         self.cylinders: dict[str, CylinderMotion] = self.tree.closed(cylinders)
         self.rates = ca.vertcat(*[self._rate_of(a) for a in self.machine.actuators])
@@ -293,26 +293,30 @@ class Dynamics:
 
     def _effort_columns(self, parameters: ParameterSet, psi: ca.SX) -> dict[str, ca.SX]:
         """Columns (r,) of everything but bodies."""
-        columns = {name: self.at_balances(column) for name, column in self._joint_friction().items()}
+        columns = {name: self.at_balances(column) for name, column in self._at_joints().items()}
         for k, actuator in enumerate(self.machine.actuators):
             share = self.shares[:, k]
             columns |= {name: share * term if share.nnz() else share
                         for name, term in self._own_friction(k, parameters, psi).items()}
             columns |= {name: self.at_balances(column) for name, column in self._of_actuator(actuator).items()}
-        return columns | {name: self.at_balances(column) for name, column in self._gas_columns().items()}
+        return columns | {name: self.at_balances(column) for name, column in self._passive_columns().items()}
 
     def _joint_columns(self) -> dict[str, ca.SX]:
-        """Generalised forces (n,) per parameter of friction at joints and pins, of rotors and of gas."""
-        columns = self._joint_friction()
+        """Generalised forces (n,) per parameter of friction at joints and pins, of rotors, gas and springs."""
+        columns = self._at_joints()
         for actuator in self.machine.actuators:
             columns |= self._of_actuator(actuator)
-        return columns | self._gas_columns()
+        return columns | self._passive_columns()
 
-    def _joint_friction(self) -> dict[str, ca.SX]:
+    def _at_joints(self) -> dict[str, ca.SX]:
+        """Generalised forces of friction and springs at the joints of the tree."""
         columns: dict[str, ca.SX] = {}
-        for joint, turn in zip(self.machine.tree_joints, ca.vertsplit(self.tree.values.qd), strict=True):
+        values = self.tree.values
+        for joint, at, turn in zip(self.machine.tree_joints, *map(ca.vertsplit, (values.q, values.qd)), strict=True):
             share = ca.jacobian(turn, self.coordinates.qd).T
             columns |= {f"{joint}.tau_coulomb": share * ca.sign(turn), f"{joint}.tau_viscous": share * turn}
+            if (spring := self.machine.link(joint).joint.spring) is not None:
+                columns |= {f"{joint}.stiffness": share * (at - spring.reference), f"{joint}.preload": share}
         return columns
 
     def _of_actuator(self, actuator: Actuator) -> dict[str, ca.SX]:
@@ -327,13 +331,19 @@ class Dynamics:
             return {f"{actuator.name}.rotor_inertia": ca.SX.eye(qd.size1())[:, at] * actuator.gear**2 * qdd[at]}
         return {}
 
-    def _gas_columns(self) -> dict[str, ca.SX]:
+    def _passive_columns(self) -> dict[str, ca.SX]:
+        """Generalised forces of gas cylinders and springs."""
         columns: dict[str, ca.SX] = {}
         for gas in self.machine.gas_cylinders:
             motion = self.cylinders[gas.name]
             # the force of the gas relieves the actuators and enters with a minus sign
             columns[f"{gas.name}.precharge"] = -(ca.jacobian(motion.speed, self.coordinates.qd).T
                                                  * gas_force(gas, motion.length))
+        for spring in self.machine.springs:
+            motion = self.cylinders[spring.name]
+            share = ca.jacobian(motion.speed, self.coordinates.qd).T
+            columns |= {f"{spring.name}.stiffness": share * (motion.length - spring.reference_length),
+                        f"{spring.name}.preload": share}
         return columns
 
 

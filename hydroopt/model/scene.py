@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydroopt.machine.actuators import Cylinder, GasCylinder
 from hydroopt.machine.machine import BASE
 from hydroopt.model.model import Model
 from hydroopt.spatial import inertia
@@ -109,7 +108,6 @@ def _matrix(pose: Pose) -> Array:
 def scenes(model: Model, poses: Array, plane: Plane) -> list[Scene]:
     """The machine in joint positions (k, n), projected on a plane."""
     machine = model.machine
-    cylinders: tuple[Cylinder | GasCylinder, ...] = (*machine.cylinders, *machine.gas_cylinders)
     look = np.array([plane.across, UP])
     frames, ends = _frames(model, poses), _ends(model, poses)
     base = np.tile(np.eye(4), (len(poses), 1, 1))
@@ -124,7 +122,7 @@ def scenes(model: Model, poses: Array, plane: Plane) -> list[Scene]:
             centre = None if link.body is None else inertia.centre_of_mass(link.body.phi)
             if centre is not None:
                 mass[link.name] = look @ place(link.name, centre.tolist())
-        pins = {one.name: [place(end.link, end.pin) for end in (one.barrel, one.rod)] for one in cylinders}
+        pins = {one.name: [place(end.link, end.pin) for end in (one.barrel, one.rod)] for one in machine.pinned}
         found.append(Scene(
             {link.name: look @ (ends[link.parent][i, :3, 3] if link.pin is None else place(link.parent, link.pin))
              for link in machine.links},

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
 
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.machine.addresses import Number, gas_numbers
+from hydroopt.machine.addresses import Number, gas_numbers, spring_numbers
 from hydroopt.machine.links import Body, Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
@@ -77,7 +78,7 @@ def scalars(machine: Machine, joint: str) -> dict[str, Scalar]:
     found = {}
     for number in machine.effort_numbers(joint):
         scalar = Scalar(number)
-        if number.kind is ParameterKind.FORCE_OFFSET:
+        if number.kind in (ParameterKind.FORCE_OFFSET, ParameterKind.PRELOAD):
             scalar = Scalar(number, -np.inf)
         elif number.kind is ParameterKind.STRIBECK_SPEED:
             scalar = Scalar(number, number.value / SPEED_RANGE, number.value * SPEED_RANGE, number.value)
@@ -89,8 +90,14 @@ def scalars(machine: Machine, joint: str) -> dict[str, Scalar]:
 
 
 def passive_scalars(machine: Machine) -> dict[str, Scalar]:
-    """The pressures of gas-charged cylinders."""
-    return {number.name: Scalar(number) for gas in machine.gas_cylinders for number in gas_numbers(gas)}
+    """The pressures of gas-charged cylinders, stiffness and preload of springs."""
+    found = [*chain.from_iterable(map(gas_numbers, machine.gas_cylinders)),
+             *chain.from_iterable(map(spring_numbers, machine.springs))]
+    return {number.name: _passive(number) for number in found}
+
+
+def _passive(number: Number) -> Scalar:
+    return Scalar(number, -np.inf if number.kind is ParameterKind.PRELOAD else 0.0)
 
 
 def parameter_set(machine: Machine, *, actuator_inertia: bool = True, calibrator: bool = False) -> ParameterSet:

@@ -358,7 +358,7 @@ def chains(c: Calibration) -> Figure | None:
         handles = [Line2D([], [], color=INK, lw=2.4, marker="o", mfc="white", ms=4, label="machine"),
                    Line2D([], [], color=ORANGE, lw=2, marker="o", mfc="white", ms=4,
                           label="calibrator" if machine.calibrator.links else "tool")]
-        if machine.all_cylinders:
+        if machine.pinned:
             handles.append(Line2D([], [], color=BLUE, lw=2, label="cylinders"))
         if machine.fixtures:
             handles.append(Line2D([], [], color=GREEN, marker="D", ls="none", ms=6, label="fixture"))

@@ -53,14 +53,10 @@ def side_view(machine: Machine, scenes: Sequence[Scene], first: str, others: str
     return figure
 
 
-def _cylinders(machine: Machine) -> tuple[Cylinder | GasCylinder, ...]:
-    return (*machine.cylinders, *machine.gas_cylinders)
-
-
 def _outline(machine: Machine, scene: Scene, link: Link) -> Array:
     """Convex outline (k, 2) of the points that a link joins: its joint, its far end and the pins on it."""
     points = [scene.start[link.name], scene.axis[link.name], scene.end[link.name]]
-    for cylinder in _cylinders(machine):
+    for cylinder in machine.pinned:
         points += [pins[cylinder.name] for end, pins in ((cylinder.barrel, scene.barrel), (cylinder.rod, scene.rod))
                    if end.link == link.name]
     points += [scene.start[child.name] for child in machine.links if child.parent == link.name]
@@ -103,7 +99,8 @@ def _draw(ax: Axes, machine: Machine, scene: Scene, *, faint: bool) -> None:
                         zorder=order)
             ax.plot(*scene.mass[link.name], marker="o", ms=6, mfc="white", mec=ORANGE, mew=1.2, zorder=order + 1)
             ax.plot(*scene.mass[link.name], marker="+", ms=6, mec=ORANGE, mew=0.9, zorder=order + 1)
-    for cylinder in _cylinders(machine):
+    cylinders: tuple[Cylinder | GasCylinder, ...] = (*machine.cylinders, *machine.gas_cylinders)
+    for cylinder in cylinders:
         barrel, rod = scene.barrel[cylinder.name], scene.rod[cylinder.name]
         colour = BLUE if isinstance(cylinder, Cylinder) else GREEN
         # a barrel is a little shorter than the retracted cylinder; of a gas cylinder a length of reference is known
@@ -114,9 +111,20 @@ def _draw(ax: Axes, machine: Machine, scene: Scene, *, faint: bool) -> None:
             ax.plot(*np.array([barrel, neck]).T, color=colour, lw=6.5, zorder=order + 0.4, solid_capstyle="butt")
             ax.plot(*np.array([barrel, rod]).T, ls="none", marker="o", ms=4.2, mfc="white", mec=colour, mew=1.2,
                     zorder=order + 0.6)
+    for spring in machine.springs:
+        coil = _coil(scene.barrel[spring.name], scene.rod[spring.name])
+        ax.plot(*coil.T, color=GREEN, lw=0.8 if faint else 1.4, alpha=alpha, zorder=order + 0.3)
     if not faint:
         joints = np.array([*(scene.axis[joint] for joint in machine.tree_joints), *scene.closing.values()])
         ax.plot(*joints.T, ls="none", marker="o", ms=6.5, mfc="white", mec=INK, mew=1.6, zorder=order + 0.7)
+
+
+def _coil(start: Array, end: Array) -> Array:
+    """Points (k, 2) of a spring's zigzag between its pins."""
+    along = np.concatenate([[0.0, 0.15], np.linspace(0.2, 0.8, 13), [0.85, 1.0]])
+    aside = np.concatenate([[0.0, 0.0], 0.04 * (-1.0) ** np.arange(13), [0.0, 0.0]])
+    line = end - start
+    return np.asarray(start + np.outer(along, line) + np.outer(aside, [-line[1], line[0]]))
 
 
 def _ground(ax: Axes, size: float) -> None:
@@ -138,6 +146,8 @@ def _handles(machine: Machine, first: str, others: str) -> list[Line2D]:
         handles.append(Line2D([], [], color=BLUE, lw=4, label="cylinder"))
     if machine.gas_cylinders:
         handles.append(Line2D([], [], color=GREEN, lw=4, label="gas cylinder"))
+    if machine.springs:
+        handles.append(Line2D([], [], color=GREEN, lw=1.4, label="spring"))
     if any(link.body for link in machine.links):
         handles.append(Line2D([], [], ls="none", marker="o", ms=6, mfc="white", mec=ORANGE, mew=1.2,
                               label="nominal centre of mass"))
@@ -163,7 +173,7 @@ def _labels(ax: Axes, machine: Machine, scene: Scene, points: float, limits: tup
         else:
             wanted.append((joint, scene.axis[joint], INK))
     wanted += [(c.name, (scene.barrel[c.name] + scene.rod[c.name]) / 2, BLUE if isinstance(c, Cylinder) else GREEN)
-               for c in _cylinders(machine)]
+               for c in machine.pinned]
     wanted += [(link.name, scene.mass[link.name], ORANGE) for link in machine.links
                if link.name in scene.mass and link.name not in machine.joints]
     boxes: list[tuple[Array, Array]] = []

@@ -76,7 +76,7 @@ def _speed(t: Truth, k: int) -> Array:
     actuator, machine = t.model.machine.actuators[k], t.model.machine
     if hasattr(actuator, "barrel"):
         made = t.model.over(t.model.cylinder_kinematics, t.motion.q, t.motion.qd, t.motion.qdd)[1][:, :, 0]
-        v = made[:, machine.all_cylinders.index(actuator)]
+        v = made[:, machine.pinned.index(actuator)]
     else:
         v = t.motion.qd[:, k]
     return v / np.sqrt(np.mean(v**2))

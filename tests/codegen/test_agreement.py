@@ -169,7 +169,7 @@ class Case:
     def actuator_forces(self, given: Values) -> Values:
         machine, factors = self.machine, self.model.force_from_pressure
         arms = over(self.model.cylinder_kinematics, given["q"], 0 * given["q"], 0 * given["q"])[3]
-        cylinders = [c.name for c in machine.all_cylinders]
+        cylinders = [c.name for c in machine.pinned]
         psi = dict(zip(self.model.parameters.names, self.values["psi"], strict=True))
         force, torque, first = [], np.zeros((len(given["q"]), len(machine.joints))), 0
         for actuator in machine.actuators:

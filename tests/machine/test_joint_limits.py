@@ -15,7 +15,7 @@ def pin_distance(machine: Machine, joint: str, cylinder: str, angle: float) -> f
     model = ho.Model(machine)
     q = np.zeros((1, len(machine.joints)))
     q[0, machine.joints.index(joint)] = angle
-    names = [each.name for each in machine.all_cylinders]
+    names = [each.name for each in machine.pinned]
     return float(model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)[0][0, names.index(cylinder), 0])
 
 

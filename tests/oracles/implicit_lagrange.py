@@ -112,7 +112,7 @@ class ImplicitLagrange:
         if owner in self.frames:
             return self.frames[owner]
         name, _, end = owner.partition(".")
-        cylinder = next(each for each in self.machine.all_cylinders if each.name == name)
+        cylinder = next(each for each in self.machine.pinned if each.name == name)
         held = getattr(cylinder, end)
         line = self._line(cylinder)
         x = line / ca.norm_2(line)

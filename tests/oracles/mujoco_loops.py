@@ -7,6 +7,7 @@ Jacobians, along a way from the stated posture. Actuator and pin forces then are
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from itertools import product
 from typing import NamedTuple
 
@@ -33,11 +34,13 @@ class Pin(NamedTuple):
 
 
 class MujocoLoops:
-    """Links, barrels and rods with the bodies `clouds` (owner → φ)."""
+    """Links, barrels and rods with the bodies `clouds` (owner → φ), and springs (stiffness and preload by owner)."""
 
-    def __init__(self, machine: Machine, clouds: dict[str, np.ndarray]) -> None:
+    def __init__(self, machine: Machine, clouds: dict[str, np.ndarray],
+                 springs: Mapping[str, tuple[float, float]] | None = None) -> None:
         self.machine = machine
         spec = mujoco.MjSpec()
+        spec.compiler.degree = False
         spec.option.gravity = [0, 0, -machine.gravity]
         spec.option.disableflags |= mujoco.mjtDisableBit.mjDSBL_CONTACT
         tilt = Rotation.from_euler("xyz", machine.orientation)
@@ -59,6 +62,8 @@ class MujocoLoops:
             self.pins.append(Pin((loop.link, loop.to.link), (np.array(far), np.array(loop.to.pin)), loop.length))
         for cylinder in machine.cylinders:
             self._cylinder(cylinder, clouds)
+        for owner, (stiffness, preload) in (springs or {}).items():
+            self._spring(spec, owner, stiffness, preload)
         self.model = spec.compile()
         self.data = mujoco.MjData(self.model)
         self.given = [self._dof(joint) for joint in machine.joints]
@@ -91,6 +96,20 @@ class MujocoLoops:
         for end, body in (("barrel", barrel), ("rod", rod)):
             _give_mass(body, clouds.get(f"{cylinder.name}.{end}", NEGLIGIBLE))
         self.pins.append(Pin((f"{cylinder.name}.rod", cylinder.rod.link), (np.zeros(3), np.array(cylinder.rod.pin))))
+
+    def _spring(self, spec: mujoco.MjSpec, owner: str, stiffness: float, preload: float) -> None:
+        between = next((each for each in self.machine.springs if each.name == owner), None)
+        if between is None:
+            stated, joint = self.machine.link(owner).joint.spring, spec.joint(owner)
+            assert stated is not None
+            joint.stiffness[0], joint.springref = stiffness, stated.reference - preload / stiffness
+            return
+        tendon = spec.add_tendon(name=owner)
+        tendon.stiffness[0], tendon.springlength = stiffness, [between.reference_length - preload / stiffness] * 2
+        for end in (between.barrel, between.rod):
+            name = f"{owner} at {end.link}"
+            self.bodies[end.link].add_site(name=name, pos=end.pin)
+            tendon.wrap_site(name)
 
     def _dof(self, joint: str) -> int:
         return int(self.model.joint(joint).dofadr[0])

@@ -36,7 +36,7 @@ KINDS = {
 def test_every_parameter_of_every_bundled_machine_has_its_kind_and_owner(name: str) -> None:
     machine = load_machine(name)
     model = Model(machine)
-    parts = {part.name for part in (*machine.links, *machine.all_cylinders, *machine.actuators)} | {"oil"}
+    parts = {part.name for part in (*machine.links, *machine.pinned, *machine.actuators)} | {"oil"}
     for parameters in (model.parameters, hydraulic.parameter_set(machine), KinematicModel(machine).parameters):
         assert len(parameters.kinds) == len(parameters)
         for one, kind in zip(parameters.names, parameters.kinds, strict=True):

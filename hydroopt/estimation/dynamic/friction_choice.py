@@ -133,7 +133,7 @@ def _refitted(part: Actuator, terms: Sequence[str], initial: Mapping[str, float]
 def _rms_speeds(model: Model, motions: Sequence[tuple[Array, ...]]) -> dict[str, float]:
     """RMS speed [m/s, rad/s] of each actuator, by name, over motions q, qd, qdd."""
     squares, count = np.zeros(len(model.machine.actuators)), 0
-    cylinders = [cylinder.name for cylinder in model.machine.all_cylinders]
+    cylinders = [cylinder.name for cylinder in model.machine.pinned]
     for motion in motions:
         strokes = model.over(model.cylinder_kinematics, *motion[:3])[1][:, :, 0]
         for k, actuator in enumerate(model.machine.actuators):

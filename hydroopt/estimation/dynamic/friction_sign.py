@@ -146,7 +146,7 @@ def dry_friction_known(model: Model, motion: Motion, phases: Phases, noise: Arra
             speed, uncertainty = motion.qd[:, j], np.full(len(motion.t), noise[j])
             other_dry = machine.link(balance.joint).joint.friction.coulomb is not None or not balance.alone
             if isinstance(actuator, Cylinder):
-                c = machine.all_cylinders.index(actuator)
+                c = machine.pinned.index(actuator)
                 _, speeds, _, arms, _ = model.over(model.cylinder_kinematics, motion.q, motion.qd, motion.qdd)
                 speed, uncertainty = speeds[:, c, 0], np.linalg.norm(arms[:, c] * noise, axis=1)
                 other_dry |= actuator.friction.barrel_pin is not None or actuator.friction.rod_pin is not None

@@ -230,10 +230,10 @@ def hydraulic_problem(machine: Machine, logs: Sequence[Log], validation: Sequenc
 
 
 def _identified(plant: Plant) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Positions of what states a confidence: friction and gas pressures among ψ, and the hydraulics' numbers."""
+    """Positions of what states a confidence: friction, gas and springs among ψ, and the hydraulics' numbers."""
     dynamic, hydraulic = plant.model.parameters, plant.parameters
     free = [k for k, kind in enumerate(dynamic.kinds) if dynamic.information[k, k] > 0
-            and (kind.is_friction or kind is ParameterKind.GAS_PRESSURE)]
+            and (kind.is_friction or kind.is_elastic)]
     return np.array(free, dtype=np.intp), np.flatnonzero(np.diag(hydraulic.information) > 0)
 
 

@@ -44,7 +44,7 @@ def chain_points(solution: KinematicSolution, rows: Sequence[int]) -> ChainPoint
     chain = [link.name for link in model.machine.chain]
     own = sum(name in {link.name for link in model.machine.links} for name in chain)
     carrier = [[chain.index(end.link) if end.link in chain else -1 for end in (cylinder.barrel, cylinder.rod)]
-               for cylinder in model.machine.all_cylinders]
+               for cylinder in model.machine.pinned]
     return ChainPoints(np.concatenate([np.zeros_like(tip), ends, tip], axis=1), own,
                        np.where(held, problem.places(solution.theta)[some, :3], np.nan), _pins(model, q),
                        np.array(carrier, dtype=int).reshape(-1, 2))
@@ -56,9 +56,9 @@ def _pins(model: KinematicModel, q: Array) -> Array:
     symbols = ca.SX.sym("q", len(model.joints))
     angles = Mechanism(machine).positions(geometry, {joint: symbols[k] for k, joint in enumerate(model.joints)})
     places = [geometry.relative_pose(BASE, getattr(cylinder, end).link, angles).point(
-        geometry.point(f"{cylinder.name}.{end}")) for cylinder in machine.all_cylinders for end in ("barrel", "rod")]
+        geometry.point(f"{cylinder.name}.{end}")) for cylinder in machine.pinned for end in ("barrel", "rod")]
     if not places:
         return np.zeros((len(q), 0, 2, 3))
     function = ca.Function("pins", [symbols], [ca.horzcat(*places)])
     values = np.asarray(function.map(len(q))(q.T))
-    return values.T.reshape(len(q), len(machine.all_cylinders), 2, 3)
+    return values.T.reshape(len(q), len(machine.pinned), 2, 3)

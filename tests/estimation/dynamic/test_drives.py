@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from fixtures import springs
 from fixtures.drives import crane, crossing
 from fixtures.tiers import tiered
 from hydroopt.estimation.dynamic.experiment import Experiment, experiment
@@ -21,7 +22,8 @@ from hydroopt.simulation.passive_joints import passive_motion
 from hydroopt.simulation.simulate import random_trajectory, simulate
 
 MACHINES = {"one of two not measured, and a passive joint": lambda: crane("swing_right"),
-            "alone and not measured": lambda: crane("boom_right", "reach"), "across two joints": crossing}
+            "alone and not measured": lambda: crane("boom_right", "reach"), "across two joints": crossing,
+            "springs": springs.crane}
 
 
 def exact(model: Model, psi: np.ndarray, seed: int) -> Experiment:
@@ -37,7 +39,7 @@ def exact(model: Model, psi: np.ndarray, seed: int) -> Experiment:
     return replace(made, force=np.where(np.any(read != 0, axis=0), predicted, read))
 
 
-@pytest.mark.parametrize("name", tiered(MACHINES, lambda name: name == "across two joints"))
+@pytest.mark.parametrize("name", tiered(MACHINES, lambda name: name == "springs"))
 def test_exact_logs_give_the_truth(name: str) -> None:
     model = Model(MACHINES[name](), actuator_inertia=False)  # barrels and rods side by side are hard to tell apart
     rng, truth = np.random.default_rng(5), model.parameters.nominal.copy()

@@ -287,7 +287,7 @@ class View:
         machine, motion = self.model.machine, self.motion
         strokes = (self.model.over(self.model.cylinder_kinematics, motion.q, motion.qd, motion.qdd)[1][:, :, 0]
                    if machine.cylinders else np.zeros((len(motion.t), 0)))
-        made = [strokes[:, machine.all_cylinders.index(each.alone)] if isinstance(each.alone, Cylinder)
+        made = [strokes[:, machine.pinned.index(each.alone)] if isinstance(each.alone, Cylinder)
                 else motion.qd[:, j] for each, j in zip(machine.balances, self.model.dynamics.kept, strict=True)]
         return np.column_stack([*made, *(strokes[:, k] for k in self.lengths)])
 
