@@ -9,15 +9,13 @@ import casadi as ca
 
 from hydroopt.codegen import residuals
 from hydroopt.codegen.inverse_kinematics import inverse_kinematics, no_arm
-from hydroopt.codegen.symbols import COINCIDENT, Field, Guard, Routine, Symbols
+from hydroopt.codegen.joint_state import joint_state, no_lengths
+from hydroopt.codegen.symbols import Field, Guard, Routine, Symbols
 from hydroopt.control import valve_inversion
 from hydroopt.errors import ProblemError
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import ParameterKind
-from hydroopt.model.cylinder_motion import SHORTEST_LEVER
-from hydroopt.model.joint_from_length import joint_from_length
 from hydroopt.model.load_sharing import lever_arms
 from hydroopt.model.plant import Plant
 from hydroopt.spatial.inertia import Array
@@ -68,8 +66,6 @@ def _impossible(api: Symbols, name: str) -> str:
     match name:
         case "cylinder_state" if not machine.cylinders:
             return "the machine has no hydraulic cylinders"
-        case "joint_state" if not any(joint_from_length(Geometry(machine), c) for c in machine.cylinders):
-            return "no hydraulic cylinder of the machine moves a single joint"
         case "reduced_regressor" if not len(api.reduced.parameters):
             return "the reduced model has no dynamic parameters"
         case "valve_feedforward" if not machine.one_each:
@@ -82,7 +78,9 @@ def _impossible(api: Symbols, name: str) -> str:
             return residuals.no_geometry(api)
         case "inverse_kinematics":
             return no_arm(api)
-        case "forward_kinematics" | "cylinder_state" | "joint_state" | "actuator_forces" | "closure" | "wrench_forces":
+        case "joint_state":
+            return no_lengths(api)
+        case "forward_kinematics" | "cylinder_state" | "actuator_forces" | "closure" | "wrench_forces":
             return ""
         case _ if not len(api.complete.parameters):
             return "the model has no dynamic parameters"
@@ -117,41 +115,6 @@ def _cylinder_state(api: Symbols) -> Routine:
                    ("q", "qd"), gives,
                    {"length": length, "speed": speed, "lever_arm": ca.jacobian(speed, api.coordinates.qd)},
                    api.guards(), api.lengths)
-
-
-def _joint_state(api: Symbols) -> Routine:
-    machine, count = api.machine, len(api.machine.cylinders)
-    length, speed = api.symbol("length", count), api.symbol("speed", count)
-    q, qd = ca.SX(len(machine.joints), 1), ca.SX(len(machine.joints), 1)
-    guards, covered = [], []
-    for k, cylinder in enumerate(machine.cylinders):
-        found = joint_from_length(api.dynamics.geometry, cylinder)
-        if found is None:
-            continue
-        sides, turn = found.sides, ca.SX.sym("turn")
-        angle = found.angle(length[k])
-        # through a linkage the joint turns faster or slower than the one of the triangle
-        ratio = ca.substitute(ca.jacobian(found.driven(turn), turn), turn, found.turn(length[k]))
-        both = sides.fixed * sides.moving
-        cosine = (sides.fixed**2 + sides.moving**2 + sides.lateral**2 - length[k]**2) / (2 * both)
-        lever = found.branch * both * ca.sqrt(1 - cosine**2) / length[k]
-        guards += [Guard(length[k], ">", COINCIDENT, "OPEN_TRIANGLE"),
-                   Guard(cosine, "<=", 1.0, "OPEN_TRIANGLE", absolute=True),
-                   Guard(lever, ">", SHORTEST_LEVER, "DEAD_POINT", absolute=True),
-                   *api.straight(found.sines(found.turn(length[k])))]
-        index = machine.joints.index(found.joint)
-        q[index], qd[index] = angle, speed[k] / lever * ratio
-        covered.append(found.joint)
-    takes = api.struct("lengths", "Readings of the cylinders' length transducers.",
-                       Field("length", ("cylinder",), "m", "distance between the pins"),
-                       Field("speed", ("cylinder",), "m/s", "its rate"))
-    others = [joint for joint in machine.joints if joint not in covered]
-    missing = f"; 0 for {', '.join(others)}, which no single cylinder moves" if others else ""
-    gives = api.struct("joints", "State of the joints that one cylinder each moves.",
-                       Field("q", ("joint",), "rad", f"angle of each joint{missing}"),
-                       Field("qd", ("joint",), "rad/s", "its speed"))
-    return Routine("joint_state", "Joint angles and speeds from the cylinders' lengths.", takes, ("length", "speed"),
-                   gives, {"q": q, "qd": qd}, tuple(guards), length)
 
 
 def _actuator_forces(api: Symbols) -> Routine:
@@ -293,7 +256,7 @@ def _excitation(api: Symbols, designed_motion: DesignedMotion) -> Routine:
 
 ROUTINES: Mapping[str, Callable[[Symbols], Routine]] = {
     "forward_kinematics": _forward_kinematics, "inverse_kinematics": inverse_kinematics, "cylinder_state":
-    _cylinder_state, "joint_state": _joint_state, "actuator_forces": _actuator_forces, "inverse_dynamics":
+    _cylinder_state, "joint_state": joint_state, "actuator_forces": _actuator_forces, "inverse_dynamics":
     _inverse_dynamics, "gravity_forces": _gravity_forces, "regressor": _regressor, "reduced_regressor":
     _reduced_regressor, "mass_matrix": residuals.mass_matrix, "wrench_forces": residuals.wrench_forces,
     "tip_wrench": residuals.tip_wrench, "residual": residuals.residual, "residual_by_motion":

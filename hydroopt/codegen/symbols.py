@@ -15,6 +15,7 @@ from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.cylinder_motion import SHORTEST_LEVER
+from hydroopt.model.joints_from_several_lengths import Slide, Together, slides, together
 from hydroopt.model.kinematics import coordinates
 from hydroopt.model.model import Model
 from hydroopt.model.regressor import Dynamics
@@ -176,6 +177,16 @@ class Symbols:
     def measured(self) -> ca.SX:
         """Measured forces of the balances by the actuators' readings."""
         return self.read if self.machine.one_each else self.dynamics.shares @ self.read
+
+    @cached_property
+    def slides(self) -> tuple[Slide, ...]:
+        """The joints that slide and follow from one length."""
+        return slides(self.complete)
+
+    @cached_property
+    def together(self) -> tuple[Together, ...]:
+        """The joints that follow from several lengths."""
+        return together(self.complete)
 
     @cached_property
     def predicted(self) -> ca.SX:
