@@ -8,18 +8,21 @@ import numpy as np
 import pytest
 
 from fixtures import springs
-from fixtures.drives import crane, crossing
+from fixtures.drives import crane, crossing, twin
 from fixtures.tiers import tiered
 from hydroopt.estimation.dynamic.experiment import Experiment, experiment
 from hydroopt.estimation.dynamic.identify import identify
+from hydroopt.estimation.dynamic.misfit.faults import Scaled, listed
+from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.inference.identifiability import structural
 from hydroopt.logs.forces_from_pressures import force_noise, forces
+from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results.wording import Kind
 from hydroopt.simulation.passive_joints import passive_motion
-from hydroopt.simulation.simulate import random_trajectory, simulate
+from hydroopt.simulation.simulate import random_trajectory, random_truth, simulate
 
 MACHINES = {"one of two not measured, and a passive joint": lambda: crane("swing_right"),
             "alone and not measured": lambda: crane("boom_right", "reach"), "across two joints": crossing,
@@ -85,3 +88,32 @@ def test_what_nothing_reads_has_neither_spikes_nor_a_signal_that_is_missed() -> 
     assert "grapple" not in found.misfit.lines
     assert not [one for one in found.diagnostics if one.kind is Kind.WORSE_THAN_ZERO]
     assert "nan" not in str(found)
+
+
+def test_a_pressure_that_reads_too_much_is_searched_for_at_shared_joints() -> None:
+    """Its effect is what scaling the channel does to the balance, by lever arms that change along the motion."""
+    model = Model(twin())
+    log = simulate(model, random_trajectory(model, duration=10.0, rate=20.0, seed=1), noise=False)
+    view = View.of(experiment(model, log), model.parameters.nominal)
+    gains = {fault.subject[0]: fault for fault in listed(view) if isinstance(fault, Scaled)}
+    assert set(gains) == {channel for cylinder in model.machine.cylinders for channel in cylinder.chambers}
+    q = view.motion.q
+    for channel, fault in gains.items():
+        more = replace(log, channels={**log.channels, channel: 1.1 * log.channels[channel]})
+        changed = forces(model, more, q) - forces(model, log, q)
+        found = fault.effect(view, 0.1)[:, : changed.shape[1]]
+        assert np.linalg.norm(found - changed) < 0.02 * np.linalg.norm(changed), "but for spikes that are smoothed"
+
+
+@pytest.mark.slow
+def test_a_pressure_that_reads_too_much_is_named_at_a_shared_joint() -> None:
+    model = Model(load_machine("backhoe"))
+    log = simulate(model, random_trajectory(model, duration=33.28, rate=50.0, seed=1), random_truth(model, 3), seed=1)
+    channel = "swing_cylinder_left.p_head"
+    wrong = replace(log, channels={**log.channels, channel: 1.2 * log.channels[channel]})
+    sound, found = (identify(identification_problem(model, [each]), intervals=False) for each in (log, wrong))
+    assert sound.status == "ok"
+    assert found.status == "suspect"
+    cause = found.misfit.found[0]
+    assert cause.fault.subject == (channel,)
+    assert abs(cause.size - 0.2) < 3 * cause.std

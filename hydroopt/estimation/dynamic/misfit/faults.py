@@ -252,20 +252,18 @@ class Play(OfMotion):
 
 @dataclass(frozen=True)
 class Added(Fault):
-    """Something in proportion to a known course, added to one reading: a gain, a drift, a missing friction term."""
+    """Something in proportion to a known course, added to one reading: a drift, a missing friction term."""
 
     course: str = ""
     reading: int = 0
-    weight: float = 1.0
-    channel: str = ""
 
     def effect(self, view: View, size: float) -> Array:
         """The course times the size."""
-        return _placed(view, size * self.weight * self._course(view)[:, None], (self.reading,))
+        return _placed(view, size * self._course(view)[:, None], (self.reading,))
 
     def by_parameters(self, view: View, size: float) -> Array | None:
         """Of a gain, the regressor times the size."""
-        return _only(size * self.weight * view.regressor, (self.reading,)) if self.course == "reading" else None
+        return _only(size * view.regressor, (self.reading,)) if self.course == "reading" else None
 
     def _course(self, view: View) -> Array:
         t, true = view.motion.t, view.predicted[:, self.reading]
@@ -273,8 +271,6 @@ class Added(Fault):
             return np.ones(t.size)
         if self.course == "time":
             return np.asarray((t - t[0]) / (t[-1] - t[0]) - 0.5)
-        if self.course == "channel":
-            return view.pressures[self.channel]
         if self.course == "reading":
             return true
         speed = view.speeds[:, self.reading]
@@ -285,6 +281,15 @@ class Added(Fault):
             return courses[self.course]
         load = np.abs(true) if self.course == "load" else np.abs(_seal_pressure(view, self.reading))
         return np.asarray(np.sign(speed) * load / max(float(np.sqrt(np.mean(load**2))), 1e-12))
+
+
+@dataclass(frozen=True)
+class Scaled(Fault):
+    """A pressure reads too much, in proportion, whichever readings it is a part of."""
+
+    def effect(self, view: View, size: float) -> Array:
+        """What it adds to the readings, times the size."""
+        return np.asarray(size * view.contributions[self.subject[0]])
 
 
 @dataclass(frozen=True)
@@ -385,15 +390,14 @@ def _of_forces(view: View, k: int) -> Iterator[Fault]:
                           course=course, reading=k) for course in ("viscous", "coulomb"))
         return
     factors = actuator.effort_factors if actuator else {}
-    chambers = [channel for channel in factors if channel in view.pressures]
+    chambers = [channel for each in balance.actuators for channel in each.effort_factors if channel in view.pressures]
     for channel in chambers:
-        yield Added("gain", (channel,), f"{channel} reads too much, or the area that it acts on is larger than stated",
-                    "%", TYPICAL, 100.0, course="channel", reading=k, weight=factors[channel],
-                    channel=channel)
+        yield Scaled("gain", (channel,), f"{channel} reads too much, or the area that it acts on is larger than stated",
+                     "%", TYPICAL, 100.0)
     if not chambers:
         yield Added("gain", (name,), f"the force readings of {name} are too large", "%", TYPICAL, 100.0,
                     course="reading", reading=k)
-    drift = max(abs(f) for f in factors.values()) * DRIFT if chambers else size
+    drift = max(abs(f) for f in factors.values()) * DRIFT if chambers and factors else size
     yield Added("drift", (name,), f"the force readings of {name} drift over the log", unit, drift, course="time",
                 reading=k)
     if ParameterKind.FORCE_OFFSET not in has:

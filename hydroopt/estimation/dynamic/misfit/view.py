@@ -254,18 +254,36 @@ class View:
     @cached_property
     def pressures(self) -> Mapping[str, Array]:
         """Pressures [Pa] (N,) by channel, without the share of the force's noise that is theirs, and low-passed."""
-        log, noise = self.experiment.log, self.residual
-        found: dict[str, Array] = {}
-        for k, balance in enumerate(self.model.machine.balances):
-            actuator = balance.alone
-            if actuator is None or isinstance(actuator, Drive) or not set(actuator.chambers) <= set(log.channels):
-                continue
-            sensors = [self.model.machine.sensor(channel) for channel in actuator.chambers]
+        machine, log, found = self.model.machine, self.experiment.log, dict[str, Array]()
+        for k, balance in enumerate(machine.balances):
+            read = [each for each in balance.actuators
+                    if not isinstance(each, Drive) and set(each.chambers) <= set(log.channels)]
+            sensors = [machine.sensor(channel) for each in read for channel in each.chambers]
             stds = np.array([sensor.std if sensor else np.nan for sensor in sensors])
-            factors = np.array([actuator.effort_factors[channel] for channel in actuator.chambers])
-            share = (factors * np.where(np.all(np.isfinite(stds) & (stds > 0)), stds, 1.0)) ** 2
-            for channel, factor, part in zip(actuator.chambers, factors, share / share.sum(), strict=True):
-                found[channel] = _slow(log.channels[channel] - part / factor * noise[:, k], self.window)
+            factors = np.column_stack([self.arms[:, k, machine.actuators.index(each)] * each.effort_factors[channel]
+                                       for each in read for channel in each.chambers] or [np.zeros((1, 0))])
+            variance = np.where(np.all(np.isfinite(stds) & (stds > 0)), stds, 1.0) ** 2
+            parts = factors * variance / np.sum(factors**2 * variance, axis=1, keepdims=True)
+            for channel, part in zip((channel for each in read for channel in each.chambers), parts.T, strict=True):
+                found[channel] = _slow(log.channels[channel] - part * self.residual[:, k], self.window)
+        return found
+
+    @cached_property
+    def arms(self) -> Array:
+        """Measured forces of the balances per force of each actuator (N, r, a); (1, r, a) where they are the same."""
+        model = self.model
+        return np.eye(len(model.machine.balances))[None] if model.machine.one_each else np.asarray(
+            model.over(model.shares, self.motion.q)[0])
+
+    @cached_property
+    def contributions(self) -> Mapping[str, Array]:
+        """What each of the `pressures` adds to the readings (N, c)."""
+        machine, found = self.model.machine, dict[str, Array]()
+        for a, actuator in enumerate(machine.actuators):
+            for channel in set(actuator.effort_factors) & set(self.pressures):
+                found[channel] = np.zeros_like(self.predicted)
+                found[channel][:, : len(machine.balances)] = (
+                    self.arms[:, :, a] * (actuator.effort_factors[channel] * self.pressures[channel])[:, None])
         return found
 
     @cached_property
