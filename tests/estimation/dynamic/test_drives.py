@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fixtures import springs
-from fixtures.drives import crane, crossing, twin
+from fixtures.drives import crane, crossing
 from fixtures.tiers import tiered
 from hydroopt.estimation.dynamic.experiment import Experiment, experiment
 from hydroopt.estimation.dynamic.identify import identify
@@ -92,7 +92,7 @@ def test_what_nothing_reads_has_neither_spikes_nor_a_signal_that_is_missed() -> 
 
 def test_a_pressure_that_reads_too_much_is_searched_for_at_shared_joints() -> None:
     """Its effect is what scaling the channel does to the balance, by lever arms that change along the motion."""
-    model = Model(twin())
+    model = Model(crossing())
     log = simulate(model, random_trajectory(model, duration=10.0, rate=20.0, seed=1), noise=False)
     view = View.of(experiment(model, log), model.parameters.nominal)
     gains = {fault.subject[0]: fault for fault in listed(view) if isinstance(fault, Scaled)}
@@ -102,7 +102,7 @@ def test_a_pressure_that_reads_too_much_is_searched_for_at_shared_joints() -> No
         more = replace(log, channels={**log.channels, channel: 1.1 * log.channels[channel]})
         changed = forces(model, more, q) - forces(model, log, q)
         found = fault.effect(view, 0.1)[:, : changed.shape[1]]
-        assert np.linalg.norm(found - changed) < 0.02 * np.linalg.norm(changed), "but for spikes that are smoothed"
+        assert np.linalg.norm(found - changed) < 0.05 * np.linalg.norm(changed), "but for what is low-passed"
 
 
 @pytest.mark.slow
