@@ -92,6 +92,9 @@ def design_parameters(model: Model, sigma: Array, *, focus: Sequence[str] = (), 
         IdentifiabilityError: those that do are not identifiable by any motion.
     """
     structure = structural(model)
+    if not structure.basis:
+        raise IdentifiabilityError("no motion identifies a parameter of this machine", where=model.machine.name,
+                                   remedy="state bodies or friction of what moves in the machine file")
     columns = np.array(structure.basis)
     parameters = model.parameters
     scale = parameters.scale[columns]

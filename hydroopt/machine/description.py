@@ -12,6 +12,7 @@ from hydroopt.machine import addresses
 from hydroopt.machine.actuators import Actuator, Cylinder, Drive, GasCylinder, Motor
 from hydroopt.machine.addresses import Number
 from hydroopt.machine.balances import Balance, balance
+from hydroopt.machine.base_motion import CHASSIS
 from hydroopt.machine.calibration_chain import Calibrator, Distance, Fixture, Stage, Tracker
 from hydroopt.machine.closures import closures
 from hydroopt.machine.couplings import Coupling
@@ -87,6 +88,12 @@ class MachineDescription(Noun):
     def dependent_joints(self) -> tuple[str, ...]:
         """Names of the joints that loops and couplings determine."""
         return tuple(link.name for link in self.links if link.joint.moving and not link.joint.independent)
+
+    @property
+    def base_joints(self) -> tuple[str, ...]:
+        """Names of the joints of a moving base, which the ground moves."""
+        on = self.ancestry(CHASSIS) if any(link.name == CHASSIS for link in self.links) else ()
+        return tuple(joint for joint in self.joints if joint in on)
 
     @cached_property
     def followed(self) -> dict[str, tuple[str, ...]]:

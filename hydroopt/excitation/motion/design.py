@@ -1,8 +1,9 @@
 """The motion with the most information on a machine's parameters within all of its limits (Gautier and Khalil 1992).
 
 Coefficients of the motion are the variables of a nonlinear problem with exact first derivatives, which is solved from
-many starts, in parallel processes. What it returns is refuse_criterion at the controller's rate and, if a limit
-is violated in between, scaled towards a posture at rest until none is: a returned motion satisfies all limits.
+many starts, in parallel processes. What it returns is checked at the controller's rate and, if a limit
+is violated in between, scaled towards a posture at rest until none is: a returned motion satisfies all limits. Passive
+joints are designed as variables that nearly balance themselves; at last they are simulated as they swing.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ import time
 from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
+from dataclasses import replace
 from multiprocessing import get_context
 from multiprocessing.queues import Queue
 from multiprocessing.synchronize import Event
@@ -41,6 +43,8 @@ BACK_OFF, ROUNDS = 0.001, 4
 """Part of every limit's range by which bounds are tightened, and how often this is increased."""
 STILL = 1e-6
 """Speed [rad/s, m/s] below which a motion counts as standstill."""
+SMALLEST, TRIES = 0.1, 10
+"""Size of the smallest of so many copies of a motion that are tried with passive joints that swing."""
 Report = Callable[[int, float], None]
 
 
@@ -58,7 +62,7 @@ def excitation_problem(machine: Machine, basis: Basis, *, criterion: str = "D", 
         logs: already measured; their information is added to that of the motion.
         rate: samples per second of the controller; by default the highest that the file states for a joint's sensor,
             or 50.
-        resting: joints that rest, with their positions [rad, m].
+        resting: joints that rest, with their positions [rad, m]; those of a moving base rest level if not stated.
 
     Raises:
         ProblemError: an argument is wrong; the sentence states a remedy.
@@ -75,15 +79,13 @@ def excitation_problem(machine: Machine, basis: Basis, *, criterion: str = "D", 
         >>> motion.trajectory.q.shape
         (1001, 1)
     """
-    if passive := [joint for joint in machine.joints if machine.link(joint).joint.passive]:
-        raise ProblemError(f"no motion of '{passive[0]}' can be designed, since the joint is passive",
-                           where=machine.name, remedy="make it locked in the file that the motion is designed with")
     model = Model(machine)
     model.refuse_seals("excitation")
+    level = {joint: float(np.clip(0.0, *machine.link(joint).joint.range)) for joint in machine.base_joints}
     measured = measured_information(machine, logs) if logs else None
     parameters = design_parameters(model, presumed_noise(model), focus=focus, bayesian=priors, measured=measured)
     return ExcitationProblem(Information(model, parameters, criterion), Limits(model, margins(model)), basis,
-                             sampling_rate(machine) if rate is None else rate, resting,
+                             sampling_rate(machine) if rate is None else rate, level | dict(resting or {}),
                              [{"path": log.path or log.name, "sha256": log.sha256 or None, "samples": log.size,
                                "role": "measured before"} for log in logs])
 
@@ -130,12 +132,33 @@ def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, secon
         stopped = interrupted()
     moving = [each for each in found if np.max(np.abs(problem.states(each[0], problem.fine).qd)) > STILL]
     if moving:
-        return Excitation(problem, min(moving, key=lambda each: each[1])[0], seed, starts, stopped)
+        return _as_it_swings(Excitation(problem, min(moving, key=lambda each: each[1])[0], seed, starts, stopped),
+                             at_rest)
     if stopped:
         raise KeyboardInterrupt
     raise ProblemError(f"{', '.join(_conflicting_limits(problem, at_rest))} cannot be kept by any motion that was "
                        "tried, however small", where="excitation",
                        remedy="correct these limits in the machine file, or give more time")
+
+
+def _as_it_swings(found: Excitation, rest: Array) -> Excitation:
+    """The motion itself, or made smaller until limits are kept while passive joints swing as they do.
+
+    Raises:
+        ProblemError: they are not kept however small the motion is.
+    """
+    if not found.problem.limits.hanging.joints:
+        return found
+    for part in np.linspace(1.0, SMALLEST, TRIES):
+        x = found.x if part == 1 else found.problem.hung(rest + part * (found.x - rest))
+        one = replace(found, x=x)
+        try:
+            if min(use.room for use in one.limits) >= 0:
+                return one
+        except ProblemError:  # a passive joint leaves its range
+            continue
+    raise ProblemError("passive joints swing beyond limits in every motion that was tried", where="excitation",
+                       remedy="give a slower motion: fewer harmonics, or a longer period")
 
 
 def _attempt(problem: ExcitationProblem, rest: Array, seed: tuple[int, int], end: float,

@@ -26,6 +26,7 @@ from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import number
+from hydroopt.simulation.passive_joints import passive_motion
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array
 
@@ -217,7 +218,8 @@ class Excitation(Answer):
 
     @cached_property
     def _states(self) -> State:
-        return self.problem.states(self.x, self.problem.fine)
+        states, model = self.problem.states(self.x, self.problem.fine), self.problem.information.model
+        return State(*passive_motion(model, self.problem.t, states, model.parameters.nominal))
 
     @cached_property
     def function(self) -> ca.Function:

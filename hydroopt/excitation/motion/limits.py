@@ -1,7 +1,8 @@
 """The limits of a machine as bounded functions of the joints' state, each with a name for messages.
 
 Joint positions, speeds and accelerations; cylinder strokes and speeds; the pump's flow; chamber pressures or torques by
-the nominal dynamics with a margin for its uncertainty; workspace, ground and obstacles; tipping over.
+the nominal dynamics with a margin for its uncertainty; what passive joints leave without balance; workspace, ground
+and obstacles; tipping over.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.estimation.inference.identifiability import random_states
+from hydroopt.excitation.motion.hanging import Hanging
 from hydroopt.machine.actuators import Cylinder, Drive, Motor
 from hydroopt.machine.machine import BASE
 from hydroopt.model.flow_demand import chamber_flows
@@ -49,6 +51,7 @@ class Limits:
         scale: (m,) of the rows.
         lower, upper: bounds (m,), divided by the scales.
         margin: (a,) force [N, N·m] that each actuator keeps in reserve.
+        hanging: the passive joints.
         back_pressure: [Pa] in the chamber that does not push.
     """
 
@@ -57,6 +60,7 @@ class Limits:
     def __init__(self, model: Model, margin: Array | None = None) -> None:
         self.model = model
         machine = model.machine
+        self.hanging = Hanging(model)
         self.margin = np.zeros(len(machine.actuators)) if margin is None else margin
         self._entries: list[tuple[Row, ca.SX]] = []
         self._joints()
@@ -65,6 +69,7 @@ class Limits:
         self._efforts()
         self._positions()
         self._tipping()
+        self._passive()
         self.rows = tuple(row for row, _ in self._entries)
         self.scale = np.array([row.scale for row in self.rows])
         states, values = model.coordinates, ca.vertcat(*(value for _, value in self._entries))
@@ -148,6 +153,13 @@ class Limits:
                 self._add(" ".join(chamber.split(".")), "Pa", (sign * force[k] + other * self.back_pressure) / area,
                           upper=most if most >= self.back_pressure else -np.inf,  # cannot be satisfied
                           scale=actuator.relief_pressure, floor=self.back_pressure)
+
+    def _passive(self) -> None:
+        hanging = self.hanging
+        for joint, value, most in zip(hanging.joints, ca.vertsplit(hanging.balance),
+                                      hanging.tolerance if hanging.joints else (), strict=True):
+            name = self.model.machine.joints[joint]
+            self._add(f"{name} out of balance", self.model.machine.effort_units(name)[0], value, -most, most)
 
     def _positions(self) -> None:
         machine, dynamics = self.model.machine, self.model.dynamics

@@ -191,6 +191,18 @@ class ExcitationProblem:
         """x of resting at a posture (n,)."""
         return np.asarray(np.outer(self.one, q[self.active] / self.size).ravel())
 
+    def hung(self, x: Array) -> Array:
+        """x with passive joints that hang still in each posture, as far as the functions of time can follow."""
+        hanging = self.limits.hanging
+        if not hanging.joints:
+            return x
+        q = hanging.postures(self.states(x, self.nodes).q)
+        made = np.reshape(x, (-1, len(self.active))).copy()
+        for joint in set(hanging.joints) & set(self.active):
+            k = self.active.index(joint)
+            made[:, k] = np.linalg.lstsq(self.nodes.position, q[:, joint] / self.size[k], rcond=None)[0]
+        return made.ravel()
+
     def objective(self, x: Array) -> tuple[float, Array]:
         """Criterion and gradient."""
         value, by_state = self.information.value_and_slope(*self.states(x, self.nodes), self.samples_per_node)

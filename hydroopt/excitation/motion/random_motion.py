@@ -47,6 +47,7 @@ def _postures(problem: ExcitationProblem, near: Array, size: float, rng: np.rand
     q = np.vstack([near, drawn if size == 1 else np.clip(near + size * (drawn - (low + high) / 2), low, high)])
     for joint, position in problem.resting.items():
         q[:, joints.index(joint)] = position
+    q = problem.limits.hanging.postures(q)
     return q, problem.limits.excess(problem.limits.values(q, 0 * q, 0 * q))
 
 
@@ -66,7 +67,7 @@ def random_motion(problem: ExcitationProblem, rest: Array, rng: np.random.Genera
     wave = rng.standard_normal(shape)
     wave -= np.outer(problem.one, wave.mean(axis=0))  # so that the posture is its mean
     total = np.zeros(shape)
-    for k in range(shape[1]):
+    for k in (k for k, joint in enumerate(problem.active) if joint not in problem.limits.hanging.joints):
         alone = np.zeros(shape)
         alone[:, k] = wave[:, k]
         total[:, k] = np.reshape(
@@ -82,16 +83,16 @@ def shrunk(problem: ExcitationProblem, x: Array, rest: Array, *, rough: bool = F
     times = (problem.nodes,) if rough else (problem.fine, problem.grid)
 
     def feasible(part: float) -> bool:
-        scaled = rest + part * (x - rest)
+        scaled = problem.hung(rest + part * (x - rest))
         return bool(np.all(np.isfinite(scaled))) and all(problem.excess(scaled, rows) <= 0 for rows in times)
 
-    if feasible(1.0):
+    if all(problem.excess(x, rows) <= 0 for rows in times):
         return x
     low, high = 0.0, 1.0
     for _ in range(8 if rough else 30):
         middle = (low + high) / 2
         low, high = (middle, high) if feasible(middle) else (low, middle)
-    return np.asarray(rest + low * (x - rest))
+    return np.asarray(problem.hung(rest + low * (x - rest)))
 
 
 def best_random_motion(problem: ExcitationProblem, count: int, seed: int) -> Array:
