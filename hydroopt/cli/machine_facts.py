@@ -10,6 +10,7 @@ import numpy as np
 from hydroopt.estimation.inference import identifiability
 from hydroopt.estimation.kinematic.mobility import mobility
 from hydroopt.machine.couplings import Coupling
+from hydroopt.machine.cylinder_checks import Span, spans
 from hydroopt.machine.loop_checks import LoopRange, loop_ranges
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
@@ -32,6 +33,7 @@ def machine_facts(machine: Machine) -> dict[str, Any]:
                          "description": machine.description},
              "joints": [_joint_facts(machine, name) for name in machine.joints], "cylinders": cylinders,
              "linkages": [_linkage_facts(machine, each) for each in loop_ranges(machine)],
+             "spans": [_span_facts(each) for each in spans(machine)],
              "couplings": [_coupling_facts(machine, each) for each in machine.couplings],
              "channels": machine.channel_units, "sensors": sensors, "parameters": parameters,
              "hydraulic_parameters": _parameter_facts(hydraulic_parameters.parameter_set(machine)),
@@ -54,6 +56,8 @@ def _joint_facts(machine: Machine, name: str) -> dict[str, Any]:
     unit, factor = ("deg", 180 / math.pi) if turn else ("m", 1.0)
     drivers = ", ".join(each.name if each.measured else f"{each.name} (not measured)"
                         for each in machine.drivers[name]) or "passive"
+    if together := _together(machine, name):
+        drivers = f"{together} together"
     return {"joint": name, "type": joint.type, "actuator": drivers, "unit": unit,
             "lower": round(factor * (joint.lower or 0.0), 4), "upper": round(factor * (joint.upper or 0.0), 4)}
 
@@ -77,6 +81,17 @@ def _coupling_facts(machine: Machine, coupling: Coupling) -> dict[str, Any]:
     return {"coupling": coupling.name, "relation": f"{coupling.joint} = {' + '.join((*terms, *offset))}"}
 
 
+def _together(machine: Machine, joint: str) -> int:
+    """How many cylinders only together move a joint and as many others; 0 if none do."""
+    return next((len(group) for group in machine.entangled if joint in group), 0)
+
+
+def _span_facts(span: Span) -> dict[str, Any]:
+    """Joints that only several cylinders together move, and the margin to a singular posture."""
+    return {"cylinders": ", ".join(each.name for each in span.cylinders), "joints": ", ".join(span.joints),
+            "margin_deg": round(math.degrees(span.angle), 2), "margin_at": span.at}
+
+
 def _cylinder_facts(model: Model, k: int) -> dict[str, Any]:
     """Areas, and length and lever arm over the range of the joint that the cylinder moves, others at mid-range."""
     machine = model.machine
@@ -87,7 +102,8 @@ def _cylinder_facts(model: Model, k: int) -> dict[str, Any]:
     length, _, _, lever, _ = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)
     lengths, arms = length[:, k, 0], lever[:, k, machine.joints.index(joint)]
     head, rod = cylinder.areas
-    return {"cylinder": cylinder.name, "joint": joint, "head_area_cm2": round(1e4 * head, 3),
+    moves = f"{joint} and others" if _together(machine, joint) else joint
+    return {"cylinder": cylinder.name, "joint": moves, "head_area_cm2": round(1e4 * head, 3),
             "rod_area_cm2": round(1e4 * rod, 3), "length_min_m": round(float(lengths.min()), 4),
             "length_max_m": round(float(lengths.max()), 4), "lever_arm_min_m": round(float(arms.min()), 4),
             "lever_arm_max_m": round(float(arms.max()), 4)}

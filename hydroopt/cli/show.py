@@ -60,6 +60,9 @@ def show(
                   f"{counts['none']} have no effect on the actuator forces.")
     for each in facts["couplings"]:
         console.print(f"{each['coupling']}: {each['relation']}", soft_wrap=True)
+    for each in facts["spans"]:
+        console.print(f"{each['cylinders']} together move {each['joints']}; least angle to a singular posture "
+                      f"{each['margin_deg']:.1f} deg, at {each['margin_at']}", soft_wrap=True)
     for each in facts["linkages"]:
         console.print(f"{each['linkage']}: {each['dependent']} follow {each['follows']}, {_ratios(each)}; least angle "
                       f"to a dead point {each['margin_deg']:.1f} deg, at {each['margin_at']}", soft_wrap=True)

@@ -199,9 +199,8 @@ class Symbols:
         found += [Guard(self.dynamics.cylinders[c.name].length, ">", COINCIDENT, "OPEN_TRIANGLE")
                  for c in self.machine.pinned]
         if levers:
-            # balances solve a triangular matrix, whose diagonal has lever arms of actuators that are alone at a joint,
-            # or eliminated; several at a joint may pass their dead points
-            found += self.arms(ca.vertsplit(ca.diag(self.dynamics.work)))
+            # several actuators at a joint may pass their dead points
+            found += self.arms(self.dynamics.levers)
         if gas:
             found += [Guard(each.gas_volume(self.dynamics.cylinders[each.name].length), ">", EMPTY, "NO_GAS_VOLUME")
                       for each in self.machine.gas_cylinders]

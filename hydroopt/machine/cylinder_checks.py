@@ -2,29 +2,38 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
+from scipy.stats import qmc
 
 from hydroopt.machine.actuators import Cylinder, GasCylinder
 from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.loop_checks import FLAT
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.mechanism import Mechanism
+from hydroopt.machine.posture import said_posture
 from hydroopt.machine.quantity import ImpossibleError
 from hydroopt.machine.springs import Pinned, Spring
 from hydroopt.spatial.cylinder_triangle import Triangle
 from hydroopt.spatial.inertia import Array
+
+FEW = 3
+"""Up to how many joints are checked on a grid."""
+DRAWN = 12
+"""Logarithm to the base 2 of the number of samples of more joints."""
 
 
 def check(machine: Machine) -> None:
     """Check every cylinder over the range of the joints it moves.
 
     The triangle must close, the stroke must cover the range, and the lever arm must keep its sign; of several actuators
-    that are there to move one joint each may pass a dead point, but not all at once. For a cylinder on one revolute
-    joint this is exact; any other is checked on a grid of its joints. The volume of a gas cylinder must stay positive
-    and its pins and those of a spring apart, also checked on a grid.
+    that are there to move one joint each may pass a dead point, but not all at once. Cylinders that only together move
+    several joints, as those of a platform, must do so. For a cylinder on one revolute joint this is exact; any other is
+    checked on a grid of its joints, or at samples of them where they are more than `FEW`. The volume of a gas cylinder
+    must stay positive and its pins and those of a spring apart, also checked on a grid.
 
     Raises:
         ImpossibleError: names the cylinder, the place and the remedy.
@@ -32,7 +41,8 @@ def check(machine: Machine) -> None:
     geometry = Geometry(machine)
     drivers = machine.drivers
     for cylinder in machine.cylinders:
-        found, alone = geometry.triangle(cylinder), len(drivers[machine.main_joint(cylinder)]) == 1
+        found, main = geometry.triangle(cylinder), machine.main_joint(cylinder)
+        alone = len(drivers[main]) == 1 and not any(main in group for group in machine.entangled)
         if found is None or found[0] not in machine.joints:
             _check_on_grid(geometry, cylinder, alone=alone)
             continue
@@ -44,10 +54,81 @@ def check(machine: Machine) -> None:
         cylinders = [each for each in several if isinstance(each, Cylinder) and machine.moved_by(each) == (joint,)]
         if len(several) == len(cylinders) > 1:
             _not_dead_at_once(geometry, joint, cylinders)
+    for span in spans(machine):
+        if span.angle < FLAT:
+            raise ImpossibleError(f"'{span.cylinders[0].name}' and {len(span.cylinders) - 1} more do not hold their "
+                                  f"joints at {span.at}, where a motion changes none of their lengths",
+                                  "correct their pins or narrow the joints' limits")
     for gas in machine.gas_cylinders:
         _gas_has_room(geometry, gas)
     for spring in machine.springs:
         _apart(geometry, spring)
+
+
+class Span(NamedTuple):
+    """Joints that only several cylinders together move, over their ranges.
+
+    Attributes:
+        joints, cylinders: as many of each.
+        angle: least angle [rad] in the ranges between the direction in which one joint changes the lengths and those
+            of all others together: the margin to a singular posture. Negative beyond such a posture.
+        at: where this is, in words.
+    """
+
+    joints: tuple[str, ...]
+    cylinders: tuple[Cylinder, ...]
+    angle: float
+    at: str
+
+
+def spans(machine: Machine) -> tuple[Span, ...]:
+    """Every group of joints that only several cylinders together move, with its margin to a singular posture.
+
+    >>> from hydroopt.machine.machine_file import load_machine
+    >>> spans(load_machine("cat215b"))
+    ()
+    """
+    geometry, found = Geometry(machine), []
+    for joints in machine.entangled:
+        cylinders = tuple(each for each in machine.cylinders if machine.main_joint(each) in joints)
+        around = [joint for joint in machine.joints if any(joint in machine.moved_by(each) for each in cylinders)]
+        q = ca.SX.sym("q", len(around))
+        at = Mechanism(machine).positions(geometry, {joint: q[k] for k, joint in enumerate(around)})
+        lengths = ca.vertcat(*(_length(geometry, each, at) for each in cylinders))
+        arms = ca.densify(ca.jacobian(lengths, q)[:, [around.index(joint) for joint in joints]])
+        states = _samples(machine, around)
+        size = len(joints)
+        values = np.asarray(ca.Function("arms", [q], [arms]).map(states.shape[1])(states))
+        turned = values.reshape(size, -1, size).transpose(1, 0, 2)
+        turned = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+        volumes = np.linalg.det(turned)
+        # a row of the inverse has the length of one over the sine of its joint's angle to the others
+        usable: Array = np.where((np.abs(volumes) > 1e-12)[:, None, None], turned, np.eye(size))
+        sines = 1 / np.max(np.linalg.norm(np.linalg.inv(usable), axis=2), axis=1)
+        signed = np.where(np.abs(volumes) > 1e-12, np.sign(volumes) * np.sign(volumes[0]) * sines, 0.0)
+        worst = int(np.argmin(signed))
+        found.append(Span(joints, cylinders, float(np.arcsin(np.clip(signed[worst], -1, 1))),
+                          said_posture(machine, dict(zip(around, states[:, worst].tolist(), strict=True)))))
+    return tuple(found)
+
+
+def _length(geometry: Geometry, part: Pinned, at: Mapping[str, ca.SX]) -> ca.SX:
+    return ca.norm_2(geometry.pin(part, "rod", at) - geometry.pin(part, "barrel", at))
+
+
+def _samples(machine: Machine, joints: Sequence[str]) -> Array:
+    """Positions (n, N) of joints over their ranges: a grid, or where they are many mid-range, all corners and Sobol's
+    sequence between them."""
+    ranges = np.array([machine.link(joint).joint.range for joint in joints])
+    if len(joints) <= FEW:
+        points = 721 if len(joints) == 1 else 25
+        axes = [np.linspace(lower, upper, points) for lower, upper in ranges.tolist()]
+        return np.stack([values.ravel() for values in np.meshgrid(*axes, indexing="ij")])
+    n = len(joints)
+    corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * n, indexing="ij")).reshape(n, -1)
+    between = 2 * qmc.Sobol(n, scramble=False).random_base2(DRAWN)[1:].T - 1
+    u = np.hstack([np.zeros((n, 1)), corners, between])
+    return np.asarray(ranges.mean(axis=1)[:, None] + np.ptp(ranges, axis=1)[:, None] / 2 * u)
 
 
 class _Grid(NamedTuple):
@@ -63,11 +144,9 @@ def _on_grid(geometry: Geometry, cylinder: Pinned) -> _Grid:
     joints = machine.moved_by(cylinder)
     q = ca.SX.sym("q", len(joints))
     at = Mechanism(machine).positions(geometry, {joint: q[k] for k, joint in enumerate(joints)})
-    length = ca.norm_2(geometry.pin(cylinder, "rod", at) - geometry.pin(cylinder, "barrel", at))
+    length = _length(geometry, cylinder, at)
     function = ca.Function("length", [q], [length, ca.jacobian(length, q)[-1]])
-    points = 721 if len(joints) == 1 else 25
-    grid = np.meshgrid(*[np.linspace(*machine.link(joint).joint.range, points) for joint in joints], indexing="ij")
-    states = np.stack([values.ravel() for values in grid])
+    states = _samples(machine, joints)
     lengths, arms = (np.asarray(values).ravel() for values in function(states))
 
     def place(sample: int) -> str:

@@ -21,6 +21,7 @@ from hydroopt.machine.fault_sizes import FaultSizes
 from hydroopt.machine.links import Link, Note
 from hydroopt.machine.loops import Loop
 from hydroopt.machine.mass_statements import Identical, TotalMass
+from hydroopt.machine.matching import entangled, matched
 from hydroopt.machine.quantity import Acceleration, Angle, Length, Name, Noun, Rate
 from hydroopt.machine.sensor import Sensor
 from hydroopt.machine.springs import Pinned, Spring
@@ -171,8 +172,22 @@ class MachineDescription(Noun):
         return (*self.cylinders, *self.gas_cylinders, *self.springs)
 
     def main_joint(self, actuator: Actuator) -> str:
-        """The joint of q that an actuator is there to move: of several that a cylinder moves the last one."""
-        return self.moved_by(actuator)[-1]
+        """The joint of q that an actuator is there to move, see `hydroopt.machine.matching.matched`."""
+        return self._mains[actuator.name]
+
+    @cached_property
+    def _mains(self) -> dict[str, str]:
+        return matched(self._moved, [joint for joint in self.joints if not self.link(joint).joint.passive])
+
+    @cached_property
+    def _moved(self) -> dict[str, tuple[str, ...]]:
+        actuators: tuple[Actuator, ...] = (*self.cylinders, *self.motors, *self.drives)
+        return {each.name: self.moved_by(each) for each in actuators}
+
+    @cached_property
+    def entangled(self) -> tuple[tuple[str, ...], ...]:
+        """Groups of joints that only all of their actuators move together, as those of a platform."""
+        return entangled(self._moved, self._mains, self.joints)
 
     def moved_by(self, part: Actuator | Pinned) -> tuple[str, ...]:
         """The joint of q that a motor or drive turns, or those on which a cylinder's length depends."""

@@ -170,6 +170,12 @@ class Machine(MachineDescription):
         across = {joint: each.name for each in self.actuators for joint in self.moved_by(each)[:-1]}
         for joint, drivers in self.drivers.items():
             self._driven(joint, drivers, across.get(joint))
+        for group in self.entangled:
+            shared = [each.name for joint in group for each in self.drivers[joint]]
+            if len(shared) > len(group):
+                raise ImpossibleError(f"{len(shared)} actuators, {', '.join(shared)}, move {len(group)} joints, "
+                                      f"{', '.join(group)}, together", "state as many as joints: cylinders side by "
+                                      "side are one with several 'jacks'")
         if self.joints and not self.measured_actuators:
             raise ImpossibleError("no equation of motion contains a measured force",
                                   "measure at least one joint's actuators: all of them that move it")

@@ -102,7 +102,8 @@ class Dynamics:
 
     @cached_property
     def work(self) -> ca.SX:
-        """(n, n), upper triangular: generalised forces = work · x, with one entry of x for each joint.
+        """(n, n): generalised forces = work · x, with one entry of x for each joint; upper triangular but for joints
+        that only several cylinders together move.
 
         It is the force of the one actuator that is there to move the joint; or of an unmeasured one that moves other
         joints too; else the generalised force at the joint itself.
@@ -113,6 +114,20 @@ class Dynamics:
             for each in lost or (drivers if len(drivers) == 1 and drivers[0].measured else ()):
                 made[:, j] = self.transmission[machine.actuators.index(each), :].T
         return made
+
+    @cached_property
+    def levers(self) -> list[ca.SX]:
+        """Numbers [m or 1] of which none may vanish where `work` is solved: its diagonal, lever arms of actuators that
+        are alone at a joint or eliminated; of joints that only several cylinders together move, for each joint how far
+        its direction is from those of the ones before, from 0 to 1."""
+        found: list[ca.SX] = ca.vertsplit(ca.diag(self.work))
+        for group in self.machine.entangled:
+            places = [self.machine.joints.index(joint) for joint in group]
+            ways = self.work[places, places].T
+            _, pivots = ca.qr(ways)
+            for k, j in enumerate(places):
+                found[j] = pivots[k, k] / ca.norm_2(ways[:, k])
+        return found
 
     def at_balances(self, generalised: ca.SX) -> ca.SX:
         """What the balances measure (r, ·) where generalised forces (n, ·) act, without those that they eliminate."""

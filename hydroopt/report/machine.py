@@ -19,7 +19,8 @@ if TYPE_CHECKING:
     from hydroopt.model.over_range import Curve
     from hydroopt.model.scene import Scene
 
-TABLES = {"joints": "Joints", "cylinders": "Cylinders", "linkages": "Linkages", "couplings": "Couplings",
+TABLES = {"joints": "Joints", "cylinders": "Cylinders", "spans": "Cylinders that move several joints together",
+          "linkages": "Linkages", "couplings": "Couplings",
           "sensors": "Sensors", "parameters": "Parameters"}
 """Which facts a page shows as tables, with their titles."""
 

@@ -25,6 +25,15 @@ NEGLIGIBLE = 1e-9 * np.array([1.0, 0, 0, 0, 1, 0, 0, 1, 0, 1])
 """φ of what has no body: MuJoCo moves nothing without mass."""
 
 
+FLOATING = ("barrel_x", "barrel_y", "barrel_z", "barrel_turn", "barrel")
+"""Joints of a barrel that only pins hold."""
+
+
+def in_space(machine: Machine, cylinder: Cylinder) -> bool:
+    """Whether a cylinder moves in no plane, as those of a platform."""
+    return any(machine.main_joint(cylinder) in group for group in machine.entangled)
+
+
 class Pin(NamedTuple):
     """Two points, each fixed to a body, that are one, or that a rod of a length keeps apart."""
 
@@ -81,6 +90,28 @@ class MujocoLoops:
         return np.array([before.a, 0, 0]), Rotation.from_euler("XY", [before.alpha, before.beta])
 
     def _cylinder(self, cylinder: Cylinder, clouds: dict[str, np.ndarray]) -> None:
+        barrel = self._floating(cylinder) if in_space(self.machine, cylinder) else self._turning(cylinder)
+        rod = barrel.add_body(name=f"{cylinder.name}.rod")
+        rod.add_joint(name=f"{cylinder.name}.rod", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
+        for end, body in (("barrel", barrel), ("rod", rod)):
+            _give_mass(body, clouds.get(f"{cylinder.name}.{end}", NEGLIGIBLE))
+        self.pins.append(Pin((f"{cylinder.name}.rod", cylinder.rod.link), (np.zeros(3), np.array(cylinder.rod.pin))))
+
+    def _floating(self, cylinder: Cylinder) -> mujoco.MjsBody:
+        """A barrel that moves freely in the seat of the joint that orients it, but turns about this joint's axis and an
+        axis across only; its pin holds it."""
+        axis = self.machine.link(self.machine.axis_of(cylinder))
+        start, turn = self._seat(axis)
+        barrel = self.bodies[axis.parent].add_body(name=f"{cylinder.name}.barrel", pos=start,
+                                                   quat=turn.as_quat(scalar_first=True))
+        for name, kind, way in zip(FLOATING, (mujoco.mjtJoint.mjJNT_SLIDE,) * 3 + (mujoco.mjtJoint.mjJNT_HINGE,) * 2,
+                                   ([1, 0, 0], [0, 1, 0], [0, 0, 1], [0, 0, 1], [0, 1, 0]), strict=True):
+            barrel.add_joint(name=f"{cylinder.name}.{name}", type=kind, axis=way)
+        self.pins.append(Pin((f"{cylinder.name}.barrel", cylinder.barrel.link),
+                             (np.zeros(3), np.array(cylinder.barrel.pin))))
+        return barrel
+
+    def _turning(self, cylinder: Cylinder) -> mujoco.MjsBody:
         # the barrel turns about an axis parallel to that of the next joint towards the rod
         after = next(name for name in self.machine.ancestry(cylinder.rod.link)
                      if self.machine.link(name).parent == cylinder.barrel.link)
@@ -91,11 +122,7 @@ class MujocoLoops:
         barrel = self.bodies[cylinder.barrel.link].add_body(name=f"{cylinder.name}.barrel", pos=cylinder.barrel.pin,
                                                             quat=turn.as_quat(scalar_first=True))
         barrel.add_joint(name=f"{cylinder.name}.barrel", type=mujoco.mjtJoint.mjJNT_HINGE, axis=[0, 0, 1])
-        rod = barrel.add_body(name=f"{cylinder.name}.rod")
-        rod.add_joint(name=f"{cylinder.name}.rod", type=mujoco.mjtJoint.mjJNT_SLIDE, axis=[1, 0, 0])
-        for end, body in (("barrel", barrel), ("rod", rod)):
-            _give_mass(body, clouds.get(f"{cylinder.name}.{end}", NEGLIGIBLE))
-        self.pins.append(Pin((f"{cylinder.name}.rod", cylinder.rod.link), (np.zeros(3), np.array(cylinder.rod.pin))))
+        return barrel
 
     def _spring(self, spec: mujoco.MjSpec, owner: str, stiffness: float, preload: float) -> None:
         between = next((each for each in self.machine.springs if each.name == owner), None)
@@ -200,12 +227,24 @@ class MujocoLoops:
     def _aim(self, cylinder: Cylinder) -> None:
         """Turn a barrel towards the pin of its rod, and pull the rod there."""
         mujoco.mj_kinematics(self.model, self.data)
-        body = self.model.body(cylinder.rod.link).id
-        target = self.data.xpos[body] + self.data.xmat[body].reshape(3, 3) @ np.array(cylinder.rod.pin)
+        target = self._place(cylinder.rod.link, cylinder.rod.pin)
+        if in_space(self.machine, cylinder):
+            barrel = self.model.body(f"{cylinder.name}.barrel").id
+            turn, away = self.data.xmat[barrel].reshape(3, 3).T, self._place(cylinder.barrel.link, cylinder.barrel.pin)
+            x, y, z = turn @ (target - away)
+            values = (*(turn @ (away - self.data.xpos[barrel])), np.arctan2(y, x), -np.arctan2(z, np.hypot(x, y)))
+            for name, value in zip(FLOATING, values, strict=True):
+                self.data.qpos[self._dof(f"{cylinder.name}.{name}")] = value
+            self.data.qpos[self._dof(f"{cylinder.name}.rod")] = np.linalg.norm(target - away)
+            return
         barrel = self.model.body(f"{cylinder.name}.barrel").id
         seen = self.data.xmat[barrel].reshape(3, 3).T @ (target - self.data.xpos[barrel])
         self.data.qpos[self._dof(f"{cylinder.name}.barrel")] += np.arctan2(seen[1], seen[0])
         self.data.qpos[self._dof(f"{cylinder.name}.rod")] = np.hypot(seen[0], seen[1])
+
+    def _place(self, link: str, point: tuple[float, ...]) -> np.ndarray:
+        body = self.model.body(link).id
+        return self.data.xpos[body] + self.data.xmat[body].reshape(3, 3) @ np.array(point)
 
     def actuator_forces(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """Forces (n,) that move all bodies."""

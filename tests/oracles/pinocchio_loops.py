@@ -13,7 +13,7 @@ from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.links import Link
 from hydroopt.machine.machine import BASE, Machine
-from oracles.mujoco_loops import NEGLIGIBLE, MujocoLoops
+from oracles.mujoco_loops import FLOATING, NEGLIGIBLE, MujocoLoops, in_space
 from oracles.pinocchio_tree import _inertia, _shift, _turn
 
 
@@ -35,6 +35,8 @@ class PinocchioLoops:
             far = (machine.link(loop.link).joint.a, 0, 0) if loop.pin is None else loop.pin
             self._close(self._at(loop.link, far), self._at(loop.to.link, loop.to.pin))
         for cylinder in machine.cylinders:
+            if in_space(machine, cylinder):
+                self._close(self.places[f"{cylinder.name}.barrel"], self._at(cylinder.barrel.link, cylinder.barrel.pin))
             self._close(self.places[f"{cylinder.name}.rod"], self._at(cylinder.rod.link, cylinder.rod.pin))
         self.data = self.model.createData()
         self.pin_data = pin.StdVec_RigidConstraintData()
@@ -44,7 +46,10 @@ class PinocchioLoops:
     def _carried_by(self, link: str) -> None:
         """Add what hangs on a link, branch by branch: Pinocchio wants the joints of each branch in a row."""
         for cylinder in self.machine.cylinders:
-            if cylinder.barrel.link == link:
+            if in_space(self.machine, cylinder):
+                if self.machine.link(self.machine.axis_of(cylinder)).parent == link:
+                    self._floating(cylinder)
+            elif cylinder.barrel.link == link:
                 self._cylinder(cylinder)
         for child in self.machine.links:
             if child.parent == link:
@@ -75,6 +80,15 @@ class PinocchioLoops:
             name = f"{cylinder.name}.{end}"
             joint, place = self.model.addJoint(joint, kind, place, name), pin.SE3.Identity()
             self._place(name, joint, place)
+
+    def _floating(self, cylinder: Cylinder) -> None:
+        axis = self.machine.link(self.machine.axis_of(cylinder))
+        joint, place = self.ends[axis.parent] if axis.pin is None else self._at(axis.parent, axis.pin)
+        kinds = (pin.JointModelPX(), pin.JointModelPY(), pin.JointModelPZ(), pin.JointModelRZ(), pin.JointModelRY())
+        for name, kind in (*zip(FLOATING, kinds, strict=True), ("rod", pin.JointModelPX())):
+            joint, place = self.model.addJoint(joint, kind, place, f"{cylinder.name}.{name}"), pin.SE3.Identity()
+            if name in ("barrel", "rod"):
+                self._place(f"{cylinder.name}.{name}", joint, place)
 
     def _place(self, name: str, joint: int, place: pin.SE3) -> None:
         self.places[name] = joint, place

@@ -12,7 +12,7 @@ from hydroopt.errors import MachineError
 from hydroopt.estimation.dynamic.experiment import experiment
 from hydroopt.logs.log import read_log
 from hydroopt.logs.smoothing import SmoothingSpline
-from hydroopt.machine.base_motion import AXES
+from hydroopt.machine.free_links import AXES
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, read_machine
 from hydroopt.model.model import Model

@@ -1,0 +1,78 @@
+"""Links that joints do not hold: a platform on cylinders, a base in motion; as the chain of joints they stand for.
+
+First comes the position along x, y, z of the link's parent, then yaw about z, pitch about y and roll about x.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from hydroopt.errors import MachineError
+
+AXES = {"x": "x", "y": "y", "z": "z", "yaw": "z", "pitch": "y", "roll": "x"}
+"""Coordinates in the order of their joints, and the axis of each."""
+_LIMITS = {"lower", "upper", "max_speed", "max_acceleration"}
+_TURN = {"x": ({"beta": "90 deg"}, {"beta": "-90 deg"}), "y": ({"alpha": "-90 deg"}, {"alpha": "90 deg"})}
+"""How z turns to an axis, and back."""
+
+
+def expand(data: dict[str, Any], where: str) -> dict[str, str]:
+    """Put chains of joints in the place of the tables `free` of links, whose parents are stated.
+
+    Of a link ``platform`` they are ``platform_x`` … ``platform_roll``, those that its table states; the link itself is
+    locked to the last one.
+
+    Returns:
+        Which place of the machine stands where in the file.
+
+    Raises:
+        MachineError: a coordinate or key is unknown, or a joint is stated too.
+    """
+    moved: dict[str, str] = {}
+    links: list[Any] = []
+    for link in stated if isinstance(stated := data.get("links"), list) else []:
+        if isinstance(link, dict) and "free" in link:
+            name, limits = link.get("name"), link.pop("free")
+            if "joint" in link:
+                raise MachineError("a free link has a joint, too", where=f"{where}: links[{name}]",
+                                   remedy="state 'free' or 'joint'")
+            made = chain(str(name), link.get("parent"), limits, f"{where}: links[{name}].free")
+            moved |= {f"links[{name}_{key}].joint": f"links[{name}].free.{key}" for key in limits}
+            links += made
+            link |= {"parent": made[-1]["name"], "joint": {"type": "locked"}}
+        links.append(link)
+    if links:
+        data["links"] = links
+    return moved
+
+
+def chain(name: str, parent: Any, limits: Any, where: str) -> list[dict[str, Any]]:
+    """The links whose joints stand for coordinates of a free link.
+
+    Args:
+        name: what the names of the joints begin with.
+        parent: the link that the coordinates refer to.
+        limits: of the joints by coordinate.
+        where: the place of this table.
+    """
+    if not isinstance(limits, dict) or not limits:
+        raise MachineError("must be a table", where=where,
+                           remedy="state coordinates such as roll = { lower = \"-10 deg\", upper = \"10 deg\" }")
+    for key, own in limits.items():
+        if key not in AXES:
+            raise MachineError("this coordinate is unknown", where=f"{where}.{key}", remedy=f"use {', '.join(AXES)}")
+        if not isinstance(own, dict) or not set(own) <= _LIMITS:
+            raise MachineError("must be a table of limits", where=f"{where}.{key}",
+                               remedy=f"state {', '.join(sorted(_LIMITS))}")
+    made: list[dict[str, Any]] = []
+
+    def add(own: str, joint: dict[str, Any]) -> None:
+        made.append({"name": own, "parent": made[-1]["name"] if made else parent, "joint": joint})
+
+    for key in (key for key in AXES if key in limits):
+        back: dict[str, Any] = {}
+        if AXES[key] in _TURN:
+            there, back = _TURN[AXES[key]]
+            add(f"{name}_{key}_axis", {"type": "locked", **there})
+        add(f"{name}_{key}", {"type": "prismatic" if key in "xyz" else "revolute", **back, **limits[key]})
+    return made
