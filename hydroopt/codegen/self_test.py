@@ -12,11 +12,17 @@ import numpy as np
 
 from hydroopt.codegen.inverse_kinematics import arm
 from hydroopt.codegen.routines import Interface
+from hydroopt.codegen.symbols import Guard
 from hydroopt.spatial.inertia import Array
 
 STATES = 4
 MARGIN = 0.1
 """Part of a joint's range at each end that is left out, so that rounding exceeds no stroke."""
+TRIES = 64
+"""How often states are drawn anew, each time on a machine more like the one described, where linkages do not close or
+rounding decides."""
+CLEAR = 1e-4
+"""How well a posture determines the wrench at the tip, see `Dynamics.tip_wrench`, where rounding does not decide it."""
 BENT = 0.05
 """How far from stretched an arm must be, so that rounding does not decide its angles."""
 
@@ -31,8 +37,11 @@ def vectors(interface: Interface, function: ca.Function, keys: list[tuple[str, s
         keys: those pairs.
         single: whether the code computes in single precision.
     """
-    inputs = states(interface, single=single)
-    outputs = dict(zip(keys, results(function, inputs), strict=True))
+    for seed in range(TRIES):
+        inputs = states(interface, seed=seed, single=single, share=4 / (4 + seed))
+        outputs = dict(zip(keys, results(function, inputs), strict=True))
+        if _usable(interface, outputs):
+            break
     routines = {name for name, _ in keys}
     read = {name for routine in routines for name in interface.routines[routine].reads}
     return {"inputs": {name: array for name, array in inputs.items() if name in read}, "outputs": outputs,
@@ -40,8 +49,27 @@ def vectors(interface: Interface, function: ca.Function, keys: list[tuple[str, s
         {"load": _load_update(outputs)} if "payload_update" in routines else {})
 
 
-def states(interface: Interface, count: int = STATES, seed: int = 0, *, single: bool = False) -> dict[str, Array]:
-    """Random inputs of all routines, (count, size) each, and parameters (size,); rounded to float if `single`."""
+def _usable(interface: Interface, outputs: dict[tuple[str, str], Array]) -> bool:
+    """Whether all results are numbers, and all checks hold, that of the wrench at the tip clearly."""
+    if not all(np.all(np.isfinite(array)) for array in outputs.values()):
+        return False
+    guards = ((routine, guard, values[:, k, 0]) for (routine, key), values in outputs.items() if key == ":guards"
+              for k, guard in enumerate(interface.routines[routine].guards))
+    return all(_holds(guard._replace(limit=CLEAR) if (routine, guard.status) == ("tip_wrench", "SINGULAR") else guard,
+                      values) for routine, guard, values in guards)
+
+
+def _holds(guard: Guard, values: Array) -> bool:
+    compare = {">": np.greater, ">=": np.greater_equal, "<": np.less, "<=": np.less_equal}[guard.relation]
+    return bool(np.all(compare(np.abs(values) if guard.absolute else values, guard.limit)))
+
+
+def states(interface: Interface, count: int = STATES, seed: int = 0, *, single: bool = False,
+           share: float = 1.0) -> dict[str, Array]:
+    """Random inputs of all routines, (count, size) each, and parameters (size,); rounded to float if `single`.
+
+    The geometry is off that of the machine file by a `share` of what it is usually.
+    """
     rng = np.random.default_rng(seed)
     machine, chain = interface.machine, interface.chain
 
@@ -62,7 +90,13 @@ def states(interface: Interface, count: int = STATES, seed: int = 0, *, single: 
         "reading": rng.uniform(1e5, 2e7, (count, len(interface.kinds["reading"].names))),
         "chain_q": between({joint: ranges[joint] for joint in chain.joints}), "fixture": rng.uniform(-3, 3, (count, 3))}
     inputs["stroke"] = inputs["length"] - np.array([c.dead_length for c in machine.cylinders])
-    inputs |= {name: _generic(name, array, rng) for name, array in interface.values.items()}
+    inputs |= {name: _generic(name, array, rng, share) for name, array in interface.values.items()}
+    if interface.together:
+        # lengths that give a joint together must not contradict one another
+        geometry = interface.inputs.get("geometry", ca.SX(0, 1))
+        lengths = ca.Function("lengths", [interface.inputs["q"], geometry], [interface.lengths])
+        inputs["length"] = np.array([np.asarray(lengths(each, inputs.get("geometry", np.zeros(0)))).ravel()
+                                     for each in q])
     if "wrench" in interface.inputs:
         inputs["wrench"] = rng.uniform(-1e4, 1e4, (count, 6))
     if "valve_feedforward" in interface.routines:
@@ -105,13 +139,13 @@ def _targets(interface: Interface, inputs: dict[str, Array]) -> dict[str, Array]
         name: chosen[:, [k]] for k, name in enumerate(signs)}
 
 
-def _generic(name: str, array: Array, rng: np.random.Generator) -> Array:
+def _generic(name: str, array: Array, rng: np.random.Generator, share: float) -> Array:
     """Parameters without the zeros and right angles of a machine file, which would hide errors."""
     if name in ("shortest", "longest"):
         return np.full(len(array), 0.0 if name == "shortest" else 100.0)
     if name == "psi":
         return np.asarray(array + rng.uniform(-0.3, 0.3, len(array)) * np.maximum(np.abs(array), 100.0))
-    return np.asarray(array + rng.uniform(-0.05, 0.05, len(array)) * (1 if name == "geometry" else array))
+    return np.asarray(array + rng.uniform(-0.05, 0.05, len(array)) * (share if name == "geometry" else array))
 
 
 def results(function: ca.Function, inputs: dict[str, Array]) -> list[Array]:

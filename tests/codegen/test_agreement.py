@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 from fixtures import library
-from fixtures.library import BALANCED, OK, OPEN_TRIANGLE, OUT_OF_STROKE, SINGULAR, SUBJECTS, Library, held, over
+from fixtures.library import OK, OPEN_TRIANGLE, OUT_OF_STROKE, SINGULAR, SUBJECTS, Library, held, over
 from fixtures.tiers import tiered
 from hydroopt.codegen.folder import STATUSES
 from hydroopt.codegen.routines import ROUTINES
@@ -37,12 +37,12 @@ from hydroopt.model.regressor import Dynamics
 Array = np.ndarray
 Values = dict[str, Array]
 
-EVERY = (*SUBJECTS, *BALANCED)
+EVERY = (*SUBJECTS, *library.BALANCED, *library.LOOPED)
 PARAMETRIC = ("cat215b", "panda_mukca", "spatial")
 BUILDS = (("double", "-O0"), ("double", "-O3"), ("float", "-O0"), ("float", "-O3"))
 FEWER_BUILDS = {"panda_mukca": (("double", "-O3"), ("float", "-O0")), "spatial": (("double", "-O0"), ("float", "-O0")),
                 "cat215b folded": (("double", "-O3"), ("float", "-O0"))} | dict.fromkeys(
-                    BALANCED, (("double", "-O0"), ("float", "-O0")))
+                    (*library.BALANCED, *library.LOOPED), (("double", "-O0"), ("float", "-O0")))
 """How machines are built whose code takes a compiler long, or is much like another's."""
 QUICK_BUILDS = {"cat215b": (("double", "-O0"),), "patu655_lift": (("double", "-O3"), ("float", "-O0")),
                 "twin": (("double", "-O0"),), "eliminated": (("float", "-O0"),)}
@@ -400,7 +400,7 @@ SMALL = {("forestry_crane", "tip_wrench", "float")}
 @pytest.mark.parametrize("subject", tiered(EVERY, lambda subject: subject in QUICK_BUILDS))
 def test_machines_have_the_routines_that_their_parts_call_for(subject: str) -> None:
     described = library.machine(subject.partition(" ")[0])
-    kinematics = () if subject in ("panda_mukca", "spatial") else ("inverse_kinematics",)
+    kinematics = () if subject in ("panda_mukca", "spatial", *library.LOOPED) else ("inverse_kinematics",)
     first, *others = (routine for routine in PLAIN if has(subject, routine))
     assert tuple(library.subject(subject, "double").routines) == (
         first, *kinematics, *others, "payload_update",

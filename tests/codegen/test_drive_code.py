@@ -29,7 +29,7 @@ def test_header_says_what_each_balance_and_actuator_is() -> None:
 
 
 @pytest.mark.parametrize(("subject", "real"), tiered(
-    [(subject, real) for subject in library.BALANCED for real in ("double", "float")],
+    [(subject, real) for subject in (*library.BALANCED, *library.LOOPED) for real in ("double", "float")],
     lambda subject, real: (subject, real) in (("twin", "double"), ("eliminated", "float"))))
 def test_self_test_passes(subject: str, real: str, tmp_path: Path) -> None:
     folder = library.write(library.files(library.subject(subject, real)), tmp_path / "c")
