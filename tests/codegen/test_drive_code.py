@@ -1,4 +1,4 @@
-"""Generated C of machines with several, unmeasured or no actuators on a joint; motions that are not designed."""
+"""Generated C of machines with several, unmeasured or no actuators on a joint."""
 
 from pathlib import Path
 
@@ -9,9 +9,6 @@ from fixtures import library
 from fixtures.drives import crane, twin
 from fixtures.library import DEAD_POINT, OK, OUT_OF_STROKE, Library
 from fixtures.tiers import tiered
-from hydroopt.errors import ProblemError
-from hydroopt.excitation.motion.basis import Fourier
-from hydroopt.excitation.motion.design import excitation_problem
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 
@@ -78,8 +75,3 @@ def test_both_cylinders_at_their_dead_point_cannot_share_a_load(tmp_path) -> Non
     assert lib.call("inverse_dynamics", constants, given, 2)[0].tolist()[1] in (OK, OUT_OF_STROKE)
     for routine in ("actuator_forces", "regressor"):  # what both do together is measured all the same
         assert DEAD_POINT not in lib.call(routine, constants, given, 2)[0]
-
-
-def test_no_motion_of_a_passive_joint_is_designed() -> None:
-    with pytest.raises(ProblemError, match="'grapple' can be designed, since the joint is passive"):
-        excitation_problem(crane(), Fourier(period=6.0, harmonics=2))
