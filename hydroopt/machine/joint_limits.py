@@ -45,8 +45,9 @@ def within_strokes(machine: Machine) -> tuple[Machine, tuple[NarrowedLimits, ...
             continue
         joint = moved[0]
         lower, upper = machine.link(joint).joint.range
-        reach = (_reach(cylinder, found[1], (lower + upper) / 2) if found[0] == joint
-                 else _reach_through_linkage(geometry, cylinder, joint))
+        alone = len(machine.drivers[joint]) == 1
+        reach = (_reach(cylinder, found[1], (lower + upper) / 2) if alone and found[0] == joint
+                 else _reach_on_grid(geometry, cylinder, joint, alone=alone))
         if reach is None:
             continue
         after = max(lower, reach[0]), min(upper, reach[1])
@@ -55,8 +56,11 @@ def within_strokes(machine: Machine) -> tuple[Machine, tuple[NarrowedLimits, ...
     return machine.with_joint_limits({change.joint: change.after for change in changes}), tuple(changes)
 
 
-def _reach_through_linkage(geometry: Geometry, cylinder: Cylinder, joint: str) -> tuple[float, float] | None:
-    """Angles [rad] about the middle of a joint's range that stroke, lever arm and loops allow; None if none."""
+def _reach_on_grid(geometry: Geometry, cylinder: Cylinder, joint: str, *, alone: bool) -> tuple[float, float] | None:
+    """Angles [rad] about the middle of a joint's range that stroke, lever arm and loops allow; None if none.
+
+    A cylinder that is not `alone` at its joint may pass its dead point.
+    """
     q, (lower, upper) = ca.SX.sym("q"), geometry.machine.link(joint).joint.range
     mechanism = Mechanism(geometry.machine)
     at = mechanism.positions(geometry, {joint: q})
@@ -69,7 +73,8 @@ def _reach_through_linkage(geometry: Geometry, cylinder: Cylinder, joint: str) -
     def usable(angle: float) -> bool:
         found, arm, clear = (np.asarray(values).ravel() for values in function(angle))
         stroke = found[0] - cylinder.dead_length
-        return bool(0 <= stroke <= cylinder.stroke and arm[0] * sign > 0 and np.all(np.abs(clear) > np.sin(FLAT)))
+        works = arm[0] * sign > 0 or not alone
+        return bool(0 <= stroke <= cylinder.stroke and works and np.all(np.abs(clear) > np.sin(FLAT)))
 
     if not usable(middle):
         return None

@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import tomlkit
 from pydantic import BaseModel, ValidationError
@@ -301,15 +301,30 @@ def _in_plain_words(error: ValidationError, data: dict[str, Any]) -> tuple[str, 
     if kind == "missing":
         return "this key is missing", place, "add it"
     if kind == "extra_forbidden":
-        known = sorted({key for noun in Noun.__subclasses__() for key in noun.model_fields})
-        if first["loc"][-1] in known:
-            return "this key has no meaning here", place, "remove it"
-        like = get_close_matches(str(first["loc"][-1])[:80], known, 1, 0.75)
-        better = f"write '{like[0]}'" if like else "correct its spelling"
-        return "this key is unknown", place, f"{better} or remove it"
+        key, here = str(first["loc"][-1])[:80], _keys_at(first["loc"][:-1])
+        like = get_close_matches(key, here, 1, 0.75)
+        better = f"write '{like[0]}'" if like else f"use one of {', '.join(here)}"
+        known = any(key in noun.model_fields for noun in Noun.__subclasses__())
+        return f"this key {'has no meaning here' if known else 'is unknown'}", place, f"{better}, or remove it"
     said = str(node if isinstance(node, bool | int | float | str) else first["input"])
     said = said.lower() if isinstance(node, bool) else said
     return f"{_must(kind, context, first['msg'], first['input'])}, not '{said:.60}'", place, "correct it"
+
+
+def _keys_at(steps: Sequence[int | str]) -> list[str]:
+    """The keys of the part at a place of a machine file; none where it may be of no stated kind."""
+    nouns: set[type[BaseModel]] = {Machine}
+    for step in steps:
+        fields = [noun.model_fields[step] for noun in nouns if step in noun.model_fields]
+        nouns = {each for field in fields for each in _nouns(field.annotation)} if fields else nouns
+    return [key for noun in nouns for key in noun.model_fields if key != "notes"]
+
+
+def _nouns(annotation: Any) -> set[type[BaseModel]]:
+    """The kinds of parts within a type."""
+    if isinstance(annotation, type) and issubclass(annotation, BaseModel):
+        return {annotation}
+    return {each for part in get_args(annotation) for each in _nouns(part)}
 
 
 def _must(kind: str, context: Mapping[str, Any], message: str, value: Any) -> str:

@@ -97,6 +97,8 @@ class KinematicModel:
                                 ["g", "q"], ["axes"])
         self._axis_frame = frames
         self._symbols = g, q, tip, place
+        self._end = tip if machine.calibrator else (
+            poses[machine.tip] @ self.geometry.far_end(machine.tip)).origin if machine.links else tip
         self._runner = Runner()
 
     def loop_sines(self, g: ca.SX, q: ca.SX) -> list[ca.SX]:
@@ -145,6 +147,12 @@ class KinematicModel:
         rows = function(g, q, place)
         return ca.Function(f"{function.name()}_by_angles", [g, q, place], [rows, ca.jacobian(rows, q)],
                            ["g", "q", "place"], [function.name(), "by_q"])
+
+    @cached_property
+    def end(self) -> ca.Function:
+        """(g, q) -> `tip` or, of a machine without calibrator, the far end of its last link (3,) [m]."""
+        g, q = self._symbols[:2]
+        return ca.Function("end", [g, q], [self._end], ["g", "q"], ["end"])
 
     @cached_property
     def moved_tip(self) -> ca.Function:

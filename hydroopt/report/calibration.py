@@ -46,6 +46,8 @@ PANELS = 3
 SHOWN = 3
 """Stages, and poses of each, in the picture of the chain."""
 BINS = 40
+FLAT = 1e-6
+"""Width of a view, relative to its length, from which on it is drawn."""
 
 
 class Parameter(NamedTuple):
@@ -279,12 +281,16 @@ def workspace(c: Calibration) -> Figure | None:
     """Mean standard deviation of the machine's end over its workspace from the side and from above."""
     space = c.workspace
     known = np.isfinite(space.std)
-    if not known.any():
+    if not np.any(space.std[known]):
         return None
     std = 1e3 * space.std[known]
     views = ((_side, "from the side, turned into one plane", "radius from the base's z axis [m]",
               "height along it [m]"), (_above, "from above, all heights", "x [m]", "y [m]"))
     spans = [np.ptp(view(space.position[known]), axis=0) for view, *_ in views]
+    seen = [k for k, span in enumerate(spans) if np.min(span) > FLAT * np.max(span)]  # a plane is a line from above
+    if not seen:
+        return None
+    views, spans = tuple(views[k] for k in seen), [spans[k] for k in seen]
     tall = min(4.4, (WIDTH - 2.7) / sum(float(span[0] / span[1]) for span in spans))
     height, left = tall + 1.05, 0.65
     colours = Normalize(float(np.quantile(std, 0.005)), float(np.quantile(std, 0.995)))

@@ -54,3 +54,13 @@ def test_a_stroke_beyond_the_folded_triangle_ends_at_its_other_end() -> None:
     reach = _reach(cylinder, sides, -0.18)
     assert reach is not None
     np.testing.assert_allclose(reach, [np.radians(-55.1143138), -sides.offset], atol=1e-4)
+
+
+def test_one_of_two_opposed_cylinders_may_pass_its_dead_point() -> None:
+    """Its stroke limits the joint, its dead point does not."""
+    backhoe = ho.load_machine("backhoe")
+    assert within_strokes(backhoe)[1] == ()
+    shorter, changes = within_strokes(backhoe.with_values({"swing_cylinder_left.dead_length": 0.76}))
+    assert {change.cylinder for change in changes} == {"swing_cylinder_left"}
+    (change,) = changes
+    assert pin_distance(shorter, "swing", change.cylinder, min(change.after, key=abs)) == pytest.approx(0.76, abs=1e-5)

@@ -278,3 +278,17 @@ def test_a_failed_solver_leaves_its_reason(tmp_path: Path, capsys: pytest.Captur
     content = read(tmp_path)
     assert (content["status"], content["reason"]) == ("failed", "IPOPT: no convergence; check the poses.")
     assert [file.name for file in tmp_path.iterdir()] == ["estimate.json"]
+
+
+def test_machines_that_nothing_holds_have_a_report(tmp_path: Path) -> None:
+    """Angles and a cylinder's length alone: the end is the machine's, and its place does not depend on pins."""
+    model = KinematicModel(load_machine("wheel_loader"))
+    q = np.random.default_rng(0).uniform(*postures.limits(model), (20, len(model.joints)))
+    none = [""] * len(q)
+    poses = postures.record(model, q, none, none, geometry=model.parameters.nominal, channels=(
+        "lift.q", "bucket.q", "lift_cylinder.length", "tilt_cylinder.length"))
+    found = calibrate(calibration_problem(model.machine, poses))
+    assert found.status == "ok"
+    assert np.ptp(found.workspace.position[:, 0]) > 1
+    assert not np.any(found.workspace.std)
+    assert "tilt_cylinder.barrel.x" in render(found)

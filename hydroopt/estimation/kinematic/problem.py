@@ -123,6 +123,10 @@ def calibration_problem(machine: Machine, poses: Poses, validation: Poses | None
     refuse_others([poses] if validation is None else [poses, validation], (Poses,), "table of poses", "calibration")
     model = KinematicModel(machine)
     builder = LayoutBuilder(machine, model, poses)
+    if not len(builder.parameter_set()):
+        raise ProblemError("no number of its geometry states how far it may be off: there is nothing to calibrate",
+                           where=f"machine '{machine.name}'",
+                           remedy="state a 'sigma' of pins and lengths in the machine file")
     problem = CalibrationProblem(
         model, poses, validation, builder.parameter_set(), builder.layout(), builder.angle_sigma(),
         builder.row_sigma(), builder.distances(), builder.exact() | dict(fixed or {}), priors)

@@ -43,7 +43,7 @@ class WorkspaceAccuracy(NamedTuple):
 
 
 def workspace_accuracy(solution: KinematicSolution) -> WorkspaceAccuracy:
-    """At the tip of a rigid tool, or where the calibrator's links begin, in random postures within the limits."""
+    """At the tip of a rigid tool or of the machine, or where the calibrator's links begin, in random postures."""
     model = solution.problem.model
     low, high = postures.limits(model)
     q = np.random.default_rng(solution.seed).uniform(low, high, (SAMPLES, len(low)))
@@ -59,7 +59,7 @@ def _end(model: KinematicModel) -> tuple[str, ca.Function]:
     g, q = ca.SX.sym("g", len(model.parameters)), ca.SX.sym("q", len(model.joints))
     calibrator = model.machine.calibrator
     if calibrator is None or not calibrator.links:
-        name, point = "tip", model.tip(g, q)
+        name, point = "tip", model.end(g, q)
     else:
         name = f"end of {calibrator.parent}"
         point = model.far_ends(g, q)[:, [link.name for link in model.machine.chain].index(calibrator.parent)]
