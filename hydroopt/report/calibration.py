@@ -287,16 +287,16 @@ def workspace(c: Calibration) -> Figure | None:
     views = ((_side, "from the side, turned into one plane", "radius from the base's z axis [m]",
               "height along it [m]"), (_above, "from above, all heights", "x [m]", "y [m]"))
     spans = [np.ptp(view(space.position[known]), axis=0) for view, *_ in views]
-    seen = [k for k, span in enumerate(spans) if np.min(span) > FLAT * np.max(span)]  # a plane is a line from above
-    if not seen:
+    shown = [(*view, span) for view, span in zip(views, spans, strict=True)
+             if np.min(span) > FLAT * np.max(span)]  # a plane is a line from above
+    if not shown:
         return None
-    views, spans = tuple(views[k] for k in seen), [spans[k] for k in seen]
-    tall = min(4.4, (WIDTH - 2.7) / sum(float(span[0] / span[1]) for span in spans))
+    tall = min(4.4, (WIDTH - 2.7) / sum(float(span[0] / span[1]) for *_, span in shown))
     height, left = tall + 1.05, 0.65
     colours = Normalize(float(np.quantile(std, 0.005)), float(np.quantile(std, 0.995)))
     with matplotlib.rc_context(STYLE):
         figure = Figure(figsize=(WIDTH, height))
-        for (view, title, across, up), span in zip(views, spans, strict=True):
+        for view, title, across, up, span in shown:
             wide = tall * float(span[0] / span[1])
             ax = figure.add_axes((left / WIDTH, 0.5 / height, wide / WIDTH, tall / height))
             mean, edges = _binned(view(space.position[known]), std)

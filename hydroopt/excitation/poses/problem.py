@@ -221,7 +221,10 @@ def measured_channels(model: KinematicModel) -> tuple[str, ...]:
     """
     tips = [f"tip.{axis}" for axis in "xyz"] if model.machine.tracker else []
     joints = [f"{model.joints[k]}.q" for k in postures.read_joints(model)]
-    lengths = [f"{cylinder.name}.length" for cylinder in model.machine.cylinders]
+    # a length tells of the joints that it depends on, if the poses know them otherwise
+    known = {*(link.name for link in model.machine.chain), *(joint.removesuffix(".q") for joint in joints)}
+    lengths = [f"{cylinder.name}.length" for cylinder in model.machine.cylinders
+               if known.issuperset(model.machine.moved_by(cylinder))]
     channels = (*joints, *(channel for channel in (*lengths, *tips) if model.machine.sensor(channel)))
     if not channels:
         raise ProblemError("no sensor reads a joint, a cylinder's length or the tip",

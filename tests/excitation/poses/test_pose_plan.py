@@ -330,3 +330,11 @@ def test_planned_poses_can_be_reached_with_pins_as_uncertain_as_the_file_says():
         geometry = model.parameters.nominal + model.parameters.scale * rng.standard_normal(len(model.parameters))
         out = model.over(model.strokes, geometry, plan.q)[0][:, :, 0]
         assert np.all((out >= 0) & (out <= stroke))
+
+
+def test_lengths_of_cylinders_behind_the_calibrator_are_left_out():
+    """The calibrator sits on the stick: nothing reads the bucket, on which its cylinder's length depends."""
+    plan = pose_problem(load_machine("cat215b_bucket"), 5)
+    assert {"boom_cylinder.length", "stick_cylinder.length"} <= set(plan.channels)
+    assert "bucket_cylinder.length" not in plan.channels
+    assert len(plan.parameters)
