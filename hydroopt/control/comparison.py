@@ -206,9 +206,11 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
         progress: is called with a sentence on the progress.
 
     Raises:
-        ProblemError: the motion demands more than pump or valves give, or a loop is unstable at a point of the motion.
+        ProblemError: a joint has not one measured actuator, the motion demands more than pump or valves give, or a loop
+            is unstable at a point of the motion.
         SolverError: the plant could not be integrated.
     """
+    setting.plant.refuse_shared("control")
     best = next(each for each in variants if each.name == COMPLETE)
     demands, period = setting.demands, 1 / setting.rate
     refuse_flow(setting.plant, setting.reference.at(setting.t))

@@ -188,6 +188,14 @@ class Model:
         return _dense("inverse_dynamics", [*given.values()], [force], [*given], ["force"])
 
     @cached_property
+    def efforts(self) -> ca.Function:
+        """(q, qd, qdd[, pressure], psi) → generalised forces (n,) that a motion demands at the joints, and what each
+        actuator (a,) takes for its own friction and offset."""
+        given = self._state | {"psi": ca.SX.sym("psi", len(self.parameters))}
+        made = self.dynamics.efforts(given["psi"], actuator_inertia=self.actuator_inertia)
+        return _dense("efforts", [*given.values()], [*made], [*given], ["torque", "own"])
+
+    @cached_property
     def actuator_forces(self) -> ca.Function:
         """(q, qd, qdd[, pressure], load (n,), psi) → forces (a,) [N or N·m] of all actuators, measured or not, that
         carry a motion and a load at the joints; `shared_load` states how actuators of one joint share it."""

@@ -24,6 +24,7 @@ from hydroopt.model.hydraulics import (
     pump_flow,
     spool_position,
 )
+from hydroopt.model.load_sharing import shared_load
 from hydroopt.model.model import Model
 from hydroopt.parameters import hydraulic as hydraulic_parameters
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
@@ -48,7 +49,7 @@ class Plant:
 
     The state holds q and q̇ of all joints, then for every actuator its spool's place (−1 to 1) and speed, if the file
     states how the spool follows, and the pressures of both chambers, and last the supply's pressure if the pump states
-    a volume. Commands u (n,) are in the unit of each valve, without its delay. `supply` (2,) are the pressures [Pa] of
+    a volume. Commands u (a,) are in the unit of each valve, without its delay. `supply` (2,) are the pressures [Pa] of
     supply and tank; where the pump states a volume, the first is what the pump is set to.
 
     Offsets of transducers in ψ have no effect here. The sign of dry friction is smoothed over the speed `SIGN_WIDTH`.
@@ -57,7 +58,7 @@ class Plant:
     where it has pressed into it; `steady` knows no wall.
 
     Raises:
-        ProblemError: an actuator states no circuit or is not hydraulic, or a joint does not have one measured actuator.
+        ProblemError: an actuator states no circuit or is not hydraulic.
 
     Example:
         >>> import hydroopt as ho
@@ -76,11 +77,6 @@ class Plant:
         if not machine.actuators:
             raise ProblemError("no joint moves", where=machine.name, remedy="hydraulics need cylinders or hydraulic "
                                "motors on all joints")
-        if not machine.one_each:
-            many = next(each for each in machine.joints if [one.measured for one in machine.drivers[each]] != [True])
-            raise ProblemError(f"'{many}' does not have one measured actuator", where=machine.name,
-                               remedy="hydraulics need one cylinder or hydraulic motor with measured pressures on each "
-                                      "joint")
         for actuator in machine.actuators:
             if isinstance(actuator, Drive):
                 raise ProblemError(f"'{actuator.name}' is driven directly, not by oil", where=machine.name,
@@ -91,6 +87,18 @@ class Plant:
                                           f"'{actuator.name}'")
             assert machine.oil is not None
             self.actuators.append(ActuatorHydraulics(actuator, actuator.circuit, machine.oil))
+
+    def refuse_shared(self, job: str) -> None:
+        """Refuse a job that asks for one measured actuator a joint.
+
+        Raises:
+            ProblemError: a joint has several, an unmeasured one, or none.
+        """
+        if not self.machine.one_each:
+            drivers = self.machine.drivers
+            joint = next(each for each in drivers if [one.measured for one in drivers[each]] != [True])
+            raise ProblemError(f"{job} asks for one measured actuator a joint, which '{joint}' has not",
+                               where=self.machine.name, remedy="describe the part of the machine for which that holds")
 
     def __reduce__(self) -> tuple[type[Plant], tuple[Model, Wall | None]]:
         return Plant, (self.model, self.wall)
@@ -171,7 +179,7 @@ class Plant:
             rates += each.pressure_rates(flows[-1], p_a, p_b, length[k], speed[k], value)
             spools.append(spool)
             chambers += [p_a, p_b]
-        pressure = ca.reshape(ca.vertcat(*chambers), 2, n).T
+        pressure = ca.reshape(ca.vertcat(*chambers), 2, len(self.actuators)).T
         areas = ca.DM([each.areas for each in self.actuators])
         force = areas[:, 0] * pressure[:, 0] - areas[:, 1] * pressure[:, 1]
         flow = ca.vertcat(*(each.supply for each in flows))
@@ -181,9 +189,8 @@ class Plant:
             capacity = volume * compressibility(self.actuators[0].oil, supply[0], value)
             rates.append((pump_flow(most, given[0], supply[0]) - ca.sum1(flow)) / capacity)
         contact = self.contact(q, qd) if self.wall else ca.SX(3, 1)
-        wrench = ca.vertcat(contact, ca.SX(3, 1))
-        pushed = self.model.wrench_forces(q, wrench) if self.wall else ca.SX.zeros(n)
-        qdd = self._acceleration(q, qd, force - pushed, pressure, psi)
+        pushed = self.model.tip_jacobian(q)[:3, :].T @ contact if self.wall else ca.SX.zeros(n)
+        qdd = self._acceleration(q, qd, force, pushed, pressure, psi)
         return {"rates": ca.vertcat(qd, qdd, *rates), "q": q, "qd": qd, "qdd": qdd, "length": length, "speed": speed,
                 "spool": ca.vertcat(*spools), "pressure": pressure, "force": force, "flow": flow,
                 "p_supply": supply[0], "contact": contact}
@@ -203,7 +210,7 @@ class Plant:
 
     @cached_property
     def actuator_motion(self) -> ca.Function:
-        """(q, qd) → length and speed (n,) of every actuator; of a motor, angle and speed of its joint."""
+        """(q, qd) → length and speed (a,) of every actuator; of a motor, angle and speed of its joint."""
         dynamics, symbols = self.model.dynamics, self.model.coordinates
         lengths = [dynamics.cylinders[each.actuator.name].length if isinstance(each.actuator, Cylinder)
                    else symbols.q[self.machine.joints.index(each.actuator.joint)] for each in self.actuators]
@@ -212,31 +219,38 @@ class Plant:
                            ["q", "qd"], ["length", "speed"])
 
     @cached_property
-    def _forces(self) -> ca.Function:
-        """The inverse dynamics with rounded dry friction and without offsets of transducers."""
-        smooth = program(self.model.inverse_dynamics).function(lambda speed: ca.tanh(speed / SIGN_WIDTH))
+    def _efforts(self) -> ca.Function:
+        """`Model.efforts` with rounded dry friction and without offsets of transducers."""
+        smooth = program(self.model.efforts).function(lambda speed: ca.tanh(speed / SIGN_WIDTH))
         given = [ca.SX.sym(name, *smooth.size_in(name)) for name in smooth.name_in()]
         acting = ca.DM([kind is not ParameterKind.FORCE_OFFSET for kind in self.model.parameters.kinds])
-        return ca.Function("forces", given, [smooth(*given[:-1], given[-1] * acting)], smooth.name_in(), ["force"])
+        return ca.Function("efforts", given, [*smooth(*given[:-1], given[-1] * acting)], smooth.name_in(),
+                           smooth.name_out())
 
-    def _demand(self, q: ca.SX, qd: ca.SX, qdd: ca.SX, pressure: ca.SX, psi: ca.SX) -> ca.SX:
-        """Forces (n,) that a motion demands of the actuators, with the friction of seals at `pressure` (n, 2)."""
+    def _demanded(self, q: ca.SX, qd: ca.SX, qdd: ca.SX, pressure: ca.SX, psi: ca.SX) -> tuple[ca.SX, ca.SX]:
+        """Generalised forces (n,) that a motion demands of the actuators, and what each takes for its own friction,
+        that of seals at `pressure` (a, 2)."""
         both = [pressure[:, 0] + pressure[:, 1]] if self.model.needs_pressure else []
-        force: ca.SX = self._forces(q, qd, qdd, *both, psi)
-        return force
+        torque, own = self._efforts(q, qd, qdd, *both, psi)
+        return torque, own
 
-    def _acceleration(self, q: ca.SX, qd: ca.SX, force: ca.SX, pressure: ca.SX, psi: ca.SX) -> ca.SX:
-        """Joint accelerations (n,) under actuator forces: these are affine in them."""
-        rest = self._demand(q, qd, ca.SX.zeros(q.numel()), pressure, psi)
-        return ca.solve(self.mass(q, psi), force - rest)
+    def _steady_forces(self, q: ca.SX, qd: ca.SX, pressure: ca.SX, psi: ca.SX) -> ca.SX:
+        """Forces (a,) of the actuators, as `shared_load` allots them, while joints keep their speeds."""
+        torque, own = self._demanded(q, qd, ca.SX.zeros(q.numel()), pressure, psi)
+        return shared_load(self.machine, self.model.transmission(q), torque) + own
+
+    def _acceleration(self, q: ca.SX, qd: ca.SX, force: ca.SX, pushed: ca.SX, pressure: ca.SX, psi: ca.SX) -> ca.SX:
+        """Joint accelerations (n,) under forces (a,) of the actuators, and generalised ones (n,)."""
+        rest, own = self._demanded(q, qd, ca.SX.zeros(q.numel()), pressure, psi)
+        return ca.solve(self.mass(q, psi), self.model.transmission(q).T @ (force - own) + pushed - rest)
 
     @cached_property
     def mass(self) -> ca.Function:
-        """(q, psi) → forces (n, n) of the actuators per acceleration of the joints."""
+        """(q, psi) → generalised forces (n, n) per acceleration of the joints."""
         n, psi = len(self.machine.joints), self._symbols["psi"]
-        q, qd, qdd, pressure = ca.SX.sym("q", n), ca.SX.zeros(n), ca.SX.sym("qdd", n), ca.SX.zeros(n, 2)
-        return ca.Function("mass", [q, psi], [ca.densify(ca.jacobian(self._demand(q, qd, qdd, pressure, psi), qdd))],
-                           ["q", "psi"], ["mass"])
+        q, qd, qdd = ca.SX.sym("q", n), ca.SX.zeros(n), ca.SX.sym("qdd", n)
+        torque, _ = self._demanded(q, qd, qdd, ca.SX.zeros(len(self.actuators), 2), psi)
+        return ca.Function("mass", [q, psi], [ca.densify(ca.jacobian(torque, qdd))], ["q", "psi"], ["mass"])
 
     def _function(self, name: str, *outputs: str) -> ca.Function:
         return ca.Function(name, list(self._symbols.values()), [ca.densify(self._parts[key]) for key in outputs],
@@ -251,14 +265,14 @@ class Plant:
     def outputs(self) -> ca.Function:
         """(x, u, supply, psi, theta) → outputs.
 
-        q, qd, qdd (n,) of the joints; length, speed, spool, force (n,) and pressure (n, 2) of the actuators; their flow
-        (n,) [m³/s] from the supply, and its pressure; the force (3,) [N] of the wall on the tip.
+        q, qd, qdd (n,) of the joints; length, speed, spool, force (a,) and pressure (a, 2) of the actuators; their flow
+        (a,) [m³/s] from the supply, and its pressure; the force (3,) [N] of the wall on the tip.
         """
         return self._function("outputs", *(key for key in self._parts if key != "rates"))
 
     @cached_property
     def jacobians(self) -> ca.Function:
-        """(x, u, supply, psi, theta) → A (nx, nx) and B (nx, n) of δẋ = A·δx + B·δu."""
+        """(x, u, supply, psi, theta) → A (nx, nx) and B (nx, a) of δẋ = A·δx + B·δu."""
         given, rates = list(self._symbols.values()), self._parts["rates"]
         return ca.Function("jacobians", given, [ca.densify(ca.jacobian(rates, by)) for by in given[:2]],
                            list(self._symbols), ["A", "B"])
@@ -291,7 +305,7 @@ class Plant:
                 the file states no supply pressure.
         """
         supply = self.supply if supply is None else supply
-        n, names = len(q), [each.actuator.name for each in self.actuators]
+        names = [each.actuator.name for each in self.actuators]
         opening, p_a, p_b = (np.asarray(part).ravel() for part in self._ideal(q, qd, supply, psi, theta))
         for name, part in zip(names, opening, strict=True):
             if not abs(part) < 1:
@@ -305,7 +319,7 @@ class Plant:
 
         start = np.concatenate([opening, *(p / PRESSURE for p in (p_a, p_b, supply[:1]))])
         found = root(balance, start, jac=True)
-        opening, p_a, p_b = found.x[:-1].reshape(3, n) * np.array([[1.0], [PRESSURE], [PRESSURE]])
+        opening, p_a, p_b = found.x[:-1].reshape(3, len(names)) * np.array([[1.0], [PRESSURE], [PRESSURE]])
         if not (found.success and np.all(np.abs(opening) <= 1)):
             raise ProblemError("no steady state of valves, chambers and pump was found", where=self.machine.name,
                                remedy="ask for a slower motion, or check the numbers of its circuits")
@@ -315,7 +329,7 @@ class Plant:
                     raise ProblemError(f"the load would pull '{names[k]}' ahead of its oil: {side} would be "
                                        f"{pressure / 1e5:.0f} bar, below vacuum", where=self.machine.name,
                                        remedy="state 'anticavitation' in its circuit, or let less oil out by its edges")
-        u = np.array([self._command_for(k, float(opening[k]), theta) for k in range(n)])
+        u = np.array([self._command_for(k, float(opening[k]), theta) for k in range(len(names))])
         x = dict.fromkeys(self.states, 0.0)
         x |= dict(zip(self.states, [*q, *qd], strict=False))
         for k, each in enumerate(self.actuators):
@@ -330,9 +344,9 @@ class Plant:
     def _ideal(self) -> ca.Function:
         """(q, qd, supply, psi, theta) → spools and pressures of both chambers by sharp edges without leaks."""
         _, _, supply, psi, theta = self._symbols.values()
-        n = len(self.machine.joints)
-        q, qd, still = ca.SX.sym("q", n), ca.SX.sym("qd", n), ca.SX.zeros(n)
-        force, speed = self._demand(q, qd, still, ca.SX.zeros(n, 2), psi), self.actuator_motion(q, qd)[1]
+        n, none = len(self.machine.joints), ca.SX.zeros(len(self.actuators), 2)
+        q, qd = ca.SX.sym("q", n), ca.SX.sym("qd", n)
+        force, speed = self._steady_forces(q, qd, none, psi), self.actuator_motion(q, qd)[1]
         found = []
         for k, each in enumerate(self.actuators):
             value = self.value(each, theta)
@@ -350,17 +364,17 @@ class Plant:
         z are the openings, the pressures of chambers a and b, and the supply's.
         """
         _, _, given, psi, theta = self._symbols.values()
-        n = len(self.machine.joints)
-        z, q, qd, still = ca.SX.sym("z", 3 * n + 1), ca.SX.sym("q", n), ca.SX.sym("qd", n), ca.SX.zeros(n)
-        opening, p_a, p_b, p_supply = z[:n], PRESSURE * z[n:2 * n], PRESSURE * z[2 * n:3 * n], PRESSURE * z[-1]
-        force, speed = self._demand(q, qd, still, ca.horzcat(p_a, p_b), psi), self.actuator_motion(q, qd)[1]
+        n, a = len(self.machine.joints), len(self.actuators)
+        z, q, qd = ca.SX.sym("z", 3 * a + 1), ca.SX.sym("q", n), ca.SX.sym("qd", n)
+        opening, p_a, p_b, p_supply = z[:a], PRESSURE * z[a:2 * a], PRESSURE * z[2 * a:3 * a], PRESSURE * z[-1]
+        force, speed = self._steady_forces(q, qd, ca.horzcat(p_a, p_b), psi), self.actuator_motion(q, qd)[1]
         gaps, drawn = [], ca.SX(0.0)
         for k, each in enumerate(self.actuators):
-            value, (a, b) = self.value(each, theta), each.areas
+            value, (head, rod) = self.value(each, theta), each.areas
             flows = each.flows(opening[k], p_a[k], p_b[k], ca.vertcat(p_supply, given[1]), value)
             full = conductance(each.valve, "flow_pa", value) * PRESSURE**0.5
-            gaps += [(flows.into_a - a * speed[k]) / full, (flows.into_b + b * speed[k]) / full,
-                     (a * p_a[k] - b * p_b[k] - force[k]) / (a * PRESSURE)]
+            gaps += [(flows.into_a - head * speed[k]) / full, (flows.into_b + rod * speed[k]) / full,
+                     (head * p_a[k] - rod * p_b[k] - force[k]) / (head * PRESSURE)]
             drawn += flows.supply
         gaps.append(pump_flow(1.0, given[0], p_supply) - drawn / self._line[1] if self._line
                     else (p_supply - given[0]) / PRESSURE)

@@ -286,13 +286,17 @@ class Dynamics:
         They carry bodies, friction at joints and pins, gas, and a `load` (n,) of generalised forces; each has its own
         friction and offset besides.
         """
+        total, own = self.efforts(psi, actuator_inertia=actuator_inertia)
+        return shared_load(self.machine, self.transmission, total if load is None else total + load) + own
+
+    def efforts(self, psi: ca.SX, *, actuator_inertia: bool = True) -> tuple[ca.SX, ca.SX]:
+        """Generalised forces (n,) at the joints that a motion demands of the actuators, and what each (a,) takes for
+        its own friction and offset."""
         parameters = parameter_set(self.machine, actuator_inertia=actuator_inertia)
         total = self._of_bodies(parameters, psi, actuator_inertia=actuator_inertia)
-        total = _added(total, parameters, psi, self._joint_columns())
-        found = shared_load(self.machine, self.transmission, total if load is None else total + load)
-        own = (self._own_friction(k, parameters, psi) for k in range(len(self.machine.actuators)))
-        return ca.vertcat(*(_added(force, parameters, psi, terms)
-                            for force, terms in zip(ca.vertsplit(found), own, strict=True)))
+        own = [_added(ca.SX(0), parameters, psi, self._own_friction(k, parameters, psi))
+               for k in range(len(self.machine.actuators))]
+        return _added(total, parameters, psi, self._joint_columns()), ca.vertcat(*own)
 
     def _of_bodies(self, parameters: ParameterSet, psi: ca.SX, *, actuator_inertia: bool) -> ca.SX:
         total = ca.SX.zeros(len(self.machine.joints))

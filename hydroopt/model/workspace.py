@@ -68,6 +68,7 @@ def sweeps(plant: Plant, psi: Array, theta: Array, *, positions: int = 9, postur
     Raises:
         ProblemError: the machine file states no supply pressure, or no masses.
     """
+    plant.refuse_shared("the sweep over the workspace")
     supply, joints = plant.supply, plant.machine.joints
     ranges = np.array([plant.machine.link(joint).joint.range for joint in joints])
     spread = qmc.Halton(len(joints), scramble=False).random(postures)
@@ -100,9 +101,9 @@ def sweeps(plant: Plant, psi: Array, theta: Array, *, positions: int = 9, postur
 def workspace_sweeps(plant: Plant, psi: Array, theta: Array) -> tuple[Sweep, ...]:
     """The sweeps that answers and their reports show, with parameters ψ (p,) and θ.
 
-    They are empty where the machine file states no supply pressure.
+    They are empty where the machine file states no supply pressure, and where a joint has not one measured actuator.
     """
-    if plant.machine.pump is None or plant.machine.pump.pressure is None:
+    if plant.machine.pump is None or plant.machine.pump.pressure is None or not plant.machine.one_each:
         return ()
     return tuple(sweeps(plant, psi, theta, positions=7, postures=2))
 

@@ -17,7 +17,7 @@ ACCURACY = 1e-9
 
 
 def commands_for(plant: Plant, motion: Trajectory, psi: Array | None = None, theta: Array | None = None) -> Array:
-    """Commands (N, n) that would hold the speeds of a motion if each were steady, in the unit of each valve.
+    """Commands (N, a) that would hold the speeds of a motion if each were steady, in the unit of each valve.
 
     Args:
         plant: the machine.
@@ -50,7 +50,7 @@ def drive(plant: Plant, t: Array, commands: Array, start: Array, *, supply: Arra
     Args:
         plant: the machine.
         t: (N,) times [s], evenly spaced; between them commands and supply keep their values.
-        commands: (N, n) in the unit of each valve.
+        commands: (N, a) in the unit of each valve.
         start: (nx,) states at the beginning, or (n,) the posture in which the machine stands still.
         supply: (2,) or (N, 2) pressures of supply and tank [Pa]; as the machine file states if None.
         psi, theta: true dynamic and hydraulic parameters; the nominal ones if None.
@@ -73,7 +73,7 @@ def drive(plant: Plant, t: Array, commands: Array, start: Array, *, supply: Arra
         raise ProblemError("the times are not evenly spaced", where="drive", remedy="give commands at a steady rate")
     psi, theta = _numbers(plant, psi, theta)
     given = np.broadcast_to(plant.supply if supply is None else supply, (len(t), 2))
-    n = len(plant.inputs)
+    n = len(plant.machine.joints)
     if len(start) == n:
         start = plant.steady(start, np.zeros(n), psi, theta, given[0]).x
     late = np.column_stack([arrived(t, commands[:, k], each.valve.delay) for k, each in enumerate(plant.actuators)])

@@ -60,7 +60,8 @@ def test_the_plant_accelerates_by_the_wall_s_force() -> None:
     contact = np.asarray(found["contact"]).ravel()
     velocity = np.asarray(model.tip_jacobian(q))[:3] @ qd
     assert contact @ NORMAL == pytest.approx(1e4 * (1 - 0.6 * (velocity @ NORMAL)))
-    smooth = np.asarray(plant._forces(q, qd, found["qdd"], psi)).ravel()
+    torque, own = (np.asarray(part).ravel() for part in plant._efforts(q, qd, found["qdd"], psi))
+    smooth = np.linalg.solve(np.asarray(model.transmission(q)).T, torque) + own
     wall = np.asarray(model.wrench_forces(q, np.append(contact, np.zeros(3)))).ravel()
     np.testing.assert_allclose(smooth + wall, np.asarray(found["force"]).ravel(), rtol=1e-9)
     assert np.all(np.asarray(free.outputs.call(given)["contact"]) == 0)

@@ -196,7 +196,8 @@ def test_seals_rub_by_the_pressures_in_the_chambers():
         x = [0.5, speed, 0.0, 0.0, p_head, p_rod]
         return float(subject.outputs(x=x, u=[5.7], supply=subject.supply, psi=psi, theta=theta)["qdd"])
 
-    lever, mass = float(subject.actuator_motion([0.5], [1.0])[1]), float(subject.mass([0.5], psi))
+    lever = float(subject.actuator_motion([0.5], [1.0])[1])
+    mass = float(subject.mass([0.5], psi)) / lever
     low, high = (acceleration(p, p * a / b, 0.2) for p in (1e6, 2e6))
     assert lever > 0
     assert low - high == pytest.approx(seal * 1e6 * (1 + a / b) / mass, rel=1e-9)

@@ -5,7 +5,10 @@ import numpy as np
 import pytest
 from scipy.integrate import simpson
 
+from hydroopt.errors import ProblemError
 from hydroopt.machine.actuators import Cylinder
+from hydroopt.machine.machine import Machine
+from hydroopt.model.model import Model
 from hydroopt.model.plant import SIGN_WIDTH, Plant
 from oracles.mujoco_tree import MujocoTree
 from oracles.pinocchio_tree import PinocchioTree
@@ -109,3 +112,58 @@ def test_oil_is_neither_made_nor_lost(motion):
             mass = holds / volume(p[:, port])
             gained, came = mass[-1] - mass[0], simpson(into / volume(p[:, port]), dx=STEP)
             assert abs(gained - came) < 2e-3 * simpson(np.abs(into), dx=STEP)
+
+
+HALVED = ("friction", "rated_flow", "flow_pa", "flow_pb", "flow_at", "flow_bt", "volume_a", "volume_b", "leakage",
+          "leakage_a", "leakage_b")
+
+
+def _halved(part):
+    """A cylinder's numbers for one of two that act alike: half of its areas, flows, volumes, friction and masses."""
+    if isinstance(part, dict):
+        return {key: _scaled(value) if key in HALVED or key == "body" else value / np.sqrt(2)
+                if key in ("bore", "rod_diameter") else _halved(value) for key, value in part.items()}
+    return part
+
+
+def _scaled(value):
+    if isinstance(value, dict):
+        return {key: each if key in ("com", "shape", "symmetric", "stribeck_speed", "dead_zone") else _scaled(each)
+                for key, each in value.items()}
+    if isinstance(value, tuple):
+        return tuple(_scaled(each) for each in value)
+    return value / 2 if isinstance(value, float) else value
+
+
+def test_two_cylinders_side_by_side_move_as_one_of_both_areas():
+    one = model("patu655_lift").machine
+    data = one.model_dump(exclude={"notes"})
+    (cylinder,) = data["cylinders"]
+    data["cylinders"] = [_halved(cylinder) | {"name": name} for name in ("left", "right")]
+    data["sensors"] = ()
+    two = Machine.model_validate(data)
+    found = []
+    for machine in (one, two):
+        plant = Plant(Model(machine))
+        psi, theta = plant.model.parameters.nominal, plant.parameters.nominal
+        step = plant.integrator(0.01, psi, theta, tolerance=1e-9)
+        at = plant.steady(np.array([0.3]), np.zeros(1), psi, theta)
+        course = [at.x]
+        for k in range(60):
+            opened = at.u + 0.8 * np.sin(0.1 * k)
+            course.append(np.asarray(step(course[-1], opened, plant.supply)).ravel())
+        found.append(np.array(course))
+    assert np.ptp(found[0][:, 0]) > 0.01
+    np.testing.assert_allclose(found[1][:, :2], found[0][:, :2], rtol=1e-6, atol=1e-7)
+    states = list(Plant(Model(two)).states)
+    for chamber in ("p_head", "p_rod"):
+        both = found[1][:, [states.index(f"{name}.{chamber}") for name in ("left", "right")]]
+        np.testing.assert_allclose(both[:, 0], both[:, 1], rtol=1e-6)
+
+
+def test_control_refuses_what_it_cannot_allot():
+    data = model("patu655_lift").machine.model_dump(exclude={"notes"})
+    data["cylinders"] = [data["cylinders"][0] | {"name": name} for name in ("left", "right")]
+    data["sensors"] = ()
+    with pytest.raises(ProblemError, match="control asks for one measured actuator a joint, which 'lift' has not"):
+        Plant(Model(Machine.model_validate(data))).refuse_shared("control")
