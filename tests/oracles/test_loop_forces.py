@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fixtures.closures import crank, scissor, six_bar, sleeve, spherical, steering, telescope
+from fixtures.closures import crank, geared, scissor, six_bar, sleeve, spherical, steering, telescope
 from fixtures.loops import cut_open, excavator, measured_at_the_rocker, z_bar
 from fixtures.tiers import tiered
 from hydroopt.kernels.expression_graph import program
@@ -15,7 +15,7 @@ from oracles.mujoco_loops import MujocoLoops
 from oracles.subjects import forces, random_bodies, relative_error, states
 
 MACHINES = {"excavator": excavator, "measured at the rocker": measured_at_the_rocker, "Z-bar": z_bar,
-            "telescope": telescope, "crank": crank, "sleeve": sleeve, "scissor": scissor,
+            "telescope": telescope, "geared": geared, "crank": crank, "sleeve": sleeve, "scissor": scissor,
             "six-bar": six_bar, "steering": steering, "spherical": spherical,
             "log crane": lambda: load_machine("patu655")}
 TOGETHER = ("six-bar", "spherical")
