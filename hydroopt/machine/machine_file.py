@@ -19,7 +19,7 @@ from pydantic import BaseModel, ValidationError
 
 from hydroopt.errors import MachineError
 from hydroopt.input_file import read_text, toml
-from hydroopt.machine import base_motion, cylinder_checks, free_links, linkages, loop_checks, prior_checks
+from hydroopt.machine import base_motion, cylinder_checks, free_links, linkages, loop_checks, oil_links, prior_checks
 from hydroopt.machine.actuators import Cylinder, TorqueFriction
 from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.links import Joint, JointFriction, JointSpring, Note
@@ -103,7 +103,7 @@ def read_machine(text: str, *, where: str = "machine", parameter_set: str | None
     if "notes" in data:
         raise MachineError("this key is unknown", where=f"{where}: notes", remedy="remove it")
     _default_parents(data)
-    in_linkages = linkages.expand(data, where)
+    in_linkages = linkages.expand(data, where) | oil_links.expand(data, where)
     moved = _choose_parameter_set(data, parameter_set, where) | in_linkages
     moved |= free_links.expand(data, where) | base_motion.expand(data, where)
     notes: dict[str, Note] = {}

@@ -1,0 +1,154 @@
+"""Cylinders that share oil, by name: a slave follows a master, as the links, loops and coupling that they stand for.
+
+Oil that is shut in between two chambers keeps its volume: with the areas A of the chambers and a sign s of +1 at a
+head's and −1 at a rod's side, s_m·A_m·Δl_m + s_s·A_s·Δl_s = 0. Its pressure does no work over both cylinders
+together, so that no equation of motion contains it.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+from hydroopt.errors import MachineError
+from hydroopt.units import UnitError, to_si
+
+_KEYS = {"name", "lines", "posture", "master", "slave"}
+_NEEDED = {"name", "barrel", "rod", "bore", "rod_diameter", "length"}
+_CHAMBERS = ("head", "rod")
+ALIKE = 0.01
+"""Two lines between the same cylinders must displace alike but for this part."""
+
+
+def expand(data: dict[str, Any], where: str) -> dict[str, str]:
+    """Put links, loops and couplings in the place of the oil links of a description, whose links state their parents.
+
+    A cylinder ``leveller`` becomes the barrel ``leveller_barrel``, which turns, and the rod ``leveller_rod`` behind the
+    joint ``leveller_length``, which slides. The joint that the slave moves is one that the file states as dependent.
+
+    Returns:
+        Which place of the machine stands where in the file.
+
+    Raises:
+        MachineError: a key is unknown or missing, a link does not exist, or two lines contradict each other.
+    """
+    moved: dict[str, str] = {}
+    for k, link in enumerate(_tables(data.pop("oil_links", []), f"{where}: oil_links")):
+        own = f"oil_links[{link.get('name', k)}]"
+        at = f"{where}: {own}"
+        _refuse(link, _KEYS, _KEYS, at)
+        if not isinstance(link["posture"], dict):
+            raise MachineError("must be a table", where=f"{at}.posture", remedy="state positions of joints")
+        names, loops = [], data.setdefault("loops", [])
+        for role in ("master", "slave"):
+            cylinder = link[role]
+            _refuse(cylinder, _NEEDED | {"friction"}, _NEEDED, f"{at}.{role}")
+            for end in ("barrel", "rod"):
+                _refuse(cylinder[end], {"link", "pin", "body"}, {"link", "pin"}, f"{at}.{role}.{end}")
+            name = str(cylinder["name"])
+            between = _between(data, cylinder, f"{at}.{role}")
+            posture = {joint: value for joint, value in link["posture"].items() if joint in between or role == "slave"}
+            if role == "master":
+                posture[f"{name}_length"] = cylinder["length"]
+            data["links"] += _links(data, cylinder, name, between)
+            loops.append({"name": name, "link": f"{name}_rod", "posture": posture,
+                          "to": {"link": cylinder["rod"]["link"], "pin": cylinder["rod"]["pin"]}})
+            moved |= {f"loops[{name}].to.pin": f"{own}.{role}.rod.pin", f"loops[{name}].posture": f"{own}.posture",
+                      f"loops[{name}]": f"{own}.{role}", f"links[{name}_barrel]": f"{own}.{role}",
+                      f"links[{name}_seat]": f"{own}.{role}.barrel", f"links[{name}_length]": f"{own}.{role}"}
+            names.append(name)
+        ratio = _ratio(link, at)
+        lengths = [_number(link[role], "length", f"{at}.{role}") for role in ("master", "slave")]
+        data.setdefault("couplings", []).append({
+            "name": link["name"], "joint": f"{names[1]}_length", "ratios": {f"{names[0]}_length": f"{ratio!r}"},
+            "offset": f"{lengths[1] - ratio * lengths[0]!r} m"})
+        moved[f"couplings[{link['name']}]"] = own
+    return moved
+
+
+def _links(data: Mapping[str, Any], cylinder: Mapping[str, Any], name: str, between: list[str]) -> list[dict[str, Any]]:
+    """Barrel, slide and rod; the frames of barrel and rod have x along the centre line from barrel pin to rod pin."""
+    barrel, rod = cylinder["barrel"], cylinder["rod"]
+    carrier: dict[str, Any] = next((link for link in data["links"] if link.get("name") == barrel["link"]), {})
+    after = next(link for link in data["links"] if link.get("name") in between)
+    # the axis of a joint at its parent's far end stands as this far end does
+    turn: dict[str, Any] = {}
+    if after.get("parent") == barrel["link"] and "pin" not in after:
+        turn = {key: carrier["joint"][key] for key in ("alpha", "beta") if key in carrier.get("joint", {})}
+    own = {"body": barrel["body"]} if "body" in barrel else {}
+    end = {"body": rod["body"]} if "body" in rod else {}
+    rubs = {"friction": cylinder["friction"]} if "friction" in cylinder else {}
+    return [{"name": f"{name}_seat", "parent": barrel["link"], "pin": barrel["pin"],
+             "joint": {"type": "locked", **turn}},
+            {"name": f"{name}_barrel", "parent": f"{name}_seat", **own,
+             "joint": {"type": "revolute", "dependent": True, "beta": "90 deg"}},
+            {"name": f"{name}_length", "parent": f"{name}_barrel",
+             "joint": {"type": "prismatic", "dependent": True, "beta": "-90 deg", **rubs}},
+            {"name": f"{name}_rod", "parent": f"{name}_length", "joint": {"type": "locked"}, **end}]
+
+
+def _between(data: Mapping[str, Any], cylinder: Mapping[str, Any], where: str) -> list[str]:
+    """Links on the way between those that a cylinder is pinned to, in the order of the file."""
+    parents = {link.get("name"): link.get("parent") for link in data.get("links", [])}
+    chains = []
+    for end in ("barrel", "rod"):
+        name, chain = cylinder[end]["link"], []
+        if name != "base" and name not in parents:
+            raise MachineError(f"'{name}' does not exist", where=f"{where}.{end}.link",
+                               remedy="name a link or the base")
+        while name in parents and name not in chain:
+            chain.append(name)
+            name = parents[name]
+        chains.append(chain)
+    apart = set(chains[0]) ^ set(chains[1])
+    if not apart:
+        raise MachineError("no moving joint lies between the two ends", where=where,
+                           remedy="pin its ends to links that move relative to each other")
+    return [name for name in parents if name in apart]
+
+
+def _ratio(link: Mapping[str, Any], at: str) -> float:
+    """What the slave lengthens per lengthening of the master."""
+    areas = []
+    for role in ("master", "slave"):
+        bore, rod = (_number(link[role], key, f"{at}.{role}") for key in ("bore", "rod_diameter"))
+        if not 0 < rod < bore:
+            raise MachineError("the rod is not thinner than the bore", where=f"{at}.{role}.rod_diameter",
+                               remedy="correct the two")
+        areas.append({"head": bore**2, "rod": rod**2 - bore**2})
+    lines = link["lines"] if isinstance(link["lines"], list) else [link["lines"]]
+    known = {f"{one} to {other}": -areas[0][one] / areas[1][other] for one in _CHAMBERS for other in _CHAMBERS}
+    if not 1 <= len(lines) <= 2 or any(line not in known for line in lines):
+        raise MachineError("these are not one or two lines from a chamber of the master to one of the slave",
+                           where=f"{at}.lines", remedy=f"use {', '.join(known)}")
+    ratios = [known[line] for line in lines]
+    if abs(ratios[-1] - ratios[0]) > ALIKE * abs(ratios[0]):
+        raise MachineError(f"the two lines contradict each other: per metre of the master the slave lengthens "
+                           f"{ratios[0]:.3f} m by '{lines[0]}', {ratios[1]:.3f} m by '{lines[1]}'",
+                           where=f"{at}.lines", remedy="correct bores and rods, or remove the line that is not shut in")
+    return ratios[0]
+
+
+def _number(table: Mapping[str, Any], key: str, where: str) -> float:
+    stated = table[key]["value"] if isinstance(table[key], dict) and "value" in table[key] else table[key]
+    try:
+        return to_si(stated, "m", where=f"{where}.{key}")
+    except UnitError as error:
+        raise MachineError(error.what, where=f"{where}.{key}", remedy=error.remedy) from None
+
+
+def _tables(node: Any, where: str) -> list[dict[str, Any]]:
+    if not isinstance(node, list) or not all(isinstance(each, dict) for each in node):
+        raise MachineError("must be a list of tables", where=where, remedy="write [[oil_links]] above each of them")
+    return node
+
+
+def _refuse(node: Any, known: set[str], needed: set[str], where: str) -> None:
+    if not isinstance(node, dict):
+        raise MachineError(f"must be a table, not {node!r:.60}", where=where, remedy="state it key by key")
+    for key in node:
+        if key not in known:
+            raise MachineError("this key is unknown", where=f"{where}.{key}", remedy=f"use {', '.join(sorted(known))}")
+    for key in sorted(needed):
+        if key not in node:
+            raise MachineError("this key is missing", where=f"{where}.{key}", remedy="add it")
