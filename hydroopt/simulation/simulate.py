@@ -105,9 +105,11 @@ def sampling_rate(machine: Machine) -> float:
 def random_truth(model: Model, seed: int, *, tries: int = 20000) -> Array:
     """Parameters ψ (p,) drawn from the machine file's confidences, with physically consistent bodies.
 
+    Identical parts are drawn together, with the confidence that all that is stated of them gives.
+
     Raises:
         IdentifiabilityError: a body's confidences leave practically no possible body.
-        ProblemError: the file states shapes, symmetries, total masses or identical parts, which draws do not satisfy.
+        ProblemError: the file states shapes, symmetries or total masses, which draws do not satisfy.
 
     >>> from hydroopt.machine.machine_file import load_machine
     >>> model = Model(load_machine("cat215b"))
@@ -116,7 +118,7 @@ def random_truth(model: Model, seed: int, *, tries: int = 20000) -> Array:
     True
     """
     machine = model.machine
-    stated = [*(one.name for one in machine.total_masses), *(one.name for one in machine.identical),
+    stated = [*(one.name for one in machine.total_masses),
               *(f"the shape or symmetry of {owner}" for owner, owned in bodies(machine).items()
                 if owned.body.shape is not None or owned.body.symmetric)]
     if stated:
@@ -126,22 +128,40 @@ def random_truth(model: Model, seed: int, *, tries: int = 20000) -> Array:
     parameters = model.parameters
     psi = parameters.nominal.copy()
     whole = {block.start: block for block in parameters.bodies.values()}
+    alike = _alike(model)
     for k, kind in enumerate(parameters.kinds):
         body, block = k in whole, whole.get(k, slice(k, k + 1))
-        information = parameters.information[block, block]
-        if kind.is_inertial and not body:
+        if (kind.is_inertial and not body) or any(k in others for others in alike.values()):
             continue
+        blocks = [block, *(slice(start, start + block.stop - block.start) for start in alike.get(k, ()))]
+        information = sum(parameters.information[each, each] for each in blocks)
         if not np.any(information):
             continue
         root = np.linalg.cholesky(np.linalg.inv(information))
-        draws = parameters.nominal[block] + rng.standard_normal((tries if body else 200, len(root))) @ root.T
+        centre = np.linalg.solve(information, sum(
+            parameters.information[each, each] @ parameters.nominal[each] for each in blocks))
+        draws = centre + rng.standard_normal((tries if body else 200, len(root))) @ root.T
         good = draws[np.all((draws >= parameters.lower[block]) & (draws <= parameters.upper[block]), axis=1)]
         first = next((draw for draw in good if not body or inertia.smallest_eigenvalue(draw) > 0), None)
         if first is None:
             raise IdentifiabilityError(f"no possible body within the confidences of '{parameters.names[block.start]}'",
                                        where=model.machine.name, remedy="correct its inertia or widen its sigma")
-        psi[block] = first
+        for each in blocks:
+            psi[each] = first
     return psi
+
+
+def _alike(model: Model) -> dict[int, list[int]]:
+    """Where bodies and terms of friction of identical parts begin in ψ: the first of them, and the others."""
+    parameters, found = model.parameters, dict[int, list[int]]()
+    for one in model.machine.identical:
+        owners = [owner for owner in one.bodies if owner in parameters.bodies]
+        starts = [[parameters.bodies[owner].start] for owner in owners]
+        rubbing = [[k for k, kind in enumerate(parameters.kinds) if kind.is_friction
+                    and parameters.owner(parameters.names[k]) == owner] for owner in one.friction]
+        for group in (starts, rubbing):
+            found |= {first: list(others) for first, *others in zip(*group, strict=True)}
+    return found
 
 
 def forces(model: Model, motion: Trajectory, psi: Array) -> Array:

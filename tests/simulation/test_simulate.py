@@ -185,3 +185,14 @@ def test_random_truths_are_refused_where_they_would_contradict_the_file() -> Non
     data["total_masses"] = [{"name": "scale", "bodies": ["boom", "stick"], "value": 2500.0}]
     with pytest.raises(ProblemError, match="random parameters do not satisfy what the file states: scale"):
         random_truth(Model(Machine.model_validate(data)), 0)
+
+
+def test_identical_parts_are_drawn_alike_with_all_that_is_stated_of_them() -> None:
+    model = Model(load_machine("stewart_platform"))
+    places, drawn = model.parameters.bodies, [random_truth(model, seed) for seed in range(60)]
+    for psi in drawn[:3]:
+        for leg in range(2, 7):
+            np.testing.assert_array_equal(psi[places[f"leg{leg}.rod"]], psi[places["leg1.rod"]])
+    rod = places["leg1.rod"]
+    alone = np.sqrt(np.linalg.inv(model.parameters.information[rod, rod])[0, 0])
+    assert 0.75 < np.std([psi[rod.start] for psi in drawn]) / (alone / np.sqrt(6)) < 1.3
