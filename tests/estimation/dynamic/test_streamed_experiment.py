@@ -21,6 +21,7 @@ from hydroopt.logs import stream as streaming
 from hydroopt.logs.log import Log, read_log
 from hydroopt.logs.smoothing import Fourier
 from hydroopt.logs.stream import LogStream, stream
+from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import random_trajectory, simulate
 
@@ -165,3 +166,15 @@ def test_the_command_reads_long_files_in_pieces(path: Path, tmp_path: Path, monk
     assert any("read in pieces" in note for note in content["inputs"][0]["notes"])
     assert "read in pieces" in (tmp_path / "report.html").read_text()
     assert content["fit"]["validation"]["all"]["relative"] < 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["wheel_loader", "scissor_lift", "backhoe", "forestry_crane", "knuckle_boom_crane"])
+def test_pieces_tell_what_the_whole_tells_of_other_machines(name: str, tmp_path: Path) -> None:
+    """Loops, opposed cylinders, a chained telescope, joints that swing freely."""
+    model, path = Model(load_machine(name)), tmp_path / "log.parquet"
+    simulate(model, random_trajectory(model, duration=66.56, rate=50, seed=2), seed=2).write(path)
+    whole, pieces = (identify(identification_problem(model, [each]), "wls", intervals=False)
+                     for each in (read_log(path), stream(path, piece=BORDER)))
+    assert apart(whole, pieces) < 1e-6
+    np.testing.assert_allclose(pieces.sigma, whole.sigma, rtol=1e-9)
