@@ -121,7 +121,7 @@ def test_bad_platforms(old: str, new: str, words: str) -> None:
 
 
 def test_five_cylinders_do_not_hold_six_joints(platform: Machine) -> None:
-    data = platform.model_dump() | {"identical": (), "sensors": (), "notes": {}}
+    data = platform.model_dump() | {"sensors": (), "notes": {}}
     data["cylinders"] = data["cylinders"][:5]
     with pytest.raises(ValueError, match="nothing drives the joint 'platform_pitch'; 'leg5' crosses it"):
         Machine.model_validate(data)
