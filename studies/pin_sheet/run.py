@@ -33,7 +33,8 @@ def survey() -> Machine:
              "stick_cylinder.barrel.pin", "bucket_cylinder.barrel.pin"]
     return Machine.model_validate(data | {
         "calibrator": {"parent": "bucket"}, "tracker": {}, "sensors": (*data["sensors"], tip),
-        "notes": dict(machine.notes) | dict.fromkeys(paths, Note(sigma=SHEET))})
+        "notes": {path: note for path, note in machine.notes.items() if path != "boom_cylinder.barrel.pin"}
+        | dict.fromkeys(paths, Note(sigma=SHEET))})
 
 
 def run() -> dict:
