@@ -190,8 +190,8 @@ def assembled(geometry: Geometry, closure: GeneralClosure, posture: Mapping[str,
     if (lost := np.flatnonzero(~np.isfinite(positions).all(axis=0))).size:
         nearest = lost[np.argmin(np.linalg.norm((q[:, lost] - begin[:, None]) / half[:, None], axis=0))]
         words = said_posture(machine, dict(zip(closure.follows, q[:, nearest].tolist(), strict=True)))
-        raise ImpossibleError(f"{said(closure)} cannot close, or passes a dead point, on the way from its posture to "
-                              f"{words}", "correct its pins and lengths, or narrow the joints' limits",
+        raise ImpossibleError(f"{said(closure)} cannot close, or only beyond a dead point, on the way from its "
+                              f"posture to {words}", "correct its pins and lengths, or narrow the joints' limits",
                               place(closure.statements[0]))
     lowest, highest = DEGREES.get(n, (2, 3))
     for degree in range(lowest, highest + 1):
@@ -202,8 +202,9 @@ def assembled(geometry: Geometry, closure: GeneralClosure, posture: Mapping[str,
         steps = _steps(problem, fitted @ terms, q, positions)
         if steps is not None:
             return GeneralAssembly(closure, shape._replace(coefficients=fitted), steps)
-    raise ImpossibleError(f"{said(closure)} is too near to a dead point in the range of {', '.join(closure.follows)} "
-                          "for Newton's method", "narrow the joints' limits", place(closure.statements[0]))
+    raise ImpossibleError(f"{said(closure)} would come too near to a dead point in the range of "
+                          f"{', '.join(closure.follows)} for Newton's method", "narrow the joints' limits",
+                          place(closure.statements[0]))
 
 
 def _steps(problem: _Problem, start: Array, q: Array, positions: Array) -> int | None:
@@ -233,12 +234,12 @@ def _closed(problem: _Problem, posture: Mapping[str, float], begin: Array) -> Ar
         raise ImpossibleError(f"{said(closure)} cannot close near the posture of '{closure.statements[0].name}', "
                               f"{words}", "correct pins and lengths, or the posture", where)
     if not abs(float(volume[0])) > MOBILE:
-        raise ImpossibleError(f"{said(closure)} does not hold {', '.join(closure.joints)}: they can move while "
+        raise ImpossibleError(f"{said(closure)} cannot hold {', '.join(closure.joints)}: they can move while "
                               f"{', '.join(closure.follows)} rest", "correct its pins, let one of them move by itself, "
                               "or remove a loop that repeats another one", place(closure.statements[0]))
     for joint, value in zip(closure.joints, here[:, 0].tolist(), strict=True):
         if turns(machine, joint) and apart(machine, joint, value, posture[joint]) > WITHIN:
             stands = said_posture(machine, dict(zip(closure.joints, here[:, 0].tolist(), strict=True)))
-            raise ImpossibleError(f"{said(closure)} does not close near its posture: at {words} stands {stands}",
+            raise ImpossibleError(f"{said(closure)} would close away from its posture: at {words} stands {stands}",
                                   "state the posture that the machine has", where)
     return np.asarray(here[:, 0])

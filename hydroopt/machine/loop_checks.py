@@ -99,7 +99,7 @@ def check(machine: Machine) -> None:
                                   "correct its pins and lengths, or narrow the joints' limits",
                                   place(closure.statements[0]))
         if each.angle < FLAT:
-            raise ImpossibleError(f"{said(closure)} has a dead point at {each.at}, where {each.assembly.dead}",
+            raise ImpossibleError(f"{said(closure)} would have a dead point at {each.at}, where {each.assembly.dead}",
                                   "correct its pins and lengths, or narrow the joints' limits",
                                   place(closure.statements[0]))
 

@@ -105,11 +105,11 @@ FREE = {"dependent": False, "lower": -1.0, "upper": 1.0}
     (sleeve, {"links": joints(sleeve(), sleeve={"alpha": 0.0})}, "'strut' in the loop 'eye' slides out of the plane"),
     (six_bar, {"loops": edited(six_bar())[:1]}, "'one' cannot determine 3 dependent joints, bar, rod"),
     (six_bar, {"links": joints(six_bar(), crank={"upper": 2.6})},
-     "the loops 'one' and 'other' cannot close, or passes? a"),
+     "the loops 'one' and 'other' cannot close, or only beyond a"),
     (six_bar, {"loops": edited(six_bar(), other={"posture": {"crank": 0.9, "lever": 1.9}})}, "two postures of 'crank'"),
     (six_bar, {"loops": edited(six_bar(), other={"posture": {"crank": 1.0}})}, "does not state where lever stand then"),
     (six_bar, {"loops": edited(six_bar(), other={"posture": {"crank": 1.0, "lever": -1.5}})},
-     "does not close near its p"),
+     "would close away from its p"),
     (six_bar, {"links": joints(six_bar(), bar={"a": 9.0})}, "cannot close near the posture of 'one', crank = 57.3 deg"),
     (steering, {"loops": edited(steering(), tie={"length": None})}, "a rod has a length, a pin or ball has none"),
     (steering, {"loops": edited(steering(), tie={"closed_by": "ball", "length": None})},
@@ -128,6 +128,6 @@ def test_a_linkage_that_can_move_by_itself_is_named():
     machine = six_bar()
     parts = machine.model_dump(exclude={"links", "name", "loops"})
     loops = edited(machine, one={"closed_by": "ball"})[:1]
-    with pytest.raises(ImpossibleError, match="'one' does not hold rod, plate, bar: they can move while"):
+    with pytest.raises(ImpossibleError, match="'one' cannot hold rod, plate, bar: they can move while"):
         made("mobile", joints(machine, lever={"type": "locked", "dependent": False, "friction": {}}), **parts,
              loops=loops)

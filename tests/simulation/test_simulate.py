@@ -188,7 +188,9 @@ def test_random_truths_are_refused_where_they_would_contradict_the_file() -> Non
 
 
 def test_identical_parts_are_drawn_alike_with_all_that_is_stated_of_them() -> None:
-    model = Model(load_machine("stewart_platform"))
+    data = load_machine("stewart_platform").model_dump()
+    data["identical"] = [{"name": "rods", "bodies": tuple(f"leg{leg}.rod" for leg in range(1, 7))}]
+    model = Model(Machine.model_validate(data))
     places, drawn = model.parameters.bodies, [random_truth(model, seed) for seed in range(60)]
     for psi in drawn[:3]:
         for leg in range(2, 7):
