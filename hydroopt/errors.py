@@ -41,7 +41,7 @@ class MachineError(HydrooptError):
     >>> hydroopt.read_machine("colour = 'yellow'")
     Traceback (most recent call last):
     ...
-    hydroopt.errors.MachineError: machine: colour: this key is unknown; correct its spelling or remove it.
+    hydroopt.errors.MachineError: machine: colour: this key is unknown; use one of name, parameter_set, ...
     """
 
 
