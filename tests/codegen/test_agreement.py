@@ -45,7 +45,7 @@ FEWER_BUILDS = {"panda_mukca": (("double", "-O3"), ("float", "-O0")), "spatial":
                     (*library.BALANCED, *library.LOOPED), (("double", "-O0"), ("float", "-O0")))
 """How machines are built whose code takes a compiler long, or is much like another's."""
 QUICK_BUILDS = {"cat215b": (("double", "-O0"),), "patu655_lift": (("double", "-O3"), ("float", "-O0")),
-                "twin": (("double", "-O0"),), "eliminated": (("float", "-O0"),)}
+                "twin": (("double", "-O0"),)}
 """A diagonal of machines, precisions and levels that compile in a second or two; all others are slow."""
 
 

@@ -72,6 +72,7 @@ def test_branches_of_random_postures(name: str, real: str, libraries: Callable[.
     assert found >= count - 1
 
 
+@pytest.mark.slow
 def test_branches_are_those_of_python(libraries: Callable[..., Library]) -> None:
     """Of targets all over the workspace and beyond it: as many postures, the same ones, or none."""
     lib = libraries("cat215b", "double", "-O0")

@@ -42,7 +42,7 @@ def lib(request: pytest.FixtureRequest, libraries) -> Library:
     return libraries(*request.param.split(), "-O0")
 
 
-@pytest.fixture(params=["double", "float"])
+@pytest.fixture(params=tiered(["double", "float"], lambda real: real == "double"))
 def excavator(request: pytest.FixtureRequest, libraries) -> Library:
     return libraries("cat215b", request.param, "-O0")
 

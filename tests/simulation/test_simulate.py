@@ -187,6 +187,7 @@ def test_random_truths_are_refused_where_they_would_contradict_the_file() -> Non
         random_truth(Model(Machine.model_validate(data)), 0)
 
 
+@pytest.mark.slow
 def test_identical_parts_are_drawn_alike_with_all_that_is_stated_of_them() -> None:
     data = load_machine("stewart_platform").model_dump()
     data["identical"] = [{"name": "rods", "bodies": tuple(f"leg{leg}.rod" for leg in range(1, 7))}]

@@ -246,6 +246,7 @@ def test_other_truths_are_found_too(truth: dict[str, float], terms: str) -> None
     assert chosen(crane(**truth), candidates=sorted(others)).friction_choice.terms == terms
 
 
+@pytest.mark.slow
 def test_the_table_says_what_was_tried_and_why(plain: Estimate) -> None:
     choice = plain.friction_choice
     lines = str(choice).splitlines()
