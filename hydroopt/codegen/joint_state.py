@@ -15,9 +15,10 @@ SETTLED = 1e-5
 
 
 def no_lengths(api: Symbols) -> str:
-    """Why a machine's lengths tell no joint; "" if they tell one."""
-    told = any(joint_from_length(Geometry(api.machine), c) for c in api.machine.cylinders)
-    return "" if told or api.slides or api.together else "no hydraulic cylinder of the machine moves a single joint"
+    """Why a machine's lengths determine no joint; "" if they determine one."""
+    by_triangle = any(joint_from_length(Geometry(api.machine), c) for c in api.machine.cylinders)
+    found = by_triangle or api.slides or api.together
+    return "" if found else "no hydraulic cylinder of the machine moves a single joint"
 
 
 def joint_state(api: Symbols) -> Routine:

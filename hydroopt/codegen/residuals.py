@@ -141,9 +141,9 @@ def tip_wrench(api: Symbols) -> Routine:
     """The wrench that explains measured forces."""
     wrench, determined = api.dynamics.tip_wrench(api.dynamics.at_joints(api.measured - api.predicted))
     api.symbol("wrench", 6)
-    unknown, told = api.dynamics.told
+    unknown, rank = api.dynamics.wrench_rank
     meaning = ("force x, y, z and moment x, y, z" if unknown == 6 else "force x, y, z, and zero for the moment"
-               if told == 3 else "force x, y, z within the motions of the tip, zero across them and for the moment")
+               if rank == 3 else "force x, y, z within the motions of the tip, zero across them and for the moment")
     gives = api.struct("tip_wrench", "The wrench that the surroundings exert on the machine.", Field(
         "wrench", (6,), "N, N*m", f"{meaning}, at the far end of {api.machine.tip}, in the base frame"))
     return Routine("tip_wrench", "The wrench at the tip that explains the measured forces of a motion.",

@@ -9,6 +9,7 @@ from __future__ import annotations
 from typing import Any
 
 from hydroopt.errors import MachineError
+from hydroopt.machine.stated_tables import refuse_keys, tables
 
 _BARS = ("rocker", "coupler")
 _KEYS = {"name", "moves", "posture", *_BARS}
@@ -29,9 +30,9 @@ def expand(data: dict[str, Any], where: str) -> dict[str, str]:
     """
     moved: dict[str, str] = {}
     links: list[Any] = stated if isinstance(stated := data.get("links"), list) else []
-    for k, linkage in enumerate(_list(data.pop("linkages", []), f"{where}: linkages")):
+    for k, linkage in enumerate(tables(data.pop("linkages", []), f"{where}: linkages")):
         at = f"{where}: linkages[{linkage.get('name', k) if isinstance(linkage, dict) else k}]"
-        _refuse(linkage, _KEYS, _KEYS, at)
+        refuse_keys(linkage, _KEYS, _KEYS, at)
         there = next((i for i, link in enumerate(links) if isinstance(link, dict)
                       and link.get("name") == linkage["moves"]), None)
         if there is None:
@@ -41,7 +42,7 @@ def expand(data: dict[str, Any], where: str) -> dict[str, str]:
         made: list[dict[str, Any]] = []
         for role in _BARS:
             bar = linkage[role]
-            _refuse(bar, _BAR_KEYS, {"pin", "length"}, f"{at}.{role}")
+            refuse_keys(bar, _BAR_KEYS, {"pin", "length"}, f"{at}.{role}")
             name = bar.get("name", role)
             joint = {"type": "revolute", "dependent": True, "a": bar["length"]}
             joint |= {key: bar[key] for key in ("friction",) if key in bar}
@@ -52,29 +53,9 @@ def expand(data: dict[str, Any], where: str) -> dict[str, str]:
             moved |= {f"links[{name}].joint.a": f"{own}.length", f"links[{name}].joint.friction": f"{own}.friction",
                       f"links[{name}]": own}
         links[there:there] = made
-        loops = _list(data.setdefault("loops", []), f"{where}: loops")
+        loops = tables(data.setdefault("loops", []), f"{where}: loops")
         loops.append({"name": linkage["name"], "link": names[1], "posture": linkage["posture"],
                       "to": {"link": linkage["moves"], "pin": linkage["coupler"]["pin"]}})
         moved |= {f"loops[{linkage['name']}].to.pin": f"linkages[{linkage['name']}].coupler.pin",
                   f"loops[{linkage['name']}]": f"linkages[{linkage['name']}]"}
     return moved
-
-
-def _list(node: Any, where: str) -> list[Any]:
-    if not isinstance(node, list):
-        key = where.rpartition(" ")[2]
-        raise MachineError("must be a list of tables", where=where, remedy=f"write [[{key}]] above each of them")
-    return node
-
-
-def _refuse(node: Any, known: set[str], needed: set[str], where: str) -> None:
-    """Refuse what is no table, unknown keys and missing ones."""
-    if not isinstance(node, dict):
-        raise MachineError(f"must be a table, not {node!r:.60}", where=where, remedy="state it key by key")
-    for key in node:
-        if key not in known:
-            raise MachineError("this key is unknown", where=f"{where}.{key}",
-                               remedy=f"use {', '.join(sorted(known))}")
-    for key in sorted(needed):
-        if key not in node:
-            raise MachineError("this key is missing", where=f"{where}.{key}", remedy="add it")

@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from hydroopt.errors import MachineError
+from hydroopt.machine.stated_tables import refuse_keys, tables
 from hydroopt.units import UnitError, to_si
 
 _KEYS = {"name", "lines", "posture", "master", "slave"}
@@ -33,18 +34,18 @@ def expand(data: dict[str, Any], where: str) -> dict[str, str]:
         MachineError: a key is unknown or missing, a link does not exist, or two lines contradict each other.
     """
     moved: dict[str, str] = {}
-    for k, link in enumerate(_tables(data.pop("oil_links", []), f"{where}: oil_links")):
-        own = f"oil_links[{link.get('name', k)}]"
+    for k, link in enumerate(tables(data.pop("oil_links", []), f"{where}: oil_links")):
+        own = f"oil_links[{link.get('name', k) if isinstance(link, dict) else k}]"
         at = f"{where}: {own}"
-        _refuse(link, _KEYS, _KEYS, at)
+        refuse_keys(link, _KEYS, _KEYS, at)
         if not isinstance(link["posture"], dict):
             raise MachineError("must be a table", where=f"{at}.posture", remedy="state positions of joints")
         names, loops = [], data.setdefault("loops", [])
         for role in ("master", "slave"):
             cylinder = link[role]
-            _refuse(cylinder, _NEEDED | {"friction"}, _NEEDED, f"{at}.{role}")
+            refuse_keys(cylinder, _NEEDED | {"friction"}, _NEEDED, f"{at}.{role}")
             for end in ("barrel", "rod"):
-                _refuse(cylinder[end], {"link", "pin", "body"}, {"link", "pin"}, f"{at}.{role}.{end}")
+                refuse_keys(cylinder[end], {"link", "pin", "body"}, {"link", "pin"}, f"{at}.{role}.{end}")
             name = str(cylinder["name"])
             between = _between(data, cylinder, f"{at}.{role}")
             posture = {joint: value for joint, value in link["posture"].items() if joint in between or role == "slave"}
@@ -135,20 +136,3 @@ def _number(table: Mapping[str, Any], key: str, where: str) -> float:
         return to_si(stated, "m", where=f"{where}.{key}")
     except UnitError as error:
         raise MachineError(error.what, where=f"{where}.{key}", remedy=error.remedy) from None
-
-
-def _tables(node: Any, where: str) -> list[dict[str, Any]]:
-    if not isinstance(node, list) or not all(isinstance(each, dict) for each in node):
-        raise MachineError("must be a list of tables", where=where, remedy="write [[oil_links]] above each of them")
-    return node
-
-
-def _refuse(node: Any, known: set[str], needed: set[str], where: str) -> None:
-    if not isinstance(node, dict):
-        raise MachineError(f"must be a table, not {node!r:.60}", where=where, remedy="state it key by key")
-    for key in node:
-        if key not in known:
-            raise MachineError("this key is unknown", where=f"{where}.{key}", remedy=f"use {', '.join(sorted(known))}")
-    for key in sorted(needed):
-        if key not in node:
-            raise MachineError("this key is missing", where=f"{where}.{key}", remedy="add it")

@@ -213,9 +213,9 @@ class Dynamics:
         return self.at_balances(-self.tip_jacobian.T @ wrench)
 
     @cached_property
-    def told(self) -> tuple[int, int]:
+    def wrench_rank(self) -> tuple[int, int]:
         """How many numbers of a wrench at the tip count as unknown, 6 or 3, and how many of these the measured forces
-        tell in a general posture of the machine as its file states it."""
+        determine in a general posture of the machine as its file states it."""
         jacobian, stated = self.projected(self.tip_jacobian.T).T, self.geometry.numbers
         symbols = ca.vertcat(*(self.geometry.value[each.name] for each in stated))
         at = ca.substitute(jacobian, symbols[free := [k for k in range(len(stated)) if not symbols[k].is_constant()]],
@@ -242,7 +242,7 @@ class Dynamics:
         """
         jacobian = self.projected(self.tip_jacobian.T).T
         moving = [k for k in range(jacobian.size2()) if jacobian[:, k].nnz()]
-        rows, rank = self.told
+        rows, rank = self.wrench_rank
         J = ca.densify(jacobian[:rows, moving])
         if rank < min(rows, len(moving)):
             force, plane = _along(J, torque[moving], rank)

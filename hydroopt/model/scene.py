@@ -62,16 +62,17 @@ def limit_scenes(model: Model) -> list[Scene]:
 def vertical_plane(model: Model, mean: Array) -> Plane:
     """The vertical plane perpendicular to the horizontal axis that most joints share.
 
-    Joints before the first of those turn the whole plane and stand at zero.
+    Joints that turn and stand before the first of those turn the whole plane; they stand at zero.
     """
     machine = model.machine
     axes = {joint: pose[0, :3, 2] for joint, pose in _frames(model, np.zeros((1, len(machine.joints)))).items()}
     revolute = [j for j in machine.joints if machine.link(j).joint.type == "revolute" and abs(axes[j] @ UP) < 0.7]
     alike = [[j for j in revolute if abs(axes[j] @ axes[other]) > 0.999] for other in revolute]
     group = max(alike, key=len, default=[])
-    before = [j for j in machine.ancestry(group[0])[1:] if j in machine.joints] if group else []
+    before = [j for j in (machine.ancestry(group[0])[1:] if group else ())
+              if j in machine.joints and machine.link(j).joint.type == "revolute"]
     zeroed = tuple(machine.joints.index(j) for j in before)
-    sliding = [j for j in machine.joints if machine.link(j).joint.type == "prismatic" and j not in before]
+    sliding = [j for j in machine.joints if machine.link(j).joint.type == "prismatic"]
     moving = tuple(machine.joints.index(j) for j in (*group, *sliding)) or tuple(range(len(machine.joints)))
     pose = np.array(mean)
     pose[list(zeroed)] = 0.0

@@ -279,11 +279,12 @@ def simulate(model: Model, motion: Trajectory, psi: Array | None = None, *, nois
 
 
 def _positions(model: Model, q: Array) -> dict[str, Array]:
-    """Positions that are read: of dependent joints with a sensor, and of all others but those that only these tell."""
+    """Positions that are read: of dependent joints with a sensor, and of all others but those that follow from these
+    alone."""
     machine = model.machine
     read = {joint for joint in machine.dependent_joints if machine.sensor(f"{joint}.q")}
-    told = {joint for each in read for joint in machine.followed[each] if not machine.sensor(f"{joint}.q")}
-    found = {f"{joint}.q": q[:, k] for k, joint in enumerate(machine.joints) if joint not in told}
+    computed = {joint for each in read for joint in machine.followed[each] if not machine.sensor(f"{joint}.q")}
+    found = {f"{joint}.q": q[:, k] for k, joint in enumerate(machine.joints) if joint not in computed}
     if read:
         positions = model.over(model.dependent_positions, q)[0]
         found |= {f"{joint}.q": positions[:, k, 0] for k, joint in enumerate(machine.dependent_joints) if joint in read}

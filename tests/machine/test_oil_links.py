@@ -95,3 +95,10 @@ def test_shut_in_oil_does_no_work(machine: Machine) -> None:
 def test_bad_oil_links(old: str, new: str, words: str) -> None:
     with pytest.raises(MachineError, match=words):
         read_machine(FILE.replace(old, new, 1))
+
+
+@pytest.mark.parametrize(("stated", "words"), [
+    ("3", "must be a list of tables"), ("[3]", r"oil_links\[0\]: must be a table")])
+def test_oil_links_that_are_no_tables(stated: str, words: str) -> None:
+    with pytest.raises(MachineError, match=words):
+        read_machine(f'name = "lift"\noil_links = {stated}\n')

@@ -31,6 +31,7 @@ def test_short_line_is_left_alone() -> None:
      (0.34 + 5.18 * np.cos(np.pi / 6) + 1.8 * 0.5, 5.18 * 0.5 - 1.8 * np.cos(np.pi / 6))),
     ("patu655_lift", [-np.radians(0.301921052)], "lift", (2.87503992, 0.0)),
     ("kr300", [0.4, 0.0, 0.0, 0.0, 0.0, 0.0], "axis2", (0.35, 0.675 + 1.15)),
+    ("stewart_platform", [0.1, 0.0, 2.3, 0.05, 0.0, 0.0], "platform", (0.1, 2.3)),  # slides turn no plane
 ])
 def test_machine_stands_upright(name: str, q: list[float], joint: str, tip: tuple[float, float]) -> None:
     model = Model(load_machine(name))

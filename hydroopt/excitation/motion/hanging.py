@@ -29,14 +29,15 @@ class Hanging:
 
     def __init__(self, model: Model) -> None:
         self.model, machine = model, model.machine
-        rows = [k for k, each in enumerate(machine.balances) if not each.actuators]
+        self.balance, rows = ca.SX(0, 1), [k for k, each in enumerate(machine.balances) if not each.actuators]
         self.joints = [model.dynamics.kept[k] for k in rows]
+        if not rows:
+            return
         psi, places = model.parameters.nominal.copy(), model.parameters.positions
         for joint in machine.joints:
             if machine.link(joint).joint.passive and (name := f"{joint}.tau_coulomb") in places:
                 psi[places[name]] = 0.0
-        forces = model.dynamics.forces(ca.DM(psi), actuator_inertia=model.actuator_inertia)
-        self.balance = forces[rows] if rows else ca.SX(0, 1)
+        self.balance = model.dynamics.forces(ca.DM(psi), actuator_inertia=model.actuator_inertia)[rows]
 
     @cached_property
     def _static(self) -> ca.Function:

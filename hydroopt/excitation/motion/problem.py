@@ -50,8 +50,8 @@ class ExcitationProblem:
         inputs: the files of logs already measured: path, sha256, samples, role.
 
     Raises:
-        ProblemError: the motion is faster than the valves, a resting joint is unknown or out of its range, all rest, or
-            there would be too many samples.
+        ProblemError: the motion is faster than the valves, a resting joint is unknown, passive or out of its range, all
+            rest, or there would be too many samples.
 
     Example:
         See `excitation_problem`, which makes one.
@@ -68,6 +68,9 @@ class ExcitationProblem:
             if name not in joints:
                 raise ProblemError(f"'{name}' is not a moving joint", where="excitation",
                                    remedy=f"use {', '.join(joints)}")
+            if information.model.machine.link(name).joint.passive:
+                raise ProblemError(f"nothing holds the passive joint '{name}' at rest", where="excitation",
+                                   remedy="leave it out: it swings as the others move it")
             lower, upper = information.model.machine.link(name).joint.range
             if not lower <= position <= upper:
                 unit = information.model.machine.channel_units[f"{name}.q"]

@@ -66,6 +66,11 @@ joint = "boom"
 """
 
 
+def test_a_passive_joint_cannot_rest() -> None:
+    with pytest.raises(ho.ProblemError, match="nothing holds the passive joint 'grapple' at rest"):
+        ho.excitation_problem(crane(), Fourier(period=6.0, harmonics=2), resting={"grapple": 0.1})
+
+
 def test_a_machine_without_parameters_is_refused() -> None:
     with pytest.raises(ho.IdentifiabilityError, match="no motion identifies a parameter"):
         ho.excitation_problem(read_machine(SLOPED), Fourier(period=6.0, harmonics=2))
