@@ -55,5 +55,6 @@ def _on_chassis(data: dict[str, Any]) -> None:
     for loop in parts("loops"):
         moved(loop.get("to") if isinstance(loop, dict) else None, "link")
         moved(loop, "link")
-    for obstacle in parts("obstacles"):
-        moved(obstacle, "link")
+    for kind in ("obstacles", "imus"):
+        for part in parts(kind):
+            moved(part, "link")

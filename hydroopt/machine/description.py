@@ -18,11 +18,12 @@ from hydroopt.machine.closures import closures
 from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.environment import Footprint, Obstacle, Pump, Workspace
 from hydroopt.machine.fault_sizes import FaultSizes
+from hydroopt.machine.imus import INCLINATION, Imu
 from hydroopt.machine.links import Link, Note
 from hydroopt.machine.loops import Loop
 from hydroopt.machine.mass_statements import Identical, TotalMass
 from hydroopt.machine.matching import entangled, matched
-from hydroopt.machine.quantity import Acceleration, Angle, Length, Name, Noun, Rate
+from hydroopt.machine.quantity import CHANNEL_UNITS, Acceleration, Angle, Length, Name, Noun, Rate
 from hydroopt.machine.sensor import Sensor
 from hydroopt.machine.springs import Pinned, Spring
 from hydroopt.machine.valves import Circuit, Oil
@@ -52,6 +53,7 @@ class MachineDescription(Noun):
     gas_cylinders: tuple[GasCylinder, ...] = ()
     springs: tuple[Spring, ...] = ()
     sensors: tuple[Sensor, ...] = ()
+    imus: tuple[Imu, ...] = ()
     calibrator: Calibrator | None = None
     fixtures: tuple[Fixture, ...] = ()
     distances: tuple[Distance, ...] = ()
@@ -273,6 +275,9 @@ class MachineDescription(Noun):
             if link.joint.moving:
                 units[f"{link.name}.q"] = "m" if link.joint.type == "prismatic" else "rad"
             units[f"{link.name}.distance"] = "m"
+        for imu in self.imus:
+            units |= {channel: CHANNEL_UNITS[channel.rpartition(".")[2]][0] for channel in imu.channels}
+            units |= {f"{imu.name}.{angle}": "rad" for angle in INCLINATION}
         units |= dict.fromkeys(WRENCH[:3], "N") | dict.fromkeys(WRENCH[3:], "N*m")
         return units | (dict.fromkeys(("tip.x", "tip.y", "tip.z"), "m") if self.tracker else {})
 
@@ -304,8 +309,8 @@ class MachineDescription(Noun):
     def place(self, path: str) -> str:
         """Place in the machine file of a number's path: ``links[boom].body.m`` of ``boom.body.m``."""
         owner, _, rest = path.partition(".")
-        kinds = ("links", "loops", "couplings", "cylinders", "motors", "drives", "gas_cylinders", "springs", "fixtures",
-                 "distances", "stages", "total_masses")
+        kinds = ("links", "loops", "couplings", "cylinders", "motors", "drives", "gas_cylinders", "springs", "imus",
+                 "fixtures", "distances", "stages", "total_masses")
         found = [kind for kind in kinds if any(part.name == owner for part in getattr(self, kind))]
         if self.calibrator and any(link.name == owner for link in self.calibrator.links):
             found.append("calibrator.links")
@@ -339,8 +344,12 @@ class MachineDescription(Noun):
         if self.tracker:
             found += [*addresses.point("tracker", self.tracker.position, "tracker.position"),
                       *addresses.orientation("tracker", self.tracker.orientation, "tracker.orientation")]
+        for imu in self.imus:
+            found += [*addresses.point(imu.name, imu.position, f"{imu.name}.position"),
+                      *addresses.orientation(imu.name, imu.orientation, f"{imu.name}.orientation")]
         return (*found, *chain.from_iterable(map(addresses.pins, self.pinned)))
 
     def sensor(self, channel: str) -> Sensor | None:
         """The sensor that reads a channel, if the file states one."""
-        return next((s for s in self.sensors if channel in s.channels), None)
+        units = (imu.sensor(channel) for imu in self.imus)
+        return next((s for s in (*self.sensors, *units) if s and channel in s.channels), None)

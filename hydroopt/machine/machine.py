@@ -103,8 +103,8 @@ class Machine(MachineDescription):
     def _names(self) -> None:
         extra = self.calibrator.links if self.calibrator else ()
         kinds = (self.links, extra, self.loops, self.couplings, self.cylinders, self.motors, self.drives,
-                 self.gas_cylinders, self.springs, self.fixtures, self.distances, self.stages, self.obstacles,
-                 self.total_masses, self.identical)
+                 self.gas_cylinders, self.springs, self.imus, self.fixtures, self.distances, self.stages,
+                 self.obstacles, self.total_masses, self.identical)
         taken = {BASE: "the chassis"} | ({"pump": "the supply"} if self.pump else {})
         count = Counter([*taken, *(part.name for kind in kinds for part in kind)])
         for name, times in count.items():
@@ -227,6 +227,10 @@ class Machine(MachineDescription):
 
     def _channels(self) -> None:
         known = self.channel_units
+        for imu in self.imus:
+            if imu.link not in {BASE, *(link.name for link in self.links)}:
+                raise ImpossibleError(f"the IMU '{imu.name}' is attached to '{imu.link}', which does not exist",
+                                      "name a link or the base", f"imus[{imu.name}].link")
         for sensor in self.sensors:
             for channel in sensor.channels:
                 if channel not in known:
@@ -236,7 +240,9 @@ class Machine(MachineDescription):
                 raise ImpossibleError(f"one sensor reads {', '.join(sensor.channels)}, which are in "
                                       f"{' and '.join(sorted(units))}",
                                       "state one sensor for joints that turn and one for joints that slide")
-        twice = [c for c, n in Counter(c for s in self.sensors for c in s.channels).items() if n > 1]
+        stated = [channel for sensor in self.sensors for channel in sensor.channels]
+        stated += [channel for imu in self.imus for channel in imu.channels]
+        twice = [channel for channel, n in Counter(stated).items() if n > 1]
         if twice:
             raise ImpossibleError(f"the channel '{twice[0]}' has two sensors", "keep one of them")
 

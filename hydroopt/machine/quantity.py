@@ -14,7 +14,10 @@ CHANNEL_UNITS = {"q": ("rad", "m"), "qd": ("rad/s", "m/s"), "qdd": ("rad/s^2", "
                  "length": ("m",), "force": ("N",), "p_head": ("Pa",), "p_rod": ("Pa",), "p_a": ("Pa",), "p_b": ("Pa",),
                  "p_supply": ("Pa",), "p_tank": ("Pa",), "u": ("V", "1", "A"), "x": ("m",), "y": ("m",), "z": ("m",),
                  "distance": ("m",), **dict.fromkeys(("fx", "fy", "fz"), ("N",)),
-                 **dict.fromkeys(("mx", "my", "mz"), ("N*m",))}
+                 **dict.fromkeys(("mx", "my", "mz"), ("N*m",)),
+                 **dict.fromkeys(("gyro_x", "gyro_y", "gyro_z"), ("rad/s",)),
+                 **dict.fromkeys(("accel_x", "accel_y", "accel_z"), ("m/s^2",)),
+                 **dict.fromkeys(("roll", "pitch"), ("rad",))}
 """SI units that a channel may have, by the part of its name after the dot; the first is the usual one."""
 
 
@@ -109,6 +112,9 @@ TorquePerPressure = Annotated[float, *_quantity("N*m/Pa"), _finite]
 Flow = Annotated[float, *_quantity("m^3/s"), _finite]
 Speed = Annotated[float, *_quantity("m/s"), _finite]
 AngularSpeed = Annotated[float, *_quantity("rad/s", "m/s"), _finite]
+AngularRate = Annotated[float, *_quantity("rad/s"), _finite]
+AngularRateDensity = Annotated[float, *_quantity("rad/s/Hz^0.5"), _finite]
+AccelerationDensity = Annotated[float, *_quantity("m/s^2/Hz^0.5"), _finite]
 Position = Annotated[float, *_quantity("rad", "m"), _finite]  # of a joint that turns or slides
 Ratio = Annotated[float, *_quantity("1", "m/rad", "rad/m"), _finite]
 Rate = Annotated[float, *_quantity("Hz"), _finite]

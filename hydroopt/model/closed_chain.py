@@ -244,7 +244,8 @@ def _parameters(machine: Machine, numbers: tuple[Number, ...]) -> ParameterSet:
     """The numbers with a stated confidence, with Gaussian priors about their nominal values."""
     free, sigmas = [], []
     measurable = {each.name for each in machine.cylinders}
-    unmeasured = {each.name for each in machine.pinned} - measurable  # no sensor reads their length
+    # no pose table reads the length of these parts or these units
+    unmeasured = {each.name for each in machine.pinned} - measurable | {imu.name for imu in machine.imus}
     for number in numbers:
         if number.name.partition(".")[0] in unmeasured:
             continue

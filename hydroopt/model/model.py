@@ -15,6 +15,7 @@ from hydroopt.kernels.native import Runner
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import Machine
 from hydroopt.model import lagrange
+from hydroopt.model.imu_readings import imu_readings
 from hydroopt.model.joint_from_length import joint_from_length
 from hydroopt.model.kinematics import coordinates
 from hydroopt.model.regressor import Dynamics
@@ -105,6 +106,14 @@ class Model:
         rate = ca.reshape(ca.jtimes(ca.vec(lever_arm), self.coordinates.q, self.coordinates.qd), lever_arm.shape)
         return _dense("cylinder_kinematics", [*self.coordinates], [length, speed, acceleration, lever_arm, rate],
                            ["q", "qd", "qdd"], ["length", "speed", "acceleration", "lever_arm", "lever_arm_rate"])
+
+    @cached_property
+    def imu_readings(self) -> ca.Function:
+        """(q, qd, qdd) → readings (8, number of IMUs) without bias, in the order of ``machine.imus``: rates of rotation
+        x, y, z [rad/s], specific forces x, y, z [m/s²], roll and pitch [rad]."""
+        found = imu_readings(self.geometry, self.dynamics.links)
+        columns = ca.reshape(ca.vertcat(*found.values()), 8, len(self.machine.imus))
+        return _dense("imu_readings", [*self.coordinates], [columns], ["q", "qd", "qdd"], ["readings"])
 
     @cached_property
     def triangles(self) -> Mapping[str, tuple[ca.Function, ca.Function]]:

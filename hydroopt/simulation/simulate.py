@@ -11,6 +11,7 @@ from hydroopt.logs import sensors
 from hydroopt.logs.log import Log
 from hydroopt.machine.actuators import Cylinder, Drive
 from hydroopt.machine.description import WRENCH
+from hydroopt.machine.imus import ACCELEROMETER, GYROSCOPE, INCLINATION
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import bodies
@@ -262,7 +263,9 @@ def simulate(model: Model, motion: Trajectory, psi: Array | None = None, *, nois
             channels |= _chambers(force[:, k], *actuator.areas, *actuator.chambers)
     if machine.cylinders:
         lengths = model.over(model.cylinder_kinematics, motion.q, motion.qd, motion.qdd)[0][:, :, 0]
-        channels |= {f"{c.name}.length": lengths[:, k] for k, c in enumerate(machine.cylinders)}
+        channels |= {f"{c.name}.length": lengths[:, k] for k, c in enumerate(machine.cylinders)
+                     if not machine.imus or machine.sensor(f"{c.name}.length")}
+    channels |= _imus(model, motion)
     if motion.wrench is not None:
         channels |= dict(zip(WRENCH, motion.wrench.T, strict=True))
     if motion.calibrator is not None:
@@ -275,16 +278,39 @@ def simulate(model: Model, motion: Trajectory, psi: Array | None = None, *, nois
             if sensor is not None:
                 channels[channel] = sensors.measure(channels[channel], sensor.accuracy, sensor.resolution, rng,
                                                     sensor.distribution)
+        _err(machine, channels, rng)
     return Log(name, motion.t, channels, units={c: machine.channel_units[c] for c in channels})
+
+
+def _imus(model: Model, motion: Trajectory) -> dict[str, Array]:
+    """What IMUs read: their own channels, and inclinations that a sensor is stated for."""
+    machine = model.machine
+    if not machine.imus:
+        return {}
+    readings = model.over(model.imu_readings, motion.q, motion.qd, motion.qdd)[0]
+    every = {f"{imu.name}.{axis}": readings[:, row, k] for k, imu in enumerate(machine.imus)
+             for row, axis in enumerate((*GYROSCOPE, *ACCELEROMETER, *INCLINATION))}
+    return {channel: values for channel, values in every.items() if machine.sensor(channel)}
+
+
+def _err(machine: Machine, channels: dict[str, Array], rng: np.random.Generator) -> None:
+    """Add a constant bias to each channel of an IMU, and end it where its range ends."""
+    for imu in machine.imus:
+        for channel in imu.channels:
+            part = imu.part(channel)
+            assert part is not None
+            limit = np.inf if part.range is None else part.range
+            channels[channel] = np.clip(channels[channel] + rng.normal(0.0, part.bias), -limit, limit)
 
 
 def _positions(model: Model, q: Array) -> dict[str, Array]:
     """Positions that are read: of dependent joints with a sensor, and of all others but those that follow from these
-    alone."""
+    alone, and those of a machine with IMUs that no sensor reads."""
     machine = model.machine
     read = {joint for joint in machine.dependent_joints if machine.sensor(f"{joint}.q")}
     computed = {joint for each in read for joint in machine.followed[each] if not machine.sensor(f"{joint}.q")}
-    found = {f"{joint}.q": q[:, k] for k, joint in enumerate(machine.joints) if joint not in computed}
+    found = {f"{joint}.q": q[:, k] for k, joint in enumerate(machine.joints)
+             if joint not in computed and (not machine.imus or machine.sensor(f"{joint}.q"))}
     if read:
         positions = model.over(model.dependent_positions, q)[0]
         found |= {f"{joint}.q": positions[:, k, 0] for k, joint in enumerate(machine.dependent_joints) if joint in read}
