@@ -31,10 +31,13 @@ from .excitation.poses.plan import PosePlan as PosePlan
 from .excitation.poses.problem import PoseProblem as PoseProblem
 from .excitation.poses.problem import pose_problem as pose_problem
 from .logs.log import Log as Log
-from .logs.log import read_log as read_log
+from .logs.log_files import read_log as read_log
+from .logs.log_files import read_recording as read_recording
 from .logs.poses import Poses as Poses
 from .logs.poses import read_pose_files as read_pose_files
 from .logs.poses import read_poses as read_poses
+from .logs.recording import ChannelGroup as ChannelGroup
+from .logs.recording import Recording as Recording
 from .logs.smoothing import Butterworth as Butterworth
 from .logs.smoothing import Fourier as Fourier
 from .logs.smoothing import SmoothingSpline as SmoothingSpline

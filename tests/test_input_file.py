@@ -12,7 +12,7 @@ from hydroopt.errors import LONGEST, HydrooptError, LogError, MachineError, Prob
 from hydroopt.input_file import read_bytes, read_json, read_text, similar, toml
 from hydroopt.logs.column_headers import map_of_header, parts_of
 from hydroopt.logs.column_map import ColumnMap, LogMap, read_map
-from hydroopt.logs.log import read_log
+from hydroopt.logs.log_files import read_log
 from hydroopt.logs.stream import open_log
 from hydroopt.machine.machine_file import load_machine, read_machine
 from hydroopt.results.answer import load

@@ -63,7 +63,7 @@ def control(
     from hydroopt.control.outcome import FEEDFORWARD
     from hydroopt.control.setting import Setting, rate_of
     from hydroopt.files import refuse_directory
-    from hydroopt.logs.log import read_log
+    from hydroopt.logs.log_files import read_log
     from hydroopt.machine.machine_file import bundled
     from hydroopt.model.model import Model
     from hydroopt.model.plant import Plant

@@ -147,7 +147,7 @@ def identify(
 
 def _with_noisy_angles(problem: IdentificationProblem, fitted_motion: bool, instruments: list[Path] | None,
                        map_file: Path | None) -> IdentificationProblem:
-    from hydroopt.logs.log import read_log
+    from hydroopt.logs.log_files import read_log
 
     if fitted_motion:
         problem = problem.with_fitted_motion()

@@ -42,7 +42,7 @@ def identify_valves(
     """Identify valves, oil and friction: DIR gets estimate.json, report.html, free runs and the calibrated machine."""
     from hydroopt.estimation.hydraulic.estimate import METHOD
     from hydroopt.estimation.hydraulic.problem import hydraulic_problem
-    from hydroopt.logs.log import read_log
+    from hydroopt.logs.log_files import read_log
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.report import valves
     from hydroopt.results.json_file import Job

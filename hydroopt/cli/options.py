@@ -203,7 +203,7 @@ def session_of(machine: Machine, paths: Sequence[Path], option: str, map_file: P
         ProblemError: there is a directory beside other paths.
         LogError: a log cannot be read.
     """
-    from hydroopt.logs.log import read_log
+    from hydroopt.logs.log_files import read_log
 
     if not any(is_directory(path) for path in paths):
         return reading(read_log, machine, map_file, treat)(paths)

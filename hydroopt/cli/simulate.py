@@ -67,7 +67,7 @@ def simulate(
     A given motion may state the wrench at the tip (tip.fx to tip.mz), which then acts on the machine.
     """
     from hydroopt.files import write_files
-    from hydroopt.logs.log import read_log
+    from hydroopt.logs.log_files import read_log
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.model.model import Model
     from hydroopt.model.plant import Plant

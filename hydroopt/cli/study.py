@@ -125,7 +125,7 @@ def bootstrap(
     """Identify from resampled blocks of logs: scatter of the estimates beside their stated σ."""
     def prepare(described: Machine) -> tuple[Study, Summary]:
         from hydroopt.cli.identify import method_of
-        from hydroopt.logs.log import read_log
+        from hydroopt.logs.log_files import read_log
         from hydroopt.study import bootstrap as study
 
         read = reading(read_log, described, map_file, treat)(logs)
@@ -180,7 +180,7 @@ def _montecarlo(cells: int, seed: int, method: str, motion: Path | None, map_fil
 
     def prepare(described: Machine) -> tuple[Study, Summary]:
         from hydroopt.cli.identify import method_of
-        from hydroopt.logs.log import read_log
+        from hydroopt.logs.log_files import read_log
         from hydroopt.simulation.reference_motion import reference_motion
         from hydroopt.study import montecarlo as study
 

@@ -1,4 +1,4 @@
-"""A measurement log in SI units: reading it with all findings reported, cutting it, writing it."""
+"""A measurement log in SI units: making it with all findings reported, cutting it, writing it."""
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
@@ -15,14 +15,13 @@ from hydroopt.logs.column_headers import map_of_header
 from hydroopt.logs.column_map import LogMap, for_log, read_map
 from hydroopt.logs.frames import columns_of_frame, frame_of_columns
 from hydroopt.logs.quality import Finding
-from hydroopt.logs.readers import open_file
-from hydroopt.logs.table import Table, encoded_columns, frozen, in_si, load, refuse_damage, write_columns
+from hydroopt.logs.table import Table, encoded_columns, frozen, refuse_damage, write_columns
 from hydroopt.logs.treatment import Samples, choose, treat
 
 if TYPE_CHECKING:
     import pandas as pd
 
-__all__ = ["Finding", "Log", "LogMap", "read_log", "read_map"]
+__all__ = ["Finding", "Log", "LogMap", "read_map"]
 
 Array = NDArray[np.float64]
 
@@ -194,7 +193,7 @@ class Log:
         ([0.0, 0.02, 0.04], 'rad', 0.349066)
         """
         table, layout, ignored, values, si = columns_of_frame(frame, units, name)
-        return _of_table(name, table, full_layout(layout, [], name)[0], ignored, (values, si), choose(treatment),
+        return log_of_table(name, table, full_layout(layout, [], name)[0], ignored, (values, si), choose(treatment),
                          limits or {})
 
     def _columns(self) -> dict[str, Array]:
@@ -202,51 +201,14 @@ class Log:
         return {"t [s]": self.t, **dict(zip(headers, self.channels.values(), strict=True))}
 
 
-def read_log(
-    path: str | Path,
-    *,
-    mapping: LogMap | str | Path | None = None,
-    treatment: Mapping[str, str] | None = None,
-    limits: Mapping[str, tuple[float, float]] | None = None,
-) -> Log:
-    """Read a log from CSV, Parquet or, with a map, a MATLAB file.
-
-    Args:
-        path: file with headers `name [unit]`; columns whose name has no dot are not channels and are left out (a
-            finding of kind "ignored" says so).
-        mapping: for files with other headers, the map of their columns (`read_map`); it needs the time `t` and has no
-            labels.
-        treatment: action by kind of finding, see `treatment.ACTIONS`. By default NaN and bad time stamps are
-            errors, gaps split the log into segments and everything else is reported only.
-        limits: (lowest, highest) value of a sensor's range by channel, in SI; samples there are saturated. Limits of
-            channels that the log lacks mean nothing.
+def log_of_table(where: str, table: Table, layout: LogMap, ignored: tuple[str, ...],
+                 content: tuple[dict[str, Array], dict[str, str]], treatment: Mapping[str, str],
+                 limits: Mapping[str, tuple[float, float]]) -> Log:
+    """The log of a raw table and its columns in SI with their units, after checks and treatments.
 
     Raises:
-        LogError: the file is missing, damaged or not understood; the sentence names row and column.
-        ProblemError: unknown treatment.
-
-    >>> from pathlib import Path
-    >>> from tempfile import TemporaryDirectory
-    >>> with TemporaryDirectory() as directory:
-    ...     file = Path(directory) / "run.csv"
-    ...     _ = file.write_text("t [s],boom.q [deg],boom_cylinder.p_head [bar]\\n0,10,100\\n0.02,10.1,101\\n")
-    ...     log = read_log(file)
-    >>> log.channels["boom_cylinder.p_head"].tolist(), log.units["boom.q"]
-    ([10000000.0, 10100000.0], 'rad')
+        LogError: rows are damaged, there is only one, or a kind of finding was found whose action is "error".
     """
-    where, chosen = str(path), choose(treatment)
-    layout = given_layout(mapping, where)
-    data, digest, kind = load(path, layout.format if layout else None)
-    file = open_file(kind, data, where, layout)
-    layout, ignored = full_layout(layout, file.header, where)
-    table = file.read(layout.keys)
-    made = _of_table(where, table, layout, ignored, in_si(layout, table, where), chosen, limits or {})
-    return replace(made, name=Path(path).stem, path=where, sha256=digest)
-
-
-def _of_table(where: str, table: Table, layout: LogMap, ignored: tuple[str, ...],
-              content: tuple[dict[str, Array], dict[str, str]], treatment: Mapping[str, str],
-              limits: Mapping[str, tuple[float, float]]) -> Log:
     values, units = content
     t = values.pop("t")
     _refuse_damage(table, t, where)

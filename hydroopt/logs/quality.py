@@ -21,7 +21,8 @@ class Finding:
 
     Attributes:
         kind: "nan", "duplicate", "non-monotonic", "irregular", "gap", "stuck", "spike", "saturated", or for
-            information "rows" (a map selected them) and "ignored" (columns that are not channels).
+            information "rows" (a map selected them), "ignored" (columns that are not channels), "unpaired"
+            and "resampled" (samples that the merging of a recording's groups leaves out).
         channel: the channel, "t" for the time; empty for "ignored".
         first: first and `last`: last 1-based data row concerned; count: number of samples concerned.
         text: one sentence.

@@ -15,7 +15,8 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.logs.column_map import LogMap
-from hydroopt.logs.log import Log, full_layout, given_layout, left_out, read_log
+from hydroopt.logs.log import Log, full_layout, given_layout, left_out
+from hydroopt.logs.log_files import read_log
 from hydroopt.logs.quality import Finding
 from hydroopt.logs.readers import ParquetFile
 from hydroopt.logs.spline import MIN_SAMPLES, Grid

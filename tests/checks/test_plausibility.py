@@ -12,7 +12,8 @@ import pytest
 
 from hydroopt.checks.alternatives import alternatives
 from hydroopt.checks.plausibility import examine
-from hydroopt.logs.log import Log, read_log
+from hydroopt.logs.log import Log
+from hydroopt.logs.log_files import read_log
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
 from hydroopt.results.diagnostic import of_kind

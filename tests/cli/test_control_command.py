@@ -14,7 +14,7 @@ import pytest
 
 from fixtures.bad_control_cases import path
 from hydroopt import cli, load_machine
-from hydroopt.logs.log import read_log
+from hydroopt.logs.log_files import read_log
 from hydroopt.results.answer import Status, load
 from hydroopt.results.json_file import Job
 

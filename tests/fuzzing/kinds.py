@@ -25,7 +25,8 @@ from hydroopt.estimation.dynamic.stored_information import stored_information
 from hydroopt.logs import matlab_process
 from hydroopt.logs.column_headers import map_of_header
 from hydroopt.logs.column_map import LogMap, read_map
-from hydroopt.logs.log import Log, read_log
+from hydroopt.logs.log import Log
+from hydroopt.logs.log_files import read_log
 from hydroopt.logs.poses import read_poses
 from hydroopt.logs.stream import open_log, stream
 from hydroopt.machine.machine import Machine

@@ -10,7 +10,8 @@ from hydroopt.errors import LogError
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.estimation.hydraulic.problem import hydraulic_problem
 from hydroopt.estimation.kinematic.problem import calibration_problem
-from hydroopt.logs.log import Log, read_log
+from hydroopt.logs.log import Log
+from hydroopt.logs.log_files import read_log
 from hydroopt.logs.poses import Poses, read_poses
 from hydroopt.machine.machine_file import load_machine
 

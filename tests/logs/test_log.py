@@ -8,7 +8,8 @@ import pytest
 from scipy.io import savemat
 
 from hydroopt.errors import HydrooptError, LogError, ProblemError
-from hydroopt.logs.log import Log, LogMap, read_log, read_map
+from hydroopt.logs.log import Log, LogMap, read_map
+from hydroopt.logs.log_files import read_log
 from hydroopt.logs.stream import stream
 
 ROOT = Path(__file__).parents[2]

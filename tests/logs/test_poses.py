@@ -7,7 +7,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from hydroopt.errors import HydrooptError, LogError
-from hydroopt.logs.log import read_log
+from hydroopt.logs.log_files import read_log
 from hydroopt.logs.poses import LogMap, Poses, joined, read_map, read_pose_files, read_poses
 
 DATA = Path(__file__).parents[3] / "shared" / "data"

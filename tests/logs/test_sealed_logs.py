@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from hydroopt.cli import app
 from hydroopt.errors import ProblemError
-from hydroopt.logs.log import read_log
+from hydroopt.logs.log_files import read_log
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, load_machine
 from hydroopt.model.model import Model

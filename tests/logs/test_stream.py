@@ -9,7 +9,8 @@ from pyarrow import parquet
 
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.logs import stream as streaming
-from hydroopt.logs.log import Log, read_log
+from hydroopt.logs.log import Log
+from hydroopt.logs.log_files import read_log
 from hydroopt.logs.stream import LogStream, open_log, stream
 
 ROWS = 5000

@@ -15,7 +15,8 @@ from hydroopt.estimation.dynamic.experiment import experiment
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.estimation.hydraulic.problem import hydraulic_problem
 from hydroopt.logs.forces_from_pressures import forces
-from hydroopt.logs.log import Log, read_log
+from hydroopt.logs.log import Log
+from hydroopt.logs.log_files import read_log
 from hydroopt.logs.stream import stream
 from hydroopt.logs.tip_wrench import free_forces, tip_wrench
 from hydroopt.machine.description import WRENCH

@@ -10,7 +10,7 @@ from scipy.spatial.transform import Rotation
 from fixtures.drives import CRANE
 from hydroopt.errors import MachineError
 from hydroopt.estimation.dynamic.experiment import experiment
-from hydroopt.logs.log import read_log
+from hydroopt.logs.log_files import read_log
 from hydroopt.logs.smoothing import SmoothingSpline
 from hydroopt.machine.free_links import AXES
 from hydroopt.machine.machine import Machine

@@ -18,7 +18,8 @@ from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.estimation.dynamic.streamed_experiment import StreamedExperiment, streamed_experiment
 from hydroopt.logs import stream as streaming
-from hydroopt.logs.log import Log, read_log
+from hydroopt.logs.log import Log
+from hydroopt.logs.log_files import read_log
 from hydroopt.logs.smoothing import Fourier
 from hydroopt.logs.stream import LogStream, stream
 from hydroopt.machine.machine_file import load_machine

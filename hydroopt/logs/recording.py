@@ -1,0 +1,268 @@
+"""A recording as its instruments made it: groups of channels, each with stamps of its own, and their merging."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.errors import LogError
+from hydroopt.logs import quality
+from hydroopt.logs.log import Log, missing
+from hydroopt.logs.quality import Finding
+
+Array = NDArray[np.float64]
+
+NEEDED = ("q", "length", "tau", "force", "p_head", "p_rod", "p_a", "p_b")
+"""Suffixes of the channels without which no force of an actuator is known or explained: position, force, pressure."""
+
+GAP = 3.0
+"""Steps, in median steps of the slower of two groups, across which samples are not interpolated."""
+
+
+@dataclass(frozen=True)
+class ChannelGroup:
+    """Channels that are sampled together, with one clock.
+
+    Attributes:
+        name: of the group: a topic, a sheet, a file, or empty where a file has one group.
+        t: (N,) strictly increasing times [s] from the recording's start.
+        channels: (N,) values by channel name such as ``boom.q``, in SI.
+        units: SI unit by channel; defaults to the usual one of the suffix.
+        sample: (N,) 1-based row in the file. Default 1..N.
+        segment: (N,) index of the uninterrupted stretch a sample belongs to. Default: cut at gaps.
+
+    Raises:
+        LogError: lengths differ, there are fewer than two samples, times do not increase, a channel's name is unknown,
+            or a unit is not SI.
+
+    >>> group = ChannelGroup("/imu", [0.0, 0.01, 0.02], {"boom.qd": [0.1, 0.2, 0.3]})
+    >>> group
+    ChannelGroup('/imu': 3 samples, 100 Hz, 1 channel)
+    """
+
+    name: str
+    t: Array
+    channels: Mapping[str, Array]
+    units: Mapping[str, str] = field(default_factory=dict)
+    sample: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, int))
+    segment: NDArray[np.int64] = field(default_factory=lambda: np.empty(0, int))
+
+    def __post_init__(self) -> None:
+        log = Log(self.name or "group", self.t, self.channels, self.sample, self.segment, units=self.units)
+        for name in ("t", "channels", "units", "sample", "segment"):
+            object.__setattr__(self, name, getattr(log, name))
+
+    def __repr__(self) -> str:
+        return (f"ChannelGroup('{self.name}': {self.size} samples, {1 / self.step:.4g} Hz, {len(self.channels)} channel"
+                f"{'s' * (len(self.channels) != 1)})")
+
+    @property
+    def size(self) -> int:
+        """Number of samples."""
+        return int(self.t.size)
+
+    @property
+    def step(self) -> float:
+        """The median step [s]."""
+        return float(np.median(np.diff(self.t)))
+
+    def shifted(self, delay: float, drift: float = 0.0) -> ChannelGroup:
+        """The group with its stamps corrected: what happened at t was stamped t·(1 + `drift`) + `delay`.
+
+        Args:
+            delay: by how much the stamps are late [s]; may be negative.
+            drift: by how much the clock is fast [s/s].
+
+        >>> ChannelGroup("/imu", [0.02, 1.02], {"boom.qd": [0.1, 0.2]}).shifted(0.02).t.tolist()
+        [0.0, 1.0]
+        """
+        return replace(self, t=(self.t - delay) / (1 + drift))
+
+
+@dataclass(frozen=True)
+class Recording:
+    """What was recorded at one time, in groups of channels that each have their own stamps.
+
+    Attributes:
+        name: short name, for tables and figures.
+        start: moment of t = 0 in UTC, as datetime64[ns]; None where the stamps state no date.
+        groups: in the order of the file; no channel stands in two of them.
+        findings: what looked wrong and what was done about it.
+        path: file it came from; several are joined by ", "; empty for a recording that was made.
+        sha256: of that file's bytes, or of the bytes of several files, one after the other.
+
+    Raises:
+        LogError: there is no group, or a channel or group stands twice.
+
+    >>> fast = ChannelGroup("/joints", np.arange(5) / 100, {"boom.q": np.zeros(5)})
+    >>> slow = ChannelGroup("/can", np.array([0.0, 0.05]), {"boom_cylinder.p_head": np.array([1e6, 2e6])})
+    >>> recording = Recording("run", (fast, slow))
+    >>> recording
+    Recording('run': 0.05 s, groups '/joints' (5 samples), '/can' (2 samples))
+    >>> recording.log().channels["boom_cylinder.p_head"].tolist()
+    [1000000.0, 1200000.0, 1400000.0, 1600000.0, 1800000.0]
+    """
+
+    name: str
+    groups: tuple[ChannelGroup, ...]
+    start: np.datetime64 | None = None
+    findings: tuple[Finding, ...] = ()
+    path: str = ""
+    sha256: str = ""
+
+    def __post_init__(self) -> None:
+        where = self.path or self.name
+        if not self.groups:
+            raise LogError("there is no group of channels", where=where, remedy="give at least one")
+        seen: dict[str, str] = {}
+        for group in self.groups:
+            for channel in group.channels:
+                if channel in seen:
+                    raise LogError(f"channel '{channel}' stands in '{seen[channel]}' and in '{group.name}'",
+                                   where=where, remedy="remove one of them, or leave it out of the map")
+                seen[channel] = group.name
+        if len({group.name for group in self.groups}) < len(self.groups):
+            raise LogError("two groups have one name", where=where, remedy="rename one")
+
+    def __repr__(self) -> str:
+        groups = ", ".join(f"'{group.name}' ({group.size} samples)" for group in self.groups)
+        return (f"Recording('{self.name}': {self.duration:.6g} s, group{'s' * (len(self.groups) > 1)} {groups})")
+
+    @classmethod
+    def of(cls, log: Log, group: str = "") -> Recording:
+        """A recording of the one group of channels that a log is.
+
+        >>> Recording.of(Log("run", [0.0, 0.1], {"boom.q": [0.0, 0.1]})).groups[0].channels["boom.q"].tolist()
+        [0.0, 0.1]
+        """
+        only = ChannelGroup(group, log.t, log.channels, log.units, log.sample, log.segment)
+        return cls(log.name, (only,), None, log.findings, log.path, log.sha256)
+
+    @property
+    def duration(self) -> float:
+        """From the first to the last sample of any group [s]."""
+        return max(float(group.t[-1]) for group in self.groups) - min(float(group.t[0]) for group in self.groups)
+
+    @property
+    def channels(self) -> dict[str, Array]:
+        """Values by channel name, in SI; those of different groups have different lengths."""
+        return {name: x for group in self.groups for name, x in group.channels.items()}
+
+    def group(self, channel: str) -> ChannelGroup:
+        """The group that holds a channel.
+
+        Raises:
+            LogError: no group does.
+        """
+        for group in self.groups:
+            if channel in group.channels:
+                return group
+        raise missing(channel, self.channels, self.path or self.name)
+
+    def log(self, grid: str | None = None) -> Log:
+        """All channels at the stamps of one group, the others interpolated linearly in time.
+
+        Args:
+            grid: name of that group. By default the fastest that holds a position, a force or a pressure; of a
+                recording without those the fastest.
+
+        Samples of the grid outside of another group's time, or in one of its gaps, are left out; a faster group
+        than the grid loses samples. A finding states each of these.
+
+        Raises:
+            LogError: there is no such group, or two groups have no time in common.
+        """
+        where = self.path or self.name
+        base = self._grid(grid, where)
+        others = [group for group in self.groups if group is not base]
+        keep, findings = np.ones(base.size, bool), self.findings
+        for group in others:
+            _refuse_apart(base, group, where)
+            outside = (base.t < group.t[0]) | (base.t > group.t[-1])
+            inside = ~outside & _in_gap(base, group)
+            shown = _shown(group)
+            for mask, text in ((outside, f"stand outside of the time of {shown}; left out"),
+                               (inside, f"stand in a gap of {shown}; left out")):
+                if mask.any():
+                    findings += (quality.finding("unpaired", "t", mask, base.sample, text),)
+            keep &= ~(outside | inside)
+            if (lost := _lost(base, group)) > 0:
+                findings += (Finding("resampled", next(iter(group.channels)), int(base.sample[0]),
+                                     int(base.sample[-1]), lost, f"{shown} of {1 / group.step:.4g} Hz is "
+                                     f"interpolated at the {1 / base.step:.4g} Hz of {_shown(base)}; {lost} of its "
+                                     f"{group.size} samples do not count"),)
+        if np.count_nonzero(keep) < 2:
+            raise LogError("fewer than two samples have values of all groups", where=where,
+                           remedy="record the groups at the same time, or map the channels of one group only")
+        t = base.t[keep]
+        channels = {name: x[keep] for name, x in base.channels.items()}
+        for group in others:
+            channels |= {name: np.interp(t, group.t, x) for name, x in group.channels.items()}
+        channels = {name: channels[name] for name in self.channels}
+        cut = np.diff(base.segment[keep], prepend=base.segment[keep][:1]) != 0
+        units = {name: unit for group in self.groups for name, unit in group.units.items()}
+        segment = np.cumsum(cut | _behind_a_loss(keep))
+        return Log(self.name, t, channels, base.sample[keep], segment, findings, self.path, self.sha256, units)
+
+    def _grid(self, name: str | None, where: str) -> ChannelGroup:
+        if name is not None:
+            for group in self.groups:
+                if group.name == name:
+                    return group
+            raise LogError(f"there is no group '{name}'", where=where,
+                           remedy=f"use one of {', '.join(group.name for group in self.groups)}")
+        needed = [group for group in self.groups
+                  if any(channel.rpartition(".")[2] in NEEDED for channel in group.channels)]
+        return min(needed or self.groups, key=lambda group: group.step)
+
+
+def _shown(group: ChannelGroup) -> str:
+    """What a sentence calls a group."""
+    return f"'{group.name or next(iter(group.channels))}'"
+
+
+def _refuse_apart(base: ChannelGroup, group: ChannelGroup, where: str) -> None:
+    """Refuse two groups that have no time in common.
+
+    Raises:
+        LogError: states how far they are apart.
+    """
+    apart = max(float(group.t[0] - base.t[-1]), float(base.t[0] - group.t[-1]))
+    if apart <= 0:
+        return
+    offset = float(group.t[0] - base.t[0])
+    hours = round(offset / 3600)
+    zone = f", about {abs(hours)} h: a time zone?" if hours and abs(offset - 3600 * hours) < 600 else ""
+    raise LogError(f"{_shown(group)} begins {abs(offset):.6g} s {'after' if offset > 0 else 'before'} {_shown(base)}, "
+                   f"and they have no time in common{zone}", where=where,
+                   remedy=f"correct the clocks, or state delay = '{offset:.6g} s' in "
+                           f"[clocks.\"{group.name}\"] of a map")
+
+
+def _in_gap(base: ChannelGroup, group: ChannelGroup) -> NDArray[np.bool_]:
+    """Stamps (N,) of `base` strictly within a gap of `group`."""
+    step = np.diff(group.t)
+    behind = np.clip(np.searchsorted(group.t, base.t, side="left"), 1, group.size - 1)
+    wide = (step > GAP * max(group.step, base.step)) | (np.diff(group.segment) > 0)
+    on_stamp = base.t == group.t[np.clip(np.searchsorted(group.t, base.t), 0, group.size - 1)]
+    return np.asarray(wide[behind - 1] & ~on_stamp)
+
+
+def _lost(base: ChannelGroup, group: ChannelGroup) -> int:
+    """How many samples of `group` have no weight at any stamp of `base`."""
+    behind = np.clip(np.searchsorted(group.t, base.t), 1, group.size - 1)
+    weight = (base.t - group.t[behind - 1]) / (group.t[behind] - group.t[behind - 1])
+    within = (weight > -1e-6) & (weight < 1 + 1e-6)
+    used = np.zeros(group.size, bool)
+    used[behind[within & (weight > 1e-6)]] = True
+    used[behind[within & (weight < 1 - 1e-6)] - 1] = True
+    return int(np.count_nonzero(~used))
+
+
+def _behind_a_loss(keep: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Which of the samples kept follow a sample that was not."""
+    index = np.flatnonzero(keep)
+    return np.diff(index, prepend=index[:1] - 1) > 1
