@@ -100,6 +100,7 @@ class Labels(BaseModel):
     fixture: Label = ""
     pose: Label = ""
     tape: Label = ""
+    setup: Label = ""
 
 
 class LogMap(BaseModel):

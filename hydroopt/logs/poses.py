@@ -25,6 +25,7 @@ __all__ = ["LogMap", "Poses", "joined", "read_map", "read_pose_files", "read_pos
 
 Array = NDArray[np.float64]
 Texts = NDArray[np.str_]
+_LABELS = ("stage", "fixture", "pose", "tape", "setup")
 
 
 def _no_texts() -> Texts:
@@ -41,6 +42,7 @@ class Poses:
         fixture: (N,) what held or targeted the tip; default ''.
         pose: (N,) label of the pose; default, and where empty, the number of its row.
         tape: (N,) fixture at which the taped distances of the row end, whether or not it holds the tip; default ''.
+        setup: (N,) set-up of the instruments whose poses are not known; default '', the only one.
         t: (N,) time [s]; default NaN, not stated.
         channels: (N,) values by channel name such as ``boom.q`` or ``tip.x``, in SI; NaN where not read.
         units: SI unit by channel; defaults to the usual one of the suffix (rad for ``.q``).
@@ -60,6 +62,7 @@ class Poses:
     fixture: Texts = field(default_factory=_no_texts)
     pose: Texts = field(default_factory=_no_texts)
     tape: Texts = field(default_factory=_no_texts)
+    setup: Texts = field(default_factory=_no_texts)
     t: Array = field(default_factory=lambda: np.empty(0))
     channels: Mapping[str, Array] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
@@ -78,7 +81,7 @@ class Poses:
             raise LogError(f"the time holds {np.asarray(self.t).dtype}, not seconds", where=self.name,
                            remedy="make the table by Poses.from_frame(frame, units={...})")
         t = frozen(self.t if np.size(self.t) else np.full(size, np.nan), float)
-        texts = {name: _texts(getattr(self, name), size) for name in ("stage", "fixture", "pose", "tape")}
+        texts = {name: _texts(getattr(self, name), size) for name in _LABELS}
         file = frozen(self.file if np.size(self.file) else np.full(size, ""), np.str_)
         for name, x in {"t": t, "row": row, "file": file, **texts, **channels}.items():
             if x.shape != (size,):
@@ -108,14 +111,15 @@ class Poses:
         index = np.arange(len(self))[index if index.dtype == bool else index.astype(int)]
         file = self.file[index]
         return replace(self, stage=self.stage[index], fixture=self.fixture[index], pose=self.pose[index],
-                       tape=self.tape[index], t=self.t[index],
+                       tape=self.tape[index], setup=self.setup[index], t=self.t[index],
                        channels={name: x[index] for name, x in self.channels.items()},
                        row=self.row[index], file=file, sha256={p: h for p, h in self.sha256.items() if p in file})
 
     def write(self, path: str | Path) -> None:
         """Write as CSV or Parquet, by extension, with headers `name [SI unit]`; complete or not at all.
 
-        Cells are empty where nothing was read; the columns of time and tape are left out where no pose has one.
+        Cells are empty where nothing was read; the columns of time, tape and set-up are left out where no pose has
+        one.
 
         Raises:
             LogError: another extension, or the file cannot be written.
@@ -137,7 +141,8 @@ class Poses:
 
         Args:
             frame: columns named ``boom.q [deg]``, or ``boom.q`` with a unit in `units`, and texts ``stage``,
-                ``fixture``, ``pose``, ``tape``; empty cells mean "not read". A time is stated as for `Log.from_frame`.
+                ``fixture``, ``pose``, ``tape``, ``setup``; empty cells mean "not read". A time is stated as for
+                `Log.from_frame`.
             units: unit by name of the columns that have none in it.
             name: short name of the table.
 
@@ -152,14 +157,14 @@ class Poses:
         """
         table, layout, _, values, si = columns_of_frame(frame, units, name, poses=True)
         refuse_damage(table.damage, table.rows, name)
-        stage, fixture, pose, tape = _labels(layout, table, {})
-        return cls(name, stage, fixture, pose, tape, t=values.pop("t", np.empty(0)), channels=values, units=si)
+        stage, fixture, pose, tape, setup = _labels(layout, table, {})
+        return cls(name, stage, fixture, pose, tape, setup, t=values.pop("t", np.empty(0)), channels=values, units=si)
 
     def _columns(self) -> dict[str, NDArray[Any]]:
-        tape = {"tape": self.tape} if np.any(self.tape != "") else {}
+        more = {name: texts for name, texts in (("tape", self.tape), ("setup", self.setup)) if np.any(texts != "")}
         time = {} if np.all(np.isnan(self.t)) else {"t [s]": self.t}
         channels = {f"{name} [{self.units[name]}]": x for name, x in self.channels.items()}
-        return {"stage": self.stage, "fixture": self.fixture, "pose": self.pose, **tape, **time, **channels}
+        return {"stage": self.stage, "fixture": self.fixture, "pose": self.pose, **more, **time, **channels}
 
 
 def joined(parts: Sequence[Poses]) -> Poses:
@@ -183,6 +188,7 @@ def joined(parts: Sequence[Poses]) -> Poses:
         fixture=np.concatenate([part.fixture for part in parts]),
         pose=np.concatenate([part.pose for part in parts]),
         tape=np.concatenate([part.tape for part in parts]),
+        setup=np.concatenate([part.setup for part in parts]),
         t=np.concatenate([part.t for part in parts]),
         channels={name: np.concatenate([part.channels.get(name, np.full(len(part), np.nan)) for part in parts])
                   for name in units},
@@ -196,8 +202,8 @@ def read_poses(path: str | Path, *, mapping: LogMap | str | Path | None = None) 
     """Read a table of poses from CSV or Parquet.
 
     Args:
-        path: file with text columns `stage`, `fixture`, `pose`, `tape` and columns `name [unit]` of channels and of the
-            time `t`, of which at least one channel must be there. Empty cells and NaN mean "not read".
+        path: file with text columns `stage`, `fixture`, `pose`, `tape`, `setup` and columns `name [unit]` of channels
+            and of the time `t`, of which at least one channel must be there. Empty cells and NaN mean "not read".
         mapping: for files with other headers, the map of their columns (`read_map` with ``poses=True``) and labels.
 
     Raises:
@@ -225,8 +231,8 @@ def read_poses(path: str | Path, *, mapping: LogMap | str | Path | None = None) 
         raise LogError("there is no channel", where=where, remedy="add columns such as 'boom.q [deg]' or 'tip.x [m]'")
     words = {"folder": Path(path).absolute().parent.name, "file": Path(path).stem}
     size = table.rows.size
-    stage, fixture, pose, tape = _labels(layout, table, words)
-    return Poses(Path(path).stem, stage, fixture, pose, tape, t=values.pop("t", np.full(size, np.nan)),
+    stage, fixture, pose, tape, setup = _labels(layout, table, words)
+    return Poses(Path(path).stem, stage, fixture, pose, tape, setup, t=values.pop("t", np.full(size, np.nan)),
                  channels=values, units=units, row=table.rows, file=np.full(size, where), sha256={where: digest})
 
 
@@ -255,7 +261,7 @@ def read_pose_files(paths: Sequence[str | Path], *, mapping: LogMap | str | Path
 
 
 def _labels(layout: LogMap, table: Table, words: Mapping[str, str]) -> list[Texts]:
-    """Stage, fixture, pose, tape (N,) of every row: from columns of text, or a text with words of the file's path."""
+    """Labels (N,) of every row, as `_LABELS`: from columns of text, or a text with words of the file's path."""
     return [np.array(table.texts[label.column] if isinstance(label, TextColumn)
                      else [label.format(**words)] * table.rows.size) for _, label in layout.labels or Labels()]
 

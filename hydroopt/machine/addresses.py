@@ -8,10 +8,13 @@ from typing import Any, NamedTuple
 from hydroopt.machine.actuators import Actuator, Cylinder, Drive, GasCylinder
 from hydroopt.machine.calibration_chain import Fixture
 from hydroopt.machine.couplings import Coupling
+from hydroopt.machine.datums import Datum
+from hydroopt.machine.instruments import Instrument
 from hydroopt.machine.links import Body, JointSpring, Link
 from hydroopt.machine.loops import Loop
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.machine.springs import Pinned, Spring
+from hydroopt.machine.targets import Target
 from hydroopt.machine.valves import EDGES, Circuit, Oil
 from hydroopt.spatial import inertia
 
@@ -186,6 +189,29 @@ def fixture_numbers(fixture: Fixture) -> Iterator[Number]:
     yield from point(fixture.name, fixture.position, f"{fixture.name}.position")
     if fixture.kind != "ball":
         yield from orientation(fixture.name, fixture.orientation, f"{fixture.name}.orientation")
+
+
+def target_numbers(target: Target) -> Iterator[Number]:
+    """Where a target is on its link."""
+    yield from point(target.name, target.position, f"{target.name}.position")
+    yield from orientation(target.name, target.orientation, f"{target.name}.orientation")
+
+
+def instrument_numbers(instrument: Instrument) -> Iterator[Number]:
+    """Where an instrument stands, if the file states it."""
+    if instrument.position is not None:
+        yield from point(instrument.name, instrument.position, f"{instrument.name}.position")
+        yield from orientation(instrument.name, instrument.turn, f"{instrument.name}.orientation")
+
+
+def datum_numbers(datum: Datum) -> Iterator[Number]:
+    """How far a datum is shifted and turned against its stated frame, where that changes it."""
+    for axis in datum.axes:
+        k = AXES.index(axis)
+        yield Number(f"{datum.name}.{axis}", ParameterKind.POSITION, "m", datum.offset[k], f"{datum.name}.offset", k)
+    for turn in datum.tilts:
+        k = TURNS.index(turn)
+        yield Number(f"{datum.name}.{turn}", ParameterKind.ORIENTATION, "rad", datum.tilt[k], f"{datum.name}.tilt", k)
 
 
 def point(owner: str, coordinates: tuple[float, float, float], path: str) -> Iterator[Number]:

@@ -55,6 +55,6 @@ def _on_chassis(data: dict[str, Any]) -> None:
     for loop in parts("loops"):
         moved(loop.get("to") if isinstance(loop, dict) else None, "link")
         moved(loop, "link")
-    for kind in ("obstacles", "imus"):
+    for kind in ("obstacles", "imus", "targets", "instruments"):
         for part in parts(kind):
             moved(part, "link")

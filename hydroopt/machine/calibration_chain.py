@@ -92,11 +92,20 @@ class Tracker(Noun):
 
 
 class Distance(Noun):
-    """A known distance [m] between two fixtures: it determines the scale of a closed chain (Section 3.6.4)."""
+    """A distance between two points.
+
+    Between fixtures its `length` [m] is known: it determines the scale of a closed chain (Section 3.6.4). Between
+    targets, of links, base or ground, it has none: poses read it in the column ``<name>.length``.
+    """
 
     name: Name
     between: tuple[Name, Name]
-    length: Length = Field(gt=0)
+    length: Length | None = Field(None, gt=0)
+
+    @property
+    def measured(self) -> bool:
+        """Whether poses read it."""
+        return self.length is None
 
 
 class Stage(Noun):

@@ -16,9 +16,11 @@ from hydroopt.machine.base_motion import CHASSIS
 from hydroopt.machine.calibration_chain import Calibrator, Distance, Fixture, Stage, Tracker
 from hydroopt.machine.closures import closures
 from hydroopt.machine.couplings import Coupling
+from hydroopt.machine.datums import Datum
 from hydroopt.machine.environment import Footprint, Obstacle, Pump, Workspace
 from hydroopt.machine.fault_sizes import FaultSizes
 from hydroopt.machine.imus import INCLINATION, Imu
+from hydroopt.machine.instruments import Instrument
 from hydroopt.machine.links import Link, Note
 from hydroopt.machine.loops import Loop
 from hydroopt.machine.mass_statements import Identical, TotalMass
@@ -26,6 +28,7 @@ from hydroopt.machine.matching import entangled, matched
 from hydroopt.machine.quantity import CHANNEL_UNITS, Acceleration, Angle, Length, Name, Noun, Rate
 from hydroopt.machine.sensor import Sensor
 from hydroopt.machine.springs import Pinned, Spring
+from hydroopt.machine.targets import TIP, Target
 from hydroopt.machine.valves import Circuit, Oil
 
 BASE = "base"
@@ -33,6 +36,8 @@ BASE = "base"
 WRENCH = ("tip.fx", "tip.fy", "tip.fz", "tip.mx", "tip.my", "tip.mz")
 """Channels of the wrench that the surroundings exert on the machine at its tip: force, and moment about the tip, along
 the axes of the base frame."""
+_TURN_UNITS = dict.fromkeys(("rx", "ry", "rz"), "rad") | dict.fromkeys(("qw", "qx", "qy", "qz"), "1")
+"""Components of a measured orientation: rotation vector, and quaternion."""
 
 
 class MachineDescription(Noun):
@@ -58,6 +63,9 @@ class MachineDescription(Noun):
     fixtures: tuple[Fixture, ...] = ()
     distances: tuple[Distance, ...] = ()
     tracker: Tracker | None = None
+    targets: tuple[Target, ...] = ()
+    instruments: tuple[Instrument, ...] = ()
+    datums: tuple[Datum, ...] = ()
     stages: tuple[Stage, ...] = ()
     pump: Pump | None = None
     oil: Oil | None = None
@@ -279,7 +287,20 @@ class MachineDescription(Noun):
             units |= {channel: CHANNEL_UNITS[channel.rpartition(".")[2]][0] for channel in imu.channels}
             units |= {f"{imu.name}.{angle}": "rad" for angle in INCLINATION}
         units |= dict.fromkeys(WRENCH[:3], "N") | dict.fromkeys(WRENCH[3:], "N*m")
-        return units | (dict.fromkeys(("tip.x", "tip.y", "tip.z"), "m") if self.tracker else {})
+        if self.tracker:
+            units |= dict.fromkeys(("tip.x", "tip.y", "tip.z"), "m") | {f"tip.{k}": u for k, u in _TURN_UNITS.items()}
+        for instrument in self.instruments:
+            for target in self.target_names:
+                units |= {f"{instrument.name}.{target}.{axis}": unit
+                          for axis, unit in (dict.fromkeys("xyz", "m") | _TURN_UNITS).items()}
+        units |= {f"{datum.name}.{target}.{axis}": "m" for datum in self.datums for target in self.target_names
+                  for axis in datum.axes}
+        return units | {f"{each.name}.length": "m" for each in self.distances if each.measured}
+
+    @property
+    def target_names(self) -> tuple[str, ...]:
+        """Names of the targets, and of the calibrator's tip."""
+        return (*(target.name for target in self.targets), *((TIP,) if self.calibrator else ()))
 
     @property
     def numbers(self) -> dict[str, Number]:
@@ -310,7 +331,7 @@ class MachineDescription(Noun):
         """Place in the machine file of a number's path: ``links[boom].body.m`` of ``boom.body.m``."""
         owner, _, rest = path.partition(".")
         kinds = ("links", "loops", "couplings", "cylinders", "motors", "drives", "gas_cylinders", "springs", "imus",
-                 "fixtures", "distances", "stages", "total_masses")
+                 "fixtures", "distances", "targets", "instruments", "datums", "stages", "total_masses")
         found = [kind for kind in kinds if any(part.name == owner for part in getattr(self, kind))]
         if self.calibrator and any(link.name == owner for link in self.calibrator.links):
             found.append("calibrator.links")
@@ -347,6 +368,9 @@ class MachineDescription(Noun):
         for imu in self.imus:
             found += [*addresses.point(imu.name, imu.position, f"{imu.name}.position"),
                       *addresses.orientation(imu.name, imu.orientation, f"{imu.name}.orientation")]
+        found += [*chain.from_iterable(map(addresses.target_numbers, self.targets)),
+                  *chain.from_iterable(map(addresses.instrument_numbers, self.instruments)),
+                  *chain.from_iterable(map(addresses.datum_numbers, self.datums))]
         return (*found, *chain.from_iterable(map(addresses.pins, self.pinned)))
 
     def sensor(self, channel: str) -> Sensor | None:

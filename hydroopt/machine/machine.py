@@ -18,6 +18,7 @@ from hydroopt.machine.closures import place
 from hydroopt.machine.description import BASE, MachineDescription
 from hydroopt.machine.links import Note
 from hydroopt.machine.quantity import ImpossibleError
+from hydroopt.machine.targets import GROUND, TIP
 from hydroopt.units import same_kind
 
 __all__ = ["BASE", "Machine"]
@@ -53,6 +54,7 @@ class Machine(MachineDescription):
         self._loops()
         self._actuation()
         self._chain()
+        self._seen()
         self._channels()
         self._site()
         self._masses()
@@ -103,9 +105,10 @@ class Machine(MachineDescription):
     def _names(self) -> None:
         extra = self.calibrator.links if self.calibrator else ()
         kinds = (self.links, extra, self.loops, self.couplings, self.cylinders, self.motors, self.drives,
-                 self.gas_cylinders, self.springs, self.imus, self.fixtures, self.distances, self.stages,
-                 self.obstacles, self.total_masses, self.identical)
-        taken = {BASE: "the chassis"} | ({"pump": "the supply"} if self.pump else {})
+                 self.gas_cylinders, self.springs, self.imus, self.fixtures, self.distances, self.targets,
+                 self.instruments, self.datums, self.stages, self.obstacles, self.total_masses, self.identical)
+        taken = {BASE: "the chassis"} | ({"pump": "the supply"} if self.pump else {}) | (
+            {TIP: "the calibrator's tip"} if self.calibrator and self.targets else {})
         count = Counter([*taken, *(part.name for kind in kinds for part in kind)])
         for name, times in count.items():
             if times > 1:
@@ -212,18 +215,31 @@ class Machine(MachineDescription):
             raise ImpossibleError("the ball or target has no carrier that fixtures and trackers need",
                                   "state a calibrator, if need be with a tip only")
         for distance in self.distances:
+            kind = "target" if distance.measured else "fixture"
+            known = self.target_names if distance.measured else [fixture.name for fixture in self.fixtures]
             for name in distance.between:
-                if name not in {fixture.name for fixture in self.fixtures}:
-                    raise ImpossibleError(f"'{distance.name}' starts or ends at '{name}', which is not a fixture",
-                                          "name two fixtures")
+                if name not in known:
+                    other = ", or state the 'length' between two fixtures" if distance.measured else ""
+                    raise ImpossibleError(f"'{distance.name}' starts or ends at '{name}', which is not a {kind}",
+                                          f"name two {kind}s{other}")
             if distance.between[0] == distance.between[1]:
-                raise ImpossibleError(f"'{distance.name}' starts and ends at the same fixture", "name two fixtures")
+                raise ImpossibleError(f"'{distance.name}' starts and ends at the same {kind}", f"name two {kind}s")
         joints = {link.name for link in self.chain if link.joint.independent} | set(self.joints)
         for stage in self.stages:
             for name in (*stage.moves, *stage.locked):
                 if name not in joints:
                     raise ImpossibleError(f"stage '{stage.name}' names '{name}', which is not a moving joint",
                                           f"use {', '.join(sorted(joints))}")
+
+    def _seen(self) -> None:
+        """Targets and instruments sit on links that there are."""
+        known = (BASE, *(link.name for link in (*self.links, *(self.calibrator.links if self.calibrator else ()))))
+        for kind, parts in (("target", self.targets), ("instrument", self.instruments)):
+            for part in parts:
+                if part.link not in {*known, GROUND}:
+                    raise ImpossibleError(
+                        f"the {kind} '{part.name}' is attached to '{part.link}', which does not exist",
+                        f"use one of {', '.join(known)} or {GROUND}", f"{kind}s[{part.name}].link")
 
     def _channels(self) -> None:
         known = self.channel_units

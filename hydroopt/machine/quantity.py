@@ -14,7 +14,8 @@ CHANNEL_UNITS = {"q": ("rad", "m"), "qd": ("rad/s", "m/s"), "qdd": ("rad/s^2", "
                  "length": ("m",), "force": ("N",), "p_head": ("Pa",), "p_rod": ("Pa",), "p_a": ("Pa",), "p_b": ("Pa",),
                  "p_supply": ("Pa",), "p_tank": ("Pa",), "u": ("V", "1", "A"), "x": ("m",), "y": ("m",), "z": ("m",),
                  "distance": ("m",), **dict.fromkeys(("fx", "fy", "fz"), ("N",)),
-                 **dict.fromkeys(("mx", "my", "mz"), ("N*m",)),
+                 **dict.fromkeys(("mx", "my", "mz"), ("N*m",)), **dict.fromkeys(("rx", "ry", "rz"), ("rad",)),
+                 **dict.fromkeys(("qw", "qx", "qy", "qz"), ("1",)),
                  **dict.fromkeys(("gyro_x", "gyro_y", "gyro_z"), ("rad/s",)),
                  **dict.fromkeys(("accel_x", "accel_y", "accel_z"), ("m/s^2",)),
                  **dict.fromkeys(("roll", "pitch"), ("rad",))}

@@ -17,6 +17,8 @@ from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.links import Link
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.mechanism import Mechanism
+from hydroopt.model.pose_rows.frames import Frames
+from hydroopt.model.pose_rows.measurements import inputs, measurements
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array
 from hydroopt.spatial.poses import Pose, identity, roll_pitch_yaw
@@ -38,7 +40,9 @@ class KinematicModel:
         loop: (g, q, place (k,)) -> residuals of the loop, `loop_rows` of them: tip less fixture (3,) [m] in the
             fixture's frame; if any fixture is no ball, the tool's turn (3,) [rad] against that frame too, exact where
             it is small. `place` is the fixture's position (3,), its roll, pitch and yaw (3,) if any fixture is no ball,
-            and the place (3,) at which tapes end if any tape has a sensor.
+            the place (3,) at which tapes end if any tape has a sensor, and what `measurements` take of a pose; `inputs`
+            are the slices of these parts by name.
+        measurements: rows of instruments, tapes between targets and datums, at the end of `observed`.
         far_ends: (g, q) -> far ends of the chain's links (3, number of links) [m] in the base frame.
         axes: (g, q) -> directions of the joints' axes (3, n) in the base frame.
         strokes: (g, q) -> strokes of the cylinders and distances of their pins (c,) [m] (Eq. 3.26 in space).
@@ -60,7 +64,11 @@ class KinematicModel:
         self.parameters = _parameters(machine, stated.numbers)
         self.oriented = any(fixture.kind != "ball" for fixture in machine.fixtures)
         self.taped = any(machine.sensor(f"{link.name}.distance") for link in machine.chain)
-        self.place_size = 3 + 3 * self.oriented + 3 * self.taped
+        sizes = {"fixture": 3, **({"turn": 3} if self.oriented else {}), **({"tape": 3} if self.taped else {}),
+                 **inputs(machine)}
+        bounds = np.cumsum([0, *sizes.values()])
+        self.inputs = {name: slice(int(a), int(b)) for name, a, b in zip(sizes, bounds, bounds[1:], strict=False)}
+        self.place_size = int(bounds[-1])
         self.loop_rows = 6 if self.oriented else 3
         g, q, fixture = (ca.SX.sym("g", len(self.parameters)), ca.SX.sym("q", len(self.joints)),
                          ca.SX.sym("fixture", 3))
@@ -80,7 +88,7 @@ class KinematicModel:
                                    ["stroke", "distance"])
         lengths = distances + ca.vertcat(*(c.dead_length - d for c, d in zip(machine.cylinders, dead, strict=True)))
         # the last far end may coincide with the fixture, where a norm has no derivative
-        tape_end = place[-3:] if self.taped else place[:3]
+        tape_end = place[self.tape_end]
         tapes = ca.vertcat(*(ca.sqrt(ca.sumsqr(end.origin - tape_end) + TINY**2) for end in ends))
         self._tool = ends[-1].rotation if ends else ca.SX(3, 3)
         self.tip = ca.Function("tip", [g, q], [tip], ["g", "q"], ["tip"])
@@ -90,7 +98,10 @@ class KinematicModel:
         tracked = self._tracked(tip)
         loop = self._held(tip - place[:3], place)
         self.loop = ca.Function("loop", [g, q, place], [loop], ["g", "q", "place"], ["loop"])
-        self.observed = ca.Function("observed", [g, q, place], [ca.vertcat(loop, lengths, tracked, tapes)],
+        self.measurements = measurements(Frames(self.geometry, poses,
+                                                {name: place[where] for name, where in self.inputs.items()}))
+        more = [each.rows for each in self.measurements]
+        self.observed = ca.Function("observed", [g, q, place], [ca.vertcat(loop, lengths, tracked, tapes, *more)],
                                     ["g", "q", "place"], ["observed"])
         frames = {name: self._before(poses, name) for name in self.joints}
         self.axes = ca.Function("axes", [g, q], [ca.horzcat(*(frame.rotation[:, 2] for frame in frames.values()))],
@@ -113,7 +124,41 @@ class KinematicModel:
         machine = self.machine
         turn = ("turn.x", "turn.y", "turn.z") if self.oriented else ()
         return ("gap.x", "gap.y", "gap.z", *turn, *(f"{c.name}.length" for c in machine.cylinders),
-                "tip.x", "tip.y", "tip.z", *(f"{link.name}.distance" for link in machine.chain))
+                "tip.x", "tip.y", "tip.z", *(f"{link.name}.distance" for link in machine.chain),
+                *(channel for each in self.measurements for channel in each.channels))
+
+    @cached_property
+    def units(self) -> tuple[str, ...]:
+        """SI units of the rows (m,) of `observed`."""
+        measured = [each.unit for each in self.measurements for _ in each.channels]
+        first = len(self.channels) - len(measured)
+        return (*("rad" if name.startswith("turn.") else "m" for name in self.channels[:first]), *measured)
+
+    @cached_property
+    def readings(self) -> dict[int, int]:
+        """Rows that take their reading as an input, and its place in `place`."""
+        found: dict[int, int] = {}
+        row = len(self.channels) - sum(len(each.channels) for each in self.measurements)
+        for each in self.measurements:
+            if each.reading:
+                found |= {row + k: self.inputs[each.reading].start + k for k in range(len(each.channels))}
+            row += len(each.channels)
+        return found
+
+    @cached_property
+    def instruments(self) -> dict[str, list[int]]:
+        """Rows of each instrument whose pose the machine file does not state."""
+        unknown = {each.name for each in self.machine.instruments if not each.stands}
+        found: dict[str, list[int]] = {}
+        for each in self.measurements:
+            if (name := each.name.partition(".")[0]) in unknown:
+                found.setdefault(name, []).extend(map(self.channels.index, each.channels))
+        return found
+
+    @property
+    def tape_end(self) -> slice:
+        """Where the end of a pose's tapes is in its `place`: the fixture where no tape has a sensor."""
+        return self.inputs["tape" if self.taped else "fixture"]
 
     @cached_property
     def observed_jacobians(self) -> ca.Function:
@@ -161,7 +206,7 @@ class KinematicModel:
         g, q, _, place = self._symbols
         tip = ca.SX.sym("tip", 3)
         rows = ca.vertcat(self._held(tip, place), ca.SX(len(self.machine.cylinders), 1), self._tracked(tip),
-                          ca.SX(len(self.machine.chain), 1))
+                          ca.SX(len(self.machine.chain) + sum(len(each.channels) for each in self.measurements), 1))
         return ca.Function("moved_tip", [g, q, place], [ca.densify(ca.jacobian(rows, tip)), ca.densify(self._tool)],
                            ["g", "q", "place"], ["by_tip", "turn"])
 

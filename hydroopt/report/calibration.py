@@ -93,13 +93,15 @@ def _drawings(c: Calibration) -> dict[str, Markup]:
 def _fit(c: Calibration) -> list[dict[str, Any]]:
     """Rows of the fit table: channel and the cells of nominal, train and validation."""
     channels = list(dict.fromkeys(channel for table in c.fit.values() for channel in table))
-    return [{"channel": _in_thousandths(channel), "cells": [_cells(c.fit.get(name, {}).get(channel))
-                                           for name in ("nominal", "train", "validation")]} for channel in channels]
+    units = {channel: fit.unit for table in c.fit.values() for channel, fit in table.items()}
+    return [{"channel": _in_thousandths(channel, units[channel]),
+             "cells": [_cells(c.fit.get(name, {}).get(channel)) for name in ("nominal", "train", "validation")]}
+            for channel in channels]
 
 
-def _in_thousandths(channel: str, unit: str = "") -> str:
-    """A channel with the unit of its printed residuals, if it is not that of lengths."""
-    return f"{channel} [mrad]" if channel == "turn" else channel + unit
+def _in_thousandths(channel: str, unit: str, length: str = "") -> str:
+    """A channel with the unit of its printed residuals, if need be `length` for that of lengths."""
+    return channel + length if unit == "m" else f"{channel} [{unit_text('m' + unit)}]"
 
 
 def _cells(fit: Fit | None) -> tuple[str, str, str]:
@@ -166,7 +168,8 @@ def _printed(value: float, unit: str) -> str:
 def residuals(c: Calibration) -> Figure:
     """Residuals of every pose before and after, stage by stage; suspects are ringed."""
     parts = c.residuals
-    channels = list(dict.fromkeys(channel for part in parts for channel in part.after))
+    units = {channel: unit for part in parts for channel, unit in part.units.items()}
+    channels = list(units)
     total = sum(len(part.poses) for part in parts)
     crowded = any(len(stage) * 0.056 > count / total * (WIDTH - 0.8) for stage, count in _runs(parts))
     each, top = 2.5, 0.85 if crowded else 0.45
@@ -184,7 +187,7 @@ def residuals(c: Calibration) -> Figure:
                     flagged = c.suspicious if part.role == "train" else np.zeros(len(x), dtype=bool)
                     _dots(ax, part, channel, x, flagged, 2.2 if total > 300 else 3.2)
                 start += len(x)
-            ax.set(yscale="log", xlim=(0.5, start + 0.5), ylabel=_in_thousandths(channel, " [mm]"))
+            ax.set(yscale="log", xlim=(0.5, start + 0.5), ylabel=_in_thousandths(channel, units[channel], " [mm]"))
             ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
             ax.grid(axis="x", visible=False)
             ax.tick_params(labelbottom=row == len(channels) - 1)

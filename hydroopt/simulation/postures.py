@@ -71,8 +71,7 @@ def place_of(model: KinematicModel, fixture: Held, count: int) -> Array:
             place[:, 3:6] = fixture.orientation
     else:
         place[:, :3] = fixture
-    if model.taped:
-        place[:, -3:] = place[:, :3]
+    place[:, model.tape_end] = place[:, :3]
     return place
 
 
@@ -201,8 +200,8 @@ def sweep(model: KinematicModel, stage: Stage, path: Array, *, geometry: Array, 
 
 
 def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Sequence[str], *, geometry: Array,
-           tape: Sequence[str] = (), channels: Sequence[str] | None = None, seed: int | None = 0,
-           name: str = "simulated") -> Poses:
+           tape: Sequence[str] = (), setup: Sequence[str] = (), standing: Mapping[tuple[str, str], Array] | None = None,
+           channels: Sequence[str] | None = None, seed: int | None = 0, name: str = "simulated") -> Poses:
     """The pose table that the machine's sensors would record at joint vectors.
 
     Args:
@@ -211,6 +210,9 @@ def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Seque
         stage: N labels.
         fixture: N labels.
         tape: N labels of the fixtures at which tapes end; by default those of `fixture`.
+        setup: N labels of the set-ups of instruments whose pose is not known.
+        standing: where these stand (6,) by instrument and set-up: position [m] and rotation vector [rad] in the frame
+            of their link; by default in that frame itself.
         channels: what is read; by default the joints of `read_joints`.
         seed: of the sensors' noise; None for readings without any.
         name: of the table.
@@ -223,7 +225,10 @@ def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Seque
         there = np.array(fixture) == label
         place[there] = place_of(model, known[label], int(there.sum()))
     for label in set(tape) & known.keys() if model.taped else ():
-        place[np.array(tape) == label, -3:] = known[label].position
+        place[np.array(tape) == label, model.tape_end] = known[label].position
+    for (instrument, label), stands in (standing or {}).items():
+        there = np.array(setup) == label if len(setup) else np.full(len(q), not label)
+        place[there, model.inputs[instrument]] = stands
     rows = model.over(model.observed, geometry, q, place)[0]
     true = {f"{joint}.q": q[:, k] for k, joint in enumerate(model.joints)}
     true |= {channel: rows[:, i, 0] for i, channel in enumerate(model.channels)}
@@ -234,5 +239,5 @@ def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Seque
         read[channel] = true[channel] if seed is None or sensor is None else measure(
             true[channel], sensor.accuracy, sensor.resolution, rng, sensor.distribution)
     units = {channel: unit for channel, unit in model.machine.channel_units.items() if channel in read}
-    return Poses(name=name, stage=np.array(stage), fixture=np.array(fixture), tape=np.array(tape), channels=read,
-                 units=units)
+    return Poses(name=name, stage=np.array(stage), fixture=np.array(fixture), tape=np.array(tape),
+                 setup=np.array(setup), channels=read, units=units)

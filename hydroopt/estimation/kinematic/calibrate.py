@@ -11,6 +11,7 @@ from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.kinematic import joint, link_by_link
 from hydroopt.estimation.kinematic.calibration import Calibration
 from hydroopt.estimation.kinematic.column_checks import refuse_misread
+from hydroopt.estimation.kinematic.instrument_poses import refuse_unseen
 from hydroopt.estimation.kinematic.length_scale import has_length_scale, no_length_scale
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
@@ -18,6 +19,7 @@ from hydroopt.estimation.kinematic.residuals import loop_fit, predicted
 from hydroopt.estimation.kinematic.solution import HIERARCHICAL, JOINT, METHODS
 from hydroopt.estimation.kinematic.stage_result import StageResult
 from hydroopt.estimation.kinematic.suspects import find_suspects
+from hydroopt.estimation.kinematic.touched_datums import refuse_untouched
 from hydroopt.estimation.kinematic.uniqueness import uniqueness
 from hydroopt.estimation.kinematic.unsensed_angles import closed_angles, follow_unsensed, guess_unsensed
 from hydroopt.parameters.parameter_set import ParameterKind
@@ -105,6 +107,8 @@ def solvable(problem: CalibrationProblem, method: str) -> CalibrationProblem:
     if not has_length_scale(problem):
         raise no_length_scale(f"poses of {problem.poses.name}", "fix a length, state a distance between fixtures, or "
                               "read a tape, a tracker or a cylinder's length")
+    refuse_unseen(problem)
+    refuse_untouched(problem)
     refuse_misread(problem)
     return problem
 

@@ -14,7 +14,7 @@ from hydroopt.estimation.kinematic.chain_points import ChainPoints, chain_points
 from hydroopt.estimation.kinematic.chain_sides import ChainSides, chain_sides, table_of
 from hydroopt.estimation.kinematic.prediction import coverage
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
-from hydroopt.estimation.kinematic.residuals import PoseResiduals, loop_fit, predicted, residual_sizes
+from hydroopt.estimation.kinematic.residuals import PoseResiduals, loop_fit, predicted, residual_sizes, units_of
 from hydroopt.estimation.kinematic.solution import JOINT, KinematicSolution
 from hydroopt.estimation.kinematic.suspect import Suspect
 from hydroopt.estimation.kinematic.unsensed_angles import follow_unsensed, guess_unsensed
@@ -121,12 +121,13 @@ class Calibration(KinematicSolution, Answer):
         """Of the training poses, then of those held out."""
         problem = self.problem
         nominal = follow_unsensed(problem, problem.start, guess_unsensed(problem, problem.start))
-        found = [PoseResiduals("train", problem.poses, residual_sizes(problem, problem.start, nominal),
-                               residual_sizes(problem, self.theta, self.q))]
+        after = residual_sizes(problem, self.theta, self.q)
+        found = [PoseResiduals("train", problem.poses, residual_sizes(problem, problem.start, nominal), after,
+                               units_of(problem, after))]
         if problem.validation is not None:
             before, after = (residual_sizes(*predicted(problem, theta, problem.validation))
                              for theta in (problem.start, self.theta))
-            found.append(PoseResiduals("validation", problem.validation, before, after))
+            found.append(PoseResiduals("validation", problem.validation, before, after, units_of(problem, after)))
         return tuple(found)
 
     @cached_property
@@ -203,7 +204,7 @@ class Calibration(KinematicSolution, Answer):
     def _residual_rows(self) -> list[dict[str, Any]]:
         """One row a pose: its residuals [m] at the nominal and at the calibrated geometry."""
         rows = []
-        channels = list(dict.fromkeys(channel for part in self.residuals for channel in part.after))
+        units = {channel: unit for part in self.residuals for channel, unit in part.units.items()}
         for part in self.residuals:
             poses = part.poses
             for k in range(len(poses)):
@@ -212,8 +213,7 @@ class Calibration(KinematicSolution, Answer):
                     "data": part.role, "path": str(poses.file[k]), "row": int(poses.row[k]),
                     "stage": str(poses.stage[k]), "fixture": str(poses.fixture[k]), "pose": str(poses.pose[k]),
                     "suspect": int(suspect)}
-                for channel in channels:
-                    unit = "rad" if channel == "turn" else "m"
+                for channel, unit in units.items():
                     for when, table in (("before", part.before), ("after", part.after)):
                         entry[f"{channel}_{when} [{unit}]"] = number(table[channel][k]) if channel in table else None
                 rows.append(entry)

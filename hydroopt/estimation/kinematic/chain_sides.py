@@ -90,7 +90,7 @@ def chain_sides(problem: CalibrationProblem, theta: Array, geometry: str, role: 
             continue
         before, behind = ([model.joints.index(name) for name in part if name in model.joints]
                           for part in (chain[: k + 1], chain[k + 1 :]))
-        goal = np.where(taped[:, None], places[:, -3:] if model.taped else places[:, :3], places[:, :3])
+        goal = np.where(taped[:, None], places[:, model.tape_end], places[:, :3])
         from_base = known[:, before].all(axis=1) & (held | taped) & bool(before)
         there = held & known[:, behind].all(axis=1) & bool(behind) & (
             ~taped | np.all(goal == places[:, :3], axis=1))

@@ -159,6 +159,7 @@ class _JointProgram:
         row, parameter, value = (np.concatenate(part) for part in zip(*places, strict=True))
         offset = np.zeros((count, width))
         offset[:, g : g + n] = units.angles
+        offset[:, g + n :] = layout.given
         np.add.at(offset.ravel(), row, value * units.theta[parameter])
         column = np.full(len(problem.parameters), -1)
         column[self.estimated] = np.arange(len(self.estimated))

@@ -21,8 +21,8 @@ def has_length_scale(problem: CalibrationProblem, linearised: Linearised | None 
     if _exact_length(problem):
         return True
     if linearised is None:
-        return bool(np.any(problem.layout.present[:, problem.model.loop_rows :]) or len(problem.distances.length)
-                    or problem.priors or all(link.joint.type == "locked" for link in problem.model.machine.chain))
+        return bool(_reads_length(problem) or len(problem.distances.length) or problem.priors
+                    or all(link.joint.type == "locked" for link in problem.model.machine.chain))
     if any(problem.fixed.values()):  # an exact fixture
         return True
     parameters, pins = problem.parameters, problem.cylinder_parameters
@@ -39,6 +39,13 @@ def no_length_scale(where: str, remedy: str) -> ProblemError:
     """The error of poses without a length scale."""
     return ProblemError("there is no length scale: the same angles fit a chain with all its lengths doubled",
                         where=where, remedy=remedy)
+
+
+def _reads_length(problem: CalibrationProblem) -> bool:
+    """Whether poses read a length or a place; turns have no length, nor have touches of datums."""
+    rows = np.flatnonzero(np.array(problem.model.units) == "m")
+    rows = rows[rows >= problem.model.loop_rows]
+    return bool(np.any(problem.layout.present[:, rows] & (problem.layout.target[:, rows] != 0)))
 
 
 def _exact_length(problem: CalibrationProblem) -> bool:

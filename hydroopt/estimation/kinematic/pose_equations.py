@@ -92,7 +92,7 @@ class PoseEquations:
             rows = layout.present[:, i] & (self.row_sigma[:, i] > 0)
             if np.any(rows):
                 sigma = listing.number(float(np.median(self.row_sigma[rows, i])))
-                yield f"rows of {channel}: ½·(row/σ)² over {int(rows.sum())} poses, σ = {sigma} m"
+                yield f"rows of {channel}: ½·(row/σ)² over {int(rows.sum())} poses, σ = {sigma} {model.units[i]}"
         if self.loss != "squares":
             yield f"loss '{self.loss}' of the sum of each pose's terms"
         if len(self.distances.length):
@@ -109,9 +109,9 @@ class PoseEquations:
         return q
 
     def places(self, theta: Array) -> Array:
-        """Place (N, k) [m, rad] of every pose's fixture and of its tapes' end, see `KinematicModel.loop`; zero where
-        there is none."""
-        return np.where(self.layout.place >= 0, theta[np.maximum(self.layout.place, 0)], 0.0)
+        """Place (N, k) [m, rad] of every pose's fixture, of its tapes' end and of its instruments, and what rows take
+        of its readings, see `KinematicModel.loop`; zero where there is none."""
+        return np.where(self.layout.place >= 0, theta[np.maximum(self.layout.place, 0)], self.layout.given)
 
     def rows(self, theta: Array, q: Array) -> tuple[Array, Array, Array]:
         """Rows (N, m) that must vanish, and their Jacobians by all parameters (N, m, P) and by angles (N, m, n)."""

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
+from hydroopt.estimation.kinematic.turn_readings import COMPONENTS, turns
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.addresses import fixture_numbers
 from hydroopt.machine.calibration_chain import Fixture
@@ -19,6 +20,8 @@ from hydroopt.spatial.inertia import Array
 
 EXACT = 1e-6
 """Standard deviation [m] of a distance between fixtures that states none."""
+SCALES = {"x": ("m", 0.1), "y": ("m", 0.1), "z": ("m", 0.1), "rx": ("rad", 0.1), "ry": ("rad", 0.1), "rz": ("rad", 0.1)}
+"""Units and scales of where an instrument stands whose pose is not known: position and rotation vector."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,7 +35,8 @@ class PoseLayout:
         reading: (N, n) angles as read [rad, m], zero where `sensed` (N, n) is False.
         moving: (N, n) which joints move without being read.
         locked: triplets of joints at rest.
-        place: (N, k) parameters that are the place of the fixture and of the tapes' end; −1 without one.
+        place: (N, k) parameters that are the place of the fixture, of the tapes' end and of instruments; −1 without.
+        given: (N, k) readings that rows take as an input, in the same positions; zero elsewhere.
         held: (N,) which poses hold the tip in a fixture.
         target: (N, m) readings of the rows, where they are `present` (N, m).
     """
@@ -42,6 +46,7 @@ class PoseLayout:
     moving: NDArray[np.bool_]
     locked: tuple[NDArray[np.intp], NDArray[np.intp], Array]
     place: NDArray[np.intp]
+    given: Array
     held: NDArray[np.bool_]
     target: Array
     present: NDArray[np.bool_]
@@ -94,6 +99,7 @@ class LayoutBuilder:
         self.names: dict[str, int] = {}
         self.triplets: list[tuple[int, int, float]] = []
         self.place = np.full((count, model.place_size), -1)
+        self.given = np.zeros((count, model.place_size))
         self.held = np.zeros(count, dtype=bool)
         pattern = model.observed_jacobians.sparsity_out(2)
         self.depends = np.zeros(pattern.shape, dtype=bool)
@@ -101,6 +107,7 @@ class LayoutBuilder:
         self._channels()
         self._fixtures()
         self._tapes()
+        self._setups()
         self._joints()
         self._guess_moving_fixtures()
 
@@ -120,11 +127,21 @@ class LayoutBuilder:
                                    "does not use", where=self.where, remedy=f"leave it out, and record {follows}")
         count, rows = len(self.poses), self.model.channels
         self.target, self.present = np.zeros((count, len(rows))), np.zeros((count, len(rows)), dtype=bool)
+        read = {**self.poses.channels, **turns(self.poses)}
+        parts = {part.name for kind in (self.machine.instruments, self.machine.datums, self.machine.distances)
+                 for part in kind}
+        for name, values in read.items():
+            if name not in rows and not name.endswith(COMPONENTS[3:]) and np.any(np.isfinite(values)) and (
+                    name.partition(".")[0] in parts or name.endswith(COMPONENTS[:3])):
+                raise self._no_accuracy(name)
         for i, name in enumerate(rows):
-            if name in self.poses.channels:
-                value = self.poses.channels[name]
-                self.present[:, i] = np.isfinite(value)
-                self.target[:, i] = np.where(self.present[:, i], value, 0.0)
+            if name in read:
+                self.present[:, i] = np.isfinite(read[name])
+                value = np.where(self.present[:, i], read[name], 0.0)
+                if i in self.model.readings:
+                    self.given[:, self.model.readings[i]] = value
+                else:
+                    self.target[:, i] = value
 
     def _fixtures(self) -> None:
         known = [fixture.name for fixture in self.machine.fixtures]
@@ -148,7 +165,24 @@ class LayoutBuilder:
             if not end:
                 raise ProblemError("a tape is read that does not say at which fixture it ends", where=self._row(row),
                                    remedy="name the fixture in the column 'tape'")
-            self.place[row, -3:] = self._stands(self._fixture(end, row), str(self.poses.stage[row]))[:3]
+            stands = self._stands(self._fixture(end, row), str(self.poses.stage[row]))
+            self.place[row, self.model.inputs["tape"]] = stands[:3]
+
+    def _setups(self) -> None:
+        """Where instruments stand whose pose the machine file does not state: elsewhere in each set-up."""
+        for name, columns in self.model.instruments.items():
+            for row in np.flatnonzero(self.present[:, columns].any(axis=1)):
+                owner = ".".join(filter(None, (name, str(self.poses.setup[row]))))
+                if f"{owner}.x" not in self.names:
+                    for axis, (unit, scale) in SCALES.items():
+                        kind = ParameterKind.POSITION if unit == "m" else ParameterKind.ORIENTATION
+                        self._add(f"{owner}.{axis}", kind, unit, 0.0, None, scale)
+                first = self.names[f"{owner}.x"]
+                self.place[row, self.model.inputs[name]] = range(first, first + 6)
+
+    def _no_accuracy(self, name: str) -> ProblemError:
+        return ProblemError(f"the accuracy of '{name}' is not stated", where=self.where,
+                            remedy=f"state a sensor with the channel '{name}' in the machine file")
 
     def _fixture(self, name: str, row: Any) -> Fixture:
         known = {fixture.name: fixture for fixture in self.machine.fixtures}
@@ -263,8 +297,8 @@ class LayoutBuilder:
         rows, columns, factors = (np.array(x) for x in zip(*self.triplets, strict=True)) if self.triplets else (
             np.zeros(0, int), np.zeros(0, int), np.zeros(0))
         reading = np.where(self.sensed, self.reading, 0.0)
-        return PoseLayout(reading, self.sensed, self.moving, (rows, columns, factors), self.place, self.held,
-                          self.target, self.present)
+        return PoseLayout(reading, self.sensed, self.moving, (rows, columns, factors), self.place, self.given,
+                          self.held, self.target, self.present)
 
     def angle_sigma(self) -> Array:
         """(n,) standard deviation of each joint's readings [rad, m]."""
@@ -282,8 +316,7 @@ class LayoutBuilder:
             if np.any(self.present[:, i]):
                 sensor = self.machine.sensor(name)
                 if sensor is None or sensor.std == 0:
-                    raise ProblemError(f"the accuracy of '{name}' is not stated", where=self.where,
-                                       remedy=f"state a sensor with the channel '{name}' in the machine file")
+                    raise self._no_accuracy(name)
                 sigma[:, i] = sensor.std
         return sigma
 
@@ -292,6 +325,8 @@ class LayoutBuilder:
         names, ends, lengths, sigmas = [], [], [], []
         stages = ["", *(f".{stage}" for stage in dict.fromkeys(map(str, self.poses.stage)))]
         for distance in self.machine.distances:
+            if distance.length is None:
+                continue
             note = self.machine.notes.get(f"{distance.name}.length")
             for stage in stages:
                 owners = [f"{name}{stage}" for name in distance.between]

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference import listing
 from hydroopt.estimation.inference.program import NonlinearProgram
+from hydroopt.estimation.kinematic.instrument_poses import placed
 from hydroopt.estimation.kinematic.joint import nonlinear_program
 from hydroopt.estimation.kinematic.pose_equations import PoseEquations, PoseLoss
 from hydroopt.estimation.kinematic.pose_layout import LayoutBuilder, PoseLayout
@@ -96,7 +97,7 @@ class CalibrationProblem(PoseEquations):
         new_row = np.cumsum(keep) - 1
         locked = (new_row[where[taken] // n] * n + where[taken] % n, which[taken], factor[taken])
         layout = PoseLayout(old.reading[keep], old.sensed[keep], old.moving[keep], locked,
-                            old.place[keep], old.held[keep], old.target[keep], old.present[keep])
+                            old.place[keep], old.given[keep], old.held[keep], old.target[keep], old.present[keep])
         return replace(self, poses=self.poses.select(keep), layout=layout, row_sigma=self.row_sigma[keep])
 
 
@@ -130,4 +131,4 @@ def calibration_problem(machine: Machine, poses: Poses, validation: Poses | None
     problem = CalibrationProblem(
         model, poses, validation, builder.parameter_set(), builder.layout(), builder.angle_sigma(),
         builder.row_sigma(), builder.distances(), builder.exact() | dict(fixed or {}), priors)
-    return problem.fixing(**problem.fixed)
+    return placed(problem.fixing(**problem.fixed))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import NamedTuple
 
 import numpy as np
@@ -18,7 +19,7 @@ LOOP = ("gap", "turn")
 
 
 class PoseResiduals(NamedTuple):
-    """Residuals [m, ``turn`` in rad] of one role's poses, (N,) by channel.
+    """Residuals of one role's poses, (N,) by channel, and their SI units.
 
     `before` stands at the nominal, `after` at the calibrated geometry.
     """
@@ -27,13 +28,18 @@ class PoseResiduals(NamedTuple):
     poses: Poses
     before: dict[str, Array]
     after: dict[str, Array]
+    units: dict[str, str]
 
 
 def residual_sizes(problem: CalibrationProblem, theta: Array, q: Array) -> dict[str, Array]:
-    """Size (N,) [m] of every pose's residual, by channel ([rad] for ``turn``); NaN where a pose does not have it."""
+    """Size (N,) of every pose's residual, by channel, see `units_of`; NaN where a pose does not have it."""
     left, present, names = gaps(problem, theta, q), problem.layout.present, problem.model.channels
+    measured = {channel: each.name for each in problem.model.measurements for channel in each.channels}
     columns: dict[str, list[int]] = {}
     for i, name in enumerate(names):
+        if name in measured:
+            columns.setdefault(measured[name], []).append(i)
+            continue
         kind = name.partition(".")[0]
         grouped = kind in (*LOOP, "tip") and not name.endswith(".distance")
         columns.setdefault(kind if grouped else name, []).append(i)
@@ -44,6 +50,12 @@ def residual_sizes(problem: CalibrationProblem, theta: Array, q: Array) -> dict[
         if np.any(there):
             sizes[name] = np.where(there, np.linalg.norm(left[:, some], axis=1), np.nan)
     return sizes
+
+
+def units_of(problem: CalibrationProblem, names: Iterable[str]) -> dict[str, str]:
+    """SI units of the residuals that `residual_sizes` calls so."""
+    units = {each.name: each.unit for each in problem.model.measurements} | {"turn": "rad"}
+    return {name: units.get(name, "m") for name in names}
 
 
 def gaps(problem: CalibrationProblem, theta: Array, q: Array) -> Array:
@@ -79,10 +91,17 @@ def loop_fit(problem: CalibrationProblem, theta: Array, q: Array) -> dict[str, F
     there = layout.present[:, columns].all(axis=1)
     if np.any(there):
         table["tip"] = Fit.of(left[there][:, columns], layout.target[there][:, columns], "m")
+    first = len(model.channels) - sum(len(each.channels) for each in model.measurements)
     for i, name in enumerate(model.channels):
-        if name.endswith((".length", ".distance")) and np.any(layout.present[:, i]):
+        if i < first and name.endswith((".length", ".distance")) and np.any(layout.present[:, i]):
             there = layout.present[:, i]
             table[name] = Fit.of(left[there, i : i + 1], layout.target[there, i : i + 1], "m")
+    for each in model.measurements:
+        own = [model.channels.index(channel) for channel in each.channels]
+        there = layout.present[:, own].all(axis=1)
+        if np.any(there):
+            read = layout.given[:, [model.readings[i] for i in own]] if each.reading else layout.target[:, own]
+            table[each.name] = Fit.of(left[there][:, own], read[there], each.unit)
     return table
 
 

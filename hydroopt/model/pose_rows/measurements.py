@@ -1,0 +1,19 @@
+"""All measurements of a machine's poses beside its joints, loops, cylinders, tapes and the tracked tip."""
+
+from __future__ import annotations
+
+from hydroopt.machine.machine import Machine
+from hydroopt.model.pose_rows import datum_offset, distance, orientation, position
+from hydroopt.model.pose_rows.frames import Frames, PoseRows
+
+
+def inputs(machine: Machine) -> dict[str, int]:
+    """What the rows need of each pose, with its size: (6,) where an instrument stands of which the file does not say
+    it, position and rotation vector, and (3,) orientations as read."""
+    moving = {instrument.name: 6 for instrument in machine.instruments if not instrument.stands}
+    return moving | {f"{name}.turn": 3 for name, _, _ in orientation.measured(machine)}
+
+
+def measurements(frames: Frames) -> tuple[PoseRows, ...]:
+    """The rows of all measurements that a sensor is stated for."""
+    return tuple(rows for kind in (position, orientation, datum_offset, distance) for rows in kind.rows(frames))
