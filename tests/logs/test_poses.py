@@ -165,7 +165,7 @@ BROKEN = {
     "every row cut": ("a.q [deg],b.q [deg]\n1\n2\n", "data rows 1–2 are damaged .*1 of 2 columns"),
     "open quotation mark": (edited('"B, left"', '"B left'), "data row 2 .*quotation mark"),
     "no channel": ("stage,t [s]\na,1\n", r": there is no channel; .*'boom.q \[deg\]'"),
-    "unknown suffix": (edited("tip.x", "tip.w"), r", column 7 'tip.w .*is not a channel; .*\.distance"),
+    "unknown suffix": (edited("tip.x", "tip.w"), r", column 7 'tip.w .*is not a channel; .*\.length"),
     "no unit": (edited("tip.x [m]", "tip.x"), r", column 7 .*no unit; .*'tip.x \[m\]'"),
     "unit of another kind": (edited("tip.x [m]", "tip.x [deg]"), ", column 7 .*'deg' does not suit"),
     "label with unit": (edited("pose,", "pose [1],"), r", column 3 .*; .*'pose'"),
