@@ -48,7 +48,6 @@ from .machine.machine_file import bundled as bundled
 from .machine.machine_file import dump_machine as dump_machine
 from .machine.machine_file import load_machine as load_machine
 from .machine.machine_file import read_machine as read_machine
-from .machine.urdf import read_urdf as read_urdf
 from .model.closed_chain import KinematicModel as KinematicModel
 from .model.inverse_kinematics import Posture as Posture
 from .model.inverse_kinematics import inverse_kinematics as inverse_kinematics

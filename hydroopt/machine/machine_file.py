@@ -30,6 +30,8 @@ from hydroopt.machine.sensor import Sensor
 from hydroopt.machine.valves import Valve
 from hydroopt.units import UnitError, spread_to_si, to_si
 
+ROBOT_SUFFIXES = (".urdf",)
+"""Endings of robot files."""
 _NOTE_KEYS = {"value", "sigma", "lower", "upper", "source"}
 
 
@@ -48,13 +50,15 @@ def _models() -> Path:
     return package / "models" if (package / "models").is_dir() else package.parent / "models"
 
 
-def load_machine(machine: str | Path, *, parameter_set: str | None = None) -> Machine:
-    """Read a machine: the name of a bundled one, or the path of a ``.toml`` or ``.urdf`` file.
+def load_machine(machine: str | Path, *, parameter_set: str | None = None, tip: str | None = None) -> Machine:
+    """Read a machine: the name of a bundled one, or the path of a ``.toml`` file or a robot's ``.urdf``.
 
     Args:
         machine: name or path.
-        parameter_set: which of the file's sets of inertial parameters; by default the one the file names. A URDF file
-            has none; of one that branches, `hydroopt.machine.urdf.read_urdf` reads the chain to a `tip`.
+        parameter_set: which of the file's sets of inertial parameters; by default the one the file names. A robot file
+            has none.
+        tip: of a robot file, the link at the end of the chain to read; all joints by default. See
+            `hydroopt.machine.robot_formats.machine_tables.machine_tables`.
 
     Raises:
         MachineError: the file is missing, malformed, incomplete, contradictory or geometrically impossible.
@@ -62,20 +66,23 @@ def load_machine(machine: str | Path, *, parameter_set: str | None = None) -> Ma
     >>> load_machine("cat215b")
     Machine('cat215b': 3 joints, 2 cylinders, 1 motor)
     """
-    name = str(machine)
-    if name in bundled():
-        return read_machine((_models() / f"{name}.toml").read_text("utf-8"), where=name, parameter_set=parameter_set)
-    path = Path(machine)
-    if path.suffix == ".urdf":
-        from hydroopt.machine.urdf import read_urdf  # noqa: PLC0415 (most machines need no XML)
-
+    name, path = str(machine), Path(machine)
+    if path.suffix in ROBOT_SUFFIXES:
         if parameter_set is not None:
             raise MachineError(f"there is no parameter set '{parameter_set}'", where=name,
-                               remedy="leave it out: a URDF file states its bodies once")
-        return read_urdf(path)
+                               remedy="leave it out: a robot file states its bodies once")
+        from hydroopt.machine.robot_formats.reading import read_robot  # noqa: PLC0415 (most machines need no XML)
+
+        found = read_robot(path, tip=tip)
+        return _built(_merged(found.tables, found.rest), name, None)
+    if tip is not None:
+        raise MachineError(f"only of a robot file the chain to a tip such as '{tip}' can be read", where=name,
+                           remedy="leave it out")
+    if name in bundled():
+        return read_machine((_models() / f"{name}.toml").read_text("utf-8"), where=name, parameter_set=parameter_set)
     if path.suffix != ".toml":
-        raise MachineError("this is neither a bundled machine nor a .toml or .urdf file", where=name,
-                           remedy=f"name a .toml or .urdf file or one of {', '.join(bundled())}")
+        raise MachineError(f"this is neither a bundled machine nor a .toml or {' or '.join(ROBOT_SUFFIXES)} file",
+                           where=name, remedy=f"name such a file or one of {', '.join(bundled())}")
     return read_machine(read_text(path, MachineError, noun="machine file"), where=name, parameter_set=parameter_set)
 
 
@@ -97,7 +104,11 @@ def read_machine(text: str, *, where: str = "machine", parameter_set: str | None
     >>> machine
     Machine('pendulum': 1 joint, 1 drive)
     """
-    data = _with_base(toml(text, MachineError, where=where), where)
+    return _built(_with_base(toml(text, MachineError, where=where), where), where, parameter_set)
+
+
+def _built(data: dict[str, Any], where: str, parameter_set: str | None) -> Machine:
+    """Machine from the tables of a machine file."""
     if not data:
         raise MachineError("the file is empty", where=where, remedy="describe a machine in it")
     if "notes" in data:

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from scipy.optimize import least_squares
 
-from hydroopt import KinematicModel, Poses, calibration_problem, read_urdf, solve
+from hydroopt import KinematicModel, Poses, calibration_problem, load_machine, solve
 from hydroopt.machine.actuators import Drive
 from hydroopt.machine.calibration_chain import Calibrator, Tracker
 from hydroopt.machine.links import Joint, Link, Note
@@ -56,7 +56,7 @@ def machine(*, geometry=False, compliance=False, tilt=False):
         compliance: whether joints 1 to 3 give way to gravity, and the column too where no sensor says what it does.
         tilt: whether sensors say how base and column turn.
     """
-    urdf = read_urdf(DATA / "trailblazer.urdf", tip="prism")
+    urdf = load_machine(DATA / "trailblazer.urdf", tip="prism")
     mount, *arm = urdf.links
     soft = [*ARM[:3], *(() if tilt else ("bend_y", "bend_x"))] if compliance else []
     quarter = np.pi / 2

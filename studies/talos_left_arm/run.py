@@ -5,7 +5,7 @@ from pathlib import Path
 
 import numpy as np
 
-from hydroopt import calibration_problem, read_poses, read_urdf, solve
+from hydroopt import calibration_problem, load_machine, read_poses, solve
 from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.residuals import gaps
 from hydroopt.machine.calibration_chain import Calibrator, Tracker
@@ -31,7 +31,7 @@ SHIFT = 1.959964
 
 def talos(offsets: bool = False, lengths: bool = False) -> Machine:
     """The URDF's arm with a marker on its last link and motion capture, and what is unknown about them."""
-    arm = read_urdf(DATA / "urdf" / "talos_full_v2.urdf", tip="arm_left_7_link")
+    arm = load_machine(DATA / "urdf" / "talos_full_v2.urdf", tip="arm_left_7_link")
     capture = Sensor(channels=("tip.x", "tip.y", "tip.z"), accuracy=CAPTURE, distribution="gaussian")
     notes = dict(UNKNOWN)
     for name in arm.joints:

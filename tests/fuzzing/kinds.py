@@ -31,7 +31,6 @@ from hydroopt.logs.poses import read_poses
 from hydroopt.logs.stream import open_log, stream
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import bundled, dump_machine, load_machine
-from hydroopt.machine.urdf import read_urdf
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.results.answer import load
@@ -139,7 +138,7 @@ def _machine(rng: random.Random, folder: Path) -> Callable[[], object]:
 def _urdf(rng: random.Random, folder: Path) -> Callable[[], object]:
     file = folder / "arm.urdf"
     file.write_bytes(mutation.text(rng, URDF))
-    return lambda: read_urdf(file)
+    return lambda: load_machine(file)
 
 
 def _csv(rng: random.Random, folder: Path) -> Callable[[], object]:

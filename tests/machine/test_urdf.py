@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from xml.etree import ElementTree
 
 import casadi as ca
 import numpy as np
-import pinocchio as pin
 import pytest
 
 from fixtures.tiers import tiered
@@ -16,8 +14,9 @@ from hydroopt.errors import MachineError
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.machine_file import dump_machine, load_machine, read_machine
-from hydroopt.machine.urdf import read_urdf
+from hydroopt.machine.robot_formats.reading import read_robot
 from hydroopt.model.model import Model
+from oracles.pinocchio_urdf import PinocchioUrdf
 
 DATA = Path(__file__).parents[3] / "shared" / "data"
 PANDA = DATA / "mukca_panda_2/panda.urdf"
@@ -57,44 +56,6 @@ def write(tmp_path):
     return written
 
 
-class Oracle:
-    """Pinocchio's model of the same file, with positions by name and zero for the rest."""
-
-    def __init__(self, path, held=None):
-        self.model = pin.buildModelFromUrdf(str(path))
-        self.data = self.model.createData()
-        self.held = held or {}
-        self.axes = {j.get("name"): np.array((j.find("axis").get("xyz") if j.find("axis") is not None
-                                              else "1 0 0").split(), dtype=float)
-                     for j in ElementTree.parse(path).getroot().findall("joint")}
-        self.children = {j.get("name"): j.find("child").get("link")
-                         for j in ElementTree.parse(path).getroot().findall("joint")}
-
-    def vector(self, values):
-        found = np.zeros(self.model.nv)
-        for name, value in (self.held | values).items():
-            found[self.model.idx_vs[self.model.getJointId(name)]] = value
-        return found
-
-    def state(self, values):
-        return pin.integrate(self.model, pin.neutral(self.model), self.vector(values))
-
-    def move(self, values):
-        pin.framesForwardKinematics(self.model, self.data, self.state(values))
-
-    def pose(self, name):
-        return self.data.oMf[self.model.getFrameId(name, pin.FrameType.BODY)].homogeneous
-
-    def torques(self, machine, q, qd, qdd):
-        self.model.gravity.linear = np.array([0, 0, -machine.gravity])
-        named = [dict(zip(machine.joints, values, strict=True)) for values in (q, qd, qdd)]
-        held, self.held = self.held, {}
-        rates = [self.vector(values) for values in named[1:]]
-        self.held = held
-        found = pin.rnea(self.model, self.data, self.state(named[0]), *rates)
-        return np.array([found[self.model.idx_vs[self.model.getJointId(name)]] for name in machine.joints])
-
-
 def matrix(pose):
     return np.block([[np.array(ca.DM(pose.rotation)), np.array(ca.DM(pose.origin)).reshape(3, 1)],
                      [np.zeros((1, 3)), np.ones((1, 1))]])
@@ -107,12 +68,13 @@ def positions(machine, rng):
 
 def moves_alike(machine: Machine, path, tip, held=None, states=4):
     """Every axis, every body and the tip are where Pinocchio has them."""
-    oracle, rng = Oracle(path, held), np.random.default_rng(5)
+    oracle, rng = PinocchioUrdf(path, held), np.random.default_rng(5)
     fixed_to = {}
     for k in range(states):
         q = dict.fromkeys(machine.joints, 0.0) if k == 0 else positions(machine, rng)
+        q = {name: oracle.position(machine, oracle.named[name], q) for name in machine.tree_joints}
         oracle.move(q)
-        for name in machine.joints:
+        for name in machine.tree_joints:
             pose, child = matrix(Geometry(machine).relative_pose(BASE, name, q)), oracle.pose(oracle.children[name])
             axis = child[:3, :3] @ oracle.axes[name] / np.linalg.norm(oracle.axes[name])
             np.testing.assert_allclose(pose[:3, 2], axis, atol=1e-12)
@@ -125,7 +87,7 @@ def moves_alike(machine: Machine, path, tip, held=None, states=4):
 
 
 def needs_same_torques(machine, path, held=None, states=5):
-    model, oracle, rng = Model(machine), Oracle(path, held), np.random.default_rng(8)
+    model, oracle, rng = Model(machine), PinocchioUrdf(path, held), np.random.default_rng(8)
     for _ in range(states):
         q = list(positions(machine, rng).values())
         qd, qdd = rng.uniform(-2, 2, (2, len(q)))
@@ -148,7 +110,7 @@ def present(path):
 
 
 def test_panda():
-    machine = read_urdf(present(PANDA), tip="ball_link")
+    machine = load_machine(present(PANDA), tip="ball_link")
     assert machine.joints == tuple(f"panda_joint{k}" for k in range(1, 8))
     assert all(each.body is None for each in machine.links)
     assert machine.link("panda_joint4").joint.range == (-3.0718, -0.0698)
@@ -164,33 +126,37 @@ def test_panda_with_its_gripper():
     machine = load_machine(present(PANDA))
     assert machine.joints[-1] == "panda_finger_joint1"
     assert machine.link("panda_finger_joint1").joint.type == "prismatic"
-    moves_alike(machine, PANDA, "panda_leftfinger")
+    assert machine.dependent_joints == ("panda_finger_joint2",)
+    assert machine.couplings[0].ratios == {"panda_finger_joint1": 1.0}
+    moves_alike(machine, PANDA, "panda_rightfinger")
 
 
 @pytest.mark.parametrize(("tip", "joints"), [("arm_left_7_link", 9), ("wrist_left_ft_tool_link", 9),
                                              ("arm_left_4_link", 6), ("left_sole_link", 6), ("rgbd_link", 4)])
 def test_talos(tip, joints):
-    machine = read_urdf(present(TALOS), tip=tip)
+    machine = load_machine(present(TALOS), tip=tip)
     assert len(machine.joints) == joints
     moves_alike(machine, TALOS, tip)
 
 
 def test_bodies_of_talos():
-    machine = read_urdf(present(TALOS), tip="arm_left_7_link")
+    machine = load_machine(present(TALOS), tip="arm_left_7_link")
     needs_same_torques(machine, TALOS)
 
 
 def test_trailblazer():
-    machine = read_urdf(present(TRAILBLAZER), tip="drill_tip")
+    machine = load_machine(present(TRAILBLAZER), tip="drill_tip")
     assert machine.joints == tuple(f"dsr_joint{k}" for k in range(1, 7))
     assert machine.links[0].joint.type == "locked"
     assert "column_middle_joint" in machine.description
     held = {"column_middle_joint": -0.706, "column_top_joint": -0.736}
     moves_alike(machine, TRAILBLAZER, "drill_tip", held)
     needs_same_torques(machine, TRAILBLAZER, held)
-    moves_alike(read_urdf(TRAILBLAZER, tip="column_pseudo_tip"), TRAILBLAZER, "column_pseudo_tip")
-    with pytest.raises(MachineError, match=r"joint 'column_middle_joint': .*'column_prismatic_joint'.*; name a tip"):
-        load_machine(TRAILBLAZER)
+    moves_alike(load_machine(TRAILBLAZER, tip="column_pseudo_tip"), TRAILBLAZER, "column_pseudo_tip")
+    whole = load_machine(TRAILBLAZER)
+    assert "column_middle_joint" in whole.dependent_joints
+    moves_alike(whole, TRAILBLAZER, "prism")
+    needs_same_torques(whole, TRAILBLAZER)
 
 
 # --- made-up ones
@@ -220,7 +186,7 @@ def test_chains(write, name):
     path, tip = write(chain(*CHAINS[name], body=inertial(rpy="0.3 -1 2"))), f"l{len(CHAINS[name])}"
     machine = load_machine(path)
     moves_alike(machine, path, tip)
-    assert machine.links == read_urdf(path, tip=tip).links
+    assert machine.links == load_machine(path, tip=tip).links
     needs_same_torques(machine, path, states=2)
     assert read_machine(dump_machine(machine)) == machine
 
@@ -241,19 +207,19 @@ def test_random_chains(write, seed):
     joints = [{"xyz": text(some()), "rpy": text(some()), "axis": text(axis()),
                "kind": str(rng.choice(["revolute", "prismatic", "fixed"], p=[0.6, 0.2, 0.2]))} for _ in range(7)]
     path = write(chain(*joints, {}))
-    moves_alike(read_urdf(path), path, "l8", states=3)
+    moves_alike(load_machine(path), path, "l8", states=3)
 
 
 def test_a_leading_locked_link_only_where_it_is_needed(write):
-    assert [each.name for each in read_urdf(write(chain({"xyz": "0 0 2", "rpy": "0 0 1"}))).links] == ["j1"]
+    assert [each.name for each in load_machine(write(chain({"xyz": "0 0 2", "rpy": "0 0 1"}))).links] == ["j1"]
     for elsewhere in ({"xyz": "0.1 0 0"}, {"axis": "0 0 -1"}, {"rpy": "0.1 0 0"}):
-        links = read_urdf(write(chain(elsewhere))).links
+        links = load_machine(write(chain(elsewhere))).links
         assert [(each.name, each.joint.type) for each in links] == [("j1_mount", "locked"), ("j1", "revolute")]
 
 
 def test_numbers_change_little_with_the_direction_of_a_parallel_axis(write):
     def numbers(tilt):
-        second = read_urdf(write(chain(SHIFTED, {"xyz": "0.8 0.1 0.2", "rpy": f"{tilt} {-tilt} 0"}, SHIFTED))).links
+        second = load_machine(write(chain(SHIFTED, {"xyz": "0.8 0.1 0.2", "rpy": f"{tilt} {-tilt} 0"}, SHIFTED))).links
         return np.array([[j.d, j.theta, j.a, j.alpha, j.beta] for j in (each.joint for each in second)])
 
     flat = numbers(0)
@@ -265,7 +231,7 @@ def test_numbers_change_little_with_the_direction_of_a_parallel_axis(write):
 def test_names_limits_and_drives(write):
     text = chain({}, {"kind": "continuous", "more": ""} | SHIFTED).replace('"j1"', '"1st joint-a"').replace(
         '"j2"', '"base"').replace("arm", "3 arms")
-    machine = read_urdf(write(text))
+    machine = load_machine(write(text))
     assert machine.name == "machine_3_arms"
     assert machine.joints == ("joint_1st_joint_a", "base_2")
     assert [(drive.name, drive.joint) for drive in machine.drives] == [
@@ -274,11 +240,11 @@ def test_names_limits_and_drives(write):
     assert (first.range, first.max_speed) == ((-2, 1.5), 0.7)
     assert (second.range, second.max_speed) == ((-math.pi, math.pi), None)
     path = write(chain(SHIFTED, SHIFTED, body=inertial()).replace('"j1"', '"base"'))
-    assert read_urdf(path).joints == ("base_2", "j2")
-    assert read_urdf(path).link("j2").parent == "base_2"
+    assert load_machine(path).joints == ("base_2", "j2")
+    assert load_machine(path).link("j2").parent == "base_2"
     same = chain({}, {} | SHIFTED).replace('"j1"', '"a b"').replace('"j2"', '"a-b"')
-    assert read_urdf(write(same)).joints == ("a_b", "a_b_2")
-    assert read_urdf(write(chain({"more": LIMIT.replace("0.7", "0")}))).links[0].joint.max_speed is None
+    assert load_machine(write(same)).joints == ("a_b", "a_b_2")
+    assert load_machine(write(chain({"more": LIMIT.replace("0.7", "0")}))).links[0].joint.max_speed is None
 
 
 def test_bodies_behind_fixed_and_left_out_joints_are_lumped(write):
@@ -289,7 +255,7 @@ def test_bodies_behind_fixed_and_left_out_joints_are_lumped(write):
              joint("follower", "l1", "x2", "0.2 0 0", "0 1 0", more=LIMIT + '<mimic joint="j1" offset="0.4"/>'),
              joint("slider", "x2", "x3", "0.2 0 0", kind="prismatic", more=LIMIT + '<mimic joint="off" offset="0.4"/>')]
     path = write("<robot name='arm'>" + "".join(parts) + "</robot>")
-    machine = read_urdf(path, tip="l2")
+    machine = load_machine(path, tip="l2")
     assert machine.joints == ("j1", "j2")
     assert machine.link("j1").body.m == pytest.approx(3 + 1 + 2 + 3 + 4)
     assert machine.link("j2").body.m == 0
@@ -298,7 +264,7 @@ def test_bodies_behind_fixed_and_left_out_joints_are_lumped(write):
 
 def test_only_links_that_state_a_body_have_one(write):
     text = chain({}, SHIFTED, SHIFTED, body=inertial()).replace(link("l2", inertial()), link("l2"))
-    machine = read_urdf(write(text))
+    machine = load_machine(write(text))
     assert [each.body is not None for each in machine.links] == [True, False, True]
 
 
@@ -306,16 +272,83 @@ def test_branches_at_the_root(write):
     text = ("<robot name='two'>" + "".join(map(link, ("l0", "a", "b", "c"))) + joint("ja", "l0", "a", **SHIFTED)
             + joint("jb", "l0", "b", axis="0 1 0") + joint("jc", "a", "c", axis="1 0 0", **SHIFTED) + "</robot>")
     path = write(text)
-    machine = read_urdf(path)
+    machine = load_machine(path)
     assert machine.joints == ("ja", "jb", "jc")
     moves_alike(machine, path, "c")
-    assert read_urdf(path, tip="a").joints == ("ja",)
-    assert read_urdf(path, tip="b").joints == ("jb",)
+    assert load_machine(path, tip="a").joints == ("ja",)
+    assert load_machine(path, tip="b").joints == ("jb",)
+
+
+def test_branches_anywhere(write):
+    """Behind a joint that carries several, each further one has a mount of its own, unless it is on the same axis."""
+    rng = np.random.default_rng(3)
+    parents = [0, 1, 1, 1, 2, 2, 3]
+    joints = [joint(f"j{k}", f"l{parent}", f"l{k}", xyz="{} {} {}".format(*rng.normal(size=3)),
+                    rpy="{} {} {}".format(*rng.normal(size=3)), axis="{} {} {}".format(*rng.normal(size=3)),
+                    kind="prismatic" if k == 4 else "revolute") for k, parent in enumerate(parents, start=1)]
+    path = write("<robot name='tree'>" + link("l0") + "".join(link(f"l{k}", inertial()) for k in range(1, 8))
+                 + "".join(joints) + "</robot>")
+    machine = load_machine(path)
+    assert machine.joints == ("j1", "j2", "j3", "j4", "j5", "j6", "j7")
+    assert {each.name for each in machine.links} - {*machine.joints} == {"j1_mount", "j3_mount", "j4_mount", "j6_mount"}
+    moves_alike(machine, path, "l7")
+    needs_same_torques(machine, path)
+    assert load_machine(path, tip="l6").joints == ("j1", "j2", "j6")
+    assert read_machine(dump_machine(machine)) == machine
+
+
+def test_friction_efforts_and_gears(write):
+    """What a file states beside geometry and bodies: friction, limits of effort, gears of transmissions."""
+    text = chain({"more": LIMIT + '<dynamics damping="2.5" friction="7"/>'},
+                 {"kind": "prismatic", "more": LIMIT + '<dynamics damping="0" friction="4"/>'} | SHIFTED,
+                 {"more": LIMIT + '<mimic joint="j1" multiplier="-2" offset="0.3"/><dynamics damping="0.5"/>'}, {},
+                 body=inertial()).replace("</robot>", GEAR + "</robot>")
+    path = write(text)
+    machine = load_machine(path)
+    first, second, last = machine.drives
+    assert (first.gear, first.max_torque, first.friction.viscous, first.friction.coulomb) == (30, 9, 2.5, 7)
+    assert (second.gear, second.friction.viscous, second.friction.coulomb) == (1, None, 4)
+    assert (last.joint, last.friction.coulomb) == ("j4", None)
+    assert machine.dependent_joints == ("j3",)
+    assert machine.link("j3").joint.friction.viscous == 0.5
+    assert (machine.couplings[0].ratios, machine.couplings[0].offset) == ({"j1": -2.0}, 0.3)
+    moves_alike(machine, path, "l4")
+    needs_same_torques(machine, path)
+
+
+def test_joints_that_mimic_one_that_mimics(write):
+    path = write(chain({}, {"more": LIMIT + '<mimic joint="j3" offset="0.1"/>'} | SHIFTED,
+                       {"more": LIMIT + '<mimic joint="j1" multiplier="0.5"/>'} | SHIFTED, {}, body=inertial()))
+    machine = load_machine(path)
+    assert machine.dependent_joints == ("j2", "j3")
+    moves_alike(machine, path, "l4")
+    needs_same_torques(machine, path)
+
+
+def test_a_free_base_stands_still(write):
+    """The world or the root of a robot that moves freely: its base is the machine's."""
+    path = write(chain({"kind": "floating"}, SHIFTED, SHIFTED, body=inertial()))
+    assert load_machine(path).joints == ("j2", "j3")
+    assert read_robot(path).lost == ("the free joint 'j1' stands still: the machine's base is 'l1'",)
+
+
+def test_limits_out_of_reach_are_none(write):
+    path = write(chain({"more": '<limit lower="-1e16" upper="1e16"/>'}, SHIFTED))
+    assert load_machine(path).link("j1").joint.range == (-math.pi, math.pi)
+    assert read_robot(path).lost == ("'j1' states limits that are out of reach, and turns without end",)
+
+
+def test_what_is_left_out_is_listed(write):
+    shapes = '<visual><geometry><box size="1 1 1"/></geometry></visual><collision/>'
+    path = write(chain({}).replace('<link name="l1">', f'<link name="l1">{shapes}'))
+    assert read_robot(path).lost == ("2 visual and collision shapes are left out",)
 
 
 # --- bad files
 
 GOOD = chain({}, SHIFTED, body=inertial())
+GEAR = ('<transmission name="t"><joint name="j1"/><actuator name="m"><mechanicalReduction>30</mechanicalReduction>'
+        '</actuator></transmission>')
 FIXED = chain({"kind": "fixed"})
 FORK = GOOD.replace("</robot>", link("m") + joint("k", "l1", "m") + "</robot>")
 BAD = {
@@ -360,10 +393,12 @@ BAD = {
     "no mass": (GOOD.replace('<mass value="3.0"/>', "", 1), r"link 'l1': <inertial>: <mass>: 'value' is missing"),
     "negative mass": (GOOD.replace('value="3.0"', 'value="-3"', 1), r"link 'l1': <inertial>: .*negative, -3 kg; "),
     "no inertia": (GOOD.replace('ixy="0.02"', "", 1), r"link 'l1': <inertial>: <inertia>: 'ixy' is missing; state"),
-    "a fork": (FORK, r"arm\.urdf: link 'l1': .*: j2, k; name the link at the end"),
     "mimics nothing": (chain({"more": LIMIT + '<mimic joint="jj"/>'}, {}), r"joint 'j1': it mimics 'jj', .*; use j1"),
     "mimics itself": (chain({"more": LIMIT + '<mimic joint="j1"/>'}, {}), r"joint 'j1': it mimics 'j1'"),
-    "mimics on the way": (chain({}, {"more": LIMIT + '<mimic joint="j1"/>'}, {}), r"joint 'j2': .*'j1'.*; name a tip"),
+    "mimic each other": (chain({"more": LIMIT + '<mimic joint="j2"/>'}, {"more": LIMIT + '<mimic joint="j1"/>'}, {}),
+                         r"joint 'j1': it mimics 'j2', and at last itself; let one"),
+    "a gear of nothing": (GOOD.replace("</robot>", GEAR.replace("30", "x") + "</robot>"),
+                          r"transmission 't': <mechanicalReduction>: 'value' cannot be 'x'"),
 }
 
 
@@ -372,7 +407,7 @@ def test_bad_files_are_refused_in_one_sentence(write, name):
     text, words = BAD[name]
     assert text != GOOD
     with pytest.raises(MachineError, match=words) as refusal:
-        read_urdf(write(text))
+        load_machine(write(text))
     assert "\n" not in str(refusal.value)
     assert refusal.value.where.split(": ")[0].endswith("arm.urdf")
 
@@ -380,10 +415,10 @@ def test_bad_files_are_refused_in_one_sentence(write, name):
 def test_bad_tips(write):
     path = write(FORK)
     with pytest.raises(MachineError, match=r"arm\.urdf: there is no link 'l3'; use l[012]"):
-        read_urdf(path, tip="l3")
+        load_machine(path, tip="l3")
     with pytest.raises(MachineError, match=r"no joint moves between 'l0' and 'l0'; name a tip"):
-        read_urdf(path, tip="l0")
-    assert read_urdf(path, tip="m").joints == ("j1", "k")
+        load_machine(path, tip="l0")
+    assert load_machine(path, tip="m").joints == ("j1", "k")
 
 
 def test_absent_files_and_parameter_sets(write, tmp_path):
@@ -391,10 +426,10 @@ def test_absent_files_and_parameter_sets(write, tmp_path):
         load_machine(tmp_path / "no.urdf")
     with pytest.raises(MachineError, match=r"arm\.urdf: there is no parameter set 'guess'; leave it out"):
         load_machine(write(GOOD), parameter_set="guess")
-    with pytest.raises(MachineError, match=r"neither a bundled machine nor a \.toml or \.urdf file; name a "):
+    with pytest.raises(MachineError, match=r"neither a bundled machine nor a \.toml or \.urdf"):
         load_machine("arm.yaml")
 
 
 def test_declared_encodings_and_byte_order_marks_are_read(write):
     for text in ("\ufeff" + GOOD, '<?xml version="1.0" encoding="ISO-8859-1"?>' + GOOD):
-        assert read_urdf(write(text)).joints == ("j1", "j2")
+        assert load_machine(write(text)).joints == ("j1", "j2")

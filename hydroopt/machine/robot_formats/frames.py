@@ -1,0 +1,80 @@
+"""Homogeneous matrices (4, 4) in numbers, as robot files state them: roll, pitch and yaw, axes, quaternions."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from hydroopt.spatial.inertia import Array
+
+ORIGIN = (0.0, 0.0, 0.0)
+
+
+def pose(rotation: Array, origin: Sequence[float] | Array = ORIGIN) -> Array:
+    """Pose of a rotation (3, 3) and an origin (3,) [m]."""
+    made = np.eye(4)
+    made[:3, :3], made[:3, 3] = rotation, origin
+    return made
+
+
+def shift(origin: Sequence[float] | Array) -> Array:
+    """Pose that only moves, to an origin (3,) [m]."""
+    return pose(np.eye(3), origin)
+
+
+def inverse(of: Array) -> Array:
+    """The outer frame as seen from this one."""
+    return pose(of[:3, :3].T, -of[:3, :3].T @ of[:3, 3])
+
+
+def turn(about: int, angle: float) -> Array:
+    """Rotation matrix (3, 3) about x, y or z by an angle [rad]."""
+    c, s = math.cos(angle), math.sin(angle)
+    i, j = (about + 1) % 3, (about + 2) % 3
+    matrix = np.eye(3)
+    matrix[[i, j, i, j], [i, j, j, i]] = c, c, -s, s
+    return matrix
+
+
+def from_roll_pitch_yaw(angles: Sequence[float] | Array) -> Array:
+    """Rotation matrix Rot(z, yaw)·Rot(y, pitch)·Rot(x, roll) (3, 3) of roll, pitch and yaw [rad]."""
+    roll, pitch, yaw = angles
+    return turn(2, yaw) @ turn(1, pitch) @ turn(0, roll)
+
+
+def roll_pitch_yaw(rotation: Array) -> tuple[float, float, float]:
+    """Roll, pitch and yaw [rad] of a rotation matrix (3, 3), exact to rounding at and near a pitch of 90° too.
+
+    >>> [round(angle, 12) for angle in roll_pitch_yaw(from_roll_pitch_yaw((0.3, math.pi / 2, 0.0)))]
+    [0.3, 1.570796326795, 0.0]
+    """
+    upright = math.hypot(rotation[0, 0], rotation[1, 0]) < 1e-15
+    yaw = 0.0 if upright else math.atan2(rotation[1, 0], rotation[0, 0])
+    rest = turn(2, -yaw) @ rotation  # what is lost of an ill-determined yaw goes into roll
+    pitch = math.atan2(-rest[2, 0], rest[0, 0])
+    rest = turn(1, -pitch) @ rest
+    return math.atan2(rest[2, 1], rest[1, 1]), pitch, yaw
+
+
+def from_quaternion(parts: Sequence[float] | Array) -> Array:
+    """Rotation matrix (3, 3) of a unit quaternion w, x, y, z."""
+    w, *vector = np.asarray(parts, dtype=float) / np.linalg.norm(parts)
+    v = np.array(vector)
+    cross = np.array([[0, -v[2], v[1]], [v[2], 0, -v[0]], [-v[1], v[0], 0]])
+    made: Array = np.eye(3) + 2 * w * cross + 2 * cross @ cross
+    return made
+
+
+def frame_about(axis: Array) -> Array:
+    """Rotation (4, 4) to a frame whose z is a unit vector (3,) and whose x is near one of the old axes."""
+    x = np.eye(3)[0 if abs(axis[0]) < 0.9 else 1]
+    x = x - (x @ axis) * axis
+    x /= np.linalg.norm(x)
+    return pose(np.column_stack([x, np.cross(axis, x), axis]))
+
+
+def tidy(value: float) -> float:
+    """The number without rounding errors about zero."""
+    return 0.0 if abs(value) < 1e-14 else float(value)

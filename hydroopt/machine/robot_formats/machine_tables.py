@@ -1,0 +1,312 @@
+"""From the tree of a robot file to the tables of a machine file.
+
+What moves with a joint is described in the *joint's frame*: the robot joint's frame, moved along with the joint and
+turned so that its z is the axis.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hydroopt.errors import MachineError
+from hydroopt.machine.machine import BASE
+from hydroopt.machine.robot_formats.axes import Numbers, onto, reaching
+from hydroopt.machine.robot_formats.frames import ORIGIN, frame_about, inverse, pose, shift, tidy
+from hydroopt.machine.robot_formats.sidecar import Sidecar
+from hydroopt.machine.robot_formats.tree import RobotTree, TreeJoint, like
+from hydroopt.spatial import inertia
+from hydroopt.spatial.inertia import Array
+
+_NONE = ""  # stands for the joint that carries the root; a robot's joint may well be called "base"
+_APART = 1e-9
+"""How far a joint may lie beside the axis [m, rad] that a sidecar's frames give it."""
+
+
+class Placed(NamedTuple):
+    """The moving joint that carries something, and its pose (4, 4) in that joint's frame."""
+
+    carrier: str
+    pose: Array
+
+
+class Tables(NamedTuple):
+    """A machine file's tables, and what else is known of the tree's parts in them.
+
+    Attributes:
+        tables: the machine file's.
+        links: each link of the tree with the machine's link that it is part of, and its pose in that link's frame P.
+        lost: what the robot file says and the tables do not, in sentences.
+    """
+
+    tables: dict[str, Any]
+    links: dict[str, Placed]
+    lost: tuple[str, ...]
+
+
+def machine_tables(tree: RobotTree, *, tip: str | None = None, sidecar: Sidecar | None = None) -> Tables:
+    """Tables of a robot's links, drives and couplings.
+
+    The base is the root link, its z points up; a locked link leads to an axis that does not lie on the z of what
+    carries it. Each moving joint becomes a link of its name (made of letters, digits and _) whose variable is the
+    robot joint's position. Its body is all that moves with it, links behind fixed joints included; it has none where
+    the file states none.
+
+    Args:
+        tree: the robot.
+        tip: the link at the end of the one chain to read; the last far end lies in its origin. Joints that are not on
+            the way from the root to it stand at zero, with what they carry.
+        sidecar: what the robot file cannot say; it states the frames of links.
+
+    Raises:
+        MachineError: there is no such tip, nothing moves, limits are missing or contradictory, or the sidecar does not
+            fit the robot.
+    """
+    if tip is not None and tip not in tree.masses:
+        raise MachineError(f"there is no link '{tip}'", where=tree.file, remedy=f"use {like(tip, tree.masses)}")
+    return _Conversion(tree, tip, sidecar or Sidecar()).tables()
+
+
+class _Conversion:
+    def __init__(self, tree: RobotTree, tip: str | None, sidecar: Sidecar) -> None:
+        self.tree, self.tip, self.sidecar = tree, tip, sidecar
+        on_way = tree.joints.values() if tip is None else tree.way(tip)
+        candidates = [joint for joint in on_way if joint.name.partition(".")[0] not in sidecar.cylinders]
+        self.moving = {joint.name for joint in candidates if joint.kind != "fixed" and joint.mimic is None}
+        if not self.moving:
+            raise MachineError("no joint moves" + (f" between '{tree.root}' and '{tip}'" if tip else ""),
+                               where=tree.file, remedy="name a tip behind a moving joint" if tip else
+                               "add a moving joint")
+        followers = [joint for joint in candidates if joint.kind != "fixed" and joint.mimic is not None]
+        while more := [joint for joint in followers if joint.mimic and joint.mimic.master in self.moving
+                       and joint.name not in self.moving]:
+            self.moving |= {joint.name for joint in more}
+        self.own = self.moving | {joint.name for joint in candidates
+                                  if joint.kind == "fixed" and joint.name in sidecar.locked}
+        self.held = [joint for joint in followers if joint.name not in self.moving]
+        self.names: dict[str, str] = {_NONE: BASE}
+        self.taken = {BASE}
+
+    def tables(self) -> Tables:
+        self._place()
+        links: list[dict[str, Any]] = []
+        self.starts, self.ends = {_NONE: np.eye(4)}, {_NONE: Numbers(0.0, 0.0)}
+        self.used: set[str] = set()  # whose far end leads to a joint already
+        for name in self.axes:
+            self.names[name] = _named(name, self.taken)
+        for name in self.axes:
+            links += self._link(name)
+        tree, tip = self.tree, self.tip
+        held = ", ".join(joint.name for joint in self.held)
+        description = (f"from {Path(tree.file).name}, '{tree.root}'" + (f" to '{tip}'" if tip else "")
+                       + (f"; held: {held}" if held else ""))
+        tables: dict[str, Any] = {"name": _named(tree.name, set(), "machine"), "description": description,
+                                  "links": links}
+        if tree.gravity is not None:
+            tables["gravity"] = _quantity(tree.gravity, "m/s^2")
+        tables |= {key: parts for key, parts in (("drives", self._drives()), ("couplings", self._couplings()),
+                                                 ("cylinders", self._cylinders())) if parts}
+        inside = {link: Placed(self.names[at.carrier], inverse(self.ends[at.carrier].near_end()) @ at.pose)
+                  for link, at in self.poses.items()}
+        lost = [*tree.lost, *(f"'{joint.name}' stands still: it mimics '{joint.mimic.master}', which does not move"
+                              for joint in self.held if joint.mimic)]
+        lost += [f"the rotor's inertia of '{joint.name}' is left out: nothing drives it" for joint in self._each()
+                 if joint.rotor_inertia and not self._driven(joint)]
+        return Tables(tables, inside, tuple(lost))
+
+    def _each(self) -> list[TreeJoint]:
+        return [self.tree.joints[name] for name in self.axes if name in self.moving]
+
+    def _driven(self, joint: TreeJoint) -> bool:
+        if self.sidecar.stated:
+            return self.names[joint.name] in self.sidecar.drives
+        return joint.driven and joint.mimic is None
+
+    def _place(self) -> None:
+        """Of each link, and of each moving joint's frame at rest, what carries it."""
+        self.poses = {self.tree.root: Placed(_NONE, np.eye(4))}
+        self.axes: dict[str, Placed] = {}
+        for joint in self.tree.joints.values():
+            if joint.parent not in self.poses or joint.name.partition(".")[0] in self.sidecar.cylinders:
+                continue
+            carrier, at = self.poses[joint.parent]
+            turned = frame_about(joint.axis)
+            at = at @ joint.origin @ turned
+            if joint.name in self.own:
+                self.axes[joint.name] = Placed(carrier, at)
+                self.poses[joint.child] = Placed(joint.name, turned.T)
+            else:
+                value, slides = self._rests_at(joint), joint.kind == "prismatic"
+                moved = Numbers(value if slides else 0.0, 0.0 if slides else value)
+                self.poses[joint.child] = Placed(carrier, at @ moved.near_end() @ turned.T)
+
+    def _rests_at(self, joint: TreeJoint) -> float:
+        """Position [rad or m] of a joint that does not move."""
+        if joint.mimic is None or joint.kind == "fixed":
+            return 0.0
+        return joint.mimic.offset + joint.mimic.ratio * self._rests_at(self.tree.joints[joint.mimic.master])
+
+    def _link(self, name: str) -> list[dict[str, Any]]:
+        """The machine's link that a joint moves, behind a locked one that leads to its axis if need be."""
+        joint, (carrier, axis), own = self.tree.joints[name], self.axes[name], self.names[name]
+        made: list[dict[str, Any]] = []
+        link: dict[str, Any] = {"name": own, "parent": self.names[carrier]}
+        start = self.starts[carrier]
+        if own in self.sidecar.pins:
+            start = self.ends[carrier].near_end() @ shift(self.sidecar.pins[own])
+        elif not self.sidecar.stated and (carrier == _NONE or carrier in self.used):
+            near = self.ends[carrier].near_end()
+            lead = onto(inverse(near) @ axis)
+            if carrier != _NONE or any(lead[2:]):
+                link["parent"] = _named(f"{own}_mount", self.taken)
+                made.append({"name": link["parent"], "parent": self.names[carrier],
+                             "joint": {"type": "locked"} | _denavit_hartenberg(lead)})
+                made[0] |= {"pin": _quantities(ORIGIN, "m")} if carrier != _NONE else {}
+                start = near @ lead.far_end()
+        self.used.add(carrier)
+        children = [child for child, at in self.axes.items() if at.carrier == name]
+        moved = {each: at.pose for each, at in self.poses.items() if at.carrier == name}
+        end = self.sidecar.frames.get(own)
+        if end is None:
+            end = (onto(self.axes[children[0]].pose) if children and not self.sidecar.stated else
+                   reaching(moved[self.tip if self.tip in moved else list(moved)[-1]][:3, 3]))
+        self.starts[name], self.ends[name] = end.far_end(), end
+        rest = inverse(start) @ axis  # d and θ lead to the joint's frame first, then on to the end
+        if max(math.hypot(*rest[:2, 3]), math.hypot(*rest[:2, 2])) > _APART or rest[2, 2] < 0:
+            raise MachineError("its axis is not where the sidecar has the end of the link before",
+                               where=f"{self.tree.file}: joint '{name}'",
+                               remedy=f"undo the change, correct links[{own}] in {self.sidecar.file}, or remove that")
+        link["joint"] = self._joint(joint) | _denavit_hartenberg(Numbers(
+            tidy(rest[2, 3] + end.d), tidy(math.remainder(math.atan2(rest[1, 0], rest[0, 0]) + end.theta, math.tau)),
+            end.a, end.alpha, end.beta))
+        to_body = inverse(end.near_end())
+        masses = [to_body @ at @ mass @ at.T @ to_body.T for each, at in moved.items()
+                  if (mass := self.tree.masses[each]) is not None]
+        if masses:
+            link["body"] = _body(np.sum(masses, axis=0))
+        return [*made, link]
+
+    def _joint(self, joint: TreeJoint) -> dict[str, Any]:
+        """Type, limits and friction of a joint; of a driven one the friction is the drive's."""
+        if joint.name not in self.moving:
+            return {"type": "locked"}
+        unit = "m" if joint.kind == "prismatic" else "rad"
+        found: dict[str, Any] = {"type": joint.kind}
+        own = self.names[joint.name]
+        if joint.mimic is not None or own in self.sidecar.dependent:
+            found["dependent"] = True
+        else:
+            found |= dict(zip(("lower", "upper"), (_quantity(value, unit) for value in self._limits(joint)),
+                              strict=True))
+            if joint.max_speed is not None:
+                found["max_speed"] = _quantity(joint.max_speed, f"{unit}/s")
+            if not joint.driven and not self.sidecar.stated:
+                found["passive"] = True
+        if not self._driven(joint) and (friction := _friction(joint)):
+            found["friction"] = friction
+        if joint.spring is not None and joint.spring.stiffness:
+            effort = "N" if unit == "m" else "N*m"
+            found["spring"] = {"stiffness": _quantity(joint.spring.stiffness, f"{effort}/{unit}"),
+                               "reference": _quantity(joint.spring.reference, unit)}
+        return found
+
+    def _limits(self, joint: TreeJoint) -> tuple[float, float]:
+        if joint.endless:
+            return -math.pi, math.pi
+        where = f"{self.tree.file}: joint '{joint.name}'"
+        if joint.lower is None or joint.upper is None:
+            raise MachineError("its limits are missing", where=where, remedy="add <limit lower=\"...\" upper=\"...\"/>")
+        if joint.lower >= joint.upper:
+            raise MachineError(f"the lower limit, {joint.lower:g}, is not below the upper one, {joint.upper:g}",
+                               where=where, remedy="exchange or correct them, or make the joint fixed")
+        return joint.lower, joint.upper
+
+    def _drives(self) -> list[dict[str, Any]]:
+        found = []
+        for joint in self._each():
+            if not self._driven(joint):
+                continue
+            own = self.names[joint.name]
+            slides = joint.kind == "prismatic"
+            drive: dict[str, Any] = {"name": self.sidecar.drives.get(own) or _named(f"{own}_drive", self.taken),
+                                     "joint": own}
+            if joint.gear != 1.0:
+                drive["gear"] = joint.gear
+            if joint.max_effort is not None:
+                drive["max_torque"] = _quantity(joint.max_effort, "N" if slides else "N*m")
+            if joint.rotor_inertia:
+                drive["rotor_inertia"] = _quantity(joint.rotor_inertia, "kg*m^2")
+            if friction := _friction(joint):
+                drive["friction"] = friction
+            found.append(drive)
+        return found
+
+    def _couplings(self) -> list[dict[str, Any]]:
+        found = []
+        for joint in self._each():
+            if joint.mimic is None:
+                continue
+            own, master = self.tree.joints[joint.name], self.tree.joints[joint.mimic.master]
+            unit, other = ("m" if each.kind == "prismatic" else "rad" for each in (own, master))
+            name = self.names[joint.name]
+            ratio = _quantity(joint.mimic.ratio, f"{unit}/{other}") if unit != other else joint.mimic.ratio
+            found.append({"name": self.sidecar.couplings.get(name) or _named(f"{name}_coupling", self.taken),
+                          "joint": name, "ratios": {self.names[master.name]: ratio},
+                          "offset": _quantity(joint.mimic.offset, unit)})
+        return found
+
+    def _cylinders(self) -> list[dict[str, Any]]:
+        """Bodies of barrels and rods that the sidecar's cylinders have in the robot file, and the barrel's pins."""
+        found = []
+        for name in self.sidecar.cylinders:
+            ends: dict[str, dict[str, Any]] = {}
+            for end in ("barrel", "rod"):
+                if (mass := self.tree.masses.get(f"{name}.{end}")) is not None:
+                    ends[end] = {"body": _body(mass)}
+            found += [{"name": name} | ends] if ends else []
+        return found
+
+
+def _friction(joint: TreeJoint) -> dict[str, str]:
+    slides = joint.kind == "prismatic"
+    stated = {"coulomb": (joint.coulomb, "N" if slides else "N*m"),
+              "viscous": (joint.viscous, "N*s/m" if slides else "N*m*s/rad")}
+    return {key: _quantity(value, unit) for key, (value, unit) in stated.items() if value}
+
+
+def _denavit_hartenberg(numbers: Numbers) -> dict[str, str]:
+    units: Mapping[str, str] = {"theta": "rad", "d": "m", "a": "m", "alpha": "rad", "beta": "rad"}
+    return {key: _quantity(getattr(numbers, key), unit) for key, unit in units.items() if getattr(numbers, key)}
+
+
+def _quantity(value: float, unit: str) -> str:
+    return f"{float(value)!r} {unit}"
+
+
+def _quantities(values: Any, unit: str) -> list[str]:
+    return [_quantity(value, unit) for value in values]
+
+
+def _body(pseudo: Array) -> dict[str, Any]:
+    """Body of a pseudo-inertia (4, 4)."""
+    m = float(pseudo[3, 3])
+    com = pseudo[:3, 3] / (m or 1.0)
+    back = pose(np.eye(3), -com)
+    about_com = inertia.from_pseudo_inertia(back @ pseudo @ back.T)[4:]
+    return {"m": _quantity(m, "kg"), "com": _quantities(com, "m"), "inertia_com": _quantities(about_com, "kg*m^2")}
+
+
+def _named(name: str, taken: set[str], prefix: str = "joint") -> str:
+    """A name that a machine's part may have and none of those `taken` has yet; it is added to them."""
+    name = re.sub(r"\W", "_", name, flags=re.ASCII)
+    stem = name = name if name[:1].isalpha() else f"{prefix}_{name}"
+    count = 1
+    while name in taken:
+        name = f"{stem}_{(count := count + 1)}"
+    taken.add(name)
+    return name

@@ -1,0 +1,49 @@
+"""A robot file, whatever its format, to the tables of a machine file."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+from hydroopt.errors import MachineError
+from hydroopt.machine.machine import BASE
+from hydroopt.machine.robot_formats.machine_tables import machine_tables
+from hydroopt.machine.robot_formats.sidecar import read_sidecar
+from hydroopt.machine.robot_formats.urdf_in import read_urdf
+
+READERS = {".urdf": read_urdf}
+"""What reads the files of an ending."""
+
+
+class RobotFile(NamedTuple):
+    """What a robot file and its sidecar say.
+
+    Attributes:
+        tables: a machine file's, from the robot file.
+        rest: those of the sidecar, which are merged over them.
+        lost: what the robot file says and a machine file cannot, in sentences.
+    """
+
+    tables: dict[str, Any]
+    rest: dict[str, Any]
+    lost: tuple[str, ...]
+
+
+def read_robot(path: str | Path, *, tip: str | None = None) -> RobotFile:
+    """The tables of a robot file; see `hydroopt.machine.robot_formats.machine_tables.machine_tables`.
+
+    A sidecar beside the file (``arm.sidecar.toml`` of ``arm.urdf``) is read with it, unless a `tip` is named.
+
+    Raises:
+        MachineError: the file is missing, malformed, incomplete or contradictory.
+    """
+    tree = READERS[Path(path).suffix](path)
+    sidecar = read_sidecar(path)
+    if sidecar is None:
+        made = machine_tables(tree, tip=tip)
+        return RobotFile(made.tables, {}, made.lost)
+    if tip is not None:
+        raise MachineError("a tip cannot be named of a robot with a sidecar", where=str(path),
+                           remedy=f"leave it out, or move {sidecar.file} away")
+    made = machine_tables(tree.rooted_at(BASE) if BASE in tree.masses else tree, sidecar=sidecar)
+    return RobotFile(made.tables, sidecar.tables, made.lost)

@@ -1,0 +1,191 @@
+"""URDF files to the tree of their links and joints."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+
+from hydroopt.errors import MachineError
+from hydroopt.input_file import JSON_LIMIT, read_text
+from hydroopt.machine.robot_formats.frames import ORIGIN, from_roll_pitch_yaw, pose
+from hydroopt.machine.robot_formats.tree import Kind, Mimic, RobotTree, TreeJoint, like, one_tree
+from hydroopt.spatial import inertia
+from hydroopt.spatial.inertia import Array
+
+_LARGEST = 1e9
+_KINDS: dict[str, Kind] = {"revolute": "revolute", "continuous": "revolute", "prismatic": "prismatic", "fixed": "fixed"}
+_GEOMETRY = ("visual", "collision")
+
+
+def read_urdf(path: str | Path) -> RobotTree:
+    """Links and joints of a URDF file, in UTF-8.
+
+    Friction, limits of effort and speed, gears of transmissions and what mimics what are read, geometry is not. A
+    floating or planar joint on the root stands still: the machine's base is the robot's.
+
+    Raises:
+        MachineError: the file is missing or no URDF, contradictory or incomplete.
+
+    >>> from tempfile import TemporaryDirectory
+    >>> with TemporaryDirectory() as directory:
+    ...     file = Path(directory) / "arm.urdf"
+    ...     _ = file.write_text('''<robot name="arm"><link name="ground"/><link name="boom"/>
+    ...         <joint name="lift" type="revolute"><parent link="ground"/><child link="boom"/><axis xyz="0 0 1"/>
+    ...         <limit lower="-1" upper="1" effort="1" velocity="1"/></joint></robot>''')
+    ...     read_urdf(file).joints["lift"].upper
+    1.0
+    """
+    file = str(path)
+    robot = robot_element(file, "robot", "URDF")
+    if any("xacro" in element.tag for element in robot.iter()):
+        raise MachineError("this is a xacro template", where=file, remedy="give what the command xacro makes of it")
+    masses: dict[str, Array | None] = {}
+    joints: dict[str, TreeJoint] = {}
+    gears = _gears(robot, file)
+    for part in (*robot.findall("link"), *robot.findall("joint")):
+        name, known = part.get("name", ""), masses if part.tag == "link" else joints
+        if not name or name in known:
+            raise MachineError(f"two {part.tag}s are called '{name}'" if name else f"a {part.tag} has no name",
+                               where=file, remedy="give each one a name of its own")
+        node = _Node(part, f"{file}: {part.tag} '{name}'")
+        if part.tag == "link":
+            masses[name] = _mass(node.at("inertial"))
+        else:
+            joints[name] = _joint(node, name, masses, gears.get(name, 1.0))
+    children = {joint.child for joint in joints.values()}
+    loose = [name for name, joint in joints.items() if _kind(robot, name) in ("floating", "planar")]
+    for name in loose:
+        if joints[name].parent in children or len(joints) == 1:
+            raise MachineError(f"joints of type '{_kind(robot, name)}' are not supported",
+                               where=f"{file}: joint '{name}'", remedy=f"make it {', '.join(_KINDS)}")
+    shapes = sum(len(link.findall(tag)) for link in robot.findall("link") for tag in _GEOMETRY)
+    lost = [f"the free joint '{name}' stands still: the machine's base is '{joints[name].child}'" for name in loose]
+    lost += [f"{shapes} visual and collision shapes are left out"] if shapes else []
+    lost += [f"'{joint.name}' states limits that are out of reach, and turns without end"
+             for joint in joints.values() if joint.endless and _kind(robot, joint.name) == "revolute"]
+    return one_tree(file, robot.get("name") or Path(path).stem, masses, joints.values(), tuple(lost))
+
+
+def robot_element(file: str, tag: str, noun: str) -> ElementTree.Element:
+    """The root element of an XML file, of this tag.
+
+    Raises:
+        MachineError: the file is missing, no XML, or holds another element; `noun` is the format's name.
+    """
+    try:
+        text = read_text(file, MachineError, noun=f"{noun} file", most=JSON_LIMIT)
+        if "<!DOCTYPE" in text or "<!ENTITY" in text:  # a few lines of entities can expand to gigabytes
+            raise MachineError("it declares a document type or entities", where=file, remedy="remove <!DOCTYPE ...>")
+        root = ElementTree.fromstring(text)
+    except ElementTree.ParseError as error:
+        raise MachineError(f"is not valid XML ({error})", where=file, remedy="correct that line") from None
+    if root.tag != tag:
+        raise MachineError(f"it holds <{root.tag:.60}> instead of <{tag}>", where=file, remedy=f"give a {noun} file")
+    return root
+
+
+class _Node:
+    """An XML element, or its absence, with its place in the file."""
+
+    def __init__(self, element: ElementTree.Element | None, where: str) -> None:
+        self.stated = {} if element is None else element.attrib
+        self.element, self.where = element, where
+
+    def at(self, tag: str) -> _Node:
+        return _Node(None if self.element is None else self.element.find(tag), f"{self.where}: <{tag}>")
+
+    def number(self, key: str, default: float | None = None, *, largest: float = _LARGEST) -> float:
+        return float(self.numbers(key, None if default is None else (default,), largest=largest)[0])
+
+    def numbers(self, key: str, default: Sequence[float] | None = None, *, largest: float = _LARGEST) -> Array:
+        """Numbers of an attribute, as many as `default` has; if there is none, one, and it must be stated."""
+        text = self.stated.get(key)
+        if text is None and default is not None:
+            return np.array(default)
+        try:
+            values = np.array([float(word) for word in (text or "").split()])
+        except ValueError:
+            values = np.array([math.nan])
+        if len(values) != len(default or (0,)) or not np.all(np.abs(values) < largest):
+            raise MachineError(f"'{key}' is missing" if text is None else f"'{key}' cannot be '{text:.40}'",
+                               where=self.where, remedy=f"state {len(default or (0,))} finite number(s)")
+        return values
+
+    def positive(self, key: str) -> float:
+        """A number, zero where it is not stated: many files state 0, or less, where nothing is known."""
+        return max(self.number(key, 0.0), 0.0)
+
+    def pose(self) -> Array:
+        """Pose that an element's <origin> states."""
+        angles = self.at("origin").numbers("rpy", ORIGIN)
+        return pose(from_roll_pitch_yaw(angles), self.at("origin").numbers("xyz", ORIGIN))
+
+
+def _kind(robot: ElementTree.Element, name: str) -> str:
+    return next(joint.get("type", "") for joint in robot.findall("joint") if joint.get("name") == name)
+
+
+def _joint(node: _Node, name: str, links: Iterable[str], gear: float) -> TreeJoint:
+    kind = node.stated.get("type", "")
+    if kind not in _KINDS and kind not in ("floating", "planar"):
+        raise MachineError(f"joints of type '{kind}' are not supported", where=node.where,
+                           remedy=f"make it {', '.join(_KINDS)}")
+    parent, child = (node.at(end).stated.get("link", "") for end in ("parent", "child"))
+    for end, link in (("parent", parent), ("child", child)):
+        if link not in links:
+            raise MachineError(f"its {end} link '{link}' does not exist", where=node.where,
+                               remedy=f"use {like(link, links)}, or add that link")
+    moves = _KINDS.get(kind, "fixed") != "fixed"
+    axis = node.at("axis").numbers("xyz", (1.0, 0.0, 0.0)) if moves else np.array((0.0, 0.0, 1.0))
+    if (length := float(np.linalg.norm(axis))) < 1e-9:
+        raise MachineError("its axis is zero", where=node.where, remedy="give it a direction")
+    limit, dynamics = node.at("limit"), node.at("dynamics")
+    lower, upper = (limit.number(key, largest=math.inf) if key in limit.stated else None for key in ("lower", "upper"))
+    endless = kind == "continuous" or (kind == "revolute" and None not in (lower, upper)
+                                       and -(lower or 0.0) >= _LARGEST and (upper or 0.0) >= _LARGEST)
+    if moves and not endless:
+        lower, upper = (limit.number(key) if key in limit.stated else None for key in ("lower", "upper"))
+    return TreeJoint(
+        name=name, kind=_KINDS.get(kind, "fixed"), parent=parent, child=child, origin=node.pose(), axis=axis / length,
+        lower=lower if moves and not endless else None,
+        upper=upper if moves and not endless else None, endless=endless,
+        max_speed=limit.positive("velocity") or None, max_effort=limit.positive("effort") or None,
+        viscous=dynamics.positive("damping"), coulomb=dynamics.positive("friction"), gear=gear,
+        mimic=_mimic(node.at("mimic")) if moves else None)
+
+
+def _mimic(node: _Node) -> Mimic | None:
+    if node.element is None:
+        return None
+    ratio = node.number("multiplier", 1.0)
+    return Mimic(node.stated.get("joint", ""), ratio, node.number("offset", 0.0))
+
+
+def _gears(robot: ElementTree.Element, file: str) -> dict[str, float]:
+    """Gear ratios of transmissions of one joint, by joint."""
+    found = {}
+    for part in robot.findall("transmission"):
+        node = _Node(part, f"{file}: transmission '{part.get('name', '')}'")
+        joints = part.findall("joint")
+        reductions = [each for each in part.iter("mechanicalReduction") if (each.text or "").strip()]
+        if len(joints) == 1 and len(reductions) >= 1:
+            stated = _Node(ElementTree.Element("value", value=reductions[0].text or ""),
+                           f"{node.where}: <mechanicalReduction>")
+            found[joints[0].get("name", "")] = abs(stated.number("value")) or 1.0
+    return found
+
+
+def _mass(node: _Node) -> Array | None:
+    """Pseudo-inertia (4, 4) in the link's frame that an <inertial> states."""
+    if node.element is None:
+        return None
+    m = node.at("mass").number("value")
+    if m < 0:
+        raise MachineError(f"its mass is negative, {m:g} kg", where=node.where, remedy="correct it")
+    six = [node.at("inertia").number(key) for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz")]
+    about_com = inertia.pseudo_inertia(inertia.from_centre_of_mass(m, ORIGIN, six))
+    return node.pose() @ about_com @ node.pose().T
