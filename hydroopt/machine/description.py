@@ -365,13 +365,21 @@ class MachineDescription(Noun):
         if self.tracker:
             found += [*addresses.point("tracker", self.tracker.position, "tracker.position"),
                       *addresses.orientation("tracker", self.tracker.orientation, "tracker.orientation")]
-        for imu in self.imus:
-            found += [*addresses.point(imu.name, imu.position, f"{imu.name}.position"),
-                      *addresses.orientation(imu.name, imu.orientation, f"{imu.name}.orientation")]
-        found += [*chain.from_iterable(map(addresses.target_numbers, self.targets)),
+        found += [*self._mountings, *chain.from_iterable(map(addresses.target_numbers, self.targets)),
                   *chain.from_iterable(map(addresses.instrument_numbers, self.instruments)),
                   *chain.from_iterable(map(addresses.datum_numbers, self.datums))]
         return (*found, *chain.from_iterable(map(addresses.pins, self.pinned)))
+
+    @property
+    def imu_numbers(self) -> frozenset[str]:
+        """Addresses of the numbers that say where IMUs sit."""
+        return frozenset(number.name for number in self._mountings)
+
+    @property
+    def _mountings(self) -> list[Number]:
+        return [number for imu in self.imus
+                for number in (*addresses.point(imu.name, imu.position, f"{imu.name}.position"),
+                               *addresses.orientation(imu.name, imu.orientation, f"{imu.name}.orientation"))]
 
     def sensor(self, channel: str) -> Sensor | None:
         """The sensor that reads a channel, if the file states one."""

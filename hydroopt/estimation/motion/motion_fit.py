@@ -1,0 +1,311 @@
+"""The most probable motion of a machine, and the numbers that its sensors have in common.
+
+The joints' motion is a quintic spline q(t) = B(t)·c, whose third derivative counts as white noise. With geometric
+numbers g, constant biases b, and delay and drift of clocks, all with their stated spread, it is the minimum over all of
+
+    Σ ((z − h(q, q̇, q̈; g) − b)/σ)² + ∫ (q'''/s)² dt + Σ ((g − g₀)/σ_g)² + Σ (b/σ_b)² + …
+
+at the stamps of each channel, whatever its rate (continuous-time batch estimation, Furgale et al. 2012). The intensity s
+of each joint's motion follows from the data by expectation and maximisation. Coefficients meet only their neighbours,
+so that normal equations are banded but for the common numbers, and the covariance of everything comes from the same
+factors.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from hydroopt.errors import SolverError
+from hydroopt.estimation.motion.banded import Bordered, add_blocks
+from hydroopt.estimation.motion.observations import Observations
+from hydroopt.estimation.motion.paths import Path, Spline, Support, motion
+from hydroopt.model.sensor_readings import SensorReadings
+from hydroopt.spatial.inertia import Array
+
+CHUNK = 2048
+"""Samples whose rows are in memory at a time."""
+STEPS = 40
+CONVERGED = 1e-3
+"""The fit has converged when a step moves no common number by more than this part of its standard deviation."""
+SMALLEST = 1e-3
+"""Smallest part of a step that is tried."""
+WEAK = 10.0
+"""Spread of a coefficient about the middle of its joint's range, in ranges, so that what nobody measures is bounded."""
+
+
+@dataclass(frozen=True)
+class Common:
+    """A number that many readings have in common: name, unit, value before and its standard deviation."""
+
+    name: str
+    unit: str
+    prior: float
+    sigma: float
+
+
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """A path with the readings that belong to it, and the place of their biases and clocks among the common numbers."""
+
+    path: Path
+    data: tuple[Observations, ...]
+    middle: float = 0.0
+
+    def moved(self, step: Array) -> Stretch:
+        """With other coefficients."""
+        return replace(self, path=self.path.moved(step))
+
+
+@dataclass(frozen=True, eq=False)
+class Rows:
+    """Readings linearised: whitened residuals (N, m), derivatives by coefficients (N, m, width·n) and by the common
+    numbers (N, m, p)."""
+
+    left: Array
+    by_path: Array
+    by_common: Array
+    support: Support
+
+
+@dataclass(frozen=True, eq=False)
+class MotionFit:
+    """The state of a fit; `solve` ends it.
+
+    Attributes:
+        readings: by the channels of observations.
+        stretches: paths and what was read along them.
+        common: numbers that all have in common: geometry first, then biases, then clocks.
+        value: (p,) their values.
+        intensity: (n,) of the white noise that each joint's third derivative counts as [rad²/s⁵ or m²/s⁵].
+        middle, span: (n,) of the joints' ranges.
+    """
+
+    readings: dict[tuple[str, ...], SensorReadings]
+    stretches: tuple[Stretch, ...]
+    common: tuple[Common, ...]
+    value: Array
+    intensity: Array
+    middle: Array
+    span: Array
+
+    @cached_property
+    def places(self) -> dict[str, int]:
+        """Places of the common numbers by name."""
+        return {each.name: k for k, each in enumerate(self.common)}
+
+    @property
+    def sigma(self) -> Array:
+        """Standard deviations (p,) before."""
+        return np.array([each.sigma for each in self.common])
+
+    def rows(self, stretch: Stretch, data: Observations, part: slice) -> Rows:
+        """Some samples of observations, linearised."""
+        made = self.readings[data.channels]
+        t, shift = self._stamps(stretch, data, part)
+        support = stretch.path.support(t)
+        q, qd, qdd, jerk = motion(stretch.path, support)
+        places = [self.places[number.name] for number in made.numbers]
+        values, *by_motion, by_g = made(q, qd, qdd, self.value[places])
+        by_common = np.zeros((len(t), len(data.channels), len(self.common)))
+        by_common[:, :, places] = by_g
+        for k, channel in enumerate(data.channels):
+            if data.biased[k]:
+                place = self.places[f"{data.name}: {channel}"]
+                values[:, k] += self.value[place]
+                by_common[:, k, place] = 1.0
+        if shift:
+            flow = sum(np.einsum("kmn,kn->km", by, x) for by, x in zip(by_motion, (qd, qdd, jerk), strict=True))
+            for name, factor in shift.items():
+                by_common[:, :, self.places[name]] = flow * factor[:, None]
+        by_path = sum(np.einsum("kw,kmn->kmwn", support.values[order], by) for order, by in enumerate(by_motion))
+        root = np.where(data.used[part] & np.isfinite(values), 1 / data.sigma, 0.0)
+        left = np.where(root > 0, data.values[part] - values, 0.0) * root
+        n, m = len(t), len(data.channels)
+        if not np.all(np.isfinite(values)):  # a linkage that cannot close
+            by_path, by_common = np.nan_to_num(by_path), np.nan_to_num(by_common)
+        return Rows(left, by_path.reshape(n, m, -1) * root[:, :, None], by_common * root[:, :, None], support)
+
+    def left(self, stretch: Stretch, data: Observations, part: slice = slice(None)) -> Array:
+        """Whitened residuals (N, m); zero where there is no reading."""
+        made = self.readings[data.channels]
+        t, _ = self._stamps(stretch, data, part)
+        q, qd, qdd, _ = motion(stretch.path, stretch.path.support(t))
+        values = made.values(q, qd, qdd, self.value[[self.places[number.name] for number in made.numbers]])
+        for k in np.flatnonzero(data.biased):
+            values[:, k] += self.value[self.places[f"{data.name}: {data.channels[k]}"]]
+        used = data.used[part] & np.isfinite(values)
+        return np.where(used, data.values[part] - values, 0.0) / data.sigma
+
+    def _stamps(self, stretch: Stretch, data: Observations, part: slice) -> tuple[Array, dict[str, Array]]:
+        """When readings were taken, and how that changes with delay and drift of their clock."""
+        t = data.t[part]
+        shift: dict[str, Array] = {}
+        found = t.copy()
+        if data.delay:
+            shift[f"{data.name}: delay"] = -np.ones_like(t)
+        if data.drift:
+            shift[f"{data.name}: drift"] = t - stretch.middle
+        for name, factor in shift.items():
+            found += self.value[self.places[name]] * factor
+        return found, shift
+
+    def equations(self, stretch: Stretch) -> tuple[Bordered, float]:
+        """Normal equations of a stretch without the priors of the common numbers, and its part of the objective."""
+        path, n = stretch.path, len(self.intensity)
+        count, p, width = len(path.coefficients), len(self.common), path.width * n
+        band, border = np.zeros((width, count * n)), np.zeros((count * n, p))
+        corner, right, right_corner = np.zeros((p, p)), np.zeros(count * n), np.zeros(p)
+        total = 0.0
+        for data in stretch.data:
+            for start in range(0, len(data.t), CHUNK):
+                part = slice(start, min(start + CHUNK, len(data.t)))
+                rows = self.rows(stretch, data, part)
+                total += float(np.sum(rows.left**2))
+                order = np.argsort(rows.support.first, kind="stable")
+                first, at = np.unique(rows.support.first[order], return_index=True)
+                across = rows.by_path[order].transpose(0, 2, 1)
+                by_common, left = rows.by_common[order], rows.left[order]
+                add_blocks(band, np.add.reduceat(across @ across.transpose(0, 2, 1), at), first, n)
+                places = first[:, None] * n + np.arange(width)
+                np.add.at(border, places, np.add.reduceat(across @ by_common, at))
+                np.add.at(right, places, np.add.reduceat((across @ left[:, :, None])[:, :, 0], at))
+                flat = by_common.reshape(-1, p)
+                corner += flat.T @ flat
+                right_corner += flat.T @ left.ravel()
+        away = path.coefficients - self.middle
+        loose = 1 / (WEAK * self.span) ** 2
+        band[0] += np.tile(loose, count)
+        right -= (loose * away).ravel()
+        total += float(np.sum(loose * away**2))
+        if isinstance(path, Spline):
+            rough = path.roughness
+            for offset, diagonal in enumerate(rough):
+                size = count - offset
+                values = (diagonal[:size, None] / self.intensity).ravel()
+                band[offset * n, : size * n] += values
+            pulled = _band_times(rough, path.coefficients)
+            right -= (pulled / self.intensity).ravel()
+            total += float(np.sum(path.coefficients * pulled / self.intensity))
+        return Bordered(band, border, corner, right, right_corner), total
+
+    def linearised(self) -> tuple[list[Bordered], Array, Array, float]:
+        """Normal equations of all stretches, matrix and right side of what they leave for the common numbers with
+        their priors, and the objective."""
+        found = [self.equations(stretch) for stretch in self.stretches]
+        information = 1 / self.sigma**2
+        prior = np.array([each.prior for each in self.common])
+        matrix, right = np.diag(information), information * (prior - self.value)
+        for each, _ in found:
+            own, side = each.reduced
+            matrix, right = matrix + own, right + side
+        total = sum(cost for _, cost in found) + float(np.sum(information * (self.value - prior) ** 2))
+        return [each for each, _ in found], matrix, right, total
+
+    def objective(self) -> float:
+        """The objective alone."""
+        prior = np.array([each.prior for each in self.common])
+        total = float(np.sum(((self.value - prior) / self.sigma) ** 2))
+        for stretch in self.stretches:
+            path = stretch.path
+            total += sum(float(np.sum(self.left(stretch, data) ** 2)) for data in stretch.data)
+            total += float(np.sum(((path.coefficients - self.middle) / (WEAK * self.span)) ** 2))
+            if isinstance(path, Spline):
+                total += float(np.sum(path.coefficients * _band_times(path.roughness, path.coefficients)
+                                      / self.intensity))
+        return total
+
+    def stepped(self, equations: Sequence[Bordered], step: Array, part: float = 1.0) -> MotionFit:
+        """After `part` of a step of the common numbers (p,) and of what follows from it."""
+        n = len(self.intensity)
+        return replace(self, value=self.value + part * step, stretches=tuple(
+            stretch.moved(part * each.inner(step).reshape(-1, n))
+            for stretch, each in zip(self.stretches, equations, strict=True)))
+
+    def roughness(self, equations: Sequence[Bordered], covariance: Array) -> Array:
+        """Intensities (n,) of the joints' third derivative that are most probable, by one step of expectation and
+        maximisation."""
+        n = len(self.intensity)
+        total, free = np.zeros(n), 0
+        for stretch, each in zip(self.stretches, equations, strict=True):
+            path = stretch.path
+            if not isinstance(path, Spline):
+                continue
+            rough, spread = path.roughness, each.inverse_band(covariance)
+            count = len(path.coefficients)
+            total += np.sum(path.coefficients * _band_times(rough, path.coefficients), axis=0)
+            for offset, diagonal in enumerate(rough):
+                own = spread[offset * n, : (count - offset) * n].reshape(-1, n)
+                total += (1 + (offset > 0)) * np.sum(diagonal[: count - offset, None] * own, axis=0)
+            free += count - 3
+        return total / free if free else self.intensity
+
+
+def _band_times(band: Array, x: Array) -> Array:
+    """A symmetric matrix in lower band storage (w, k) times x (k, n)."""
+    found = band[0][:, None] * x
+    for offset, diagonal in enumerate(band[1:], start=1):
+        size = len(x) - offset
+        found[offset:] += diagonal[:size, None] * x[:size]
+        found[:size] += diagonal[:size, None] * x[offset:]
+    return np.asarray(found)
+
+
+@dataclass(frozen=True, eq=False)
+class FittedPaths:
+    """A fit at its optimum: values and covariance (p, p) of the common numbers, and the paths.
+
+    `left` are the whitened residuals (N, m) of each stretch's observations; `steps` how many the solver took.
+    """
+
+    fit: MotionFit
+    covariance: Array
+    equations: tuple[Bordered, ...]
+    steps: int
+
+    def std(self, stretch: int, support: Support) -> Array:
+        """Standard deviations (N, n) of the joints' positions."""
+        each, n = self.equations[stretch], len(self.fit.intensity)
+        spread = each.inverse_band(self.covariance)
+        width = self.fit.stretches[stretch].path.width
+        variance = np.zeros((len(support.first), n))
+        for a in range(width):
+            for b in range(width):
+                low, offset = support.first + min(a, b), abs(a - b)
+                block = spread[offset * n][(low[:, None] * n + np.arange(n))]
+                variance += (support.values[0][:, a] * support.values[0][:, b])[:, None] * block
+        return np.sqrt(np.maximum(variance, 0.0))
+
+
+def solve(start: MotionFit, where: str) -> FittedPaths:
+    """The most probable motion and common numbers, by Gauss-Newton steps.
+
+    Raises:
+        SolverError: the steps do not converge.
+    """
+    fit, settled = start, 0
+    equations, matrix, right, cost = fit.linearised()
+    for count in range(1, STEPS + 1):
+        covariance = np.linalg.inv(matrix)
+        step = covariance @ right
+        part = 1.0
+        while True:
+            moved = fit.stepped(equations, step, part)
+            decrease = cost - moved.objective()
+            if decrease >= -1e-9 * cost or part < SMALLEST:
+                break
+            part /= 2
+        size = float(np.max(np.abs(part * step) / np.sqrt(np.diag(covariance)), initial=0.0))
+        before, fit = fit, moved
+        intensity = fit.roughness(equations, covariance)
+        changed = float(np.max(np.abs(np.log(intensity / before.intensity)), initial=0.0))
+        fit = replace(fit, intensity=intensity)
+        equations, matrix, right, cost = fit.linearised()
+        settled = settled + 1 if size < CONVERGED and decrease < 1.0 else 0
+        if settled and changed < 0.1:
+            return FittedPaths(fit, np.linalg.inv(matrix), tuple(equations), count)
+    raise SolverError(f"the fit of the motion did not converge in {STEPS} steps", where=where,
+                      remedy="check units, axes and signs of the sensors, or leave a channel out")
