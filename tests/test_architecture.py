@@ -25,6 +25,7 @@ ROOMS = (
     ("results",),
     ("checks",),
     ("estimation.inference",),
+    ("estimation.motion",),
     ("estimation.dynamic", "estimation.kinematic", "estimation.hydraulic"),
     ("excitation.criteria",),
     ("excitation.motion", "excitation.poses"),

@@ -22,6 +22,8 @@ from hydroopt.estimation.dynamic.friction_sign import (
 )
 from hydroopt.estimation.dynamic.holds import Hold
 from hydroopt.estimation.dynamic.with_calibrator import attached_calibrator, calibrator_remark
+from hydroopt.estimation.motion.observations import motion_channels
+from hydroopt.estimation.motion.sensed import has_rates, sensed
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.calibrator_angles import calibrator_channels
 from hydroopt.logs.forces_from_pressures import force_channels, pressures
@@ -263,25 +265,30 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
             open.
         ProblemError: the attached calibrator cannot have moved as the log says.
     """
-    smoothing = smoothing or SmoothingSpline(bandwidth=model.machine.bandwidth)
-    angles = measured_angles(model, log)
-    motion = condition(log.t, angles, log.segment, smoothing, angle_noise(model, log),
-                       names=model.machine.joints, where=log.path or log.name)
+    machine, given = model.machine, log
+    if has_rates(machine, log):
+        log, motion = sensed(machine, log)
+        angles = motion.q
+    else:
+        angles = measured_angles(model, log)
+        motion = condition(log.t, angles, log.segment, smoothing or SmoothingSpline(bandwidth=machine.bandwidth),
+                           angle_noise(model, log), names=machine.joints, where=log.path or log.name)
     limits = SpeedLimits.of(angles, motion)
     phases = Phases.of(angles, motion, limits)
     motion, kept = phases.at_rest(motion), model.dynamics.kept
     often = np.mean(phases.moving, axis=0)[kept] > FEW_MOVING
-    attached = attached_calibrator(model, log, motion, smoothing)
+    attached = attached_calibrator(model, log, motion, smoothing or SmoothingSpline(bandwidth=machine.bandwidth))
     added = None if attached is None else attached.regressor(motion.q, motion.qd, motion.qdd)
     known = dry_friction_known(model, motion, phases, limits.noise) & (often | ~has_dry_friction(model))
     return Experiment(model, log, motion, free_forces(model, log, motion.q), known,
-                      (*remarks(model, log, angles), *calibrator_remark(attached)), pressures(model, log), added,
+                      (*remarks(model, given, angles), *calibrator_remark(attached)), pressures(model, log), added,
                       phases.calm[:, kept] & ~known)
 
 
 def channels_used(model: Model, log: AnyLog) -> set[str]:
     """The channels that angles, forces and pressures are read from."""
-    return (angle_channels(model, log) | force_channels(model, log) | wrench_channels(log)
+    motion = motion_channels(model.machine, log) if has_rates(model.machine, log) else angle_channels(model, log)
+    return ({*motion} | force_channels(model, log) | wrench_channels(log)
             | (calibrator_channels(model.machine, log) if model.calibrator else set()))
 
 

@@ -5,8 +5,8 @@ numbers g, constant biases b, and delay and drift of clocks, all with their stat
 
     Σ ((z − h(q, q̇, q̈; g) − b)/σ)² + ∫ (q'''/s)² dt + Σ ((g − g₀)/σ_g)² + Σ (b/σ_b)² + …
 
-at the stamps of each channel, whatever its rate (continuous-time batch estimation, Furgale et al. 2012). The intensity s
-of each joint's motion follows from the data by expectation and maximisation. Coefficients meet only their neighbours,
+at the stamps of each channel, whatever its rate (continuous-time batch estimation, Furgale et al. 2012). The intensity
+s of each joint's motion follows from the data by expectation and maximisation. Coefficients meet only their neighbours,
 so that normal equations are banded but for the common numbers, and the covariance of everything comes from the same
 factors.
 """
@@ -173,7 +173,7 @@ class MotionFit:
                 places = first[:, None] * n + np.arange(width)
                 np.add.at(border, places, np.add.reduceat(across @ by_common, at))
                 np.add.at(right, places, np.add.reduceat((across @ left[:, :, None])[:, :, 0], at))
-                flat = by_common.reshape(-1, p)
+                flat = by_common.reshape(left.size, p)
                 corner += flat.T @ flat
                 right_corner += flat.T @ left.ravel()
         away = path.coefficients - self.middle
@@ -289,7 +289,7 @@ def solve(start: MotionFit, where: str) -> FittedPaths:
     fit, settled = start, 0
     equations, matrix, right, cost = fit.linearised()
     for count in range(1, STEPS + 1):
-        covariance = np.linalg.inv(matrix)
+        covariance = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
         step = covariance @ right
         part = 1.0
         while True:
@@ -306,6 +306,7 @@ def solve(start: MotionFit, where: str) -> FittedPaths:
         equations, matrix, right, cost = fit.linearised()
         settled = settled + 1 if size < CONVERGED and decrease < 1.0 else 0
         if settled and changed < 0.1:
-            return FittedPaths(fit, np.linalg.inv(matrix), tuple(equations), count)
+            final = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
+            return FittedPaths(fit, final, tuple(equations), count)
     raise SolverError(f"the fit of the motion did not converge in {STEPS} steps", where=where,
                       remedy="check units, axes and signs of the sensors, or leave a channel out")

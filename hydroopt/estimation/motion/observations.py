@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import reading
 from hydroopt.machine.machine import Machine
@@ -15,6 +16,9 @@ from hydroopt.spatial.inertia import Array
 MOTION = ("q", "qd", "qdd", "length", "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z", "roll", "pitch",
           "x", "y", "z")
 """Endings of the channels that tell the motion."""
+DERIVED = ("qd", "qdd", "roll", "pitch")
+"""Endings of those that a unit may have derived from others, by filters of its own: they count where the machine file
+states their accuracy."""
 FULL = 0.999
 """Part of a sensor's range beyond which it counts as saturated."""
 
@@ -50,13 +54,14 @@ class Observations:
         return replace(self, t=self.t[keep], values=self.values[keep], used=self.used[keep])
 
 
-def motion_channels(machine: Machine, log: Log) -> tuple[str, ...]:
+def motion_channels(machine: Machine, log: AnyLog) -> tuple[str, ...]:
     """The channels of a log that tell the machine's motion."""
     known = machine.channel_units
     tips = machine.calibrator is not None and machine.tracker is not None and not machine.calibrator.links
     calibrator = {link.name for link in machine.calibrator.links} if machine.calibrator else set()
     return tuple(channel for channel in log.channels
                  if channel in known and channel.rpartition(".")[2] in MOTION
+                 and (channel.rpartition(".")[2] not in DERIVED or machine.sensor(channel))
                  and channel.partition(".")[0] not in calibrator and (tips or not channel.startswith("tip.")))
 
 

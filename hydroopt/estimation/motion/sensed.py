@@ -1,0 +1,62 @@
+"""The motion of a log whose rates or accelerations are measured, in the place of smoothed and differentiated angles."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from hydroopt.estimation.motion.observations import motion_channels
+from hydroopt.estimation.motion.paths import motion
+from hydroopt.estimation.motion.problem import FASTEST, fit_motion
+from hydroopt.logs.any_log import AnyLog
+from hydroopt.logs.log import Log
+from hydroopt.logs.smoothing import Motion, inside
+from hydroopt.machine.machine import Machine
+
+POSITIONS = ("q", "length")
+"""Endings of channels that tell positions, which alone call for no fit."""
+
+
+def has_rates(machine: Machine, log: AnyLog) -> bool:
+    """Whether a log has rates, accelerations or inclinations with a stated accuracy."""
+    return any(channel.rpartition(".")[2] not in (*POSITIONS, "x", "y", "z")
+               for channel in motion_channels(machine, log))
+
+
+def sensed(machine: Machine, log: Log) -> tuple[Log, Motion]:
+    """The log with the fitted angle of each joint, and the fitted motion at its samples.
+
+    Of the geometry only the places of IMUs count as uncertain: calibrate it before.
+
+    Raises:
+        LogError: a joint's motion is not measured.
+        SolverError: the fit does not converge.
+    """
+    found = fit_motion(machine, [log], geometry=False)
+    made = np.full((3, log.size, len(machine.joints)), np.nan)
+    std = np.full(made.shape[1:], np.nan)
+    for k, stretch in enumerate(found.fit.stretches):
+        here = (log.t >= stretch.data[0].t[0]) & (log.t <= stretch.data[0].t[-1])
+        support = stretch.path.support(log.t[here])
+        made[:, here] = motion(stretch.path, support)[:3]
+        std[here] = found.std(k, support)
+    kept = np.isfinite(made).all(axis=(0, 2))
+    used = replace(log, t=log.t[kept], sample=log.sample[kept], segment=log.segment[kept],
+                   channels={name: values[kept] for name, values in log.channels.items()})
+    angles = {f"{joint}.q": made[0, kept, j] for j, joint in enumerate(machine.joints)}
+    used = replace(used, channels={**used.channels, **angles},
+                   units={**used.units, **{name: machine.channel_units[name] for name in angles}})
+    bandwidth = np.full(len(machine.joints), machine.bandwidth or FASTEST)
+    interior = np.concatenate([inside(used.t[used.segment == number], bandwidth) for number in np.unique(used.segment)])
+    said = ", ".join(f"{joint} {_spread(value, machine.position_unit(joint))}" for joint, value in zip(
+        machine.joints, np.sqrt(np.nanmean(std**2, axis=0)), strict=True))
+    note = f"motion fitted to {len(motion_channels(machine, log))} channels; standard deviations: {said}"
+    q, qd, qdd = made[:, kept]
+    return used, Motion(used.t, q, qd, qdd, used.segment, interior, bandwidth,
+                        np.ones(len(machine.joints), dtype=int), (note,))
+
+
+def _spread(value: float, unit: str) -> str:
+    return f"{1e3 * value:.2g} mm" if unit == "m" else f"{np.degrees(value):.2g} deg"
+
