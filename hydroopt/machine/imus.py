@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 
-from pydantic import Field, model_validator
+from pydantic import Field
 
 from hydroopt.machine.quantity import (
     Acceleration,
@@ -12,7 +12,6 @@ from hydroopt.machine.quantity import (
     Angle,
     AngularRate,
     AngularRateDensity,
-    ImpossibleError,
     Lengths,
     Name,
     Noun,
@@ -66,13 +65,6 @@ class Imu(Noun):
     rate: Rate = Field(gt=0)
     gyroscope: Gyroscope | None = None
     accelerometer: Accelerometer | None = None
-
-    @model_validator(mode="after")
-    def _measures(self) -> Imu:
-        if self.gyroscope is None and self.accelerometer is None:
-            raise ImpossibleError(f"the IMU '{self.name}' measures nothing",
-                                  "state 'gyroscope' or 'accelerometer' with noise and bias")
-        return self
 
     @property
     def channels(self) -> tuple[str, ...]:

@@ -16,6 +16,7 @@ from hydroopt.machine import addresses
 from hydroopt.machine.actuators import Actuator, Drive, Motor
 from hydroopt.machine.closures import place
 from hydroopt.machine.description import BASE, MachineDescription
+from hydroopt.machine.imus import INCLINATION
 from hydroopt.machine.links import Note
 from hydroopt.machine.quantity import ImpossibleError
 from hydroopt.machine.targets import GROUND, TIP
@@ -247,6 +248,10 @@ class Machine(MachineDescription):
             if imu.link not in {BASE, *(link.name for link in self.links)}:
                 raise ImpossibleError(f"the IMU '{imu.name}' is attached to '{imu.link}', which does not exist",
                                       "name a link or the base", f"imus[{imu.name}].link")
+            if not imu.channels and not any(self.sensor(f"{imu.name}.{angle}") for angle in INCLINATION):
+                raise ImpossibleError(f"the IMU '{imu.name}' measures nothing",
+                                      "state 'gyroscope' or 'accelerometer' with noise and bias, or a sensor of its "
+                                      "'.roll' and '.pitch'", f"imus[{imu.name}]")
         for sensor in self.sensors:
             for channel in sensor.channels:
                 if channel not in known:

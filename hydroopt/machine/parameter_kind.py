@@ -39,6 +39,7 @@ class ParameterKind(StrEnum):
     RATIO = "transmission ratio"
     LOCKED_ANGLE = "locked angle"
     DRIFT = "drift"
+    ACCELERATION_BIAS = "bias of an accelerometer"
 
     BULK_MODULUS = "bulk modulus"
     HOSE_MODULUS = "hose modulus"

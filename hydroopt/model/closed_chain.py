@@ -289,11 +289,12 @@ def _parameters(machine: Machine, numbers: tuple[Number, ...]) -> ParameterSet:
     """The numbers with a stated confidence, with Gaussian priors about their nominal values."""
     free, sigmas = [], []
     measurable = {each.name for each in machine.cylinders}
-    # no pose table reads the length of these parts or these units
-    unmeasured = {each.name for each in machine.pinned} - measurable | {imu.name for imu in machine.imus}
+    unmeasured = {each.name for each in machine.pinned} - measurable  # no pose table reads the length of these parts
+    units = {imu.name for imu in machine.imus}
     for number in numbers:
-        if number.name.partition(".")[0] in unmeasured:
-            continue
+        owner = number.name.partition(".")[0]
+        if owner in unmeasured or (owner in units and number.kind is not ParameterKind.ORIENTATION):
+            continue  # where a unit sits does not matter at rest
         note = machine.notes.get(number.path)
         values = [other.value for other in numbers if other.path == number.path]
         sigma = None if note is None else note.spread(*values)

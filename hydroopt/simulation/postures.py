@@ -228,7 +228,7 @@ def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Seque
         place[np.array(tape) == label, model.tape_end] = known[label].position
     for (instrument, label), stands in (standing or {}).items():
         there = np.array(setup) == label if len(setup) else np.full(len(q), not label)
-        place[there, model.inputs[instrument]] = stands
+        place[there, model.inputs[f"{instrument}.pose"]] = stands
     rows = model.over(model.observed, geometry, q, place)[0]
     true = {f"{joint}.q": q[:, k] for k, joint in enumerate(model.joints)}
     true |= {channel: rows[:, i, 0] for i, channel in enumerate(model.channels)}

@@ -17,7 +17,7 @@ def rotation_of(vector: ca.SX) -> ca.SX:
     DM(0)
     """
     x = ca.sumsqr(vector)
-    near, angle = _below(x), ca.sqrt(ca.fmax(x, SMALL))
+    near, angle = _below(x), ca.sqrt(_at_least(x, SMALL))
     first = near * (1 - x / 6 * (1 - x / 20 * (1 - x / 42))) + (1 - near) * ca.sin(angle) / angle
     second = (near * (1 - x / 12 * (1 - x / 30 * (1 - x / 56))) / 2
               + (1 - near) * (1 - ca.cos(angle)) / angle**2)
@@ -35,7 +35,7 @@ def vector_of(rotation: ca.SX) -> ca.SX:
                       rotation[1, 0] - rotation[0, 1]) / 2
     cosine = (ca.trace(rotation) - 1) / 2
     x = ca.sumsqr(sine)
-    near, size = _below(x) * (1 + ca.sign(cosine)) / 2, ca.sqrt(ca.fmax(x, TINY))
+    near, size = _below(x) * (1 + ca.sign(cosine)) / 2, ca.sqrt(_at_least(x, TINY))
     series = 1 + x / 6 * (1 + 9 * x / 20 * (1 + 25 * x / 42 * (1 + 49 * x / 72)))
     return (near * series + (1 - near) * ca.atan2(size, cosine) / size) * sine
 
@@ -43,3 +43,8 @@ def vector_of(rotation: ca.SX) -> ca.SX:
 def _below(x: ca.SX) -> ca.SX:
     """One where x is smaller than `SMALL`, else zero; no comparison, which compiled kernels do not have."""
     return (1 - ca.sign(x - SMALL)) / 2
+
+
+def _at_least(x: ca.SX, least: float) -> ca.SX:
+    """The larger one of two numbers, likewise."""
+    return least + (x - least) * (1 + ca.sign(x - least)) / 2

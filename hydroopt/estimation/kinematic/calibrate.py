@@ -11,6 +11,7 @@ from hydroopt.errors import ProblemError, SolverError
 from hydroopt.estimation.kinematic import joint, link_by_link
 from hydroopt.estimation.kinematic.calibration import Calibration
 from hydroopt.estimation.kinematic.column_checks import refuse_misread
+from hydroopt.estimation.kinematic.inclination_checks import refuse_misread_inclination
 from hydroopt.estimation.kinematic.instrument_poses import refuse_unseen
 from hydroopt.estimation.kinematic.length_scale import has_length_scale, no_length_scale
 from hydroopt.estimation.kinematic.observability import linearise, observability
@@ -109,6 +110,7 @@ def solvable(problem: CalibrationProblem, method: str) -> CalibrationProblem:
                               "read a tape, a tracker or a cylinder's length")
     refuse_unseen(problem)
     refuse_untouched(problem)
+    refuse_misread_inclination(problem)
     refuse_misread(problem)
     return problem
 

@@ -9,6 +9,7 @@ from itertools import combinations
 import numpy as np
 
 from hydroopt.errors import ProblemError
+from hydroopt.estimation.kinematic.instrument_poses import placed
 from hydroopt.estimation.kinematic.pose_layout import PoseLayout
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.estimation.kinematic.residuals import gaps
@@ -120,7 +121,11 @@ def _measured(problem: CalibrationProblem) -> dict[str, list[int]]:
 
 
 def _gap(problem: CalibrationProblem) -> float:
-    """RMS [m] by which nominal geometry misses the poses; fixtures that may stand anywhere take the mean of theirs."""
+    """RMS [m] by which nominal geometry misses the poses; fixtures that may stand anywhere take the mean of theirs.
+
+    What several instruments, tapes and datums measure of a pose counts by its mean.
+    """
+    problem = placed(problem)
     layout = problem.layout
     left = np.where(layout.present, gaps(problem, problem.start, guess_unsensed(problem, problem.start)), np.nan)
     anywhere = {f.name for f in problem.model.machine.fixtures if f.moves}
@@ -128,4 +133,10 @@ def _gap(problem: CalibrationProblem) -> float:
         if problem.parameters.names[columns[0]].split(".")[0] in anywhere:
             here = np.all(layout.fixture == columns, axis=1) & layout.held
             left[here, :3] -= left[here, :3].sum(axis=0) / max(1, here.sum())
+    turns = np.array(problem.model.units) != "m"
+    turns[: problem.model.loop_rows] = False
+    left[:, turns] = np.nan
+    more = [[problem.model.channels.index(channel) for channel in each.channels] for each in problem.model.measurements]
+    count = sum((np.isfinite(left[:, columns]).any(axis=1).astype(int) for columns in more), np.zeros(len(left)))
+    left[:, len(problem.model.channels) - sum(map(len, more)) :] /= np.sqrt(np.maximum(count, 1.0))[:, None]
     return float(np.sqrt(np.nanmean(np.nansum(left**2, axis=1))))

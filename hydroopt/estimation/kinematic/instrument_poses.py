@@ -107,12 +107,12 @@ def sightings(problem: PoseEquations) -> Iterator[tuple[str, Sighting]]:
     place = problem.places(problem.start)
     place[:, list(model.readings.values())] = 0.0
     for name in model.instruments:
-        place[:, model.inputs[name]] = 0.0  # as seen from its link
+        place[:, model.inputs[f"{name}.pose"]] = 0.0  # as seen from its link
     expected = model.over(model.observed, problem.start[: len(model.parameters)], q, place)[0][:, :, 0]
     for name in model.instruments:
         groups = [(each.unit, [model.channels.index(channel) for channel in each.channels], each.name)
                   for each in model.measurements if each.name.partition(".")[0] == name]
-        firsts = layout.place[:, model.inputs[name].start]
+        firsts = layout.place[:, model.inputs[f"{name}.pose"].start]
         for first in np.unique(firsts[firsts >= 0]):
             rows = firsts == first
             yield (problem.parameters.names[first].removesuffix(".x"),

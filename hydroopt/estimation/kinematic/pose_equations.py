@@ -21,6 +21,8 @@ from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array
 
+ALWAYS_KNOWN = (ParameterKind.DRIFT, ParameterKind.ACCELERATION_BIAS)
+"""Kinds whose confidences count as measurements, with and without priors."""
 PoseLoss = Literal["squares", "huber", "student_t"]
 
 
@@ -37,7 +39,7 @@ class PoseEquations:
         row_sigma: (N, m) standard deviation of each row [m]; 0 must hold exactly.
         distances: between fixtures.
         fixed: parameters that keep the value given here.
-        priors: whether the machine file's confidences count as measurements; those of drifts always do.
+        priors: whether the machine file's confidences count as measurements; those of drifts and biases always do.
         loss: what a pose's squared error, in standard deviations, costs.
     """
 
@@ -60,8 +62,9 @@ class PoseEquations:
 
     @property
     def known(self) -> Array:
-        """(P,) root of the information that counts beside the data: of drifts always, of the rest as `priors` says."""
-        counts = [self.priors or kind is ParameterKind.DRIFT for kind in self.parameters.kinds]
+        """(P,) root of the information that counts beside the data: of drifts and biases always, of the rest as
+        `priors` says."""
+        counts = [self.priors or kind in ALWAYS_KNOWN for kind in self.parameters.kinds]
         return np.asarray(np.sqrt(np.diag(self.parameters.information)) * counts)
 
     @property

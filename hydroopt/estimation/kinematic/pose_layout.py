@@ -13,6 +13,7 @@ from hydroopt.estimation.kinematic.turn_readings import COMPONENTS, turns
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.addresses import fixture_numbers
 from hydroopt.machine.calibration_chain import Fixture
+from hydroopt.machine.imus import ACCELEROMETER, GYROSCOPE
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
@@ -108,6 +109,7 @@ class LayoutBuilder:
         self._fixtures()
         self._tapes()
         self._setups()
+        self._biases()
         self._joints()
         self._guess_moving_fixtures()
 
@@ -128,11 +130,12 @@ class LayoutBuilder:
         count, rows = len(self.poses), self.model.channels
         self.target, self.present = np.zeros((count, len(rows))), np.zeros((count, len(rows)), dtype=bool)
         read = {**self.poses.channels, **turns(self.poses)}
-        parts = {part.name for kind in (self.machine.instruments, self.machine.datums, self.machine.distances)
-                 for part in kind}
+        parts = {part.name for kind in (self.machine.instruments, self.machine.datums, self.machine.distances,
+                                        self.machine.imus) for part in kind}
         for name, values in read.items():
-            if name not in rows and not name.endswith(COMPONENTS[3:]) and np.any(np.isfinite(values)) and (
-                    name.partition(".")[0] in parts or name.endswith(COMPONENTS[:3])):
+            measured = name.partition(".")[0] in parts or name.endswith(COMPONENTS[:3])
+            if measured and name not in rows and not name.endswith((*COMPONENTS[3:], *GYROSCOPE)) and np.any(
+                    np.isfinite(values)):
                 raise self._no_accuracy(name)
         for i, name in enumerate(rows):
             if name in read:
@@ -178,7 +181,19 @@ class LayoutBuilder:
                         kind = ParameterKind.POSITION if unit == "m" else ParameterKind.ORIENTATION
                         self._add(f"{owner}.{axis}", kind, unit, 0.0, None, scale)
                 first = self.names[f"{owner}.x"]
-                self.place[row, self.model.inputs[name]] = range(first, first + 6)
+                self.place[row, self.model.inputs[f"{name}.pose"]] = range(first, first + 6)
+
+    def _biases(self) -> None:
+        """Biases of accelerometers that are read, constant over all poses."""
+        for imu in self.machine.imus:
+            if imu.accelerometer is None:
+                continue
+            columns = [self.model.channels.index(f"{imu.name}.{axis}") for axis in ACCELEROMETER]
+            if (rows := np.flatnonzero(self.present[:, columns].any(axis=1))).size:
+                bias = imu.accelerometer.bias
+                self.place[rows, self.model.inputs[f"{imu.name}.bias"]] = [
+                    self._add(f"{imu.name}.bias_{axis}", ParameterKind.ACCELERATION_BIAS, "m/s^2", 0.0, bias, bias)
+                    for axis in "xyz"]
 
     def _no_accuracy(self, name: str) -> ProblemError:
         return ProblemError(f"the accuracy of '{name}' is not stated", where=self.where,
@@ -223,7 +238,8 @@ class LayoutBuilder:
             progress = np.linspace(0.0, 1.0, len(rows))
             for k, joint in enumerate(self.model.joints):
                 unread = rows[~self.sensed[rows, k]]
-                if stage is not None and joint in stage.moves:
+                held = stage is not None and joint in stage.locked
+                if (stage is not None and joint in stage.moves) or (joint in self.machine.base_joints and not held):
                     locked_since.pop(joint, None)
                     self.moving[unread, k] = True
                     continue
@@ -289,8 +305,15 @@ class LayoutBuilder:
             np.diag(information))
 
     def exact(self) -> dict[str, float]:
-        """Fixtures whose position the machine file states without a confidence."""
-        return {e.name: e.nominal for e in self.extra if e.scale is None}
+        """Fixtures whose position the machine file states without a confidence, and what no pose measures of targets,
+        instruments, datums and units."""
+        parts = {part.name for kind in (self.machine.targets, self.machine.instruments, self.machine.datums,
+                                        self.machine.imus) for part in kind}
+        own, pattern = self.model.parameters, self.model.observed_jacobians.sparsity_out(1)
+        seen = np.asarray(self.present.any(axis=0))
+        idle = {name: own.nominal[k] for k, name in enumerate(own.names) if name.partition(".")[0] in parts
+                and not any(seen[row] for row in pattern.get_triplet()[0][pattern.colind(k) : pattern.colind(k + 1)])}
+        return {e.name: e.nominal for e in self.extra if e.scale is None} | idle
 
     def layout(self) -> PoseLayout:
         """Where the angles and fixtures come from."""

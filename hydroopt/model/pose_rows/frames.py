@@ -63,7 +63,7 @@ class Frames(NamedTuple):
         own = next(each for each in self.geometry.machine.instruments if each.name == name)
         if own.stands:
             return self.link(own.link) @ self._stated(name)
-        stands = self.inputs[name]
+        stands = self.inputs[f"{name}.pose"]
         return self.link(own.link) @ Pose(rotation_of(stands[3:]), stands[:3])
 
     def datum(self, name: str) -> Pose:

@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 from hydroopt.machine.machine import Machine
-from hydroopt.model.pose_rows import datum_offset, distance, orientation, position
+from hydroopt.model.pose_rows import datum_offset, distance, inclination, orientation, position
 from hydroopt.model.pose_rows.frames import Frames, PoseRows
 
 
 def inputs(machine: Machine) -> dict[str, int]:
-    """What the rows need of each pose, with its size: (6,) where an instrument stands of which the file does not say
-    it, position and rotation vector, and (3,) orientations as read."""
-    moving = {instrument.name: 6 for instrument in machine.instruments if not instrument.stands}
-    return moving | {f"{name}.turn": 3 for name, _, _ in orientation.measured(machine)}
+    """What the rows need of each pose, with its size: where an instrument stands of which the file does not say it,
+    (6,) position and rotation vector; readings that rows take; and biases."""
+    moving = {f"{instrument.name}.pose": 6 for instrument in machine.instruments if not instrument.stands}
+    turns = {f"{name}.turn": 3 for name, _, _ in orientation.measured(machine)}
+    return moving | turns | inclination.inputs(machine)
 
 
 def measurements(frames: Frames) -> tuple[PoseRows, ...]:
     """The rows of all measurements that a sensor is stated for."""
-    return tuple(rows for kind in (position, orientation, datum_offset, distance) for rows in kind.rows(frames))
+    return tuple(rows for kind in (position, orientation, datum_offset, distance, inclination)
+                 for rows in kind.rows(frames))

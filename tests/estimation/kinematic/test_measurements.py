@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import replace
 from functools import cache
@@ -16,7 +17,9 @@ from hydroopt.estimation.kinematic.instrument_poses import FLIP
 from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine_file import dump_machine, read_machine
-from tests.fixtures.surveyed import STANDING, TEXT, measured, surveyed, truth
+from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.simulation import postures
+from tests.fixtures.surveyed import EVERYWHERE, STANDING, TEXT, measured, measured_and_true, surveyed, truth
 
 
 def test_every_measurement_gives_back_the_geometry_without_noise() -> None:
@@ -29,7 +32,8 @@ def test_every_measurement_gives_back_the_geometry_without_noise() -> None:
         at = problem.parameters.index(f"{name}.{setup}.x")
         np.testing.assert_allclose(solved.theta[at : at + 6], stands, rtol=0, atol=1e-6)
     assert set(solved.fit["train"]) == {"station.prism", "station.peg", "station.stone", "laser.tip", "camera.marker",
-                                        "camera.marker.turn", "floor.tip", "edge.prism", "wire.length"}
+                                        "camera.marker.turn", "floor.tip", "edge.prism", "wire.length",
+                                        "cab.inclination", "boom_unit.accel", "stick_unit.inclination"}
     assert solved.fit["train"]["camera.marker.turn"].unit == "rad"
     assert set(solved.residuals[0].after) == set(solved.fit["train"])
 
@@ -40,11 +44,12 @@ def test_jacobians_of_every_measurement_agree_with_differences() -> None:
     rng = np.random.default_rng(0)
     theta = problem.start + 0.01 * rng.standard_normal(len(problem.parameters))
     q = problem.layout.reading + 0.01 * rng.standard_normal(problem.layout.reading.shape)
+    q[:, :2] += 0.03
     _, by_theta, by_q = problem.rows(theta, q)
     for k, step in enumerate(1e-6 * np.eye(len(theta))):
         slope = (problem.rows(theta + step, q)[0] - problem.rows(theta - step, q)[0]) / 2e-6
         np.testing.assert_allclose(by_theta[:, :, k], slope, atol=2e-8)
-    for k, step in enumerate(1e-6 * np.eye(3)):
+    for k, step in enumerate(1e-6 * np.eye(q.shape[1])):
         slope = (problem.rows(theta, q + step)[0] - problem.rows(theta, q - step)[0]) / 2e-6
         np.testing.assert_allclose(by_q[:, :, k], slope * problem.layout.present, atol=2e-8)
 
@@ -54,9 +59,11 @@ def frames(g: dict[str, float], q: np.ndarray) -> dict[str, tuple[np.ndarray, np
     def turned(axis: str, angle: float) -> np.ndarray:
         return Rotation.from_euler(axis, angle).as_matrix()
 
-    found = {"base": (np.eye(3), np.zeros(3))}
-    swing = turned("z", q[0])
-    found["swing"] = (swing, np.array([0, 0, 1.1]))
+    pitch, roll, *q = q
+    base = turned("y", pitch) @ turned("x", roll)
+    found = {"ground": (np.eye(3), np.zeros(3)), "base": (base, np.zeros(3))}
+    swing = base @ turned("z", q[0])
+    found["swing"] = (swing, base @ [0, 0, 1.1])
     seat, root = swing @ turned("x", np.pi / 2), found["swing"][1] + swing @ [0.3, 0, 0]
     boom = seat @ turned("z", q[1] + g["boom.theta"])
     found["boom"] = (boom, root)
@@ -68,7 +75,7 @@ def test_rows_agree_with_rotations_of_scipy() -> None:
     """Every predicted reading once more, from Denavit-Hartenberg by hand and SciPy's quaternions."""
     machine, model = surveyed()
     geometry = truth(2)
-    poses = measured(geometry)
+    poses, q = measured_and_true(geometry)
     g = dict(zip(model.parameters.names, geometry.tolist(), strict=True))
     value = {number.name: number.value for number in machine.geometry_numbers} | g
 
@@ -78,9 +85,9 @@ def test_rows_agree_with_rotations_of_scipy() -> None:
     def angles(name: str) -> np.ndarray:
         return np.array([value[f"{name}.{axis}"] for axis in ("yaw", "pitch", "roll")])
 
-    links = {"prism": "stick", "marker": "boom", "peg": "base", "stone": "base", "hook": "base"}
+    links = {"prism": "stick", "marker": "boom", "peg": "ground", "stone": "ground", "hook": "base"}
     for row in range(len(poses)):
-        at = frames(g, np.array([poses.channels[f"{joint}.q"][row] for joint in model.joints]))
+        at = frames(g, q[row])
         where = {name: at[link][1] + at[link][0] @ vector(name) for name, link in links.items()}
         stick = at["stick"]
         where["tip"] = stick[1] + stick[0] @ np.add(vector("tip"), [1.7, 0, 0])
@@ -100,6 +107,15 @@ def test_rows_agree_with_rotations_of_scipy() -> None:
         np.testing.assert_allclose(laser.apply(read) + vector("laser"), where["tip"], atol=1e-9)
         np.testing.assert_allclose(poses.channels["wire.length"][row], np.linalg.norm(where["hook"] - where["prism"]),
                                    atol=1e-9)
+        up = Rotation.from_euler("ZYX", [0, np.radians(-2), np.radians(1)]).inv().apply([0, 0, 1])
+        felt = (at["boom"][0] @ Rotation.from_euler("ZYX", angles("boom_unit")).as_matrix()).T @ up * 9.80665
+        np.testing.assert_allclose([poses.channels[f"boom_unit.accel_{axis}"][row] for axis in "xyz"], felt, atol=1e-9)
+        for unit, link in (("cab", "base"), ("stick_unit", "stick")):
+            world = Rotation.from_euler("ZYX", [0, np.radians(-2), np.radians(1)]).as_matrix() @ at[link][0]
+            _, pitch, roll = Rotation.from_matrix(
+                world @ Rotation.from_euler("ZYX", angles(unit)).as_matrix()).as_euler("ZYX")
+            np.testing.assert_allclose([poses.channels[f"{unit}.{angle}"][row] for angle in ("roll", "pitch")],
+                                       [roll, pitch], atol=1e-9)
         if np.isfinite(poses.channels["floor.tip.z"][row]):
             normal = Rotation.from_euler("YX", [value["floor.pitch"], value["floor.roll"]]).apply([0, 0, 1])
             assert abs(normal @ (where["tip"] - [0, 0, -1 + value["floor.z"]])) < 1e-9
@@ -208,7 +224,7 @@ def test_a_line_touched_too_seldom() -> None:
 
 
 @pytest.mark.parametrize(("before", "after", "sentence"), [
-    ('link = "stick"\nposition', 'link = "stik"\nposition', "target 'prism' is attached to 'stik', which does not"),
+    ('link = "stick"\nposition = {', 'link = "stik"\nposition = {', "target 'prism' is attached to 'stik', which does"),
     ('between = ["hook", "prism"]', 'between = ["hook", "prsm"]', "starts or ends at 'prsm', which is not a target"),
     ('name = "laser"\nposition = { value = ["6 m", "-5 m", "1.5 m"], sigma = "10 cm" }', 'name = "laser"',
      "states its orientation, but not its position"),
@@ -227,3 +243,32 @@ def test_the_calibrated_machine_keeps_its_measurements() -> None:
     assert abs(solved.machine.targets[0].position[0] - truth(1)[solved.problem.parameters.index("prism.x")]) < 0.01
     assert solved.machine.datums[0].offset[2] != 0
     assert solved.status == "ok"
+
+
+@pytest.mark.parametrize(("change", "sentence"), [
+    (lambda a: -a, "signs of 'boom_unit.accel_x' to 'accel_z' seem to be reversed"),
+    (lambda a: a[[1, 2, 0]], "axes of 'boom_unit.accel_x' to 'accel_z' seem to be exchanged for z, x, y"),
+    (lambda a: a / 9.80665, "magnitude 1 m/s^2, not that of gravity, 9.81 m/s^2; they seem to be g given as m/s^2")])
+def test_an_accelerometer_in_another_convention(change: Callable[[np.ndarray], np.ndarray], sentence: str) -> None:
+    text = TEXT.replace('base_motion = { roll = { lower = "-5 deg", upper = "5 deg" }, pitch = { lower = "-5 deg", '
+                        'upper = "5 deg" } }\n', "")
+    machine = read_machine(text)
+    model = KinematicModel(machine)
+    low, high = postures.limits(model)
+    q = np.random.default_rng(0).uniform(low, high, (20, 3))
+    channels = [name for name in EVERYWHERE if not name.startswith(("laser", "cab"))]
+    poses = postures.record(model, q, [""] * 20, [""] * 20, geometry=model.parameters.nominal, channels=channels,
+                            setup=["A"] * 20, seed=1)
+    felt = change(np.array([poses.channels[f"boom_unit.accel_{axis}"] for axis in "xyz"]))
+    poses = Poses("t", setup=poses.setup, units=poses.units, channels={
+        **poses.channels, **{f"boom_unit.accel_{axis}": felt[k] for k, axis in enumerate("xyz")}})
+    with pytest.raises(ProblemError, match=re.escape(sentence)):
+        calibrate(calibration_problem(machine, poses))
+
+
+def test_what_no_pose_measures_keeps_its_stated_numbers() -> None:
+    poses = poses_of_the_truth()
+    few = {name: values for name, values in poses.channels.items() if not name.startswith(("camera", "boom_unit"))}
+    problem = calibration_problem(surveyed()[0], Poses("t", setup=poses.setup, channels=few))
+    assert {name.partition(".")[0] for name in problem.fixed} == {"marker", "boom_unit"}
+    assert problem.fixed["boom_unit.roll"] == pytest.approx(np.pi / 2)
