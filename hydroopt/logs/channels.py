@@ -17,7 +17,8 @@ def si_unit(channel: str, unit: str | None = None) -> str:
     kinds = ("s",) if channel == "t" else CHANNEL_UNITS.get(channel.rpartition(".")[2] if "." in channel else "")
     if kinds is None:
         raise LogError(f"'{channel}' is not a channel", where="channel",
-                       remedy="use 't' or a name that ends in " + ", ".join(f".{k}" for k in CHANNEL_UNITS))
+                       remedy="use 't' or a name that ends in " + ", ".join(
+                           f".{k}{'…z' * k.endswith('_x')}" for k in CHANNEL_UNITS if not k.endswith(("_y", "_z"))))
     if unit is None:
         return kinds[0]
     for kind in kinds:

@@ -19,11 +19,13 @@ def parts_of(header: str) -> tuple[str, str | None]:
     return name.rstrip(), rest[:-1]
 
 
-def map_of_header(header: list[str], where: str, *, poses: bool = False) -> tuple[LogMap, tuple[str, ...]]:
+def map_of_header(header: list[str], where: str, *, poses: bool = False,
+                  timed: bool = False) -> tuple[LogMap, tuple[str, ...]]:
     """Map of a file with headers `name [unit]`, and the names of columns that are no channels and are left out.
 
     A table of `poses` needs no time, may have labels (`stage`, `fixture`, `pose`, `tape`, without unit) and no other
-    columns: one might be a misspelt label, without which its poses would be taken for others.
+    columns: one might be a misspelt label, without which its poses would be taken for others. Nor does a `timed` file
+    need one, which has stamps of its own.
 
     Raises:
         LogError: no time, a missing or unsuitable unit, an unknown suffix, or a name that stands twice.
@@ -59,7 +61,7 @@ def map_of_header(header: list[str], where: str, *, poses: bool = False) -> tupl
         except UnitError as error:
             raise LogError(error.what, where=here, remedy=error.remedy) from None
         columns[name] = ColumnMap(column=index, unit=unit.strip())
-    if "t" not in columns and not poses:
+    if "t" not in columns and not (poses or timed):
         shown = ", ".join(f"'{name.strip()[:40]}'" for name in header[:12])
         raise LogError(f"there is no column 't [s]' among {shown}", where=where,
                        remedy="name the time column 't [s]' or give a map of the columns with --map")

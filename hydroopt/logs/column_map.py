@@ -17,15 +17,21 @@ from pydantic import (
 from hydroopt.errors import HydrooptError, LogError
 from hydroopt.input_file import read_text, toml
 from hydroopt.logs.channels import si_unit
+from hydroopt.logs.clock import Clock
+from hydroopt.logs.stamps import of_texts
 from hydroopt.units import to_si
 
 Key = str | int
+KINDS = ("csv", "parquet", "mat")
+"""Kinds of files, as a map may state them."""
 
 
 class ColumnMap(BaseModel):
     """Where one channel stands in a file: value = factor × (column − minus) [unit] + offset.
 
-    The offset alone is a value that holds throughout the file, such as the slope that the machine stood on.
+    The offset alone is a value that holds throughout the file, such as the slope that the machine stood on. `group` is
+    the sheet, topic or file in which the column stands, where several have one of that name, or a clock of the map. A
+    time `t` of dates needs no unit.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
@@ -34,7 +40,8 @@ class ColumnMap(BaseModel):
     minus: Key | None = None
     variable: str | None = None
     row: Annotated[int, Field(ge=0)] | None = None
-    unit: str
+    group: str | None = None
+    unit: str = ""
     factor: Annotated[float, Field(allow_inf_nan=False)] = 1.0
     offset: str | None = None
 
@@ -64,6 +71,32 @@ class ColumnMap(BaseModel):
     def shift(self, si: str, where: str) -> float:
         """The offset in the SI unit `si`."""
         return 0.0 if self.offset is None else to_si(self.offset, si, where=where)
+
+
+class ClockMap(BaseModel):
+    """The clock of a group: its own column of times, where it has one, and what its stamps lack.
+
+    `start` is the moment of t = 0 of times without a date; `delay` and `drift` are as `Clock` has them.
+    """
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    t: ColumnMap | None = None
+    start: str | None = None
+    delay: str = "0 s"
+    drift: str = "0 %"
+
+    @model_validator(mode="after")
+    def _sound(self) -> "ClockMap":
+        try:
+            Clock.of(self.delay, self.drift)
+            if self.start is not None and not of_texts([self.start], None, "start").dated:
+                raise ValueError(f"'{self.start:.40}' has no date")
+            if self.t is not None:
+                si_unit("t", self.t.unit or "s")
+        except HydrooptError as error:
+            raise ValueError(f"{error.what}, {error.remedy}") from None
+        return self
 
 
 class TextColumn(BaseModel):
@@ -104,23 +137,59 @@ class Labels(BaseModel):
 
 
 class LogMap(BaseModel):
-    """Map of the columns of a file with other headers; `read_map` reads it. Only tables of poses have `labels`."""
+    """Map of the columns of a file with other headers; `read_map` reads it. Only tables of poses have `labels`.
+
+    Attributes:
+        format: kind of file, where its name does not say.
+        header: whether a text table has one. What follows is detected where it is not stated:
+        skip: lines before the header, or before the first row of a table without one; comments not counted.
+        comment: what lines of comment begin with.
+        units_row: whether the line below the header states units.
+        delimiter: one character or "whitespace"; `decimal` mark, and the one between `thousands`.
+        encoding: of the text, as Python calls it.
+        dates: whether dates such as 03/04/2026 state the day or the month first.
+        rows: first and last 1-based data row to be read.
+        columns: by channel; `labels`: texts of poses; `clocks`: by group of channels.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
-    format: Literal["csv", "parquet", "mat"] | None = None
+    format: str | None = None
     header: bool = True
-    delimiter: str = ","
-    decimal: Literal[".", ","] = "."
+    skip: Annotated[int, Field(ge=0)] | None = None
+    comment: Annotated[str, Field(min_length=1)] | None = None
+    units_row: bool | None = None
+    delimiter: str | None = None
+    decimal: Literal[".", ","] | None = None
+    thousands: Literal[".", ",", " ", "'"] | None = None
+    encoding: str | None = None
+    dates: Literal["day first", "month first"] | None = None
     rows: Annotated[tuple[Annotated[int, Field(ge=1)], Annotated[int, Field(ge=1)]],
                     Field(strict=False)] | None = None
     columns: dict[str, ColumnMap]
     labels: Labels | None = None
+    clocks: dict[str, ClockMap] = {}
+
+    @field_validator("format")
+    @classmethod
+    def _format(cls, value: str | None) -> str | None:
+        if value is not None and value not in KINDS:
+            raise ValueError(f"'{value:.40}' is not one of {', '.join(KINDS)}")
+        return value
+
+    @field_validator("encoding")
+    @classmethod
+    def _encoding(cls, value: str | None) -> str | None:
+        try:
+            "".encode(value or "utf-8")
+        except (LookupError, ValueError):
+            raise ValueError(f"'{value:.40}' is not an encoding of text") from None
+        return value
 
     @field_validator("delimiter")
     @classmethod
-    def _delimiter(cls, value: str) -> str:
-        if value != "whitespace" and len(value) != 1:
+    def _delimiter(cls, value: str | None) -> str | None:
+        if value is not None and value != "whitespace" and len(value) != 1:
             raise ValueError("the delimiter is one character or 'whitespace'")
         return value
 
@@ -133,7 +202,13 @@ class LogMap(BaseModel):
 
     @model_validator(mode="after")
     def _channels(self) -> "LogMap":
+        if self.decimal is not None and self.decimal == self.thousands:
+            raise ValueError("'decimal' and 'thousands' are the same mark")
         for name, column in self.columns.items():
+            if name == "t" and not column.unit:
+                continue
+            if not column.unit:
+                raise ValueError(f"columns.{name}.unit: this key is missing")
             try:
                 column.shift(si_unit(name, column.unit), f"columns.{name}")
             except HydrooptError as error:
@@ -175,10 +250,8 @@ def for_log(layout: LogMap, where: str) -> LogMap:
     """The map itself, where a log can be read with it.
 
     Raises:
-        LogError: it has no time, or labels, which a log cannot keep.
+        LogError: it has labels, which a log cannot keep.
     """
-    if "t" not in layout.columns:
-        raise LogError("channel 't' is missing", where=where, remedy="correct the map")
     if layout.labels is not None:
         raise LogError("labels belong to tables of poses, not to a log over time", where=where,
                        remedy="remove [labels] from the map")
@@ -187,7 +260,7 @@ def for_log(layout: LogMap, where: str) -> LogMap:
 
 def _remedy(kind: str, key: str) -> str:
     if kind == "extra_forbidden":
-        tables: dict[str, type[BaseModel]] = {"columns": ColumnMap, "labels": Labels}
+        tables: dict[str, type[BaseModel]] = {"columns": ColumnMap, "labels": Labels, "clocks": ClockMap}
         allowed = tables.get(key.rpartition(".")[0].partition(".")[0], LogMap)
         return "use one of " + ", ".join(allowed.model_fields)
     return "correct that key" if key else "correct the map"

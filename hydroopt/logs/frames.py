@@ -1,4 +1,4 @@
-"""pandas DataFrames as tables of columns, and back: the boundary between a user's own data and SI arrays."""
+"""pandas DataFrames and Arrow tables as tables of columns, and back: a user's own data and SI arrays."""
 
 from __future__ import annotations
 
@@ -11,16 +11,16 @@ from hydroopt.errors import LogError
 from hydroopt.logs.channels import si_unit
 from hydroopt.logs.column_headers import map_of_header, parts_of
 from hydroopt.logs.column_map import Labels, LogMap, TextColumn
+from hydroopt.logs.stamps import of_column, of_datetimes
 from hydroopt.logs.table import Array, Table, in_si
 
 if TYPE_CHECKING:
     import pandas as pd
-
-TICKS = {"s": 1, "ms": 10**3, "us": 10**6, "ns": 10**9}
-"""Steps per second of numpy's resolutions of time."""
+    import pyarrow as pa
 
 
-def columns_of_frame(frame: pd.DataFrame, units: Mapping[str, str] | None, where: str, *,
+
+def columns_of_frame(frame: pd.DataFrame | pa.Table, units: Mapping[str, str] | None, where: str, *,
                      poses: bool = False) -> tuple[Table, LogMap, tuple[str, ...], dict[str, Array], dict[str, str]]:
     """Raw table, layout, columns left out, values (N,) in SI with the time ``t``, and the SI unit of each channel.
 
@@ -35,9 +35,12 @@ def columns_of_frame(frame: pd.DataFrame, units: Mapping[str, str] | None, where
         LogError: a column has no unit, two units or no numbers; the time is missing or stated twice.
     """
     import pandas as pd  # noqa: PLC0415 (import cost)
+    import pyarrow as pa  # noqa: PLC0415
 
+    if isinstance(frame, pa.Table | pa.RecordBatch):
+        frame = frame.to_pandas()
     if not isinstance(frame, pd.DataFrame):
-        raise LogError(f"this is a {type(frame).__name__}, not a pandas DataFrame", where=where,
+        raise LogError(f"this is a {type(frame).__name__}, not a pandas DataFrame or Arrow table", where=where,
                        remedy="give a DataFrame with columns such as 'boom.q [deg]'")
     if not len(frame):
         raise LogError("the frame has no rows", where=where, remedy="give at least one")
@@ -63,7 +66,10 @@ def columns_of_frame(frame: pd.DataFrame, units: Mapping[str, str] | None, where
     raw = {k: _numbers(series[k], names[k], where) for k in map(int, layout.keys)}  # type: ignore[arg-type]
     texts = {label.column: ["" if pd.isna(cell) else str(cell) for cell in series[int(label.column)]]
              for _, label in (layout.labels or Labels()) if isinstance(label, TextColumn)}
-    table = Table(dict(raw), np.arange(1, len(frame) + 1), texts=texts)  # type: ignore[arg-type]
+    epoch = None
+    if "t" in layout.columns and isinstance(column := series[int(layout.columns["t"].keys[0])], pd.Series):  # type: ignore[arg-type]
+        epoch = of_column(column.to_numpy())
+    table = Table(dict(raw), np.arange(1, len(frame) + 1), texts=texts, stamps=epoch)  # type: ignore[arg-type]
     values, si = in_si(layout, table, where)
     return table, layout, ignored, values, si
 
@@ -128,9 +134,4 @@ def _moments(values: Any) -> Array | None:
             values.dt.tz_convert("UTC").dt.tz_localize(None))
     elif getattr(dtype, "kind", "") not in "mM":
         return None
-    ticks = values.to_numpy()
-    missing = np.isnat(ticks)
-    if ticks.dtype.kind == "M":
-        ticks = ticks - ticks[~missing][:1] if np.any(~missing) else ticks - ticks
-    step = TICKS[np.datetime_data(ticks.dtype)[0]]
-    return np.where(missing, np.nan, ticks.astype(np.int64) / step)
+    return of_datetimes(values.to_numpy()).seconds()

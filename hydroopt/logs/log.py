@@ -15,11 +15,13 @@ from hydroopt.logs.column_headers import map_of_header
 from hydroopt.logs.column_map import LogMap, for_log, read_map
 from hydroopt.logs.frames import columns_of_frame, frame_of_columns
 from hydroopt.logs.quality import Finding
+from hydroopt.logs.stamps import of_datetimes
 from hydroopt.logs.table import Table, encoded_columns, frozen, refuse_damage, write_columns
 from hydroopt.logs.treatment import Samples, choose, treat
 
 if TYPE_CHECKING:
     import pandas as pd
+    import pyarrow as pa
 
 __all__ = ["Finding", "Log", "LogMap", "read_map"]
 
@@ -32,7 +34,7 @@ class Log:
 
     Attributes:
         name: short name, for tables and figures.
-        t: (N,) strictly increasing times [s].
+        t: (N,) strictly increasing times [s]; made of datetime64, they count from the first one, at its resolution.
         channels: (N,) values by channel name such as ``boom.q``, in SI.
         sample: (N,) 1-based data row in the file; survives dropping and cutting. Default 1..N.
         segment: (N,) index of the uninterrupted stretch a sample belongs to. Default: cut at gaps.
@@ -65,11 +67,11 @@ class Log:
 
     def __post_init__(self) -> None:
         where = self.path or self.name
-        if np.asarray(self.t).dtype.kind not in "fiu":
-            raise LogError(f"the time holds {np.asarray(self.t).dtype}, not seconds", where=where,
-                           remedy="subtract the first time and divide by numpy.timedelta64(1, 's'), or make the log by "
-                                  "Log.from_frame(frame, units={...})")
-        t = frozen(self.t, float)
+        given = np.asarray(self.t)
+        if given.dtype.kind not in "fiumM":
+            raise LogError(f"the time holds {given.dtype}, not seconds", where=where,
+                           remedy="give seconds, or datetime64, of which the first one is t = 0")
+        t = frozen(of_datetimes(given).seconds() if given.dtype.kind in "mM" else given, float)
         if t.ndim != 1 or t.size < 2 or not np.all(np.diff(t) > 0):
             raise LogError("times do not increase over two or more samples", where=where,
                            remedy="correct the time stamps or choose a longer stretch")
@@ -169,10 +171,10 @@ class Log:
         return frame_of_columns(self._columns())
 
     @classmethod
-    def from_frame(cls, frame: "pd.DataFrame", *, units: Mapping[str, str] | None = None, name: str = "frame",
-                   treatment: Mapping[str, str] | None = None,
+    def from_frame(cls, frame: "pd.DataFrame | pa.Table", *, units: Mapping[str, str] | None = None,
+                   name: str = "frame", treatment: Mapping[str, str] | None = None,
                    limits: Mapping[str, tuple[float, float]] | None = None) -> "Log":
-        """A log of a pandas DataFrame.
+        """A log of a pandas DataFrame or an Arrow table.
 
         Args:
             frame: columns named ``boom.q [deg]``, or ``boom.q`` with a unit in `units`; columns whose name has no dot
@@ -193,30 +195,30 @@ class Log:
         ([0.0, 0.02, 0.04], 'rad', 0.349066)
         """
         table, layout, ignored, values, si = columns_of_frame(frame, units, name)
-        return log_of_table(name, table, full_layout(layout, [], name)[0], ignored, (values, si), choose(treatment),
-                         limits or {})
+        full_layout(layout, [], name)
+        t = values.pop("t")
+        refuse_damage_of(table, t, name)
+        log = treated_log(name, t, values, table.rows, choose(treatment), limits or {}, si)
+        notes = left_out(layout, ignored, int(table.rows[0]), int(table.rows[-1]))
+        return replace(log, findings=log.findings + notes)
 
     def _columns(self) -> dict[str, Array]:
         headers = (f"{name} [{self.units[name]}]" for name in self.channels)
         return {"t [s]": self.t, **dict(zip(headers, self.channels.values(), strict=True))}
 
 
-def log_of_table(where: str, table: Table, layout: LogMap, ignored: tuple[str, ...],
-                 content: tuple[dict[str, Array], dict[str, str]], treatment: Mapping[str, str],
-                 limits: Mapping[str, tuple[float, float]]) -> Log:
-    """The log of a raw table and its columns in SI with their units, after checks and treatments.
+def treated_log(where: str, t: Array, channels: Mapping[str, Array], sample: NDArray[np.int64],
+                treatment: Mapping[str, str], limits: Mapping[str, tuple[float, float]],
+                units: Mapping[str, str]) -> Log:
+    """The log of times (N,), channels (N,) and data rows (N,), after checks and treatments.
 
     Raises:
-        LogError: rows are damaged, there is only one, or a kind of finding was found whose action is "error".
+        LogError: there is only one row, or a kind of finding was found whose action is "error".
     """
-    values, units = content
-    t = values.pop("t")
-    _refuse_damage(table, t, where)
-    if table.rows.size < 2:
+    if sample.size < 2:
         raise LogError("there is only one data row", where=where, remedy="record at least two samples")
-    samples, segment = treat(Samples(t, values, table.rows), treatment, limits, where)
-    notes = samples.findings + left_out(layout, ignored, int(table.rows[0]), int(table.rows[-1]))
-    return Log(where, samples.t, samples.channels, samples.sample, segment, notes, units=units)
+    samples, segment = treat(Samples(t, dict(channels), sample), treatment, limits, where)
+    return Log(where, samples.t, samples.channels, samples.sample, segment, samples.findings, units=units)
 
 
 def given_layout(mapping: LogMap | str | Path | None, where: str) -> LogMap | None:
@@ -224,16 +226,25 @@ def given_layout(mapping: LogMap | str | Path | None, where: str) -> LogMap | No
     return None if mapping is None else for_log(mapping, where) if isinstance(mapping, LogMap) else read_map(mapping)
 
 
-def full_layout(layout: LogMap | None, header: list[str], where: str) -> tuple[LogMap, tuple[str, ...]]:
+def full_layout(layout: LogMap | None, header: list[str], where: str, *,
+                timed: bool = False) -> tuple[LogMap, tuple[str, ...]]:
     """The map stated, or else what a header says, and the columns that this leaves out.
+
+    Args:
+        layout: the map.
+        header: of the file.
+        where: the file.
+        timed: whether its rows have stamps of their own, which no column states.
 
     Raises:
         LogError: there is no channel.
     """
     ignored: tuple[str, ...] = ()
     if layout is None:
-        layout, ignored = map_of_header(list(header), where)
-    if len(layout.columns) < 2:
+        layout, ignored = map_of_header(list(header), where, timed=timed)
+    if not timed and "t" not in layout.columns:
+        raise LogError("channel 't' is missing", where=where, remedy="map the column of the time")
+    if not layout.columns.keys() - {"t"}:
         raise LogError("there is a time but no channel", where=where,
                        remedy="add columns such as 'boom.q [deg]' or 'boom_cylinder.p_head [bar]'")
     return layout, ignored
@@ -251,8 +262,12 @@ def left_out(layout: LogMap, ignored: tuple[str, ...], first: int, last: int) ->
     return notes
 
 
-def _refuse_damage(table: Table, t: Array, where: str) -> None:
-    """Refuse rows that are cut or hold garbage; then also name those whose time is astray."""
+def refuse_damage_of(table: Table, t: Array, where: str) -> None:
+    """Refuse rows that are cut or hold garbage; then also name those whose time is astray.
+
+    Raises:
+        LogError: names the rows and the longest sound stretch.
+    """
     if not table.damage:
         return
     damage, sound = dict(table.damage), np.isfinite(t)

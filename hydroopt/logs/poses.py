@@ -14,8 +14,8 @@ from hydroopt.errors import LogError
 from hydroopt.logs.channels import refuse_other_units, si_unit
 from hydroopt.logs.column_headers import map_of_header
 from hydroopt.logs.column_map import Labels, LogMap, TextColumn, read_map
+from hydroopt.logs.formats.files import open_file
 from hydroopt.logs.frames import columns_of_frame, frame_of_columns
-from hydroopt.logs.readers import open_table
 from hydroopt.logs.table import Table, frozen, in_si, load, refuse_damage, write_columns
 
 if TYPE_CHECKING:
@@ -220,7 +220,9 @@ def read_poses(path: str | Path, *, mapping: LogMap | str | Path | None = None) 
     where = str(path)
     layout = mapping if isinstance(mapping, LogMap) or mapping is None else read_map(mapping, poses=True)
     data, digest, kind = load(path, layout.format if layout else None)
-    file = open_table(kind, data, where, layout)
+    if kind == "mat":
+        raise LogError("a .mat file has no columns of text", where=where, remedy="export it as .csv or .parquet")
+    file = open_file(kind, data, where, layout)
     if layout is None:
         layout, _ = map_of_header(file.header, where, poses=True)
     labels = [label for _, label in layout.labels or Labels()]

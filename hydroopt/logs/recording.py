@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import LogError
 from hydroopt.logs import quality
+from hydroopt.logs.clock import Clock
 from hydroopt.logs.log import Log, missing
 from hydroopt.logs.quality import Finding
 
@@ -69,17 +70,15 @@ class ChannelGroup:
         """The median step [s]."""
         return float(np.median(np.diff(self.t)))
 
-    def shifted(self, delay: float, drift: float = 0.0) -> ChannelGroup:
-        """The group with its stamps corrected: what happened at t was stamped t·(1 + `drift`) + `delay`.
+    def corrected(self, clock: Clock) -> ChannelGroup:
+        """The group with its stamps corrected for the delay and the drift of its clock.
 
-        Args:
-            delay: by how much the stamps are late [s]; may be negative.
-            drift: by how much the clock is fast [s/s].
-
-        >>> ChannelGroup("/imu", [0.02, 1.02], {"boom.qd": [0.1, 0.2]}).shifted(0.02).t.tolist()
+        >>> ChannelGroup("/imu", [0.02, 1.02], {"boom.qd": [0.1, 0.2]}).corrected(Clock(0.02)).t.tolist()
         [0.0, 1.0]
         """
-        return replace(self, t=(self.t - delay) / (1 + drift))
+        if clock.delay == clock.drift == 0:
+            return self
+        return replace(self, t=(self.t - clock.delay) / (1 + clock.drift))
 
 
 @dataclass(frozen=True)
@@ -92,7 +91,8 @@ class Recording:
         groups: in the order of the file; no channel stands in two of them.
         findings: what looked wrong and what was done about it.
         path: file it came from; several are joined by ", "; empty for a recording that was made.
-        sha256: of that file's bytes, or of the bytes of several files, one after the other.
+        sha256: of that file's bytes, or of the digests of several files.
+        clocks: what the stamps of groups lack, by name; `log` corrects them by delay and drift.
 
     Raises:
         LogError: there is no group, or a channel or group stands twice.
@@ -112,6 +112,7 @@ class Recording:
     findings: tuple[Finding, ...] = ()
     path: str = ""
     sha256: str = ""
+    clocks: Mapping[str, Clock] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         where = self.path or self.name
@@ -176,8 +177,9 @@ class Recording:
             LogError: there is no such group, or two groups have no time in common.
         """
         where = self.path or self.name
-        base = self._grid(grid, where)
-        others = [group for group in self.groups if group is not base]
+        groups = [group.corrected(self.clocks.get(group.name, Clock())) for group in self.groups]
+        base = groups[self._grid(grid, where)]
+        others = [group for group in groups if group is not base]
         keep, findings = np.ones(base.size, bool), self.findings
         for group in others:
             _refuse_apart(base, group, where)
@@ -207,16 +209,17 @@ class Recording:
         segment = np.cumsum(cut | _behind_a_loss(keep))
         return Log(self.name, t, channels, base.sample[keep], segment, findings, self.path, self.sha256, units)
 
-    def _grid(self, name: str | None, where: str) -> ChannelGroup:
+    def _grid(self, name: str | None, where: str) -> int:
+        """Index of the group whose stamps a log of the recording has."""
+        names = [group.name for group in self.groups]
         if name is not None:
-            for group in self.groups:
-                if group.name == name:
-                    return group
-            raise LogError(f"there is no group '{name}'", where=where,
-                           remedy=f"use one of {', '.join(group.name for group in self.groups)}")
-        needed = [group for group in self.groups
+            if name not in names:
+                raise LogError(f"there is no group '{name}'", where=where,
+                               remedy=f"use one of {', '.join(map(repr, names))}")
+            return names.index(name)
+        needed = [k for k, group in enumerate(self.groups)
                   if any(channel.rpartition(".")[2] in NEEDED for channel in group.channels)]
-        return min(needed or self.groups, key=lambda group: group.step)
+        return min(needed or range(len(names)), key=lambda k: self.groups[k].step)
 
 
 def _shown(group: ChannelGroup) -> str:

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.logs.column_map import LogMap
+from hydroopt.logs.formats.parquet_file import ParquetFile
 from hydroopt.logs.log import Log, full_layout, given_layout, left_out
 from hydroopt.logs.log_files import read_log
 from hydroopt.logs.quality import Finding
-from hydroopt.logs.readers import ParquetFile
 from hydroopt.logs.spline import MIN_SAMPLES, Grid
-from hydroopt.logs.table import FORMATS, in_si, refuse_damage
+from hydroopt.logs.table import in_si, kind_of, refuse_damage
 from hydroopt.logs.treatment import Samples, choose, treat
 
 Array = NDArray[np.float64]
@@ -242,8 +242,9 @@ def open_log(path: str | Path, *, mapping: LogMap | str | Path | None = None,
     Log('run': 100 samples, 1.98 s, 1 channel)
     """
     layout = given_layout(mapping, str(path))
-    kind = (layout.format if layout else None) or FORMATS.get(Path(path).suffix.lower())
-    if kind == "parquet" and os.path.isfile(path) and os.path.getsize(path):
+    packed = Path(path).suffix.lower() == ".gz"
+    if (kind_of(path, layout.format if layout else None) == "parquet" and not packed and os.path.isfile(path)
+            and os.path.getsize(path)):
         file = ParquetFile(Path(path), str(path), layout)
         if file.meta.num_rows > STREAMED and (rows := file.selected)[1] - rows[0] >= STREAMED:
             return stream(path, mapping=layout, treatment=treatment, limits=limits)

@@ -1,8 +1,10 @@
 """Raw columns of a file as numbers or texts, their writing, and what all file formats have in common."""
 
+import gzip
 import hashlib
 import io
 import os
+import zlib
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -16,11 +18,13 @@ from hydroopt.files import write_file
 from hydroopt.input_file import read_bytes
 from hydroopt.logs.channels import si_unit
 from hydroopt.logs.column_map import Key, LogMap
+from hydroopt.logs.stamps import Stamps
 from hydroopt.units import factor, largest
 
 Array = NDArray[np.float64]
 RawKey = Key | tuple[str, int | None]
-FORMATS = {".csv": "csv", ".txt": "csv", ".dat": "csv", ".parquet": "parquet", ".mat": "mat"}
+FORMATS = {".csv": "csv", ".txt": "csv", ".dat": "csv", ".tsv": "csv", ".asc": "csv",
+           ".parquet": "parquet", ".mat": "mat"}
 FILE_LIMIT = 2 * 1024**3
 """Largest file that is read [bytes]."""
 EXPANSION = 10
@@ -33,23 +37,25 @@ EXPANDED_LIMIT = 10 * 1000**3
 class Table:
     """Raw columns by key, each (N,); `rows` (N,) 1-based data rows; `damage`: why a row cannot be trusted.
 
-    `texts` are the columns (N,) that were asked for as texts, '' where a cell is empty.
+    `texts` are the columns (N,) that were asked for as texts, '' where a cell is empty; `stamps` the time, where it is
+    a date, an epoch or the file's own.
     """
 
     columns: dict[RawKey, Array]
     rows: NDArray[np.int64]
     damage: dict[int, str] = field(default_factory=dict)
     texts: dict[Key, list[str]] = field(default_factory=dict)
+    stamps: Stamps | None = None
 
 
 def load(path: str | Path, declared: str | None) -> tuple[bytes, str, str]:
-    """Bytes of a file, their SHA-256 and the format.
+    """Bytes of a file, unpacked if it ends in .gz, their SHA-256 as they lie in the file, and the format.
 
     Raises:
         LogError: the file is missing, no file, too large or of an unknown kind.
     """
     file, where = Path(path), str(path)
-    kind = declared or FORMATS.get(file.suffix.lower())
+    kind = kind_of(file, declared)
     if kind is None and os.path.isfile(file):
         raise LogError(f"'{file.suffix}' is not a kind of log that can be read", where=where,
                        remedy=f"use {', '.join(FORMATS)} or state 'format' in a map")
@@ -64,7 +70,29 @@ def load(path: str | Path, declared: str | None) -> tuple[bytes, str, str]:
     data = read_bytes(file, LogError, most=FILE_LIMIT, noun="log file")
     if not data.strip() or kind is None:
         raise LogError("the file is empty", where=where, remedy="record it again")
-    return data, hashlib.sha256(data).hexdigest(), kind
+    digest = hashlib.sha256(data).hexdigest()
+    return (_unpacked(data, where) if file.suffix.lower() == ".gz" else data), digest, kind
+
+
+def kind_of(path: str | Path, declared: str | None) -> str | None:
+    """The format of a file by its name, without .gz, unless a map declares it."""
+    file = Path(path)
+    return declared or FORMATS.get((file.with_suffix("") if file.suffix.lower() == ".gz" else file).suffix.lower())
+
+
+def _unpacked(data: bytes, where: str) -> bytes:
+    """The content of a gzip file, which may pack little bytes into many."""
+    try:
+        with gzip.open(io.BytesIO(data)) as file:
+            content = file.read(FILE_LIMIT + 1)
+    except (OSError, EOFError, zlib.error) as error:
+        raise unreadable("gzip", where, error) from None
+    if len(content) > FILE_LIMIT:
+        raise LogError(f"the file unpacks to more than {FILE_LIMIT / 1e9:.1f} GB", where=where,
+                       remedy="split it, or convert it to Parquet")
+    if not content.strip():
+        raise LogError("the file is empty", where=where, remedy="record it again")
+    return content
 
 
 def _memory() -> float:
@@ -82,17 +110,37 @@ def in_si(layout: LogMap, table: Table, where: str) -> tuple[dict[str, Array], d
     """
     values: dict[str, Array] = {}
     units: dict[str, str] = {}
+    made = stamps_of(layout, table)
     for name, column in layout.columns.items():
+        if name == "t" and made is not None:
+            values["t"] = made.seconds()
+            continue
+        if name == "t" and not column.unit:
+            raise LogError("the time is neither dates nor has a unit", where=where,
+                           remedy="name its column 't [s]' or state its 'unit' in the map")
         si = si_unit(name, column.unit)
         raw = [table.columns[key] for key in column.keys] or [np.zeros(len(table.rows))]
         with np.errstate(over="ignore", invalid="ignore"):
             difference = raw[0] if len(raw) == 1 else raw[0] - raw[1]
             values[name] = column.factor * factor(column.unit, si) * difference + column.shift(si, where)
         stated = np.all(np.isfinite(raw), axis=0)
-        for row in table.rows[stated & ~(np.abs(values[name]) <= largest(si))]:
+        beyond = stated & ~(np.abs(values[name]) <= largest(si))
+        if name == "t" and table.stamps is not None and np.count_nonzero(beyond) > beyond.size // 2:
+            raise LogError(f"the time is stated in {column.unit}, but its numbers are an epoch in {table.stamps.unit}",
+                           where=where, remedy=f"state its unit as {table.stamps.unit}")
+        for row in table.rows[beyond]:
             table.damage.setdefault(int(row), f"{name} beyond {largest(si):g} {si}")
         units[name] = si
     return values, {name: unit for name, unit in units.items() if name != "t"}
+
+
+def stamps_of(layout: LogMap, table: Table) -> Stamps | None:
+    """The stamps of a table's time; None where it is numbers, in the unit that the map states, that are no epoch."""
+    made, column = table.stamps, layout.columns.get("t")
+    if made is None or column is None or not made.unit:
+        return made
+    plain = column.factor == 1 and column.minus is column.offset is None
+    return made if plain and factor(column.unit, "s") == factor(made.unit, "s") else None
 
 
 def refuse_damage(damage: Mapping[int, str], every: NDArray[np.int64], where: str) -> None:
@@ -179,6 +227,9 @@ def find_column(key: Key, header: list[str], width: int, where: str) -> int:
         return key
     count = header.count(key)
     if count == 0:
+        bare = [name.partition("[")[0].rstrip() for name in header]
+        if bare.count(key) == 1:
+            return bare.index(key)
         present = f"those present are {', '.join(header[:40])}" if header else "no header is read"
         raise LogError(f"there is no column '{key}' ({present})", where=where,
                        remedy="correct the name in the map")

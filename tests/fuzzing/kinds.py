@@ -22,9 +22,9 @@ from hydroopt.codegen import parameter_source
 from hydroopt.control.model_variants import nominal_of, truth
 from hydroopt.errors import LONGEST, HydrooptError
 from hydroopt.estimation.dynamic.stored_information import stored_information
-from hydroopt.logs import matlab_process
 from hydroopt.logs.column_headers import map_of_header
 from hydroopt.logs.column_map import LogMap, read_map
+from hydroopt.logs.formats import mat_process
 from hydroopt.logs.log import Log
 from hydroopt.logs.log_files import read_log
 from hydroopt.logs.poses import read_poses
@@ -170,7 +170,7 @@ def _matlab(rng: random.Random, folder: Path) -> Callable[[], object]:
     """What SciPy's process does, without the process: a crash here is one that it contains."""
     data = matlab_bytes(rng)
     keys = KEYS[:2] if rng.random() < 0.8 else KEYS
-    return lambda: json.loads(matlab_process.answer(data, keys).partition(b"\n")[0])
+    return lambda: json.loads(mat_process.answer(data, keys).partition(b"\n")[0])
 
 
 def _matlab_process(rng: random.Random, folder: Path) -> Callable[[], object]:

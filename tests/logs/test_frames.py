@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pandas as pd
+import pyarrow as pa
 import pytest
 
 from hydroopt.errors import LogError
@@ -132,10 +133,25 @@ def test_a_log_takes_si_and_seconds_only() -> None:
         Log("run", T, {"boom.q": ANGLE}, units={"boom.q": "deg"})
     with pytest.raises(LogError, match="table of poses holds SI"):
         Poses("run", channels={"boom.q": ANGLE}, units={"boom.q": "deg"})
-    for t in (np.datetime64("2026-01-01", "ms") + np.arange(N), np.arange(N).astype("timedelta64[ms]")):
-        with pytest.raises(LogError, match=r"not seconds; .*from_frame"):
-            Log("run", t, {"boom.q": ANGLE})
+    with pytest.raises(LogError, match="holds bool, not seconds"):
+        Log("run", np.ones(N, bool), {"boom.q": ANGLE})
     assert Log("run", T, {"boom.q": T}, units={"boom.q": "m"}).units["boom.q"] == "m"  # where a joint slides
+
+
+@pytest.mark.parametrize("unit", ["ms", "us", "ns"])
+def test_a_log_of_datetimes_counts_from_the_first_at_their_resolution(unit) -> None:
+    steps = 3 * np.arange(N).astype(f"timedelta64[{unit}]")
+    seconds = 3 * np.arange(N) / {"ms": 10**3, "us": 10**6, "ns": 10**9}[unit]
+    for t in (np.datetime64("2026-01-01", unit) + steps, steps):
+        np.testing.assert_array_equal(Log("run", t, {"boom.q": ANGLE}).t, seconds)
+
+
+def test_an_arrow_table_is_a_frame() -> None:
+    made = pa.table({"t": pa.array(np.datetime64("2026-01-01", "ns") + 20_000_001 * np.arange(N)),
+                     "boom.q": ANGLE})
+    log = Log.from_frame(made, units={"boom.q": "rad"})
+    np.testing.assert_array_equal(log.t, 20_000_001 * np.arange(N) / 10**9)
+    np.testing.assert_array_equal(log.channels["boom.q"], ANGLE)
 
 
 @pytest.mark.parametrize("given", [frame(), [frame()], None, {"t": T}, "log.csv"])

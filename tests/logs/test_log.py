@@ -253,7 +253,6 @@ BAD_MAPS = {
     "wrong unit": (T_LINE + '"a.q" = {column = "a", unit = "bar"}', "'bar' does not suit"),
     "offset": (T_LINE + '"a.q" = {column = "a", unit = "deg", offset = "3 bar"}', "a.q"),
     "suffix": (T_LINE + '"a.w" = {column = "a", unit = "deg"}', "not a channel"),
-    "no time": ('[columns]\n"a.q" = {column = "a", unit = "deg"}', "'t' is missing"),
     "rows": ("rows = [5, 2]\n" + T_LINE, "rows"),
     "not toml": ("[columns", "not valid TOML"),
 }
@@ -325,7 +324,7 @@ def test_numbers_beyond_any_machine_are_refused_in_every_format(tmp_path, kind, 
 
 def test_a_matlab_file_that_takes_too_long_is_refused(tmp_path, monkeypatch):
     savemat(tmp_path / "log.mat", {"t": np.arange(9.0)[:, None]})
-    monkeypatch.setattr("hydroopt.logs.matlab.SECONDS", 0.01)
+    monkeypatch.setattr("hydroopt.logs.formats.mat_file.SECONDS", 0.01)
     with pytest.raises(LogError, match="not read within"):
         read_log(tmp_path / "log.mat", mapping=LogMap.model_validate(
             {"columns": {"t": {"variable": "t", "unit": "s"}, "a.q": {"variable": "t", "unit": "rad"}}}))

@@ -259,8 +259,9 @@ def test_logs_refuse_maps_with_labels_and_still_need_time(table):
     labelled = table(A_Q + 't = { column = "t", unit = "s" }\n[labels]\nstage = "x"\n', "map.toml")
     timeless = table(A_Q, "timeless.toml")
     path = table("t,a\n0,1\n1,2\n")
-    for layout, pattern in ((labelled, "labels belong to tables of poses.*; remove"), (timeless, "'t' is missing")):
-        with pytest.raises(LogError, match=rf"{layout.name}: .*{pattern}"):
+    for layout, place, pattern in ((labelled, "map", "labels belong to tables of poses.*; remove"),
+                                   (timeless, r"poses\.csv", "'t' is missing")):
+        with pytest.raises(LogError, match=rf"{place}.*: .*{pattern}"):
             read_log(path, mapping=layout)
         with pytest.raises(LogError, match=rf"poses\.csv: .*{pattern}"):
             read_log(path, mapping=read_map(layout, poses=True))

@@ -31,7 +31,7 @@ def write(path: Path, data: dict[str, np.ndarray], group: int | None = None) -> 
 @pytest.mark.parametrize("group", [700, None])
 def test_ranges_hold_what_the_whole_log_holds(
         tmp_path: Path, group: int | None, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("hydroopt.logs.readers.BATCH", 300)
+    monkeypatch.setattr("hydroopt.logs.formats.parquet_file.BATCH", 300)
     path = write(tmp_path / "log.parquet", columns(), group)
     whole = read_log(path)
     ranges = [(1, 10), (5, 2000), (1990, 2001), (4000, 5000), (5000, 5000)]

@@ -117,7 +117,7 @@ def test_workers_change_no_bit(cat215b: Model, totals: StreamedExperiment, worke
 def test_memory_does_not_grow_with_the_log(cat215b: Model, log: Log, tmp_path: Path,
                                            monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(streaming, "BLOCK", 256)
-    monkeypatch.setattr("hydroopt.logs.readers.BATCH", 2048)
+    monkeypatch.setattr("hydroopt.logs.formats.parquet_file.BATCH", 2048)
     peaks = []
     for copies in (2, 8):
         t = np.arange(copies * log.size) / 50

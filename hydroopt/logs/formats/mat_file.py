@@ -10,10 +10,11 @@ from pathlib import Path
 import numpy as np
 
 from hydroopt.errors import LogError
-from hydroopt.logs.column_map import LogMap
-from hydroopt.logs.table import RawKey, Table, selected, unreadable
+from hydroopt.logs import stamps
+from hydroopt.logs.column_map import Key, LogMap
+from hydroopt.logs.table import Array, RawKey, Table, selected, unreadable
 
-PROGRAM = Path(__file__).with_name("matlab_process.py")
+PROGRAM = Path(__file__).with_name("mat_process.py")
 MEMORY = 2 * 1000**3
 """Memory [bytes] that reading a file may take beside the file's own size."""
 SECONDS = 50
@@ -26,6 +27,8 @@ class MatFile:
     A process of its own reads it, since damaged files crash SciPy's reader. It starts in about half a second.
     """
 
+    own_stamps, shown = False, ""
+
     def __init__(self, data: bytes, where: str, layout: LogMap | None) -> None:
         if layout is None:
             raise LogError("a .mat file says nothing about units", where=where,
@@ -35,8 +38,8 @@ class MatFile:
         self.header: list[str] = []
         self.where, self._data, self._rows = where, data, layout.rows
 
-    def read(self, keys: Sequence[RawKey]) -> Table:
-        """The variables `keys` as numbers, all of one length."""
+    def read(self, keys: Sequence[RawKey], texts: Sequence[Key] = (), time: RawKey | None = None) -> Table:
+        """The variables `keys` as numbers, all of one length; there are no texts."""
         wanted = [key for key in keys if isinstance(key, tuple)]
         if len(wanted) < len(keys):
             raise LogError("the map names a 'column'", where=self.where,
@@ -53,7 +56,8 @@ class MatFile:
                            remedy="map variables of one recording")
         rows = selected(sizes[0], self._rows, self.where)
         columns = np.frombuffer(numbers).reshape(len(wanted), -1)
-        return Table({key: column[rows - 1] for key, column in zip(wanted, columns, strict=True)}, rows)
+        found: dict[RawKey, Array] = {key: column[rows - 1] for key, column in zip(wanted, columns, strict=True)}
+        return Table(found, rows, stamps=None if time is None else stamps.of_column(found[time]))
 
     def _answer(self, keys: list[tuple[str, int | None]]) -> bytes:
         limits = json.dumps([keys, MEMORY + 2 * len(self._data), SECONDS])

@@ -1,6 +1,7 @@
 """The program of the process in which SciPy reads a MATLAB file, since damaged ones crash the interpreter.
 
-It imports nothing of hydroopt, so that it starts fast. `hydroopt.logs.matlab` starts it with the file as its input.
+It imports nothing of hydroopt, so that it starts fast. `hydroopt.logs.formats.mat_file` starts it with the file as its
+input.
 """
 
 from __future__ import annotations

@@ -1,0 +1,137 @@
+"""Parquet files and Arrow tables; sizes are judged before anything is allocated."""
+
+from collections import deque
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from hydroopt.errors import LogError
+from hydroopt.logs import stamps
+from hydroopt.logs.column_map import Key, LogMap
+from hydroopt.logs.table import Array, RawKey, Table, check_size, find_column, selected, unreadable
+
+BATCH = 2**16
+"""Rows decoded at a time, and bytes read at a time, of a Parquet file that is read in pieces."""
+
+
+class ParquetFile:
+    """A Parquet file, in memory or on disk; sizes are judged from its metadata before anything is allocated."""
+
+    own_stamps, shown = False, ""
+
+    def __init__(self, source: bytes | Path, where: str, layout: LogMap | None) -> None:
+        from pyarrow import ArrowException, BufferReader  # noqa: PLC0415 (import cost)
+        from pyarrow.parquet import ParquetFile as Reader  # noqa: PLC0415
+
+        self.where, self._rows = where, layout.rows if layout else None
+        try:
+            self._file = (Reader(BufferReader(source)) if isinstance(source, bytes)
+                          else Reader(source, buffer_size=BATCH, pre_buffer=False))
+        except (ArrowException, OSError, ValueError) as error:
+            raise unreadable("Parquet", where, error) from None
+        self.meta = self._file.metadata
+        if isinstance(source, bytes):
+            check_size(self.meta.num_rows * self.meta.num_columns * 8, where)
+        if self.meta.num_rows < 1:
+            raise LogError("the table has no rows", where=where, remedy="record it again")
+        from pyarrow import types  # noqa: PLC0415 (import cost)
+
+        # dates have the unit that their stamps will have
+        self._names: list[str] = list(self._file.schema_arrow.names)
+        self.header: list[str] = [f"{field.name} [s]" if field.name == "t" and types.is_timestamp(field.type)
+                                  else field.name for field in self._file.schema_arrow]
+
+    @property
+    def selected(self) -> tuple[int, int]:
+        """First and last 1-based data row that the map selects."""
+        rows = selected(self.meta.num_rows, self._rows, self.where)
+        return int(rows[0]), int(rows[-1])
+
+    def _column(self, key: RawKey, *, moment: bool = False) -> str:
+        """The name of a column of numbers, or of moments."""
+        from pyarrow import types  # noqa: PLC0415 (import cost)
+
+        if isinstance(key, tuple):
+            raise LogError("the map names a 'variable', which only .mat files have", where=self.where,
+                           remedy="use 'column'")
+        name = self._names[find_column(key, self.header, len(self.header), self.where)]
+        kind = self._file.schema_arrow.field(name).type
+        if moment and (types.is_timestamp(kind) or types.is_duration(kind)):
+            return name
+        if not (types.is_integer(kind) or types.is_floating(kind) or types.is_decimal(kind)):
+            raise LogError(f"column '{name}' holds {kind}, not numbers", where=self.where,
+                           remedy="convert the column to float64")
+        return name
+
+    def pieces(self, keys: Sequence[RawKey], ranges: Sequence[tuple[int, int]]) -> Iterator[Table]:
+        """The columns `keys` as numbers, nulls NaN, of ranges of 1-based data rows (first, last) that may overlap.
+
+        The ranges come in the order of both their ends. No more of the file is held than the widest of them.
+        """
+        from pyarrow import ArrowException  # noqa: PLC0415 (import cost)
+
+        names = [self._column(key) for key in keys]
+        held: list[tuple[int, list[Array]]] = []  # first row, and columns
+        waiting = deque(ranges)
+        batches = self._batches(names, ranges)
+        while waiting:
+            first, last = waiting[0]
+            held = [(row, columns) for row, columns in held if row + columns[0].size > first]
+            while not held or held[-1][0] + held[-1][1][0].size <= last:
+                try:
+                    row, batch = next(batches)
+                    if row + batch.num_rows > first:
+                        held.append((row, [np.asarray(batch.column(name).cast("float64"), dtype=float)
+                                           for name in names]))
+                except (ArrowException, OSError, ValueError) as error:
+                    raise unreadable("Parquet", self.where, error) from None
+                except StopIteration:
+                    raise unreadable("Parquet", self.where, ValueError("fewer rows than declared")) from None
+            parts = [[column[max(0, first - row) : last + 1 - row] for column in columns] for row, columns in held]
+            yield Table(dict(zip(keys, map(np.concatenate, zip(*parts, strict=True)), strict=True)),
+                        np.arange(first, last + 1))
+            waiting.popleft()
+
+    def _batches(self, names: list[str], ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, Any]]:
+        """(first row, Arrow record batch) of the row groups that hold any of the ranges."""
+        row = 1
+        for group in range(self.meta.num_row_groups):
+            stop = row + self.meta.row_group(group).num_rows
+            if any(first < stop and last >= row for first, last in ranges):
+                for batch in self._file.iter_batches(BATCH, [group], list(dict.fromkeys(names)), use_threads=False):
+                    yield row, batch
+                    row += batch.num_rows
+            row = stop
+
+    def read(self, keys: Sequence[RawKey], texts: Sequence[Key] = (), time: RawKey | None = None) -> Table:
+        """The columns `keys` as numbers, where nulls are NaN, and the columns `texts` as texts."""
+        from pyarrow import ArrowException  # noqa: PLC0415 (import cost)
+
+        rows = selected(self.meta.num_rows, self._rows, self.where)
+        columns: dict[RawKey, Array] = {}
+        made = None
+        for key in keys:
+            name = self._column(key, moment=key == time)
+            try:
+                column = self._file.read(columns=[name]).column(0)
+                if key == time and (made := stamps.of_column(column.to_numpy()[rows - 1])) and not made.unit:
+                    columns[key] = made.seconds()
+                    continue
+                columns[key] = np.asarray(column.cast("float64").to_numpy(), dtype=float)[rows - 1]
+            except (ArrowException, OSError, ValueError, IndexError) as error:
+                raise unreadable("Parquet", self.where, error) from None
+        return Table(columns, rows, stamps=made, texts={
+            key: [cells[row - 1] for row in rows] for key, cells in zip(texts, map(self._text, texts), strict=True)})
+
+    def _text(self, key: Key) -> list[str]:
+        from pyarrow import ArrowException  # noqa: PLC0415 (import cost)
+
+        name = self._names[find_column(key, self.header, len(self.header), self.where)]
+        try:
+            cells = self._file.read(columns=[name]).column(0).cast("string").to_pylist()
+        except (ArrowException, OSError, ValueError, IndexError):
+            raise LogError(f"column '{name}' cannot be read as text", where=self.where,
+                           remedy="convert the column to strings") from None
+        return ["" if cell is None else cell for cell in cells]

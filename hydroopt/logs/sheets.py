@@ -1,0 +1,159 @@
+"""Which channels stand in which sheet of a file, or in which of several files, and with which clock."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+from hydroopt.errors import LogError
+from hydroopt.logs.clock import Clock
+from hydroopt.logs.column_headers import map_of_header, parts_of
+from hydroopt.logs.column_map import ClockMap, ColumnMap, LogMap
+from hydroopt.logs.formats.log_file import LogFile
+from hydroopt.logs.table import RawKey
+
+
+@dataclass(frozen=True)
+class Sheet:
+    """A sheet of a file by its name; that of a file with one sheet is empty unless there are several files."""
+
+    name: str
+    where: str
+    content: LogFile
+
+
+@dataclass(frozen=True)
+class Part:
+    """Columns of a sheet that have one clock.
+
+    Attributes:
+        name: of the group.
+        where: the file, and the sheet if it has several.
+        sheet: that holds the columns; `layout`: the map of these columns alone.
+        ignored: columns that are no channels.
+        clock: what its stamps lack; `start`: moment of t = 0 as a text, or empty.
+        padded: whether rows without time and numbers are the end of shorter columns.
+    """
+
+    name: str
+    where: str
+    sheet: LogFile
+    layout: LogMap
+    ignored: tuple[str, ...] = ()
+    clock: Clock = field(default_factory=Clock)
+    start: str = ""
+    padded: bool = False
+
+    @property
+    def time(self) -> RawKey | None:
+        """The raw column of the time; None of a sheet with stamps of its own."""
+        column = self.layout.columns.get("t")
+        return column.keys[0] if column is not None and column.keys else None
+
+
+def parts_without_map(sheets: Sequence[Sheet], where: str) -> list[Part]:
+    """The parts of sheets whose headers are `name [unit]`; those of several without a channel are left out.
+
+    Raises:
+        LogError: there is no channel, or no time.
+    """
+    parts = []
+    for sheet in sheets:
+        header = sheet.content.header
+        if len(sheets) > 1 and not any("." in parts_of(name)[0] and parts_of(name)[1] for name in header):
+            continue
+        layout, ignored = map_of_header(list(header), sheet.where, timed=sheet.content.own_stamps)
+        _refuse_idle(layout, sheet.where)
+        parts.append(Part(sheet.name, sheet.where, sheet.content, layout, ignored))
+    if not parts:
+        shown = ", ".join(f"'{name}'" for sheet in sheets for name in sheet.content.header[:4])
+        raise LogError(f"no column is a channel with a unit, such as 'boom.q [deg]' (present: {shown[:200]})",
+                       where=where, remedy="give a map of the columns with --map, which hydroopt map proposes")
+    return parts
+
+
+def parts_of_map(layout: LogMap, sheets: Sequence[Sheet], where: str) -> list[Part]:
+    """The parts of sheets that a map names.
+
+    Raises:
+        LogError: a column stands in no sheet or in several, or there is no time.
+    """
+    _refuse_idle(layout, where)
+    found: dict[tuple[int, str], dict[str, ColumnMap]] = {}
+    constants: dict[str, ColumnMap] = {}
+    for channel, column in layout.columns.items():
+        if channel == "t":
+            continue
+        if not column.keys:
+            constants[channel] = column
+            continue
+        k = _sheet_of(column, channel, layout, sheets, where)
+        names = {sheet.name for sheet in sheets}
+        clock = column.group if column.group is not None and column.group not in names else sheets[k].name
+        found.setdefault((k, clock), {})[channel] = column
+    if not found:
+        found[0, sheets[0].name] = {}
+    parts: list[Part] = []
+    for (k, name), columns in found.items():
+        sheet, stated = sheets[k], layout.clocks.get(name, ClockMap())
+        held = columns if parts else columns | constants
+        ordered = {channel: held[channel] for channel in layout.columns if channel in held}
+        if (time := _time_of(sheet, stated, layout, alone=len(sheets) == 1)) is not None:
+            ordered = {"t": time} | ordered
+        parts.append(Part(name, sheet.where, sheet.content, layout.model_copy(update={"columns": ordered}), (),
+                          Clock.of(stated.delay, stated.drift), stated.start or "", stated.t is not None))
+    if unknown := set(layout.clocks) - {part.name for part in parts}:
+        raise LogError(f"there is no group '{min(unknown)}' (present: {', '.join(repr(part.name) for part in parts)})",
+                       where=where, remedy="correct the name in [clocks]")
+    return parts
+
+
+def _refuse_idle(layout: LogMap, where: str) -> None:
+    if not layout.columns.keys() - {"t"}:
+        raise LogError("there is a time but no channel", where=where,
+                       remedy="add columns such as 'boom.q [deg]' or 'boom_cylinder.p_head [bar]'")
+
+
+def _sheet_of(column: ColumnMap, channel: str, layout: LogMap, sheets: Sequence[Sheet], where: str) -> int:
+    """Index of the sheet in which a column stands."""
+    named = [k for k, sheet in enumerate(sheets) if sheet.name == column.group]
+    if column.group is not None and not named and column.group not in layout.clocks:
+        present = ", ".join(f"'{sheet.name}'" for sheet in sheets[:20])
+        raise LogError(f"there is no group '{column.group}' for '{channel}' (present: {present})", where=where,
+                       remedy="correct 'group' in the map, or add the clock")
+    candidates = named or list(range(len(sheets)))
+    if len(candidates) == 1:
+        return candidates[0]
+    holding = [k for k in candidates if all(_holds(sheets[k].content, key) for key in column.keys)]
+    if len(holding) == 1:
+        return holding[0]
+    shown = f"column {column.column!r}" if column.column is not None else f"variable '{column.variable}'"
+    if not holding:
+        present = ", ".join(name for sheet in sheets for name in sheet.content.header)
+        raise LogError(f"there is no {shown} (present are {present[:160]})", where=where,
+                       remedy="correct the name in the map")
+    raise LogError(f"{shown} of '{channel}' stands in {', '.join(repr(sheets[k].name) for k in holding[:4])}",
+                   where=where, remedy=f"state group = '{sheets[holding[0]].name}' or another one of them in the map")
+
+
+def _holds(sheet: LogFile, key: RawKey) -> bool:
+    if not isinstance(key, str):
+        return isinstance(key, int) and key < len(sheet.header)
+    return key in sheet.header or [parts_of(name)[0] for name in sheet.header].count(key) == 1
+
+
+def _time_of(sheet: Sheet, clock: ClockMap, layout: LogMap, *, alone: bool) -> ColumnMap | None:
+    """The column of the time of a sheet; None where it has stamps of its own.
+
+    Raises:
+        LogError: it has neither.
+    """
+    if clock.t is not None:
+        return clock.t
+    common = layout.columns.get("t")
+    if common is not None and (alone or not common.keys or all(_holds(sheet.content, key) for key in common.keys)):
+        return common
+    if sheet.content.own_stamps:
+        return None
+    raise LogError("channel 't' is missing" + ("" if alone else f" in '{sheet.name}'"), where=sheet.where,
+                   remedy="map the column of the time" + ("" if alone else f", as t in [clocks.\"{sheet.name}\"]"))
