@@ -168,6 +168,8 @@ def _merged(base: Any, own: Any, key: str = "") -> Any:
     """
     if isinstance(base, dict) and isinstance(own, dict):
         return base | {name: _merged(base[name], value, name) if name in base else value for name, value in own.items()}
+    if own and not isinstance(base, dict) and isinstance(own, dict) and "value" not in own and own.keys() <= _NOTE_KEYS:
+        return {"value": base} | own  # of a sidecar, which states what is known of a robot file's number
     parts = [part for each in (base, own) if isinstance(each, list) for part in each]
     if not parts or not isinstance(base, list) or not isinstance(own, list) or not all(
             isinstance(part, dict) and "name" in part for part in parts):
@@ -359,7 +361,17 @@ def dump_machine(machine: Machine) -> str:
     >>> read_machine(dump_machine(machine)) == machine
     True
     """
-    return tomlkit.dumps(_plain(machine, "", machine))
+    return dump_tables(machine_file_tables(machine))
+
+
+def machine_file_tables(machine: Machine) -> dict[str, Any]:
+    """The tables of a machine file (SI units)."""
+    return _plain(machine, "", machine)
+
+
+def dump_tables(tables: Mapping[str, Any]) -> str:
+    """Text of a machine file's tables."""
+    return tomlkit.dumps(tables)
 
 
 def _plain(node: BaseModel, path: str, machine: Machine) -> dict[str, Any]:

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from hydroopt.spatial.inertia import Array
+from hydroopt.spatial.poses import RIGHT
 
 ORIGIN = (0.0, 0.0, 0.0)
 
@@ -30,8 +31,10 @@ def inverse(of: Array) -> Array:
 
 
 def turn(about: int, angle: float) -> Array:
-    """Rotation matrix (3, 3) about x, y or z by an angle [rad]."""
+    """Rotation matrix (3, 3) about x, y or z by an angle [rad]; right angles are exact."""
     c, s = math.cos(angle), math.sin(angle)
+    if min(abs(c), abs(s)) < RIGHT:
+        c, s = float(round(c)), float(round(s))
     i, j = (about + 1) % 3, (about + 2) % 3
     matrix = np.eye(3)
     matrix[[i, j, i, j], [i, j, j, i]] = c, c, -s, s

@@ -17,10 +17,10 @@ import numpy as np
 from hydroopt.errors import MachineError
 from hydroopt.machine.machine import BASE
 from hydroopt.machine.robot_formats.axes import Numbers, onto, reaching
-from hydroopt.machine.robot_formats.frames import ORIGIN, frame_about, inverse, pose, shift, tidy
+from hydroopt.machine.robot_formats.bodies import central
+from hydroopt.machine.robot_formats.frames import ORIGIN, frame_about, inverse, shift, tidy
 from hydroopt.machine.robot_formats.sidecar import Sidecar
 from hydroopt.machine.robot_formats.tree import RobotTree, TreeJoint, like
-from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 
 _NONE = ""  # stands for the joint that carries the root; a robot's joint may well be called "base"
@@ -91,9 +91,15 @@ class _Conversion:
         self.held = [joint for joint in followers if joint.name not in self.moving]
         self.names: dict[str, str] = {_NONE: BASE}
         self.taken = {BASE}
+        self.poses = {tree.root: Placed(_NONE, np.eye(4))}
+        self.axes: dict[str, Placed] = {}
 
     def tables(self) -> Tables:
         self._place()
+        if self.sidecar.stated:
+            order = list(self.sidecar.frames)
+            self.axes = dict(sorted(self.axes.items(), key=lambda item: order.index(item[0]) if item[0] in order
+                                    else len(order)))
         links: list[dict[str, Any]] = []
         self.starts, self.ends = {_NONE: np.eye(4)}, {_NONE: Numbers(0.0, 0.0)}
         self.used: set[str] = set()  # whose far end leads to a joint already
@@ -105,8 +111,9 @@ class _Conversion:
         held = ", ".join(joint.name for joint in self.held)
         description = (f"from {Path(tree.file).name}, '{tree.root}'" + (f" to '{tip}'" if tip else "")
                        + (f"; held: {held}" if held else ""))
-        tables: dict[str, Any] = {"name": _named(tree.name, set(), "machine"), "description": description,
-                                  "links": links}
+        tables: dict[str, Any] = {"name": _named(tree.name, set(), "machine"), "links": links}
+        if not self.sidecar.stated:
+            tables["description"] = description
         if tree.gravity is not None:
             tables["gravity"] = _quantity(tree.gravity, "m/s^2")
         tables |= {key: parts for key, parts in (("drives", self._drives()), ("couplings", self._couplings()),
@@ -129,8 +136,6 @@ class _Conversion:
 
     def _place(self) -> None:
         """Of each link, and of each moving joint's frame at rest, what carries it."""
-        self.poses = {self.tree.root: Placed(_NONE, np.eye(4))}
-        self.axes: dict[str, Placed] = {}
         for joint in self.tree.joints.values():
             if joint.parent not in self.poses or joint.name.partition(".")[0] in self.sidecar.cylinders:
                 continue
@@ -183,7 +188,7 @@ class _Conversion:
                                remedy=f"undo the change, correct links[{own}] in {self.sidecar.file}, or remove that")
         link["joint"] = self._joint(joint) | _denavit_hartenberg(Numbers(
             tidy(rest[2, 3] + end.d), tidy(math.remainder(math.atan2(rest[1, 0], rest[0, 0]) + end.theta, math.tau)),
-            end.a, end.alpha, end.beta))
+            end.a, end.alpha, end.beta), complete=self.sidecar.stated)
         to_body = inverse(end.near_end())
         masses = [to_body @ at @ mass @ at.T @ to_body.T for each, at in moved.items()
                   if (mass := self.tree.masses[each]) is not None]
@@ -198,7 +203,7 @@ class _Conversion:
         unit = "m" if joint.kind == "prismatic" else "rad"
         found: dict[str, Any] = {"type": joint.kind}
         own = self.names[joint.name]
-        if joint.mimic is not None or own in self.sidecar.dependent:
+        if (joint.mimic is not None and not self.sidecar.stated) or own in self.sidecar.dependent:
             found["dependent"] = True
         else:
             found |= dict(zip(("lower", "upper"), (_quantity(value, unit) for value in self._limits(joint)),
@@ -207,7 +212,7 @@ class _Conversion:
                 found["max_speed"] = _quantity(joint.max_speed, f"{unit}/s")
             if not joint.driven and not self.sidecar.stated:
                 found["passive"] = True
-        if not self._driven(joint) and (friction := _friction(joint)):
+        if not self._driven(joint) and own not in self.sidecar.motors and (friction := _friction(joint)):
             found["friction"] = friction
         if joint.spring is not None and joint.spring.stiffness:
             effort = "N" if unit == "m" else "N*m"
@@ -249,7 +254,7 @@ class _Conversion:
     def _couplings(self) -> list[dict[str, Any]]:
         found = []
         for joint in self._each():
-            if joint.mimic is None:
+            if joint.mimic is None or self.names[joint.name] in self.sidecar.related:
                 continue
             own, master = self.tree.joints[joint.name], self.tree.joints[joint.mimic.master]
             unit, other = ("m" if each.kind == "prismatic" else "rad" for each in (own, master))
@@ -261,9 +266,15 @@ class _Conversion:
         return found
 
     def _cylinders(self) -> list[dict[str, Any]]:
-        """Bodies of barrels and rods that the sidecar's cylinders have in the robot file, and the barrel's pins."""
+        """Bodies of barrels and rods that the sidecar's cylinders have in the robot file."""
         found = []
-        for name in self.sidecar.cylinders:
+        for name, pin in self.sidecar.cylinders.items():
+            for turning in (f"{name}.barrel_turn", f"{name}.barrel"):
+                first = self.tree.joints.get(turning)
+                if first is not None and first.parent in self.poses and max(abs(first.origin[:3, 3] - pin)) > _APART:
+                    raise MachineError("the barrel's pin is not where the sidecar has it",
+                                       where=f"{self.tree.file}: joint '{turning}'",
+                                       remedy=f"move it in cylinders[{name}].barrel.pin of {self.sidecar.file} as well")
             ends: dict[str, dict[str, Any]] = {}
             for end in ("barrel", "rod"):
                 if (mass := self.tree.masses.get(f"{name}.{end}")) is not None:
@@ -279,9 +290,10 @@ def _friction(joint: TreeJoint) -> dict[str, str]:
     return {key: _quantity(value, unit) for key, (value, unit) in stated.items() if value}
 
 
-def _denavit_hartenberg(numbers: Numbers) -> dict[str, str]:
+def _denavit_hartenberg(numbers: Numbers, *, complete: bool = False) -> dict[str, str]:
     units: Mapping[str, str] = {"theta": "rad", "d": "m", "a": "m", "alpha": "rad", "beta": "rad"}
-    return {key: _quantity(getattr(numbers, key), unit) for key, unit in units.items() if getattr(numbers, key)}
+    return {key: _quantity(value, unit) for key, unit in units.items()
+            if (value := getattr(numbers, key)) or complete}
 
 
 def _quantity(value: float, unit: str) -> str:
@@ -294,10 +306,7 @@ def _quantities(values: Any, unit: str) -> list[str]:
 
 def _body(pseudo: Array) -> dict[str, Any]:
     """Body of a pseudo-inertia (4, 4)."""
-    m = float(pseudo[3, 3])
-    com = pseudo[:3, 3] / (m or 1.0)
-    back = pose(np.eye(3), -com)
-    about_com = inertia.from_pseudo_inertia(back @ pseudo @ back.T)[4:]
+    m, com, about_com = central(pseudo)
     return {"m": _quantity(m, "kg"), "com": _quantities(com, "m"), "inertia_com": _quantities(about_com, "kg*m^2")}
 
 

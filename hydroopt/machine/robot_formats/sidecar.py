@@ -26,9 +26,11 @@ class Sidecar:
         tables: a machine file's, without what the robot file says.
         frames: far ends of links in their frames P, which are the robot links' frames.
         pins: where joints sit that do not sit at their parent's far end.
-        locked, dependent: links whose joints are.
-        drives, couplings: names by joint.
-        cylinders: names of those whose barrels and rods are links of the robot file.
+        locked, dependent: links whose joints are so.
+        drives, couplings: names by joint; of couplings, those that a joint of the robot file states by what it mimics.
+        related: joints that the couplings relate which the sidecar states.
+        motors: joints that motors drive, which state the friction there.
+        cylinders: the barrel's pin by name; barrels and rods are links of the robot file.
     """
 
     file: str = ""
@@ -39,7 +41,9 @@ class Sidecar:
     dependent: frozenset[str] = frozenset()
     drives: dict[str, str] = field(default_factory=dict)
     couplings: dict[str, str] = field(default_factory=dict)
-    cylinders: tuple[str, ...] = ()
+    related: frozenset[str] = frozenset()
+    motors: frozenset[str] = frozenset()
+    cylinders: dict[str, Array] = field(default_factory=dict)
 
     @property
     def stated(self) -> bool:
@@ -67,18 +71,23 @@ def read_sidecar(path: str | Path) -> Sidecar | None:
     joints = {name: link.get("joint", {}) for name, link in links.items()}
     if any(not isinstance(joint, dict) for joint in joints.values()):
         raise MachineError("a joint is no table", where=f"{where}: links", remedy="state it key by key")
+    couplings = _named(tables, "couplings", where)
     return Sidecar(
         where, tables,
         frames={name: Numbers(0.0, 0.0, *(_number(joint.get(key), unit, f"{where}: links[{name}].joint.{key}")
                                           for key, unit in (("a", "m"), ("alpha", "rad"), ("beta", "rad"))))
                 for name, joint in joints.items()},
-        pins={name: np.array([_number(value, "m", f"{where}: links[{name}].pin") for value in _value(link["pin"])])
+        pins={name: _point(link["pin"], f"{where}: links[{name}].pin")
               for name, link in links.items() if "pin" in link},
         locked=frozenset(name for name, joint in joints.items() if joint.get("type") == "locked"),
         dependent=frozenset(name for name, joint in joints.items() if joint.get("dependent")),
         drives={str(drive.get("joint")): name for name, drive in _named(tables, "drives", where).items()},
-        couplings={str(each.get("joint")): name for name, each in _named(tables, "couplings", where).items()},
-        cylinders=tuple(_named(tables, "cylinders", where)))
+        couplings={str(each.get("joint")): name for name, each in couplings.items() if "ratios" not in each},
+        related=frozenset(joint for each in couplings.values() if "ratios" in each
+                          for joint in (str(each.get("joint")), *each["ratios"])),
+        motors=frozenset(str(each.get("joint")) for each in _named(tables, "motors", where).values()),
+        cylinders={name: _point(each.get("barrel", {}).get("pin"), f"{where}: cylinders[{name}].barrel.pin")
+                   for name, each in _named(tables, "cylinders", where).items()})
 
 
 def _named(tables: dict[str, Any], key: str, where: str) -> dict[str, dict[str, Any]]:
@@ -93,6 +102,13 @@ def _named(tables: dict[str, Any], key: str, where: str) -> dict[str, dict[str, 
 
 def _value(stated: Any) -> Any:
     return stated.get("value") if isinstance(stated, dict) else stated
+
+
+def _point(stated: Any, where: str) -> Array:
+    values = _value(stated)
+    if not isinstance(values, list) or len(values) != 3:
+        raise MachineError("must be three lengths", where=where, remedy="state x, y and z")
+    return np.array([_number(value, "m", where) for value in values])
 
 
 def _number(stated: Any, unit: str, where: str) -> float:

@@ -65,11 +65,12 @@ class TreeJoint:
 
 
 class TreePin(NamedTuple):
-    """Two points (3,) [m], each in the frame of a link, that are one."""
+    """Two points (3,) [m], each in the frame of a link, that are one, or that a rod of a `length` [m] keeps apart."""
 
     name: str
     links: tuple[str, str]
     points: tuple[Array, Array]
+    length: float | None = None
 
 
 class RobotTree(NamedTuple):
