@@ -48,6 +48,7 @@ STATUSES = {
 
 
 KINDS = {"joint": "moving joint", "link": "link", "actuator": "actuator", "cylinder": "hydraulic cylinder",
+         "valve": "valve of an actuator that is not the ground",
          "balance": "measured equation of motion: an actuator's force where it alone moves a joint, or the joint's own",
          "reading": "transducer of the actuators", "geometry": "number of the geometry",
          "psi": "dynamic parameter", "reduced": "dynamic parameter of the model without barrels and rods",

@@ -68,9 +68,7 @@ def _impossible(api: Symbols, name: str) -> str:
             return "the machine has no hydraulic cylinders"
         case "reduced_regressor" if not len(api.reduced.parameters):
             return "the reduced model has no dynamic parameters"
-        case "valve_feedforward" if not machine.one_each:
-            return "valves are inverted for one measured actuator on each joint"
-        case "valve_feedforward" if len(machine.circuits) < len(machine.actuators):
+        case "valve_feedforward" if len(machine.circuits) < len(machine.powered):
             return "the machine file does not state the valves of all actuators"
         case "closure" if not (machine.calibrator or machine.cylinders):
             return "the machine has neither hydraulic cylinders nor a calibrator"
@@ -214,9 +212,17 @@ def _payload_update(api: Symbols) -> Routine:
 
 
 def _valve_feedforward(api: Symbols) -> Routine:
-    plant, count = Plant(api.complete), len(api.machine.actuators)
+    plant, machine = Plant(api.complete), api.machine
+    guards = api.guards(levers=machine.one_each, gas=True)
+    count, places = len(plant.actuators), [machine.actuators.index(each) for each in machine.powered]
+    force, measured = api.predicted, "measured force of each actuator in the motion"
+    if not machine.one_each:
+        force = api.dynamics.actuator_forces(api.inputs["psi"])[places]
+        measured += ("; those of a joint share its load with the least sum of (force/capacity)^2, and passive joints "
+                     "carry themselves")
+        guards += api.arms(lever_arms(machine, api.dynamics.transmission))
     rate, p_a, p_b = (api.symbol(name, count) for name in ("force_rate", "pressure_a", "pressure_b"))
-    supply, speed = api.symbol("supply", 2), api.dynamics.rates + api.symbol("speed_added", count)
+    supply, speed = api.symbol("supply", 2), api.dynamics.rates[places] + api.symbol("speed_added", count)
     openings, commands = [], []
     for k, each in enumerate(plant.actuators):
         value = plant.value(each, ca.SX(ca.DM(plant.parameters.nominal)))  # constants in the code
@@ -229,21 +235,20 @@ def _valve_feedforward(api: Symbols) -> Routine:
         commands.append(valve_inversion.command(each.valve, openings[-1], value))
     motion = api.structs[api.motion()].fields
     takes = api.struct("demand", "A motion to drive, with the pressures at the valves.", *motion,
-                       Field("speed_added", ("actuator",), "m/s or rad/s", "speed added by feedback; 0 without"),
-                       Field("force_rate", ("actuator",), "N/s or N*m/s", "demanded rate of each force"),
-                       Field("pressure_a", ("actuator",), "Pa", "in the head of a cylinder, at port A of a motor"),
-                       Field("pressure_b", ("actuator",), "Pa", "in the rod side of a cylinder, at port B of a motor"),
+                       Field("speed_added", (api.valve,), "m/s or rad/s", "speed added by feedback; 0 without"),
+                       Field("force_rate", (api.valve,), "N/s or N*m/s", "demanded rate of each force"),
+                       Field("pressure_a", (api.valve,), "Pa", "in the head of a cylinder, at port A of a motor"),
+                       Field("pressure_b", (api.valve,), "Pa", "in the rod side of a cylinder, at port B of a motor"),
                        Field("supply", (2,), "Pa", "pressures of supply and tank"))
     gives = api.struct("commands", "Commands to the valves.",
-                       Field("force", ("actuator",), "N or N*m", "measured force of each actuator in the motion"),
-                       Field("opening", ("actuator",), "1", "opening of each valve, -1 to 1, positive from P to A"),
-                       Field("command", ("actuator",), "1, V or A", "command to each valve"))
+                       Field("force", (api.valve,), "N or N*m", measured),
+                       Field("opening", (api.valve,), "1", "opening of each valve, -1 to 1, positive from P to A"),
+                       Field("command", (api.valve,), "1, V or A", "command to each valve"))
     return Routine("valve_feedforward", "Forces of a motion, and the valve commands that produce it, with the "
                    "valves of the machine file.", takes,
                    ("q", "qd", "qdd", "speed_added", "force_rate", "pressure_a", "pressure_b", "supply"), gives,
-                   {"force": api.predicted, "opening": ca.vertcat(*openings), "command": ca.vertcat(*commands)},
-                   (*api.guards(levers=True, gas=True),
-                    Guard(supply[0] - supply[1], ">", valve_inversion.DROP, "NO_SUPPLY")), api.lengths)
+                   {"force": force, "opening": ca.vertcat(*openings), "command": ca.vertcat(*commands)},
+                   (*guards, Guard(supply[0] - supply[1], ">", valve_inversion.DROP, "NO_SUPPLY")), api.lengths)
 
 
 def _excitation(api: Symbols, designed_motion: DesignedMotion) -> Routine:

@@ -100,8 +100,9 @@ def states(interface: Interface, count: int = STATES, seed: int = 0, *, single: 
     if "wrench" in interface.inputs:
         inputs["wrench"] = rng.uniform(-1e4, 1e4, (count, 6))
     if "valve_feedforward" in interface.routines:
-        inputs |= {"speed_added": rng.uniform(-0.1, 0.1, (count, n)), "force_rate": rng.uniform(-1e5, 1e5, (count, n)),
-                  "pressure_a": rng.uniform(1e6, 2e7, (count, n)), "pressure_b": rng.uniform(1e6, 2e7, (count, n)),
+        valves = (count, len(machine.powered))
+        inputs |= {"speed_added": rng.uniform(-0.1, 0.1, valves), "force_rate": rng.uniform(-1e5, 1e5, valves),
+                  "pressure_a": rng.uniform(1e6, 2e7, valves), "pressure_b": rng.uniform(1e6, 2e7, valves),
                   "supply": np.tile([2.5e7, 3e5], (count, 1))}
     if interface.designed_motion is not None:
         inputs["t"] = rng.uniform(0, interface.designed_motion.duration, (count, 1))

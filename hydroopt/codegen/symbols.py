@@ -97,6 +97,7 @@ class Symbols:
         inputs: symbols of those arrays and of all inputs of routines, by name.
         structs: parameters, inputs and outputs.
         row: what measured forces are counted in: actuators where each joint has a measured one, otherwise balances.
+        valve: what commands are counted in: actuators, or valves where the ground counts as one that moves the base.
     """
 
     def __init__(self, machine: Machine, *, fold_geometry: bool = False, psi: Array | None = None) -> None:
@@ -107,6 +108,7 @@ class Symbols:
         self.folded = fold_geometry
         known, free, units = self.complete.parameters, self.chain.parameters, machine.channel_units
         self.row = "actuator" if machine.one_each else "balance"
+        self.valve = "actuator" if machine.powered == machine.actuators else "valve"
         efforts = ((each, "N" if isinstance(each, Cylinder) else machine.effort_units(each.joint)[0])
                    for each in machine.measured_actuators)
         factors = [(channel, factor, units[channel], f"{unit}/({units[channel]})") for each, unit in efforts
@@ -116,6 +118,7 @@ class Symbols:
             "link": Kind(tuple(link.name for link in machine.links)),
             "actuator": Kind(tuple(a.name for a in machine.actuators), remarks={
                 a.name: "not measured" for a in machine.actuators if not a.measured}),
+            "valve": Kind(tuple(a.name for a in machine.powered)),
             "cylinder": Kind(tuple(c.name for c in machine.cylinders)),
             "reading": Kind(tuple(f[0] for f in factors), tuple(f[2] for f in factors)),
             "geometry": Kind(() if fold_geometry else free.names, free.units), "psi": Kind(known.names, known.units),

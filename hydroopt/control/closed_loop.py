@@ -26,7 +26,7 @@ class Controller(Protocol):
         """Return to the initial state."""
 
     def command(self, k: int, reading: Reading) -> Array:
-        """Commands (n,) at sample k."""
+        """Commands (a,) at sample k."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -36,9 +36,9 @@ class Run:
     Attributes:
         t: times (N,) of the samples.
         q: joint positions (N, n).
-        u: commands (N, n) after saturation, before the valves' delays.
-        pressure: of the chambers (N, n, 2) [Pa].
-        flow: into the valves (N, n) [m³/s].
+        u: commands (N, a) after saturation, before the valves' delays.
+        pressure: of the chambers (N, a, 2) [Pa].
+        flow: into the valves (N, a) [m³/s].
         p_supply: (N,) [Pa].
         contact: force (N, 3) [N] of the plant's wall on the tip, in the base frame.
         stopped: why the run ended early, in words, with arrays that end there; "" if it did not.
@@ -106,10 +106,10 @@ def simulate(demands: Demands, controller: Controller, psi: Array, theta: Array,
         SolverError: the plant could not be integrated.
     """
     plant, t = demands.plant, demands.t
-    machine, n, period = plant.machine, len(plant.actuators), float(t[1] - t[0])
+    machine, n, period = plant.machine, len(plant.machine.joints), float(t[1] - t[0])
     first = demands.reference.at(t[:1])
     steady = plant.steady(first.q[0], first.qd[0], psi, theta)
-    sensors = Sensors(plant, offset(plant.model, psi), period, seed)
+    sensors = Sensors(plant, offset(plant, plant.model, psi), period, seed)
     delay = CommandDelay(np.array([each.valve.delay for each in plant.actuators]), period, steady.u)
     steps = {seconds: plant.integrator(seconds, psi, theta) for seconds in delay.pieces}
     lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
@@ -126,7 +126,7 @@ def simulate(demands: Demands, controller: Controller, psi: Array, theta: Array,
             stopped = f"the machine hits its stops at {t[k]:.2f} s"
             break
         readings = sensors.read(k, q, pressure, p_supply)
-        p = readings[n:-1].reshape(n, 2)
+        p = readings[n:-1].reshape(-1, 2)
         angles = readings[:n].copy()
         length = np.asarray(plant.actuator_motion(angles, angles)[0]).ravel()
         force = sensors.areas[:, 0] * p[:, 0] - sensors.areas[:, 1] * p[:, 1]

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Cascade, Gains
 from hydroopt.control.closed_loop import simulate
 from hydroopt.control.diagnostics import control_diagnostics
@@ -93,15 +94,27 @@ class Comparison(Answer):
     @cached_property
     def parameters(self) -> ParameterTable:
         """The tuned gains of the cascade."""
-        gains, rows = self.gains, []
-        for k, each in enumerate(self.setting.plant.actuators):
-            speed, force = ("m/s", "N") if isinstance(each.actuator, Cylinder) else ("rad/s", "N*m")
-            for key, unit, values in (("position_gain", "1/s", gains.position),
-                                      ("force_gain", f"{speed}/({force})", gains.force),
-                                      ("integral_time", "s", gains.integral_time),
-                                      ("filter_time", "s", gains.filter_time)):
-                rows.append(row(f"{each.actuator.name}.{key}", "gain", unit, value=float(values[k])))
+        gains, axes, rows = self.gains, Axes(self.setting.plant), []
+        for i, name in enumerate(axes.names):
+            forces = []
+            for k in axes.actuators[i]:
+                actuator = axes.plant.actuators[k].actuator
+                speed, force = ("m/s", "N") if isinstance(actuator, Cylinder) else ("rad/s", "N*m")
+                forces.append((f"{actuator.name}.force_gain", f"{speed}/({force})", gains.force[k]))
+            for address, unit, value in ((f"{name}.position_gain", "1/s", gains.position[i]), *forces,
+                                         (f"{name}.integral_time", "s", gains.integral_time[i]),
+                                         (f"{name}.filter_time", "s", gains.filter_time[i])):
+                rows.append(row(address, "gain", unit, value=float(value)))
         return ParameterTable(rows)
+
+    @property
+    def gains_of_actuators(self) -> dict[str, tuple[float, float, float, float]]:
+        """Position gain, force gain, integral time and filter time that act on each actuator; several at one joint
+        share all but the force gain."""
+        gains, axes = self.gains, Axes(self.setting.plant)
+        return {each.actuator.name: (float(gains.position[i]), float(gains.force[k]), float(gains.integral_time[i]),
+                                     float(gains.filter_time[i]))
+                for k, (i, each) in enumerate(zip(axes.of, axes.plant.actuators, strict=True))}
 
     @cached_property
     def fit(self) -> Mapping[str, Mapping[str, Fit]]:
@@ -136,11 +149,17 @@ class Comparison(Answer):
                     for key in ("gain", "phase")} for each in self.setting.plant.actuators]}
 
     def _joints(self, outcome: Outcome) -> list[dict[str, Any]]:
-        return [{"joint": joint, "unit": self.machine.channel_units[f"{joint}.q"],
-                 "rms": float(np.sqrt(np.mean(outcome.error[:, k] ** 2))),
-                 "max": float(np.max(np.abs(outcome.error[:, k]))), "actuator": each.actuator.name,
-                 "peak_pressure": float(np.max(outcome.run.pressure[:, k]))}
-                for k, (joint, each) in enumerate(zip(self.machine.joints, self.setting.plant.actuators, strict=True))]
+        """Error of every joint; of a passive one, which no actuator moves, how far it swings from where it should."""
+        plant, rows = self.setting.plant, []
+        for k, joint in enumerate(self.machine.joints):
+            places = list(plant.drivers.get(joint, ()))
+            rows.append({
+                "joint": joint, "unit": self.machine.channel_units[f"{joint}.q"],
+                "rms": float(np.sqrt(np.mean(outcome.error[:, k] ** 2))),
+                "max": float(np.max(np.abs(outcome.error[:, k]))),
+                "actuator": " and ".join(plant.actuators[i].actuator.name for i in places) or None,
+                "peak_pressure": float(np.max(outcome.run.pressure[:, places])) if places else None})
+        return rows
 
     def files(self) -> Mapping[str, str | bytes]:
         """Tables of tracking errors and of margins; reference, positions and commands of all runs that reached the
@@ -206,11 +225,10 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
         progress: is called with a sentence on the progress.
 
     Raises:
-        ProblemError: a joint has not one measured actuator, the motion demands more than pump or valves give, or a loop
+        ProblemError: the motion demands more than pump or valves give, the base moves in it, or a loop
             is unstable at a point of the motion.
         SolverError: the plant could not be integrated.
     """
-    setting.plant.refuse_shared("control")
     best = next(each for each in variants if each.name == COMPLETE)
     demands, period = setting.demands, 1 / setting.rate
     refuse_flow(setting.plant, setting.reference.at(setting.t))

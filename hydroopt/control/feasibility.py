@@ -22,14 +22,14 @@ SPARE = 0.02
 
 def flow_demand(plant: Plant, q: Array, qd: Array) -> Array:
     """Flow (N,) [m³/s] that growing chambers take in states (N, n) of the joints."""
-    return demanded_flow(plant.machine, plant.model.over(plant.actuator_motion, q, qd)[1][:, :, 0])
+    return demanded_flow(plant.machine, np.einsum("nij,nj->ni", plant.model.over(plant.model.transmission, q)[0], qd))
 
 
 def steady_speeds(plant: Plant, q: Array, qd: Array, least: Array) -> Array:
     """Joint speeds (n,) near `qd`, none slower than `least` (n,), that the pump sustains in a posture `q` (n,).
 
-    A slower joint gets its least speed, since the loop of a shut valve is open. If all joints together then take more
-    than the pump gives, the faster ones are slowed in proportion.
+    A slower joint gets its least speed, since the loop of a shut valve is open; joints without a valve have a least
+    speed of zero. If all joints together then take more than the pump gives, the faster ones are slowed in proportion.
     """
     most = plant.machine.pump.max_flow if plant.machine.pump else None
 
@@ -75,7 +75,7 @@ def refuse_opening(plant: Plant, t: Array, demand: Demand, valves: Valves) -> No
 
 
 def openings(demand: Demand, valves: Valves, supply: Array) -> Array:
-    """Openings (N, n) of the valves along a motion, −1 to 1, saturated at fully open."""
+    """Openings (N, a) of the valves along a motion, −1 to 1, saturated at fully open."""
     preview = demand.preview
     return np.array([np.asarray(valves.function(preview.speed[k], preview.force_rate[k], preview.length[k],
                                                 preview.pressure[k], supply)[1]).ravel()

@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Cascade, Gains
 from hydroopt.control.model_variants import ModelVariant
 from hydroopt.control.reference import Demand
@@ -61,18 +62,19 @@ class Hybrid(Cascade):
     sensor at the tip is needed, and errors of the model's masses, friction and offsets are errors of the force.
 
     Raises:
-        ProblemError: the machine has not three joints that move its tip.
+        ProblemError: the machine has not three joints that move its tip, each with an actuator of its own.
     """
 
     def __init__(self, valves: Valves, demand: Demand, gains: Gains, period: float, *, variant: ModelVariant,
                  pressing: Pressing, force_gains: ForceGains) -> None:
+        model, path, axes = variant.model, pressing.motion, Axes(valves.plant)
+        n = len(model.machine.joints)
+        if n != 3 or not axes.one_each:
+            raise ProblemError(f"{n} joints move the tip, by {len(axes.of)} actuators", where=model.machine.name,
+                               remedy="hybrid control is for machines with three joints, which place the tip, each "
+                               "with an actuator of its own; follow the motion by position alone")
         super().__init__(valves, demand, gains, period)
         self.variant, self.pressing, self.force_gains = variant, pressing, force_gains
-        model, path = variant.model, pressing.motion
-        n = len(model.machine.joints)
-        if n != 3:
-            raise ProblemError(f"{n} joints move the tip", where=model.machine.name,
-                               remedy="hybrid control is for machines with three joints, which place the tip")
         J = model.over(model.tip_jacobian, path.q)[0][:, :3]
         T = np.stack([valves.plant.model.over(valves.plant.actuator_motion, path.q, np.tile(unit, (len(path.q), 1)))[1][
             :, :, 0] for unit in np.eye(n)], axis=2)

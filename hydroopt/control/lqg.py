@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hydroopt.control.axes import Axes
 from hydroopt.control.python_control import control
 from hydroopt.control.reference import Demand
 from hydroopt.control.sampled_plant import Point, Reading
@@ -30,7 +31,7 @@ class Design(NamedTuple):
     Attributes:
         point: the operating point.
         A, B, C: of the sampled plant, its inputs being the demanded speeds.
-        feedback: speeds per state and per integral of the lengths' errors.
+        feedback: speeds per state and per integral of the axes' errors.
         filter: states per innovation, Kalman's gain for the state at the next sample.
     """
 
@@ -45,43 +46,46 @@ class Design(NamedTuple):
 def design(plant: control.StateSpace, point: Point, valves: Valves, bandwidth: Array, noise: Array) -> Design:
     """Regulator and Kalman filter by their Riccati equations (Åström and Wittenmark 1997).
 
-    The weights are those with which an actuator that is a pure integrator gets the position gain
+    The weights are those with which an axis that is a pure integrator gets the position gain
     `BANDWIDTH_SHARE`·`bandwidth`, and `INTEGRAL_RATIO` as the ratio of integral time and time constant.
 
     Args:
         plant: sampled about the point, with delays; its states are scaled.
         point: of the motion.
         valves: as the controller knows them.
-        bandwidth: (n,) [1/s].
-        noise: (2·n + 1,) standard deviations of the readings of q, forces and supply pressure.
+        bandwidth: of the axes (m,) [1/s].
+        noise: (n + a + 1,) standard deviations of the readings of q, forces and supply pressure.
     """
-    n, period = len(bandwidth), float(plant.dt)
+    axes, n, m, period = Axes(valves.plant), len(point.q), len(bandwidth), float(plant.dt)
     A, C, size = plant.A, plant.C, len(plant.A)
     slopes = valves.slopes(point.speed, point.length, point.pressure, point.supply)
     # the feedback of the supply pressure to the commands is part of the plant
     B = plant.B * slopes.speed
     A = A + plant.B @ np.outer(slopes.supply, C[-1])
-    to_length = point.lever_arm @ C[:n]
-    both = np.block([[A, np.zeros((size, n))], [period * to_length, np.eye(n)]])
-    driven = np.vstack([B, np.zeros((n, n))])
-    weights = np.vstack([np.hstack([BANDWIDTH_SHARE * bandwidth[:, None] * to_length, np.zeros((n, n))]),
-                         np.hstack([np.zeros((n, size)),
-                                    np.diag((BANDWIDTH_SHARE * bandwidth) ** 2 / INTEGRAL_RATIO)])])
-    K, _, _ = control.dlqr(both, driven, weights.T @ weights, np.eye(n))
+    to_axes = axes.slopes(point.lever_arm) @ C[:n]
+    both = np.block([[A, np.zeros((size, m))], [period * to_axes, np.eye(m)]])
+    driven = np.vstack([B, np.zeros((m, B.shape[1]))])
+    # a shared joint moves at the speeds of all its actuators together
+    moved, wanted = np.linalg.norm(axes.shares(point.lever_arm), axis=0), BANDWIDTH_SHARE * bandwidth
+    weights = np.vstack([np.hstack([(moved * wanted)[:, None] * to_axes, np.zeros((m, m))]),
+                         np.hstack([np.zeros((m, size)), np.diag(moved * wanted**2 / INTEGRAL_RATIO)])])
+    K, _, _ = control.dlqr(both, driven, weights.T @ weights, np.eye(B.shape[1]))
     disturbed = np.hstack([B * np.abs(point.speed), PROCESS_NOISE * np.eye(size)])
     # outputs are scaled by the standard deviations of their noise
-    L, _, _ = control.dlqe(A, disturbed, C / noise[:, None], np.eye(n + size), np.eye(len(noise)))
+    L, _, _ = control.dlqe(A, disturbed, C / noise[:, None], np.eye(disturbed.shape[1]), np.eye(len(noise)))
     return Design(point, A, B, C, np.asarray(K), np.asarray(L) / noise)
 
 
 def reading_noise(plant: Plant) -> Array:
-    """Standard deviations (2·n + 1,) of the readings of q, forces and supply pressure."""
+    """Standard deviations (n + a + 1,) of the readings of q, forces and supply pressure; infinite for what is not
+    measured."""
     machine, found = plant.machine, []
     for joint in machine.joints:
         found.append(_std(machine, f"{joint}.q", DEFAULT_NOISE))
     for each in plant.actuators:
-        found.append(float(np.linalg.norm([area * _std(machine, name, 1e7 * DEFAULT_NOISE)
-                                           for area, name in zip(each.areas, each.chambers, strict=True)])))
+        found.append(float(np.linalg.norm([area * _std(machine, name, 1e7 * DEFAULT_NOISE) for area, name in
+                                           zip(each.areas, each.chambers, strict=True)]))
+                     if each.actuator.measured else np.inf)
     return np.array([*found, _std(machine, "pump.p_supply", 1e7 * DEFAULT_NOISE)])
 
 
@@ -101,15 +105,17 @@ class Lqg:
     def __init__(self, valves: Valves, demand: Demand, designs: Sequence[Design], nearest: Sequence[int],
                  period: float) -> None:
         self.valves, self.demand, self.designs, self.nearest, self.period = valves, demand, designs, nearest, period
+        self.axes = Axes(valves.plant)
+        self._position = self.axes.positions(demand.q, demand.length)
         self.reset()
 
     def reset(self) -> None:
         """Return to the initial state."""
         self._state = np.zeros(len(self.designs[0].A))
-        self._integral = np.zeros(self.demand.length.shape[1])
+        self._integral = np.zeros(len(self.axes.names))
 
     def command(self, k: int, reading: Reading) -> Array:
-        """Commands (n,) at sample k from the readings."""
+        """Commands (a,) at sample k from the readings."""
         preview, active = self.demand.preview, self.designs[self.nearest[k]]
         size = len(self._state)
         speed = -active.feedback[:, :size] @ self._state - active.feedback[:, size:] @ self._integral
@@ -118,8 +124,8 @@ class Lqg:
         readings = np.array([*(reading.q - self.demand.q[k]), *(reading.force - self.demand.measured_force[k]),
                          reading.supply[0] - active.point.supply[0]])
         self._state = active.A @ self._state + active.B @ speed + active.filter @ (readings - active.C @ self._state)
-        error = reading.length - self.demand.length[k]
-        self._integral += np.where(np.abs(opening) < 1, self.period * error, 0.0)
+        error = self.axes.positions(reading.q, reading.length) - self._position[k]
+        self._integral += np.where(self.axes.open(opening), self.period * error, 0.0)
         return command
 
     def linear(self, point: Point) -> control.StateSpace:
@@ -130,12 +136,13 @@ class Lqg:
         """
         active = min(self.designs, key=lambda d: (int(np.sum(np.sign(d.point.speed) != np.sign(point.speed))),
                                                float(np.linalg.norm(d.point.q - point.q))))
-        n, size = len(point.q), len(active.A)
+        (a, m), n, size = self.axes.shares(point.lever_arm).shape, len(point.q), len(active.A)
         slopes = self.valves.slopes(point.speed, point.length, point.pressure, point.supply)
         by_speed = np.diag(slopes.speed)
         A = np.block([[active.A - active.filter @ active.C - active.B @ active.feedback[:, :size],
                        -active.B @ active.feedback[:, size:]],
-                      [np.zeros((n, size)), np.eye(n)]])
-        B = np.vstack([active.filter, np.hstack([self.period * point.lever_arm, np.zeros((n, n + 1))])])
-        D = np.hstack([np.zeros((n, 2 * n)), slopes.supply[:, None]])
+                      [np.zeros((m, size)), np.eye(m)]])
+        along = self.period * self.axes.slopes(point.lever_arm)
+        B = np.vstack([active.filter, np.hstack([along, np.zeros((m, a + 1))])])
+        D = np.hstack([np.zeros((a, n + a)), slopes.supply[:, None]])
         return control.StateSpace(A, B, -by_speed @ active.feedback, D, self.period)

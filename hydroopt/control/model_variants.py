@@ -51,14 +51,22 @@ def reduced(complete: ModelVariant, *, seed: int = 0) -> ModelVariant:
     model, small = complete.model, Model(complete.model.machine, actuator_inertia=False)
     motion = simulate.random_trajectory(model, duration=60.0, rate=5.0, seed=seed)
     start = complete.psi[list(model.parameters.select(small.parameters.names))]
-    difference = simulate.forces(model, motion, complete.psi) - simulate.forces(small, motion, start)
+    difference = _balances(model, motion, complete.psi) - _balances(small, motion, start)
     K = small.over(small.regressor if small.linear else small.linearised, motion.q, motion.qd, motion.qdd,
                    *([] if small.linear else [start]))[0]
     scale = small.parameters.scale
-    typical = np.sqrt(np.mean(np.square(simulate.forces(model, motion, complete.psi)), axis=0))
+    typical = np.sqrt(np.mean(np.square(_balances(model, motion, complete.psi)), axis=0))
     change, *_ = np.linalg.lstsq((K * scale / typical[:, None]).reshape(-1, len(scale)),
                                  (difference / typical).ravel(), rcond=1e-8)
     return ModelVariant(REDUCED, "the reduced model nearest to the complete one", small, start + change * scale)
+
+
+def _balances(model: Model, motion: simulate.Trajectory, psi: Array) -> Array:
+    """What a motion demands of the balances (N, r); without pressure on seals where there are balances of joints."""
+    if model.machine.one_each:
+        return simulate.forces(model, motion, psi)
+    still = [np.zeros((len(motion.t), len(model.machine.actuators)))] if model.needs_pressure else []
+    return np.asarray(model.over(model.inverse_dynamics, motion.q, motion.qd, motion.qdd, *still, psi)[0][:, :, 0])
 
 
 def nominal_of(estimate: Path, complete: Model) -> ModelVariant | None:

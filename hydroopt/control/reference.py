@@ -11,7 +11,9 @@ from scipy.interpolate import BPoly
 
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError, SolverError
+from hydroopt.machine.actuators import Cylinder
 from hydroopt.model.model import Model
+from hydroopt.model.plant import Plant
 from hydroopt.simulation.simulate import Trajectory, forces
 from hydroopt.spatial.inertia import Array
 
@@ -38,7 +40,7 @@ class Reference:
 
 
 def lead(valves: Valves, period: float) -> Array:
-    """Time (n,) [s] from a command to its effect: half a sample, delay of the valve, lag of its spool."""
+    """Time (a,) [s] from a command to its effect: half a sample, delay of the valve, lag of its spool."""
     plant, place = valves.plant, valves.plant.parameters.positions
     leads = []
     for each in plant.actuators:
@@ -53,12 +55,12 @@ def lead(valves: Valves, period: float) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class Demand:
-    """The reference (N, n) of a controller, in the order of the actuators.
+    """The reference of a controller, in the order of joints (N, n) and actuators (N, a).
 
     Attributes:
-        q: joint positions [rad or m].
-        length: of the actuators [m or rad].
-        measured_force: force that the transducers measure, offsets included [N or N·m].
+        q: joint positions (N, n) [rad or m].
+        length: of the actuators (N, a) [m or rad].
+        measured_force: force (N, a) that the transducers measure, offsets included [N or N·m].
         preview: the reference at the time when the command takes effect.
     """
 
@@ -69,7 +71,7 @@ class Demand:
 
 
 class Preview(NamedTuple):
-    """Length, speed, force and its rate (N, n), and pressures (N, n, 2), when a command takes effect."""
+    """Length, speed, force and its rate (N, a), and pressures (N, a, 2), when a command takes effect."""
 
     length: Array
     speed: Array
@@ -94,7 +96,8 @@ class Demands:
     def by(self, model: Model, psi: Array, *, gravity_only: bool = False) -> Demand:
         """The reference with forces by a complete or reduced model with parameters ψ (p,).
 
-        With `gravity_only` speeds are zero and forces are static. Pressures are integrated for these forces: p_a'
+        Actuators of one joint share its load as `shared_load` states. With `gravity_only` speeds are zero and forces
+        are static. Pressures are integrated for these forces: p_a'
         follows from the flow through the valve, p_b from force and p_a.
 
         Raises:
@@ -108,8 +111,9 @@ class Demands:
         if gravity_only:
             path = Trajectory(times, path.q, 0 * path.q, 0 * path.q, path.wrench)
         length, speed = (part[:, :, 0] for part in self.plant.model.over(self.plant.actuator_motion, path.q, path.qd))
-        measured = forces(model, path, psi)
-        force = measured - offset(model, psi)
+        own = [model.machine.actuators.index(each.actuator) for each in self.plant.actuators]
+        measured = forces(model, path, psi)[:, own]
+        force = measured - offset(self.plant, model, psi)
         self._refuse_force(times, force)
         rate = np.diff(force, axis=0, append=force[-1:]) / np.diff(times, append=times[-1] + period)[:, None]
         pressure = self._pressures(times, length, speed, force, rate)
@@ -125,7 +129,7 @@ class Demands:
         return np.column_stack([np.interp(self.t + leads[k], times, values[:, k]) for k in range(len(leads))])
 
     def _pressures(self, times: Array, length: Array, speed: Array, force: Array, rate: Array) -> tuple[Array, Array]:
-        """Pressures [Pa] of both chambers, (M, n) each, that produce the forces of a motion."""
+        """Pressures [Pa] of both chambers, (M, a) each, that produce the forces of a motion."""
         supply, (a, b) = self.plant.supply, np.array([each.areas for each in self.plant.actuators]).T
         start = np.asarray(self.valves.steady(speed[0], force[0], supply)).ravel()
 
@@ -149,14 +153,16 @@ class Demands:
         beyond = np.maximum(force - (a * pump - b * tank), (a * tank - b * pump) - force)
         k, i = divmod(int(np.argmax(beyond)), len(a))
         if beyond[k, i] >= 0:
+            actuator = self.plant.actuators[i].actuator
+            unit = "N" if isinstance(actuator, Cylinder) else self.plant.machine.effort_units(actuator.joint)[0]
             raise ProblemError(
-                f"at {times[k]:.2f} s the motion demands {force[k, i]:.4g} {self.plant.model.force_units[i]} of "
-                f"'{self.plant.actuators[i].actuator.name}', which {pump / 1e5:.0f} bar cannot produce",
-                where="--motion", remedy="choose a motion with smaller loads, or correct masses or pump pressure")
+                f"at {times[k]:.2f} s the motion demands {force[k, i]:.4g} {unit} of '{actuator.name}', which "
+                f"{pump / 1e5:.0f} bar cannot produce", where="--motion",
+                remedy="choose a motion with smaller loads, or correct masses or pump pressure")
 
 
-def offset(model: Model, psi: Array) -> Array:
-    """Offsets (n,) of the measured forces [N or N·m]."""
+def offset(plant: Plant, model: Model, psi: Array) -> Array:
+    """Offsets (a,) of the measured forces [N or N·m], by the parameters ψ (p,) of a model."""
     names = model.parameters.positions
     return np.array([next((float(psi[names[f"{a.name}.{kind}"]]) for kind in ("f_offset", "tau_offset")
-                           if f"{a.name}.{kind}" in names), 0.0) for a in model.machine.actuators])
+                           if f"{a.name}.{kind}" in names), 0.0) for a in (each.actuator for each in plant.actuators)])

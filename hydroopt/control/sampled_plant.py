@@ -17,7 +17,7 @@ from hydroopt.spatial.inertia import Array
 
 
 class Reading(NamedTuple):
-    """The input of a controller at a sample: lengths and forces (n,) of the actuators, pressures (2,) of supply and
+    """The input of a controller at a sample: lengths and forces (a,) of the actuators, pressures (2,) of supply and
     tank.
 
     Lengths are computed from the joint positions `q` (n,).
@@ -36,9 +36,9 @@ class Point:
     Attributes:
         name: such as ``motion at 2.0 s``.
         q, qd: of the joints (n,).
-        length, speed: of the actuators (n,).
-        pressure: of their chambers (n, 2) [Pa].
-        lever_arm: (n, n) speeds of the actuators per speeds of the joints.
+        length, speed: of the actuators (a,).
+        pressure: of their chambers (a, 2) [Pa].
+        lever_arm: (a, n) speeds of the actuators per speeds of the joints.
         supply: pressures (2,) [Pa].
         steady: state and commands.
     """
@@ -69,7 +69,7 @@ def point(plant: Plant, name: str, q: Array, qd: Array, psi: Array, theta: Array
     """
     steady = plant.steady(q, qd, psi, theta)
     outputs = plant.outputs.call({"x": steady.x, "u": steady.u, "supply": plant.supply, "psi": psi, "theta": theta})
-    lever_arm = np.column_stack([np.asarray(plant.actuator_motion(q, unit)[1]).ravel() for unit in np.eye(len(q))])
+    lever_arm = np.asarray(plant.transmission(q).full())
     length, speed = (np.asarray(outputs[key]).ravel() for key in ("length", "speed"))
     return Point(name, q, qd, length, speed, np.asarray(outputs["pressure"]), lever_arm, plant.supply, steady)
 
@@ -78,20 +78,23 @@ def linearised(plant: Plant, operating_point: Point, psi: Array, theta: Array) -
     """From commands to q, forces of the actuators and the supply's pressure; states are divided by `plant.scale`.
 
     States are deviations from the motion. The change of lever arms along the motion is left out: it only changes the
-    ratio between errors of lengths and of angles and amplifies none.
+    ratio between errors of lengths and of angles and amplifies none. A base does not move, and has no states.
     """
-    n, scale, names = len(plant.inputs), plant.scale, plant.states
+    n, scale, names = len(plant.machine.joints), plant.scale, plant.states
     system = state_space(plant, operating_point.steady, psi, theta, supply=operating_point.supply)
     A = system.A.copy()
     A[[".p_" in name for name in names], :n] = 0.0
-    C = np.zeros((2 * n + 1, len(names)))
+    C = np.zeros((n + len(plant.actuators) + 1, len(names)))
     C[:n, :n] = np.eye(n)
     for k, each in enumerate(plant.actuators):
         C[n + k, [names.index(name) for name in each.chambers]] = each.areas[0], -each.areas[1]
     C[-1] = [name == "pump.p_supply" for name in names]
     outputs = [*names[:n], *(f"{each.actuator.name}.force" for each in plant.actuators), "pump.p_supply"]
-    return control.StateSpace(A * scale / scale[:, None], system.B / scale[:, None], C * scale, 0,
-                              states=system.state_labels, inputs=system.input_labels,
+    base = {f"{joint}.{kind}" for joint in plant.machine.base_joints for kind in ("q", "qd")}
+    kept = [k for k, name in enumerate(names) if name not in base]
+    A, B, C = A * scale / scale[:, None], system.B / scale[:, None], C * scale
+    return control.StateSpace(A[np.ix_(kept, kept)], B[kept], C[:, kept], 0,
+                              states=[system.state_labels[k] for k in kept], inputs=system.input_labels,
                               outputs=[f"{signal(name)}_measured" for name in outputs])
 
 

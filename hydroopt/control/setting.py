@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -17,8 +17,10 @@ from hydroopt.control.sampled_plant import Point, linearised, point, sampled
 from hydroopt.control.tuning import SENSITIVITY
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
+from hydroopt.model.hanging import Hanging
 from hydroopt.model.plant import Plant
 from hydroopt.model.workspace import SHARE, top_speed
+from hydroopt.simulation.passive_joints import passive_motion
 from hydroopt.simulation.simulate import Trajectory, sampling_rate
 from hydroopt.spatial.inertia import Array
 
@@ -64,8 +66,19 @@ class Setting:
 
     @cached_property
     def reference(self) -> Reference:
-        """The motion between its samples."""
-        return Reference(self.motion)
+        """The motion between its samples; passive joints swing as the machine file's parameters make them.
+
+        Raises:
+            ProblemError: the base moves, or a passive joint leaves its range.
+        """
+        model, motion = self.plant.model, self.motion
+        base = [self.plant.machine.joints.index(joint) for joint in self.plant.machine.base_joints]
+        if np.any(motion.qd[:, base]) or np.any(np.ptp(motion.q[:, base], axis=0)):
+            raise ProblemError("the base moves in this motion", where="--motion", remedy="let it stand still, at any "
+                               "slope: what the ground does to it is not simulated")
+        q, qd, qdd = passive_motion(model, motion.t, (motion.q, motion.qd, motion.qdd), model.parameters.nominal,
+                                    motion.wrench)
+        return Reference(replace(motion, q=q, qd=qd, qdd=qdd))
 
     @cached_property
     def demands(self) -> Demands:
@@ -74,30 +87,32 @@ class Setting:
 
     @cached_property
     def delays(self) -> Array:
-        """Of the valves (n,) [s]."""
+        """Of the valves (a,) [s]."""
         return np.array([each.valve.delay for each in self.plant.actuators])
 
     def points(self, psi: Array, theta: Array) -> tuple[list[Point], list[Point]]:
         """Operating points of the motion and over the workspace, of a machine with parameters ψ and θ.
 
-        Joints move at least at the part `SHARE` of their greatest speeds, see `steady_speeds`.
+        Joints move at least at the part `SHARE` of their greatest speeds, see `steady_speeds`; passive ones hang.
 
         Raises:
             ProblemError: the supply cannot move the machine at a point of the motion.
         """
         machine = self.plant.machine
-        least = SHARE * np.array([top_speed(self.plant, joint) for joint in machine.joints])
+        hanging = Hanging(self.plant.model)
+        least = SHARE * np.array([top_speed(self.plant, joint) if joint in self.plant.drivers else 0.0
+                                  for joint in machine.joints])
         lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
         moments = self.t[0] + (np.arange(MOTION_POINTS) + 0.5) / MOTION_POINTS * (self.t[-1] - self.t[0])
         path = self.reference.at(moments)
         on_motion = []
-        for t, q, qd in zip(moments, path.q, path.qd, strict=True):
+        for t, q, qd in zip(moments, hanging.postures(path.q), np.where(least > 0, path.qd, 0.0), strict=True):
             speeds = steady_speeds(self.plant, q, qd, least)
             on_motion.append(point(self.plant, f"motion at {t:.1f} s", q, speeds, psi, theta))
         n, in_workspace = len(least), list[Point]()
         for k, share in enumerate(qmc.Halton(2 * n, scramble=False).random(WORKSPACE_POINTS + 1)[1:]):
             direction = np.where(share[n:] < 0.5, -1.0, 1.0)
-            q = lower + (upper - lower) * (EDGE + (1 - 2 * EDGE) * share[:n])
+            q = hanging.postures((lower + (upper - lower) * (EDGE + (1 - 2 * EDGE) * share[:n]))[None])[0]
             try:
                 in_workspace.append(point(self.plant, f"workspace {k + 1}", q, direction * least, psi, theta))
             except ProblemError:  # the supply may be too weak for some postures

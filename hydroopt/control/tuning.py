@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Gains
 from hydroopt.control.loop_margins import frequencies
 from hydroopt.control.python_control import control
@@ -36,54 +37,87 @@ class _Loops:
         self.period = float(plants[0].dt)
         omega = frequencies(self.period)
         self.z = np.exp(1j * omega * self.period)
-        n = self.n = len(points[0].q)
+        n, self.axes = len(points[0].q), Axes(valves.plant)
         response = np.array([np.asarray(control.frequency_response(plant, omega, squeeze=False).complex)
                              for plant in plants]).transpose(0, 3, 1, 2)
         slopes = [valves.slopes(point.speed, point.length, point.pressure, point.supply) for point in points]
         to_speed = np.array([slope.speed for slope in slopes])[:, None, :, None]
-        lengths = np.array([point.lever_arm for point in points])[:, None] @ response[:, :, :n]
-        self.length, self.force = to_speed * lengths, to_speed * response[:, :, n:2 * n]
-        self.supply = np.array([slope.supply for slope in slopes])[:, None, :, None] * response[:, :, 2 * n:]
+        self.shares = to_speed * np.array([self.axes.shares(point.lever_arm) for point in points])[:, None]
+        self.position = np.array([self.axes.slopes(point.lever_arm) for point in points])[:, None] @ response[:, :, :n]
+        self.force = to_speed * response[:, :, n:-1]
+        self.supply = np.array([slope.supply for slope in slopes])[:, None, :, None] * response[:, :, -1:]
 
     def feedback(self, gains: Gains) -> tuple[Array, Array]:
-        """Responses (ω, n) from lengths and from forces to speeds."""
+        """Responses from positions to speeds of the axes (ω, m), and from forces to speeds of the actuators (ω, a)."""
         pole = np.exp(-self.period / np.maximum(gains.filter_time, 1e-9))
         low_pass = (1 - pole) * self.z[:, None] / (self.z[:, None] - pole)
         integral = self.period / gains.integral_time / (self.z[:, None] - 1)
-        return -low_pass * gains.position * (1 + integral), -low_pass * gains.force
+        return (-low_pass * gains.position * (1 + integral), -low_pass[:, self.axes.of] * gains.force)
 
     def cut(self, gains: Gains, k: int) -> _Loop:
-        """One loop, all others closed."""
-        by_length, by_force = (part[:, :, None] for part in self.feedback(gains))
-        G = self.supply + by_length * self.length + by_force * self.force
-        others = [j for j in range(self.n) if j != k]
-        # response of all commands to a unit command of this loop
-        along = np.zeros((*G.shape[:2], self.n, 1), dtype=complex)
-        along[..., k, 0] = 1.0
-        along[..., others, :] = np.linalg.solve(np.eye(self.n - 1) - G[..., others, :][..., others],
-                                                G[..., others, k][..., None])
-        return _Loop(*((part[..., [k], :] @ along)[..., 0, 0] for part in (self.supply, self.length, self.force)))
+        """The loop of one axis, all others closed."""
+        by_position, by_force = (part[:, None] for part in self.feedback(gains))
+        G = self.supply + self.shares * by_position @ self.position + np.swapaxes(by_force, 1, 2) * self.force
+        own = list(self.axes.actuators[k])
+        others = [j for j in range(G.shape[-1]) if j not in own]
+        # responses of all commands to unit commands of this loop
+        along = np.zeros((*G.shape[:-1], len(own)), dtype=complex)
+        along[..., own, :] = np.eye(len(own))
+        along[..., others, :] = np.linalg.solve(np.eye(len(others)) - G[..., others, :][..., others],
+                                                G[..., others, :][..., own])
+        span = np.array([abs(self.axes.plant.actuators[i].valve.span) for i in own])
+        scale = span / span[:, None]
+        return _Loop(scale * (self.supply[..., own, :] @ along), self.shares[..., own, k, None], self.position[
+            ..., [k], :] @ along, self.force[..., own, :] @ along, scale)
 
 
 class _Loop(NamedTuple):
-    """Responses (points, ω) of supply pressure, length and force to one command, all other loops closed."""
+    """Responses to the commands (g,) of one axis, all other loops closed, at points and frequencies.
+
+    That of the commands by the supply pressure (..., g, g), those by which a speed of the axis becomes commands
+    (..., g, 1), of the position (..., 1, g) and of what the force's error makes of each command (..., g, g). Entries of
+    two commands are multiplied by `scale` (g, g), which counts each in parts of its valve's range.
+    """
 
     supply: Array
-    length: Array
+    share: Array
+    position: Array
     force: Array
+    scale: Array
 
-    def sensitivity(self, by_length: Array, by_force: Array) -> float:
-        """Largest |1/(1 + L)| over points and frequencies, for the responses (ω,) of the feedback."""
-        return float(1 / np.min(np.abs(1 - self.supply - by_length * self.length - by_force * self.force)))
+    def sensitivity(self, by_position: Array, by_force: Array) -> float:
+        """Largest |1/(1 + L)| over points and frequencies, for the responses (ω,) and (ω, g) of the feedback.
+
+        Of several commands it is the largest singular value of (1 + L)⁻¹: how robust the loop is where all of them
+        change at once, and each by itself.
+        """
+        loop = self.supply + self.scale * (self.share * by_position[:, None, None] * self.position
+                                           + by_force[:, :, None] * self.force)
+        return float(1 / np.min(_least_singular_value(np.eye(len(self.scale)) - loop)))
+
+
+def _least_singular_value(matrix: Array) -> Array:
+    """Of square matrices (..., g, g); of small ones in closed form, since tuning asks for millions."""
+    match matrix.shape[-1]:
+        case 1:
+            return np.abs(matrix[..., 0, 0])
+        case 2:
+            squares = np.sum(np.abs(matrix) ** 2, axis=(-2, -1))
+            determinant = np.abs(matrix[..., 0, 0] * matrix[..., 1, 1] - matrix[..., 0, 1] * matrix[..., 1, 0])
+            greatest = np.sqrt((squares + np.sqrt(np.maximum(squares**2 - 4 * determinant**2, 0.0))) / 2)
+            return np.asarray(determinant / greatest)
+        case _:
+            return np.asarray(np.linalg.svd(matrix, compute_uv=False)[..., -1])
 
 
 def tuned(plants: Sequence[control.StateSpace], points: Sequence[Point], valves: Valves,
           largest: float = SENSITIVITY) -> Gains:
     """Position and force gains with the fastest position loops whose sensitivity stays below `largest`.
 
-    Each actuator in turn, with all other loops closed, gets the force gain that admits the highest position gain. The
-    limits that the sensitivity sets to the margins are those of Åström and Hägglund 2006: a gain margin of at least
-    M/(M − 1) and a phase margin of at least 2·arcsin(1/(2·M)).
+    Each axis in turn, with all other loops closed, gets the force gain that admits the highest position gain. Several
+    actuators of a joint get the same part of what each can do, and zero where a force is not measured. The limits that
+    the sensitivity sets to the margins are those of Åström and Hägglund 2006: a gain margin of at least M/(M − 1) and a
+    phase margin of at least 2·arcsin(1/(2·M)).
 
     Args:
         plants: sampled, with delays, at each point.
@@ -92,31 +126,35 @@ def tuned(plants: Sequence[control.StateSpace], points: Sequence[Point], valves:
         largest: sensitivity that is allowed.
 
     Raises:
-        ProblemError: an actuator has no gains that are robust enough.
+        ProblemError: an axis has no gains that are robust enough.
     """
-    loops, full = _Loops(plants, points, valves), valves.speed_per_force
-    n = loops.n
-    gains = Gains(np.zeros(n), np.zeros(n), np.full(n, INTEGRAL_RATIO / SLOWEST_LOOP), np.zeros(n))
+    loops = _Loops(plants, points, valves)
+    axes, full = loops.axes, np.where(loops.axes.measured, valves.speed_per_force, 0.0)
+    m = len(axes.names)
+    gains = Gains(np.zeros(m), np.zeros(len(full)), np.full(m, INTEGRAL_RATIO / SLOWEST_LOOP), np.zeros(m))
 
-    def robust(k: int, position: float, force: float, filter_time: float) -> bool:
-        gains.position[k], gains.force[k], gains.filter_time[k] = position, force, filter_time
+    def robust(k: int, position: float, part: float, filter_time: float) -> bool:
+        own = list(axes.actuators[k])
+        gains.position[k], gains.force[own], gains.filter_time[k] = position, part * full[own], filter_time
         gains.integral_time[k] = INTEGRAL_RATIO / max(position, SLOWEST_LOOP)
-        return loop.sensitivity(*(part[:, k] for part in loops.feedback(gains))) <= largest
+        by_position, by_force = loops.feedback(gains)
+        return loop.sensitivity(by_position[:, k], by_force[:, own]) <= largest
 
     for _ in range(SWEEPS):
-        for k, name in enumerate(valves.plant.inputs):
+        for k, name in enumerate(axes.names):
             loop, best = loops.cut(gains, k), (0.0, 0.0, 0.0)
+            parts = FORCE_GAINS if np.any(full[list(axes.actuators[k])]) else FORCE_GAINS[:1]
             for filter_time in FILTER_TIMES:
-                for part in FORCE_GAINS:
+                for part in parts:
                     # upwards step by step, since the sensitivity may be low again beyond instability
-                    if not robust(k, 0.0, part * full[k], filter_time):
+                    if not robust(k, 0.0, part, filter_time):
                         break
                     position = SLOWEST_LOOP
-                    while robust(k, position, part * full[k], filter_time):
-                        best = max(best, (position, part * full[k], filter_time))
+                    while robust(k, position, part, filter_time):
+                        best = max(best, (position, part, filter_time))
                         position *= 1 + STEP
             if best[0] <= 0:
-                raise ProblemError(f"no gains make the loop of '{name.removesuffix('.u')}' robust enough",
+                raise ProblemError(f"no gains make the loop of '{name}' robust enough",
                                    where="control", remedy="raise the rate, or allow a higher --sensitivity")
             robust(k, *best)
     return gains

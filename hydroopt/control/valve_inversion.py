@@ -104,7 +104,9 @@ class Valves:
             saturated = ca.fmin(ca.fmax(opening(each, speed[k], rate[k], length[k], p, supply, value), -1.0), 1.0)
             openings.append(saturated)
             commands.append(command(each.valve, saturated, value))
-            spool = value("overlap") * ca.sign(saturated) + saturated * (1 - value("overlap"))
+            # within the ramp the spool crosses the overlap as the command does, so that rates do not jump about zero
+            size = ca.fabs(saturated)
+            spool = ca.sign(saturated) * ca.fmin(1.0, size / RAMP) * (value("overlap") + size * (1 - value("overlap")))
             rates.append(each.pressure_rates(each.flows(spool, p[0], p[1], supply, value), p[0], p[1], length[k],
                                              speed[k], value)[0])
         return ca.Function("valves", [speed, rate, length, pressure, supply],

@@ -160,6 +160,11 @@ class MachineDescription(Noun):
         mains = [(self.main_joint(each), each) for each in self.actuators]
         return {joint: tuple(each for main, each in mains if main == joint) for joint in self.joints}
 
+    @cached_property
+    def powered(self) -> tuple[Actuator, ...]:
+        """The actuators of the machine itself, in the order of `actuators`: all but the ground that moves its base."""
+        return tuple(each for each in self.actuators if self.main_joint(each) not in self.base_joints)
+
     @property
     def sealed(self) -> tuple[str, ...]:
         """Names of the measured cylinders whose friction depends on their pressures."""

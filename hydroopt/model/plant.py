@@ -53,6 +53,7 @@ class Plant:
     supply and tank; where the pump states a volume, the first is what the pump is set to.
 
     Offsets of transducers in ψ have no effect here. The sign of dry friction is smoothed over the speed `SIGN_WIDTH`.
+    Passive joints swing. The ground holds the joints of a moving base at their speeds: the base does not accelerate.
 
     A `Machine` may be given instead of its model. A `wall` pushes on the tip, the far end of the machine's last link,
     where it has pressed into it; `steady` knows no wall.
@@ -74,10 +75,10 @@ class Plant:
         self.model, self.machine, self.wall = model, model.machine, wall
         machine = model.machine
         self.actuators: list[ActuatorHydraulics] = []
-        if not machine.actuators:
+        if not machine.powered:
             raise ProblemError("no joint moves", where=machine.name, remedy="hydraulics need cylinders or hydraulic "
                                "motors on all joints")
-        for actuator in machine.actuators:
+        for actuator in machine.powered:
             if isinstance(actuator, Drive):
                 raise ProblemError(f"'{actuator.name}' is driven directly, not by oil", where=machine.name,
                                    remedy="hydraulics need cylinders or hydraulic motors on all joints")
@@ -88,18 +89,6 @@ class Plant:
             assert machine.oil is not None
             self.actuators.append(ActuatorHydraulics(actuator, actuator.circuit, machine.oil))
 
-    def refuse_shared(self, job: str) -> None:
-        """Refuse a job that asks for one measured actuator a joint.
-
-        Raises:
-            ProblemError: a joint has several, an unmeasured one, or none.
-        """
-        if not self.machine.one_each:
-            drivers = self.machine.drivers
-            joint = next(each for each in drivers if [one.measured for one in drivers[each]] != [True])
-            raise ProblemError(f"{job} asks for one measured actuator a joint, which '{joint}' has not",
-                               where=self.machine.name, remedy="describe the part of the machine for which that holds")
-
     def __reduce__(self) -> tuple[type[Plant], tuple[Model, Wall | None]]:
         return Plant, (self.model, self.wall)
 
@@ -107,6 +96,25 @@ class Plant:
     def parameters(self) -> ParameterSet:
         """Names, units, nominal values, bounds and prior of θ."""
         return hydraulic_parameters.parameter_set(self.machine)
+
+    @cached_property
+    def drivers(self) -> dict[str, tuple[int, ...]]:
+        """For each joint that oil moves, the places of the actuators that are there to move it."""
+        names = [each.actuator.name for each in self.actuators]
+        found = {joint: tuple(names.index(each.name) for each in drivers if each.name in names)
+                 for joint, drivers in self.machine.drivers.items()}
+        return {joint: places for joint, places in found.items() if places}
+
+    @cached_property
+    def _places(self) -> list[int]:
+        """Places of the actuators among those of the machine."""
+        return [self.machine.actuators.index(each.actuator) for each in self.actuators]
+
+    @cached_property
+    def transmission(self) -> ca.Function:
+        """q → lever arms (a, n) of the actuators [m, m/rad or 1]: their speeds per speed of each joint."""
+        q = ca.SX.sym("q", len(self.machine.joints))
+        return ca.Function("transmission", [q], [self.model.transmission(q)[self._places, :]], ["q"], ["transmission"])
 
     @cached_property
     def states(self) -> tuple[str, ...]:
@@ -215,7 +223,7 @@ class Plant:
         lengths = [dynamics.cylinders[each.actuator.name].length if isinstance(each.actuator, Cylinder)
                    else symbols.q[self.machine.joints.index(each.actuator.joint)] for each in self.actuators]
         return ca.Function("actuator_motion", [symbols.q, symbols.qd],
-                           [ca.vertcat(*lengths), ca.densify(dynamics.rates)],
+                           [ca.vertcat(*lengths), ca.densify(dynamics.rates[self._places])],
                            ["q", "qd"], ["length", "speed"])
 
     @cached_property
@@ -230,19 +238,24 @@ class Plant:
     def _demanded(self, q: ca.SX, qd: ca.SX, qdd: ca.SX, pressure: ca.SX, psi: ca.SX) -> tuple[ca.SX, ca.SX]:
         """Generalised forces (n,) that a motion demands of the actuators, and what each takes for its own friction,
         that of seals at `pressure` (a, 2)."""
-        both = [pressure[:, 0] + pressure[:, 1]] if self.model.needs_pressure else []
-        torque, own = self._efforts(q, qd, qdd, *both, psi)
-        return torque, own
+        both = ca.SX.zeros(len(self.machine.actuators))
+        both[self._places] = pressure[:, 0] + pressure[:, 1]
+        torque, own = self._efforts(q, qd, qdd, *([both] if self.model.needs_pressure else []), psi)
+        return torque, own[self._places]
 
     def _steady_forces(self, q: ca.SX, qd: ca.SX, pressure: ca.SX, psi: ca.SX) -> ca.SX:
         """Forces (a,) of the actuators, as `shared_load` allots them, while joints keep their speeds."""
         torque, own = self._demanded(q, qd, ca.SX.zeros(q.numel()), pressure, psi)
-        return shared_load(self.machine, self.model.transmission(q), torque) + own
+        return shared_load(self.machine, self.model.transmission(q), torque)[self._places] + own
 
     def _acceleration(self, q: ca.SX, qd: ca.SX, force: ca.SX, pushed: ca.SX, pressure: ca.SX, psi: ca.SX) -> ca.SX:
         """Joint accelerations (n,) under forces (a,) of the actuators, and generalised ones (n,)."""
         rest, own = self._demanded(q, qd, ca.SX.zeros(q.numel()), pressure, psi)
-        return ca.solve(self.mass(q, psi), self.model.transmission(q).T @ (force - own) + pushed - rest)
+        load = self.transmission(q).T @ (force - own) + pushed - rest
+        free = [k for k, joint in enumerate(self.machine.joints) if joint not in self.machine.base_joints]
+        found = ca.SX.zeros(q.numel())
+        found[free] = ca.solve(self.mass(q, psi)[free, free], load[free])
+        return found
 
     @cached_property
     def mass(self) -> ca.Function:

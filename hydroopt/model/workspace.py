@@ -8,6 +8,7 @@ import numpy as np
 from scipy.stats import qmc
 
 from hydroopt.errors import ProblemError
+from hydroopt.model.hanging import Hanging
 from hydroopt.model.hydraulics import conductance
 from hydroopt.model.plant import Plant, Steady
 from hydroopt.spatial.inertia import Array
@@ -20,7 +21,8 @@ class Mode(NamedTuple):
     """Response of one joint to its valve, with all other joints and the supply pressure held.
 
     `frequency` [Hz] and `damping` of the joint on its oil, NaN where it does not oscillate; `gain` is the steady speed
-    of the joint per unit of command [rad/s or m/s, per V, A or 1].
+    of the joint per unit of command [rad/s or m/s, per V, A or 1]. Valves of several actuators open in proportion to
+    these actuators' lever arms, that with the longest one by a unit.
     """
 
     frequency: float
@@ -42,7 +44,7 @@ class Sweep(NamedTuple):
     """
 
     joint: str
-    actuator: str
+    actuators: tuple[str, ...]
     speed: float
     position: Array
     modes: tuple[tuple[Mode, ...], ...]
@@ -54,9 +56,10 @@ class Sweep(NamedTuple):
 
 
 def sweeps(plant: Plant, psi: Array, theta: Array, *, positions: int = 9, postures: int = 5) -> list[Sweep]:
-    """Responses of all joints to their valves over their ranges, in both directions.
+    """Responses of all joints that oil moves to their valves over their ranges, in both directions.
 
-    Each is linearised while it moves at a tenth of its greatest speed (see `top_speed`) and the others rest.
+    Each is linearised while it moves at a tenth of its greatest speed (see `top_speed`) and the others rest; passive
+    joints hang.
 
     Args:
         plant: the machine.
@@ -68,13 +71,13 @@ def sweeps(plant: Plant, psi: Array, theta: Array, *, positions: int = 9, postur
     Raises:
         ProblemError: the machine file states no supply pressure, or no masses.
     """
-    plant.refuse_shared("the sweep over the workspace")
-    supply, joints = plant.supply, plant.machine.joints
+    supply, joints, hanging = plant.supply, plant.machine.joints, Hanging(plant.model)
     ranges = np.array([plant.machine.link(joint).joint.range for joint in joints])
     spread = qmc.Halton(len(joints), scramble=False).random(postures)
     spread[0] = 0.5  # the sequence begins at the lower limits
     found = []
-    for k, joint in enumerate(joints):
+    for joint, actuators in plant.drivers.items():
+        k = joints.index(joint)
         lower, upper = ranges[k]
         # at the ends of the range chambers may be empty and lever arms short
         places = np.linspace(lower + 0.02 * (upper - lower), upper - 0.02 * (upper - lower), positions)
@@ -86,6 +89,7 @@ def sweeps(plant: Plant, psi: Array, theta: Array, *, positions: int = 9, postur
                 for share in spread:
                     q, qd = ranges[:, 0] + share * (ranges[:, 1] - ranges[:, 0]), np.zeros(len(joints))
                     q[k], qd[k] = place, speed
+                    q = hanging.postures(q[None])[0]
                     try:
                         at = plant.steady(q, qd, psi, theta, supply)
                     except ProblemError as error:
@@ -94,24 +98,26 @@ def sweeps(plant: Plant, psi: Array, theta: Array, *, positions: int = 9, postur
                     else:
                         row.append(mode(plant, joint, at, psi, theta))
                 rows.append(tuple(row))
-            found.append(Sweep(joint, plant.actuators[k].actuator.name, speed, places, tuple(rows), reason))
+            names = tuple(plant.actuators[i].actuator.name for i in actuators)
+            found.append(Sweep(joint, names, speed, places, tuple(rows), reason))
     return found
 
 
 def workspace_sweeps(plant: Plant, psi: Array, theta: Array) -> tuple[Sweep, ...]:
     """The sweeps that answers and their reports show, with parameters ψ (p,) and θ.
 
-    They are empty where the machine file states no supply pressure, and where a joint has not one measured actuator.
+    They are empty where the machine file states no supply pressure.
     """
-    if plant.machine.pump is None or plant.machine.pump.pressure is None or not plant.machine.one_each:
+    if plant.machine.pump is None or plant.machine.pump.pressure is None:
         return ()
     return tuple(sweeps(plant, psi, theta, positions=7, postures=2))
 
 
 def top_speed(plant: Plant, joint: str) -> float:
-    """The greatest speed [rad/s or m/s] of a joint, or what its valve and the pump give it in mid-range.
+    """The greatest speed [rad/s or m/s] of a joint that oil moves, or what its valve and the pump give it in mid-range.
 
-    The valve fully open, at half of the supply's pressure, by the machine file's numbers.
+    The valve fully open, at half of the supply's pressure, by the machine file's numbers; of several actuators' valves
+    the one that allows least.
 
     Raises:
         ProblemError: the machine file states no supply pressure.
@@ -121,23 +127,24 @@ def top_speed(plant: Plant, joint: str) -> float:
     if stated is not None:
         return stated
     k = machine.joints.index(joint)
-    each = plant.actuators[k]
     middle = np.array([sum(machine.link(name).joint.range) / 2 for name in machine.joints])
-    lever = abs(float(plant.actuator_motion(middle, np.eye(len(middle))[k])[1][k]))
-    flow = conductance(each.valve, "flow_pa", plant.value(each, plant.parameters.nominal)) * (plant.supply[0] / 2)**0.5
+    levers = np.abs(np.asarray(plant.transmission(middle))[:, k])
+    swept = [plant.actuators[i].areas[0] * levers[i] for i in plant.drivers[joint]]
+    flows = [float(conductance(each.valve, "flow_pa", plant.value(each, plant.parameters.nominal)))
+             * (plant.supply[0] / 2)**0.5 for each in (plant.actuators[i] for i in plant.drivers[joint])]
     most = machine.pump.max_flow if machine.pump else None
-    return float(min(flow, most or np.inf) / (each.areas[0] * lever))
+    return float(min([(most or np.inf) / sum(swept), *(flow / area for flow, area in zip(flows, swept, strict=True))]))
 
 
 def mode(plant: Plant, joint: str, steady: Steady, psi: Array, theta: Array) -> Mode:
-    """Frequency and damping of a joint on its oil, and the steady gain from its valve to its speed, others held.
+    """Frequency and damping of a joint on its oil, and the steady gain from its valves to its speed, others held.
 
     The least damped pair of poles of the joint with its chambers is taken, the spool's own poles aside: for these the
     opening is an input. The gain is that of command to speed at frequency zero.
 
     Args:
         plant: the machine.
-        joint: which.
+        joint: which; oil moves it.
         steady: state about which it is linearised.
         psi: dynamic parameters (p,).
         theta: hydraulic ones.
@@ -154,9 +161,14 @@ def mode(plant: Plant, joint: str, steady: Steady, psi: Array, theta: Array) -> 
         raise ProblemError(f"nothing that '{joint}' moves has a mass or inertia", where=plant.machine.name,
                            remedy="state the bodies of its links in the machine file")
     A[n + k] = mass[k] @ A[n:2 * n] / mass[k, k]
-    moving = [f"{joint}.qd", *(name for name in states if name.startswith(f"{plant.actuators[k].actuator.name}."))]
+    places = list(plant.drivers[joint])
+    owners = tuple(f"{plant.actuators[i].actuator.name}." for i in places)
+    moving = [f"{joint}.qd", *(name for name in states if name.startswith(owners))]
     rows = [states.index(name) for name in moving]
-    A, B = A[np.ix_(rows, rows)], B[rows][:, [k]]
+    levers = np.asarray(plant.transmission(steady.x[:n]))[places, k] * np.sign(
+        [plant.actuators[i].valve.span for i in places])
+    opened = levers / levers[np.argmax(np.abs(levers))]
+    A, B = A[np.ix_(rows, rows)], (B[rows][:, places] @ opened)[:, None]
     gain = float((-np.linalg.solve(A, B))[0, 0])
     oil = [i for i, name in enumerate(moving) if ".spool" not in name]
     swinging = [pole for pole in np.linalg.eigvals(A[np.ix_(oil, oil)]) if pole.imag > 1e-9 * abs(pole)]

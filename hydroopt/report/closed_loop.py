@@ -36,9 +36,9 @@ def render(comparison: Comparison) -> str:
         sensitivity=plain(setting.sensitivity), best=comparison.feedforward,
         units=[UNITS[machine.channel_units[f"{joint}.q"]][0] for joint in machine.joints],
         rows=[_row(comparison, outcome) for outcome in comparison.outcomes],
-        gains=[(each.actuator.name, *(plain(float(values[k]), 3) for values in (
-            comparison.gains.position, comparison.gains.force, comparison.gains.integral_time,
-            comparison.gains.filter_time))) for k, each in enumerate(setting.plant.actuators)],
+        gains=[(name, *(plain(value, 3) for value in values))
+               for name, values in comparison.gains_of_actuators.items()],
+        passive=[joint for joint in machine.joints if machine.link(joint).joint.passive],
         loops=[row for outcome in _cut(comparison) for row in _loops(comparison, outcome)],
         hydraulics=hydraulics.section(setting.plant, comparison.sweeps) if comparison.sweeps else None,
         figures={name: Markup(svg(figure, name)) for name, figure in drawn.items()})

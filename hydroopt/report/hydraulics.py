@@ -27,8 +27,9 @@ def rows(plant: Plant, sweeps: Sequence[Sweep]) -> list[dict[str, Any]]:
     table = []
     for sweep in sweeps:
         unit, factor = _unit(plant, sweep.joint)
-        row: dict[str, Any] = {"joint": sweep.joint, "actuator": sweep.actuator, "speed": sweep.speed * factor,
-                               "speed_unit": f"{unit}/s", "gain_unit": _gain_unit(plant, sweep)}
+        row: dict[str, Any] = {"joint": sweep.joint, "actuator": " and ".join(sweep.actuators),
+                               "speed": sweep.speed * factor, "speed_unit": f"{unit}/s",
+                               "gain_unit": _gain_unit(plant, sweep)}
         for key in KEYS:
             values = sweep.each(key) * (factor if key == "gain" else 1.0)
             reached = values[np.isfinite(values)]
@@ -50,7 +51,7 @@ def _unit(plant: Plant, joint: str) -> tuple[str, float]:
 
 
 def _gain_unit(plant: Plant, sweep: Sweep) -> str:
-    command = plant.machine.circuits[sweep.actuator].valve.command
+    command = plant.machine.circuits[sweep.actuators[0]].valve.command
     unit = f"{_unit(plant, sweep.joint)[0]}/s"
     return unit if command == "1" else f"{unit} per {command}"
 

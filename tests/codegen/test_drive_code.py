@@ -35,7 +35,7 @@ def test_self_test_passes(subject: str, real: str, tmp_path: Path) -> None:
 
 
 def test_valves_are_left_out_with_the_reason() -> None:
-    assert library.code(twin()).missing["valves are inverted for one measured actuator on each joint"] == [
+    assert library.code(twin()).missing["the machine file does not state the valves of all actuators"] == [
         "valve_feedforward"]
 
 

@@ -5,11 +5,11 @@ import numpy as np
 import pytest
 from scipy.integrate import simpson
 
-from hydroopt.errors import ProblemError
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.model.plant import SIGN_WIDTH, Plant
+from hydroopt.model.workspace import sweeps
 from oracles.mujoco_tree import MujocoTree
 from oracles.pinocchio_tree import PinocchioTree
 from oracles.subjects import model, random_bodies
@@ -135,15 +135,29 @@ def _scaled(value):
     return value / 2 if isinstance(value, float) else value
 
 
-def test_two_cylinders_side_by_side_move_as_one_of_both_areas():
+@pytest.fixture(scope="module")
+def one_and_two() -> tuple[Machine, Machine]:
+    """The crane with its one cylinder, and with two side by side that are half of it each."""
     one = model("patu655_lift").machine
     data = one.model_dump(exclude={"notes"})
     (cylinder,) = data["cylinders"]
     data["cylinders"] = [_halved(cylinder) | {"name": name} for name in ("left", "right")]
-    data["sensors"] = ()
-    two = Machine.model_validate(data)
+    return one, Machine.model_validate(data | {"sensors": ()})
+
+
+def test_two_cylinders_side_by_side_swing_on_their_oil_as_one(one_and_two):
     found = []
-    for machine in (one, two):
+    for machine in one_and_two:
+        plant = Plant(Model(machine))
+        (sweep, *_) = sweeps(plant, plant.model.parameters.nominal, plant.parameters.nominal, positions=2, postures=1)
+        assert len(sweep.actuators) == len(plant.actuators)
+        found.append([sweep.each(key) for key in ("frequency", "damping", "gain")])
+    np.testing.assert_allclose(found[1], found[0], rtol=1e-6)
+
+
+def test_two_cylinders_side_by_side_move_as_one_of_both_areas(one_and_two):
+    found = []
+    for machine in one_and_two:
         plant = Plant(Model(machine))
         psi, theta = plant.model.parameters.nominal, plant.parameters.nominal
         step = plant.integrator(0.01, psi, theta, tolerance=1e-9)
@@ -155,15 +169,7 @@ def test_two_cylinders_side_by_side_move_as_one_of_both_areas():
         found.append(np.array(course))
     assert np.ptp(found[0][:, 0]) > 0.01
     np.testing.assert_allclose(found[1][:, :2], found[0][:, :2], rtol=1e-6, atol=1e-7)
-    states = list(Plant(Model(two)).states)
+    states = list(Plant(Model(one_and_two[1])).states)
     for chamber in ("p_head", "p_rod"):
         both = found[1][:, [states.index(f"{name}.{chamber}") for name in ("left", "right")]]
         np.testing.assert_allclose(both[:, 0], both[:, 1], rtol=1e-6)
-
-
-def test_control_refuses_what_it_cannot_allot():
-    data = model("patu655_lift").machine.model_dump(exclude={"notes"})
-    data["cylinders"] = [data["cylinders"][0] | {"name": name} for name in ("left", "right")]
-    data["sensors"] = ()
-    with pytest.raises(ProblemError, match="control asks for one measured actuator a joint, which 'lift' has not"):
-        Plant(Model(Machine.model_validate(data))).refuse_shared("control")

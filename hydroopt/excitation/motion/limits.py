@@ -14,10 +14,10 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.estimation.inference.identifiability import random_states
-from hydroopt.excitation.motion.hanging import Hanging
 from hydroopt.machine.actuators import Cylinder, Drive, Motor
 from hydroopt.machine.machine import BASE
 from hydroopt.model.flow_demand import chamber_flows
+from hydroopt.model.hanging import Hanging
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.model import Model
 from hydroopt.model.regressor import body_regressor

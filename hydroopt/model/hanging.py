@@ -1,4 +1,4 @@
-"""Passive joints in a designed motion: they hang, and what nothing holds must nearly balance itself."""
+"""Passive joints: the postures in which they hang, and how far a designed motion may leave them without balance."""
 
 from __future__ import annotations
 

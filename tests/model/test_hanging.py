@@ -6,9 +6,9 @@ import pytest
 import hydroopt as ho
 from fixtures.drives import crane
 from hydroopt.excitation.motion.basis import Fourier
-from hydroopt.excitation.motion.hanging import Hanging
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import read_machine
+from hydroopt.model.hanging import Hanging
 from hydroopt.model.model import Model
 from hydroopt.spatial.inertia import centre_of_mass
 

@@ -1,0 +1,81 @@
+"""What position control regulates: one axis for each joint that oil moves, however many actuators share it."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.model.plant import Plant
+from hydroopt.spatial.inertia import Array
+
+
+class Axes:
+    """The axes of a machine with n joints, a actuators and m joints that oil moves.
+
+    An actuator that alone is there to move a joint is an axis of its own, whose position is its length or angle. Where
+    several share a joint, the axis is the joint itself: its regulator demands a speed of the joint, of which each
+    actuator takes what its lever arm makes of it, so that they do not work against each other. Passive joints and those
+    of the base have no axis.
+
+    Attributes:
+        plant: the machine.
+        names: of the axes: the actuator's, or the shared joint's.
+        actuators: of each axis, their places in `Plant.actuators`.
+        of: the axis (a,) of each actuator.
+
+    >>> from hydroopt.machine.machine_file import load_machine
+    >>> Axes(Plant(load_machine("backhoe"))).names
+    ('swing', 'boom_cylinder', 'stick_cylinder', 'bucket_cylinder')
+    """
+
+    def __init__(self, plant: Plant) -> None:
+        self.plant = plant
+        self.actuators = tuple(plant.drivers.values())
+        self.names = tuple(joint if len(places) > 1 else plant.actuators[places[0]].actuator.name
+                           for joint, places in plant.drivers.items())
+        self.of = np.array([next(i for i, places in enumerate(self.actuators) if k in places)
+                            for k in range(len(plant.actuators))])
+        self._joints = [plant.machine.joints.index(joint) for joint in plant.drivers]
+
+    @property
+    def one_each(self) -> bool:
+        """Whether every joint has an actuator of its own."""
+        return len(self.plant.machine.joints) == len(self.names) == len(self.of)
+
+    def units(self, axis: int) -> str:
+        """Unit of an axis' position: m or rad."""
+        return self.plant.machine.position_unit(self.plant.machine.joints[self._joints[axis]])
+
+    def positions(self, q: Array, length: Array) -> Array:
+        """Positions (..., m) of the axes from those of joints (..., n) and the lengths of actuators (..., a)."""
+        return np.stack([q[..., self._joints[i]] if len(places) > 1 else length[..., places[0]]
+                         for i, places in enumerate(self.actuators)], axis=-1)
+
+    def slopes(self, lever_arm: Array) -> Array:
+        """Speeds (m, n) of the axes per speed of each joint, at lever arms (a, n)."""
+        joints = np.eye(lever_arm.shape[1])
+        return np.array([joints[self._joints[i]] if len(places) > 1 else lever_arm[places[0]]
+                         for i, places in enumerate(self.actuators)])
+
+    def shares(self, lever_arm: Array) -> Array:
+        """Speeds (..., a, m) of the actuators per speed of their own axis, at lever arms (..., a, n)."""
+        made = np.zeros((*lever_arm.shape[:-1], len(self.names)))
+        for i, places in enumerate(self.actuators):
+            for k in places:
+                made[..., k, i] = lever_arm[..., k, self._joints[i]] if len(places) > 1 else 1.0
+        return made
+
+    def shares_along(self, q: Array) -> Array:
+        """`shares` (N, a, m) in postures (N, n)."""
+        return self.shares(self.plant.model.over(self.plant.transmission, q)[0])
+
+    def open(self, opening: Array) -> NDArray[np.bool_]:
+        """Whether no valve (a,) of an axis (m,) is fully open."""
+        return np.array([np.all(np.abs(opening[list(places)]) < 1) for places in self.actuators])
+
+    @cached_property
+    def measured(self) -> NDArray[np.bool_]:
+        """Whether the forces of the actuators (a,) are measured."""
+        return np.array([each.actuator.measured for each in self.plant.actuators])
