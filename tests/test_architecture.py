@@ -55,6 +55,12 @@ QUARANTINE = {
     "tomlkit": ("machine.machine_file",),
     "dask": ("study.scheduler",),
     "distributed": ("study.scheduler",),
+    "h5py": ("logs.formats.decoders.hdf5",),
+    "asammdf": ("logs.formats.decoders.mdf",),
+    "nptdms": ("logs.formats.decoders.tdms",),
+    "python_calamine": ("logs.formats.decoders.xlsx",),
+    "rosbags": ("logs.formats.decoders.bags",),
+    "mcap": ("logs.formats.decoders.bags",),
 }
 
 

@@ -22,7 +22,7 @@ from hydroopt.logs.stamps import of_texts
 from hydroopt.units import to_si
 
 Key = str | int
-KINDS = ("csv", "parquet", "mat")
+KINDS = ("csv", "parquet", "mat", "hdf5", "npz", "xlsx", "tdms", "mdf", "bags")
 """Kinds of files, as a map may state them."""
 
 

@@ -137,8 +137,10 @@ def _sheet_of(column: ColumnMap, channel: str, layout: LogMap, sheets: Sequence[
 
 
 def _holds(sheet: LogFile, key: RawKey) -> bool:
-    if not isinstance(key, str):
-        return isinstance(key, int) and key < len(sheet.header)
+    if isinstance(key, tuple):
+        return (key[0] if key[1] is None else f"{key[0]}[{key[1]}]") in sheet.header
+    if isinstance(key, int):
+        return key < len(sheet.header)
     return key in sheet.header or [parts_of(name)[0] for name in sheet.header].count(key) == 1
 
 

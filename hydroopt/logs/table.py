@@ -24,7 +24,9 @@ from hydroopt.units import factor, largest
 Array = NDArray[np.float64]
 RawKey = Key | tuple[str, int | None]
 FORMATS = {".csv": "csv", ".txt": "csv", ".dat": "csv", ".tsv": "csv", ".asc": "csv",
-           ".parquet": "parquet", ".mat": "mat"}
+           ".parquet": "parquet", ".mat": "mat", ".h5": "hdf5", ".hdf5": "hdf5", ".hdf": "hdf5", ".npz": "npz",
+           ".xlsx": "xlsx", ".xls": "xlsx", ".xlsb": "xlsx", ".ods": "xlsx", ".tdms": "tdms", ".mf4": "mdf",
+           ".mdf": "mdf", ".bag": "bags", ".db3": "bags", ".mcap": "bags"}
 FILE_LIMIT = 2 * 1024**3
 """Largest file that is read [bytes]."""
 EXPANSION = 10

@@ -110,7 +110,8 @@ def test_damaged_files_are_refused_in_one_sentence(csv, case):
 
 
 @pytest.mark.parametrize(("name", "pattern"), [
-    ("none.csv", "no such file"), (".", "not a file"), ("log.xlsx", "not a kind"),
+    ("none.csv", "no such file"), (".", "not a file"), ("log.docx", "not a kind"),
+    ("log.xlsx", "not a readable spreadsheet"),
     ("log.parquet", "not a readable Parquet"), ("log.mat", "--map")])
 def test_wrong_files(csv, tmp_path, name, pattern):
     if name.startswith("log"):

@@ -1,19 +1,27 @@
-"""Which reader a file has, and the sheets of one file or of several."""
+"""Which reader a file has, and the sheets of one file, of several, or of a directory."""
 
 from __future__ import annotations
 
+import hashlib
+import os
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
+from hydroopt.errors import LogError
+from hydroopt.input_file import is_directory
 from hydroopt.logs.column_map import LogMap
+from hydroopt.logs.formats.foreign_file import NAMES, ForeignFile
 from hydroopt.logs.formats.log_file import LogFile
 from hydroopt.logs.formats.mat_file import MatFile
 from hydroopt.logs.formats.parquet_file import ParquetFile
 from hydroopt.logs.formats.text_file import TextFile
 from hydroopt.logs.sheets import Sheet
-from hydroopt.logs.table import load
+from hydroopt.logs.table import EXPANDED_LIMIT, FORMATS, kind_of, load
+
+MAGIC = {b"MDF     ": "mdf", b"\x89HDF\r\n\x1a\n": "hdf5", b"#ROSBAG V2.0": "bags"}
+"""First bytes of files whose name may say something else."""
 
 
 @dataclass(frozen=True)
@@ -26,17 +34,28 @@ class Source:
 
 @contextmanager
 def open_files(paths: Sequence[str], layout: LogMap | None) -> Iterator[Source]:
-    """The sheets of files, open as long as they are read.
+    """The sheets of files, open as long as they are read; a directory that is no bag stands for its files.
 
     Raises:
         LogError: a file is damaged or of an unknown kind, or declares more than can be held.
     """
+    files = [file for path in paths for file in _files_of(path)]
     sheets, digests = [], []
-    for path in paths:
-        data, digest, kind = load(path, layout.format if layout else None)
-        sheets.append(Sheet(stem(path) if len(paths) > 1 else "", path, open_file(kind, data, path, layout)))
-        digests.append(digest)
-    yield Source(tuple(sheets), tuple(digests))
+    with ExitStack() as stack:
+        for file in files:
+            kind, front = true_kind(file, layout), stem(file) if len(files) > 1 else ""
+            if kind in NAMES:
+                digests.append(_digest(file))
+                foreign = ForeignFile(str(kind), file, _size(file), layout)
+                stack.callback(foreign.close)
+                for name, sheet in foreign.sheets.items():
+                    full = f"{front}:{name}" if front and name else front or name
+                    sheets.append(Sheet(full, f"{file}, {name}" if name else file, sheet))
+            else:
+                data, digest, kind = load(file, kind)
+                digests.append(digest)
+                sheets.append(Sheet(front, file, open_file(kind, data, file, layout)))
+        yield Source(tuple(sheets), tuple(digests))
 
 
 def open_file(kind: str, data: bytes, where: str, layout: LogMap | None) -> LogFile:
@@ -47,7 +66,70 @@ def open_file(kind: str, data: bytes, where: str, layout: LogMap | None) -> LogF
     """
     if kind == "mat":
         return MatFile(data, where, layout)
+    if kind not in ("csv", "parquet"):
+        raise LogError(f"tables of poses are not read from {NAMES[kind]} files", where=where,
+                       remedy="export it as .csv or .parquet")
     return TextFile(data, where, layout) if kind == "csv" else ParquetFile(data, where, layout)
+
+
+def true_kind(path: str | Path, layout: LogMap | None) -> str | None:
+    """The kind of a file by its map, its first bytes or its name; None where none of them says."""
+    declared = layout.format if layout else None
+    if is_directory(path):
+        return declared or "bags"
+    kind = kind_of(path, declared)
+    if declared not in (None, "mat") or not os.path.isfile(path):
+        return kind
+    with open(path, "rb") as file:
+        start = file.read(128)
+    found = next((each for magic, each in MAGIC.items() if start.startswith(magic)), None)
+    if kind == "mat":
+        return "mat73" if start.startswith(b"MATLAB 7.3") or found == "hdf5" else "mat"
+    return found or kind
+
+
+def _files_of(path: str) -> list[str]:
+    """The file, or the files of a directory that are logs; a directory with metadata.yaml is a ROS 2 bag.
+
+    Raises:
+        LogError: the directory holds no log.
+    """
+    if not is_directory(path) or os.path.isfile(os.path.join(path, "metadata.yaml")):
+        return [path]
+    files = sorted(entry.path for entry in os.scandir(path)
+                   if not entry.name.startswith(".") and (entry.is_file() and kind_of(entry.path, None) is not None))
+    if not files:
+        raise LogError("this is a directory without logs, not a file", where=path,
+                       remedy=f"name a file of {', '.join(FORMATS)}, or a directory of such files")
+    return files
+
+
+def _size(path: str) -> int:
+    if is_directory(path):
+        return sum(entry.stat().st_size for entry in os.scandir(path) if entry.is_file())
+    return os.path.getsize(path)
+
+
+def _digest(path: str) -> str:
+    """SHA-256 of a file, or of those of a directory's files, by name.
+
+    Raises:
+        LogError: it cannot be read, is empty or too large.
+    """
+    try:
+        size = _size(path)
+        if size > EXPANDED_LIMIT:
+            raise LogError(f"it has {size / 1e9:.1f} GB", where=path, remedy="split it")
+        if size == 0:
+            raise LogError("the file is empty", where=path, remedy="record it again")
+        if not is_directory(path):
+            with open(path, "rb") as file:
+                return hashlib.file_digest(file, "sha256").hexdigest()
+        parts = sorted(entry.path for entry in os.scandir(path) if entry.is_file())
+        return hashlib.sha256("".join(map(_digest, parts)).encode()).hexdigest()
+    except OSError as error:
+        raise LogError(f"the file cannot be read ({error.strerror})", where=path,
+                       remedy="check the path and its permissions") from None
 
 
 def stem(path: str | Path) -> str:

@@ -1,0 +1,168 @@
+"""ROS 1 bags, ROS 2 bags (SQLite and MCAP) and MCAP files with messages in JSON, without a ROS installation."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from rosbags.highlevel import AnyReader
+from rosbags.typesys import Stores, get_typestore
+
+from hydroopt.logs.formats.decoders.content import WIDEST, Column, Content, UnreadableError
+
+UNITS = {"sensor_msgs/msg/Imu": {"angular_velocity": "rad/s", "linear_acceleration": "m/s^2"},
+         "sensor_msgs/msg/FluidPressure": {"fluid_pressure": "Pa"}}
+"""Units that the standard messages of ROS define, by type and field."""
+DEPTH = 6
+"""How deep fields are looked for."""
+
+
+def contents(path: Path) -> list[Content]:
+    """The topics of a bag whose messages hold numbers, with the stamps of their headers, or else of the recorder.
+
+    Raises:
+        UnreadableError: it is damaged.
+    """
+    try:
+        if path.suffix == ".mcap" and (found := _json_topics(path)):
+            return found
+        reader = AnyReader([path], default_typestore=get_typestore(Stores.ROS2_HUMBLE))
+        reader.open()
+        found = []
+        for topic, info in reader.topics.items():
+            topic_messages = _Messages(reader, topic)
+            first = next(iter(topic_messages.each()), None)
+            if first is None or info.msgcount < 2:
+                continue
+            content = _content(topic, str(info.msgtype), topic_messages, first, int(info.msgcount))
+            if content.columns:
+                found.append(content)
+    except Exception as error:  # whatever the library raises, the file is at fault
+        raise UnreadableError(str(error) or type(error).__name__) from None
+    return found
+
+
+class _Messages:
+    """The messages of a topic, each with the recorder's stamp [ns], decoded once when first needed."""
+
+    def __init__(self, reader: Any, topic: str) -> None:
+        self._reader, self._topic = reader, topic
+        self._rows: list[tuple[int, Any]] | None = None
+
+    def each(self) -> Iterator[tuple[int, Any]]:
+        chosen = [each for each in self._reader.connections if each.topic == self._topic]
+        for connection, stamp, data in self._reader.messages(connections=chosen):
+            yield stamp, self._reader.deserialize(data, connection.msgtype)
+
+    def rows(self) -> list[tuple[int, Any]]:
+        if self._rows is None:
+            try:
+                self._rows = list(self.each())
+            except Exception as error:
+                raise UnreadableError(str(error) or type(error).__name__) from None
+        return self._rows
+
+
+def _content(topic: str, kind: str, messages: Any, first: tuple[int, Any], count: int) -> Content:
+    columns = []
+    for path in _numbers(first[1]):
+        unit = next((unit for name, unit in UNITS.get(kind, {}).items() if path[0] == name), "")
+        name = _name(path, first[1])
+        columns.append(Column(name, unit, partial(_column, messages, path)))
+    headed = _header_stamp(first[1]) not in (None, 0)
+    shown = f"the stamps {'of the headers' if headed else 'of the recorder'} of its messages"
+
+    def stamps() -> NDArray[Any]:
+        return np.array([(_header_stamp(message) or 0) if headed else stamp for stamp, message in messages.rows()],
+                        dtype="M8[ns]")
+
+    return Content(topic, columns, stamps, shown, rows=count)
+
+
+def _column(messages: Any, path: Sequence[str | int]) -> NDArray[np.float64]:
+    return np.array([_at(message, path) for _, message in messages.rows()])
+
+
+def _header_stamp(message: Any) -> int | None:
+    """The stamp [ns] of a message's header; None where it has none."""
+    stamp = _get(_get(message, "header"), "stamp")
+    seconds, rest = _get(stamp, "sec"), _get(stamp, "nanosec")
+    return None if seconds is None or rest is None else int(seconds) * 10**9 + int(rest)
+
+
+def _get(item: Any, key: str) -> Any:
+    return item.get(key) if isinstance(item, dict) else getattr(item, key, None)
+
+
+def _fields(item: Any) -> Iterable[str]:
+    if isinstance(item, dict):
+        return [key for key in item if isinstance(key, str)]
+    return [key for key in getattr(item, "__dataclass_fields__", {}) if not key.startswith("_")]
+
+
+def _numbers(item: Any, path: tuple[str | int, ...] = ()) -> Iterator[tuple[str | int, ...]]:
+    """Paths of the numbers in a message, but those of its header."""
+    if isinstance(item, bool | int | float | np.number | np.bool_):
+        yield path
+    elif isinstance(item, np.ndarray | list | tuple):
+        if len(item) <= WIDEST and len(path) < DEPTH:
+            for k, each in enumerate(item):
+                yield from _numbers(each, (*path, k))
+    elif len(path) < DEPTH:
+        for key in _fields(item):
+            if path or key != "header":
+                yield from _numbers(_get(item, key), (*path, key))
+
+
+def _name(path: Sequence[str | int], message: Any) -> str:
+    """The name of a number, as ``linear_acceleration.x`` or, where the message names its parts, ``position[boom]``."""
+    text = ""
+    names = _get(message, "name")
+    for part in path:
+        if isinstance(part, str):
+            text += f".{part}" if text else part
+        else:
+            named = isinstance(names, list) and len(path) == 2 and part < len(names) and isinstance(names[part], str)
+            text += f"[{names[part] if named else part}]"
+    return text
+
+
+def _at(message: Any, path: Sequence[str | int]) -> float:
+    """A number of a message, NaN where it is missing."""
+    item = message
+    for part in path:
+        try:
+            item = _get(item, part) if isinstance(part, str) else item[part]
+        except (IndexError, TypeError, KeyError):
+            return float("nan")
+    return float(item) if isinstance(item, bool | int | float | np.number | np.bool_) else float("nan")
+
+
+class _JsonMessages:
+    def __init__(self, rows: list[tuple[int, Any]]) -> None:
+        self._rows = rows
+
+    def rows(self) -> list[tuple[int, Any]]:
+        return self._rows
+
+
+def _json_topics(path: Path) -> list[Content]:
+    """The topics of an MCAP file whose messages are JSON; none where there are others."""
+    from mcap.reader import make_reader  # noqa: PLC0415
+
+    with path.open("rb") as file:
+        reader = make_reader(file)
+        summary = reader.get_summary()
+        channels = list(summary.channels.values()) if summary is not None else []
+        if not channels or any(channel.message_encoding != "json" for channel in channels):
+            return []
+        rows: dict[str, list[tuple[int, Any]]] = {}
+        for _, channel, message in reader.iter_messages():
+            rows.setdefault(channel.topic, []).append((message.log_time, json.loads(message.data)))
+    return [_content(topic, "", _JsonMessages(found), found[0], len(found)) for topic, found in rows.items()
+            if len(found) > 1]

@@ -1,0 +1,42 @@
+"""Worksheets of spreadsheets, as tables of text."""
+
+from __future__ import annotations
+
+from datetime import date, datetime, time, timedelta
+from pathlib import Path
+
+import python_calamine as calamine
+
+from hydroopt.logs.formats.decoders.content import Content, UnreadableError
+
+
+def contents(path: Path) -> list[Content]:
+    """The worksheets that hold cells, with tabs between columns.
+
+    Raises:
+        UnreadableError: it is damaged.
+    """
+    try:
+        book = calamine.CalamineWorkbook.from_path(str(path))
+        found = []
+        for name in book.sheet_names:
+            rows = book.get_sheet_by_name(name).to_python(skip_empty_area=True)
+            if rows:
+                lines = ("\t".join(map(_text, row)) for row in rows)
+                found.append(Content(name, table="\n".join(lines).encode(), rows=len(rows)))
+    except Exception as error:  # whatever the library raises, the file is at fault
+        raise UnreadableError(str(error) or type(error).__name__) from None
+    return found
+
+
+def _text(cell: object) -> str:
+    """A cell as text, numbers with all of their digits."""
+    if isinstance(cell, datetime):
+        return cell.isoformat(sep=" ", timespec="microseconds")
+    if isinstance(cell, timedelta):
+        return repr(cell.total_seconds())
+    if isinstance(cell, time):
+        return cell.isoformat(timespec="microseconds")
+    if isinstance(cell, date):
+        return cell.isoformat()
+    return repr(cell) if isinstance(cell, float) else " ".join(str(cell).split())

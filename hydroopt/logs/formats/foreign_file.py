@@ -1,0 +1,166 @@
+"""Files that a library reads in a process of its own: HDF5, MATLAB 7.3, NPZ, XLSX, TDMS, MDF, ROS bags and MCAP."""
+
+from __future__ import annotations
+
+import io
+import json
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.errors import LogError
+from hydroopt.logs import stamps
+from hydroopt.logs.column_map import Key, LogMap
+from hydroopt.logs.formats.log_file import LogFile
+from hydroopt.logs.formats.text_file import TextFile
+from hydroopt.logs.stamps import Stamps
+from hydroopt.logs.table import Array, RawKey, Table, check_size, find_column, selected, unreadable
+
+NAMES = {"hdf5": "HDF5", "mat73": "MATLAB 7.3", "npz": "NPZ", "xlsx": "spreadsheet", "tdms": "TDMS", "mdf": "MDF",
+         "bags": "ROS bag or MCAP"}
+EXTRAS = {"hdf5": "hdf5", "mat73": "hdf5", "xlsx": "xlsx", "tdms": "tdms", "mdf": "mdf", "bags": "ros"}
+"""The extra of the package that installs the library of a kind of file."""
+PROGRAM = Path(__file__).with_name("process.py")
+ROOT = Path(__file__).parents[3]
+MEMORY = 6 * 1000**3
+"""Memory [bytes] that reading may take beside ten times the file's size."""
+SECONDS = 60
+"""Processor time [s] that reading may take, and as much again for each 50 MB."""
+
+
+class ForeignFile:
+    """A file that a process decodes; its sheets are read one by one until it is closed.
+
+    Raises:
+        LogError: the file is damaged, its library is missing, or it declares more than can be held.
+    """
+
+    def __init__(self, kind: str, path: str, size: int, layout: LogMap | None) -> None:
+        self.kind, self.where = kind, path
+        limits = [kind, os.path.abspath(path), MEMORY + 10 * size, SECONDS * (1 + size // (50 * 10**6)), str(ROOT)]
+        self._process = subprocess.Popen(
+            [sys.executable, "-P", str(PROGRAM), json.dumps(limits)], stdin=subprocess.PIPE, stdout=subprocess.PIPE,
+            stderr=subprocess.DEVNULL, env=os.environ | {"OPENBLAS_NUM_THREADS": "1", "OMP_NUM_THREADS": "1"})
+        self._rows = layout.rows if layout else None
+        try:
+            said, _ = self._answer()
+            found = said["sheets"]
+            if not found:
+                raise LogError("the file holds no columns of two or more numbers", where=path,
+                               remedy="check what was recorded")
+            alone = len(found) == 1
+            self.sheets: dict[str, LogFile] = {}
+            for k, each in enumerate(found):
+                check_size(each["rows"] * 8, path)
+                name = "" if alone else each["name"]
+                try:
+                    self.sheets[name] = (self._table(k, name, layout) if each["text"] else
+                                         _ForeignSheet(self, k, name, each, self._rows))
+                except LogError:
+                    if alone or (k + 1 == len(found) and not self.sheets):
+                        raise  # a worksheet of notes is no table
+        except BaseException:
+            self.close()
+            raise
+
+    def _table(self, index: int, name: str, layout: LogMap | None) -> LogFile:
+        """A worksheet, which is a table of text with tabs."""
+        _, (data,) = self.ask(sheet=index, columns=[], stamps=False)
+        given = layout or LogMap.model_construct(columns={})
+        return TextFile(data.tobytes(), f"{self.where}, {name}" if name else self.where, given.model_copy(
+            update={"delimiter": "\t", "decimal": ".", "thousands": None, "encoding": None}))
+
+    def ask(self, **request: Any) -> tuple[dict[str, Any], list[NDArray[Any]]]:
+        """The answer to a request, and its arrays."""
+        assert self._process.stdin is not None
+        try:
+            self._process.stdin.write(json.dumps(request).encode() + b"\n")
+            self._process.stdin.flush()
+        except OSError:
+            raise self._crashed() from None
+        return self._answer()
+
+    def _answer(self) -> tuple[dict[str, Any], list[NDArray[Any]]]:
+        assert self._process.stdout is not None
+        line = self._process.stdout.readline()
+        if not line.endswith(b"\n"):
+            raise self._crashed()
+        said = json.loads(line)
+        if "missing" in said:
+            extra = EXTRAS.get(self.kind, "")
+            raise LogError(f"the library '{said['missing']}' that reads {NAMES[self.kind]} files is not installed",
+                           where=self.where, remedy=f"install it with: pip install 'hydroopt-calibration[{extra}]'")
+        if "unreadable" in said:
+            raise unreadable(NAMES[self.kind], self.where, ValueError(said["unreadable"]))
+        blobs = [self._process.stdout.read(size) for size in said["sizes"]]
+        if any(len(blob) < size for blob, size in zip(blobs, said["sizes"], strict=True)):
+            raise self._crashed()
+        return said, [np.load(io.BytesIO(blob), allow_pickle=False) for blob in blobs]
+
+    def _crashed(self) -> LogError:
+        return unreadable(NAMES[self.kind], self.where, ValueError("it crashes the reader, or takes too long"))
+
+    def close(self) -> None:
+        """End the process."""
+        self._process.kill()
+        self._process.wait()
+        for pipe in (self._process.stdin, self._process.stdout):
+            if pipe is not None:
+                pipe.close()
+
+
+class _ForeignSheet:
+    """A sheet of numbers of such a file."""
+
+    def __init__(self, file: ForeignFile, index: int, name: str, said: dict[str, Any],
+                 rows: tuple[int, int] | None) -> None:
+        self.where = f"{file.where}, {name}" if name else file.where
+        self.header: list[str] = said["header"]
+        self.shown: str = said["shown"]
+        self.own_stamps: bool = said["own"]
+        self._file, self._index, self._rows = file, index, rows
+
+    def read(self, keys: Sequence[RawKey], texts: Sequence[Key] = (), time: RawKey | None = None) -> Table:
+        """The columns `keys` as numbers; there are no texts."""
+        if texts:
+            raise LogError("this file has no columns of text", where=self.where, remedy="export it as .csv or .xlsx")
+        index = [self._column(key) for key in keys]
+        own = self.own_stamps and time is None
+        _, arrays = self._file.ask(sheet=self._index, columns=index, stamps=own)
+        made = _own(arrays.pop()) if own else None
+        columns: dict[RawKey, Array] = {}
+        if len({array.size for array in arrays} | ({made.ticks.size} if made else set())) > 1:
+            raise unreadable(NAMES[self._file.kind], self.where, ValueError("its columns have different lengths"))
+        count = made.ticks.size if made is not None else arrays[0].size if arrays else 0
+        rows = selected(count, self._rows, self.where) if count else np.empty(0, int)
+        for key, position, array in zip(keys, index, arrays, strict=True):
+            if array.dtype.kind not in "biuf" and not (key == time and array.dtype.kind in "mM"):
+                raise LogError(f"column '{self.header[position]}' holds no numbers", where=self.where,
+                               remedy="map another column")
+            if key == time:
+                made = stamps.of_column(array[rows - 1])
+            columns[key] = made.seconds() if array.dtype.kind in "mM" and made else array[rows - 1].astype(float)
+        if own and made is not None:
+            made = Stamps(made.ticks[rows - 1], made.per_second, made.dated)
+        return Table(columns, rows, stamps=made)
+
+    def _column(self, key: RawKey) -> int:
+        if isinstance(key, tuple):
+            variable, row = key
+            return find_column(variable if row is None else f"{variable}[{row}]", self.header, len(self.header),
+                               self.where)
+        return find_column(key, self.header, len(self.header), self.where)
+
+
+def _own(found: NDArray[Any]) -> Stamps:
+    """Stamps of a file's own: dates, or seconds."""
+    if found.dtype.kind in "mM":
+        return stamps.of_datetimes(found)
+    ticks = np.where(np.isfinite(found), np.round(np.nan_to_num(found) * 1e9), 0).astype(np.int64)
+    return Stamps(np.where(np.isfinite(found), ticks, stamps.MISSING), 10**9, False)

@@ -1,0 +1,79 @@
+"""The program of the process in which a library reads a file, since damaged ones crash it or take all memory.
+
+`hydroopt.logs.formats.foreign_file` starts it. It answers each line of its input, a request in JSON, by a line of JSON
+and the arrays that this announces.
+"""
+
+from __future__ import annotations
+
+import importlib
+import io
+import json
+import sys
+from pathlib import Path
+from typing import Any, BinaryIO
+
+import numpy as np
+
+
+def serve(kind: str, path: Path, requests: BinaryIO, answers: BinaryIO) -> None:
+    """Answer requests about a file of a kind until there are no more."""
+    from hydroopt.logs.formats.decoders.content import UnreadableError  # noqa: PLC0415
+
+    try:
+        decoder = importlib.import_module(f"hydroopt.logs.formats.decoders.{'hdf5' if kind == 'mat73' else kind}")
+        sheets = decoder.contents(path, matlab=True) if kind == "mat73" else decoder.contents(path)
+        _answer(answers, {"sheets": [{
+            "name": sheet.name, "header": [column.header for column in sheet.columns], "own": sheet.stamps is not None,
+            "shown": sheet.shown, "rows": sheet.rows, "text": bool(sheet.table)} for sheet in sheets]}, [])
+        for line in requests:
+            request = json.loads(line)
+            sheet = sheets[request["sheet"]]
+            if sheet.table:
+                _answer(answers, {}, [np.frombuffer(sheet.table, np.uint8)])
+                continue
+            arrays = [np.asarray(sheet.columns[k].values()) for k in request["columns"]]
+            if request["stamps"] and sheet.stamps is not None:
+                arrays.append(sheet.stamps())
+            _answer(answers, {}, arrays)
+    except ImportError as error:
+        _answer(answers, {"missing": str(error.name or error)}, [])
+    except UnreadableError as error:
+        _answer(answers, {"unreadable": str(error)[:200]}, [])
+    except MemoryError:
+        _answer(answers, {"unreadable": "it declares more than memory can hold"}, [])
+    except Exception as error:
+        _answer(answers, {"unreadable": f"it is damaged: {type(error).__name__}"}, [])
+
+
+def _answer(answers: BinaryIO, said: dict[str, Any], arrays: list[Any]) -> None:
+    blobs = []
+    for array in arrays:
+        file = io.BytesIO()
+        numbers = array.dtype.kind in "biufmM" and array.ndim == 1
+        np.save(file, array if numbers else np.zeros(len(array), "S1"), allow_pickle=False)
+        blobs.append(file.getvalue())
+    answers.write(json.dumps(said | {"sizes": [len(blob) for blob in blobs]}).encode() + b"\n")
+    for blob in blobs:
+        answers.write(blob)
+    answers.flush()
+
+
+def main() -> None:
+    """Serve the file that the arguments name, within limits of memory [bytes] and time [s]."""
+    kind, path, memory, seconds, root = json.loads(sys.argv[1])
+    sys.path.insert(0, root)
+    answers = sys.stdout.buffer
+    sys.stdout = sys.stderr  # what a library prints is no answer
+    try:
+        import resource  # noqa: PLC0415 (there is none on Windows)
+    except ImportError:
+        pass
+    else:
+        for limit, most in ((resource.RLIMIT_AS, memory), (resource.RLIMIT_CPU, seconds), (resource.RLIMIT_CORE, 0)):
+            resource.setrlimit(limit, (most, most))
+    serve(kind, Path(path), sys.stdin.buffer, answers)
+
+
+if __name__ == "__main__":
+    main()
