@@ -24,6 +24,9 @@ from .estimation.inference.program import NonlinearProgram as NonlinearProgram
 from .estimation.kinematic.calibration import Calibration as Calibration
 from .estimation.kinematic.problem import CalibrationProblem as CalibrationProblem
 from .estimation.kinematic.problem import calibration_problem as calibration_problem
+from .estimation.motion.problem import SensorProblem as SensorProblem
+from .estimation.motion.problem import sensor_problem as sensor_problem
+from .estimation.motion.sensor_calibration import SensorCalibration as SensorCalibration
 from .excitation.motion.design import excitation_problem as excitation_problem
 from .excitation.motion.excitation import Excitation as Excitation
 from .excitation.motion.problem import ExcitationProblem as ExcitationProblem

@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from hydroopt.estimation.hydraulic.problem import HydraulicProblem
     from hydroopt.estimation.kinematic.calibration import Calibration
     from hydroopt.estimation.kinematic.problem import CalibrationProblem
+    from hydroopt.estimation.motion.problem import SensorProblem
+    from hydroopt.estimation.motion.sensor_calibration import SensorCalibration
     from hydroopt.excitation.motion.excitation import Excitation
     from hydroopt.excitation.motion.problem import ExcitationProblem
     from hydroopt.excitation.poses.plan import PosePlan
@@ -24,6 +26,8 @@ SOLVERS = {
         "hydroopt.estimation.dynamic.identify", "identify"),
     ("hydroopt.estimation.kinematic.problem", "CalibrationProblem"): (
         "hydroopt.estimation.kinematic.calibrate", "calibrate"),
+    ("hydroopt.estimation.motion.problem", "SensorProblem"): (
+        "hydroopt.estimation.motion.sensor_calibration", "calibrate_sensors"),
     ("hydroopt.estimation.hydraulic.problem", "HydraulicProblem"): (
         "hydroopt.estimation.hydraulic.estimate", "identify_hydraulics"),
     ("hydroopt.excitation.motion.problem", "ExcitationProblem"): ("hydroopt.excitation.motion.design", "design"),
@@ -36,6 +40,8 @@ def solve(problem: IdentificationProblem, method: str = ..., **options: Any) -> 
 @overload
 def solve(problem: CalibrationProblem, method: str = ..., **options: Any) -> Calibration: ...
 @overload
+def solve(problem: SensorProblem) -> SensorCalibration: ...
+@overload
 def solve(problem: HydraulicProblem, **options: Any) -> HydraulicEstimate: ...
 @overload
 def solve(problem: ExcitationProblem, **options: Any) -> Excitation: ...
@@ -47,7 +53,7 @@ def solve(problem: Any, *arguments: Any, **options: Any) -> Any:
     """Solve a problem; the problem itself is not changed.
 
     Args:
-        problem: identification, kinematic calibration, valves and oil, or the design of a motion or of poses.
+        problem: identification, kinematic calibration, sensors, valves and oil, or the design of a motion or of poses.
         arguments: a method, where the problem has several.
         options: of `hydroopt.estimation.dynamic.identify.identify`,
             `hydroopt.estimation.kinematic.calibrate.calibrate`,

@@ -19,7 +19,7 @@ from hydroopt.cli.terminal import echo
 from hydroopt.errors import HydrooptError, ProblemError, StoppedError
 
 COMMANDS = ("show", "simulate", "identify", "identify-valves", "identify-payload", "compare", "calibrate",
-            "plan-poses", "excite", "control", "study", "codegen", "convert")
+            "calibrate-sensors", "plan-poses", "excite", "control", "study", "codegen", "convert")
 """A command is the function of its name in the module of its name; the docstring of that function is its help."""
 
 

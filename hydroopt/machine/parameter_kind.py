@@ -39,7 +39,9 @@ class ParameterKind(StrEnum):
     RATIO = "transmission ratio"
     LOCKED_ANGLE = "locked angle"
     DRIFT = "drift"
-    ACCELERATION_BIAS = "bias of an accelerometer"
+    BIAS = "bias of a reading"
+    DELAY = "delay"
+    CLOCK_DRIFT = "relative error of a clock"
 
     BULK_MODULUS = "bulk modulus"
     HOSE_MODULUS = "hose modulus"

@@ -32,6 +32,7 @@ class Job(StrEnum):
 
     IDENTIFICATION = "identification"
     CALIBRATION = "kinematic calibration"
+    SENSORS = "calibration of sensors"
     HYDRAULICS = "identification of valves and oil"
     EXCITATION = "excitation"
     POSE_PLAN = "pose plan"
@@ -41,7 +42,8 @@ class Job(StrEnum):
     CONTROL = "comparison of controllers"
 
 
-FILES = {Job.IDENTIFICATION: "estimate.json", Job.CALIBRATION: "estimate.json", Job.HYDRAULICS: "estimate.json",
+FILES = {Job.IDENTIFICATION: "estimate.json", Job.CALIBRATION: "estimate.json", Job.SENSORS: "estimate.json",
+         Job.HYDRAULICS: "estimate.json",
          Job.EXCITATION: "excitation.json", Job.POSE_PLAN: "plan.json",
          Job.CHANGE: "comparison.json", Job.CHANGE_HISTORY: "comparison.json",
          Job.PAYLOAD: "payload.json", Job.CONTROL: "control.json"}

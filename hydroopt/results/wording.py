@@ -46,6 +46,13 @@ class Kind(StrEnum):
     LENGTH_CONTRADICTS_ANGLE = "length contradicts angle"
     OTHER_SAMPLING_RATE = "other sampling rate"
 
+    # motion by all sensors
+    SENSOR_MISREAD = "sensor misread"
+    BIAS_DRIFTS = "bias drifts"
+    MOTION_UNEXPLAINED = "readings not explained by the motion"
+    SATURATED = "sensor saturated"
+    NOT_TOLD = "not told by motion and poses"
+
     # comparison of controllers
     UNSTABLE_ELSEWHERE = "loop unstable outside the motion"
     SMALL_MARGINS = "small margins"
@@ -176,13 +183,13 @@ class Kind(StrEnum):
     NOT_IDENTIFIED_BY_POSES = "not identified by poses"
 
 
-REFUTATIONS = frozenset({Kind.LOG_MISREAD})
+REFUTATIONS = frozenset({Kind.LOG_MISREAD, Kind.SENSOR_MISREAD})
 """Kinds that refute an answer's data: no machine is made of it unless that is forced."""
 OF_LOGS = REFUTATIONS | frozenset({
     Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE, Kind.OTHER_SAMPLING_RATE})
 """Kinds of what contradicts the machine file in a log as it is read, before any fit."""
 CONTRADICTIONS = OF_LOGS | frozenset({
-    Kind.STROKE_CONTRADICTS_POSES,
+    Kind.STROKE_CONTRADICTS_POSES, Kind.BIAS_DRIFTS, Kind.MOTION_UNEXPLAINED,
     Kind.MISFIT_CAUSE, Kind.LACK_OF_FIT, Kind.BODIES_CONTRADICTED, Kind.PRIORS_CONTRADICTED,
     Kind.WORSE_THAN_ZERO, Kind.UNEXPLAINED_ACTUATOR,
     Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_CHANNEL, Kind.ERRORS_FAR_LARGER,
@@ -227,6 +234,22 @@ WORDS: dict[Kind, Words] = {
     Kind.OTHER_SAMPLING_RATE: Words(
         "{log} is sampled at {rate:.3g} Hz, where the machine file states {stated:.3g} Hz.",
         "Correct the unit of time in the file or its map, or the rate of the sensors."),
+    Kind.SENSOR_MISREAD: Words(
+        "In {log}, {subject} contradicts the other sensors as it is read. It agrees with {reading}: residuals fall "
+        "from {before:.3g} to {after:.3g} times the stated noise.",
+        "Correct the unit, the axes or the mounting of {subject} in the file, its map or the machine file."),
+    Kind.BIAS_DRIFTS: Words(
+        "The bias of {subject} changes over {log}, by {size:.2g} {unit}: it counts as constant.",
+        "Let the unit warm up, shorten the log, or state a larger noise."),
+    Kind.MOTION_UNEXPLAINED: Words(
+        "In {log}, the residuals of {subject} are {ratio:.1f} times its stated noise.",
+        "Check the accuracy of the sensor, the bandwidth of the machine, and what the machine file leaves out."),
+    Kind.SATURATED: Words(
+        "In {log}, {share:.1f %} of the readings of {subject} are at the end of its range; they do not count.",
+        "Choose a larger range, or drive slower."),
+    Kind.NOT_TOLD: Words(
+        "Motion and poses tell little of {subject}: their confidence is that of the machine file.",
+        "Drive other joints together, add postures at rest, or survey points of the tip."),
     Kind.UNSTABLE_ELSEWHERE: Words(
         "{subject} is unstable in the posture of {point}, which the motion does not reach."),
     Kind.SMALL_MARGINS: Words(

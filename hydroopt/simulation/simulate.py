@@ -98,9 +98,10 @@ def _sines(t: Array, omega: Array, phase: Array, size: Array) -> tuple[Array, Ar
 
 
 def sampling_rate(machine: Machine) -> float:
-    """The highest rate [Hz] that the file states for a joint's sensor, or 50."""
+    """The highest rate [Hz] that the file states for a joint's sensor or an IMU, or 50."""
     sensors = [machine.sensor(f"{joint}.q") for joint in machine.joints]
-    return max((sensor.rate for sensor in sensors if sensor and sensor.rate), default=50.0)
+    rates = [sensor.rate for sensor in sensors if sensor and sensor.rate] + [imu.rate for imu in machine.imus]
+    return max(rates, default=50.0)
 
 
 def random_truth(model: Model, seed: int, *, tries: int = 20000) -> Array:

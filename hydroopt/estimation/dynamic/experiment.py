@@ -287,8 +287,9 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
 
 def channels_used(model: Model, log: AnyLog) -> set[str]:
     """The channels that angles, forces and pressures are read from."""
-    motion = motion_channels(model.machine, log) if has_rates(model.machine, log) else angle_channels(model, log)
-    return ({*motion} | force_channels(model, log) | wrench_channels(log)
+    machine = model.machine
+    motion = {*motion_channels(machine, log.channels)} if has_rates(machine, log) else angle_channels(model, log)
+    return (motion | force_channels(model, log) | wrench_channels(log)
             | (calibrator_channels(model.machine, log) if model.calibrator else set()))
 
 

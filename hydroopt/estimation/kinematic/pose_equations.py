@@ -21,7 +21,7 @@ from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array
 
-ALWAYS_KNOWN = (ParameterKind.DRIFT, ParameterKind.ACCELERATION_BIAS)
+ALWAYS_KNOWN = (ParameterKind.DRIFT, ParameterKind.BIAS)
 """Kinds whose confidences count as measurements, with and without priors."""
 PoseLoss = Literal["squares", "huber", "student_t"]
 

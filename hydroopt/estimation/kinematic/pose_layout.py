@@ -192,7 +192,7 @@ class LayoutBuilder:
             if (rows := np.flatnonzero(self.present[:, columns].any(axis=1))).size:
                 bias = imu.accelerometer.bias
                 self.place[rows, self.model.inputs[f"{imu.name}.bias"]] = [
-                    self._add(f"{imu.name}.bias_{axis}", ParameterKind.ACCELERATION_BIAS, "m/s^2", 0.0, bias, bias)
+                    self._add(f"{imu.name}.bias_{axis}", ParameterKind.BIAS, "m/s^2", 0.0, bias, bias)
                     for axis in "xyz"]
 
     def _no_accuracy(self, name: str) -> ProblemError:

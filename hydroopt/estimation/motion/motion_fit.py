@@ -21,7 +21,7 @@ import numpy as np
 
 from hydroopt.errors import SolverError
 from hydroopt.estimation.motion.banded import Bordered, add_blocks
-from hydroopt.estimation.motion.observations import Observations
+from hydroopt.estimation.motion.observations import Common, Observations
 from hydroopt.estimation.motion.paths import Path, Spline, Support, motion
 from hydroopt.model.sensor_readings import SensorReadings
 from hydroopt.spatial.inertia import Array
@@ -37,16 +37,6 @@ WEAK = 10.0
 """Spread of a coefficient about the middle of its joint's range, in ranges, so that what nobody measures is bounded."""
 
 
-@dataclass(frozen=True)
-class Common:
-    """A number that many readings have in common: name, unit, value before and its standard deviation."""
-
-    name: str
-    unit: str
-    prior: float
-    sigma: float
-
-
 @dataclass(frozen=True, eq=False)
 class Stretch:
     """A path with the readings that belong to it, and the place of their biases and clocks among the common numbers."""
@@ -54,6 +44,16 @@ class Stretch:
     path: Path
     data: tuple[Observations, ...]
     middle: float = 0.0
+
+    @property
+    def begin(self) -> float:
+        """Time of the first reading [s]."""
+        return min(float(each.t[0]) for each in self.data)
+
+    @property
+    def end(self) -> float:
+        """Time of the last reading [s]."""
+        return max(float(each.t[-1]) for each in self.data)
 
     def moved(self, step: Array) -> Stretch:
         """With other coefficients."""
@@ -114,7 +114,7 @@ class MotionFit:
         by_common[:, :, places] = by_g
         for k, channel in enumerate(data.channels):
             if data.biased[k]:
-                place = self.places[f"{data.name}: {channel}"]
+                place = self.places[data.bias(channel)]
                 values[:, k] += self.value[place]
                 by_common[:, k, place] = 1.0
         if shift:
@@ -136,7 +136,7 @@ class MotionFit:
         q, qd, qdd, _ = motion(stretch.path, stretch.path.support(t))
         values = made.values(q, qd, qdd, self.value[[self.places[number.name] for number in made.numbers]])
         for k in np.flatnonzero(data.biased):
-            values[:, k] += self.value[self.places[f"{data.name}: {data.channels[k]}"]]
+            values[:, k] += self.value[self.places[data.bias(data.channels[k])]]
         used = data.used[part] & np.isfinite(values)
         return np.where(used, data.values[part] - values, 0.0) / data.sigma
 
@@ -146,9 +146,9 @@ class MotionFit:
         shift: dict[str, Array] = {}
         found = t.copy()
         if data.delay:
-            shift[f"{data.name}: delay"] = -np.ones_like(t)
+            shift[data.bias("delay")] = -np.ones_like(t)
         if data.drift:
-            shift[f"{data.name}: drift"] = t - stretch.middle
+            shift[data.bias("drift")] = t - stretch.middle
         for name, factor in shift.items():
             found += self.value[self.places[name]] * factor
         return found, shift

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from hydroopt.logs.any_log import AnyLog
-from hydroopt.logs.log import Log
-from hydroopt.logs.readings import reading
+from hydroopt.errors import LogError
+from hydroopt.logs.poses import Poses
+from hydroopt.logs.recording import ChannelGroup
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.spatial.inertia import Array
 
 MOTION = ("q", "qd", "qdd", "length", "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z", "roll", "pitch",
@@ -23,17 +26,28 @@ FULL = 0.999
 """Part of a sensor's range beyond which it counts as saturated."""
 
 
+class Common(NamedTuple):
+    """A number that many readings have in common: name, kind, unit, value before and its standard deviation."""
+
+    name: str
+    kind: ParameterKind
+    unit: str
+    prior: float
+    sigma: float
+
+
 @dataclass(frozen=True, eq=False)
 class Observations:
     """Channels sampled together.
 
     Attributes:
-        name: of the log.
+        name: of the file, and of the group where it has several.
         t: (N,) times [s], or numbers of postures.
-        channels: their names.
+        channels: their names; `units` theirs in SI.
         values: (N, m) in SI.
         sigma: (m,) standard deviation of one reading.
         used: (N, m) False where there is no reading, or none that counts.
+        saturated: (N, m) True where a sensor's range ends.
         biased: (m,) standard deviation of a constant bias; 0 where there is none.
         delay: standard deviation [s] of how much later than stamped the readings were taken; 0 where they were not.
         drift: standard deviation of the relative error of their clock; 0 where it has none.
@@ -42,34 +56,75 @@ class Observations:
     name: str
     t: Array
     channels: tuple[str, ...]
+    units: tuple[str, ...]
     values: Array
     sigma: Array
     used: NDArray[np.bool_]
+    saturated: NDArray[np.bool_]
     biased: Array
     delay: float = 0.0
     drift: float = 0.0
 
     def thinned(self, keep: NDArray[np.bool_]) -> Observations:
         """Those of some samples (N,)."""
-        return replace(self, t=self.t[keep], values=self.values[keep], used=self.used[keep])
+        return replace(self, t=self.t[keep], values=self.values[keep], used=self.used[keep],
+                       saturated=self.saturated[keep])
+
+    def bias(self, channel: str) -> str:
+        """Name of a channel's bias."""
+        return f"{self.name}: {channel}"
+
+    @property
+    def own_numbers(self) -> dict[str, Common]:
+        """Biases of its channels, delay and drift of its clock."""
+        found = [Common(self.bias(channel), ParameterKind.BIAS, unit, 0.0, float(sigma))
+                 for channel, unit, sigma in zip(self.channels, self.units, self.biased, strict=True) if sigma]
+        if self.delay:
+            found.append(Common(self.bias("delay"), ParameterKind.DELAY, "s", 0.0, self.delay))
+        if self.drift:
+            found.append(Common(self.bias("drift"), ParameterKind.CLOCK_DRIFT, "1", 0.0, self.drift))
+        return {each.name: each for each in found}
 
 
-def motion_channels(machine: Machine, log: AnyLog) -> tuple[str, ...]:
-    """The channels of a log that tell the machine's motion."""
+def motion_channels(machine: Machine, channels: Collection[str]) -> tuple[str, ...]:
+    """Those of some channels that tell the machine's motion."""
     known = machine.channel_units
     tips = machine.calibrator is not None and machine.tracker is not None and not machine.calibrator.links
     calibrator = {link.name for link in machine.calibrator.links} if machine.calibrator else set()
-    return tuple(channel for channel in log.channels
-                 if channel in known and channel.rpartition(".")[2] in MOTION
-                 and (channel.rpartition(".")[2] not in DERIVED or machine.sensor(channel))
-                 and channel.partition(".")[0] not in calibrator and (tips or not channel.startswith("tip.")))
+    found = []
+    for channel in channels:
+        owner, _, ending = channel.rpartition(".")
+        if channel not in known or ending not in MOTION or owner in calibrator:
+            continue
+        if (ending in DERIVED and not machine.sensor(channel)) or (ending in ("x", "y", "z") and (
+                owner != "tip" or not tips)):
+            continue
+        found.append(channel)
+    return tuple(found)
 
 
-def observations(machine: Machine, log: Log) -> Observations:
-    """What a log tells of the motion."""
-    channels = motion_channels(machine, log)
-    values = np.column_stack([reading(machine, log, channel) for channel in channels]) if channels else np.zeros(
-        (log.size, 0))
+def observations(machine: Machine, group: ChannelGroup, where: str) -> Observations:
+    """What a group of channels tells of the motion.
+
+    Raises:
+        LogError: a channel measures another kind of quantity than the machine's part has.
+    """
+    name = f"{where} {group.name}" if group.name else where
+    return _of(machine, name, group.t, group.channels, group.units)
+
+
+def row_observations(machine: Machine, table: Poses) -> Observations:
+    """What the rows of a table of poses tell of their postures; times count the rows."""
+    return _of(machine, table.name, np.arange(float(len(table.row))), table.channels, table.units)
+
+
+def _of(machine: Machine, name: str, t: Array, held: Mapping[str, Array], units: Mapping[str, str]) -> Observations:
+    channels = motion_channels(machine, held)
+    for channel in channels:
+        if units[channel] != (want := machine.channel_units[channel]):
+            raise LogError(f"'{channel}' is of the kind '{units[channel]}', but the machine's part needs '{want}'",
+                           where=name, remedy="correct the column's unit or the joint's type")
+    values = np.column_stack([held[channel] for channel in channels]) if channels else np.zeros((len(t), 0))
     sigma = np.array([_sigma(machine, channel, values[:, k]) for k, channel in enumerate(channels)])
     limits, biases = np.full(len(channels), np.inf), np.zeros(len(channels))
     for imu in machine.imus:
@@ -78,8 +133,11 @@ def observations(machine: Machine, log: Log) -> Observations:
             assert part is not None
             biases[channels.index(channel)] = part.bias
             limits[channels.index(channel)] = np.inf if part.range is None else part.range
-    used = np.isfinite(values) & (np.abs(values) < FULL * limits)
-    return Observations(log.path or log.name, log.t, channels, np.where(used, values, 0.0), sigma, used, biases)
+    saturated = np.abs(values) >= FULL * limits
+    used = np.isfinite(values) & ~saturated
+    return Observations(name, np.asarray(t, dtype=float), channels,
+                        tuple(machine.channel_units[channel] for channel in channels),
+                        np.where(used, values, 0.0), sigma, used, saturated, biases)
 
 
 def _sigma(machine: Machine, channel: str, values: Array) -> float:

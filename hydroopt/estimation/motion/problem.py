@@ -1,19 +1,22 @@
-"""From logs, tables of poses and a machine file to the fit of its motion."""
+"""What is asked of sensors: the logs and poses of a machine whose IMUs, clocks and geometry are to be calibrated."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
+from numpy.typing import NDArray
 
-from hydroopt.errors import LogError
+from hydroopt.errors import LogError, ProblemError
 from hydroopt.estimation.motion.first_guess import first_guess
-from hydroopt.estimation.motion.motion_fit import Common, FittedPaths, MotionFit, Stretch, solve
-from hydroopt.estimation.motion.observations import Observations, motion_channels, observations
+from hydroopt.estimation.motion.motion_fit import FittedPaths, MotionFit, Stretch, solve
+from hydroopt.estimation.motion.observations import Common, Observations, observations, row_observations
 from hydroopt.estimation.motion.paths import Postures, Spline
 from hydroopt.logs.log import Log
 from hydroopt.logs.poses import Poses
+from hydroopt.logs.recording import Recording
 from hydroopt.machine.machine import Machine
 from hydroopt.model.sensor_readings import SensorReadings
 from hydroopt.spatial.inertia import Array
@@ -24,90 +27,131 @@ KNOTS = 4.0
 """Knots per period of the fastest motion."""
 SHORTEST = 12
 """Samples of a stretch that is fitted."""
+PAUSE = 2.0
+"""Time [s] without any reading that cuts a motion into two."""
 
 
-def fit_motion(machine: Machine, logs: Sequence[Log], poses: Sequence[Poses] = (), *,
-               geometry: bool = True) -> FittedPaths:
-    """Fit the motion of logs and the postures of poses at rest, and what their sensors have in common.
+@dataclass(frozen=True, eq=False)
+class SensorProblem:
+    """The motion of logs, the postures of poses, and what their sensors have in common.
+
+    Attributes:
+        machine: the machine; numbers of its geometry with a stated `sigma` are unknown, within that.
+        logs: recordings of motion, by any sensors, each channel with the stamps of its group.
+        poses: postures at rest; rows of one stage and pose are readings of one posture.
+        geometry: whether all of the geometry is unknown; otherwise only where IMUs sit.
+    """
+
+    machine: Machine
+    logs: tuple[Recording, ...]
+    poses: tuple[Poses, ...] = ()
+    geometry: bool = True
+
+
+def sensor_problem(machine: Machine, logs: Sequence[Log | Recording], poses: Sequence[Poses] = (), *,
+                   geometry: bool = True) -> SensorProblem:
+    """The problem of calibrating sensors, clocks and geometry by motion and postures at rest.
 
     Args:
-        machine: the machine file; numbers of its geometry with a stated `sigma` are unknown, within that.
-        logs: motion, by any sensors.
-        poses: postures at rest, by any sensors.
-        geometry: whether all of the geometry is unknown; otherwise only where IMUs sit, and their biases.
+        machine: the machine.
+        logs: of motion, by IMUs, angles, lengths of cylinders, at any mix of rates.
+        poses: postures at rest, with readings of the same kinds, and positions of the tip.
+        geometry: whether all of the geometry that states a `sigma` is unknown; otherwise only where IMUs sit.
+
+    Raises:
+        ProblemError: there is neither a log nor a table of poses.
+
+    >>> import hydroopt as ho
+    >>> machine = ho.load_machine("excavator_imu")
+    >>> model = ho.Model(machine)
+    >>> log = ho.simulate(model, ho.random_trajectory(model, duration=10.0, rate=50.0, seed=1))
+    >>> found = ho.solve(ho.sensor_problem(machine, [log]))
+    >>> found.parameters["stick_imu.roll"].unit, found.machine.name
+    ('rad', 'excavator_imu')
+    """
+    if not logs and not poses:
+        raise ProblemError("there is neither a log nor a table of poses", where="sensors", remedy="give at least one")
+    return SensorProblem(machine, tuple(one if isinstance(one, Recording) else Recording.of(one) for one in logs),
+                         tuple(poses), geometry)
+
+
+def fit_motion(problem: SensorProblem) -> FittedPaths:
+    """The most probable motions, postures and common numbers.
 
     Raises:
         LogError: no channel tells the motion of a joint.
         SolverError: the fit does not converge.
     """
-    free = {number.name for number in machine.geometry_numbers} if geometry else machine.imu_numbers
-    tables = [_as_log(table) for table in poses]
+    machine = problem.machine
+    free = {number.name for number in machine.geometry_numbers} if problem.geometry else machine.imu_numbers
+    recorded = [_observed(machine, recording) for recording in problem.logs]
+    tables = [row_observations(machine, table) for table in problem.poses]
     readings: dict[tuple[str, ...], SensorReadings] = {}
-    for log in (*logs, *tables):
-        channels = motion_channels(machine, log)
-        if not channels:
-            raise LogError("no channel tells the motion of a joint", where=log.path or log.name,
-                           remedy="record angles, lengths of cylinders or IMUs that the machine file states")
-        if channels not in readings:
-            readings[channels] = SensorReadings(machine, channels, free)
-    common = _geometry(readings)
-    stretches = []
-    for log in logs:
-        data = observations(machine, log)
-        common |= _biases(machine, data)
-        for number in np.unique(log.segment):
-            part = data.thinned(log.segment == number)
-            if len(part.t) >= SHORTEST:
-                stretches.append(_spline(machine, readings[data.channels], part))
-    for table, log in zip(poses, tables, strict=True):
-        data = observations(machine, log)
-        common |= _biases(machine, data)
-        stretches.append(_postures(machine, readings[data.channels], data, _numbered(table)))
+    common: dict[str, Common] = {}
+    for data in [*(each for some in recorded for each in some), *tables]:
+        if data.channels not in readings:
+            readings[data.channels] = SensorReadings(machine, data.channels, free)
+        for number, sigma in zip(readings[data.channels].numbers, readings[data.channels].sigma, strict=True):
+            common.setdefault(number.name, Common(number.name, number.kind, number.unit, number.value, float(sigma)))
+    for data in [*(each for some in recorded for each in some), *tables]:
+        common |= data.own_numbers
+    stretches = [_spline(machine, readings, part) for some in recorded for part in _parted(some)]
+    stretches += [_postures(machine, readings[data.channels], data, _numbered(table))
+                  for table, data in zip(problem.poses, tables, strict=True)]
     ranges = np.array([machine.link(joint).joint.range for joint in machine.joints])
-    fastest = machine.bandwidth or FASTEST
-    span = np.ptp(ranges, axis=1)
+    fastest, span = machine.bandwidth or FASTEST, np.ptp(ranges, axis=1)
     numbers = tuple(common.values())
     start = MotionFit(readings, tuple(stretches), numbers, np.array([each.prior for each in numbers]),
                       (0.1 * span * (2 * np.pi * fastest / 4) ** 3) ** 2 / (2 * fastest), ranges.mean(axis=1), span)
     return solve(start, machine.name)
 
 
-def _as_log(table: Poses) -> Log:
-    """Rows of a table of poses as a log whose time counts the rows."""
-    return Log(table.name, np.arange(float(len(table.row))), table.channels, units=table.units)
+def _observed(machine: Machine, recording: Recording) -> list[Observations]:
+    """What the groups of a recording tell of the motion.
 
-
-def _geometry(readings: dict[tuple[str, ...], SensorReadings]) -> dict[str, Common]:
-    found: dict[str, Common] = {}
-    for made in readings.values():
-        for number, sigma in zip(made.numbers, made.sigma, strict=True):
-            found[number.name] = Common(number.name, number.unit, number.value, float(sigma))
+    Raises:
+        LogError: none of them does.
+    """
+    where = recording.path or recording.name
+    found = [observations(machine, group, where) for group in recording.groups]
+    found = [data for data in found if data.channels]
+    if not found:
+        raise LogError("no channel tells the motion of a joint", where=where,
+                       remedy="record angles, lengths of cylinders or IMUs that the machine file states")
     return found
 
 
-def _biases(machine: Machine, data: Observations) -> dict[str, Common]:
-    return {name: Common(name, machine.channel_units[channel], 0.0, float(sigma))
-            for channel, sigma in zip(data.channels, data.biased, strict=True)
-            if sigma and (name := f"{data.name}: {channel}")}
+def _parted(data: Sequence[Observations]) -> list[tuple[Observations, ...]]:
+    """What was sampled together, without pauses."""
+    stamps = np.unique(np.concatenate([each.t for each in data]))
+    cuts = stamps[1:][np.diff(stamps) > PAUSE]
+    found = []
+    for low, high in pairwise([-np.inf, *cuts.tolist(), np.inf]):
+        parts = [each.thinned((each.t >= low) & (each.t < high)) for each in data]
+        parts = [each for each in parts if len(each.t)]
+        if sum(len(each.t) for each in parts) >= SHORTEST:
+            found.append(tuple(parts))
+    return found
 
 
-def _spline(machine: Machine, made: SensorReadings, data: Observations) -> Stretch:
-    g = np.array([number.value for number in made.numbers])
-    times, guess = first_guess(machine, made, data, g)
-    fastest = machine.bandwidth or FASTEST
-    spacing = 1 / (KNOTS * fastest)
-    return Stretch(Spline.over(data.t, spacing, times, guess), (data,), float(data.t.mean()))
+def _spline(machine: Machine, readings: dict[tuple[str, ...], SensorReadings],
+            data: tuple[Observations, ...]) -> Stretch:
+    times, guess = first_guess(machine, readings, data)
+    stamps = np.sort(np.concatenate([each.t for each in data]))
+    spacing = 1 / (KNOTS * (machine.bandwidth or FASTEST))
+    return Stretch(Spline.over(stamps, spacing, times, guess), data, float(stamps.mean()))
 
 
-def _numbered(table: Poses) -> Array:
+def _numbered(table: Poses) -> NDArray[np.intp]:
     """The number of the posture that each row of a table was read in: rows of one stage and pose are of one."""
     labels = [f"{stage}/{pose}" for stage, pose in zip(table.stage, table.pose, strict=True)]
-    _, number = np.unique(labels, return_inverse=True)
-    return np.asarray(number, dtype=float)
+    return np.asarray(np.unique(labels, return_inverse=True)[1], dtype=np.intp)
 
 
-def _postures(machine: Machine, made: SensorReadings, data: Observations, number: Array) -> Stretch:
-    g = np.array([each.value for each in made.numbers])
-    found = [first_guess(machine, made, replace(data.thinned(number == k), t=np.zeros(np.sum(number == k))), g)[1][0]
-             for k in range(int(number.max()) + 1)]
-    return Stretch(Postures(np.array(found)), (replace(data, t=number),))
+def _postures(machine: Machine, made: SensorReadings, data: Observations, number: NDArray[np.intp]) -> Stretch:
+    found: list[Array] = []
+    for k in range(int(number.max()) + 1):
+        here = number == k
+        at_once = replace(data.thinned(here), t=np.zeros(int(np.sum(here))))
+        found.append(first_guess(machine, {data.channels: made}, (at_once,))[1][0])
+    return Stretch(Postures(np.array(found)), (replace(data, t=number.astype(float)),))

@@ -8,9 +8,10 @@ import numpy as np
 
 from hydroopt.estimation.motion.observations import motion_channels
 from hydroopt.estimation.motion.paths import motion
-from hydroopt.estimation.motion.problem import FASTEST, fit_motion
+from hydroopt.estimation.motion.problem import FASTEST, SensorProblem, fit_motion
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.log import Log
+from hydroopt.logs.recording import Recording
 from hydroopt.logs.smoothing import Motion, inside
 from hydroopt.machine.machine import Machine
 
@@ -21,7 +22,7 @@ POSITIONS = ("q", "length")
 def has_rates(machine: Machine, log: AnyLog) -> bool:
     """Whether a log has rates, accelerations or inclinations with a stated accuracy."""
     return any(channel.rpartition(".")[2] not in (*POSITIONS, "x", "y", "z")
-               for channel in motion_channels(machine, log))
+               for channel in motion_channels(machine, log.channels))
 
 
 def sensed(machine: Machine, log: Log) -> tuple[Log, Motion]:
@@ -33,11 +34,11 @@ def sensed(machine: Machine, log: Log) -> tuple[Log, Motion]:
         LogError: a joint's motion is not measured.
         SolverError: the fit does not converge.
     """
-    found = fit_motion(machine, [log], geometry=False)
+    found = fit_motion(SensorProblem(machine, (Recording.of(log),), geometry=False))
     made = np.full((3, log.size, len(machine.joints)), np.nan)
     std = np.full(made.shape[1:], np.nan)
     for k, stretch in enumerate(found.fit.stretches):
-        here = (log.t >= stretch.data[0].t[0]) & (log.t <= stretch.data[0].t[-1])
+        here = (log.t >= stretch.begin) & (log.t <= stretch.end)
         support = stretch.path.support(log.t[here])
         made[:, here] = motion(stretch.path, support)[:3]
         std[here] = found.std(k, support)
@@ -51,7 +52,7 @@ def sensed(machine: Machine, log: Log) -> tuple[Log, Motion]:
     interior = np.concatenate([inside(used.t[used.segment == number], bandwidth) for number in np.unique(used.segment)])
     said = ", ".join(f"{joint} {_spread(value, machine.position_unit(joint))}" for joint, value in zip(
         machine.joints, np.sqrt(np.nanmean(std**2, axis=0)), strict=True))
-    note = f"motion fitted to {len(motion_channels(machine, log))} channels; standard deviations: {said}"
+    note = f"motion fitted to {len(motion_channels(machine, log.channels))} channels; standard deviations: {said}"
     q, qd, qdd = made[:, kept]
     return used, Motion(used.t, q, qd, qdd, used.segment, interior, bandwidth,
                         np.ones(len(machine.joints), dtype=int), (note,))

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 import hydroopt as ho
-from hydroopt.estimation.motion.motion_fit import Common, MotionFit
+from hydroopt.estimation.motion.motion_fit import MotionFit
+from hydroopt.estimation.motion.observations import Common
 from hydroopt.estimation.motion.paths import motion
-from hydroopt.estimation.motion.problem import fit_motion
+from hydroopt.estimation.motion.problem import fit_motion, sensor_problem
 from hydroopt.machine.machine_file import read_machine
+from hydroopt.machine.parameter_kind import ParameterKind
 
 ARM = '''
 name = "arm"
@@ -72,7 +74,7 @@ def angles(found, log):
 def test_steps_are_those_of_the_objective_differentiated_numerically():
     machine = arm('[[sensors]]\nchannels = ["boom.q"]\naccuracy = "0.2 deg"\n')
     _, log = simulated(truth(machine, 1), 2, duration=4.0)
-    fit = fit_motion(machine, [log]).fit
+    fit = fit_motion(sensor_problem(machine, [log])).fit
     rng = np.random.default_rng(0)
     fit = replace(fit, value=fit.value + 0.3 * fit.sigma * rng.normal(size=len(fit.value)),
                   stretches=(fit.stretches[0].moved(0.01 * rng.normal(size=fit.stretches[0].path.coefficients.shape)),))
@@ -98,7 +100,7 @@ def test_imus_alone_tell_angles_and_where_they_sit():
     true = truth(machine, 5)
     course, log = simulated(true, 6, duration=40.0)
     assert not [channel for channel in log.channels if channel.endswith(".q")]
-    found = fit_motion(machine, [log])
+    found = fit_motion(sensor_problem(machine, [log]))
     (q, qd, _, _), std = angles(found, log)
     # of a joint whose link carries another one, both ends are seen; the last link's own angle stays with its mounting
     assert np.sqrt(np.mean((q[:, 0] - course.q[:, 0]) ** 2)) < np.radians(0.05)
@@ -115,14 +117,15 @@ def test_gyroscopes_beside_coarse_angles_make_speeds_and_accelerations_far_bette
     machine = arm(coarse)
     course, log = simulated(machine, 3, duration=30.0)
     only = ho.Log("angles", log.t, {name: x for name, x in log.channels.items() if name.endswith(".q")})
-    with_gyros, without = (fit_motion(machine, [each], geometry=False) for each in (log, only))
+    with_gyros, without = (fit_motion(sensor_problem(machine, [each], geometry=False)) for each in (log, only))
     errors = [[np.sqrt(np.mean((found - true) ** 2)) for found, true in zip(angles(fit, log)[0][:3], (
         course.q, course.qd, course.qdd), strict=True)] for fit in (with_gyros, without)]
     assert np.all(np.array(errors[1]) > [2, 4, 4] * np.array(errors[0]))
 
 
 def test_a_common_number_without_a_reading_keeps_its_prior():
-    fit = MotionFit({}, (), (Common("a", "m", 1.0, 0.1),), np.array([1.0]), np.ones(1), np.zeros(1), np.ones(1))
+    numbers = (Common("a", ParameterKind.LENGTH, "m", 1.0, 0.1),)
+    fit = MotionFit({}, (), numbers, np.array([1.0]), np.ones(1), np.zeros(1), np.ones(1))
     _, matrix, right, total = fit.linearised()
     assert (matrix.item(), right.item(), total) == (pytest.approx(100.0), 0.0, 0.0)
 
@@ -134,7 +137,7 @@ def test_intervals_hold_the_truth():
     for seed in range(60):
         true = truth(machine, seed)
         course, log = simulated(true, 500 + seed, duration=15.0)
-        found = fit_motion(machine, [log])
+        found = fit_motion(sensor_problem(machine, [log]))
         spread = np.sqrt(np.diag(found.covariance))
         for k, each in enumerate(found.fit.common):
             if each.name in true.imu_numbers and spread[k] < 0.7 * each.sigma:

@@ -1,0 +1,80 @@
+"""What a reader should know of fitted motion before trusting it."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+
+import numpy as np
+from scipy.stats import chi2
+
+from hydroopt.estimation.motion.motion_fit import FittedPaths, Stretch
+from hydroopt.estimation.motion.observations import Observations
+from hydroopt.estimation.motion.problem import SensorProblem
+from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.wording import Kind
+from hydroopt.spatial.inertia import Array
+
+PARTS = 8
+"""Parts of a motion over which a bias should stay the same."""
+SURE = 1e-6
+"""Probability, over all channels, below which a bias counts as changing."""
+FAR = 1.5
+"""Residuals that are so many times the stated noise are worth a sentence."""
+MANY = 0.001
+"""Part of the readings at the end of a sensor's range that is worth a sentence."""
+
+
+def diagnose(problem: SensorProblem, found: FittedPaths, unknown: Sequence[str]) -> Iterator[Diagnostic]:
+    """The most severe first; `unknown` are numbers that the data tell little of."""
+    pairs = [(stretch, data) for stretch in found.fit.stretches for data in stretch.data]
+    far, drifting, full = [], [], []
+    for stretch, data in pairs:
+        left = found.fit.left(stretch, data)
+        for k, channel in enumerate(data.channels):
+            used = data.used[:, k]
+            if not np.any(used):
+                continue
+            ratio = float(np.sqrt(np.mean(left[used, k] ** 2)))
+            if ratio > FAR and np.sum(used) > 5:
+                far.append((ratio, channel, data))
+            if (share := float(np.mean(data.saturated[:, k]))) > MANY:
+                full.append((share, channel, data))
+            if data.biased[k] and (change := _changes(stretch, data, left[:, k], k)):
+                drifting.append((change, channel, data))
+    tests = sum(len(data.channels) for _, data in pairs)
+    for (statistic, size, free), channel, data in drifting:
+        if tests * float(chi2.sf(statistic, free)) < SURE:
+            yield Diagnostic(Kind.BIAS_DRIFTS, (channel,), {
+                "log": data.name, "size": size, "unit": data.units[data.channels.index(channel)]})
+    for ratio, channel, data in sorted(far, key=lambda each: -each[0]):
+        yield Diagnostic(Kind.MOTION_UNEXPLAINED, (channel,), {"log": data.name, "ratio": ratio})
+    for share, channel, data in full:
+        yield Diagnostic(Kind.SATURATED, (channel,), {"log": data.name, "share": share})
+    if unknown:
+        yield Diagnostic(Kind.NOT_TOLD, tuple(unknown))
+
+
+def _changes(stretch: Stretch, data: Observations, left: Array, k: int) -> tuple[float, float, int] | None:
+    """How much the mean residual of a channel changes over the motion: chi², range [unit], and degrees of freedom."""
+    del stretch
+    used = np.flatnonzero(data.used[:, k])
+    if used.size < 20 * PARTS:
+        return None
+    parts = np.array_split(left[used], PARTS)
+    means = np.array([part.mean() for part in parts])
+    # residuals of smooth motion are almost white; what they are not widens the means
+    spread = np.array([part.std() * np.sqrt(max(_whole(part), 1.0) / part.size) for part in parts])
+    statistic = float(np.sum(((means - means.mean()) / spread) ** 2))
+    return statistic, float(np.ptp(means) * data.sigma[k]), PARTS - 1
+
+
+def _whole(values: Array) -> float:
+    """How many samples count as one: sum of the correlations up to the first that vanishes."""
+    centred = values - values.mean()
+    total, size = 1.0, float(centred @ centred)
+    for lag in range(1, min(200, centred.size // 4)):
+        r = float(centred[lag:] @ centred[:-lag]) / size
+        if r < 0.05:
+            break
+        total += 2 * r
+    return total
