@@ -52,6 +52,7 @@ class Kind(StrEnum):
     MOTION_UNEXPLAINED = "readings not explained by the motion"
     SATURATED = "sensor saturated"
     NOT_TOLD = "not told by motion and poses"
+    POSITION_UNCERTAIN = "position of a joint uncertain"
 
     # comparison of controllers
     UNSTABLE_ELSEWHERE = "loop unstable outside the motion"
@@ -234,22 +235,6 @@ WORDS: dict[Kind, Words] = {
     Kind.OTHER_SAMPLING_RATE: Words(
         "{log} is sampled at {rate:.3g} Hz, where the machine file states {stated:.3g} Hz.",
         "Correct the unit of time in the file or its map, or the rate of the sensors."),
-    Kind.SENSOR_MISREAD: Words(
-        "In {log}, {subject} contradicts the other sensors as it is read. It agrees with {reading}: residuals fall "
-        "from {before:.3g} to {after:.3g} times the stated noise.",
-        "Correct the unit, the axes or the mounting of {subject} in the file, its map or the machine file."),
-    Kind.BIAS_DRIFTS: Words(
-        "The bias of {subject} changes over {log}, by {size:.2g} {unit}: it counts as constant.",
-        "Let the unit warm up, shorten the log, or state a larger noise."),
-    Kind.MOTION_UNEXPLAINED: Words(
-        "In {log}, the residuals of {subject} are {ratio:.1f} times its stated noise.",
-        "Check the accuracy of the sensor, the bandwidth of the machine, and what the machine file leaves out."),
-    Kind.SATURATED: Words(
-        "In {log}, {share:.1f %} of the readings of {subject} are at the end of its range; they do not count.",
-        "Choose a larger range, or drive slower."),
-    Kind.NOT_TOLD: Words(
-        "Motion and poses tell little of {subject}: their confidence is that of the machine file.",
-        "Drive other joints together, add postures at rest, or survey points of the tip."),
     Kind.UNSTABLE_ELSEWHERE: Words(
         "{subject} is unstable in the posture of {point}, which the motion does not reach."),
     Kind.SMALL_MARGINS: Words(

@@ -9,6 +9,7 @@ from scipy.stats import chi2
 
 from hydroopt.estimation.motion.motion_fit import FittedPaths, Stretch
 from hydroopt.estimation.motion.observations import Observations
+from hydroopt.estimation.motion.paths import Spline
 from hydroopt.estimation.motion.problem import SensorProblem
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.wording import Kind
@@ -20,6 +21,8 @@ SURE = 1e-6
 """Probability, over all channels, below which a bias counts as changing."""
 FAR = 1.5
 """Residuals that are so many times the stated noise are worth a sentence."""
+COARSE_ANGLE, COARSE_LENGTH = float(np.radians(0.5)), 5e-3
+"""Uncertainty of a joint's position [rad, m] that is worth a sentence."""
 MANY = 0.001
 """Part of the readings at the end of a sensor's range that is worth a sentence."""
 
@@ -50,8 +53,24 @@ def diagnose(problem: SensorProblem, found: FittedPaths, unknown: Sequence[str])
         yield Diagnostic(Kind.MOTION_UNEXPLAINED, (channel,), {"log": data.name, "ratio": ratio})
     for share, channel, data in full:
         yield Diagnostic(Kind.SATURATED, (channel,), {"log": data.name, "share": share})
+    yield from _uncertain(problem, found)
     if unknown:
         yield Diagnostic(Kind.NOT_TOLD, tuple(unknown))
+
+
+def _uncertain(problem: SensorProblem, found: FittedPaths) -> Iterator[Diagnostic]:
+    """Joints of fitted motions whose positions are known less than identification needs."""
+    machine = problem.machine
+    for k, stretch in enumerate(found.fit.stretches):
+        if not isinstance(stretch.path, Spline):
+            continue
+        std = np.sqrt(np.mean(found.std(k, stretch.path.support(stretch.data[0].t)) ** 2, axis=0))
+        for joint, value in zip(machine.joints, std.tolist(), strict=True):
+            slides = machine.position_unit(joint) == "m"
+            if value > (COARSE_LENGTH if slides else COARSE_ANGLE):
+                yield Diagnostic(Kind.POSITION_UNCERTAIN, (joint,), {
+                    "log": stretch.data[0].name, "std": 1e3 * value if slides else float(np.degrees(value)),
+                    "unit": "mm" if slides else "deg"})
 
 
 def _changes(stretch: Stretch, data: Observations, left: Array, k: int) -> tuple[float, float, int] | None:

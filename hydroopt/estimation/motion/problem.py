@@ -40,6 +40,8 @@ class SensorProblem:
         logs: recordings of motion, by any sensors, each channel with the stamps of its group.
         poses: postures at rest; rows of one stage and pose are readings of one posture.
         geometry: whether all of the geometry is unknown; otherwise only where IMUs sit.
+
+    See `sensor_problem`.
     """
 
     machine: Machine

@@ -39,6 +39,8 @@ class SensorCalibration(Answer):
     Attributes:
         problem: what it answers.
         found: the most probable motions and numbers.
+
+    See `sensor_problem`.
     """
 
     problem: SensorProblem

@@ -1,0 +1,29 @@
+"""What diagnostics of sensors that tell the motion say."""
+
+from __future__ import annotations
+
+from hydroopt.results.wording import Kind, Words
+
+SENSOR_WORDS: dict[Kind, Words] = {
+    Kind.SENSOR_MISREAD: Words(
+        "In {log}, {subject} contradicts the other sensors as it is read. It agrees with {reading}: residuals fall "
+        "from {before:.3g} to {after:.3g} times the stated noise.",
+        "Correct the unit, the axes or the mounting of {subject} in the file, its map or the machine file."),
+    Kind.BIAS_DRIFTS: Words(
+        "The bias of {subject} changes over {log}, by {size:.2g} {unit}: it counts as constant.",
+        "Let the unit warm up, shorten the log, or state a larger noise."),
+    Kind.MOTION_UNEXPLAINED: Words(
+        "In {log}, the residuals of {subject} are {ratio:.1f} times its stated noise.",
+        "Check the accuracy of the sensor, the bandwidth of the machine, and what the machine file leaves out."),
+    Kind.SATURATED: Words(
+        "In {log}, {share:.1f %} of the readings of {subject} are at the end of its range; they do not count.",
+        "Choose a larger range, or drive slower."),
+    Kind.NOT_TOLD: Words(
+        "Motion and poses tell little of {subject}: their confidence is that of the machine file.",
+        "Drive other joints together, add postures at rest, or survey points of the tip."),
+    Kind.POSITION_UNCERTAIN: Words(
+        "In {log}, the position of {subject} is uncertain by {std:.2g} {unit} (standard deviation), although its "
+        "changes are known.",
+        "Survey points of the tip at rest, read its joint or cylinder in some postures, or measure where its IMU "
+        "sits."),
+}
