@@ -207,7 +207,13 @@ class Recording:
         cut = np.diff(base.segment[keep], prepend=base.segment[keep][:1]) != 0
         units = {name: unit for group in self.groups for name, unit in group.units.items()}
         segment = np.cumsum(cut | _behind_a_loss(keep))
-        return Log(self.name, t, channels, base.sample[keep], segment, findings, self.path, self.sha256, units)
+        return Log(self.name, t, channels, base.sample[keep], segment, findings, self.path, self.sha256, units,
+                   self if others else None)
+
+    @property
+    def grid(self) -> ChannelGroup:
+        """The group whose stamps `log` takes by default."""
+        return self.groups[self._grid(None, self.path or self.name)]
 
     def _grid(self, name: str | None, where: str) -> int:
         """Index of the group whose stamps a log of the recording has."""

@@ -64,7 +64,7 @@ def _uncertain(problem: SensorProblem, found: FittedPaths) -> Iterator[Diagnosti
     for k, stretch in enumerate(found.fit.stretches):
         if not isinstance(stretch.path, Spline):
             continue
-        std = np.sqrt(np.mean(found.std(k, stretch.path.support(stretch.data[0].t)) ** 2, axis=0))
+        std = np.sqrt(np.mean(found.std(k, stretch.path.support(stretch.data[0].stamped)) ** 2, axis=0))
         for joint, value in zip(machine.joints, std.tolist(), strict=True):
             slides = machine.position_unit(joint) == "m"
             if value > (COARSE_LENGTH if slides else COARSE_ANGLE):

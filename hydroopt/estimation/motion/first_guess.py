@@ -42,7 +42,7 @@ def first_guess(machine: Machine, readings: Mapping[tuple[str, ...], SensorReadi
     Raises:
         LogError: no reading depends on some joint.
     """
-    begin, end = min(float(each.t[0]) for each in data), max(float(each.t[-1]) for each in data)
+    begin, end = min(each.stamped[0] for each in data), max(each.stamped[-1] for each in data)
     count = int((end - begin) / STEP) + 1
     means = [_means(each, begin, count) for each in data]
     parts = [_Part.of(readings[each.channels]) for each in data]
@@ -99,7 +99,7 @@ class _Part:
 
 def _means(data: Observations, begin: float, count: int) -> tuple[Array, NDArray[np.bool_]]:
     """Means (count, m) over steps of time, and which of them hold a reading."""
-    bins = np.minimum(((data.t - begin) / STEP).astype(int), count - 1)
+    bins = np.minimum(((data.stamped - begin) / STEP).astype(int), count - 1)
     number, total = np.zeros((2, count, len(data.channels)))
     np.add.at(number, bins, data.used)
     np.add.at(total, bins, np.where(data.used, data.values, 0.0))

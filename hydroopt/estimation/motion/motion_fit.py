@@ -43,17 +43,16 @@ class Stretch:
 
     path: Path
     data: tuple[Observations, ...]
-    middle: float = 0.0
 
     @property
     def begin(self) -> float:
         """Time of the first reading [s]."""
-        return min(float(each.t[0]) for each in self.data)
+        return min(float(each.stamped[0]) for each in self.data)
 
     @property
     def end(self) -> float:
         """Time of the last reading [s]."""
-        return max(float(each.t[-1]) for each in self.data)
+        return max(float(each.stamped[-1]) for each in self.data)
 
     def moved(self, step: Array) -> Stretch:
         """With other coefficients."""
@@ -105,7 +104,7 @@ class MotionFit:
     def rows(self, stretch: Stretch, data: Observations, part: slice) -> Rows:
         """Some samples of observations, linearised."""
         made = self.readings[data.channels]
-        t, shift = self._stamps(stretch, data, part)
+        t, shift = self._stamps(data, part)
         support = stretch.path.support(t)
         q, qd, qdd, jerk = motion(stretch.path, support)
         places = [self.places[number.name] for number in made.numbers]
@@ -132,7 +131,7 @@ class MotionFit:
     def left(self, stretch: Stretch, data: Observations, part: slice = slice(None)) -> Array:
         """Whitened residuals (N, m); zero where there is no reading."""
         made = self.readings[data.channels]
-        t, _ = self._stamps(stretch, data, part)
+        t, _ = self._stamps(data, part)
         q, qd, qdd, _ = motion(stretch.path, stretch.path.support(t))
         values = made.values(q, qd, qdd, self.value[[self.places[number.name] for number in made.numbers]])
         for k in np.flatnonzero(data.biased):
@@ -140,18 +139,19 @@ class MotionFit:
         used = data.used[part] & np.isfinite(values)
         return np.where(used, data.values[part] - values, 0.0) / data.sigma
 
-    def _stamps(self, stretch: Stretch, data: Observations, part: slice) -> tuple[Array, dict[str, Array]]:
+    def clock(self, data: Observations) -> tuple[float, float]:
+        """Delay [s] and drift of the clock of observations."""
+        known = (data.clock.delay, data.clock.drift)
+        delay, drift = (self.value[self.places[name]] if name in self.places else value
+                        for name, value in zip((data.bias("delay"), data.bias("drift")), known, strict=True))
+        return float(delay), float(drift)
+
+    def _stamps(self, data: Observations, part: slice) -> tuple[Array, dict[str, Array]]:
         """When readings were taken, and how that changes with delay and drift of their clock."""
-        t = data.t[part]
-        shift: dict[str, Array] = {}
-        found = t.copy()
-        if data.delay:
-            shift[data.bias("delay")] = -np.ones_like(t)
-        if data.drift:
-            shift[data.bias("drift")] = t - stretch.middle
-        for name, factor in shift.items():
-            found += self.value[self.places[name]] * factor
-        return found, shift
+        delay, drift = self.clock(data)
+        t = data.taken(delay, drift, part)
+        by = {data.bias("delay"): -np.ones_like(t) / (1 + drift), data.bias("drift"): -t / (1 + drift)}
+        return t, {name: factor for name, factor in by.items() if name in self.places}
 
     def equations(self, stretch: Stretch) -> tuple[Bordered, float]:
         """Normal equations of a stretch without the priors of the common numbers, and its part of the objective."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import LogError
+from hydroopt.logs.clock import Clock
 from hydroopt.logs.poses import Poses
 from hydroopt.logs.recording import ChannelGroup
 from hydroopt.machine.machine import Machine
@@ -24,6 +25,10 @@ DERIVED = ("qd", "qdd", "roll", "pitch")
 states their accuracy."""
 FULL = 0.999
 """Part of a sensor's range beyond which it counts as saturated."""
+
+
+KNOWN = Clock()
+"""The clock of stamps that are right."""
 
 
 class Common(NamedTuple):
@@ -49,8 +54,7 @@ class Observations:
         used: (N, m) False where there is no reading, or none that counts.
         saturated: (N, m) True where a sensor's range ends.
         biased: (m,) standard deviation of a constant bias; 0 where there is none.
-        delay: standard deviation [s] of how much later than stamped the readings were taken; 0 where they were not.
-        drift: standard deviation of the relative error of their clock; 0 where it has none.
+        clock: how late and how fast its stamps are.
     """
 
     name: str
@@ -62,16 +66,24 @@ class Observations:
     used: NDArray[np.bool_]
     saturated: NDArray[np.bool_]
     biased: Array
-    delay: float = 0.0
-    drift: float = 0.0
+    clock: Clock = KNOWN
 
     def thinned(self, keep: NDArray[np.bool_]) -> Observations:
         """Those of some samples (N,)."""
         return replace(self, t=self.t[keep], values=self.values[keep], used=self.used[keep],
                        saturated=self.saturated[keep])
 
+    def taken(self, delay: float, drift: float, part: slice = slice(None)) -> Array:
+        """When readings were taken (m,) [s], whose stamps are late and fast by so much."""
+        return np.asarray((self.t[part] - delay) / (1 + drift))
+
+    @property
+    def stamped(self) -> Array:
+        """When readings were taken (N,) [s] as far as is known before."""
+        return self.taken(self.clock.delay, self.clock.drift)
+
     def bias(self, channel: str) -> str:
-        """Name of a channel's bias."""
+        """Name of a channel's bias, of the clock's ``delay`` or of its ``drift``."""
         return f"{self.name}: {channel}"
 
     @property
@@ -79,10 +91,10 @@ class Observations:
         """Biases of its channels, delay and drift of its clock."""
         found = [Common(self.bias(channel), ParameterKind.BIAS, unit, 0.0, float(sigma))
                  for channel, unit, sigma in zip(self.channels, self.units, self.biased, strict=True) if sigma]
-        if self.delay:
-            found.append(Common(self.bias("delay"), ParameterKind.DELAY, "s", 0.0, self.delay))
-        if self.drift:
-            found.append(Common(self.bias("drift"), ParameterKind.CLOCK_DRIFT, "1", 0.0, self.drift))
+        if (clock := self.clock).delay_std:
+            found.append(Common(self.bias("delay"), ParameterKind.DELAY, "s", clock.delay, clock.delay_std))
+        if clock.drift_std:
+            found.append(Common(self.bias("drift"), ParameterKind.CLOCK_DRIFT, "1", clock.drift, clock.drift_std))
         return {each.name: each for each in found}
 
 
@@ -103,14 +115,14 @@ def motion_channels(machine: Machine, channels: Collection[str]) -> tuple[str, .
     return tuple(found)
 
 
-def observations(machine: Machine, group: ChannelGroup, where: str) -> Observations:
-    """What a group of channels tells of the motion.
+def observations(machine: Machine, group: ChannelGroup, clock: Clock, where: str) -> Observations:
+    """What a group of channels with its clock tells of the motion.
 
     Raises:
         LogError: a channel measures another kind of quantity than the machine's part has.
     """
     name = f"{where} {group.name}" if group.name else where
-    return _of(machine, name, group.t, group.channels, group.units)
+    return replace(_of(machine, name, group.t, group.channels, group.units), clock=clock)
 
 
 def row_observations(machine: Machine, table: Poses) -> Observations:

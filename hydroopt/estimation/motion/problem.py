@@ -14,6 +14,7 @@ from hydroopt.estimation.motion.first_guess import first_guess
 from hydroopt.estimation.motion.motion_fit import FittedPaths, MotionFit, Stretch, solve
 from hydroopt.estimation.motion.observations import Common, Observations, observations, row_observations
 from hydroopt.estimation.motion.paths import Postures, Spline
+from hydroopt.logs.clock import Clock
 from hydroopt.logs.log import Log
 from hydroopt.logs.poses import Poses
 from hydroopt.logs.recording import Recording
@@ -115,7 +116,8 @@ def _observed(machine: Machine, recording: Recording) -> list[Observations]:
         LogError: none of them does.
     """
     where = recording.path or recording.name
-    found = [observations(machine, group, where) for group in recording.groups]
+    found = [observations(machine, group, recording.clocks.get(group.name, Clock()), where)
+             for group in recording.groups]
     found = [data for data in found if data.channels]
     if not found:
         raise LogError("no channel tells the motion of a joint", where=where,
@@ -125,11 +127,11 @@ def _observed(machine: Machine, recording: Recording) -> list[Observations]:
 
 def _parted(data: Sequence[Observations]) -> list[tuple[Observations, ...]]:
     """What was sampled together, without pauses."""
-    stamps = np.unique(np.concatenate([each.t for each in data]))
+    stamps = np.unique(np.concatenate([each.stamped for each in data]))
     cuts = stamps[1:][np.diff(stamps) > PAUSE]
     found = []
     for low, high in pairwise([-np.inf, *cuts.tolist(), np.inf]):
-        parts = [each.thinned((each.t >= low) & (each.t < high)) for each in data]
+        parts = [each.thinned((each.stamped >= low) & (each.stamped < high)) for each in data]
         parts = [each for each in parts if len(each.t)]
         if sum(len(each.t) for each in parts) >= SHORTEST:
             found.append(tuple(parts))
@@ -139,9 +141,9 @@ def _parted(data: Sequence[Observations]) -> list[tuple[Observations, ...]]:
 def _spline(machine: Machine, readings: dict[tuple[str, ...], SensorReadings],
             data: tuple[Observations, ...]) -> Stretch:
     times, guess = first_guess(machine, readings, data)
-    stamps = np.sort(np.concatenate([each.t for each in data]))
+    stamps = np.sort(np.concatenate([each.stamped for each in data]))
     spacing = 1 / (KNOTS * (machine.bandwidth or FASTEST))
-    return Stretch(Spline.over(stamps, spacing, times, guess), data, float(stamps.mean()))
+    return Stretch(Spline.over(stamps, spacing, times, guess), data)
 
 
 def _numbered(table: Poses) -> NDArray[np.intp]:

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from hydroopt.estimation.motion.motion_fit import FittedPaths
 from hydroopt.estimation.motion.observations import motion_channels
 from hydroopt.estimation.motion.paths import motion
 from hydroopt.estimation.motion.problem import FASTEST, SensorProblem, fit_motion
@@ -14,6 +15,7 @@ from hydroopt.logs.log import Log
 from hydroopt.logs.recording import Recording
 from hydroopt.logs.smoothing import Motion, inside
 from hydroopt.machine.machine import Machine
+from hydroopt.spatial.inertia import Array
 
 POSITIONS = ("q", "length")
 """Endings of channels that tell positions, which alone call for no fit."""
@@ -34,12 +36,14 @@ def sensed(machine: Machine, log: Log) -> tuple[Log, Motion]:
         LogError: a joint's motion is not measured.
         SolverError: the fit does not converge.
     """
-    found = fit_motion(SensorProblem(machine, (Recording.of(log),), geometry=False))
+    recording = log.recording or Recording.of(log)
+    found = fit_motion(SensorProblem(machine, (recording,), geometry=False))
+    t = _taken(found, log, recording)
     made = np.full((3, log.size, len(machine.joints)), np.nan)
     std = np.full(made.shape[1:], np.nan)
     for k, stretch in enumerate(found.fit.stretches):
-        here = (log.t >= stretch.begin) & (log.t <= stretch.end)
-        support = stretch.path.support(log.t[here])
+        here = (t >= stretch.begin) & (t <= stretch.end)
+        support = stretch.path.support(t[here])
         made[:, here] = motion(stretch.path, support)[:3]
         std[here] = found.std(k, support)
     kept = np.isfinite(made).all(axis=(0, 2))
@@ -56,6 +60,17 @@ def sensed(machine: Machine, log: Log) -> tuple[Log, Motion]:
     q, qd, qdd = made[:, kept]
     return used, Motion(used.t, q, qd, qdd, used.segment, interior, bandwidth,
                         np.ones(len(machine.joints), dtype=int), (note,))
+
+
+def _taken(found: FittedPaths, log: Log, recording: Recording) -> Array:
+    """When the samples (N,) of a log were taken [s], by the clock that the fit gives those of its stamps."""
+    grid = recording.grid
+    for data in found.fit.stretches[0].data:
+        if set(data.channels) <= set(grid.channels):
+            stamps = log.t * (1 + data.clock.drift) + data.clock.delay
+            delay, drift = found.fit.clock(data)
+            return np.asarray((stamps - delay) / (1 + drift))
+    return log.t
 
 
 def _spread(value: float, unit: str) -> str:

@@ -149,7 +149,7 @@ class SensorCalibration(Answer):
         for k, stretch in enumerate(self.found.fit.stretches):
             if not isinstance(stretch.path, Spline):
                 continue
-            t = stretch.data[0].t
+            t = stretch.data[0].stamped
             support = stretch.path.support(t)
             state, std = motion(stretch.path, support)[:3], self.found.std(k, support)
             made = {"t": t}

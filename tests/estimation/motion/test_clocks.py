@@ -1,0 +1,63 @@
+"""Clocks of groups of channels, estimated with the motion."""
+
+import numpy as np
+import pytest
+
+import hydroopt as ho
+from hydroopt.estimation.motion.problem import fit_motion, sensor_problem
+from hydroopt.estimation.motion.sensed import sensed
+from hydroopt.logs.clock import Clock
+from hydroopt.logs.recording import ChannelGroup, Recording
+from tests.estimation.motion.test_motion_fit import arm
+
+LATE, FAST = 0.02, 0.003
+
+
+def recording(seed: int, late: float = LATE, fast: float = FAST, duration: float = 30.0):
+    """Angles and torques by another clock than the IMUs, and at another rate."""
+    machine = arm('[[sensors]]\nchannels = ["boom.q", "stick.q"]\naccuracy = "0.1 deg"\n'
+                  '[[sensors]]\nchannels = ["boom.tau", "stick.tau"]\naccuracy = "5 N*m"\n')
+    model = ho.Model(machine)
+    course = ho.random_trajectory(model, duration=duration, rate=100.0, seed=seed)
+    log = ho.simulate(model, course, seed=seed + 1)
+    units, bus = ({name: x for name, x in log.channels.items() if ("imu" in name) is imu} for imu in (True, False))
+    stamps = log.t[::2] * (1 + fast) + late
+    groups = (ChannelGroup("imu", log.t, units),
+              ChannelGroup("bus", stamps, {name: x[::2] for name, x in bus.items()}))
+    return machine, course, Recording("drive", groups, clocks={"bus": Clock(0.0, 0.05, 0.0, 0.01)})
+
+
+@pytest.mark.parametrize(("late", "fast"), [(LATE, FAST), (-0.05, 0.0)])
+def test_delay_and_drift_are_recovered_within_their_intervals(late, fast):
+    machine, _, made = recording(3, late, fast)
+    found = fit_motion(sensor_problem(machine, [made], geometry=False))
+    spread = np.sqrt(np.diag(found.covariance))
+    for name, true, fine in (("drive bus: delay", late, 2e-3), ("drive bus: drift", fast, 2e-4)):
+        place = found.fit.places[name]
+        assert abs(found.fit.value[place] - true) < 3 * spread[place]
+        assert spread[place] < fine
+
+
+def test_the_motion_is_given_when_forces_were_read():
+    machine, course, made = recording(5)
+    log, motion = sensed(machine, made.log())
+    true = (log.t - LATE) / (1 + FAST)
+    for joint in range(2):
+        expected = np.interp(true, course.t, course.qd[:, joint])
+        inner = (true > 1) & (true < course.t[-1] - 1)
+        assert np.sqrt(np.mean((motion.qd[inner, joint] - expected[inner]) ** 2)) < 2e-3
+
+
+@pytest.mark.slow
+def test_intervals_of_clocks_hold_the_truth():
+    held = []
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        late, fast = 0.05 * rng.normal(), 0.01 * rng.normal()
+        machine, _, made = recording(100 + seed, late, fast, duration=15.0)
+        found = fit_motion(sensor_problem(machine, [made], geometry=False))
+        spread = np.sqrt(np.diag(found.covariance))
+        for name, true in (("drive bus: delay", late), ("drive bus: drift", fast)):
+            place = found.fit.places[name]
+            held.append(abs(found.fit.value[place] - true) < 1.96 * spread[place])
+    assert 0.89 < np.mean(held) <= 1.0
