@@ -23,7 +23,6 @@ if TYPE_CHECKING:
     import pandas as pd
     import pyarrow as pa
 
-    from hydroopt.logs.recording import Recording
 
 __all__ = ["Finding", "Log", "LogMap", "read_map"]
 
@@ -44,7 +43,7 @@ class Log:
         path: file it came from; empty for a log that was made.
         sha256: of that file's bytes.
         units: SI unit by channel; defaults to the usual one of the suffix (rad for ``.q``).
-        recording: the groups of channels that it was merged from, with all of their samples; None of a single group.
+        recording: the `Recording` that it was merged from, with all samples of its groups; None of a single group.
 
     Raises:
         LogError: lengths differ, fewer than two samples, times do not increase, an unknown channel name, or a unit that
@@ -67,7 +66,7 @@ class Log:
     path: str = ""
     sha256: str = ""
     units: Mapping[str, str] = field(default_factory=dict)
-    recording: "Recording | None" = field(default=None, repr=False)
+    recording: object = field(default=None, repr=False)
 
     def __post_init__(self) -> None:
         where = self.path or self.name

@@ -36,7 +36,7 @@ def sensed(machine: Machine, log: Log) -> tuple[Log, Motion]:
         LogError: a joint's motion is not measured.
         SolverError: the fit does not converge.
     """
-    recording = log.recording or Recording.of(log)
+    recording = log.recording if isinstance(log.recording, Recording) else Recording.of(log)
     found = fit_motion(SensorProblem(machine, (recording,), geometry=False))
     t = _taken(found, log, recording)
     made = np.full((3, log.size, len(machine.joints)), np.nan)
