@@ -18,7 +18,7 @@ from hydroopt.cli import limits
 from hydroopt.cli.terminal import echo
 from hydroopt.errors import HydrooptError, ProblemError, StoppedError
 
-COMMANDS = ("show", "simulate", "identify", "identify-valves", "identify-payload", "compare", "calibrate",
+COMMANDS = ("show", "map", "simulate", "identify", "identify-valves", "identify-payload", "compare", "calibrate",
             "calibrate-sensors", "plan-poses", "excite", "control", "study", "codegen", "convert")
 """A command is the function of its name in the module of its name; the docstring of that function is its help."""
 

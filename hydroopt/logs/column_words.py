@@ -1,0 +1,111 @@
+"""What the name of a column says: the part of a machine, the quantity and the unit, in English or German."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import dataclass
+
+from hydroopt.logs.column_headers import parts_of
+from hydroopt.units import same_kind
+
+WORDS = {
+    "time": ("t", "time", "zeit", "timestamp", "zeitstempel", "sec", "seconds", "clock", "uhrzeit", "datetime"),
+    "boom": ("ausleger", "hubarm", "mainboom"), "stick": ("arm", "dipper", "stiel", "loeffelstiel", "dipperstick"),
+    "bucket": ("loeffel", "schaufel", "attachment"),
+    "swing": ("slew", "drehwerk", "oberwagen", "schwenk", "house", "cab"),
+    "lift": ("hub", "heben"), "tilt": ("kipp", "kippen"), "extension": ("ausschub", "teleskop", "telescope"),
+    "cylinder": ("cyl", "zylinder", "zyl"), "motor": ("drive", "antrieb"), "pump": ("pumpe",),
+    "angle": ("winkel", "ang", "q", "pos", "position", "enc", "encoder", "resolver", "theta", "phi"),
+    "velocity": ("rate", "speed", "vel", "qd", "gyro", "geschwindigkeit", "drehrate", "omega"),
+    "acceleration": ("acc", "accel", "qdd", "beschleunigung"),
+    "length": ("laenge", "len", "stroke", "weg", "travel", "ext", "displacement", "kolbenweg"),
+    "pressure": ("druck", "p", "press"), "force": ("kraft", "load", "f"),
+    "torque": ("moment", "drehmoment", "tau", "effort"), "command": ("u", "cmd", "joystick", "valve", "ventil", "pwm"),
+    "head": ("bore", "cap", "boden", "bodenseite", "kolbenseite", "base", "pistonside", "blind", "bottom"),
+    "rod": ("ring", "stange", "stangenseite", "ringseite", "annulus", "rodside"),
+    "supply": ("versorgung", "system"), "tank": ("return", "ruecklauf"),
+    "1": ("one", "eins"), "2": ("two", "zwei"),
+}
+"""Words of names by the word that they mean."""
+MEANING = {word: meaning for meaning, words in WORDS.items() for word in (meaning, *words)}
+GENERIC = {"cylinder", "motor", "joint", "link", "axis", "imu", "sensor"}
+"""Words of a part's name that a column of it need not have."""
+ASIDE = {"sensor", "raw", "actual", "ist", "value", "wert", "signal", "measured", "mess", "side", "seite", "in", "of",
+         "deg", "rad", "bar", "pa", "kpa", "mpa", "psi", "m", "mm", "cm", "s", "ms", "us", "ns", "n", "kn", "grad",
+         "nm"}
+"""Words that say nothing of part or quantity; units are read on their own."""
+QUANTITIES = {"q": {"angle"}, "qd": {"velocity"}, "qdd": {"acceleration"}, "length": {"length"}, "force": {"force"},
+              "tau": {"torque"}, "u": {"command"}, "p_head": {"head"}, "p_rod": {"rod"}, "p_a": {"a"}, "p_b": {"b"},
+              "p_supply": {"supply"}, "p_tank": {"tank"}}
+"""Words that a column of a channel of each suffix has."""
+IMPLIED = {"rad": "angle", "m": "length", "Pa": "pressure", "rad/s": "velocity", "N": "force", "N*m": "torque"}
+_FOLDED = str.maketrans(dict(zip("äöüÄÖÜß", ("ae", "oe", "ue", "Ae", "Oe", "Ue", "ss"), strict=True)))
+_UNITS = {"°": "deg", "degree": "deg", "degrees": "deg", "°/s": "deg/s", "m/s²": "m/s^2", "µs": "us"}
+
+
+@dataclass(frozen=True)
+class Naming:
+    """What a header says.
+
+    Attributes:
+        bare: the name without its unit; `words`: of the name, by their meaning; `unit`: stated, or empty.
+    """
+
+    bare: str
+    words: frozenset[str]
+    unit: str
+
+
+def naming(header: str) -> Naming:
+    """The naming of a header such as ``Ausleger Winkel (°)``, ``boom_angle_deg`` or ``boom.q [rad]``.
+
+    >>> found = naming("Ausleger Winkel (°)")
+    >>> sorted(found.words), found.unit
+    (['angle', 'boom'], 'deg')
+    """
+    bare, unit = parts_of(header)
+    if unit is None:
+        for pattern in (r"(.+?)\s*\(([^()]+)\)\s*", r"(.+?)\s*/\s*(\S+)", r"(.+?)\s+in\s+(\S+)", r"(.+)_([A-Za-z°]+)"):
+            match = re.fullmatch(pattern, header.strip())
+            if match and _unit(match[2]):
+                bare, unit = match[1], match[2]
+                break
+    return Naming(bare, words_of(bare), _unit(unit or ""))
+
+
+def words_of(name: str) -> frozenset[str]:
+    """The words of a name by their meaning; numbers are words.
+
+    >>> sorted(words_of("BoomCyl_pRod2"))
+    ['2', 'boom', 'cylinder', 'pressure', 'rod']
+    """
+    folded = name.translate(_FOLDED)
+    parts = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", folded)
+    return frozenset(MEANING.get(part.lower(), part.lower()) for part in parts) - ASIDE
+
+
+def matched(channel: str, named: Naming, kind: str) -> int:
+    """How well a header names a channel of an SI unit: 3 by its very name, 2 part and quantity, 1 its part, 0 not.
+
+    >>> matched("boom.q", naming("Ausleger Winkel (°)"), "rad"), matched("stick.q", naming("boom.q [deg]"), "rad")
+    (2, 0)
+    """
+    if named.bare == channel:
+        return 3
+    part, _, suffix = channel.rpartition(".")
+    own, words = words_of(part), named.words
+    needed = own - GENERIC or own
+    if not needed <= words:
+        return 0
+    asked = QUANTITIES.get(suffix, words_of(suffix))
+    rest = words - own - GENERIC - asked - {"pressure" if kind == "Pa" else ""}
+    if rest:
+        return 0
+    if asked <= words:
+        return 2
+    return 1 if suffix in ("q", "length", "force", "tau", "qd") and named.unit and not words - own - GENERIC else 0
+
+
+def _unit(text: str) -> str:
+    unit = _UNITS.get(text.strip(), text.strip())
+    return unit if unit and same_kind(unit, unit) else ""

@@ -1,0 +1,310 @@
+"""A column map proposed from what a file says: names and units of its columns, their values, the machine's geometry."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+
+from hydroopt.errors import HydrooptError, LogError
+from hydroopt.logs import stamps
+from hydroopt.logs.column_words import Naming, matched, naming
+from hydroopt.logs.formats.files import open_files
+from hydroopt.logs.sheets import Sheet
+from hydroopt.logs.table import Array
+from hydroopt.machine.machine import Machine
+from hydroopt.model.model import Model
+from hydroopt.units import factor, same_kind
+
+Sureness = Literal["sure", "likely", "guess"]
+TRIED = {"rad": ("rad", "deg"), "m": ("m", "mm", "cm"), "Pa": ("Pa", "kPa", "bar", "psi", "MPa")}
+"""Units that are tried of a column that states none, by SI unit."""
+BEYOND = 0.02
+"""Share of a range by which values may leave it."""
+LEAST_PRESSURE, MOST_PRESSURE = 1e6, 6e7
+"""Highest pressure [Pa] of a log: at least, where its unit is inferred, and at most, where no relief is stated."""
+AGREES, DIFFERS = 0.01, 0.1
+"""RMS difference of lengths from those by the angles, as part of their range, that confirms both, and that denies."""
+LEFT_OUT = ("qdd", "distance", "x", "y", "z", "fx", "fy", "fz", "mx", "my", "mz")
+"""Suffixes of channels that are not looked for."""
+
+
+@dataclass(frozen=True)
+class ColumnOf:
+    """A column of a file: its sheet, index and header, what the header says, and its values (N,)."""
+
+    sheet: Sheet
+    index: int
+    header: str
+    named: Naming
+    values: Array
+    dated: bool = False
+
+
+@dataclass(frozen=True)
+class Proposal:
+    """A column for a channel, in a unit, and why.
+
+    Attributes:
+        channel: of the machine, or "t".
+        column: of the file; `unit`: of its values, empty of dates.
+        sureness: "sure" (stated by name and unit, and its values agree, or its geometry proves it), "likely" (one of
+            them is inferred, without another possibility), "guess".
+        reason: in a few words.
+    """
+
+    channel: str
+    column: ColumnOf
+    unit: str
+    sureness: Sureness
+    reason: str
+
+
+@dataclass(frozen=True)
+class MapProposal:
+    """What `propose_map` found: one proposal a channel at most.
+
+    Attributes:
+        path: of the file; `machine`: its name.
+        proposals: by channel and, of the time, by sheet; `missing`: channels without a column; `unused`: headers.
+        own_stamps: whether the rows of all sheets have stamps of their own; `several`: whether there are several.
+    """
+
+    path: str
+    machine: str
+    proposals: tuple[Proposal, ...]
+    missing: tuple[str, ...]
+    unused: tuple[str, ...]
+    own_stamps: bool
+    several: bool
+
+    def toml(self) -> str:
+        """The map as a TOML file; guesses are comments.
+
+        >>> from hydroopt.machine.machine_file import load_machine
+        >>> from tempfile import TemporaryDirectory
+        >>> with TemporaryDirectory() as directory:
+        ...     file = Path(directory) / "run.csv"
+        ...     _ = file.write_text("Zeit [s];Ausleger Winkel (°)\\n0;1,5\\n0,1;1,7\\n")
+        ...     print(propose_map(file, load_machine("cat215b")).toml().splitlines()[5])
+        t = { column = "Zeit [s]", unit = "s" }  # sure: named as the time in s, and increases
+        """
+        times = [each for each in self.proposals if each.channel == "t"]
+        used = [each.column.sheet.name for each in self.proposals if each.channel != "t" and each.sureness != "guess"]
+        clocks = [each for each in times if self.several and each.column.sheet.name in used]
+        listed = [each for each in self.proposals if each not in clocks and not (self.several and each in times)]
+        lines = [f"# Column map of {Path(self.path).name} for {self.machine}, proposed by hydroopt map.",
+                 "# sure: name, unit and values say so; likely: the only possibility; guess: a comment, to decide.",
+                 "# Signs and zeros of angles are judged here by triangles alone, by hydroopt identify with forces.",
+                 "", "[columns]"]
+        if self.own_stamps:
+            lines.append("# the time is that of the file's own stamps")
+        elif not times:
+            lines.append('# t = { column = "?", unit = "s" }  # no column is named as a time')
+        lines += [self._line(_key(each.channel), each) for each in listed]
+        if self.missing:
+            lines += ["", "# no column was found for:", *(f"# {_key(name)}" for name in self.missing)]
+        if self.unused:
+            lines += ["", "# no channel was found for the columns:",
+                      *(f"# {json.dumps(name, ensure_ascii=False)}" for name in self.unused)]
+        for each in clocks:
+            lines += ["", f"[clocks.{json.dumps(each.column.sheet.name, ensure_ascii=False)}]", self._line("t", each)]
+        return "\n".join(lines) + "\n"
+
+    def _line(self, key: str, each: Proposal) -> str:
+        same = [header for header in each.column.sheet.content.header if header == each.column.header]
+        column = json.dumps(each.column.header, ensure_ascii=False) if len(same) == 1 else str(each.column.index)
+        parts = [f"column = {column}", *([f'unit = "{each.unit}"'] if each.unit else [])]
+        if self.several and each.channel != "t":
+            parts.append(f"group = {json.dumps(each.column.sheet.name, ensure_ascii=False)}")
+        line = f"{key} = {{ {', '.join(parts)} }}  # {each.sureness}: {each.reason}"
+        return f"# {line}" if each.sureness == "guess" else line
+
+
+def propose_map(path: str | Path, machine: Machine) -> MapProposal:
+    """A column map of a log for a machine, of names, units and values of its columns.
+
+    A column counts for a channel if its name says so (English or German) and its unit and values allow it: angles
+    within joint limits, lengths within strokes, pressures below relief. A unit that the file does not state is taken
+    if one alone allows the values. Angles and lengths that agree through a cylinder's triangle are sure, and guesses if
+    they contradict each other there.
+
+    Raises:
+        LogError: the file is damaged or of an unknown kind.
+    """
+    with open_files([str(path)], None) as source:
+        columns = [column for sheet in source.sheets for column in _columns(sheet)]
+        own = all(sheet.content.own_stamps for sheet in source.sheets)
+        several = len(source.sheets) > 1
+        times = [] if own else [each for sheet in source.sheets if not sheet.content.own_stamps
+                                for each in _time(sheet, columns)]
+    rest = [column for column in columns if column not in [each.column for each in times]]
+    wanted = {name: si for name, si in machine.channel_units.items() if name.rpartition(".")[2] not in LEFT_OUT}
+    found = _by_triangles(Model(machine), _by_name(machine, wanted, rest))
+    taken = {(each.column.sheet.name, each.column.index) for each in found.values()}
+    usual = {*(f"{joint}.q" for joint in machine.joints),
+             *(chamber for each in machine.hydraulic_actuators for chamber in each.chambers)}
+    return MapProposal(
+        str(path), machine.name, (*times, *(found[name] for name in wanted if name in found)),
+        tuple(name for name in wanted if name in usual and name not in found),
+        tuple(column.header for column in rest if (column.sheet.name, column.index) not in taken), own, several)
+
+
+def _key(channel: str) -> str:
+    return channel if channel == "t" else f'"{channel}"'
+
+
+def _columns(sheet: Sheet) -> Iterator[ColumnOf]:
+    """The columns of a sheet that hold numbers or dates."""
+    for index, header in enumerate(sheet.content.header):
+        named = naming(header)
+        try:
+            table = sheet.content.read([index], time=index)
+        except LogError:
+            continue
+        values = table.columns[index]
+        if np.isfinite(values).any():
+            dated = table.stamps is not None and not table.stamps.unit
+            yield ColumnOf(sheet, index, header, named, values, dated)
+
+
+def _time(sheet: Sheet, columns: Sequence[ColumnOf]) -> list[Proposal]:
+    """The time of a sheet: the column that is named so and increases."""
+    held = [column for column in columns if column.sheet == sheet]
+    named = [column for column in held if column.dated or column.named.words == {"time"} or column.named.bare == "t"]
+    increasing = [c for c in named if np.all(np.diff(c.values[np.isfinite(c.values)]) >= 0)] or named
+    if not increasing:
+        return []
+    column = increasing[0]
+    if column.dated:
+        return [Proposal("t", column, "", "sure", "holds dates or times of day")]
+    several: Sureness = "sure" if len(increasing) == 1 else "likely"
+    if same_kind(column.named.unit, "s"):
+        return [Proposal("t", column, column.named.unit, several, f"named as the time in {column.named.unit}, and "
+                         "increases")]
+    if (unit := stamps.epoch_unit(column.values)) is not None:
+        return [Proposal("t", column, unit, "likely", f"an epoch in {unit}: another unit would be no date of this age")]
+    step = float(np.median(np.diff(column.values)))
+    unit = "s" if step < 1 else "ms"
+    return [Proposal("t", column, unit, "guess", f"named as a time without a unit; its step is {step:.4g}")]
+
+
+def _by_name(machine: Machine, wanted: Mapping[str, str], columns: Sequence[ColumnOf]) -> dict[str, Proposal]:
+    """The best column of each channel by its name, judged by unit and values."""
+    ranked: dict[str, list[tuple[int, Proposal]]] = {}
+    for channel, si in wanted.items():
+        for column in columns:
+            score = matched(channel, column.named, si)
+            if score and (made := _judged(machine, channel, si, column, score)) is not None:
+                ranked.setdefault(channel, []).append((score, made))
+    best = {channel: max(score for score, _ in found) for channel, found in ranked.items()}
+    claims: dict[tuple[str, int], list[str]] = {}
+    for channel, found in ranked.items():
+        for score, each in found:
+            if score == best[channel]:
+                claims.setdefault((each.column.sheet.name, each.column.index), []).append(channel)
+    chosen: dict[str, Proposal] = {}
+    for channel, found in ranked.items():
+        top = [each for score, each in found if score == best[channel]]
+        each = top[0]
+        rivals = [name for name in claims[each.column.sheet.name, each.column.index]
+                  if name != channel and best[name] >= best[channel]]
+        if len(top) > 1:
+            each = replace(each, sureness="guess", reason=f"{each.reason}; '{top[1].column.header}' may be it, too")
+        elif rivals:
+            each = replace(each, sureness="guess", reason=f"{each.reason}; it may be {rivals[0]}, too")
+        chosen[channel] = each
+    return chosen
+
+
+def _judged(machine: Machine, channel: str, si: str, column: ColumnOf, score: int) -> Proposal | None:
+    """The proposal of a column that is named as a channel; None where its unit is of another kind."""
+    unit, low_high = column.named.unit, _range(machine, channel)
+    if unit and not same_kind(unit, si):
+        return None
+    said = {3: "named as the channel", 2: "part and quantity in its name", 1: "part in its name"}[score]
+    if unit:
+        if low_high is None:
+            return Proposal(channel, column, unit, "sure" if score > 1 else "likely", f"{said}, in {unit}")
+        if _within(column.values * factor(unit, si), low_high):
+            return Proposal(channel, column, unit, "sure" if score > 1 else "likely",
+                            f"{said}, in {unit}, values within its range")
+        outside = _outside(column, unit, si, low_high)
+        return Proposal(channel, column, unit, "guess", f"{said}, in {unit}, but {outside}")
+    highest = float(np.nanmax(column.values))
+    fitting = [each for each in TRIED.get(si, (si,))
+               if low_high is not None and _within(column.values * factor(each, si), low_high)
+               and (si != "Pa" or highest * factor(each, si) >= LEAST_PRESSURE)]
+    if len(fitting) == 1 and score > 1:
+        return Proposal(channel, column, fitting[0], "likely", f"{said}; of the usual units its values allow "
+                        f"{fitting[0]} alone")
+    choice = " or ".join(fitting) if fitting else "none of the usual ones fits"
+    return Proposal(channel, column, (fitting or [si])[0], "guess", f"{said}, without a unit ({choice})")
+
+
+def _range(machine: Machine, channel: str) -> tuple[float, float] | None:
+    """Lowest and highest value [SI] that a channel can have; None where the machine does not say."""
+    part, _, suffix = channel.rpartition(".")
+    try:
+        if suffix == "q":
+            joint = machine.link(part).joint
+            return None if joint.lower is None or joint.upper is None else (joint.lower, joint.upper)
+        if suffix == "length":
+            cylinder = next(each for each in machine.cylinders if each.name == part)
+            if cylinder.dead_length is None or cylinder.stroke is None:
+                return None
+            return cylinder.dead_length, cylinder.dead_length + cylinder.stroke
+    except (StopIteration, HydrooptError, KeyError):
+        return None
+    if suffix.startswith("p_"):
+        relief = next((each.relief_pressure for each in machine.hydraulic_actuators if each.name == part), None)
+        return -1e5, 1.1 * (relief or MOST_PRESSURE)
+    return None
+
+
+def _within(values: Array, low_high: tuple[float, float]) -> bool:
+    finite = values[np.isfinite(values)]
+    margin = BEYOND * (low_high[1] - low_high[0])
+    low, high = np.quantile(finite, (0.001, 0.999))
+    return bool(low_high[0] - margin <= low and high <= low_high[1] + margin)
+
+
+def _outside(column: ColumnOf, unit: str, si: str, low_high: tuple[float, float]) -> str:
+    finite = column.values[np.isfinite(column.values)]
+    scale = factor(unit, si)
+    return (f"its values from {finite.min():.4g} to {finite.max():.4g} {unit} are not within "
+            f"{low_high[0] / scale:.4g} to {low_high[1] / scale:.4g} {unit}")
+
+
+def _by_triangles(model: Model, found: Mapping[str, Proposal]) -> dict[str, Proposal]:
+    """The proposals, those of angles and lengths judged by the triangle that both stand in."""
+    out = dict(found)
+    pairs = [(f"{joint}.q", each.name) for joint, drivers in model.machine.drivers.items() for each in drivers]
+    for angle, cylinder in pairs:
+        length = f"{cylinder}.length"
+        if length not in found or angle not in found or cylinder not in model.triangles:
+            continue
+        pair = found[angle], found[length]
+        if pair[0].column.sheet != pair[1].column.sheet:
+            continue
+        q = pair[0].column.values * factor(pair[0].unit, "rad")
+        measured = pair[1].column.values * factor(pair[1].unit, "m")
+        sound = np.isfinite(q) & np.isfinite(measured)
+        spread = float(np.ptp(measured[sound])) if sound.any() else 0.0
+        if spread == 0:
+            continue
+        expected = np.asarray(model.triangles[cylinder][0](q[sound])).ravel()
+        miss = float(np.sqrt(np.mean((expected - measured[sound]) ** 2)))
+        if AGREES * spread <= miss <= DIFFERS * spread:
+            continue
+        sureness: Sureness = "sure" if miss < AGREES * spread else "guess"
+        text = "agree" if sureness == "sure" else "disagree"
+        for channel, each, other in ((angle, pair[0], pair[1]), (length, pair[1], pair[0])):
+            reason = (f"{each.reason}; it and '{other.column.header}' {text} through the triangle of {cylinder} "
+                      f"(RMS {1e3 * miss:.3g} mm)")
+            out[channel] = replace(each, sureness=sureness, reason=reason)
+    return out

@@ -1,0 +1,133 @@
+"""Proposed column maps: what is sure, likely and guessed, and that a guess is never in force."""
+
+import json
+import tomllib
+
+import numpy as np
+import pytest
+
+from hydroopt.cli import app
+from hydroopt.logs.column_words import matched, naming
+from hydroopt.logs.log import Log
+from hydroopt.logs.log_files import read_log
+from hydroopt.logs.map_proposal import propose_map
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.model import Model
+from hydroopt.simulation.simulate import random_trajectory, simulate
+
+FOREIGN = {"boom.q": ("Ausleger Winkel (°)", "deg", 180 / np.pi), "stick.q": ("Stiel_Winkel", "deg", 180 / np.pi),
+           "swing.q": ("slew angle [rad]", "rad", 1.0), "boom_cylinder.p_head": ("pBoomHead", "bar", 1e-5),
+           "boom_cylinder.p_rod": ("BoomCyl rod pressure [bar]", "bar", 1e-5),
+           "stick_cylinder.p_head": ("Druck Stiel Kolbenseite [bar]", "bar", 1e-5),
+           "stick_cylinder.p_rod": ("Stiel Stangenseite / bar", "bar", 1e-5),
+           "swing_motor.p_a": ("swing A [bar]", "bar", 1e-5), "swing_motor.p_b": ("swing B [bar]", "bar", 1e-5),
+           "boom_cylinder.length": ("Boom Zylinder Weg", "mm", 1e3)}
+
+
+@pytest.fixture(scope="module")
+def machine():
+    return load_machine("cat215b")
+
+
+@pytest.fixture(scope="module")
+def log(machine):
+    model = Model(machine)
+    return simulate(model, random_trajectory(model, duration=10, rate=50, seed=1), seed=1)
+
+
+def foreign(log, path, names=FOREIGN, **changed):
+    """The log as a German table of text under foreign names, with a column of no channel."""
+    columns = {"Zeit [s]": log.t, **{header: changed.get(channel.replace(".", "_"), log.channels[channel]) * scale
+                                     for channel, (header, _, scale) in names.items()}, "Oil temp": 40 + 0 * log.t}
+    rows = ["; ".join(f"{float(x)!r}".replace(".", ",") for x in row) for row in zip(*columns.values(), strict=True)]
+    path.write_text("\n".join(["Logger 7", ";".join(columns), *rows]), "latin-1")
+    return path
+
+
+def test_foreign_names_are_found_and_the_map_reads_the_log(machine, log, tmp_path):
+    path = foreign(log, tmp_path / "run.csv")
+    found = propose_map(path, machine)
+    sureness = {each.channel: each.sureness for each in found.proposals}
+    assert sureness == {"t": "sure"} | dict.fromkeys(FOREIGN, "sure") | {
+        "stick.q": "likely", "boom_cylinder.p_head": "likely"}
+    assert {each.channel: each.unit for each in found.proposals if each.channel != "t"} == {
+        channel: unit for channel, (_, unit, _) in FOREIGN.items()}
+    assert (found.missing, found.unused) == ((), ("Oil temp",))
+    assert "agree through the triangle of boom_cylinder" in found.toml()
+    (tmp_path / "map.toml").write_text(found.toml())
+    again = read_log(path, mapping=tmp_path / "map.toml")
+    np.testing.assert_array_equal(again.t, log.t)
+    for channel in FOREIGN:
+        np.testing.assert_allclose(again.channels[channel], log.channels[channel], rtol=1e-12, atol=1e-12)
+
+
+def proposal(found, channel):
+    return next(each for each in found.proposals if each.channel == channel)
+
+
+def refused(found, channel, reason):
+    each = proposal(found, channel)
+    assert each.sureness == "guess"
+    assert reason in each.reason
+    assert channel not in tomllib.loads(found.toml())["columns"]
+
+
+def test_what_is_only_guessed_is_a_comment(machine, log, tmp_path):
+    small = 0.02 * np.sin(log.t)
+    names = FOREIGN | {"swing.q": ("slew angle", "rad", 1.0), "swing_motor.p_a": ("swing A", "Pa", 1e-8)}
+    found = propose_map(foreign(log, tmp_path / "a.csv", names, swing_q=small), machine)
+    refused(found, "swing.q", "without a unit (rad or deg)")
+    refused(found, "swing_motor.p_a", "without a unit")
+
+    found = propose_map(foreign(log, tmp_path / "b.csv", stick_q=log.channels["stick.q"] - 2.0), machine)
+    refused(found, "stick.q", "none of the usual ones fits")
+
+    found = propose_map(foreign(log, tmp_path / "c.csv", boom_q=-log.channels["boom.q"][::-1] / 3), machine)
+    refused(found, "boom.q", "disagree through the triangle of boom_cylinder")
+    refused(found, "boom_cylinder.length", "disagree")
+
+    names = FOREIGN | {"swing_motor.p_b": ("slew pos [deg]", "deg", 1e-7)}
+    found = propose_map(foreign(log, tmp_path / "d.csv", names), machine)
+    refused(found, "swing.q", "'slew pos [deg]' may be it, too")
+    assert "swing_motor.p_b" in found.missing
+
+
+@pytest.mark.parametrize(("header", "channel", "kind", "score"), [
+    ("boom.q [deg]", "boom.q", "rad", 3), ("BoomAngle_deg", "boom.q", "rad", 2), ("boom_q", "boom.q", "rad", 2),
+    ("boom [deg]", "boom.q", "rad", 1), ("boom", "boom.q", "rad", 0), ("boom rate [deg/s]", "boom.q", "rad", 0),
+    ("Löffelstiel Zylinder Druck Stangenseite", "stick_cylinder.p_rod", "Pa", 2),
+    ("stick head", "boom_cylinder.p_head", "Pa", 0), ("boom cyl head p2", "boom_cylinder.p_head", "Pa", 0),
+    ("axis 1 angle", "axis1.q", "rad", 2), ("axis 12 angle", "axis1.q", "rad", 0)])
+def test_names_are_matched_by_their_words(header, channel, kind, score):
+    assert matched(channel, naming(header), kind) == score
+
+
+def test_a_file_with_the_channels_own_names_is_sure(machine, log, tmp_path):
+    log.write(tmp_path / "run.parquet")
+    found = propose_map(tmp_path / "run.parquet", machine)
+    assert {each.sureness for each in found.proposals} == {"sure"}
+    assert {each.channel for each in found.proposals} == {"t", *log.channels}
+
+
+def test_sheets_and_their_clocks_are_stated(machine, log, tmp_path):
+    folder = tmp_path / "run"
+    folder.mkdir()
+    Log("a", log.t, {"boom.q": log.channels["boom.q"]}).write(folder / "joints.csv")
+    Log("b", log.t[::5], {"boom_cylinder.p_head": log.channels["boom_cylinder.p_head"][::5]}).write(folder / "can.csv")
+    (tmp_path / "map.toml").write_text(propose_map(folder, machine).toml())
+    merged = read_log(folder, mapping=tmp_path / "map.toml")
+    np.testing.assert_array_equal(merged.channels["boom.q"], log.channels["boom.q"][: merged.size])
+    assert merged.size == log.size - (log.size - 1) % 5
+
+
+def test_the_command_writes_the_map_and_says_what_is_next(log, tmp_path, capsys):
+    path, to = foreign(log, tmp_path / "run.csv"), tmp_path / "map.toml"
+    app(["map", str(path), "cat215b", "--to", str(to)], standalone_mode=False)
+    said = capsys.readouterr().out
+    assert said.splitlines()[-1] == f"Next: hydroopt identify cat215b {path} --map {to} -o out"
+    assert "9 sure, 2 likely, 0 guessed" in said
+    assert to.read_text() == propose_map(path, load_machine("cat215b")).toml()
+    with pytest.raises(Exception, match="such a file already"):
+        app(["map", str(path), "cat215b", "--to", str(to)], standalone_mode=False)
+    app(["map", str(path), "cat215b", "--json"], standalone_mode=False)
+    assert json.loads(capsys.readouterr().out)["unused"] == ["Oil temp"]
