@@ -12,7 +12,9 @@ from fixtures.drives import crane, crossing
 from fixtures.tiers import tiered
 from hydroopt.estimation.dynamic.experiment import Experiment, experiment
 from hydroopt.estimation.dynamic.identify import identify
+from hydroopt.estimation.dynamic.misfit.blocks import Data
 from hydroopt.estimation.dynamic.misfit.faults import Scaled, listed
+from hydroopt.estimation.dynamic.misfit.naming import examine_fit
 from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
 from hydroopt.estimation.inference.identifiability import structural
@@ -88,6 +90,21 @@ def test_what_nothing_reads_has_neither_spikes_nor_a_signal_that_is_missed() -> 
     assert "grapple" not in found.misfit.lines
     assert not [one for one in found.diagnostics if one.kind is Kind.WORSE_THAN_ZERO]
     assert "nan" not in str(found)
+
+
+@pytest.mark.slow
+def test_a_grapple_that_swings_is_not_accused_and_its_late_angle_is_named() -> None:
+    """Its balance has no reading, only errors of angles, whose covariance is not known to the last digit."""
+    model = Model(load_machine("forestry_crane"))
+    for seed, truth in ((1, random_truth(model, 1)), (4, random_truth(model, 4))):
+        log = simulate(model, random_trajectory(model, duration=33.28, rate=100.0, seed=seed), truth, seed=seed)
+        late = replace(log, channels={**log.channels, "sway.q": np.interp(
+            log.t - 0.01, log.t, log.channels["sway.q"])})
+        sound, found = (examine_fit(Data(identification_problem(model, [each]), truth)) for each in (log, late))
+        assert not sound.alarmed
+        assert [cause.fault.name for cause in found.causes] == ["delay sway.q"]
+        assert found.causes[0].size == pytest.approx(0.01, abs=0.002)
+        assert not any(fault.subject in (("swing",), ("sway",)) for fault in sound.smallest if fault.group == "delay")
 
 
 def test_a_pressure_that_reads_too_much_is_searched_for_at_shared_joints() -> None:

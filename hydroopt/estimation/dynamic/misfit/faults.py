@@ -338,15 +338,14 @@ def listed(view: View) -> Iterator[Fault]:
 
 def _usual(view: View) -> Iterator[Fault]:
     machine, n = view.model.machine, len(view.model.machine.balances)
-    everything = tuple(range(n))
-    names = tuple(each.name for each in machine.balances)
+    read = tuple(np.flatnonzero(view.read[:n]).tolist())  # no transducer of a passive joint can be late
     yield ForcesLate("delay", ("forces",), "all force readings are late against the angles", "ms", 0.03, 1e3,
-                     motion=True, readings=everything)
+                     motion=True, readings=read)
     yield ForcesLate("clock", ("forces",), "the clock of the forces drifts against that of the angles, over the log",
-                     "ms", 0.05, 1e3, motion=True, readings=everything, drifts=True)
-    yield Lag("lag", ("forces",), "all force readings lag behind", "ms", 0.03, 1e3, True, True, readings=everything)
-    if n > 1:
-        for k, name in enumerate(names):
+                     "ms", 0.05, 1e3, motion=True, readings=read, drifts=True)
+    yield Lag("lag", ("forces",), "all force readings lag behind", "ms", 0.03, 1e3, True, True, readings=read)
+    if len(read) > 1:
+        for k, name in ((k, machine.balances[k].name) for k in read):
             yield ForcesLate("delay", (name,), f"the force readings of {name} are late", "ms", 0.03, 1e3, motion=True,
                              readings=(k,))
             yield Lag("lag", (name,), f"the force readings of {name} lag behind", "ms", 0.03, 1e3, True, True,
@@ -357,7 +356,7 @@ def _usual(view: View) -> Iterator[Fault]:
         for axis in np.argsort(gravity, kind="stable")[:2].tolist():
             yield Tilt("tilt", (f"base about {'xyz'[axis]}",), f"the base is tilted about its {'xyz'[axis]} axis",
                        "deg", np.radians(2.0), 180 / np.pi, axis=axis)
-    for k in everything:
+    for k in range(n):
         yield from _of_forces(view, k)
     for k in range(n, len(view.names)):
         yield from _of_lengths(view, k)

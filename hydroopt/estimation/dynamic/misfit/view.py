@@ -26,6 +26,10 @@ SPIKE = 6.0
 EXCESS, AGAIN = 1.05, 4
 """What smoothing takes out as a multiple of the stated noise, beyond which some of it is motion; by what the number of
 smoothings of what is left is multiplied then."""
+UNREAD = 0.2
+"""Part of a passive joint's residuals that counts as white noise at least. Nothing is read there, so that only errors
+of the motion are left, and their covariance is itself known to about this part: smoothing in several passes is taken as
+one of the same bandwidth, and to first order."""
 STEP = 1e-5
 """Step of finite differences as a part of the RMS of a coordinate."""
 
@@ -147,7 +151,8 @@ class View:
 
     @cached_property
     def noise(self) -> Array:
-        """Standard deviation (c,) of the readings' white noise, from second differences of residuals."""
+        """Standard deviation (c,) of the readings' white noise, from second differences of residuals; where nothing is
+        read, at least `UNREAD` of the residuals."""
         found, segment = np.empty(len(self.names)), self.motion.segment
         whole = np.concatenate([[False], (segment[2:] == segment[:-2]), [False]])
         for k in range(len(found)):
@@ -157,6 +162,8 @@ class View:
             found[k] = np.sqrt(np.mean((r[at - 1] - 2 * r[at] + r[at + 1]) ** 2) / 6) if at.size > 20 else np.nan
         size = np.sqrt(np.mean(self.measured**2, axis=0))
         floor = np.fmax(1e-6 * size + 1e-12, 1e-2 * np.nan_to_num(self.stated_noise))
+        for k in np.flatnonzero(~self.read & self.taken.any(axis=0)).tolist():
+            floor[k] = max(floor[k], UNREAD * np.sqrt(np.mean(self.residual[self.taken[:, k], k] ** 2)))
         return np.asarray(np.fmax(np.where(np.isfinite(found), found, np.nan_to_num(self.stated_noise)), floor))
 
     @cached_property
