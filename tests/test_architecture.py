@@ -52,6 +52,7 @@ QUARANTINE = {
     "pandas": ("logs", "results"),
     "pint": ("units",),
     "pydantic": ("machine", "logs.column_map"),
+    "mujoco": ("machine.robot_formats.mjcf_in",),
     "tomlkit": ("machine.machine_file",),
     "dask": ("study.scheduler",),
     "distributed": ("study.scheduler",),

@@ -25,7 +25,7 @@ if TYPE_CHECKING:
 L = TypeVar("L", bound="AnyLog")
 
 MachineName = Annotated[str, typer.Argument(
-    metavar="MACHINE", help="A bundled machine's name, or a .toml or .urdf file.")]
+    metavar="MACHINE", help="A bundled machine's name, or a .toml, .urdf or .xml (MJCF) file.")]
 MachineOrFolder = Annotated[str, typer.Argument(metavar="MACHINE|DIR", help=(
     "A machine, or the directory that identify or calibrate wrote."))]
 ParameterSetName = Annotated[str | None, typer.Option(

@@ -30,7 +30,7 @@ from hydroopt.machine.sensor import Sensor
 from hydroopt.machine.valves import Valve
 from hydroopt.units import UnitError, spread_to_si, to_si
 
-ROBOT_SUFFIXES = (".urdf",)
+ROBOT_SUFFIXES = (".urdf", ".xml")
 """Endings of robot files."""
 _NOTE_KEYS = {"value", "sigma", "lower", "upper", "source"}
 
@@ -51,7 +51,8 @@ def _models() -> Path:
 
 
 def load_machine(machine: str | Path, *, parameter_set: str | None = None, tip: str | None = None) -> Machine:
-    """Read a machine: the name of a bundled one, or the path of a ``.toml`` file or a robot's ``.urdf``.
+    """Read a machine: the name of a bundled one, or the path of a ``.toml`` file or a robot's ``.urdf`` or
+    ``.xml`` (MJCF).
 
     Args:
         machine: name or path.

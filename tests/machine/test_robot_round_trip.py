@@ -19,7 +19,7 @@ from hydroopt.model.model import Model
 from oracles.pinocchio_urdf import PinocchioUrdf
 from oracles.subjects import forces, relative_error, states
 
-FORMATS = (".urdf",)
+FORMATS = (".urdf", ".xml")
 
 
 def written(machine: Machine, folder: Path, suffix: str) -> Path:

@@ -70,6 +70,29 @@ def from_quaternion(parts: Sequence[float] | Array) -> Array:
     return made
 
 
+def turn_about(axis: Array, angle: float) -> Array:
+    """Rotation matrix (3, 3) about a unit vector (3,) by an angle [rad]."""
+    return from_quaternion((math.cos(angle / 2), *(math.sin(angle / 2) * axis)))
+
+
+def to_quaternion(rotation: Array) -> Array:
+    """Unit quaternion w, x, y, z (4,) of a rotation matrix (3, 3), by its largest part."""
+    t = np.append(np.trace(rotation), np.diag(rotation))
+    k = int(np.argmax(t))
+    if k == 0:
+        odd = rotation - rotation.T
+        parts = np.array([1 + t[0], odd[2, 1], odd[0, 2], odd[1, 0]])
+    else:
+        i, j = k % 3, (k + 1) % 3  # the two axes after the largest one
+        m = k - 1
+        parts = np.zeros(4)
+        parts[0] = rotation[j, i] - rotation[i, j]
+        parts[1 + m] = 1 + 2 * rotation[m, m] - t[0]
+        parts[1 + i], parts[1 + j] = rotation[m, i] + rotation[i, m], rotation[m, j] + rotation[j, m]
+    made: Array = parts / np.linalg.norm(parts)
+    return made
+
+
 def frame_about(axis: Array) -> Array:
     """Rotation (4, 4) to a frame whose z is a unit vector (3,) and whose x is near one of the old axes."""
     x = np.eye(3)[0 if abs(axis[0]) < 0.9 else 1]

@@ -19,6 +19,7 @@ from hydroopt.machine.machine import BASE
 from hydroopt.machine.robot_formats.axes import Numbers, onto, reaching
 from hydroopt.machine.robot_formats.bodies import central
 from hydroopt.machine.robot_formats.frames import ORIGIN, frame_about, inverse, shift, tidy
+from hydroopt.machine.robot_formats.loops_of_pins import Placed, around, stated_loops
 from hydroopt.machine.robot_formats.sidecar import Sidecar
 from hydroopt.machine.robot_formats.tree import RobotTree, TreeJoint, like
 from hydroopt.spatial.inertia import Array
@@ -26,13 +27,6 @@ from hydroopt.spatial.inertia import Array
 _NONE = ""  # stands for the joint that carries the root; a robot's joint may well be called "base"
 _APART = 1e-9
 """How far a joint may lie beside the axis [m, rad] that a sidecar's frames give it."""
-
-
-class Placed(NamedTuple):
-    """The moving joint that carries something, and its pose (4, 4) in that joint's frame."""
-
-    carrier: str
-    pose: Array
 
 
 class Tables(NamedTuple):
@@ -88,6 +82,8 @@ class _Conversion:
             self.moving |= {joint.name for joint in more}
         self.own = self.moving | {joint.name for joint in candidates
                                   if joint.kind == "fixed" and joint.name in sidecar.locked}
+        self.looped = set() if tip or sidecar.stated else {
+            joint.name for pin in tree.pins for joint in around(tree, pin) if not joint.driven and joint.mimic is None}
         self.held = [joint for joint in followers if joint.name not in self.moving]
         self.names: dict[str, str] = {_NONE: BASE}
         self.taken = {BASE}
@@ -120,10 +116,13 @@ class _Conversion:
                                                  ("cylinders", self._cylinders())) if parts}
         inside = {link: Placed(self.names[at.carrier], inverse(self.ends[at.carrier].near_end()) @ at.pose)
                   for link, at in self.poses.items()}
-        lost = [*tree.lost, *(f"'{joint.name}' stands still: it mimics '{joint.mimic.master}', which does not move"
-                              for joint in self.held if joint.mimic)]
+        if tree.pins and not tip and not self.sidecar.stated:
+            tables["loops"] = stated_loops(tree, self.names, inside, self.axes)
+        lost = [*tree.lost, *(f"the loop '{pin.name}' is open" for pin in tree.pins if tip)]
+        lost += [f"'{joint.name}' stands still: it mimics '{joint.mimic.master}', which does not move"
+                 for joint in self.held if joint.mimic]
         lost += [f"the rotor's inertia of '{joint.name}' is left out: nothing drives it" for joint in self._each()
-                 if joint.rotor_inertia and not self._driven(joint)]
+                 if joint.rotor_inertia and joint.mimic is None and not self._driven(joint)]
         return Tables(tables, inside, tuple(lost))
 
     def _each(self) -> list[TreeJoint]:
@@ -203,7 +202,8 @@ class _Conversion:
         unit = "m" if joint.kind == "prismatic" else "rad"
         found: dict[str, Any] = {"type": joint.kind}
         own = self.names[joint.name]
-        if (joint.mimic is not None and not self.sidecar.stated) or own in self.sidecar.dependent:
+        if (joint.mimic is not None and not self.sidecar.stated) or (
+                own in self.sidecar.dependent or joint.name in self.looped):
             found["dependent"] = True
         else:
             found |= dict(zip(("lower", "upper"), (_quantity(value, unit) for value in self._limits(joint)),
@@ -244,12 +244,18 @@ class _Conversion:
                 drive["gear"] = joint.gear
             if joint.max_effort is not None:
                 drive["max_torque"] = _quantity(joint.max_effort, "N" if slides else "N*m")
-            if joint.rotor_inertia:
-                drive["rotor_inertia"] = _quantity(joint.rotor_inertia, "kg*m^2")
-            if friction := _friction(joint):
+            if rotor := self._rotors(joint):
+                drive["rotor_inertia"] = _quantity(rotor / joint.gear**2, "kg*m^2")
+            if own not in self.sidecar.rubbing and (friction := _friction(joint)):
                 drive["friction"] = friction
             found.append(drive)
         return found
+
+    def _rotors(self, joint: TreeJoint) -> float:
+        """Inertia of a joint's rotor, and of those of the joints that mimic it, as the joint feels them."""
+        own = joint.rotor_inertia * joint.gear**2
+        return own + sum(each.mimic.ratio**2 * self._rotors(each) for each in self._each()
+                         if each.mimic is not None and each.mimic.master == joint.name)
 
     def _couplings(self) -> list[dict[str, Any]]:
         found = []

@@ -10,7 +10,7 @@ from typing import Literal
 import casadi as ca
 import numpy as np
 
-from hydroopt.machine.actuators import Cylinder, Drive, Motor
+from hydroopt.machine.actuators import Cylinder, Drive, Motor, TorqueFriction
 from hydroopt.machine.closures import closures
 from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.geometry import Geometry
@@ -99,15 +99,16 @@ class _Tree:
         """Limits, friction, spring and drive of a joint."""
         machine, j = self.machine, link.joint
         made = replace(made, lower=j.lower, upper=j.upper, max_speed=j.max_speed, driven=False)
-        friction: JointFriction | object = j.friction
+        rubs: list[JointFriction | TorqueFriction] = [j.friction]
         for actuator in machine.drivers.get(link.name, ()):
             if isinstance(actuator, Motor | Drive):
-                made, friction = replace(made, driven=True), actuator.friction
+                made = replace(made, driven=True)
+                rubs.append(actuator.friction)
             if isinstance(actuator, Drive):
                 made = replace(made, gear=actuator.gear, max_effort=actuator.max_torque,
                                rotor_inertia=actuator.rotor_inertia or 0.0)
-        made = replace(made, viscous=getattr(friction, "viscous", None) or 0.0,
-                       coulomb=getattr(friction, "coulomb", None) or 0.0)
+        made = replace(made, viscous=sum(each.viscous or 0.0 for each in rubs),
+                       coulomb=sum(each.coulomb or 0.0 for each in rubs))
         if (spring := j.spring) is not None and spring.stiffness:
             made = replace(made, spring=Spring(spring.stiffness,
                                                spring.reference - (spring.preload or 0.0) / spring.stiffness))
@@ -120,15 +121,13 @@ class _Tree:
 
     def _mimic(self, joint: str) -> Mimic | None:
         """What a dependent joint mimics; None where a loop determines it, or a coupling of several joints."""
-        machine = self.machine
-        for closure in closures(machine.links, machine.loops, machine.couplings):
-            coupling = closure.statements[0]
-            if joint in closure.joints and isinstance(coupling, Coupling) and len(coupling.ratios) == 1:
-                ((other, ratio),) = coupling.ratios.items()
-                if coupling.joint == joint:
-                    return Mimic(other, ratio, coupling.offset)
-                return Mimic(coupling.joint, 1 / ratio, -coupling.offset / ratio)
-        return None
+        coupling = mimicking(self.machine).get(joint)
+        if coupling is None:
+            return None
+        ((other, ratio),) = coupling.ratios.items()
+        if coupling.joint == joint:
+            return Mimic(other, ratio, coupling.offset)
+        return Mimic(coupling.joint, 1 / ratio, -coupling.offset / ratio)
 
     def _cylinder(self, cylinder: Cylinder) -> None:
         axis = self.machine.link(self.machine.axis_of(cylinder))
@@ -190,6 +189,13 @@ class _Tree:
                   "barrel": -math.atan2(z, math.hypot(x, y)) if len(ways) > 1 else math.atan2(y, x)}
         self.posture |= {f"{cylinder.name}.{suffix}": float(values[suffix]) for suffix, *_ in ways}
         self.posture[f"{cylinder.name}.rod"] = math.sqrt(x * x + y * y + z * z)
+
+
+def mimicking(machine: Machine) -> dict[str, Coupling]:
+    """The couplings of two joints, by the joint that each determines."""
+    found = ((closure.joints[0], closure.statements[0])
+             for closure in closures(machine.links, machine.loops, machine.couplings))
+    return {joint: each for joint, each in found if isinstance(each, Coupling) and len(each.ratios) == 1}
 
 
 def link_poses(machine: Machine, q: Mapping[str, float]) -> dict[str, Array]:

@@ -8,10 +8,11 @@ from typing import Any, NamedTuple
 from hydroopt.errors import MachineError
 from hydroopt.machine.machine import BASE
 from hydroopt.machine.robot_formats.machine_tables import machine_tables
+from hydroopt.machine.robot_formats.mjcf_in import read_mjcf
 from hydroopt.machine.robot_formats.sidecar import read_sidecar
 from hydroopt.machine.robot_formats.urdf_in import read_urdf
 
-READERS = {".urdf": read_urdf}
+READERS = {".urdf": read_urdf, ".xml": read_mjcf}
 """What reads the files of an ending."""
 
 

@@ -29,6 +29,7 @@ class Sidecar:
         locked, dependent: links whose joints are so.
         drives, couplings: names by joint; of couplings, those that a joint of the robot file states by what it mimics.
         related: joints that the couplings relate which the sidecar states.
+        rubbing: links whose joint and drive both have friction; the robot file has the sum, the sidecar the parts.
         motors: joints that motors drive, which state the friction there.
         cylinders: the barrel's pin by name; barrels and rods are links of the robot file.
     """
@@ -42,6 +43,7 @@ class Sidecar:
     drives: dict[str, str] = field(default_factory=dict)
     couplings: dict[str, str] = field(default_factory=dict)
     related: frozenset[str] = frozenset()
+    rubbing: frozenset[str] = frozenset()
     motors: frozenset[str] = frozenset()
     cylinders: dict[str, Array] = field(default_factory=dict)
 
@@ -85,6 +87,8 @@ def read_sidecar(path: str | Path) -> Sidecar | None:
         couplings={str(each.get("joint")): name for name, each in couplings.items() if "ratios" not in each},
         related=frozenset(joint for each in couplings.values() if "ratios" in each
                           for joint in (str(each.get("joint")), *each["ratios"])),
+        rubbing=frozenset(name for name, joint in joints.items() if isinstance(friction := joint.get("friction"), dict)
+                          and any(not is_zero(value) for value in friction.values())),
         motors=frozenset(str(each.get("joint")) for each in _named(tables, "motors", where).values()),
         cylinders={name: _point(each.get("barrel", {}).get("pin"), f"{where}: cylinders[{name}].barrel.pin")
                    for name, each in _named(tables, "cylinders", where).items()})
@@ -114,3 +118,12 @@ def _point(stated: Any, where: str) -> Array:
 def _number(stated: Any, unit: str, where: str) -> float:
     value = _value(stated)
     return 0.0 if value is None else to_si(str(value), unit, where=where)
+
+
+def is_zero(stated: Any) -> bool:
+    """Whether a quantity is zero, or only what is known of it beside its value is stated."""
+    value = _value(stated)
+    try:
+        return value is None or float(str(value).split()[0]) == 0.0
+    except (ValueError, IndexError):
+        return False

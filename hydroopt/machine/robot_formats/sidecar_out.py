@@ -6,39 +6,48 @@ from typing import Any
 
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_tables, machine_file_tables
-from hydroopt.machine.robot_formats.machine_tree import open_statements
+from hydroopt.machine.robot_formats.machine_tree import mimicking
+from hydroopt.machine.robot_formats.sidecar import is_zero
 
 _BODY = ("m", "com", "inertia_com", "mc", "inertia")
 _FRICTION = ("coulomb", "viscous")
 
 
-def sidecar_text(machine: Machine, file: str) -> str:
+def sidecar_text(machine: Machine, file: str, *, motors: bool = True) -> str:
     """Text of the sidecar of a robot `file` that describes a machine.
 
     Bodies, limits, places of joints, friction, gears and what mimics what stand in the robot file alone. What is known
     of such a number beside its value, its confidence and source, stands here without the value.
+
+    Args:
+        machine: the machine.
+        file: name of the robot file.
+        motors: whether the robot file states limits of speed and torque, and gears.
     """
     tables = machine_file_tables(machine)
     links = {link.name: link for link in machine.links}
-    open_couplings = {each.name for each in open_statements(machine)}
+    mimics = mimicking(machine)
     drives = {drive["joint"] for drive in tables.get("drives", ())}
     for table in tables["links"]:
         link = links[table["name"]]
         table.pop("parent", None)
-        _said(table, "body", _BODY)
+        if link.body and link.body.phi.any():
+            _said(table, "body", _BODY)
         joint = table["joint"]
         locked = joint["type"] == "locked"
-        for key in ("type",) * (not locked) + ("theta", "d", "lower", "upper", "max_speed"):
+        for key in ("type",) * (not locked) + ("theta", "d", "lower", "upper") + ("max_speed",) * motors:
             _drop(joint, key)
         if not drives & {link.name} and not _rotary(machine, link.name):
             _said(joint, "friction", _FRICTION)
     for table in tables.get("drives", ()):
-        _drop(table, "gear")
-        _drop(table, "max_torque")
-        _said(table, "friction", _FRICTION)
+        for key in ("gear", "max_torque") * motors:
+            _drop(table, key)
+        own = links[table["joint"]].joint.friction
+        if not own.viscous and not own.coulomb:  # else the robot file states the sum of both
+            _said(table, "friction", _FRICTION)
     for table in tables.get("couplings", ()):
         stated = next(each for each in machine.couplings if each.name == table["name"])
-        if table["name"] not in open_couplings and links[stated.joint].joint.dependent:
+        if mimics.get(stated.joint) is stated:
             table.pop("ratios")
             _drop(table, "offset")
     for table in tables.get("cylinders", ()):
@@ -59,16 +68,11 @@ def _said(table: dict[str, Any], key: str, inner: tuple[str, ...]) -> None:
         return
     for name in inner:
         value = table[key].get(name)
-        if key == "friction" and _zero(value):
+        if key == "friction" and is_zero(value):
             continue
         _drop(table[key], name, keep=name in ("m", "com", "inertia_com", *_FRICTION))
     if not table[key]:
         del table[key]
-
-
-def _zero(value: Any) -> bool:
-    stated = value["value"] if isinstance(value, dict) else value
-    return isinstance(stated, str) and float(stated.partition(" ")[0]) == 0.0
 
 
 def _drop(table: dict[str, Any], key: str, *, keep: bool = True) -> None:

@@ -8,9 +8,12 @@ from typing import NamedTuple
 
 from hydroopt.errors import MachineError
 from hydroopt.machine.actuators import Cylinder
+from hydroopt.machine.loops import Loop
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine
-from hydroopt.machine.robot_formats.machine_tree import machine_tree, open_statements
+from hydroopt.machine.robot_formats.machine_tree import machine_tree, open_statements, without_body
+from hydroopt.machine.robot_formats.mjcf_in import NEGLIGIBLE
+from hydroopt.machine.robot_formats.mjcf_out import mjcf_text
 from hydroopt.machine.robot_formats.sidecar import beside
 from hydroopt.machine.robot_formats.sidecar_out import sidecar_text
 from hydroopt.machine.robot_formats.urdf_out import urdf_text
@@ -24,9 +27,9 @@ class Written(NamedTuple):
 
 
 def robot_files(machine: Machine, path: str | Path) -> Written:
-    """A machine as a file of the format that the ending names: .toml, .urdf.
+    """A machine as a file of the format that the ending names: .toml, .urdf, .xml (MJCF).
 
-    Beside a URDF there is a sidecar with what the format cannot say; hydroopt reads both together.
+    Beside a robot file there is a sidecar with what the format cannot say; hydroopt reads both together.
 
     Raises:
         MachineError: there is no such format.
@@ -51,22 +54,30 @@ def _urdf(machine: Machine, name: str) -> Written:
                    (*_open_in_a_tree(machine), *_never_said(machine), *_not_beside(machine)))
 
 
-_WRITERS: dict[str, Callable[[Machine, str], Written]] = {".toml": _toml, ".urdf": _urdf}
+def _mjcf(machine: Machine, name: str) -> Written:
+    tree = machine_tree(machine, floating=True)
+    bodies = without_body(tree)
+    lost = [f"bodies of {NEGLIGIBLE:g} kg stand for {len(bodies)} that are not stated"] if bodies else []
+    return Written({name: mjcf_text(machine), beside(name).name: sidecar_text(machine, name, motors=False)},
+                   (*lost, *_never_said(machine, springs=True), *_not_beside(machine)))
+
+
+_WRITERS: dict[str, Callable[[Machine, str], Written]] = {".toml": _toml, ".urdf": _urdf, ".xml": _mjcf}
 
 
 def _open_in_a_tree(machine: Machine) -> list[str]:
     """What a format without loops leaves open."""
-    lost = [f"the {'loop' if hasattr(each, 'to') else 'coupling'} '{each.name}' does not hold"
+    lost = [f"the {'loop' if isinstance(each, Loop) else 'coupling'} '{each.name}' does not hold"
             for each in open_statements(machine)]
     return lost + [f"the rod of '{cylinder.name}' hangs on no pin" for cylinder in machine.cylinders]
 
 
-def _never_said(machine: Machine) -> list[str]:
+def _never_said(machine: Machine, *, springs: bool = False) -> list[str]:
     """What no robot format says."""
     lost = [f"the friction of '{each.name}' is Coulomb's and viscous alone" for each in machine.actuators
             if {key for key, value in each.friction if value is not None} - {"coulomb", "viscous"}]
     lost += [f"the gas of '{each.name}' presses on nothing" for each in machine.gas_cylinders]
-    lost += [f"the spring '{each.name}' pulls nothing" for each in machine.springs]
+    lost += [f"the spring '{each.name}' pulls nothing" for each in machine.springs if not (springs and each.stiffness)]
     hydraulic = [each.name for each in machine.actuators if isinstance(each, Cylinder)]
     lost += [f"areas and chambers of {', '.join(hydraulic)}"] if hydraulic else []
     return lost + ([f"{len(machine.notes)} confidences, bounds and sources of numbers"] if machine.notes else [])
