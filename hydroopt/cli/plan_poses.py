@@ -32,13 +32,15 @@ def plan_poses(
     focus: Focus = None,
     priors: Priors = False,
     fix: Fixed = None,
+    setup: Annotated[list[str] | None, typer.Option(help=(
+        "Set-up of instruments whose pose is not known; repeatable; each stage is measured in all."))] = None,
     candidates: Annotated[int, typer.Option(
         help="Random postures of each stage and fixture to choose from.", min=1)] = 2000,
     seed: Seed = 0,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Plan the poses of a kinematic calibration: DIR gets sheet.txt to measure by, poses.csv and plan.json."""
+    """Plan the poses of a kinematic calibration: DIR gets sheet.txt to measure by, poses.csv to fill in, plan.json."""
     from hydroopt.excitation.poses.exchange import fedorov_exchange
     from hydroopt.excitation.poses.problem import pose_problem
     from hydroopt.machine.machine_file import load_machine
@@ -47,7 +49,7 @@ def plan_poses(
     described = load_machine(machine)
     with progress(f"choosing poses for {described.name}", quiet):
         problem = pose_problem(described, poses, stages=stage or None, criterion=criterion, focus=focus or (),
-                               priors=priors)
+                               priors=priors, setups=setup or ("",))
         if fix:
             problem = problem.fixing(**parameter_values(fix, problem.parameters))
         plan = fedorov_exchange(problem, candidates=candidates, seed=seed)

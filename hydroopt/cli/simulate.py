@@ -29,6 +29,7 @@ from hydroopt.errors import ProblemError
 
 if TYPE_CHECKING:
     from hydroopt.logs.log import Log
+    from hydroopt.machine.machine import Machine
     from hydroopt.model.model import Model
     from hydroopt.model.plant import Plant
     from hydroopt.simulation.simulate import Trajectory
@@ -48,6 +49,8 @@ def simulate(
         "Drive the valves, in open loop, by commands for that motion; the log contains commands and supply, too."))
         ] = False,
     commands: Annotated[Path | None, typer.Option(help="Log whose commands drive the valves.")] = None,
+    poses: Annotated[Path | None, typer.Option(help=(
+        "Postures at which the machine stands still, such as postures.csv of plan-poses; DIR gets poses.csv."))] = None,
     map_file: MapFile = None,
     duration: Annotated[float | None, typer.Option(help=(
         f"Duration of the random or designed motion [s]; {DURATION} if not given."))] = None,
@@ -62,7 +65,7 @@ def simulate(
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
 ) -> None:
-    """Simulate the log that a machine's sensors would record: DIR gets log.csv and truth.json.
+    """Simulate the log, or the poses, that a machine's sensors would record: DIR gets log.csv and truth.json.
 
     A given motion may state the wrench at the tip (tip.fx to tip.mz), which then acts on the machine.
     """
@@ -76,13 +79,23 @@ def simulate(
     from hydroopt.simulation.reference_motion import reference_motion
 
     described = load_machine(machine, parameter_set=parameter_set)
+    if truth not in ("nominal", "random"):
+        raise ProblemError(f"the truth '{truth}' is neither nominal nor random", where="--truth",
+                           remedy="use nominal or random")
+    if poses is not None:
+        if driven or motion is not None or commands is not None or duration is not None or rate is not None:
+            raise ProblemError("poses are at rest", where="--poses", remedy="leave out --driven, --motion, --commands, "
+                               "--duration and --rate")
+        with progress("simulating", quiet):
+            said = _poses(described, poses, map_file, output, random=truth == "random", noise=noise, seed=seed,
+                          truth_seed=truth_seed, parquet=parquet)
+        if not quiet:
+            echo(said)
+        return
     model = Model(described)
     if motion is not None and (duration is not None or rate is not None):
         raise ProblemError("a given motion has its own duration and rate", where="--motion",
                            remedy="leave out --duration and --rate, or --motion")
-    if truth not in ("nominal", "random"):
-        raise ProblemError(f"the truth '{truth}' is neither nominal nor random", where="--truth",
-                           remedy="use nominal or random")
     if commands is not None and (driven or motion is not None or duration is not None or rate is not None):
         raise ProblemError("given commands determine the motion", where="--commands",
                            remedy="leave out --driven, --motion, --duration and --rate")
@@ -113,6 +126,23 @@ def simulate(
         indent=1)})
     if not quiet:
         echo(f"{output / name}: {len(log.t)} samples, channels {', '.join(log.channels)}")
+
+
+def _poses(machine: Machine, file: Path, map_file: Path | None, output: Path, *, random: bool, noise: bool, seed: int,
+           truth_seed: int | None, parquet: bool) -> str:
+    """Simulate and write a table of poses, with the truth; returns what to print."""
+    from hydroopt.files import write_files
+    from hydroopt.logs.poses import read_poses
+    from hydroopt.model.closed_chain import KinematicModel
+    from hydroopt.simulation.pose_table import simulate_poses
+
+    found = simulate_poses(KinematicModel(machine), read_poses(file, mapping=map_file), random=random, noise=noise,
+                           seed=seed, truth_seed=truth_seed)
+    name = "poses.parquet" if parquet else "poses.csv"
+    write_files(output, {name: found.poses.encoded(parquet=parquet), "truth.json": json.dumps(
+        {"machine": machine.name, "sha256": machine.sha256, "seed": seed, "noise": noise, "parameters": found.truth},
+        indent=1)})
+    return f"{output / name}: {len(found.poses)} poses, channels {', '.join(found.poses.channels)}"
 
 
 def _random(model: Model, duration: float | None, rate: float | None, seed: int) -> Trajectory:

@@ -16,7 +16,7 @@ from hydroopt.logs.column_headers import map_of_header
 from hydroopt.logs.column_map import Labels, LogMap, TextColumn, read_map
 from hydroopt.logs.formats.files import open_file
 from hydroopt.logs.frames import columns_of_frame, frame_of_columns
-from hydroopt.logs.table import Table, frozen, in_si, load, refuse_damage, write_columns
+from hydroopt.logs.table import Table, encoded_columns, frozen, in_si, load, refuse_damage, write_columns
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -125,6 +125,10 @@ class Poses:
             LogError: another extension, or the file cannot be written.
         """
         write_columns(path, self._columns(), "table of poses")
+
+    def encoded(self, *, parquet: bool = False) -> bytes:
+        """The content of the file that `write` writes, CSV or Parquet."""
+        return encoded_columns(self._columns(), parquet=parquet)
 
     def to_frame(self) -> pd.DataFrame:
         """A pandas DataFrame (N rows) with labels, ``t [s]`` if stated, and ``name [SI unit]``.

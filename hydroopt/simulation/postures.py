@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -44,16 +45,30 @@ def close(model: KinematicModel, geometry: Array, q: Array, free: Sequence[int],
     Returns:
         (N, n) joint vectors and (N,) whether the chain closes.
     """
+    rows = list(fixture.closes if isinstance(fixture, Fixture) else CLOSES["ball"])
+    return _vanishing(model, model.loop_by_angles, rows, geometry, q, free, place_of(model, fixture, len(q)), weight)
+
+
+def touch_datum(model: KinematicModel, geometry: Array, q: Array, free: Sequence[int],
+                touch: str) -> tuple[Array, NDArray[np.bool_]]:
+    """Bring a datum and a target together, as `close` does; `touch` names both, ``floor.tooth``."""
+    rows = [model.channels.index(channel) for each in model.measurements if each.name == touch
+            for channel in each.channels]
+    place = np.zeros((len(q), model.place_size))
+    return _vanishing(model, model.observed_by_angles, rows, geometry, q, free, place, None)
+
+
+def _vanishing(model: KinematicModel, function: Any, rows: list[int], geometry: Array, q: Array,
+               free: Sequence[int], place: Array, weight: Array | None) -> tuple[Array, NDArray[np.bool_]]:
+    """Joint vectors at which some rows of a function and its Jacobian by angles vanish, and (N,) whether they do."""
     q, turning = np.array(q, dtype=float), np.array(free, dtype=int)
     ease = np.ones(turning.size) if weight is None else weight
-    place = place_of(model, fixture, len(q))
-    rows = list(fixture.closes if isinstance(fixture, Fixture) else CLOSES["ball"])
     closed = np.zeros(len(q), dtype=bool)
     for _ in range(STEPS):
         left = np.flatnonzero(~closed)
         if not left.size:
             break
-        gap, by_q = model.over(model.loop_by_angles, geometry, q[left], place[left])
+        gap, by_q = model.over(function, geometry, q[left], place[left])
         gap, by_q = gap[:, rows], by_q[:, rows]
         closed[left] = np.max(np.abs(gap[:, :, 0]), axis=1) < CLOSED
         turn = -ease * (np.linalg.pinv(by_q[:, :, turning] * ease, rcond=1e-6 / np.max(ease)) @ gap)[:, :, 0]
@@ -103,10 +118,32 @@ def read_joints(model: KinematicModel, stage: Stage | None = None) -> list[int]:
     return [k for k in sensed if k in own or model.joints[k] not in named]
 
 
+def measured_channels(model: KinematicModel) -> tuple[str, ...]:
+    """Channels that are read in each pose: joints, cylinders' lengths, the tip where a tracker sees it, and all other
+    measurements that a sensor is stated for.
+
+    Raises:
+        ProblemError: nothing is read.
+    """
+    tips = [f"tip.{axis}" for axis in "xyz"] if model.machine.tracker else []
+    joints = [f"{model.joints[k]}.q" for k in read_joints(model)]
+    # a length tells of the joints that it depends on, if the poses know them otherwise
+    known = {*(link.name for link in model.machine.chain), *(joint.removesuffix(".q") for joint in joints)}
+    lengths = [f"{cylinder.name}.length" for cylinder in model.machine.cylinders
+               if known.issuperset(model.machine.moved_by(cylinder))]
+    more = [channel for each in model.measurements for channel in each.channels]
+    channels = (*joints, *(channel for channel in (*lengths, *tips, *more) if model.machine.sensor(channel)))
+    if not channels:
+        raise ProblemError("no sensor reads a joint, a cylinder's length, the tip or a target",
+                           where=f"machine '{model.machine.name}'",
+                           remedy="state sensors with their accuracy in the machine file")
+    return channels
+
+
 def closed_postures(model: KinematicModel, count: int, rng: np.random.Generator, *, geometry: Array,
                     turning: Sequence[int], within_limits: Sequence[int], locked: Mapping[str, float],
                     fixture: Held | None, batch: int, give_up: Callable[[int, int], bool],
-                    within_strokes: Array | None = None) -> tuple[Array, int]:
+                    within_strokes: Array | None = None, touch: str = "") -> tuple[Array, int]:
     """Random closed postures (K, n) [rad, m], K ≤ count, uniform over the joints' limits before they are closed.
 
     Args:
@@ -121,6 +158,7 @@ def closed_postures(model: KinematicModel, count: int, rng: np.random.Generator,
         give_up: whether to stop, by the number of postures found and tried.
         within_strokes: (p,) standard deviations of the geometry, if the cylinders must be within their strokes also
             where it is `REACHED` of them off, but never more than `RESERVE` of a stroke away from its ends.
+        touch: datum and target that meet, ``floor.tooth``; '' for none.
 
     Returns:
         The postures and how many were tried.
@@ -135,6 +173,8 @@ def closed_postures(model: KinematicModel, count: int, rng: np.random.Generator,
         usable = np.ones(batch, dtype=bool)
         if fixture is not None:
             q, usable = close(model, geometry, q, turning, fixture)
+        elif touch:
+            q, usable = touch_datum(model, geometry, q, turning, touch)
         usable &= np.all(((q >= low) & (q <= high))[:, list(within_limits)], axis=1)
         if within_strokes is not None:
             out, _, by_geometry = model.over(model.strokes_by_geometry, geometry, q)
@@ -201,6 +241,7 @@ def sweep(model: KinematicModel, stage: Stage, path: Array, *, geometry: Array, 
 
 def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Sequence[str], *, geometry: Array,
            tape: Sequence[str] = (), setup: Sequence[str] = (), standing: Mapping[tuple[str, str], Array] | None = None,
+           biases: Mapping[str, Array] | None = None, touch: Sequence[str] = (),
            channels: Sequence[str] | None = None, seed: int | None = 0, name: str = "simulated") -> Poses:
     """The pose table that the machine's sensors would record at joint vectors.
 
@@ -213,6 +254,8 @@ def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Seque
         setup: N labels of the set-ups of instruments whose pose is not known.
         standing: where these stand (6,) by instrument and set-up: position [m] and rotation vector [rad] in the frame
             of their link; by default in that frame itself.
+        biases: of accelerometers (3,) [m/s²] by unit; zero by default.
+        touch: N names of datum and target that meet, ``floor.tooth``; others are not read. By default all are.
         channels: what is read; by default the joints of `read_joints`.
         seed: of the sensors' noise; None for readings without any.
         name: of the table.
@@ -229,6 +272,8 @@ def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Seque
     for (instrument, label), stands in (standing or {}).items():
         there = np.array(setup) == label if len(setup) else np.full(len(q), not label)
         place[there, model.inputs[f"{instrument}.pose"]] = stands
+    for imu, bias in (biases or {}).items():
+        place[:, model.inputs[f"{imu}.bias"]] = bias
     rows = model.over(model.observed, geometry, q, place)[0]
     true = {f"{joint}.q": q[:, k] for k, joint in enumerate(model.joints)}
     true |= {channel: rows[:, i, 0] for i, channel in enumerate(model.channels)}
@@ -238,6 +283,11 @@ def record(model: KinematicModel, q: Array, stage: Sequence[str], fixture: Seque
         sensor = model.machine.sensor(channel)
         read[channel] = true[channel] if seed is None or sensor is None else measure(
             true[channel], sensor.accuracy, sensor.resolution, rng, sensor.distribution)
+    datums = {datum.name for datum in model.machine.datums}
+    for each in model.measurements if len(touch) else ():
+        for channel in each.channels if each.name.partition(".")[0] in datums else ():
+            if channel in read:
+                read[channel] = np.where(np.array(touch) == each.name, read[channel], np.nan)
     units = {channel: unit for channel, unit in model.machine.channel_units.items() if channel in read}
     return Poses(name=name, stage=np.array(stage), fixture=np.array(fixture), tape=np.array(tape),
                  setup=np.array(setup), channels=read, units=units)

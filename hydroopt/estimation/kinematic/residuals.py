@@ -96,12 +96,15 @@ def loop_fit(problem: CalibrationProblem, theta: Array, q: Array) -> dict[str, F
         if i < first and name.endswith((".length", ".distance")) and np.any(layout.present[:, i]):
             there = layout.present[:, i]
             table[name] = Fit.of(left[there, i : i + 1], layout.target[there, i : i + 1], "m")
+    datums = {datum.name for datum in model.machine.datums}
     for each in model.measurements:
         own = [model.channels.index(channel) for channel in each.channels]
         there = layout.present[:, own].all(axis=1)
         if np.any(there):
             read = layout.given[:, [model.readings[i] for i in own]] if each.reading else layout.target[:, own]
-            table[each.name] = Fit.of(left[there][:, own], read[there], each.unit)
+            fit = Fit.of(left[there][:, own], read[there], each.unit)
+            touched = each.name.partition(".")[0] in datums  # all its readings are zero, or the radius of a ball
+            table[each.name] = Fit(fit.rms, float("nan"), float("nan"), fit.unit) if touched else fit
     return table
 
 

@@ -54,12 +54,12 @@ def fedorov_exchange(problem: PoseProblem, *, candidates: int = 2000, seed: int 
                            remedy="ask for fewer poses or more candidates")
     rng = np.random.default_rng(seed)
     found = np.array([_candidates(problem, group, candidates, rng) for group in groups])
-    design = _Design(*linearised(problem, np.concatenate(found), *problem.labels(candidates)), problem.criterion,
+    design = _Design(*linearised(problem, np.concatenate(found), problem.labels(candidates)), problem.criterion,
                      problem.focus, len(groups))
     chosen = design.best(count)
-    q, (stage, fixture) = found[chosen], problem.labels(count)
-    return PosePlan(problem, candidates, seed, stage, fixture, q, _lengths(model, q),
-                    observability(*linearised(problem, q, stage, fixture)), design.log_det(chosen))
+    q, labels = found[chosen], problem.labels(count)
+    return PosePlan(problem, candidates, seed, labels, q, _lengths(model, q),
+                    observability(*linearised(problem, q, labels)), design.log_det(chosen))
 
 
 def _lengths(model: KinematicModel, q: Array) -> Array:
@@ -79,14 +79,17 @@ def _candidates(problem: PoseProblem, group: PoseGroup, count: int, rng: np.rand
     """
     model = problem.model
     sigma = np.where([name in problem.fixed for name in model.parameters.names], 0.0, model.parameters.scale)
-    moving = [model.joints.index(joint) for joint in group.moves]
+    moving = [model.joints.index(joint) for joint in dict.fromkeys((*group.moves, *model.machine.base_joints))
+              if joint not in group.locked]
     held = {model.joints.index(joint) for joint in group.locked}
     turning = [k for k in postures.read_joints(model) if k not in held and k not in moving]
+    if group.touch:  # the machine itself drives there
+        turning += [model.joints.index(joint) for joint in group.moves]
     fixture = next((each for each in model.machine.fixtures if each.name == group.fixture), None)
     batch = max(count, BATCH)
     found, tried = postures.closed_postures(
         model, count, rng, geometry=model.parameters.nominal, turning=turning, within_limits=turning + moving,
-        locked=group.locked, fixture=fixture, within_strokes=sigma, batch=batch,
+        locked=group.locked, fixture=fixture, touch=group.touch, within_strokes=sigma, batch=batch,
         give_up=lambda found, tried: tried > 3 * batch and found * TRIES < tried)
     if len(found) < count:
         raise ProblemError(f"only {len(found)} of {tried} random postures close within their limits",

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from hydroopt.estimation.kinematic.observability import Observability
-from hydroopt.excitation.poses.problem import PoseGroup, PoseProblem
+from hydroopt.excitation.poses.problem import PoseGroup, PoseLabels, PoseProblem
 from hydroopt.logs.poses import Poses, Texts
 from hydroopt.machine.machine import Machine
 from hydroopt.results.answer import Answer
@@ -29,7 +29,7 @@ class PosePlan(Answer):
 
     Attributes:
         problem: what was planned; `candidates` postures of each group, drawn with `seed`, were to choose from.
-        stage: (N,) labels; `fixture` (N,) as well.
+        labels: what the poses belong to.
         q: (N, n) joint vectors [rad, m]; `lengths` (N, c) of all cylinders [m].
         observability: which parameters these poses identify, and how well.
         log_det: logarithm of the determinant of the scaled information over the identifiable directions.
@@ -46,14 +46,23 @@ class PosePlan(Answer):
     problem: PoseProblem
     candidates: int
     seed: int
-    stage: Texts
-    fixture: Texts
+    labels: PoseLabels
     q: Array
     lengths: Array
     observability: Observability
     log_det: float
 
     job = Job.POSE_PLAN
+
+    @property
+    def stage(self) -> Texts:
+        """(N,) stages."""
+        return self.labels.stage
+
+    @property
+    def fixture(self) -> Texts:
+        """(N,) fixtures."""
+        return self.labels.fixture
 
     @property
     def machine(self) -> Machine:
@@ -114,10 +123,32 @@ class PosePlan(Answer):
         return self.observability.std
 
     @property
+    def postures(self) -> Poses:
+        """All joint angles as a table of poses, those that no sensor reads too, and which datums are touched: where to
+        drive."""
+        return self._table({f"{joint}.q": self.q[:, k] for k, joint in enumerate(self.joints)} | self._touches)
+
+    @property
     def poses(self) -> Poses:
-        """All joint angles as a table of poses."""
-        channels = {f"{joint}.q": self.q[:, k] for k, joint in enumerate(self.joints)}
-        return Poses(name=f"plan for {self.machine.name}", stage=self.stage, fixture=self.fixture, channels=channels,
+        """The table to fill in: angles of the joints that are read as planned, zero where a datum is touched, all else
+        empty."""
+        read = {f"{joint}.q": self.q[:, k] for k, joint in enumerate(self.joints)}
+        empty = np.full(len(self.q), np.nan)
+        joints = {name: values if name in self.problem.channels else empty for name, values in read.items()}
+        more = {name: empty for name in self.problem.channels if name not in joints}
+        return self._table(joints | more | self._touches)
+
+    @property
+    def _touches(self) -> dict[str, Array]:
+        """Channels (N,) of datums: zero in the poses that touch them, else NaN."""
+        datums = {datum.name for datum in self.machine.datums}
+        return {channel: np.where(self.labels.touch == each.name, 0.0, np.nan)
+                for each in self.problem.model.measurements if each.name.partition(".")[0] in datums
+                for channel in each.channels}
+
+    def _table(self, channels: Mapping[str, Array]) -> Poses:
+        return Poses(name=f"plan for {self.machine.name}", stage=self.stage, fixture=self.fixture,
+                     setup=self.labels.setup, channels=channels,
                      units={name: self.machine.channel_units[name] for name in channels})
 
     def details(self) -> Mapping[str, Any]:
@@ -129,18 +160,15 @@ class PosePlan(Answer):
                 "log_det": number(self.log_det)}
 
     def files(self) -> Mapping[str, str]:
-        """Measuring sheet, table of poses and table of parameters."""
-        poses = self.poses
-        table = [{"stage": poses.stage[k], "fixture": poses.fixture[k], "pose": poses.pose[k],
-                  **{f"{name} [{poses.units[name]}]": float(values[k]) for name, values in poses.channels.items()}}
-                 for k in range(len(poses))]
-        return {"sheet.txt": self.sheet(), "poses.csv": csv_text(table), "parameters.csv": self.parameters.to_csv()}
+        """Measuring sheet, table of poses to fill in, postures to drive to, and table of parameters."""
+        return {"sheet.txt": self.sheet(), "poses.csv": _csv(self.poses),
+                "postures.csv": _csv(self.postures), "parameters.csv": self.parameters.to_csv()}
 
     def sheet(self) -> str:
         """The measuring sheet as plain text: what to lock, what to move where, and the readings to expect."""
         text = [f"{len(self.q)} poses for {self.machine.name}"]
-        for group in self.problem.groups:
-            rows = np.flatnonzero((self.stage == group.stage) & (self.fixture == group.fixture))
+        for at, group in enumerate(self.problem.groups):
+            rows = at * self.problem.count + np.arange(self.problem.count)
             columns: dict[str, list[str]] = {}
             read = (name.removesuffix(".q") for name in self.problem.channels if name.endswith(".q"))
             for joint in (*group.moves, *read):
@@ -170,3 +198,12 @@ class PosePlan(Answer):
         if self.machine.channel_units[f"{joint}.q"] == "m":
             return "mm", [f"{1e3 * value:.0f}" for value in values]
         return "deg", [f"{np.round(np.degrees(value), 1) + 0.0:.1f}" for value in values]
+
+
+
+def _csv(poses: Poses) -> str:
+    """Text of a table; cells are empty where nothing is known yet, and set-ups are left out where there are none."""
+    setups = [{"setup": setup} for setup in poses.setup] if np.any(poses.setup != "") else [{}] * len(poses)
+    return csv_text([{"stage": poses.stage[k], "fixture": poses.fixture[k], "pose": poses.pose[k], **setups[k],
+                      **{f"{name} [{poses.units[name]}]": number(float(values[k]))
+                         for name, values in poses.channels.items()}} for k in range(len(poses))])

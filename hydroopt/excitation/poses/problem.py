@@ -32,7 +32,8 @@ class PoseGroup(NamedTuple):
     """Poses measured one after another: a stage (none where all joints are read) at a fixture (none with a tracker).
 
     `moves` are the joints that move without being read, `locked` those at rest, with their angles [rad]; with `drift`
-    these creep.
+    these creep. `setup` is the set-up of instruments whose pose is not known; `touch` names the datum and target, as
+    ``floor.tooth``, that its poses bring together.
     """
 
     stage: str
@@ -40,10 +41,21 @@ class PoseGroup(NamedTuple):
     moves: tuple[str, ...]
     locked: dict[str, float]
     drift: bool
+    setup: str = ""
+    touch: str = ""
 
     def __str__(self) -> str:
-        named = (("stage", self.stage), ("fixture", self.fixture))
+        named = (("stage", self.stage), ("fixture", self.fixture), ("set-up", self.setup), ("touching", self.touch))
         return ", ".join(f"{kind} '{name}'" for kind, name in named if name) or "open chain"
+
+
+class PoseLabels(NamedTuple):
+    """What N poses belong to, (N,) each; see `PoseGroup`."""
+
+    stage: Texts
+    fixture: Texts
+    setup: Texts
+    touch: Texts
 
 
 @dataclass(frozen=True, eq=False)
@@ -89,7 +101,7 @@ use hydroopt.solve.
     @cached_property
     def channels(self) -> tuple[str, ...]:
         """Channels that are read in each pose."""
-        return measured_channels(self.model)
+        return postures.measured_channels(self.model)
 
     @cached_property
     def parameters(self) -> ParameterSet:
@@ -99,12 +111,12 @@ use hydroopt.solve.
     @cached_property
     def _one_pose_each(self) -> CalibrationProblem:
         low, high = postures.limits(self.model)
-        return calibration_of(self, np.repeat([(low + high) / 2], len(self.groups), axis=0), *self.labels(1))
+        return calibration_of(self, np.repeat([(low + high) / 2], len(self.groups), axis=0), self.labels(1))
 
-    def labels(self, count: int) -> tuple[Texts, Texts]:
-        """Stages and fixtures of so many poses of each group, the groups one after another."""
-        return (np.repeat([group.stage for group in self.groups], count),
-                np.repeat([group.fixture for group in self.groups], count))
+    def labels(self, count: int) -> PoseLabels:
+        """Of so many poses of each group, the groups one after another."""
+        return PoseLabels(*(np.repeat([getattr(group, key) for group in self.groups], count)
+                            for key in PoseLabels._fields))
 
     def fixing(self, **values: float) -> PoseProblem:
         """The problem with parameters held, ``fixing(**{"ball.y": 0.0})`` [SI].
@@ -154,8 +166,8 @@ use hydroopt.solve.
 
 
 def pose_problem(machine: Machine, count: int, *, stages: Sequence[str] | None = None, criterion: str | None = None,
-                 focus: Sequence[str] = (), priors: bool = False,
-                 fixed: Mapping[str, float] | None = None) -> PoseProblem:
+                 focus: Sequence[str] = (), priors: bool = False, fixed: Mapping[str, float] | None = None,
+                 setups: Sequence[str] = ("",)) -> PoseProblem:
     """Which poses to measure for a machine's calibration, planned about the geometry of its file.
 
     Args:
@@ -167,6 +179,7 @@ def pose_problem(machine: Machine, count: int, *, stages: Sequence[str] | None =
         focus: parameters to which the criterion is restricted.
         priors: whether the machine file's confidences count as measurements.
         fixed: values [SI] of parameters that are held.
+        setups: names of the set-ups in which instruments of unknown pose stand; each stage is measured in all of them.
 
     Raises:
         ProblemError: no calibrator, no sensor, or an unknown stage, criterion or parameter.
@@ -179,7 +192,8 @@ def pose_problem(machine: Machine, count: int, *, stages: Sequence[str] | None =
     """
     criterion = criterion or ("A" if focus else "D")
     refuse_criterion(criterion, focus)
-    problem = PoseProblem(machine, count, _groups(machine, stages), criterion, tuple(focus), priors, dict(fixed or {}))
+    problem = PoseProblem(machine, count, _groups(machine, stages, setups), criterion, tuple(focus), priors,
+                          dict(fixed or {}))
     if count < 1:
         raise ProblemError(f"{count} poses cannot be planned", where="pose plan", remedy="ask for at least one pose")
     problem.parameters.select(problem.focus)  # refuses unknown names
@@ -193,59 +207,46 @@ def expected_uncertainty(machine: Machine, q: Array, stage: Sequence[str] | Text
     Raises:
         ProblemError: poses and machine do not fit together.
     """
-    problem = PoseProblem(machine, len(q), _groups(machine, None), "D", (), priors, dict(fixed or {}))
-    return observability(*linearised(problem, np.asarray(q), stage, fixture))
+    problem = PoseProblem(machine, len(q), _groups(machine, None, ("",)), "D", (), priors, dict(fixed or {}))
+    none = np.full(len(q), "")
+    labels = PoseLabels(np.asarray(stage), np.asarray(fixture), none, none)
+    return observability(*linearised(problem, np.asarray(q), labels))
 
 
-def linearised(problem: PoseProblem, q: Array, stage: Sequence[str] | Texts,
-               fixture: Sequence[str] | Texts) -> tuple[CalibrationProblem, Linearised]:
+def linearised(problem: PoseProblem, q: Array, labels: PoseLabels) -> tuple[CalibrationProblem, Linearised]:
     """The calibration problem of postures (N, n), linearised about them at the nominal geometry."""
-    calibration = calibration_of(problem, q, stage, fixture)
+    calibration = calibration_of(problem, q, labels)
     return calibration, linearise(calibration, calibration.parameters.nominal, q)
 
 
-def calibration_of(problem: PoseProblem, q: Array, stage: Sequence[str] | Texts,
-                   fixture: Sequence[str] | Texts) -> CalibrationProblem:
+def calibration_of(problem: PoseProblem, q: Array, labels: PoseLabels) -> CalibrationProblem:
     """The calibration problem that measuring postures (N, n) without noise gives."""
     model = problem.model
-    poses = postures.record(model, q, list(map(str, stage)), list(map(str, fixture)), geometry=model.parameters.nominal,
-                            channels=problem.channels, seed=None, name="plan")
+    poses = postures.record(
+        model, q, labels.stage.tolist(), labels.fixture.tolist(), geometry=model.parameters.nominal,
+        channels=problem.channels, seed=None, name="plan", setup=labels.setup.tolist(), touch=labels.touch.tolist())
     return calibration_problem(model.machine, poses, fixed=problem.fixed, priors=problem.priors)
 
 
-def measured_channels(model: KinematicModel) -> tuple[str, ...]:
-    """Channels that are read in each pose: joints, cylinders' lengths, and the tip where a tracker sees it.
-
-    Raises:
-        ProblemError: nothing is read.
-    """
-    tips = [f"tip.{axis}" for axis in "xyz"] if model.machine.tracker else []
-    joints = [f"{model.joints[k]}.q" for k in postures.read_joints(model)]
-    # a length tells of the joints that it depends on, if the poses know them otherwise
-    known = {*(link.name for link in model.machine.chain), *(joint.removesuffix(".q") for joint in joints)}
-    lengths = [f"{cylinder.name}.length" for cylinder in model.machine.cylinders
-               if known.issuperset(model.machine.moved_by(cylinder))]
-    channels = (*joints, *(channel for channel in (*lengths, *tips) if model.machine.sensor(channel)))
-    if not channels:
-        raise ProblemError("no sensor reads a joint, a cylinder's length or the tip",
-                           where=f"machine '{model.machine.name}'",
-                           remedy="state sensors with their accuracy in the machine file")
-    return channels
-
-
-def _groups(machine: Machine, stages: Sequence[str] | None) -> tuple[PoseGroup, ...]:
+def _groups(machine: Machine, stages: Sequence[str] | None, setups: Sequence[str]) -> tuple[PoseGroup, ...]:
     seen = machine.calibrator is not None and (machine.fixtures or machine.tracker)
-    if not seen and not any(machine.sensor(f"{cylinder.name}.length") for cylinder in machine.cylinders):
+    measured = machine.instruments or machine.imus or machine.datums or any(d.measured for d in machine.distances)
+    if not seen and not measured and not any(
+            machine.sensor(f"{cylinder.name}.length") for cylinder in machine.cylinders):
         raise ProblemError("nothing holds or tracks the machine's tip, and no cylinder's length is read, so that poses "
                            "identify nothing", where=f"machine '{machine.name}'",
-                           remedy="state a calibrator with a fixture or a tracker, or the sensor of a cylinder's "
-                           "length, in the machine file")
+                           remedy="state a calibrator with a fixture or a tracker, targets with an instrument, or the "
+                           "sensor of a cylinder's length, in the machine file")
     known = {stage.name: stage for stage in machine.stages}
     for name in known if stages is None else stages:
         if name not in known:
             raise ProblemError("the machine file has no such stage", where=f"stage '{name}'",
                                remedy=f"use {', '.join(known)}" if known else "leave it out: all joints are read")
     fixtures = [fixture.name for fixture in machine.fixtures] or [""]
-    return tuple(PoseGroup(stage.name, fixture, stage.moves, stage.locked, stage.drift > 0) for stage in machine.stages
+    once = tuple(PoseGroup(stage.name, fixture, stage.moves, stage.locked, stage.drift > 0) for stage in machine.stages
                  for fixture in fixtures if stages is None or stage.name in stages) or tuple(
                      PoseGroup("", fixture, (), {}, False) for fixture in fixtures)
+    touches = [f"{datum.name}.{target}" for datum in machine.datums for target in machine.target_names
+               if any(machine.sensor(f"{datum.name}.{target}.{axis}") for axis in datum.axes)]
+    return tuple(group._replace(setup=setup, touch=touch) for setup in setups for touch in ("", *touches)
+                 for group in once if not (touch and group.fixture))

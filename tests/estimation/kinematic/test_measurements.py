@@ -12,8 +12,9 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from hydroopt.errors import MachineError, ProblemError
-from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic.calibrate import calibrate, optimum
 from hydroopt.estimation.kinematic.instrument_poses import FLIP
+from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine_file import dump_machine, read_machine
@@ -272,3 +273,22 @@ def test_what_no_pose_measures_keeps_its_stated_numbers() -> None:
     problem = calibration_problem(surveyed()[0], Poses("t", setup=poses.setup, channels=few))
     assert {name.partition(".")[0] for name in problem.fixed} == {"marker", "boom_unit"}
     assert problem.fixed["boom_unit.roll"] == pytest.approx(np.pi / 2)
+
+
+@pytest.mark.slow
+def test_intervals_of_all_measurements_together_cover_the_truth() -> None:
+    """Truths drawn with the file's confidences, noise, a slope that varies: 95 % lie within their intervals."""
+    machine, model = surveyed()
+    within: list[np.ndarray] = []
+    for draw in range(30):
+        geometry = truth(1000 + draw)
+        problem = calibration_problem(machine, measured(geometry, seed=draw, draw=draw))
+        found = optimum(problem, "joint", problem.start)
+        std = observability(problem, linearise(problem, found.theta, found.q)).std
+        stands = {f"{name}.{setup}.{axis}": value for (name, setup), pose in STANDING.items()
+                  for axis, value in zip(("x", "y", "z", "rx", "ry", "rz"), pose, strict=True)}
+        known = dict(zip(model.parameters.names, geometry.tolist(), strict=True)) | stands
+        error = np.array([found.theta[k] - known.get(name, 0.0) for k, name in enumerate(problem.parameters.names)])
+        within.append(np.abs(error) < 1.959964 * std)
+    assert 0.93 < np.mean(within) < 0.97
+    assert np.min(np.mean(within, axis=0)) > 0.75

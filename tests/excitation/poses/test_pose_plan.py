@@ -225,7 +225,7 @@ def test_sheet_states_what_to_do(plan):
 
 
 def test_plan_can_be_read_back(plan, tmp_path):
-    plan.poses.write(tmp_path / "plan.csv")
+    plan.postures.write(tmp_path / "plan.csv")
     poses = read_poses(tmp_path / "plan.csv")
     assert list(poses.stage) == list(plan.stage)
     assert list(poses.fixture) == list(plan.fixture)
@@ -282,7 +282,8 @@ def test_plan_is_an_answer_that_can_be_saved_and_loaded(plan, tmp_path):
     answer = hydroopt.solve(problem, candidates=100, seed=2)
     answer.save(tmp_path)
     loaded = load(tmp_path)
-    assert {file.name for file in tmp_path.iterdir()} == {"plan.json", "sheet.txt", "poses.csv", "parameters.csv"}
+    assert {file.name for file in tmp_path.iterdir()} == {"plan.json", "sheet.txt", "poses.csv", "postures.csv",
+                                                           "parameters.csv"}
     assert (loaded.job, loaded.status, loaded.method) == (answer.job, "ok", "exchange, D criterion")
     assert loaded.parameters == answer.parameters
     assert loaded.diagnostics == answer.diagnostics
@@ -293,6 +294,8 @@ def test_plan_is_an_answer_that_can_be_saved_and_loaded(plan, tmp_path):
     assert loaded.details() == answer.details()
     np.testing.assert_array_equal(read_poses(tmp_path / "poses.csv").channels["yoke.q"],
                                   answer.q[:, answer.joints.index("yoke")])
+    assert np.all(np.isnan(answer.poses.channels["stick.q"])), "moves without a sensor, or is locked"
+    np.testing.assert_array_equal(answer.postures.channels["stick.q"], answer.q[:, answer.joints.index("stick")])
 
 
 def test_problem_prints_itself_and_has_no_program():

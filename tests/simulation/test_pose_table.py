@@ -1,0 +1,77 @@
+"""Planned poses of instruments, datums and inclinations, their simulated table, and what it gives back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from typer.testing import CliRunner
+
+from hydroopt.cli import app
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.kinematic.calibrate import calibrate
+from hydroopt.estimation.kinematic.problem import calibration_problem
+from hydroopt.excitation.poses.exchange import fedorov_exchange
+from hydroopt.excitation.poses.plan import PosePlan
+from hydroopt.excitation.poses.problem import pose_problem
+from hydroopt.logs.poses import read_poses
+from hydroopt.simulation.pose_table import simulate_poses
+from tests.fixtures.surveyed import TEXT, surveyed
+
+
+@pytest.fixture(scope="module")
+def plan() -> PosePlan:
+    return fedorov_exchange(pose_problem(surveyed()[0], 6, setups=("A", "B"), priors=True), candidates=30)
+
+
+def test_set_ups_and_datums_are_groups_of_a_plan(plan: PosePlan) -> None:
+    assert [str(group) for group in plan.problem.groups] == [
+        f"set-up '{setup}'{touch}" for setup in "AB"
+        for touch in ("", ", touching 'floor.tip'", ", touching 'edge.prism'")]
+    assert np.all(np.isfinite(plan.std))
+    value = plan.problem.model.over(plan.problem.model.observed, plan.problem.model.parameters.nominal, plan.q,
+                                    np.zeros((len(plan.q), plan.problem.model.place_size)))[0][:, :, 0]
+    row = plan.problem.model.channels.index("floor.tip.z")
+    np.testing.assert_allclose(value[plan.labels.touch == "floor.tip", row], 0, atol=1e-10)
+
+
+def test_the_sheet_leaves_empty_what_no_sensor_reads(plan: PosePlan) -> None:
+    poses, drive = plan.poses, plan.postures
+    assert np.all(np.isnan(poses.channels["base_roll.q"]))
+    assert np.all(np.isnan(poses.channels["station.prism.x"]))
+    np.testing.assert_array_equal(poses.channels["boom.q"], plan.q[:, plan.joints.index("boom")])
+    np.testing.assert_array_equal(np.isfinite(poses.channels["floor.tip.z"]), plan.labels.touch == "floor.tip")
+    assert np.all(np.isfinite(drive.channels["base_roll.q"]))
+    assert set(drive.setup) == {"A", "B"}
+
+
+def test_simulated_poses_give_back_the_truth(plan: PosePlan) -> None:
+    machine, model = surveyed()
+    found = simulate_poses(model, plan.postures, random=True, noise=False, seed=3)
+    assert "base_roll.q" not in found.poses.channels
+    solved = calibrate(calibration_problem(machine, found.poses, priors=False))
+    names = [name for name in solved.problem.parameters.names if "bias" not in name and "unit" not in name]
+    for name in names:  # the accelerometer's bias is drawn, and what is known of it counts
+        assert solved[name] == pytest.approx(found.truth[name], abs=1e-4), name
+
+
+def test_commands_plan_and_simulate_poses(tmp_path: Path) -> None:
+    (tmp_path / "own.toml").write_text(TEXT)
+
+    def run(*arguments: object) -> str:
+        done = CliRunner().invoke(app, [*map(str, arguments)], catch_exceptions=False)
+        assert done.exit_code == 0, done.output
+        return done.stdout
+
+    run("plan-poses", tmp_path / "own.toml", "-n", 4, "--setup", "A", "--candidates", 20, "--priors",
+        "-o", tmp_path / "plan")
+    printed = run("simulate", tmp_path / "own.toml", "--poses", tmp_path / "plan" / "postures.csv", "--truth", "random",
+                  "-o", tmp_path / "log")
+    assert "12 poses" in printed
+    assert set(read_poses(tmp_path / "log" / "poses.csv").setup) == {"A"}
+    assert (tmp_path / "log" / "truth.json").exists()
+    with pytest.raises(ProblemError, match="'base_pitch\\.q' is not stated"):
+        run("simulate", tmp_path / "own.toml", "--poses", tmp_path / "log" / "poses.csv", "-o", tmp_path / "more")
+    with pytest.raises(ProblemError, match="poses are at rest"):
+        run("simulate", tmp_path / "own.toml", "--poses", tmp_path / "log" / "poses.csv", "--driven", "-o", tmp_path)
