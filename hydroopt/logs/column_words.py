@@ -30,7 +30,8 @@ WORDS = {
 MEANING = {word: meaning for meaning, words in WORDS.items() for word in (meaning, *words)}
 GENERIC = {"cylinder", "motor", "joint", "link", "axis", "imu", "sensor"}
 """Words of a part's name that a column of it need not have."""
-ASIDE = {"sensor", "raw", "actual", "ist", "value", "wert", "signal", "measured", "mess", "side", "seite", "in", "of",
+ASIDE = {"linear", "angular", "sensor",
+         "raw", "actual", "ist", "value", "wert", "signal", "measured", "mess", "side", "seite", "in", "of",
          "deg", "rad", "bar", "pa", "kpa", "mpa", "psi", "m", "mm", "cm", "s", "ms", "us", "ns", "n", "kn", "grad",
          "nm"}
 """Words that say nothing of part or quantity; units are read on their own."""
@@ -49,11 +50,13 @@ class Naming:
 
     Attributes:
         bare: the name without its unit; `words`: of the name, by their meaning; `unit`: stated, or empty.
+        of_sheet: words of the sheet or topic, which may name the part.
     """
 
     bare: str
     words: frozenset[str]
     unit: str
+    of_sheet: frozenset[str] = frozenset()
 
 
 def naming(header: str) -> Naming:
@@ -95,7 +98,7 @@ def matched(channel: str, named: Naming, kind: str) -> int:
     part, _, suffix = channel.rpartition(".")
     own, words = words_of(part), named.words
     needed = own - GENERIC or own
-    if not needed <= words:
+    if not needed <= words | named.of_sheet:
         return 0
     asked = QUANTITIES.get(suffix, words_of(suffix))
     rest = words - own - GENERIC - asked - {"pressure" if kind == "Pa" else ""}

@@ -106,6 +106,9 @@ def read_recording(
                 findings += found
         digest = _digest(source)
     aligned, start = _aligned(groups, where)
+    if start is None and len({part.where for part in parts}) > 1:
+        rows = (int(aligned[0].sample[0]), int(aligned[0].sample[-1]))
+        findings.append(Finding("clock", "t", *rows, 0, "the times of the groups have no date: one zero is assumed"))
     clocks = {part.name: part.clock for part in parts}
     return Recording(stem(files[0]), aligned, start, tuple(dict.fromkeys(findings)), where, digest, clocks)
 

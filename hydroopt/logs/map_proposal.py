@@ -12,7 +12,7 @@ import numpy as np
 
 from hydroopt.errors import HydrooptError, LogError
 from hydroopt.logs import stamps
-from hydroopt.logs.column_words import Naming, matched, naming
+from hydroopt.logs.column_words import Naming, matched, naming, words_of
 from hydroopt.logs.formats.files import open_files
 from hydroopt.logs.sheets import Sheet
 from hydroopt.logs.table import Array
@@ -162,6 +162,8 @@ def _columns(sheet: Sheet) -> Iterator[ColumnOf]:
     """The columns of a sheet that hold numbers or dates."""
     for index, header in enumerate(sheet.content.header):
         named = naming(header)
+        if sheet.name and not any(part.isspace() for part in sheet.name):
+            named = replace(named, of_sheet=words_of(sheet.name))
         try:
             table = sheet.content.read([index], time=index)
         except LogError:

@@ -14,9 +14,9 @@ from hydroopt.errors import LogError
 from hydroopt.logs.channels import refuse_other_units, si_unit
 from hydroopt.logs.column_headers import map_of_header
 from hydroopt.logs.column_map import Labels, LogMap, TextColumn, read_map
-from hydroopt.logs.formats.files import open_file
+from hydroopt.logs.formats.files import open_files, true_kind
 from hydroopt.logs.frames import columns_of_frame, frame_of_columns
-from hydroopt.logs.table import Table, encoded_columns, frozen, in_si, load, refuse_damage, write_columns
+from hydroopt.logs.table import Table, encoded_columns, frozen, in_si, refuse_damage, write_columns
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -203,7 +203,7 @@ def joined(parts: Sequence[Poses]) -> Poses:
 
 
 def read_poses(path: str | Path, *, mapping: LogMap | str | Path | None = None) -> Poses:
-    """Read a table of poses from CSV or Parquet.
+    """Read a table of poses from text, a spreadsheet or Parquet.
 
     Args:
         path: file with text columns `stage`, `fixture`, `pose`, `tape`, `setup` and columns `name [unit]` of channels
@@ -223,14 +223,17 @@ def read_poses(path: str | Path, *, mapping: LogMap | str | Path | None = None) 
     """
     where = str(path)
     layout = mapping if isinstance(mapping, LogMap) or mapping is None else read_map(mapping, poses=True)
-    data, digest, kind = load(path, layout.format if layout else None)
-    if kind == "mat":
+    if (true_kind(path, layout) or "").startswith("mat"):
         raise LogError("a .mat file has no columns of text", where=where, remedy="export it as .csv or .parquet")
-    file = open_file(kind, data, where, layout)
-    if layout is None:
-        layout, _ = map_of_header(file.header, where, poses=True)
-    labels = [label for _, label in layout.labels or Labels()]
-    table = file.read(layout.keys, [label.column for label in labels if isinstance(label, TextColumn)])
+    with open_files([where], layout) as source:
+        if len(source.sheets) > 1:
+            raise LogError(f"there are {len(source.sheets)} sheets or files", where=where,
+                           remedy="save the table of poses alone")
+        file, (digest,) = source.sheets[0].content, source.digests
+        if layout is None:
+            layout, _ = map_of_header(file.header, where, poses=True)
+        labels = [label for _, label in layout.labels or Labels()]
+        table = file.read(layout.keys, [label.column for label in labels if isinstance(label, TextColumn)])
     values, units = in_si(layout, table, where)
     refuse_damage(table.damage, table.rows, where)
     if not units:

@@ -180,7 +180,7 @@ class Recording:
         groups = [group.corrected(self.clocks.get(group.name, Clock())) for group in self.groups]
         base = groups[self._grid(grid, where)]
         others = [group for group in groups if group is not base]
-        keep, findings = np.ones(base.size, bool), self.findings
+        keep, findings, lost = np.ones(base.size, bool), self.findings, list[Finding]()
         for group in others:
             _refuse_apart(base, group, where)
             outside = (base.t < group.t[0]) | (base.t > group.t[-1])
@@ -189,13 +189,14 @@ class Recording:
             for mask, text in ((outside, f"stand outside of the time of {shown}; left out"),
                                (inside, f"stand in a gap of {shown}; left out")):
                 if mask.any():
-                    findings += (quality.finding("unpaired", "t", mask, base.sample, text),)
+                    lost.append(quality.finding("unpaired", "t", mask, base.sample, text))
             keep &= ~(outside | inside)
-            if (lost := _lost(base, group)) > 0:
-                findings += (Finding("resampled", next(iter(group.channels)), int(base.sample[0]),
-                                     int(base.sample[-1]), lost, f"{shown} of {1 / group.step:.4g} Hz is "
-                                     f"interpolated at the {1 / base.step:.4g} Hz of {_shown(base)}; {lost} of its "
-                                     f"{group.size} samples do not count"),)
+            if not np.array_equal(group.t, base.t):
+                count = _lost(base, group)
+                lost.append(Finding("resampled", next(iter(group.channels)), int(base.sample[0]), int(base.sample[-1]),
+                                    count, f"{shown} of {1 / group.step:.4g} Hz is interpolated at the "
+                                    f"{1 / base.step:.4g} Hz of {_shown(base)}; {count or 'none'} of its {group.size} "
+                                    "samples do not count"))
         if np.count_nonzero(keep) < 2:
             raise LogError("fewer than two samples have values of all groups", where=where,
                            remedy="record the groups at the same time, or map the channels of one group only")
@@ -204,6 +205,9 @@ class Recording:
         for group in others:
             channels |= {name: np.interp(t, group.t, x) for name, x in group.channels.items()}
         channels = {name: channels[name] for name in self.channels}
+        rows = base.sample[keep]
+        findings += tuple(replace(each, first=min(each.first, int(rows[-1])), last=max(each.last, int(rows[0])))
+                          for each in lost)  # part of what is left, however it is cut
         cut = np.diff(base.segment[keep], prepend=base.segment[keep][:1]) != 0
         units = {name: unit for group in self.groups for name, unit in group.units.items()}
         segment = np.cumsum(cut | _behind_a_loss(keep))

@@ -13,6 +13,7 @@ from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.logs.column_map import LogMap
 from hydroopt.logs.log import Log
 from hydroopt.logs.log_files import read_log, read_recording
+from hydroopt.logs.poses import read_poses
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import random_trajectory, simulate
@@ -96,12 +97,17 @@ def npz(folder):
 
 
 def xlsx(folder):
-    """A workbook with numbers of 17 digits, as spreadsheets write them, a title, and a sheet of notes."""
+    """A log with a title, and a sheet of notes."""
+    return workbook(folder / "run.xlsx", {
+        "log": [["Excavator 7"], ["t [s]", *NAMED], *zip(T, *NAMED.values(), strict=True)],
+        "notes": [["made today"]]}), None
+
+
+def workbook(path, sheets):
+    """A workbook with numbers of 17 digits, as spreadsheets write them."""
     main = "http://schemas.openxmlformats.org/spreadsheetml/2006/main"
     office = "http://schemas.openxmlformats.org/officeDocument/2006/relationships"
     package = "http://schemas.openxmlformats.org/package/2006"
-    sheets = {"log": [["Excavator 7"], ["t [s]", *NAMED], *zip(T, *NAMED.values(), strict=True)],
-              "notes": [["made today"]]}
     numbers = range(1, len(sheets) + 1)
     relations = "".join(f'<Relationship Id="rId{k}" Type="{office}/worksheet" Target="worksheets/sheet{k}.xml"/>'
                         for k in numbers)
@@ -120,10 +126,10 @@ def xlsx(folder):
         parts[f"xl/worksheets/sheet{k}.xml"] = (f'<worksheet xmlns="{main}"><sheetData>'
                                                 + "".join(f"<row>{row}</row>" for row in cells)
                                                 + "</sheetData></worksheet>")
-    with zipfile.ZipFile(folder / "run.xlsx", "w", zipfile.ZIP_DEFLATED) as file:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as file:
         for name, text in parts.items():
             file.writestr(name, text)
-    return folder / "run.xlsx", None
+    return path
 
 
 def tdms(folder):
@@ -279,6 +285,17 @@ def test_groups_of_a_file_are_merged(tmp_path):
     log = recording.log()
     assert log.size == 4 * N - 3
     np.testing.assert_array_equal(log.channels["lift.q"], np.sin(log.t))
+
+
+def test_a_table_of_poses_may_be_a_spreadsheet(tmp_path):
+    path = workbook(tmp_path / "poses.xlsx", {"poses": [["stage", "pose", "boom.q [deg]"], ["low", "a", 10.0],
+                                                        ["low", "b", 0.1 + 0.2]]})
+    poses = read_poses(path)
+    assert poses.pose.tolist() == ["a", "b"]
+    np.testing.assert_array_equal(poses.channels["boom.q"], np.pi / 180 * np.array([10.0, 0.1 + 0.2]))
+    workbook(path, {name: [["stage", "boom.q [deg]"], ["low", 10.0]] for name in ("one", "two")})
+    with pytest.raises(LogError, match=r"poses\.xlsx: there are 2 sheets or files; save the table of poses alone"):
+        read_poses(path)
 
 
 def test_a_directory_is_one_recording(tmp_path):

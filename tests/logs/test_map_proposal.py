@@ -2,12 +2,13 @@
 
 import json
 import tomllib
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from hydroopt.cli import app
-from hydroopt.logs.column_words import matched, naming
+from hydroopt.logs.column_words import matched, naming, words_of
 from hydroopt.logs.log import Log
 from hydroopt.logs.log_files import read_log
 from hydroopt.logs.map_proposal import propose_map
@@ -100,6 +101,12 @@ def test_what_is_only_guessed_is_a_comment(machine, log, tmp_path):
     ("axis 1 angle", "axis1.q", "rad", 2), ("axis 12 angle", "axis1.q", "rad", 0)])
 def test_names_are_matched_by_their_words(header, channel, kind, score):
     assert matched(channel, naming(header), kind) == score
+
+
+def test_a_topic_names_the_part():
+    named = replace(naming("angular_velocity.x [rad/s]"), of_sheet=words_of("/imu/boom"))
+    assert matched("boom_imu.gyro_x", named, "rad/s") == 2
+    assert matched("boom_imu.gyro_y", named, "rad/s") == matched("stick_imu.gyro_x", named, "rad/s") == 0
 
 
 def test_a_file_with_the_channels_own_names_is_sure(machine, log, tmp_path):

@@ -194,7 +194,7 @@ def test_damaged_tables_are_refused_in_one_sentence(table, case):
 
 @pytest.mark.parametrize(("name", "pattern"), [
     ("none.csv", "no such file"), (".", "not a file"), ("poses.docx", "not a kind"),
-    ("poses.xlsx", "not read from spreadsheet"),
+    ("poses.xlsx", "not a readable spreadsheet"),
     ("poses.parquet", "not a readable Parquet"), ("poses.mat", "no columns of text; .*csv")])
 def test_wrong_files(table, tmp_path, name, pattern):
     if name.startswith("poses"):

@@ -35,19 +35,21 @@ def test_the_fastest_group_that_forces_need_is_the_grid():
     np.testing.assert_array_equal(log.t, recording.groups[1].t)
     np.testing.assert_allclose(log.channels["boom.qd"], np.sin(log.t), atol=1e-15)
     np.testing.assert_allclose(log.channels["boom_cylinder.p_head"], np.sin(log.t), atol=0.05**2 / 8)
-    (finding,) = log.findings
-    assert (finding.kind, finding.count) == ("resampled", 2001 - 201)
-    assert "1000 Hz" in finding.text
+    fast, slow = log.findings
+    assert (fast.kind, fast.count, slow.kind, slow.count) == ("resampled", 2001 - 201, "resampled", 0)
+    assert "1000 Hz" in fast.text
+    assert "none of its 41 samples" in slow.text
     assert recording.log("imu").size == 2001
-    assert not recording.log("imu").findings
+    assert {f.count for f in recording.log("imu").findings} == {0}
 
 
 def test_every_sample_without_a_partner_is_stated():
     late = group("can", 50, "boom_cylinder.p_head", duration=1.0, start=0.5)
     log = Recording("run", (group("joints", 100, "boom.q"), late)).log()
     assert (log.t[0], log.t[-1], log.size) == (0.5, 1.5, 101)
-    (finding,) = log.findings
+    finding, resampled = log.findings
     assert (finding.kind, finding.count, finding.first, finding.last) == ("unpaired", 100, 1, 201)
+    assert (resampled.kind, resampled.count) == ("resampled", 0)
 
 
 def test_nothing_is_interpolated_across_a_gap():
@@ -58,7 +60,7 @@ def test_nothing_is_interpolated_across_a_gap():
     assert log.segment[0] == 0
     assert log.segment[-1] == 1
     np.testing.assert_allclose(log.channels["boom_cylinder.p_head"], log.t, atol=1e-12)
-    assert [f.kind for f in log.findings] == ["unpaired"]
+    assert [f.kind for f in log.findings] == ["unpaired", "resampled"]
     assert "gap of 'can'" in log.findings[0].text
 
 

@@ -54,11 +54,11 @@ def open_files(paths: Sequence[str], layout: LogMap | None) -> Iterator[Source]:
             else:
                 data, digest, kind = load(file, kind)
                 digests.append(digest)
-                sheets.append(Sheet(front, file, open_file(kind, data, file, layout)))
+                sheets.append(Sheet(front, file, _open(kind, data, file, layout)))
         yield Source(tuple(sheets), tuple(digests))
 
 
-def open_file(kind: str, data: bytes, where: str, layout: LogMap | None) -> LogFile:
+def _open(kind: str, data: bytes, where: str, layout: LogMap | None) -> LogFile:
     """A file of `kind` "csv", "parquet" or "mat" from its bytes; `layout` is its map, if it has one.
 
     Raises:
@@ -66,9 +66,6 @@ def open_file(kind: str, data: bytes, where: str, layout: LogMap | None) -> LogF
     """
     if kind == "mat":
         return MatFile(data, where, layout)
-    if kind not in ("csv", "parquet"):
-        raise LogError(f"tables of poses are not read from {NAMES[kind]} files", where=where,
-                       remedy="export it as .csv or .parquet")
     return TextFile(data, where, layout) if kind == "csv" else ParquetFile(data, where, layout)
 
 

@@ -90,6 +90,8 @@ def lines_of(text: str, layout: LogMap) -> tuple[list[str], int]:
     """The lines of a text but comments, and how many these were; a header that is a comment stays without its mark."""
     lines = text.replace("\r\n", "\n").replace("\r", "\n").rstrip("\n ").split("\n")
     marks = (layout.comment,) if layout.comment else COMMENTS
+    if not re.search(rf"^[ \t]*(?:{'|'.join(map(re.escape, marks))})", text, re.MULTILINE):
+        return lines, 0
     kept = [line for line in lines if not line.lstrip().startswith(marks)]
     comments = len(lines) - len(kept)
     if comments and kept and layout.header and not layout.skip:
