@@ -1,14 +1,21 @@
-"""`hydroopt convert`: a machine from one format to another."""
+"""`hydroopt convert`: a machine from one format to another, and cylinders in the place of a robot's drives."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from hydroopt.cli.options import MachineOrFolder, ParameterSetName, Quiet
 from hydroopt.cli.terminal import echo
+from hydroopt.errors import MachineError, ProblemError
+
+if TYPE_CHECKING:
+    from hydroopt.machine.machine import Machine
+    from hydroopt.machine.robot_formats.reading import RobotFile
+
+_ASKED = (("bore", "bore, e.g. 100 mm"), ("rod_diameter", "diameter of the rod, e.g. 56 mm"))
 
 
 def convert(
@@ -16,10 +23,14 @@ def convert(
     target: Annotated[Path, typer.Argument(metavar="OUT", help="File to write; its ending names the format.")],
     tip: Annotated[str | None, typer.Option(metavar="LINK", help=(
         "Of a robot file, the link at the end of the chain to read; all joints if not given."))] = None,
+    cylinders: Annotated[Path | None, typer.Option(metavar="FILE", help=(
+        "Of a robot file, TOML with a table for each cylinder that replaces a drive."))] = None,
+    ask: Annotated[bool, typer.Option("--ask-cylinders", help=(
+        "Of a robot file, ask joint by joint for a cylinder that replaces its drive."))] = False,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
 ) -> None:
-    """Convert a machine or a calibrated estimate from one format to another: .toml, .urdf, .xml (MJCF)."""
+    """Convert a machine or a calibrated estimate from one format to another: .toml, .urdf, .xml (MJCF), .sdf."""
     from hydroopt.codegen.parameter_source import read
     from hydroopt.files import write_files
     from hydroopt.input_file import is_directory
@@ -27,14 +38,64 @@ def convert(
     from hydroopt.machine.robot_formats.reading import read_robot
     from hydroopt.machine.robot_formats.writing import robot_files
 
-    described = (read(machine, parameter_set=parameter_set)[0] if is_directory(machine) else
-                 load_machine(machine, parameter_set=parameter_set, tip=tip))
+    robot = read_robot(machine, tip=tip) if Path(machine).suffix in ROBOT_SUFFIXES else None
+    extra: dict[str, str] = {}
+    if cylinders or ask:
+        if robot is None or robot.rest:
+            raise ProblemError("cylinders replace drives of a robot file without a sidecar only", where=machine,
+                               remedy="state them in the machine file or the sidecar")
+        described, extra = _on_cylinders(robot, machine, cylinders, target)
+    elif is_directory(machine):
+        described = read(machine, parameter_set=parameter_set)[0]
+    else:
+        described = load_machine(machine, parameter_set=parameter_set, tip=tip)
     written = robot_files(described, target)
-    write_files(target.parent, written.files)
+    write_files(target.parent, written.files | extra)
     if not quiet:
-        echo(f"{', '.join(str(target.parent / name) for name in written.files)}")
-        if Path(machine).suffix in ROBOT_SUFFIXES:
-            for lost in read_robot(machine, tip=tip).lost:
-                echo(f"not in {Path(machine).name}'s machine: {lost}")
+        echo(", ".join(str(target.parent / name) for name in (*written.files, *extra)))
+        for lost in robot.lost if robot else ():
+            echo(f"not in {Path(machine).name}'s machine: {lost}")
         for lost in written.lost:
             echo(f"not in {target.name}: {lost}")
+
+
+def _on_cylinders(robot: RobotFile, machine: str, file: Path | None, target: Path) -> tuple[Machine, dict[str, str]]:
+    """The machine on the cylinders of a file and of those asked for; the latter as a file to be written."""
+    from hydroopt.input_file import read_text, toml
+    from hydroopt.machine.machine_file import dump_tables
+    from hydroopt.machine.robot_formats.cylinder_drives import with_cylinders
+
+    if file is not None:
+        stated = toml(read_text(file, MachineError, noun="file of cylinders"), MachineError, where=str(file))
+        described, reaches = with_cylinders(robot, stated, str(file))
+        for name, reach in reaches.items():
+            echo(f"{name}: {reach.shortest:.4g} to {reach.longest:.4g} m long, lever arm at least {reach.arm:.3g}")
+        return described, {}
+    stated = {}
+    for drive in robot.tables.get("drives", []):
+        if typer.confirm(f"{drive['joint']}: does a cylinder drive it?", default=True):
+            stated |= _asked(robot, drive["joint"], stated)
+    name = target.with_suffix(".cylinders.toml").name
+    return with_cylinders(robot, stated, name)[0], {name: dump_tables(stated)}
+
+
+def _asked(robot: RobotFile, joint: str, known: dict[str, Any]) -> dict[str, Any]:
+    """The table of one cylinder, asked for until it closes over the joint's whole range."""
+    from hydroopt.errors import HydrooptError
+    from hydroopt.machine.robot_formats.cylinder_drives import with_cylinders
+
+    name = f"{joint}_cylinder"
+    while True:
+        table: dict[str, Any] = {"joint": joint}
+        for end in ("barrel", "rod"):
+            link = typer.prompt(f"  link that carries the {end} ({', '.join(list(robot.links)[:12])})")
+            pin = typer.prompt(f"  its pin there, x y z [m] in the frame of '{link}'")
+            table[end] = {"link": link, "pin": [f"{word} m" for word in pin.replace(",", " ").split()]}
+        table |= {key: typer.prompt(f"  {text}") for key, text in _ASKED}
+        try:
+            reach = with_cylinders(robot, known | {name: table}, "answers")[1][name]
+        except HydrooptError as error:
+            echo(f"  {error}")
+            continue
+        echo(f"  {reach.shortest:.4g} to {reach.longest:.4g} m long, lever arm at least {reach.arm:.3g}")
+        return {name: table}

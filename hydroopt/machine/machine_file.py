@@ -75,7 +75,7 @@ def load_machine(machine: str | Path, *, parameter_set: str | None = None, tip: 
         from hydroopt.machine.robot_formats.reading import read_robot  # noqa: PLC0415 (most machines need no XML)
 
         found = read_robot(path, tip=tip)
-        return _built(_merged(found.tables, found.rest), name, None)
+        return build_machine(_merged(found.tables, found.rest), name)
     if tip is not None:
         raise MachineError(f"only of a robot file the chain to a tip such as '{tip}' can be read", where=name,
                            remedy="leave it out")
@@ -105,11 +105,11 @@ def read_machine(text: str, *, where: str = "machine", parameter_set: str | None
     >>> machine
     Machine('pendulum': 1 joint, 1 drive)
     """
-    return _built(_with_base(toml(text, MachineError, where=where), where), where, parameter_set)
+    return build_machine(_with_base(toml(text, MachineError, where=where), where), where, parameter_set)
 
 
-def _built(data: dict[str, Any], where: str, parameter_set: str | None) -> Machine:
-    """Machine from the tables of a machine file."""
+def build_machine(data: dict[str, Any], where: str, parameter_set: str | None = None) -> Machine:
+    """Machine from the tables of a machine file, see `read_machine`."""
     if not data:
         raise MachineError("the file is empty", where=where, remedy="describe a machine in it")
     if "notes" in data:

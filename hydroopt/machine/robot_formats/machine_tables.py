@@ -260,7 +260,7 @@ class _Conversion:
     def _couplings(self) -> list[dict[str, Any]]:
         found = []
         for joint in self._each():
-            if joint.mimic is None or self.names[joint.name] in self.sidecar.related:
+            if joint.mimic is None or (self.sidecar.stated and self.names[joint.name] not in self.sidecar.couplings):
                 continue
             own, master = self.tree.joints[joint.name], self.tree.joints[joint.mimic.master]
             unit, other = ("m" if each.kind == "prismatic" else "rad" for each in (own, master))

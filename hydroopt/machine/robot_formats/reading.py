@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 
 from hydroopt.errors import MachineError
 from hydroopt.machine.machine import BASE
+from hydroopt.machine.robot_formats.loops_of_pins import Placed
 from hydroopt.machine.robot_formats.machine_tables import machine_tables
 from hydroopt.machine.robot_formats.mjcf_in import read_mjcf
 from hydroopt.machine.robot_formats.sidecar import read_sidecar
@@ -23,11 +24,13 @@ class RobotFile(NamedTuple):
         tables: a machine file's, from the robot file.
         rest: those of the sidecar, which are merged over them.
         lost: what the robot file says and a machine file cannot, in sentences.
+        links: each link of the robot with the machine's link that it is part of, and its pose in that link's frame P.
     """
 
     tables: dict[str, Any]
     rest: dict[str, Any]
     lost: tuple[str, ...]
+    links: dict[str, Placed]
 
 
 def read_robot(path: str | Path, *, tip: str | None = None) -> RobotFile:
@@ -42,9 +45,9 @@ def read_robot(path: str | Path, *, tip: str | None = None) -> RobotFile:
     sidecar = read_sidecar(path)
     if sidecar is None:
         made = machine_tables(tree, tip=tip)
-        return RobotFile(made.tables, {}, made.lost)
+        return RobotFile(made.tables, {}, made.lost, made.links)
     if tip is not None:
         raise MachineError("a tip cannot be named of a robot with a sidecar", where=str(path),
                            remedy=f"leave it out, or move {sidecar.file} away")
     made = machine_tables(tree.rooted_at(BASE) if BASE in tree.masses else tree, sidecar=sidecar)
-    return RobotFile(made.tables, sidecar.tables, made.lost)
+    return RobotFile(made.tables, sidecar.tables, made.lost, made.links)

@@ -28,7 +28,6 @@ class Sidecar:
         pins: where joints sit that do not sit at their parent's far end.
         locked, dependent: links whose joints are so.
         drives, couplings: names by joint; of couplings, those that a joint of the robot file states by what it mimics.
-        related: joints that the couplings relate which the sidecar states.
         rubbing: links whose joint and drive both have friction; the robot file has the sum, the sidecar the parts.
         motors: joints that motors drive, which state the friction there.
         cylinders: the barrel's pin by name; barrels and rods are links of the robot file.
@@ -42,7 +41,6 @@ class Sidecar:
     dependent: frozenset[str] = frozenset()
     drives: dict[str, str] = field(default_factory=dict)
     couplings: dict[str, str] = field(default_factory=dict)
-    related: frozenset[str] = frozenset()
     rubbing: frozenset[str] = frozenset()
     motors: frozenset[str] = frozenset()
     cylinders: dict[str, Array] = field(default_factory=dict)
@@ -85,8 +83,6 @@ def read_sidecar(path: str | Path) -> Sidecar | None:
         dependent=frozenset(name for name, joint in joints.items() if joint.get("dependent")),
         drives={str(drive.get("joint")): name for name, drive in _named(tables, "drives", where).items()},
         couplings={str(each.get("joint")): name for name, each in couplings.items() if "ratios" not in each},
-        related=frozenset(joint for each in couplings.values() if "ratios" in each
-                          for joint in (str(each.get("joint")), *each["ratios"])),
         rubbing=frozenset(name for name, joint in joints.items() if isinstance(friction := joint.get("friction"), dict)
                           and any(not is_zero(value) for value in friction.values())),
         motors=frozenset(str(each.get("joint")) for each in _named(tables, "motors", where).values()),

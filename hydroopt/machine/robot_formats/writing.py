@@ -14,6 +14,7 @@ from hydroopt.machine.machine_file import dump_machine
 from hydroopt.machine.robot_formats.machine_tree import machine_tree, open_statements, without_body
 from hydroopt.machine.robot_formats.mjcf_in import NEGLIGIBLE
 from hydroopt.machine.robot_formats.mjcf_out import mjcf_text
+from hydroopt.machine.robot_formats.sdf_out import sdf_text
 from hydroopt.machine.robot_formats.sidecar import beside
 from hydroopt.machine.robot_formats.sidecar_out import sidecar_text
 from hydroopt.machine.robot_formats.urdf_out import urdf_text
@@ -27,9 +28,10 @@ class Written(NamedTuple):
 
 
 def robot_files(machine: Machine, path: str | Path) -> Written:
-    """A machine as a file of the format that the ending names: .toml, .urdf, .xml (MJCF).
+    """A machine as a file of the format that the ending names: .toml, .urdf, .xml (MJCF), .sdf.
 
-    Beside a robot file there is a sidecar with what the format cannot say; hydroopt reads both together.
+    Beside a URDF or MJCF there is a sidecar with what the format cannot say; hydroopt reads both together. An SDF is
+    written only.
 
     Raises:
         MachineError: there is no such format.
@@ -62,7 +64,14 @@ def _mjcf(machine: Machine, name: str) -> Written:
                    (*lost, *_never_said(machine, springs=True), *_not_beside(machine)))
 
 
-_WRITERS: dict[str, Callable[[Machine, str], Written]] = {".toml": _toml, ".urdf": _urdf, ".xml": _mjcf}
+def _sdf(machine: Machine, name: str) -> Written:
+    geared = [drive.name for drive in machine.drives if drive.gear != 1.0 or drive.rotor_inertia]
+    lost = [f"gears and rotors of {', '.join(geared)}"] if geared else []
+    lost += [f"gravity of {machine.gravity:g} m/s^2, which is the world's"]
+    return Written({name: sdf_text(machine_tree(machine))}, (*lost, *_open_in_a_tree(machine), *_never_said(machine)))
+
+
+_WRITERS: dict[str, Callable[[Machine, str], Written]] = {".toml": _toml, ".urdf": _urdf, ".xml": _mjcf, ".sdf": _sdf}
 
 
 def _open_in_a_tree(machine: Machine) -> list[str]:
