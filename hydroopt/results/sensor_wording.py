@@ -6,8 +6,8 @@ from hydroopt.results.wording import Kind, Words
 
 SENSOR_WORDS: dict[Kind, Words] = {
     Kind.SENSOR_MISREAD: Words(
-        "In {log}, {subject} contradicts the other sensors as it is read. It agrees with {reading}: residuals fall "
-        "from {before:.3g} to {after:.3g} times the stated noise.",
+        "In {log}, {subject} contradicts the other sensors as it is read. It agrees with {reading}: the largest "
+        "misfit falls from {before:.3g} to {after:.3g} times what is stated.",
         "Correct the unit, the axes or the mounting of {subject} in the file, its map or the machine file."),
     Kind.BIAS_DRIFTS: Words(
         "The bias of {subject} changes over {log}, by {size:.2g} {unit}: it counts as constant.",

@@ -31,6 +31,8 @@ CHUNK = 2048
 STEPS = 40
 CONVERGED = 1e-3
 """The fit has converged when a step moves no common number by more than this part of its standard deviation."""
+STEADY = 0.1
+"""Relative change of the intensities below which they count as found."""
 SMALLEST = 1e-3
 """Smallest part of a step that is tried."""
 WEAK = 10.0
@@ -280,8 +282,8 @@ class FittedPaths:
         return np.sqrt(np.maximum(variance, 0.0))
 
 
-def solve(start: MotionFit, where: str) -> FittedPaths:
-    """The most probable motion and common numbers, by Gauss-Newton steps.
+def solve(start: MotionFit, where: str, enough: int | None = None) -> FittedPaths:
+    """The most probable motion and common numbers, by Gauss-Newton steps; after `enough` steps whatever it is then.
 
     Raises:
         SolverError: the steps do not converge.
@@ -305,7 +307,7 @@ def solve(start: MotionFit, where: str) -> FittedPaths:
         fit = replace(fit, intensity=intensity)
         equations, matrix, right, cost = fit.linearised()
         settled = settled + 1 if size < CONVERGED and decrease < 1.0 else 0
-        if settled and changed < 0.1:
+        if (settled and changed < STEADY) or count == enough:
             final = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
             return FittedPaths(fit, final, tuple(equations), count)
     raise SolverError(f"the fit of the motion did not converge in {STEPS} steps", where=where,

@@ -78,8 +78,17 @@ def sensor_problem(machine: Machine, logs: Sequence[Log | Recording], poses: Seq
                          tuple(poses), geometry)
 
 
-def fit_motion(problem: SensorProblem) -> FittedPaths:
+Readings = dict[tuple[str, ...], SensorReadings]
+"""Functions for the readings of channels; a fit adds those that it needs."""
+
+
+def fit_motion(problem: SensorProblem, readings: Readings | None = None, enough: int | None = None) -> FittedPaths:
     """The most probable motions, postures and common numbers.
+
+    Args:
+        problem: what is asked.
+        readings: functions of earlier fits of the same machine, if there are any.
+        enough: number of steps after which the fit counts as it is then; by default it must converge.
 
     Raises:
         LogError: no channel tells the motion of a joint.
@@ -89,7 +98,7 @@ def fit_motion(problem: SensorProblem) -> FittedPaths:
     free = {number.name for number in machine.geometry_numbers} if problem.geometry else machine.imu_numbers
     recorded = [_observed(machine, recording) for recording in problem.logs]
     tables = [row_observations(machine, table) for table in problem.poses]
-    readings: dict[tuple[str, ...], SensorReadings] = {}
+    readings = {} if readings is None else readings
     common: dict[str, Common] = {}
     for data in [*(each for some in recorded for each in some), *tables]:
         if data.channels not in readings:
@@ -106,7 +115,7 @@ def fit_motion(problem: SensorProblem) -> FittedPaths:
     numbers = tuple(common.values())
     start = MotionFit(readings, tuple(stretches), numbers, np.array([each.prior for each in numbers]),
                       (0.1 * span * (2 * np.pi * fastest / 4) ** 3) ** 2 / (2 * fastest), ranges.mean(axis=1), span)
-    return solve(start, machine.name)
+    return solve(start, machine.name, enough)
 
 
 def _observed(machine: Machine, recording: Recording) -> list[Observations]:
@@ -138,8 +147,7 @@ def _parted(data: Sequence[Observations]) -> list[tuple[Observations, ...]]:
     return found
 
 
-def _spline(machine: Machine, readings: dict[tuple[str, ...], SensorReadings],
-            data: tuple[Observations, ...]) -> Stretch:
+def _spline(machine: Machine, readings: Readings, data: tuple[Observations, ...]) -> Stretch:
     times, guess = first_guess(machine, readings, data)
     stamps = np.sort(np.concatenate([each.stamped for each in data]))
     spacing = 1 / (KNOTS * (machine.bandwidth or FASTEST))

@@ -6,10 +6,12 @@ from dataclasses import replace
 
 import numpy as np
 
+from hydroopt.errors import LogError
+from hydroopt.estimation.motion.misread import examined_fit
 from hydroopt.estimation.motion.motion_fit import FittedPaths
 from hydroopt.estimation.motion.observations import motion_channels
 from hydroopt.estimation.motion.paths import motion
-from hydroopt.estimation.motion.problem import FASTEST, SensorProblem, fit_motion
+from hydroopt.estimation.motion.problem import FASTEST, SensorProblem
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.log import Log
 from hydroopt.logs.recording import Recording
@@ -33,11 +35,13 @@ def sensed(machine: Machine, log: Log) -> tuple[Log, Motion]:
     Of the geometry only the places of IMUs count as uncertain: calibrate it before.
 
     Raises:
-        LogError: a joint's motion is not measured.
+        LogError: a joint's motion is not measured, or an IMU is misread.
         SolverError: the fit does not converge.
     """
     recording = log.recording if isinstance(log.recording, Recording) else Recording.of(log)
-    found = fit_motion(SensorProblem(machine, (recording,), geometry=False))
+    found, cause = examined_fit(SensorProblem(machine, (recording,), geometry=False))
+    if cause is not None:
+        raise LogError(cause.text.rstrip("."), where=log.path or log.name, remedy=cause.remedy.rstrip("."))
     t = _taken(found, log, recording)
     made = np.full((3, log.size, len(machine.joints)), np.nan)
     std = np.full(made.shape[1:], np.nan)

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from hydroopt.estimation.motion.diagnostics import diagnose
+from hydroopt.estimation.motion.misread import examined_fit
 from hydroopt.estimation.motion.motion_fit import FittedPaths
 from hydroopt.estimation.motion.paths import Spline, motion
-from hydroopt.estimation.motion.problem import SensorProblem, fit_motion
+from hydroopt.estimation.motion.problem import SensorProblem
 from hydroopt.logs.table import encoded_columns
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
@@ -39,12 +40,14 @@ class SensorCalibration(Answer):
     Attributes:
         problem: what it answers.
         found: the most probable motions and numbers.
+        misread: how an IMU is misread, if that explains why the sensors do not agree.
 
     See `sensor_problem`.
     """
 
     problem: SensorProblem
     found: FittedPaths
+    misread: Diagnostic | None = None
 
     job = Job.SENSORS
 
@@ -111,7 +114,8 @@ class SensorCalibration(Answer):
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Diagnostics of the calibration, the most severe first."""
         unknown = [name for name, each in self.parameters.items() if each.identifiability == "none"]
-        return tuple(diagnose(self.problem, self.found, unknown))
+        cause = () if self.misread is None else (self.misread,)
+        return (*cause, *diagnose(self.problem, self.found, unknown))
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:
@@ -178,4 +182,4 @@ def calibrate_sensors(problem: SensorProblem) -> SensorCalibration:
         LogError: no channel tells the motion of a joint.
         SolverError: the fit does not converge.
     """
-    return SensorCalibration(problem, fit_motion(problem))
+    return SensorCalibration(problem, *examined_fit(problem))

@@ -27,7 +27,8 @@ def recording(seed: int, late: float = LATE, fast: float = FAST, duration: float
     return machine, course, Recording("drive", groups, clocks={"bus": Clock(0.0, 0.05, 0.0, 0.01)})
 
 
-@pytest.mark.parametrize(("late", "fast"), [(LATE, FAST), (-0.05, 0.0)])
+@pytest.mark.parametrize(("late", "fast"), [
+    (LATE, FAST), pytest.param(-0.05, 0.0, marks=pytest.mark.slow)])
 def test_delay_and_drift_are_recovered_within_their_intervals(late, fast):
     machine, _, made = recording(3, late, fast)
     found = fit_motion(sensor_problem(machine, [made], geometry=False))
