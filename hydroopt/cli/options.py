@@ -39,8 +39,9 @@ Treat = Annotated[list[str] | None, typer.Option(
     help="How to treat a finding, KIND=ACTION, e.g. nan=drop, spike=interpolate, gap=keep; repeatable.")]
 
 AsParquet = Annotated[bool, typer.Option("--parquet", help="Write Parquet instead of CSV.")]
-TrainingLogs = Annotated[list[Path], typer.Argument(metavar="LOG...", help="Training logs (.csv, .parquet, .mat).")]
-PoseTables = Annotated[list[Path], typer.Argument(metavar="POSES...", help="Pose tables (.csv, .parquet).")]
+TrainingLogs = Annotated[list[Path], typer.Argument(
+    metavar="LOG...", help="Training logs, or directories of logs of one recording.")]
+PoseTables = Annotated[list[Path], typer.Argument(metavar="POSES...", help="Pose tables (.csv, .parquet, .xlsx).")]
 Validation = Annotated[list[Path] | None, typer.Option(
     "--validate", metavar="FILE...", help="Logs or pose tables for validation only.")]
 Holdout = Annotated[float, typer.Option(
