@@ -3,17 +3,28 @@
 import re
 from pathlib import Path
 
+import casadi as ca
 import numpy as np
 from scipy.optimize import least_squares
+from scipy.spatial.transform import Rotation
 
 from hydroopt import KinematicModel, Poses, calibration_problem, load_machine, solve
+from hydroopt.estimation.kinematic.unsensed_angles import follow_unsensed, guess_unsensed
 from hydroopt.machine.actuators import Drive
-from hydroopt.machine.calibration_chain import Calibrator, Tracker
+from hydroopt.machine.calibration_chain import Calibrator, Stage, Tracker
+from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.imus import Accelerometer, Imu
+from hydroopt.machine.instruments import Instrument
 from hydroopt.machine.links import Joint, Link, Note
+from hydroopt.machine.machine import Machine
 from hydroopt.machine.sensor import Sensor
 
 DATA = Path(__file__).parents[2].parent / "shared" / "data" / "hilti_flat"
 ARM = tuple(f"dsr_joint{k}" for k in range(1, 7))
+UNITS = {"base_tilt": "column", "column_tilt": "dsr_joint1_mount"}
+"""Tilt sensors and the links that carry them."""
+FELT = 1e-3
+"""Standard deviation [m/s²] of an acceleration at a stop, 0.1 mrad of tilt: assumed."""
 TILTS = ("lean_y", "lean_x", "bend_y", "bend_x")
 PIVOT, FRONT = 2.0, 0.5
 """Guess [m] of how far the column's bend lies below its tip and before the base's origin."""
@@ -38,6 +49,51 @@ def read_points() -> dict[str, np.ndarray]:
         elif rows:
             rows[-1][key] = [float(value) for value in values.split(",")]
     return {key: np.array([row[key] for row in rows]) for key in rows[0]}
+
+
+def surveyed(machine) -> Machine:
+    """The machine as it is measured: a total station of unknown pose sees the prism, and units on base and column tip
+    feel gravity; four joints of leaning and bending are not read."""
+    geometry, levelled = Geometry(machine), {}
+    for unit, link in UNITS.items():
+        turn = np.array(ca.DM(geometry.relative_pose("base", link, {}).rotation @ np.eye(3))).T
+        yaw, pitch, roll = Rotation.from_matrix(turn).as_euler("ZYX")
+        levelled[unit] = (roll, pitch, yaw)
+    felt = Accelerometer(noise=FELT, bias=1e-3)  # std of a reading is noise·√(rate/2)
+    notes = {path: note for path, note in machine.notes.items() if not path.startswith(("tracker", "bend_"))}
+    notes["column_tilt.orientation"] = Note(sigma=0.02)
+    return Machine.model_validate(machine.model_dump() | {
+        "tracker": None, "instruments": [Instrument(name="station")], "notes": notes,
+        "imus": [Imu(name=unit, link=link, position=(0, 0, 0), rate=2.0, orientation=levelled[unit], accelerometer=felt)
+                 for unit, link in UNITS.items()],
+        "stages": [Stage(name="flat", moves=TILTS)],
+        "sensors": [Sensor(channels=tuple(f"station.tip.{axis}" for axis in "xyz"), accuracy=0.75e-3,
+                           distribution="gaussian")]})
+
+
+def measured(points) -> Poses:
+    """All stops with what was read: joints of arm and column, the prism, and accelerations of base and column's tip."""
+    poses = table(points)
+    channels = {name: values for name, values in poses.channels.items()
+                if name.removesuffix(".q") not in TILTS and not name.startswith("tip")}
+    channels |= {f"station.tip.{axis}": points["prism_position"][:, k] for k, axis in enumerate("xyz")}
+    for unit, place in (("base_tilt", "base"), ("column_tilt", "column")):
+        felt = points[f"tilt_sensor_{place}_accel"]
+        channels |= {f"{unit}.accel_{axis}": felt[:, k] for k, axis in enumerate("xyz")}
+    return Poses("flat", stage=np.full(len(poses), "flat"), channels=channels, units={"column.q": "m"})
+
+
+def by_measured_tilt(points, use, **terms) -> tuple[np.ndarray, float]:
+    """As `calibrated`, with the tilt sensors as measurements: of unseen poses they tell how base and column stand."""
+    built, poses = surveyed(machine(tilt=True, **terms)), measured(points)
+    found = solve(calibration_problem(built, poses.select(use)))
+    felt = Poses("flat", stage=poses.stage, units={"column.q": "m"}, channels={
+        name: values for name, values in poses.channels.items() if not name.startswith("station")})
+    fresh = calibration_problem(built, felt)
+    values = dict(zip(found.problem.parameters.names, found.theta.tolist(), strict=True))
+    theta = np.array([values.get(name, start) for name, start in zip(fresh.parameters.names, fresh.start, strict=True)])
+    q = follow_unsensed(fresh, theta, guess_unsensed(fresh, theta))
+    return fresh.model.over(fresh.model.tip, theta[: len(fresh.model.parameters)], q)[0][:, :, 0], found.noise_scale
 
 
 def tilts(points) -> dict[str, np.ndarray]:
@@ -182,6 +238,9 @@ ROWS = {"offsets_compliance": {"compliance": True}, "offsets_tilt": {"tilt": Tru
         "geometry_tilt": {"geometry": True, "tilt": True},
         "geometry_both": {"geometry": True, "compliance": True, "tilt": True}}
 
+MEASURED = {"offsets_measured": {"compliance": True}, "geometry_measured": {"geometry": True, "compliance": True}}
+"""Terms of the rows whose tilt sensors are measurements."""
+
 
 def run() -> dict | None:
     """Mean errors of predicted prisms in mm; None where the data set is not at hand."""
@@ -199,6 +258,7 @@ def run() -> dict | None:
     folds = [np.isin(points["height"], heights) for heights in TRAIN]
     fits = {"offsets": [(station_offsets(points, fold), np.nan) for fold in folds]}
     fits |= {name: [calibrated(points, fold, **terms) for fold in folds] for name, terms in ROWS.items()}
+    fits |= {name: [by_measured_tilt(points, fold, **terms) for fold in folds] for name, terms in MEASURED.items()}
     for name, pair in fits.items():
         error = [errors(tip, points) for tip, _ in pair]
         fitted, unseen = np.full(len(own), np.nan), np.full(len(own), np.nan)

@@ -16,6 +16,8 @@ from hydroopt.excitation.poses.exchange import fedorov_exchange
 from hydroopt.excitation.poses.plan import PosePlan
 from hydroopt.excitation.poses.problem import pose_problem
 from hydroopt.logs.poses import read_poses
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.simulation.pose_table import simulate_poses
 from tests.fixtures.surveyed import TEXT, surveyed
 
@@ -75,3 +77,11 @@ def test_commands_plan_and_simulate_poses(tmp_path: Path) -> None:
         run("simulate", tmp_path / "own.toml", "--poses", tmp_path / "log" / "poses.csv", "-o", tmp_path / "more")
     with pytest.raises(ProblemError, match="poses are at rest"):
         run("simulate", tmp_path / "own.toml", "--poses", tmp_path / "log" / "poses.csv", "--driven", "-o", tmp_path)
+
+
+def test_the_survey_of_the_documentation_states_every_measurement() -> None:
+    machine = load_machine(Path(__file__).parents[2] / "docs" / "survey.toml")
+    assert [each.name for each in KinematicModel(machine).measurements] == [
+        *(f"station.{target}" for target in ("stick_prism", "bucket_prism", "mark_1", "mark_2", "mark_3")), "plate.tip",
+        "rail.tip", "tape.length", "chassis_tilt.inclination", "stick_unit.accel"]
+    assert machine.link("chassis").parent == "base_roll"
