@@ -73,6 +73,7 @@ def test_an_uncertainty_is_of_the_kind_of_its_value(value: float, unit: tuple[st
 
 def test_every_unit_has_the_value_that_pint_gives_it() -> None:
     theirs = pint.UnitRegistry()
+    theirs.define("rev = revolution")  # data sheets of motors state cm^3/rev, which pint does not know
     names = [name for name in ours._units if name]
     assert len(names) > 250
     for name in names:

@@ -379,3 +379,10 @@ def test_a_file_based_on_a_bundled_machine_states_only_differences() -> None:
     assert [cylinder.name for cylinder in more.cylinders] == ["boom_cylinder", "stick_cylinder", "bucket_cylinder"]
     with pytest.raises(MachineError, match="based_on: 'cat' is no bundled machine"):
         read_machine('based_on = "cat"')
+
+
+def test_a_motor_may_state_its_displacement_per_revolution() -> None:
+    data = load_machine("cat215b").model_dump(exclude={"notes"})
+    data["motors"][0]["torque_per_pressure"] = "81 cm^3/rev"
+    found = Machine.model_validate(data).motors[0].torque_per_pressure
+    assert found == pytest.approx(81e-6 / (2 * np.pi), rel=1e-12)
