@@ -114,13 +114,14 @@ def epoch_unit(values: NDArray[Any]) -> str | None:
 
 
 def exact_ticks(text: str, unit: str) -> int:
-    """An epoch as a text in nanoseconds, with all of its digits up to those; `MISSING` of an empty one.
+    """An epoch as a text in nanoseconds, with all of its digits up to those; `MISSING` of one that is empty or absurd.
 
     >>> exact_ticks("1700000000.123456789", "s")
     1700000000123456789
     """
     try:
-        return int(Decimal(text.strip()) * (10**9 // EPOCHS[unit]))
+        ticks = int(Decimal(text.strip()) * (10**9 // EPOCHS[unit]))
+        return ticks if abs(ticks) < -MISSING else int(MISSING)
     except (InvalidOperation, ValueError, OverflowError):
         return int(MISSING)
 
