@@ -229,23 +229,16 @@ def given_layout(mapping: LogMap | str | Path | None, where: str) -> LogMap | No
     return None if mapping is None else for_log(mapping, where) if isinstance(mapping, LogMap) else read_map(mapping)
 
 
-def full_layout(layout: LogMap | None, header: list[str], where: str, *,
-                timed: bool = False) -> tuple[LogMap, tuple[str, ...]]:
+def full_layout(layout: LogMap | None, header: list[str], where: str) -> tuple[LogMap, tuple[str, ...]]:
     """The map stated, or else what a header says, and the columns that this leaves out.
 
-    Args:
-        layout: the map.
-        header: of the file.
-        where: the file.
-        timed: whether its rows have stamps of their own, which no column states.
-
     Raises:
-        LogError: there is no channel.
+        LogError: there is no time or no channel.
     """
     ignored: tuple[str, ...] = ()
     if layout is None:
-        layout, ignored = map_of_header(list(header), where, timed=timed)
-    if not timed and "t" not in layout.columns:
+        layout, ignored = map_of_header(list(header), where)
+    if "t" not in layout.columns:
         raise LogError("channel 't' is missing", where=where, remedy="map the column of the time")
     if not layout.columns.keys() - {"t"}:
         raise LogError("there is a time but no channel", where=where,
