@@ -23,6 +23,7 @@ from hydroopt.machine.robot_formats.loops_of_pins import Placed, around, stated_
 from hydroopt.machine.robot_formats.sidecar import Sidecar
 from hydroopt.machine.robot_formats.tree import RobotTree, TreeJoint, like
 from hydroopt.spatial.inertia import Array
+from hydroopt.units import SMALLEST
 
 _NONE = ""  # stands for the joint that carries the root; a robot's joint may well be called "base"
 _APART = 1e-9
@@ -303,7 +304,7 @@ def _denavit_hartenberg(numbers: Numbers, *, complete: bool = False) -> dict[str
 
 
 def _quantity(value: float, unit: str) -> str:
-    return f"{float(value)!r} {unit}"
+    return f"{float(value) if abs(value) >= SMALLEST else 0.0!r} {unit}"  # what is smaller is rounding
 
 
 def _quantities(values: Any, unit: str) -> list[str]:
