@@ -25,7 +25,7 @@ def calibrate_sensors(
     machine: MachineName,
     output: Directory,
     logs: Annotated[list[Path] | None, typer.Argument(metavar="LOG...", help="Logs of motion.")] = None,
-    poses: Annotated[list[Path] | None, typer.Option("--poses", metavar="FILE...", help=(
+    poses: Annotated[list[Path] | None, typer.Option("--at-rest", metavar="FILE...", help=(
         "Tables of postures at rest; rows of one stage and pose are readings of one posture."))] = None,
     geometry: Annotated[bool, typer.Option("--geometry/--mounting", help=(
         "All numbers of the geometry that state a sigma are unknown, or only where IMUs sit."))] = True,

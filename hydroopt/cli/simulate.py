@@ -49,7 +49,7 @@ def simulate(
         "Drive the valves, in open loop, by commands for that motion; the log contains commands and supply, too."))
         ] = False,
     commands: Annotated[Path | None, typer.Option(help="Log whose commands drive the valves.")] = None,
-    poses: Annotated[Path | None, typer.Option(help=(
+    poses: Annotated[Path | None, typer.Option("--postures", help=(
         "Postures at which the machine stands still, such as postures.csv of plan-poses; DIR gets poses.csv."))] = None,
     map_file: MapFile = None,
     duration: Annotated[float | None, typer.Option(help=(
@@ -84,8 +84,8 @@ def simulate(
                            remedy="use nominal or random")
     if poses is not None:
         if driven or motion is not None or commands is not None or duration is not None or rate is not None:
-            raise ProblemError("poses are at rest", where="--poses", remedy="leave out --driven, --motion, --commands, "
-                               "--duration and --rate")
+            raise ProblemError("poses are at rest", where="--postures", remedy="leave out --driven, --motion, "
+                               "--commands, --duration and --rate")
         with progress("simulating", quiet):
             said = _poses(described, poses, map_file, output, random=truth == "random", noise=noise, seed=seed,
                           truth_seed=truth_seed, parquet=parquet)

@@ -68,15 +68,15 @@ def test_commands_plan_and_simulate_poses(tmp_path: Path) -> None:
 
     run("plan-poses", tmp_path / "own.toml", "-n", 4, "--setup", "A", "--candidates", 20, "--priors",
         "-o", tmp_path / "plan")
-    printed = run("simulate", tmp_path / "own.toml", "--poses", tmp_path / "plan" / "postures.csv", "--truth", "random",
-                  "-o", tmp_path / "log")
+    printed = run("simulate", tmp_path / "own.toml", "--postures", tmp_path / "plan" / "postures.csv",
+                  "--truth", "random", "-o", tmp_path / "log")
     assert "12 poses" in printed
     assert set(read_poses(tmp_path / "log" / "poses.csv").setup) == {"A"}
     assert (tmp_path / "log" / "truth.json").exists()
     with pytest.raises(ProblemError, match="'base_pitch\\.q' is not stated"):
-        run("simulate", tmp_path / "own.toml", "--poses", tmp_path / "log" / "poses.csv", "-o", tmp_path / "more")
+        run("simulate", tmp_path / "own.toml", "--postures", tmp_path / "log" / "poses.csv", "-o", tmp_path / "more")
     with pytest.raises(ProblemError, match="poses are at rest"):
-        run("simulate", tmp_path / "own.toml", "--poses", tmp_path / "log" / "poses.csv", "--driven", "-o", tmp_path)
+        run("simulate", tmp_path / "own.toml", "--postures", tmp_path / "log" / "poses.csv", "--driven", "-o", tmp_path)
 
 
 def test_the_survey_of_the_documentation_states_every_measurement() -> None:
