@@ -83,7 +83,7 @@ def load_machine(machine: str | Path, *, parameter_set: str | None = None, tip: 
         return read_machine((_models() / f"{name}.toml").read_text("utf-8"), where=name, parameter_set=parameter_set)
     if path.suffix != ".toml":
         raise MachineError(f"this is neither a bundled machine nor a .toml or {' or '.join(ROBOT_SUFFIXES)} file",
-                           where=name, remedy=f"name such a file or one of {', '.join(bundled())}")
+                           where=name, remedy=f"name a .toml file or one of {', '.join(bundled())}")
     return read_machine(read_text(path, MachineError, noun="machine file"), where=name, parameter_set=parameter_set)
 
 

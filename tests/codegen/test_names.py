@@ -124,8 +124,9 @@ def test_hostile_prefixes_are_refused(kind: str, codegen) -> None:
         outcome.refused("--prefix", ascii(HOSTILE[kind])[1:-1][:20].replace("\\'", "'"), "lower-case letters")
 
 
-@pytest.mark.parametrize("name", ["int", "while", "inline", "class", "main", "nul", "_x", "x_", "a__b", "Boom", "A",
-                                  LONG, "a" * 32, "9x"])
+@pytest.mark.parametrize("name", tiered(
+    ["int", "while", "inline", "class", "main", "nul", "_x", "x_", "a__b", "Boom", "A", LONG, "a" * 32, "9x"],
+    lambda name: name in ("int", "nul", "x_", "Boom", "9x")))
 def test_words_that_cannot_begin_names_are_refused_as_prefix(name: str, codegen) -> None:
     outcome = codegen.of(description(), "--prefix", name)
     outcome.refused("--prefix", f"'{name[:30]}")

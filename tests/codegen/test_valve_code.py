@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 
 from fixtures.library import NO_SUPPLY, OK, Library, held, machine, over, subject
+from fixtures.tiers import tiered
 from hydroopt.control.valve_inversion import RAMP, Valves
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
@@ -18,8 +19,9 @@ TOLERANCE = {"double": 1e-12, "float": 2e-5}
 STEEP = 0.1 / RAMP
 
 
-@pytest.fixture(scope="module", params=[
-    "cat215b", "patu655_lift", "backhoe", "forestry_crane", "unmeasured", "sloping"])
+@pytest.fixture(scope="module", params=tiered(
+    ["cat215b", "patu655_lift", "backhoe", "forestry_crane", "unmeasured", "sloping"],
+    lambda name: name in ("patu655_lift", "backhoe")))
 def plant(request: pytest.FixtureRequest) -> Plant:
     return Plant(Model(machine(request.param)))
 

@@ -8,6 +8,7 @@ import zipfile
 import numpy as np
 import pytest
 
+from fixtures.tiers import tiered
 from hydroopt.errors import LogError
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.logs.column_map import LogMap
@@ -217,7 +218,7 @@ FORMATS = {"csv": csv, "csv.gz": packed, "German text": german, "parquet": parqu
 DATED = {"tdms", "mdf", "ros2 sqlite", "ros2 mcap", "ros1", "mcap json"}
 
 
-@pytest.mark.parametrize("kind", FORMATS)
+@pytest.mark.parametrize("kind", tiered(FORMATS, lambda kind: kind not in ("mdf", "ros2 mcap", "mat")))
 def test_every_format_gives_the_same_numbers(tmp_path, kind):
     path, layout = FORMATS[kind](tmp_path)
     recording = read_recording(path, mapping=layout)
@@ -248,8 +249,8 @@ MILD = {"tdms"}
 """Formats whose first bytes may be spoilt without effect on what is read."""
 
 
-@pytest.mark.parametrize("kind", ["mat 7.3", "hdf5", "npz", "xlsx", "tdms", pytest.param("mdf", marks=pytest.mark.slow),
-                                  "ros1", "mcap json"])
+@pytest.mark.parametrize("kind", tiered(
+    ["mat 7.3", "hdf5", "npz", "xlsx", "tdms", "mdf", "ros1", "mcap json"], lambda kind: kind in ("hdf5", "mcap json")))
 def test_damaged_files_end_in_a_sentence(tmp_path, kind):
     path, layout = FORMATS[kind](tmp_path)
     data = path.read_bytes()

@@ -35,6 +35,8 @@ class TextFile:
         dropped = f"{comments} comment line{'s' * (comments > 1)} left out" if comments else ""
         self.shown = ", ".join(part for part in (encoding, dress.shown, dropped) if part)
         self._lines, self._delimiter = lines[dress.first:], dress.delimiter
+        if not self._lines and len(lines[-1]) > csv.field_size_limit():
+            raise self._no_columns(lines[-1])
         if not self._lines:
             raise LogError("there is a header but no data", where=where, remedy="record it again")
         if dress.delimiter == "whitespace":
@@ -126,8 +128,11 @@ class TextFile:
         try:
             return next(csv.reader([line], delimiter=self._delimiter), [""])
         except csv.Error:
-            raise LogError(f"a line of {len(line)} characters cannot be split into columns", where=self.where,
-                           remedy="check the ends of its lines, its quotation marks and the delimiter") from None
+            raise self._no_columns(line) from None
+
+    def _no_columns(self, line: str) -> LogError:
+        return LogError(f"a line of {len(line)} characters cannot be split into columns", where=self.where,
+                        remedy="check the ends of its lines, its quotation marks and the delimiter")
 
     def _width(self, line: str) -> int:
         """Number of columns; 0 where a quotation mark stays open, which would swallow the rows that follow."""

@@ -193,6 +193,7 @@ def test_a_camera_in_another_convention(
     assert sentence in refused(camera(change))
 
 
+@pytest.mark.slow
 def test_a_flip_that_only_turns_the_camera_is_none() -> None:
     """Which way the axes of a camera point does not matter while it is the same for places and turns."""
     poses = camera(lambda turn, at: (FLIP @ turn, at @ FLIP))
@@ -237,6 +238,7 @@ def test_bad_statements_are_refused(before: str, after: str, sentence: str) -> N
         read_machine(TEXT.replace(before, after))
 
 
+@pytest.mark.slow
 def test_the_calibrated_machine_keeps_its_measurements() -> None:
     machine, _ = surveyed()
     assert read_machine(dump_machine(machine)) == machine
