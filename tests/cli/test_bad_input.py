@@ -40,7 +40,10 @@ def check(code, out, err, case, folder):
 
 
 @pytest.mark.parametrize("name", tiered(CASES, lambda name: name not in (
-    "Parquet that declares 11 GB", "study: scheduler that is not there")))
+    "Parquet that declares 11 GB", "study: scheduler that is not there", "control: unstable loop", "MATLAB cut short",
+    "MATLAB that declares 20 GB", "fixed against a constraint", "contradictory constraints",
+    "compare: the same log twice among three", "compare: the log of the estimate again", "compare: no joint moves",
+    "total mass for a method without constraints", "compare: the same log before and after", "arm that never moves")))
 def test_bad_input_is_refused_in_one_sentence(name, tmp_path, monkeypatch, capsys):
     case = CASES[name]
     monkeypatch.setattr(sys, "argv", ["hydroopt", *case.spoil(tmp_path)])

@@ -131,6 +131,7 @@ UNUSUAL = {
 
 
 @pytest.mark.parametrize("kind", UNUSUAL)
+@pytest.mark.slow
 def test_unusual_machines_build_and_test_themselves(kind: str, tmp_path: Path) -> None:
     routines = ("inverse_dynamics", "closure") if kind == "made up" else ()
     made = library.code(Machine.model_validate(UNUSUAL[kind]), single=True, routines=routines)
@@ -220,6 +221,7 @@ def test_literals_of_double_precision_are_exact(machine: str, folder) -> None:
 
 @pytest.mark.parametrize(("machine", "real"), tiered([
     *((machine, "float") for machine in MACHINES), ("patu655_lift", "double")], lambda *case: case in QUICK))
+@pytest.mark.slow
 def test_no_state_is_kept_and_nothing_is_allocated_or_printed(machine: str, real: str, objects, folder) -> None:
     listed = must(["nm", *objects(machine, real, "gcc", OPTIMISED[machine])], Path("."))
     assert not re.findall(r"^[0-9a-f]+ [BbDdCcGgSs] \S+", listed, re.MULTILINE)

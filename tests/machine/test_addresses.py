@@ -26,6 +26,7 @@ def test_every_parameter_has_an_address_with_its_nominal_value(name: str) -> Non
 
 
 @pytest.mark.parametrize("name", machines())
+@pytest.mark.slow
 def test_writing_one_number_changes_this_one_alone(name: str) -> None:
     machine = load_machine(name)
     before = {one: number.value for one, number in machine.numbers.items()}

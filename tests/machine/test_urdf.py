@@ -280,6 +280,7 @@ def test_branches_at_the_root(write):
     assert load_machine(path, tip="b").joints == ("jb",)
 
 
+@pytest.mark.slow
 def test_branches_anywhere(write):
     """Behind a joint that carries several, each further one has a mount of its own, unless it is on the same axis."""
     rng = np.random.default_rng(3)

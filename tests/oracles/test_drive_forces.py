@@ -37,6 +37,7 @@ def moved(subject):
     return state, psi, np.array(torque), np.array(arms)
 
 
+@pytest.mark.slow
 def test_balances(subject, moved):
     state, psi, torque, arms = moved
     machine = subject.machine

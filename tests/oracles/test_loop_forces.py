@@ -26,6 +26,7 @@ def subject(request):
     return Model(MACHINES[request.param]())
 
 
+@pytest.mark.slow
 def test_bodies_of_links_barrels_and_rods(subject):
     rng = np.random.default_rng(41)
     psi, clouds = random_bodies(subject, rng)

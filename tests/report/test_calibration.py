@@ -218,6 +218,7 @@ def mukca(*stages: str) -> list[str]:
     return ["panda_mukca", *(str(MUKCA / stage / "hole_0.csv") for stage in stages), "--map", str(MUKCA / "map.toml")]
 
 
+@pytest.mark.slow
 def test_command_on_real_poses(tmp_path: Path) -> None:
     arguments = mukca("front_center", "back_left", "mid_right")
     content = json.loads(run(*arguments, "--holdout-stage", "back_left", "--json", "-o", str(tmp_path)))

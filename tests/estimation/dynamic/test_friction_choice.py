@@ -53,6 +53,7 @@ def logs_of(machine: Machine, psi: np.ndarray | None = None, *, seeds: tuple[int
 
 
 @pytest.mark.parametrize("method", tiered(["wls", "qp", "sdp", "nlp"], lambda method: method == "sdp"))
+@pytest.mark.slow
 def test_every_term_comes_back(method: Any) -> None:
     """Nominal friction is zero and the Stribeck speed half of the true one."""
     machine = crane(coulomb=0.0, coulomb_reverse=0.0, viscous=0.0, viscous_reverse=0.0, stribeck=0.0,

@@ -66,6 +66,7 @@ def test_holds_without_noise_give_gravity_exactly(coulomb: float | None, offset:
     assert np.all(np.isnan(estimate.value[inertias]))
 
 
+@pytest.mark.slow
 def test_holds_reach_the_bound_and_inertias_have_no_estimate() -> None:
     model, errors, stated = crane(None), [], []
     for seed in range(12):

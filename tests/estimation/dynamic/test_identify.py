@@ -90,6 +90,7 @@ def test_correlated_noise_widens_what_is_told(turning: Any) -> None:
 
 
 @pytest.mark.parametrize("loss", tiered(["huber", "student_t"], lambda loss: loss == "huber"))
+@pytest.mark.slow
 def test_gross_outliers_are_resisted(cat215b: Model, noisy: IdentificationProblem, loss: Any) -> None:
     rng = np.random.default_rng(3)
     logs = []
@@ -274,6 +275,7 @@ def test_a_log_of_a_single_posture_is_refused(cat215b: Model, noise: bool) -> No
         identify(problem, "sdp")
 
 
+@pytest.mark.slow
 def test_a_slow_lift_does_not_tell_friction_from_gravity() -> None:
     model = Model(load_machine("patu655_lift"))
     t = np.arange(0, 27, 0.02)
@@ -312,6 +314,7 @@ def test_the_same_samples_twice_are_refused(noisy: IdentificationProblem) -> Non
             identification_problem(machine, train, held_out)
 
 
+@pytest.mark.slow
 def test_rounding_errors_taken_for_information_are_no_estimate(noisy: IdentificationProblem) -> None:
     with pytest.raises(SolverError, match=r"condition number|stationarity"):
         identify(noisy, "wls", tolerance=0.0)

@@ -106,6 +106,7 @@ def test_point_masses_inside_fulfil_and_each_one_outside_violates(shape: Shape) 
 
 
 @pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+@pytest.mark.slow
 def test_no_density_inside_is_ruled_out_and_for_an_ellipsoid_none_else_passes(shape: Shape) -> None:
     """Non-negative least squares looks for masses at many points inside that have the ten parameters."""
     rng = np.random.default_rng(1)
@@ -406,6 +407,7 @@ def test_a_total_mass_below_a_lower_bound_names_both(method: Any) -> None:
 
 
 @pytest.mark.parametrize("method", tiered(METHODS, lambda method: method != "nlp"))
+@pytest.mark.slow
 def test_contradictions_between_statements_name_exactly_those(problems: tuple[IdentificationProblem,
                                                                               IdentificationProblem],
                                                                               method: Any) -> None:
@@ -500,6 +502,7 @@ def cost_of(problem: IdentificationProblem, R: np.ndarray, r: np.ndarray, phi: n
 
 @pytest.mark.parametrize("seed", range(3))
 @pytest.mark.parametrize("relative", [0.05, 0.3])
+@pytest.mark.slow
 def test_log_det_optimum_is_that_of_another_solver(seed: int, relative: float) -> None:
     problem = one_body(sigma=(10 * relative, 1.0, 1.0)).with_distance("log-det")
     R, r = data(seed)

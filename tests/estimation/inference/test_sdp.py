@@ -37,6 +37,7 @@ def by_sdp(noisy: IdentificationProblem) -> Estimate:
 # --- the same answer in other ways
 
 
+@pytest.mark.slow
 def test_interior_point_and_ipopt_agree_on_noisy_data(noisy: IdentificationProblem, by_sdp: Estimate) -> None:
     by_nlp = identify(noisy, "nlp", intervals=False)
     scale = noisy.parameters.scale

@@ -118,6 +118,7 @@ def test_the_page_and_the_calibrated_machine_show_statements(answered: Path) -> 
 
 
 @pytest.mark.parametrize("method", ["qp", "nlp"])
+@pytest.mark.slow
 def test_other_methods_heed_statements_as_sdp_does(method: str, tmp_path: Path) -> None:
     log = ho.read_log(written(tmp_path, "\n".join(GOOD_LOG), "log.csv"))
     problem = (ho.identification_problem(load_machine("patu655_lift"), [log]).fix("extension.m", 60.0)

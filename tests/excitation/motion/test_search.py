@@ -126,6 +126,7 @@ def test_motion_tells_more_than_random_ones(criterion: str) -> None:
     assert found.value < min(others)
 
 
+@pytest.mark.slow
 def test_program_travels_between_processes() -> None:
     for of in (program(CAT, SWINGING, "A", {"swing": 0.1}), program(LIFT, SHORT, "E")):
         again, x = pickle.loads(pickle.dumps(of)), somewhere(of)
@@ -181,6 +182,7 @@ def test_posture_of_a_joint_that_rests_may_be_what_cannot_be_kept() -> None:
 
 
 @pytest.mark.parametrize("litres", [60.0, 0.6])
+@pytest.mark.slow
 def test_small_pump_leaves_a_small_motion(litres: float) -> None:
     flow = litres / 60e3
     found = design(program(CAT.model_copy(update={"pump": Pump(max_flow=flow)})), starts=1, seconds=2.0)
@@ -201,6 +203,7 @@ def test_nothing_to_try_is_refused() -> None:
 
 
 @pytest.mark.parametrize("end", [0, 1])
+@pytest.mark.slow
 def test_joint_that_rests_at_the_end_of_its_range_is_no_hindrance(end: int) -> None:
     """Room is left only where something moves; else no start would ever be improved."""
     asked = excitation_problem(CAT, Spline(8.0, 5), resting={"stick": CAT.link("stick").joint.range[end]})

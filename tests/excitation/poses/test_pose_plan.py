@@ -155,6 +155,7 @@ def test_std_is_the_scatter_of_the_joint_estimator():
     np.testing.assert_allclose(np.sqrt(np.mean(np.square(errors), axis=0)), 1, atol=0.4)  # ± 3 / √(2·30)
 
 
+@pytest.mark.slow
 def test_same_seed_same_plan(plan):
     again, other = (plan_poses(CAT, 15, candidates=200, fixed=FIXED, seed=seed) for seed in (0, 1))
     np.testing.assert_array_equal(plan.q, again.q)
@@ -162,6 +163,7 @@ def test_same_seed_same_plan(plan):
     assert not np.array_equal(plan.q, other.q)
 
 
+@pytest.mark.slow
 def test_what_no_pose_identifies_does_not_matter(plan):
     """The ball's y with the locked swing leaves the choice as it is; no reading touches the pins."""
     everything = plan_poses(CAT, 15, candidates=60)
