@@ -18,11 +18,11 @@ SENSOR_WORDS: dict[Kind, Words] = {
     Kind.SATURATED: Words(
         "In {log}, {share:.1f %} of the readings of {subject} are at the end of its range; they do not count.",
         "Choose a larger range, or drive slower."),
-    Kind.NOT_TOLD: Words(
-        "Motion and poses tell little of {subject}: their confidence is that of the machine file.",
+    Kind.NOT_BY_MOTION: Words(
+        "Motion and poses hardly determine {subject}: the confidence is that of the machine file.",
         "Drive other joints together, add postures at rest, or survey points of the tip."),
     Kind.POSITION_UNCERTAIN: Words(
-        "In {log}, the position of {subject} is uncertain by {std:.2g} {unit} (standard deviation), although its "
+        "In {log}, the position of {subject} is uncertain by {std:.3g} {unit} (standard deviation), although its "
         "changes are known.",
         "Survey points of the tip at rest, read its joint or cylinder in some postures, or measure where its IMU "
         "sits."),

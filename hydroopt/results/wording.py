@@ -51,7 +51,7 @@ class Kind(StrEnum):
     BIAS_DRIFTS = "bias drifts"
     MOTION_UNEXPLAINED = "readings not explained by the motion"
     SATURATED = "sensor saturated"
-    NOT_TOLD = "not told by motion and poses"
+    NOT_BY_MOTION = "not determined by motion and poses"
     POSITION_UNCERTAIN = "position of a joint uncertain"
 
     # comparison of controllers

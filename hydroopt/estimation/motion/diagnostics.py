@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 from scipy.stats import chi2
 
-from hydroopt.estimation.motion.motion_fit import FittedPaths, Stretch
+from hydroopt.estimation.motion.motion_fit import FittedPaths
 from hydroopt.estimation.motion.observations import Observations
 from hydroopt.estimation.motion.paths import Spline
 from hydroopt.estimation.motion.problem import SensorProblem
@@ -28,7 +28,7 @@ MANY = 0.001
 
 
 def diagnose(problem: SensorProblem, found: FittedPaths, unknown: Sequence[str]) -> Iterator[Diagnostic]:
-    """The most severe first; `unknown` are numbers that the data tell little of."""
+    """The most severe first; `unknown` are numbers that the data hardly determine."""
     pairs = [(stretch, data) for stretch in found.fit.stretches for data in stretch.data]
     far, drifting, full = [], [], []
     for stretch, data in pairs:
@@ -42,7 +42,7 @@ def diagnose(problem: SensorProblem, found: FittedPaths, unknown: Sequence[str])
                 far.append((ratio, channel, data))
             if (share := float(np.mean(data.saturated[:, k]))) > MANY:
                 full.append((share, channel, data))
-            if data.biased[k] and (change := _changes(stretch, data, left[:, k], k)):
+            if data.biased[k] and (change := _changes(data, left[:, k], k)):
                 drifting.append((change, channel, data))
     tests = sum(len(data.channels) for _, data in pairs)
     for (statistic, size, free), channel, data in drifting:
@@ -54,8 +54,12 @@ def diagnose(problem: SensorProblem, found: FittedPaths, unknown: Sequence[str])
     for share, channel, data in full:
         yield Diagnostic(Kind.SATURATED, (channel,), {"log": data.name, "share": share})
     yield from _uncertain(problem, found)
+    for log in problem.logs:
+        for finding in log.findings:
+            if finding.kind not in ("rows", "ignored"):
+                yield Diagnostic(Kind.FINDING, (log.path or log.name,), {"text": finding.text})
     if unknown:
-        yield Diagnostic(Kind.NOT_TOLD, tuple(unknown))
+        yield Diagnostic(Kind.NOT_BY_MOTION, tuple(unknown))
 
 
 def _uncertain(problem: SensorProblem, found: FittedPaths) -> Iterator[Diagnostic]:
@@ -73,9 +77,8 @@ def _uncertain(problem: SensorProblem, found: FittedPaths) -> Iterator[Diagnosti
                     "unit": "mm" if slides else "deg"})
 
 
-def _changes(stretch: Stretch, data: Observations, left: Array, k: int) -> tuple[float, float, int] | None:
+def _changes(data: Observations, left: Array, k: int) -> tuple[float, float, int] | None:
     """How much the mean residual of a channel changes over the motion: chi², range [unit], and degrees of freedom."""
-    del stretch
     used = np.flatnonzero(data.used[:, k])
     if used.size < 20 * PARTS:
         return None

@@ -16,6 +16,7 @@ from hydroopt.machine.imus import ACCELEROMETER, GYROSCOPE
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
+from hydroopt.units import factor
 
 SHORT, RATE = 15.0, 10.0
 """How much of a log [s], at which rate [Hz], readings are tried on."""
@@ -27,7 +28,6 @@ SOUND = 2.0
 """Misfit of a reading with which all sensors agree."""
 TRIAL = 8
 """Steps of a fit that a reading is tried by."""
-STANDARD_GRAVITY = 9.80665
 
 
 @dataclass(frozen=True, eq=False)
@@ -41,9 +41,9 @@ class Reading:
 
 def readings() -> Iterator[Reading]:
     """Units, signs, then axes."""
-    one, degrees = np.eye(3), np.pi / 180
-    yield Reading("specific forces in g, not in m/s²", one, one * STANDARD_GRAVITY)
-    yield Reading("specific forces in m/s², not in g", one, one / STANDARD_GRAVITY)
+    one, degrees, g = np.eye(3), factor("deg", "rad"), factor("g_0", "m/s^2")
+    yield Reading("specific forces in g, not in m/s²", one, one * g)
+    yield Reading("specific forces in m/s², not in g", one, one / g)
     yield Reading("rates in deg/s, not in rad/s", one * degrees, one)
     yield Reading("rates in rad/s, not in deg/s", one / degrees, one)
     yield Reading("accelerations with the other sign of gravity: at rest +g must point up", one, -one)

@@ -258,20 +258,22 @@ def _band_times(band: Array, x: Array) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class FittedPaths:
-    """A fit at its optimum: values and covariance (p, p) of the common numbers, and the paths.
-
-    `left` are the whitened residuals (N, m) of each stretch's observations; `steps` how many the solver took.
-    """
+    """A fit at its optimum: values and covariance (p, p) of the common numbers, the paths with their last normal
+    equations, and how many steps the solver took."""
 
     fit: MotionFit
     covariance: Array
     equations: tuple[Bordered, ...]
     steps: int
 
+    @cached_property
+    def _spreads(self) -> tuple[Array, ...]:
+        """Bands of the covariance of each stretch's coefficients."""
+        return tuple(each.inverse_band(self.covariance) for each in self.equations)
+
     def std(self, stretch: int, support: Support) -> Array:
         """Standard deviations (N, n) of the joints' positions."""
-        each, n = self.equations[stretch], len(self.fit.intensity)
-        spread = each.inverse_band(self.covariance)
+        n, spread = len(self.fit.intensity), self._spreads[stretch]
         width = self.fit.stretches[stretch].path.width
         variance = np.zeros((len(support.first), n))
         for a in range(width):
@@ -288,7 +290,7 @@ def solve(start: MotionFit, where: str, enough: int | None = None) -> FittedPath
     Raises:
         SolverError: the steps do not converge.
     """
-    fit, settled = start, 0
+    fit = start
     equations, matrix, right, cost = fit.linearised()
     for count in range(1, STEPS + 1):
         covariance = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
@@ -306,8 +308,7 @@ def solve(start: MotionFit, where: str, enough: int | None = None) -> FittedPath
         changed = float(np.max(np.abs(np.log(intensity / before.intensity)), initial=0.0))
         fit = replace(fit, intensity=intensity)
         equations, matrix, right, cost = fit.linearised()
-        settled = settled + 1 if size < CONVERGED and decrease < 1.0 else 0
-        if (settled and changed < STEADY) or count == enough:
+        if (size < CONVERGED and decrease < 1.0 and changed < STEADY) or count == enough:
             final = np.asarray(np.linalg.inv(matrix), dtype=np.float64)
             return FittedPaths(fit, final, tuple(equations), count)
     raise SolverError(f"the fit of the motion did not converge in {STEPS} steps", where=where,

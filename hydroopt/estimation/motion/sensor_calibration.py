@@ -27,10 +27,10 @@ from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 
 METHOD = "continuous-time batch estimation"
-TOLD = 0.5
+DETERMINED = 0.5
 """A number is identified whose standard deviation the data reduce to less than this part of that before."""
 LITTLE = 0.9
-"""The data tell little of a number whose standard deviation remains more than this part of that before."""
+"""The data hardly determine a number whose standard deviation remains more than this part of that before."""
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -68,12 +68,12 @@ class SensorCalibration(Answer):
 
     @cached_property
     def parameters(self) -> ParameterTable:
-        """Numbers of the geometry, then biases and clocks; ``none`` where the data tell little of them."""
+        """Numbers of the geometry, then biases and clocks; ``none`` where the data hardly determine them."""
         rows = []
         for each, value, std in zip(self.found.fit.common, self.found.fit.value, self.std, strict=True):
-            told = "full" if std < TOLD * each.sigma else "combination" if std < LITTLE * each.sigma else "none"
+            kind = "full" if std < DETERMINED * each.sigma else "combination" if std < LITTLE * each.sigma else "none"
             rows.append(row(each.name, each.kind, each.unit, nominal=each.prior, prior_std=each.sigma, value=value,
-                            std=std, ci95=(value - 1.96 * std, value + 1.96 * std), identifiability=told))
+                            std=std, ci95=(value - 1.96 * std, value + 1.96 * std), identifiability=kind))
         return ParameterTable(rows)
 
     @cached_property

@@ -61,4 +61,4 @@ def test_intervals_of_clocks_hold_the_truth():
         for name, true in (("drive bus: delay", late), ("drive bus: drift", fast)):
             place = found.fit.places[name]
             held.append(abs(found.fit.value[place] - true) < 1.96 * spread[place])
-    assert 0.89 < np.mean(held) <= 1.0
+    assert np.mean(held) > 0.89
