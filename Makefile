@@ -5,7 +5,7 @@ READY := $(VENV)/.ready
 # the workers fill the cores
 PYTEST := OMP_NUM_THREADS=1 $(BIN)/pytest
 
-.PHONY: demo test test-all lint studies studies-quick fuzz kills bench wheel clean
+.PHONY: demo test test-all lint docs studies studies-quick fuzz kills bench wheel clean
 
 $(READY): pyproject.toml constraints.txt
 	$(PYTHON) -m venv $(VENV)
@@ -30,6 +30,11 @@ test-all: $(READY) lint
 lint: $(READY)
 	$(BIN)/ruff check
 	$(BIN)/mypy
+
+# the documentation site, without the network: out/docs/index.html
+docs: $(READY)
+	$(BIN)/python -m sphinx -W --keep-going -q -d out/doctrees docs out/docs
+	@echo "open out/docs/index.html"
 
 studies: $(READY)
 	$(BIN)/python -m studies

@@ -1,4 +1,4 @@
-"""Where pins stand: docs/pins.svg is what docs/crane.toml gives, and lengths follow from pins as docs/pins.md says."""
+"""Where pins stand: pins.svg is what crane.toml gives, and lengths follow from pins as pins.md says."""
 
 import runpy
 from pathlib import Path
@@ -8,7 +8,8 @@ import pytest
 
 from hydroopt import Model, load_machine, read_machine
 
-DOCS = Path(__file__).parents[1] / "docs"
+ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs/how-to"
 CRANE = (DOCS / "crane.toml").read_text("utf-8")
 
 
@@ -44,7 +45,7 @@ def test_pins_stand_behind_d_and_theta_but_before_a_and_alpha(q: tuple[float, fl
 
 def test_the_picture_is_drawn_from_the_crane() -> None:
     drawn = runpy.run_path(str(DOCS / "pins.py"))["drawing"]()
-    assert drawn == (DOCS / "pins.svg").read_text("utf-8"), "run python docs/pins.py"
+    assert drawn == (DOCS / "pins.svg").read_text("utf-8"), "run python docs/how-to/pins.py"
     for text in ("(0.25, −1.00) barrel, in the base frame", "(1.10, −0.15) rod, in P of lift", "a of jib = 2.0 m"):
         assert text in drawn
     for cylinder in load_machine(DOCS / "crane.toml").cylinders:
@@ -54,6 +55,6 @@ def test_the_picture_is_drawn_from_the_crane() -> None:
 
 def test_documents_point_to_the_picture() -> None:
     assert "(pins.svg)" in (DOCS / "pins.md").read_text("utf-8")
-    assert "docs/pins.md" in (DOCS.parent / "README.md").read_text("utf-8")
+    assert "docs/how-to/pins.md" in (ROOT / "README.md").read_text("utf-8")
     for name in ("cat215b", "patu655_lift"):
-        assert "docs/pins.md" in (DOCS.parent / f"models/{name}.toml").read_text("utf-8")
+        assert "docs/how-to/pins.md" in (ROOT / f"models/{name}.toml").read_text("utf-8")

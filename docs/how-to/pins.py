@@ -1,4 +1,4 @@
-"""Draw docs/pins.svg, where pins stand, from docs/crane.toml: ``python docs/pins.py``."""
+"""Draw docs/how-to/pins.svg, where pins stand, from docs/how-to/crane.toml: ``python docs/how-to/pins.py``."""
 
 from __future__ import annotations
 

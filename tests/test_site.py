@@ -1,0 +1,40 @@
+"""The documentation site: it builds without a warning, and a reader needs no network."""
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+LOADED = re.compile(r"""<(?:script|img|link rel="(?:stylesheet|icon|preload)")[^>]*?(?:src|href)="([^"]*)\"""")
+"""What a page loads by itself."""
+
+
+@pytest.fixture(scope="module")
+def site(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The site as ``make docs`` builds it."""
+    makefile = (ROOT / "Makefile").read_text("utf-8")
+    (command,) = re.findall(r"^\t\$\(BIN\)/python -m (sphinx .*)$", makefile, re.MULTILINE)
+    folder = tmp_path_factory.mktemp("site")
+    words = [word.replace("out/", f"{folder}/") for word in command.split()]
+    done = subprocess.run([sys.executable, "-m", *words], cwd=ROOT, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return folder / "docs"
+
+
+@pytest.mark.slow
+def test_pages_load_nothing_from_the_network(site: Path) -> None:
+    pages = sorted(site.rglob("*.html"))
+    assert len(pages) > 50
+    loaded = {(page.name, address) for page in pages for address in LOADED.findall(page.read_text("utf-8"))}
+    assert any("_static" in address for _, address in loaded)
+    assert not {(page, address) for page, address in loaded if "//" in address}
+    for sheet in site.rglob("*.css"):
+        assert not re.findall(r"url\(['\"]?(?:https?:)?//", sheet.read_text("utf-8")), sheet
+
+
+def test_every_study_has_its_row() -> None:
+    told = set(re.findall(r"^\| \[`(\w+)`\]", (ROOT / "docs/studies.md").read_text("utf-8"), re.MULTILINE))
+    assert {path.parent.name for path in (ROOT / "studies").glob("*/README.md")} == told
