@@ -25,6 +25,7 @@ def codegen(
     """Write the model as C for a controller: DIR gets a folder that builds and tests itself."""
     from hydroopt.codegen import parameter_source as codegen_origin
     from hydroopt.codegen.folder import Code
+    from hydroopt.model.model import Model
     from hydroopt.results.machine_diagnostics import machine_diagnostics
 
     described, origin = codegen_origin.read(machine, parameter_set=parameter_set)
@@ -32,7 +33,7 @@ def codegen(
         code = Code(described, origin, routines=functions or (), name=prefix, single=float32,
                     fold_geometry=fold_geometry)
         files = code.write(output)
-    for diagnostic in machine_diagnostics(described):
+    for diagnostic in machine_diagnostics(Model(described)):
         echo(f"! {diagnostic}", err=True)
     if not quiet:
         echo(f"{output}: {', '.join(files)}")

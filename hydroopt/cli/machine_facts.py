@@ -40,7 +40,7 @@ def machine_facts(machine: Machine) -> dict[str, Any]:
              "identifiability": {"rank": found.rank, "full": found.count("full"),
                                  "combination": found.count("combination"), "none": found.count("none")},
             "calibration": motion.as_dict() | {"lines": motion.lines()},
-            "diagnostics": [each.as_dict() for each in machine_diagnostics(machine)]}
+            "diagnostics": [each.as_dict() for each in machine_diagnostics(model)]}
 
 
 def _parameter_facts(parameters: ParameterSet) -> list[dict[str, Any]]:

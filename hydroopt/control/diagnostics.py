@@ -22,7 +22,7 @@ def control_diagnostics(setting: Setting, outcomes: Sequence[Outcome],
                         feedforward: Outcome | None) -> tuple[Diagnostic, ...]:
     """Impossible nominal bodies, small margins, runs that ended early, valves that saturate; `feedforward` is the best.
     """
-    return (*machine_diagnostics(setting.plant.model.machine), *_margins(setting, outcomes, feedforward),
+    return (*machine_diagnostics(setting.plant.model), *_margins(setting, outcomes, feedforward),
             *_runs(setting, outcomes))
 
 

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 import numpy as np
 
-from hydroopt.machine.machine import Machine
+from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.wording import Kind
@@ -12,17 +14,37 @@ from hydroopt.spatial import inertia
 
 ROUNDED = 1e-6
 """Smallest eigenvalue of a pseudo-inertia, as a part of its trace, that rounded numbers of a point mass may give."""
+POSTURES = 8
+"""Postures in which gravity is computed."""
 
 
-def machine_diagnostics(machine: Machine) -> tuple[Diagnostic, ...]:
+def machine_diagnostics(model: Model) -> tuple[Diagnostic, ...]:
     """Diagnostics of a machine's nominal numbers; none if they can be true.
 
-    >>> from hydroopt.machine.machine_file import load_machine
-    >>> machine_diagnostics(load_machine("cat215b"))
+    >>> import hydroopt as ho
+    >>> machine_diagnostics(ho.Model(ho.load_machine("cat215b")))
     ()
     """
+    return (*_impossible_bodies(model), *_idle_gravity(model))
+
+
+def _impossible_bodies(model: Model) -> Iterator[Diagnostic]:
     pseudo = {owner: inertia.pseudo_inertia(owned.body.phi)
-              for owner, owned in bodies(machine, calibrator=True).items()}
+              for owner, owned in bodies(model.machine, calibrator=True).items()}
     impossible = tuple(owner for owner, matrix in pseudo.items()
                        if np.linalg.eigvalsh(matrix)[0] < -ROUNDED * max(float(np.trace(matrix)), 1e-9))
-    return (Diagnostic(Kind.IMPOSSIBLE_NOMINAL_BODIES, impossible),) if impossible else ()
+    if impossible:
+        yield Diagnostic(Kind.IMPOSSIBLE_NOMINAL_BODIES, impossible)
+
+
+def _idle_gravity(model: Model) -> Iterator[Diagnostic]:
+    """Bodies have mass, but no posture takes a torque to hold them."""
+    machine, nominal = model.machine, model.parameters.nominal
+    weight = machine.gravity * sum(owned.body.m for owned in bodies(machine).values())
+    if weight <= 0:
+        return
+    lower, upper = np.array([machine.link(name).joint.range for name in machine.joints]).T
+    postures = np.random.default_rng(0).uniform(lower, upper, size=(POSTURES, len(lower)))
+    torques = [np.array(model.gravity_torques(q, nominal)) for q in postures]
+    if np.abs(torques).max() < 1e-6 * weight:  # a micrometre of lever arm
+        yield Diagnostic(Kind.GRAVITY_IDLE, machine.joints)

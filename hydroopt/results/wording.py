@@ -39,6 +39,7 @@ class Kind(StrEnum):
     FINDING = "finding in the data"
     NOTE = "note"
     IMPOSSIBLE_NOMINAL_BODIES = "nominal bodies not physically consistent"
+    GRAVITY_IDLE = "gravity does no work"
 
     # a log against its machine, before any fit
     LOG_MISREAD = "log misread"
@@ -211,11 +212,6 @@ WORDS: dict[Kind, Words] = {
         "With the calibrated geometry the stroke of {cylinder} moves {subject} from {after_deg[0]:.2f} to "
         "{after_deg[1]:.2f} deg only, but {beyond} poses lie beyond.",
         "Correct its dead length and stroke in the machine file."),
-    Kind.IMPOSSIBLE_NOMINAL_BODIES: Words(
-        "No body can have the mass, centre of mass and inertia that the machine file states of {subject}: a principal "
-        "moment of inertia is negative or exceeds the sum of the other two.",
-        "Correct them; moments of inertia of 'inertia_com' are about the centre of mass, those of 'inertia' about the "
-        "origin of the frame."),
     Kind.NO_VALIDATION: Words(
         "No log was held out, so the prediction of unseen data is not known.",
         "Give --validate or --holdout."),

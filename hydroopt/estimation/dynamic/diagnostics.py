@@ -36,7 +36,7 @@ _EFFECTS = {ParameterKind.MASS: "gravity", ParameterKind.FIRST_MOMENT: "gravity"
 
 def diagnose(found: Identification) -> tuple[Diagnostic, ...]:
     """All diagnostics of an identification, the most severe first."""
-    return (*machine_diagnostics(found.problem.model.machine), *_prediction(found), *_sampling(found),
+    return (*machine_diagnostics(found.problem.model), *_prediction(found), *_sampling(found),
             *_prior_conflict(found), *_consistency(found), *_findings(found), *_residuals(found), *_repeats(found),
             *_assumptions(found), *_active(found), *_identifiability(found),
             *_confounded(found.problem.parameters, found.confounded))

@@ -1,0 +1,18 @@
+"""What diagnostics of a machine file alone say."""
+
+from __future__ import annotations
+
+from hydroopt.results.wording import Kind, Words
+
+MACHINE_WORDS: dict[Kind, Words] = {
+    Kind.IMPOSSIBLE_NOMINAL_BODIES: Words(
+        "No body can have the mass, centre of mass and inertia that the machine file states of {subject}: a principal "
+        "moment of inertia is negative or exceeds the sum of the other two.",
+        "Correct them; moments of inertia of 'inertia_com' are about the centre of mass, those of 'inertia' about the "
+        "origin of the frame."),
+    Kind.GRAVITY_IDLE: Words(
+        "Gravity does no work on any joint ({subject}): as the file states them, the axes of all joints that turn are "
+        "vertical, so that holding still takes no force and tells nothing about masses.",
+        "If joints turn about level axes, state it: orientation = [\"90 deg\", \"0 deg\", \"0 deg\"] turns the base "
+        "frame's y axis up."),
+}
