@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parents[1] / "hydroopt"
 
 ROOMS = (
     ("errors", "interrupt", "versions", "matplotlib_import"),
-    ("input_file", "files", "units"),
+    ("input_file", "files", "units", "notebook_card"),
     ("spatial",),
     ("kernels",),
     ("machine",),

@@ -2,8 +2,12 @@
 
 from collections.abc import Iterable, Mapping
 
+import numpy as np
+from numpy.typing import NDArray
+
 from hydroopt.errors import LogError
 from hydroopt.machine.quantity import CHANNEL_UNITS
+from hydroopt.notebook_card import CardTable
 from hydroopt.units import UnitError, factor
 
 
@@ -43,3 +47,13 @@ def refuse_other_units(units: Mapping[str, str], names: Iterable[str], noun: str
             raise LogError(f"channel '{name}' is stated in '{unit}', but a {noun} holds SI values only", where=where,
                            remedy=f"convert it to '{usual}', or make the {noun} by "
                                   f"from_frame(frame, units={{'{name}': '{unit}'}})")
+
+
+def channel_table(channels: Mapping[str, NDArray[np.float64]], units: Mapping[str, str]) -> CardTable:
+    """Channels (N,) with their ranges in SI and the number of missing samples, for a notebook."""
+    rows = []
+    for name, values in channels.items():
+        read = values[np.isfinite(values)]
+        span = (f"{read.min():.5g}", f"{read.max():.5g}") if read.size else ("", "")
+        rows.append((name, units[name], *span, str(values.size - read.size or "")))
+    return CardTable(("channel", "unit", "smallest", "largest", "missing"), rows, noun="channels")

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import HydrooptError, LogError, ProblemError
 from hydroopt.logs import quality as find
-from hydroopt.logs.channels import refuse_other_units, si_unit
+from hydroopt.logs.channels import channel_table, refuse_other_units, si_unit
 from hydroopt.logs.column_headers import map_of_header
 from hydroopt.logs.column_map import LogMap, for_log, read_map
 from hydroopt.logs.frames import columns_of_frame, frame_of_columns
@@ -18,6 +18,7 @@ from hydroopt.logs.quality import Finding
 from hydroopt.logs.stamps import of_datetimes
 from hydroopt.logs.table import Table, encoded_columns, frozen, refuse_damage, write_columns
 from hydroopt.logs.treatment import Samples, choose, treat
+from hydroopt.notebook_card import Card, Shown
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -29,8 +30,8 @@ __all__ = ["Finding", "Log", "LogMap", "read_map"]
 Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True)
-class Log:
+@dataclass(frozen=True, repr=False)
+class Log(Shown):
     """Synchronously sampled channels of one recording.
 
     Attributes:
@@ -94,6 +95,12 @@ class Log:
     def __repr__(self) -> str:
         return (f"Log('{self.name}': {self.size} samples, {self.duration:.6g} s, {len(self.channels)} channel"
                 f"{'s' * (len(self.channels) != 1)})")
+
+    def card(self) -> Card:
+        """What a notebook shows: channels with their ranges, and findings."""
+        facts = {"time": f"{self.t[0]:.6g} … {self.t[-1]:.6g} s, {self.size} samples", **(
+            {"file": self.path} if self.path else {}), **{each.kind: each.text for each in self.findings}}
+        return Card(repr(self), facts, [channel_table(self.channels, self.units)])
 
     @property
     def size(self) -> int:

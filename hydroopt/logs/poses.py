@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hydroopt.errors import LogError
-from hydroopt.logs.channels import refuse_other_units, si_unit
+from hydroopt.logs.channels import channel_table, refuse_other_units, si_unit
 from hydroopt.logs.column_headers import map_of_header
 from hydroopt.logs.column_map import Labels, LogMap, TextColumn, read_map
 from hydroopt.logs.formats.files import open_files, true_kind
 from hydroopt.logs.frames import columns_of_frame, frame_of_columns
 from hydroopt.logs.table import Table, encoded_columns, frozen, in_si, refuse_damage, write_columns
+from hydroopt.notebook_card import Card, Shown
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -32,8 +33,8 @@ def _no_texts() -> Texts:
     return np.empty(0, np.str_)
 
 
-@dataclass(frozen=True, eq=False)
-class Poses:
+@dataclass(frozen=True, eq=False, repr=False)
+class Poses(Shown):
     """Channels of N poses at rest. All arrays are frozen; those left out get the stated default.
 
     Attributes:
@@ -101,6 +102,13 @@ class Poses:
         counts = {"pose": len(self), "stage": len(set(self.stage.tolist()) - {""}), "channel": len(self.channels)}
         said = ", ".join(f"{count} {noun}{'s' * (count != 1)}" for noun, count in counts.items() if count)
         return f"Poses('{self.name}': {said or 'none'})"
+
+    def card(self) -> Card:
+        """What a notebook shows: channels with their ranges, and stages."""
+        facts = {what: ", ".join(found) for what, found in (
+            ("stages", sorted({*self.stage.tolist()} - {""})), ("fixtures", sorted({*self.fixture.tolist()} - {""})),
+            ("files", list(self.sha256))) if found}
+        return Card(repr(self), facts, [channel_table(self.channels, self.units)])
 
     def __len__(self) -> int:
         return int(self.row.size)

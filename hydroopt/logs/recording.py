@@ -13,6 +13,7 @@ from hydroopt.logs import quality
 from hydroopt.logs.clock import Clock
 from hydroopt.logs.log import Log, missing
 from hydroopt.logs.quality import Finding
+from hydroopt.notebook_card import Shown
 
 Array = NDArray[np.float64]
 
@@ -24,7 +25,7 @@ GAP = 3.0
 
 
 @dataclass(frozen=True)
-class ChannelGroup:
+class ChannelGroup(Shown):
     """Channels that are sampled together, with one clock.
 
     Attributes:
@@ -82,7 +83,7 @@ class ChannelGroup:
 
 
 @dataclass(frozen=True)
-class Recording:
+class Recording(Shown):
     """What was recorded at one time, in groups of channels that each have their own stamps.
 
     Attributes:

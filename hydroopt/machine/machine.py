@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import math
 from collections import Counter
 from collections.abc import Collection, Iterator, Mapping
 from typing import Any, Self
@@ -17,15 +18,16 @@ from hydroopt.machine.actuators import Actuator, Drive, Motor
 from hydroopt.machine.closures import place
 from hydroopt.machine.description import BASE, MachineDescription
 from hydroopt.machine.imus import INCLINATION
-from hydroopt.machine.links import Note
+from hydroopt.machine.links import Joint, Note
 from hydroopt.machine.quantity import ImpossibleError
 from hydroopt.machine.targets import GROUND, TIP
+from hydroopt.notebook_card import Card, CardTable, Shown
 from hydroopt.units import same_kind
 
 __all__ = ["BASE", "Machine"]
 
 
-class Machine(MachineDescription):
+class Machine(Shown, MachineDescription):
     """A manipulator: a tree of links on the base, their actuators, and the sensors.
 
     `orientation` is roll, pitch, yaw of the base frame in a world whose z points up. Above the frequency `bandwidth`
@@ -47,6 +49,16 @@ class Machine(MachineDescription):
         return f"Machine('{self.name}': {said or 'no joints'})"
 
     __str__ = __repr__
+
+    def card(self) -> Card:
+        """What a notebook shows: joints with their ranges, and what moves them."""
+        rows = []
+        for link in self.links:
+            joint = link.joint
+            moved = ", ".join(each.name for each in self.drivers.get(link.name, ()))
+            rows.append((link.name, joint.type, _span(joint), moved or ("passive" * joint.passive)))
+        facts = {"description": self.description} if self.description else {}
+        return Card(repr(self), facts, [CardTable(("link", "joint", "range", "moved by"), rows, noun="links")])
 
     @model_validator(mode="after")
     def _invariants(self) -> Self:
@@ -396,3 +408,11 @@ def _under(node: Any, *steps: str) -> Any:
     for step in steps:
         node = node.get(step) if isinstance(node, Mapping) else getattr(node, step, None)
     return node
+
+
+def _span(joint: Joint) -> str:
+    """The range of a joint in the unit that people read: degrees or metres."""
+    if joint.lower is None or joint.upper is None:
+        return ""
+    size, unit = (1.0, "m") if joint.type == "prismatic" else (math.degrees(1), "deg")
+    return f"{size * joint.lower:.4g} … {size * joint.upper:.4g} {unit}"

@@ -19,7 +19,8 @@ from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.mechanism import Mechanism
 from hydroopt.model.pose_rows.frames import Frames
 from hydroopt.model.pose_rows.measurements import inputs, measurements
-from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
+from hydroopt.notebook_card import Card, Shown
+from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet, parameter_table
 from hydroopt.spatial.inertia import Array
 from hydroopt.spatial.poses import Pose, identity, roll_pitch_yaw
 
@@ -27,7 +28,7 @@ TINY = 1e-9
 """Length [m] that keeps a distance differentiable at zero."""
 
 
-class KinematicModel:
+class KinematicModel(Shown):
     """Geometry of a machine with its calibrator, for the calibration of chapter 3.
 
     Attributes:
@@ -55,6 +56,14 @@ class KinematicModel:
     >>> model.over(model.tip, model.parameters.nominal, q)[0].shape
     (5, 3, 1)
     """
+
+    def __repr__(self) -> str:
+        return (f"KinematicModel('{self.machine.name}': {len(self.joints)} joints, {len(self.parameters)} uncertain "
+                "numbers of its geometry)")
+
+    def card(self) -> Card:
+        """What a notebook shows: the parameters with what the machine file states of them."""
+        return Card(repr(self), tables=[parameter_table(self.parameters)])
 
     def __init__(self, machine: Machine) -> None:
         self.machine = machine

@@ -19,12 +19,13 @@ from hydroopt.model.imu_readings import imu_readings
 from hydroopt.model.joint_from_length import joint_from_length
 from hydroopt.model.kinematics import coordinates
 from hydroopt.model.regressor import Dynamics
+from hydroopt.notebook_card import Card, Shown
 from hydroopt.parameters import dynamic as dynamic_parameters
-from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
+from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet, parameter_table
 from hydroopt.spatial.inertia import Array
 
 
-class Model:
+class Model(Shown):
     """A machine's kinematics and dynamics; n joints, r balances, p dynamic parameters.
 
     `actuator_inertia` tells the complete model (with barrels and rods) from the thesis's reduced one. With `calibrator`
@@ -63,6 +64,10 @@ class Model:
         joints, inertia = len(self.machine.joints), "with" if self.actuator_inertia else "without"
         return (f"Model('{self.machine.name}': {joints} joint{'s' * (joints != 1)}, {len(self.parameters)} parameters, "
                 f"{inertia} actuator inertia{', with calibrator' * self.calibrator})")
+
+    def card(self) -> Card:
+        """What a notebook shows: the parameters with what the machine file states of them."""
+        return Card(repr(self), tables=[parameter_table(self.parameters)])
 
     def __reduce__(self) -> tuple[object, ...]:
         return partial(Model, actuator_inertia=self.actuator_inertia, calibrator=self.calibrator), (self.machine,)

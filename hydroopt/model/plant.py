@@ -26,6 +26,7 @@ from hydroopt.model.hydraulics import (
 )
 from hydroopt.model.load_sharing import shared_load
 from hydroopt.model.model import Model
+from hydroopt.notebook_card import Shown
 from hydroopt.parameters import hydraulic as hydraulic_parameters
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial.inertia import Array
@@ -44,7 +45,7 @@ class Steady(NamedTuple):
     u: Array
 
 
-class Plant:
+class Plant(Shown):
     """A machine with a valve on each actuator, as ẋ = f(x, u, supply, ψ, θ).
 
     The state holds q and q̇ of all joints, then for every actuator its spool's place (−1 to 1) and speed, if the file
@@ -69,6 +70,9 @@ class Plant:
         >>> plant.states[:2]
         ('lift.q', 'lift.qd')
     """
+
+    def __repr__(self) -> str:
+        return f"Plant('{self.machine.name}': {len(self.states)} states, {len(self.machine.actuators)} valves)"
 
     def __init__(self, model: Model | Machine, wall: Wall | None = None) -> None:
         model = model if isinstance(model, Model) else Model(model)

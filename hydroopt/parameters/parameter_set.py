@@ -11,6 +11,7 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.input_file import similar
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
+from hydroopt.notebook_card import Card, CardTable, Shown
 from hydroopt.spatial.inertia import Array
 
 __all__ = ["GROUPS", "ParameterKind", "ParameterSet"]
@@ -20,8 +21,8 @@ GROUPS: Mapping[str, Callable[[ParameterKind], bool]] = {
 """Words that stand for all parameters of some kinds, wherever a user names parameters."""
 
 
-@dataclass(frozen=True, eq=False)
-class ParameterSet:
+@dataclass(frozen=True, eq=False, repr=False)
+class ParameterSet(Shown):
     """Names with kind, unit, nominal value, bounds and prior, all in SI, each array of shape (p,).
 
     The prior is Gaussian about the nominal values; `information` (p, p) is the inverse of its covariance, with
@@ -37,6 +38,13 @@ class ParameterSet:
     upper: Array
     scale: Array
     information: Array
+
+    def __repr__(self) -> str:
+        return f"ParameterSet({len(self)} parameters, {int(np.sum(np.diag(self.information) > 0))} with a prior)"
+
+    def card(self) -> Card:
+        """What a notebook shows: one row a parameter."""
+        return Card(repr(self), tables=[parameter_table(self)])
 
     def __len__(self) -> int:
         return len(self.names)
@@ -107,3 +115,13 @@ class ParameterSet:
         """The bound of the k-th parameter that is nearest to a value, as ``panda_joint2.compliance >= 0 rad/(N*m)``."""
         low = value - self.lower[k] < self.upper[k] - value
         return f"{self.names[k]} {'>=' if low else '<='} {self.lower[k] if low else self.upper[k]:.9g} {self.units[k]}"
+
+
+def parameter_table(parameters: ParameterSet) -> CardTable:
+    """Names with nominal values, standard deviations of the priors and bounds, for a notebook."""
+    cells = zip(parameters.names, parameters.nominal, parameters.prior_std, parameters.units, parameters.lower,
+                parameters.upper, strict=True)
+    rows = [(name, f"{nominal:.6g}", "" if np.isnan(std) else f"{std:.3g}", unit,
+             "" if np.isinf(low) else f"{low:.6g}", "" if np.isinf(high) else f"{high:.6g}")
+            for name, nominal, std, unit, low, high in cells]
+    return CardTable(("parameter", "nominal", "prior ±", "unit", "lower bound", "upper bound"), rows, noun="parameters")

@@ -9,11 +9,12 @@ from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hydroopt.notebook_card import Card, CardTable, Shown
 from hydroopt.results import json_file
 from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import MachineId
-from hydroopt.results.parameter_table import ParameterTable
+from hydroopt.results.parameter_table import ParameterRow, ParameterTable
 from hydroopt.results.tables import number
 from hydroopt.results.wording import CONTRADICTIONS, REFUTATIONS
 
@@ -33,7 +34,7 @@ class Status(StrEnum):
     FAILED = "failed"
 
 
-class Answer(ABC):
+class Answer(Shown, ABC):
     """The answer of any job; `hydroopt.load` reads what `save` wrote.
 
     It has a status, diagnostics, a table of parameters, a fit and files; the class of each job adds its own results.
@@ -44,6 +45,9 @@ class Answer(ABC):
     >>> answer = hydroopt.solve(hydroopt.identification_problem(model, [log]), "wls")
     >>> isinstance(answer, hydroopt.Answer), answer.machine_name
     (True, 'patu655_lift')
+    >>> friction = answer["lift_cylinder.f_coulomb"]
+    >>> friction.unit, friction.std < friction.value < friction.ci95[1]
+    ('N', True)
     >>> answer.save("crane")
     >>> hydroopt.load("crane").parameters["lift_cylinder.f_coulomb"].unit
     'N'
@@ -120,10 +124,13 @@ class Answer(ABC):
     def files(self) -> Mapping[str, str | bytes]:
         """Files beside the JSON file, by name: tables, and the calibrated machine where there is one."""
 
-    def __getitem__(self, name: str) -> float:
-        """Value [SI] of a parameter; NaN where it is not identifiable."""
-        value = self.parameters[name].value
-        return float("nan") if value is None else value
+    def __getitem__(self, name: str) -> ParameterRow:
+        """A parameter: value, standard deviation, interval, unit and identifiability, in SI.
+
+        Raises:
+            ProblemError: there is no such parameter; the closest names are given.
+        """
+        return self.parameters[name]
 
     def __repr__(self) -> str:
         return (f"<{self.job} of {self.machine_name} by {self.method}: {self.status}, "
@@ -140,9 +147,27 @@ class Answer(ABC):
                 lines.append(f"  {data:<10} {channel:<24} " + (f"{fit.unit:<5}{beside}" if beside else str(fit)))
         return "\n".join([*lines, *(f"  {finding.text}" for finding in self.findings)])
 
+    def card(self) -> Card:
+        """What a notebook shows: the fit, the parameters, findings and diagnostics."""
+        facts = {each.text: "" for each in self.findings}
+        fits = [(data, channel, f"{fit.rms:.4g} {fit.unit}", _percent(fit.vaf).strip())
+                for data, table in self.fit.items() for channel, fit in table.items()]
+        found = [(str(each.kind), each.text) for each in self.diagnostics]
+        return Card(repr(self), facts, [table for table in (
+            CardTable(("data", "channel", "RMS error", "VAF"), fits, noun="channels"), *self.parameters.card_tables(),
+            CardTable(("diagnostic", ""), found, shown=3, noun="diagnostics")) if table.rows])
+
     def to_frame(self) -> pd.DataFrame:
         """The table of parameters as a pandas DataFrame indexed by name."""
         return self.parameters.to_frame()
+
+    def fit_to_frame(self) -> pd.DataFrame:
+        """The fit as a pandas DataFrame indexed by data set and channel."""
+        import pandas as pd  # noqa: PLC0415 (import cost)
+
+        rows = [{"data": data, "channel": channel, **fit.as_dict()}
+                for data, table in self.fit.items() for channel, fit in table.items()]
+        return pd.DataFrame(rows, columns=None if rows else ["data", "channel"]).set_index(["data", "channel"])
 
     def save(self, directory: str | Path, *, pages: Mapping[str, str | bytes | None] | None = None,
              wall_s: float = float("nan")) -> None:

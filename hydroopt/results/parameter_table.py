@@ -10,15 +10,26 @@ from typing import TYPE_CHECKING, Any
 
 from hydroopt.errors import ProblemError
 from hydroopt.input_file import similar
+from hydroopt.notebook_card import Card, CardTable, Shown
 from hydroopt.results.tables import csv_text, number, with_limits
 
 if TYPE_CHECKING:
     import pandas as pd
 
 
-@dataclass(frozen=True)
+CATEGORIES = {"combination": "only in combination with others", "not excited": "not excited by the motion",
+              "none": "without effect on the data", "fixed": "fixed"}
+"""What it means where a parameter has no value of its own."""
+
+
+@dataclass(frozen=True, repr=False)
 class ParameterRow:
-    """One parameter of an answer, in SI; None where a number does not exist.
+    """One parameter of an answer, in SI; None where a number does not exist. `float` gives the value, or NaN.
+
+    >>> row("boom.m", "mass", "kg", nominal=1830.0, value=1790.04, std=12.3, ci95=(1766.0, 1814.0))
+    boom.m = 1790 ± 12 kg (95 %: 1766 … 1814)
+    >>> row("boom.mc_z", "first moment", "kg*m", nominal=0.0, identifiability="combination")
+    boom.mc_z: only in combination with others; the machine file states 0 kg*m
 
     Attributes:
         name: its address, e.g. ``boom.m``.
@@ -41,6 +52,37 @@ class ParameterRow:
     ci95: tuple[float, float] | None = None
     bound: str | None = None
     identifiability: str = "full"
+
+    def __float__(self) -> float:
+        return math.nan if self.value is None else self.value
+
+    def __repr__(self) -> str:
+        if self.value is None:
+            stated = "" if self.nominal is None else f"; the machine file states {self.nominal:.6g} {self.unit}"
+            return f"{self.name}: {CATEGORIES.get(self.identifiability, self.identifiability)}{stated}"
+        at_bound = f", at {self.bound}" if self.bound else ""
+        return f"{self.name} = {self.shown[0]}{self.spread} {self.unit}{self.interval}{at_bound}"
+
+    @property
+    def shown(self) -> tuple[str, ...]:
+        """Value, std, low and high as texts, to the second digit of the standard deviation; "" of what is None."""
+        numbers = (self.value, self.std, *(self.ci95 or (None, None)))
+        if not self.std or self.value is None:
+            return tuple("" if number is None else f"{number:.6g}" for number in numbers)
+        decimals = 1 - math.floor(math.log10(self.std))
+        if abs(decimals) > 9 or abs(self.value) >= 1e9:
+            return tuple("" if number is None else f"{number:.4g}" for number in numbers)
+        return tuple("" if number is None else f"{round(number, decimals):.{max(decimals, 0)}f}" for number in numbers)
+
+    @property
+    def spread(self) -> str:
+        """`` ± std``; empty where there is none."""
+        return f" ± {self.shown[1]}" if self.shown[1] else ""
+
+    @property
+    def interval(self) -> str:
+        """`` (95 %: low … high)``; empty where there is none."""
+        return f" (95 %: {self.shown[2]} … {self.shown[3]})" if self.ci95 else ""
 
     @property
     def information_from_data(self) -> float | None:
@@ -82,7 +124,7 @@ def row(name: str, kind: str, unit: str, *, nominal: float = math.nan, prior_std
                         identifiability)
 
 
-class ParameterTable(Mapping[str, ParameterRow]):
+class ParameterTable(Shown, Mapping[str, ParameterRow]):
     """Parameters by name, in their order.
 
     Example:
@@ -135,6 +177,23 @@ class ParameterTable(Mapping[str, ParameterRow]):
     def __repr__(self) -> str:
         estimated = sum(each.value is not None for each in self.rows)
         return f"ParameterTable of {len(self)} parameter{'s' * (len(self) != 1)}, {estimated} estimated"
+
+    def card(self) -> Card:
+        """What a notebook shows: the estimated parameters, then those that are not."""
+        return Card(repr(self), tables=self.card_tables())
+
+    def card_tables(self) -> list[CardTable]:
+        """The estimated parameters, and folded away those that are not, for a notebook."""
+        known = [each for each in self.rows if each.value is not None]
+        rows = [(each.name, *each.shown[:2], each.unit, " … ".join(each.shown[2:]) if each.ci95 else "",
+                 "" if each.nominal is None else f"{each.nominal:.6g}", each.bound or "") for each in known]
+        others = [(each.name, "" if each.nominal is None else f"{each.nominal:.6g}", each.unit,
+                   CATEGORIES.get(each.identifiability, each.identifiability))
+                  for each in self.rows if each.value is None]
+        return [table for table in (
+            CardTable(("parameter", "value", "±", "unit", "95 %", "machine file", "bound"), rows, noun="parameters"),
+            CardTable(("parameter", "machine file", "unit", "identifiability"), others, shown=0,
+                      noun="parameters that the data do not determine one by one")) if table.rows]
 
     def to_csv(self) -> str:
         """Text of a CSV file: one row a parameter, the interval as `low` and `high`."""

@@ -99,7 +99,7 @@ def test_the_answer_is_loaded(folder: Path, content: dict) -> None:
     answer = load(folder)
     assert answer.job == Job.CONTROL
     assert answer.status is Status.OK
-    assert answer["lift_cylinder.position_gain"] > 0
+    assert answer["lift_cylinder.position_gain"].value > 0
     for one in content["candidates"]:
         assert answer.fit[one["name"]]["lift.q"].rms == pytest.approx(one["joints"][0]["rms"])
     assert answer.details()["winner"] == content["winner"]

@@ -84,7 +84,7 @@ def rows(file: Path) -> list[dict[str, str]]:
 def test_files_are_complete_and_the_machine_reads_back(left: Path, solved: Calibration) -> None:
     assert {file.name for file in left.iterdir()} == FILES
     machine = load_machine(left / "cat215b.toml")
-    assert machine.link("boom").joint.a == solved["boom.a"]
+    assert machine.link("boom").joint.a == solved["boom.a"].value
     assert machine.notes["boom.joint.a"].sigma == pytest.approx(solved.std[solved.problem.parameters.index("boom.a")])
 
 
@@ -180,7 +180,7 @@ def test_loading_gives_the_same_answer(left: Path, solved: Calibration) -> None:
         f"<kinematic calibration of cat215b by joint: ok, {len(solved.parameters)} parameters, "
         f"{len(solved.diagnostics)} diagnostics>")
     assert dict(loaded.files()) == {**solved.files(), "report.html": (left / "report.html").read_text("utf-8")}
-    assert loaded["boom.a"] == solved["boom.a"] == solved.machine.link("boom").joint.a
+    assert loaded["boom.a"].value == solved["boom.a"].value == solved.machine.link("boom").joint.a
 
 
 def test_what_is_not_determined_has_no_number() -> None:

@@ -52,7 +52,7 @@ def test_what_is_loaded_says_the_same(tmp_path: Path) -> None:
     assert loaded.status is Status.SUSPECT
     assert loaded.fit == answer.fit
     assert loaded.details() == answer.details()
-    assert loaded["lift.m"] == 125.0
+    assert loaded["lift.m"].value == 125.0
     loaded.save(tmp_path / "again", wall_s=1.5)
     first, second = (json.loads((folder / "estimate.json").read_text()) for folder in (tmp_path, tmp_path / "again"))
     assert {**first, "created": ""} == {**second, "created": ""}

@@ -55,7 +55,7 @@ def test_simulated_poses_give_back_the_truth(plan: PosePlan) -> None:
     solved = calibrate(calibration_problem(machine, found.poses, priors=False))
     names = [name for name in solved.problem.parameters.names if "bias" not in name and "unit" not in name]
     for name in names:  # the accelerometer's bias is drawn, and what is known of it counts
-        assert solved[name] == pytest.approx(found.truth[name], abs=1e-4), name
+        assert solved[name].value == pytest.approx(found.truth[name], abs=1e-4), name
 
 
 def test_commands_plan_and_simulate_poses(tmp_path: Path) -> None:

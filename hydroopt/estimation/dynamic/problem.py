@@ -34,12 +34,13 @@ from hydroopt.logs.smoothing import Motion, Smoothing
 from hydroopt.logs.stream import LogStream
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
+from hydroopt.notebook_card import Shown
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
 
 
 @dataclass(frozen=True, eq=False)
-class IdentificationProblem:
+class IdentificationProblem(Shown):
     """Weighted residuals f − K·ψ of some experiments, priors and constraints on ψ: an optimisation model.
 
     `identification_problem` makes one; each method returns a new one. It prints as variables, objective and

@@ -54,7 +54,7 @@ class HydraulicEstimate(Answer):
         >>> t = np.arange(160) / 50
         >>> log = ho.drive(plant, t, 5.7 + np.cos(2 * t)[:, None], np.array([0.2]), seed=1)
         >>> estimate = ho.solve(ho.hydraulic_problem(plant.machine, [log]))
-        >>> print(estimate.status, round(6e4 * estimate["lift_cylinder.rated_flow"]), "L/min")
+        >>> print(estimate.status, round(6e4 * estimate["lift_cylinder.rated_flow"].value), "L/min")
         ok 62 L/min
     """
 

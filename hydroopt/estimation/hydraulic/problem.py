@@ -30,7 +30,8 @@ from hydroopt.machine.machine import Machine
 from hydroopt.model.hydraulics import spool_position
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
-from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
+from hydroopt.notebook_card import Card, Shown
+from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet, parameter_table
 from hydroopt.simulation.drive_valves import arrived
 from hydroopt.spatial.inertia import Array
 
@@ -46,7 +47,7 @@ AT_WORST = 3.0
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class HydraulicProblem:
+class HydraulicProblem(Shown):
     """The identification of valves, oil and friction from logs; solving does not change it.
 
     It is a nonlinear program: `print` shows its variables, objective and constraints, `nlp` hands it on.
@@ -179,6 +180,11 @@ class HydraulicProblem:
 
     def __str__(self) -> str:
         return f"{self!r}\n{self.nlp()}"
+
+    def card(self) -> Card:
+        """What a notebook shows: the parameters with what the machine file states of them; the program is in `print`.
+        """
+        return Card(repr(self), tables=[parameter_table(self.parameters)])
 
 
 def hydraulic_problem(machine: Machine, logs: Sequence[Log], validation: Sequence[Log] = (), *,

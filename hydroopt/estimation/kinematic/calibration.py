@@ -43,7 +43,7 @@ class Calibration(KinematicSolution, Answer):
     >>> calibration = hydroopt.solve(problem)
     >>> calibration.status, calibration.parameters["panda_joint3.d"].kind
     (<Status.OK: 'ok'>, 'length')
-    >>> bool(abs(calibration["panda_joint3.d"] - 0.316) < 1e-6)
+    >>> bool(abs(calibration["panda_joint3.d"].value - 0.316) < 1e-6)
     True
     """
 

@@ -20,10 +20,11 @@ from hydroopt.logs.frames import refuse_others
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.notebook_card import Shown
 
 
 @dataclass(frozen=True, eq=False, repr=False)
-class CalibrationProblem(PoseEquations):
+class CalibrationProblem(PoseEquations, Shown):
     """What is to be calibrated from which poses, with the attributes of `PoseEquations`; solving never changes it.
 
     >>> import hydroopt

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import LogError, ProblemError
+from hydroopt.estimation.inference.listing import counted
 from hydroopt.estimation.motion.first_guess import first_guess
 from hydroopt.estimation.motion.motion_fit import FittedPaths, MotionFit, Stretch, solve
 from hydroopt.estimation.motion.observations import Common, Observations, observations, row_observations
@@ -20,6 +21,7 @@ from hydroopt.logs.poses import Poses
 from hydroopt.logs.recording import Recording
 from hydroopt.machine.machine import Machine
 from hydroopt.model.sensor_readings import SensorReadings
+from hydroopt.notebook_card import Shown
 from hydroopt.spatial.inertia import Array
 
 FASTEST = 5.0
@@ -33,7 +35,7 @@ PAUSE = 2.0
 
 
 @dataclass(frozen=True, eq=False)
-class SensorProblem:
+class SensorProblem(Shown):
     """The motion of logs, the postures of poses, and what their sensors have in common.
 
     Attributes:
@@ -49,6 +51,10 @@ class SensorProblem:
     logs: tuple[Recording, ...]
     poses: tuple[Poses, ...] = ()
     geometry: bool = True
+
+    def __repr__(self) -> str:
+        return (f"SensorProblem({self.machine.name}: {counted(len(self.logs), 'log')}, "
+                f"{sum(map(len, self.poses))} rows of poses, {'all geometry' if self.geometry else 'IMUs alone'})")
 
 
 def sensor_problem(machine: Machine, logs: Sequence[Log | Recording], poses: Sequence[Poses] = (), *,

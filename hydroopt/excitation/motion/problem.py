@@ -16,6 +16,7 @@ from hydroopt.excitation.motion.basis import Basis, Rows, check
 from hydroopt.excitation.motion.criterion_function import CriterionFunction, ExcitationProgram
 from hydroopt.excitation.motion.limits import Limits
 from hydroopt.machine.machine import Machine
+from hydroopt.notebook_card import Card, Shown
 from hydroopt.spatial.inertia import Array
 
 NODES, GRID = 12, 48
@@ -38,7 +39,7 @@ class State(NamedTuple):
     qdd: Array
 
 
-class ExcitationProblem:
+class ExcitationProblem(Shown):
     """The nonlinear program of a design: `x` holds the coefficients (m, active) of the joints that move.
 
     Args:
@@ -165,6 +166,12 @@ class ExcitationProblem:
 
     def __str__(self) -> str:
         return f"{self!r}\n{self.nlp()}"
+
+    def card(self) -> Card:
+        """What a notebook shows: limits and the basis; the program is in `print`."""
+        joints = [self.machine.joints[k] for k in self.active]
+        return Card(repr(self), {"joints": ", ".join(joints), "criterion": self.information.criterion,
+                                 "duration": f"{self.basis.duration:g} s"})
 
     @cached_property
     def t(self) -> Array:

@@ -17,6 +17,7 @@ from hydroopt.excitation.criteria import refuse_criterion
 from hydroopt.logs.poses import Texts
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.notebook_card import Shown
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.simulation import postures
 from hydroopt.spatial.inertia import Array
@@ -59,7 +60,7 @@ class PoseLabels(NamedTuple):
 
 
 @dataclass(frozen=True, eq=False)
-class PoseProblem:
+class PoseProblem(Shown):
     """Which poses to measure for a kinematic calibration; solving never changes it.
 
     `hydroopt.solve(problem, seed=0, candidates=2000)` chooses them among random closed postures of each group. The

@@ -110,7 +110,7 @@ def test_robust_losses_find_stribeck_speeds_too(loss: Any) -> None:
     plain, robust = (identify(identification_problem(start, dirty, smoothing=PERIODIC).with_loss(one), intervals=False)
                      for one in ("squares", loss))
     assert robust["lift_cylinder.v_stribeck"] == pytest.approx(0.03, rel=0.25)
-    assert abs(robust["lift_cylinder.f_stribeck"] - 1500) < abs(plain["lift_cylinder.f_stribeck"] - 1500)
+    assert abs(robust["lift_cylinder.f_stribeck"].value - 1500) < abs(plain["lift_cylinder.f_stribeck"].value - 1500)
 
 
 @pytest.mark.slow
@@ -230,7 +230,7 @@ def test_what_predicts_is_chosen_not_what_fits(plain: Estimate) -> None:
 def test_stribeck_is_chosen_where_it_is(sticking: Estimate) -> None:
     assert sticking.friction_choice.terms == "coulomb+viscous+stribeck"
     estimate = sticking
-    assert estimate["lift_cylinder.v_stribeck"] == pytest.approx(0.03, rel=0.3)
+    assert estimate["lift_cylinder.v_stribeck"].value == pytest.approx(0.03, rel=0.3)
     assert estimate.problem.model.machine.cylinders[0].friction.stribeck_speed is not None
     # the calibrated machine has the terms chosen, with their values
     assert estimate.machine.cylinders[0].friction.stribeck == pytest.approx(

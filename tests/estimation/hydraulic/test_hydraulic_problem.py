@@ -84,8 +84,8 @@ def test_a_log_is_explained_and_an_unseen_one_predicted(crane, log):
     assert unseen["jack.length"].largest < 3e-3
     assert unseen["jack.p_head"].of_range < 0.03
     written = estimate.machine
-    assert written.oil.bulk_modulus == estimate["oil.bulk_modulus"]
-    assert written.circuits["jack"].valve.dead_band == estimate["jack.dead_band"]
+    assert written.oil.bulk_modulus == estimate["oil.bulk_modulus"].value
+    assert written.circuits["jack"].valve.dead_band == estimate["jack.dead_band"].value
     assert written.notes["jack.circuit.valve.dead_band"].sigma == pytest.approx(
         estimate.shooting.std[known.index("jack.dead_band")])
 
@@ -203,5 +203,6 @@ def test_an_estimate_is_loaded_as_it_was_saved(crane, log, tmp_path):
     assert loaded.diagnostics == estimate.diagnostics
     assert loaded.fit == estimate.fit
     assert loaded.details() == estimate.details()
-    assert loaded["jack.dead_band"] == estimate["jack.dead_band"] == estimate.shooting["jack.dead_band"]
-    assert load_machine(loaded.machine_file).oil.bulk_modulus == pytest.approx(loaded["oil.bulk_modulus"])
+    assert loaded["jack.dead_band"].value == estimate["jack.dead_band"].value
+    assert estimate["jack.dead_band"].value == estimate.shooting["jack.dead_band"]
+    assert load_machine(loaded.machine_file).oil.bulk_modulus == pytest.approx(loaded["oil.bulk_modulus"].value)

@@ -181,8 +181,8 @@ def test_a_whole_identification_at_a_bound(wheel: Model) -> None:
 @pytest.mark.slow
 def test_an_active_inequality_keeps_its_intervals(noisy: IdentificationProblem, noisy_estimate: Estimate) -> None:
     """A half-space that cuts off the most probable point is sampled up to its edge."""
-    limit = noisy_estimate["boom.m"] + noisy_estimate["stick.m"] - 300
+    limit = noisy_estimate["boom.m"].value + noisy_estimate["stick.m"].value - 300
     cut = identify(noisy.subject_to("light", lambda p: p["boom.m"] + p["stick.m"] <= limit), "sdp")
     assert "light" in cut.active
     assert np.isfinite(cut.std[cut.problem.parameters.index("boom.m")])
-    assert cut["boom.m"] + cut["stick.m"] < limit
+    assert cut["boom.m"].value + cut["stick.m"].value < limit

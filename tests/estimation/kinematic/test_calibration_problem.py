@@ -49,7 +49,7 @@ def test_the_program_has_the_same_optimum(problem: CalibrationProblem) -> None:
 def test_a_constraint_of_the_user_holds(problem: CalibrationProblem) -> None:
     program, arguments = problem.nlp(), problem.nlp().arguments()
     free = hydroopt.solve(problem)
-    total = free["boom.a"] + free["stick.a"] + 0.01
+    total = free["boom.a"].value + free["stick.a"].value + 0.01
     g = ca.vertcat(program.g, program["boom.a"] + program["stick.a"])
     arguments |= {side: np.append(arguments[side], total) for side in ("lbg", "ubg")}
     found = program.values(ca.nlpsol("solver", "ipopt", {**program.as_dict(), "g": g}, QUIET)(**arguments)["x"])

@@ -108,7 +108,7 @@ def test_two_solved_geometries_without_a_calibrated_bias(model: KinematicModel, 
     poses = postures.record(model, q[good], stages, ["ball"] * len(stages), geometry=truth, seed=None)
     for method in METHODS:
         solved = calibrate(held(calibration_problem(machine, poses, priors=False)), method)
-        np.testing.assert_allclose([solved["boom.a"], solved["stick.beta"], solved["swing.a"]],
+        np.testing.assert_allclose([solved["boom.a"].value, solved["stick.beta"].value, solved["swing.a"].value],
                                    truth[[names.index(n) for n in ("boom.a", "stick.beta", "swing.a")]], atol=1e-8)
 
 
@@ -202,7 +202,7 @@ def test_other_measurements_help(model: KinematicModel, machine: Machine,
         poses = read(model, closed, None, extra)
         problem = held(calibration_problem(richer, poses, priors=False))
         solved = calibrate(problem)
-        np.testing.assert_allclose(solved["boom.a"], 5.18, atol=1e-8)
+        np.testing.assert_allclose(solved["boom.a"].value, 5.18, atol=1e-8)
         std.append(solved.std[problem.parameters.index("boom.a")])
     assert std[1] < 0.9 * std[0]
     assert std[2] < 0.9 * std[0]
@@ -257,8 +257,8 @@ def test_tracked_points_and_an_unknown_tracker(machine: Machine) -> None:
     solved = calibrate(problem.fixing(**pins))
     assert solved.fit["nominal"]["tip"].rms > 0.05
     assert solved.fit["train"]["tip"].rms < 1e-8
-    np.testing.assert_allclose(solved["boom.a"], 5.21, atol=1e-7)
-    np.testing.assert_allclose(solved["tracker.x"], truth[model.parameters.names.index("tracker.x")], atol=1e-6)
+    np.testing.assert_allclose(solved["boom.a"].value, 5.21, atol=1e-7)
+    np.testing.assert_allclose(solved["tracker.x"].value, truth[model.parameters.names.index("tracker.x")], atol=1e-6)
 
 
 @pytest.mark.slow
@@ -280,10 +280,10 @@ def test_drift_is_found_and_would_hurt(model: KinematicModel, machine: Machine) 
         s.model_copy(update={"drift": np.radians(0.3)}) for s in machine.stages)})
     ignored = calibrate(held(calibration_problem(machine, poses, priors=False)))
     known = calibrate(held(calibration_problem(creeping, poses, priors=False)))
-    assert np.degrees(known["stick.drift.boom_moves"]) == pytest.approx(0.3, abs=0.01)
+    assert np.degrees(known["stick.drift.boom_moves"].value) == pytest.approx(0.3, abs=0.01)
     late = known.problem.parameters.index("stick.drift.swing_moves")
     assert abs(np.degrees(known.theta[late]) - 0.3) < 2 * np.degrees(known.std[late])
-    assert abs(known["swing.a"] - 0.34) < 0.003 < abs(ignored["swing.a"] - 0.34)
+    assert abs(known["swing.a"].value - 0.34) < 0.003 < abs(ignored["swing.a"].value - 0.34)
 
 
 def test_compliance_is_what_gravity_bends(machine: Machine) -> None:
@@ -391,8 +391,8 @@ def test_the_calibrated_machine_is_a_machine_file(model: KinematicModel, machine
                                                   closed: tuple[np.ndarray, list[str]]) -> None:
     solved = calibrate(held(calibration_problem(machine, read(model, closed, 0), priors=False)))
     made = solved.machine
-    assert made.link("boom").joint.a == pytest.approx(solved["boom.a"], abs=1e-12)
-    assert made.fixtures[0].position[0] == pytest.approx(solved["ball.x"], abs=1e-12)
+    assert made.link("boom").joint.a == pytest.approx(solved["boom.a"].value, abs=1e-12)
+    assert made.fixtures[0].position[0] == pytest.approx(solved["ball.x"].value, abs=1e-12)
     assert made.notes["boom.joint.a"].sigma == pytest.approx(
         solved.std[solved.problem.parameters.index("boom.a")])
     assert read_machine(dump_machine(made)) == made
@@ -479,7 +479,7 @@ def test_a_start_far_off_is_no_exchange(model: KinematicModel, machine: Machine,
         link.model_copy(update={"joint": link.joint.model_copy(update={"a": 1.1 * link.joint.a})})
         for link in machine.links)})
     solved = calibrate(held(calibration_problem(far, read(model, closed, None), priors=False)))
-    assert solved["boom.a"] == pytest.approx(5.18, abs=1e-8)
+    assert solved["boom.a"].value == pytest.approx(5.18, abs=1e-8)
 
 
 def test_no_length_scale_is_refused(model: KinematicModel, machine: Machine,
@@ -610,4 +610,4 @@ def test_held_out_poses_of_one_stage_take_its_locked_angles(model: KinematicMode
     fresh, theta, _ = predicted(solved.problem, solved.theta, poses.select(last))
     assert not np.any(fresh.free)
     late = fresh.parameters.index("swing.locked.boom_moves")
-    assert theta[late] == pytest.approx(solved["swing.locked.stick_moves"], abs=1e-12)
+    assert theta[late] == pytest.approx(solved["swing.locked.stick_moves"].value, abs=1e-12)

@@ -1,0 +1,85 @@
+"""What a notebook shows of an object: a card of HTML that takes its colours and fonts from the page around it."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from html import escape
+
+from hydroopt.errors import visible
+
+_CELL = "text-align:left;vertical-align:top;padding:0 1em 0 0"
+_LONG = 40
+"""Characters of a cell from which it may break over lines."""
+
+
+@dataclass(frozen=True)
+class CardTable:
+    """Texts in rows under the names of their columns; rows beyond `shown` fold away."""
+
+    columns: Sequence[str]
+    rows: Sequence[Sequence[str]]
+    shown: int = 12
+    noun: str = "rows"
+
+
+@dataclass(frozen=True)
+class Card:
+    """A title, facts by name, tables, and a longer text that folds away.
+
+    >>> print(Card("Log <run>", {"samples": "100"}).html())
+    <div style="line-height:1.4"><strong>Log &lt;run&gt;</strong>...<td ...>samples</td><td ...>100</td>...</div>
+    """
+
+    title: str
+    facts: Mapping[str, str] = field(default_factory=dict)
+    tables: Sequence[CardTable] = ()
+    text: str = ""
+
+    def html(self) -> str:
+        """The card as a fragment of HTML, without colours, scripts, or anything from outside."""
+        parts = [f"<strong>{_text(self.title)}</strong>"]
+        if self.facts:
+            parts.append(_table((), list(self.facts.items())))
+        for table in self.tables:
+            if first := table.rows[:table.shown]:
+                parts.append(_table(table.columns, first))
+            if rest := table.rows[table.shown:]:
+                more = " more" if first else ""
+                parts.append(_folded(f"{len(rest)}{more} {table.noun}", _table(table.columns, rest)))
+        if self.text:
+            parts.append(_folded("as text", f'<pre style="overflow-x:auto">{_text(self.text)}</pre>'))
+        return f'<div style="line-height:1.4">{"".join(parts)}</div>'
+
+
+class Shown:
+    """An object that notebooks show as its `card`."""
+
+    def card(self) -> Card:
+        """What a notebook shows of it: by default its repr, and its longer text where it has one."""
+        title, text = repr(self), str(self)
+        return Card(title, text="" if text == title else text)
+
+    def _repr_html_(self) -> str:
+        return self.card().html()
+
+
+def _text(text: str) -> str:
+    return escape(visible(text, keep="\n"))
+
+
+def _table(columns: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    head = "".join(f'<th scope="col" style="{_CELL}">{_text(name)}</th>' for name in columns)
+    body = "".join("<tr>" + "".join(map(_cell, row)) + "</tr>"
+                   for row in rows)
+    return (f'<div style="overflow-x:auto"><table style="border-collapse:collapse;margin:.4em 0">'
+            f'{f"<thead><tr>{head}</tr></thead>" if head else ""}<tbody>{body}</tbody></table></div>')
+
+
+def _cell(text: str) -> str:
+    wrapped = "max-width:60em" if len(text) > _LONG else "white-space:nowrap"
+    return f'<td style="{_CELL};{wrapped}">{_text(text)}</td>'
+
+
+def _folded(name: str, content: str) -> str:
+    return f"<details><summary>{_text(name)}</summary>{content}</details>"
