@@ -59,10 +59,11 @@ from .model.path_difference import PathDifference as PathDifference
 from .model.path_difference import path_difference as path_difference
 from .model.plant import Plant as Plant
 from .results.answer import Answer as Answer
-from .results.answer import Status as Status
 from .results.answer import load as load
 from .results.diagnostic import Diagnostic as Diagnostic
 from .results.parameter_table import ParameterTable as ParameterTable
+from .results.status import Status as Status
+from .results.verdict import Verdict as Verdict
 from .simulation.drive_valves import commands_for as commands_for
 from .simulation.drive_valves import drive as drive
 from .simulation.simulate import random_trajectory as random_trajectory

@@ -42,7 +42,7 @@ def refuse_refuted(answer: Answer, directory: Path) -> None:
 
 
 def print_answer(answer: Answer, directory: Path, text: str = "", *, quiet: bool, as_json: bool) -> None:
-    """Print an answer that was saved: as its JSON file, or as a text, its diagnostics and where its report is.
+    """Print an answer that was saved: as its JSON file, or its verdict, a text, diagnostics and the report.
 
     Args:
         answer: what was saved.
@@ -52,13 +52,16 @@ def print_answer(answer: Answer, directory: Path, text: str = "", *, quiet: bool
         as_json: print the JSON file.
     """
     from hydroopt.results import json_file
-    from hydroopt.results.diagnostic import sentences
+    from hydroopt.results.summary import summary
 
     if as_json:
         echo(json.dumps(json_file.read(directory), indent=1))
     elif not quiet:
+        echo(f"{answer.verdict.card()}\n")
         echo(text or str(answer))
-        for sentence in sentences(answer.diagnostics):
-            echo(f"  ! {sentence}")
+        for heading, sentences in summary(answer.diagnostics).items():
+            echo(f"{heading}:")
+            for sentence in sentences:
+                echo(f"  ! {sentence}")
         if (directory / "report.html").is_file():
             echo(f"{directory / 'report.html'}")

@@ -11,7 +11,8 @@ from hydroopt.input_file import is_directory
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import bundled, load_machine
 from hydroopt.results import json_file
-from hydroopt.results.answer import Status, load
+from hydroopt.results.answer import load
+from hydroopt.results.status import Status
 
 
 class Origin(NamedTuple):

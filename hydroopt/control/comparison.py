@@ -29,11 +29,12 @@ from hydroopt.machine.machine import Machine
 from hydroopt.model.plant import Plant
 from hydroopt.model.workspace import Sweep, workspace_sweeps
 from hydroopt.results.answer import Answer
-from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
+from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
 from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
@@ -90,6 +91,26 @@ class Comparison(Answer):
         """Small margins, ended runs and saturated valves."""
         stopped = (Diagnostic(Kind.BEST_RUN_STOPPED, (self.winner.name,)),) if self.winner.run.stopped else ()
         return (*stopped, *control_diagnostics(self.setting, self.outcomes, self.feedforward))
+
+    @cached_property
+    def uses(self) -> tuple[Use, ...]:
+        """Whether the best controller follows the motion with sound margins."""
+        best = self.winner
+        weak = [each for each in of_kind(self.diagnostics, Kind.SMALL_MARGINS, Kind.UNSTABLE_ELSEWHERE)
+                if best.name in each.subject]
+        condition = f"RMS of the tip on this motion, simulated with the truth {self.setting.true.text}"
+        reason = best.run.stopped or (weak[0].text if weak else "")
+        figure = None if best.run.stopped else best.tip_rms
+        return (Use(Purpose.CONTROL, best.name, Usable.NO if reason else Usable.YES, figure, "m",
+                    condition=condition, reason=reason),)
+
+    @property
+    def next_steps(self) -> tuple[NextStep, ...]:
+        """What to do with the best controller."""
+        if self.uses[0].usable is Usable.YES:
+            return (NextStep(Action.USE, "Write the feedforward as C with 'hydroopt codegen', and begin at a tenth of "
+                                         "the speed."),)
+        return (NextStep(Action.DRIVE, "Give a slower motion: --motion LOG."),)
 
     @cached_property
     def parameters(self) -> ParameterTable:

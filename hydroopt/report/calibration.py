@@ -22,7 +22,7 @@ from hydroopt.report import chain_sides
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, LIGHT, ORANGE, SHADE, STYLE, WIDTH, changes, changes_of, svg
 from hydroopt.report.numbers import NONE, Row, plain, quantity, unit_text
 from hydroopt.report.page import page
-from hydroopt.results.answer import Status
+from hydroopt.results.status import Status
 
 if TYPE_CHECKING:
     from hydroopt.estimation.kinematic.calibration import Calibration

@@ -18,7 +18,7 @@ from hydroopt.report.numbers import NONE, percent, plain, quantity, unit_text
 from hydroopt.report.page import page
 
 if TYPE_CHECKING:
-    from hydroopt.excitation.motion.excitation import Excitation, Use
+    from hydroopt.excitation.motion.excitation import Excitation, UseOfLimit
     from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy
     from hydroopt.spatial.inertia import Array
 
@@ -40,7 +40,7 @@ class Panel(NamedTuple):
 
     title: str
     unit: str
-    lines: list[tuple[str, Array, Use | None]]
+    lines: list[tuple[str, Array, UseOfLimit | None]]
 
 
 def render(excitation: Excitation) -> str:
@@ -83,7 +83,7 @@ def _shown(value: float, unit: str) -> str:
     return f"{plain(value * factor)} {name}" if np.isfinite(value) else NONE
 
 
-def _limit(use: Use) -> dict[str, str]:
+def _limit(use: UseOfLimit) -> dict[str, str]:
     name, factor = PRINTED.get(use.unit, (unit_text(use.unit), 1.0))
     largest = max(abs(x) for x in (use.lower, use.lowest, use.highest, use.upper) if np.isfinite(x))
     lower, lowest, highest, upper, room = (plain(0.0 if abs(x) < 1e-6 * largest else factor * x) for x in (

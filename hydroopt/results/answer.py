@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from abc import ABC, abstractmethod
 from collections.abc import Mapping
-from enum import StrEnum
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,23 +14,13 @@ from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import MachineId
 from hydroopt.results.parameter_table import ParameterRow, ParameterTable
+from hydroopt.results.status import Status
 from hydroopt.results.tables import number
+from hydroopt.results.verdict import Action, NextStep, Use, Verdict
 from hydroopt.results.wording import CONTRADICTIONS, REFUTATIONS
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-class Status(StrEnum):
-    """Whether an answer can be trusted: `OK`, `SUSPECT` (converged, but something contradicts it), or `FAILED`.
-
-    >>> Status("suspect") is Status.SUSPECT
-    True
-    """
-
-    OK = "ok"
-    SUSPECT = "suspect"
-    FAILED = "failed"
 
 
 class Answer(Shown, ABC):
@@ -90,6 +79,24 @@ class Answer(Shown, ABC):
     @abstractmethod
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Diagnostics, the most severe first."""
+
+    @property
+    def verdict(self) -> Verdict:
+        """What it can be used for, what not, and what to do next."""
+        against = self.contradictions
+        checks = tuple(NextStep(Action.CHECK, each.remedy) for each in against if each.remedy)
+        return Verdict(json_file.title(self.machine_name, self.job, self.method), self.status,
+                       against[0].text if against else "", self.uses, (*checks, *self.next_steps))
+
+    @property
+    @abstractmethod
+    def uses(self) -> tuple[Use, ...]:
+        """What it can be used for, by the figures alone."""
+
+    @property
+    def next_steps(self) -> tuple[NextStep, ...]:
+        """What to do next, the most useful first, beside removing what contradicts it."""
+        return ()
 
     @property
     def findings(self) -> tuple[Diagnostic, ...]:
@@ -186,7 +193,8 @@ class Answer(Shown, ABC):
     def content(self, *, wall_s: float = float("nan")) -> dict[str, Any]:
         """The content of the JSON file."""
         return json_file.header(self.job, self.machine_id, self.method, self.inputs) | {
-            "status": str(self.status), "findings": [each.as_dict() for each in self.findings],
+            "status": str(self.status), "verdict": self.verdict.as_dict(),
+            "findings": [each.as_dict() for each in self.findings],
             "diagnostics": [each.as_dict() for each in self.diagnostics],
             "parameters": [each.as_dict() for each in self.parameters.rows],
             "fit": {data: {channel: fit.as_dict() for channel, fit in table.items()}
@@ -205,6 +213,7 @@ class SavedAnswer(Answer):
     def __init__(self, directory: Path, saved: Mapping[str, Any]) -> None:
         self.directory, self.saved, self.job = directory, saved, json_file.Job(saved["job"])
         self._status, self._method = Status(saved["status"]), str(saved["method"])
+        self._verdict = Verdict.from_dict(saved["verdict"]) if "verdict" in saved else None
         self._inputs = tuple(dict(entry) for entry in saved["inputs"])
         self._diagnostics = tuple(Diagnostic.from_dict(entry) for entry in saved.get("diagnostics", ()))
         self._findings = tuple(Diagnostic.from_dict(entry) for entry in saved.get("findings", ()))
@@ -234,6 +243,17 @@ class SavedAnswer(Answer):
     def reason(self) -> str:
         """Why it failed; empty if it did not."""
         return str(self.saved.get("reason", ""))
+
+    @property
+    def verdict(self) -> Verdict:
+        """What it can be used for, what not, and what to do next."""
+        named = json_file.title(self.machine_name, self.job, self.method)
+        return self._verdict or Verdict(named, self.status, self.reason)
+
+    @property
+    def uses(self) -> tuple[Use, ...]:
+        """What it can be used for."""
+        return self.verdict.uses
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:

@@ -16,6 +16,8 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 from hydroopt.errors import HydrooptError, ProblemError
 from hydroopt.files import claimed, encoded, finish, write_files
 from hydroopt.input_file import read_json, read_text
+from hydroopt.results.status import Status
+from hydroopt.results.verdict import Verdict
 from hydroopt.versions import versions
 
 if TYPE_CHECKING:
@@ -48,7 +50,7 @@ FILES = {Job.IDENTIFICATION: "estimate.json", Job.CALIBRATION: "estimate.json", 
          Job.CHANGE: "comparison.json", Job.CHANGE_HISTORY: "comparison.json",
          Job.PAYLOAD: "payload.json", Job.CONTROL: "control.json"}
 """The JSON file of each job."""
-COMMON = ("schema", "job", "machine", "created", "inputs", "method", "versions", "status", "findings",
+COMMON = ("schema", "job", "machine", "created", "inputs", "method", "versions", "status", "verdict", "findings",
           "diagnostics", "parameters", "fit", "wall_s", "files")
 """Keys of the JSON file that all answers have."""
 
@@ -64,6 +66,11 @@ class MachineId(NamedTuple):
     def of(cls, machine: Machine) -> MachineId:
         """Of a machine."""
         return cls(machine.name, machine.parameter_set, machine.sha256)
+
+
+def title(machine: str, job: Job, method: str) -> str:
+    """What an answer is called: machine, job and method."""
+    return f"{machine}: {job} by {method}"
 
 
 def header(job: Job, machine: MachineId, method: str,
@@ -96,7 +103,9 @@ def write_failure(directory: str | Path, job: Job, machine: MachineId, method: s
     Raises:
         ProblemError: the directory cannot be written.
     """
-    content = header(job, machine, method, inputs) | {"status": "failed", "reason": str(error)}
+    verdict = Verdict(title(machine.name, job, method), Status.FAILED, str(error))
+    content = header(job, machine, method, inputs) | {"status": str(Status.FAILED), "verdict": verdict.as_dict(),
+                                                      "reason": str(error)}
     write(directory, job, content, {})
 
 

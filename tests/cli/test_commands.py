@@ -58,7 +58,7 @@ def test_identify_leaves_a_calibrated_machine_that_predicts_the_same(kr300: tupl
 
 
 def test_identify_says_what_is_in_doubt(kr300: tuple[Path, str]) -> None:
-    assert "Not separable in this motion" in kr300[1]
+    assert "are not separable in this motion" in kr300[1]
     assert "report.html" in kr300[1]
     assert "Diagnostics" in (kr300[0] / "report.html").read_text()
 

@@ -15,8 +15,9 @@ import pytest
 from fixtures.bad_control_cases import path
 from hydroopt import cli, load_machine
 from hydroopt.logs.log_files import read_log
-from hydroopt.results.answer import Status, load
+from hydroopt.results.answer import load
 from hydroopt.results.json_file import Job
+from hydroopt.results.status import Status
 
 
 @pytest.fixture(scope="module")

@@ -12,13 +12,15 @@ import pytest
 
 from hydroopt.errors import ProblemError
 from hydroopt.results import json_file
-from hydroopt.results.answer import Answer, Status, load
+from hydroopt.results.answer import Answer, load
 from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.fit import Fit
 from hydroopt.results.machine_wording import MACHINE_WORDS
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.sensor_wording import SENSOR_WORDS
 from hydroopt.results.session_wording import SESSION_WORDS
+from hydroopt.results.status import Status
+from hydroopt.results.verdict import Purpose, Usable, Use
 from hydroopt.results.wording import WORDS, Kind
 
 
@@ -32,6 +34,7 @@ class Example(Answer):
         row("lift.m", "mass", "kg", nominal=120.0, prior_std=12.0, value=125.0, std=3.0, ci95=(119.1, 130.9)),
         row("lift.mc_z", "first moment", "kg*m", nominal=0.0, identifiability="none")])
     fit: Mapping[str, Mapping[str, Fit]] = {"train": {"lift_cylinder": Fit(210.0, 0.98, 0.05, "N")}}
+    uses = (Use(Purpose.MASSES, "lift.m", Usable.YES, 5.9, "kg", 0.047),)
     inputs = ({"path": "log.csv", "sha256": None, "samples": 10, "role": "train"},)
 
     def details(self) -> Mapping[str, Any]:
@@ -53,6 +56,7 @@ def test_what_is_loaded_says_the_same(tmp_path: Path) -> None:
     assert loaded.fit == answer.fit
     assert loaded.details() == answer.details()
     assert loaded["lift.m"].value == 125.0
+    assert loaded.verdict == answer.verdict
     loaded.save(tmp_path / "again", wall_s=1.5)
     first, second = (json.loads((folder / "estimate.json").read_text()) for folder in (tmp_path, tmp_path / "again"))
     assert {**first, "created": ""} == {**second, "created": ""}

@@ -14,7 +14,7 @@ from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.comparison import TwoSessionProblem, Wald, solve_both, two_session_problem, wald
-from hydroopt.estimation.dynamic.session_answer import Quantity, rounded
+from hydroopt.estimation.dynamic.session_answer import Quantity, decidable, rounded, session_steps
 from hydroopt.estimation.dynamic.stored_information import refuse_shared_samples, stored_information
 from hydroopt.estimation.dynamic.two_session_answer import TwoSessionAnswer
 from hydroopt.input_file import similar
@@ -27,6 +27,7 @@ from hydroopt.results.diagnostic import Diagnostic, probability
 from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable
 from hydroopt.results.tables import csv_text, number, with_limits
+from hydroopt.results.verdict import NextStep, Use
 from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
@@ -114,6 +115,16 @@ class Change(TwoSessionAnswer):
         """What contradicts the logs, what the intervals assume, and which changes the logs do not identify."""
         return (*self.of_logs, *self.of_sampling(requested=self.sampled),
                 *(one.finding for one in self.differences if not one.identifiable))
+
+    @cached_property
+    def uses(self) -> tuple[Use, ...]:
+        """On which changes the sessions decide."""
+        return tuple(decidable(one, one.detectable) for one in self.differences)
+
+    @property
+    def next_steps(self) -> tuple[NextStep, ...]:
+        """What to check, or what to drive to see more."""
+        return session_steps([one.name for one in self.differences if one.changed], self.uses)
 
     @cached_property
     def parameters(self) -> ParameterTable:

@@ -17,7 +17,7 @@ from threadpoolctl import threadpool_limits
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.change import amount, holm, named_parts, printed, refuse_level, usual_parts
 from hydroopt.estimation.dynamic.change_space import ChangeSpace, Shape, SubspaceTest
-from hydroopt.estimation.dynamic.session_answer import Quantity, SessionAnswer
+from hydroopt.estimation.dynamic.session_answer import Quantity, SessionAnswer, decidable, session_steps
 from hydroopt.estimation.dynamic.session_scan import SessionScan, session_scan
 from hydroopt.estimation.dynamic.stored_information import (
     StoredInformation,
@@ -32,6 +32,7 @@ from hydroopt.results.diagnostic import Diagnostic, probability
 from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable
 from hydroopt.results.tables import csv_text, number, with_limits
+from hydroopt.results.verdict import NextStep, Use
 from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
@@ -248,6 +249,16 @@ class ChangeHistory(SessionAnswer):
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What contradicts the logs, and which changes they do not identify."""
         return (*self.of_logs, *(one.finding for one in self.histories if not one.identifiable))
+
+    @cached_property
+    def uses(self) -> tuple[Use, ...]:
+        """On which changes the sessions decide."""
+        return tuple(decidable(one, one.largest_detectable) for one in self.histories)
+
+    @property
+    def next_steps(self) -> tuple[NextStep, ...]:
+        """What to check, or what to drive to see more."""
+        return session_steps([one.name for one in self.histories if one.changed], self.uses)
 
     @cached_property
     def parameters(self) -> ParameterTable:

@@ -12,7 +12,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import ProblemError
-from hydroopt.estimation.dynamic import diagnostics
+from hydroopt.estimation.dynamic import diagnostics, usability
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
 from hydroopt.estimation.dynamic.experiment import AnyExperiment
 from hydroopt.estimation.dynamic.identification import Identification
@@ -31,6 +31,7 @@ from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
+from hydroopt.results.verdict import NextStep, Use
 from hydroopt.results.wording import REFUTATIONS
 
 
@@ -124,6 +125,17 @@ class Estimate(Identification, Answer):
                 value=self.value[k], std=self.std[k], ci95=self.ci95[k], bound=self.bound[k],
                 identifiability=self.category(k))
             for k, name in enumerate(stated.names)])
+
+    @cached_property
+    def uses(self) -> tuple[Use, ...]:
+        """Which forces it predicts, which masses it determines, how well it weighs a load, and whether it can control.
+        """
+        return usability.uses(self, self.parameters)
+
+    @cached_property
+    def next_steps(self) -> tuple[NextStep, ...]:
+        """What would make it better, or how to use it."""
+        return usability.next_steps(self, self.uses)
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:

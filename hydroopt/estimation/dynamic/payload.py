@@ -38,7 +38,8 @@ from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.results.diagnostic import Diagnostic, probability
 from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable
-from hydroopt.results.tables import csv_text, with_limits
+from hydroopt.results.tables import csv_text, number, with_limits
+from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use, judged
 from hydroopt.results.wording import Kind
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
@@ -107,6 +108,30 @@ class Payload(TwoSessionAnswer):
             partly = (Diagnostic(Kind.LOAD_MASS_CONFOUNDED, (self.link,)),)
         scale = () if self.gains else (Diagnostic(Kind.FORCE_SCALE_ASSUMED),)
         return (*self.of_logs, *self.of_sampling(requested=True), *partly, *scale)
+
+    @cached_property
+    def uses(self) -> tuple[Use, ...]:
+        """How well the load is weighed, and where its centre of mass lies."""
+        condition = f"95 % interval; forces read to scale {'as estimated' if self.gains else 'exactly'}"
+        return tuple(self._use(one, condition) for one in (self.mass, *self.com))
+
+    def _use(self, one: Quantity, condition: str) -> Use:
+        half = (one.ci95[1] - one.ci95[0]) / 2
+        if self.p_value > NO_LOAD:
+            return Use(Purpose.LOAD, one.name, Usable.UNTESTED, number(half), one.unit, reason="no load was detected")
+        if not one.identifiable or not np.isfinite(half):
+            return Use(Purpose.LOAD, one.name, Usable.NO, reason="these motions do not determine it")
+        if one.name != self.mass.name:
+            return Use(Purpose.LOAD, one.name, Usable.YES, half, one.unit, condition=condition)
+        return judged(Purpose.LOAD, one.name, half, one.unit, half / abs(one.value), condition=condition)
+
+    @property
+    def next_steps(self) -> tuple[NextStep, ...]:
+        """What would weigh the load better."""
+        if self.p_value > NO_LOAD or all(use.usable is Usable.YES for use in self.uses):
+            return ()
+        return (NextStep(Action.DRIVE, "Drive the same motion, reversing all joints, longer, with and without the "
+                                       "load."),)
 
     @cached_property
     def parameters(self) -> ParameterTable:

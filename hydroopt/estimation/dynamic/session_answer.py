@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from abc import abstractmethod
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +17,7 @@ from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import MachineId
 from hydroopt.results.parameter_table import ParameterRow, row
 from hydroopt.results.tables import number
+from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
 
 
 @dataclass(frozen=True)
@@ -90,6 +91,28 @@ class SessionAnswer(Answer):
     def weights(self) -> dict[str, dict[str, dict[str, float]]]:
         """σ, τ and number of residuals of each actuator, by role and name."""
         return {role: session.weights(self.machine) for role, session in self.sessions.items()}
+
+
+def decidable(quantity: Quantity, detectable: float) -> Use:
+    """Whether sessions decide on the change of a parameter: from which change on they show it."""
+    if not quantity.identifiable or not np.isfinite(detectable):
+        return Use(Purpose.CHANGES, quantity.name, Usable.NO, reason="the logs do not show its change by itself")
+    return Use(Purpose.CHANGES, quantity.name, Usable.YES, detectable, quantity.unit,
+               condition="the change that shows with a probability of 95 %")
+
+
+def session_steps(changed: Sequence[str], uses: Sequence[Use]) -> tuple[NextStep, ...]:
+    """What to check where something changed, and what to drive where nothing could show."""
+    hidden = [use.subject for use in uses if use.usable is Usable.NO]
+    steps = []
+    if changed:
+        steps.append(NextStep(Action.CHECK, (
+            f"Check {', '.join(changed[:3])} on the machine: pins, seals, sensors' zeros.")))
+    if hidden:
+        steps.append(NextStep(Action.DRIVE, (
+            f"To see a change of {hidden[0]}, drive a motion that reverses and varies its speed, the same in all "
+            "sessions.")))
+    return tuple(steps)
 
 
 def rounded(value: float, std: float) -> str:

@@ -22,9 +22,10 @@ from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
-from hydroopt.results.answer import Status, load
+from hydroopt.results.answer import load
 from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.json_file import Job, not_an_answer
+from hydroopt.results.status import Status
 from hydroopt.results.wording import OF_LOGS
 from hydroopt.spatial.inertia import Array
 

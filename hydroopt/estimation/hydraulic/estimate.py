@@ -24,6 +24,7 @@ from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
+from hydroopt.results.verdict import Action, NextStep, Purpose, Use, judged
 from hydroopt.spatial.inertia import Array
 
 METHOD = "multiple shooting"
@@ -90,6 +91,22 @@ class HydraulicEstimate(Answer):
                 ci95=found.ci95[k].tolist(), bound=stated.nearest_bound(k, found.theta[k]) if found.at_bound[k] else "",
                 identifiability=found.category(name))
             for k, name in enumerate(stated.names)])
+
+    @cached_property
+    def uses(self) -> tuple[Use, ...]:
+        """Which channels a run from the commands alone follows."""
+        held_out = self.fit.get("validation")
+        condition = "RMS of a free run from commands alone over a held-out log" if held_out else ""
+        untested = "" if held_out else "no log was held out"
+        return tuple(judged(Purpose.VALVES, channel, fit.rms, fit.unit, fit.of_range or 0.0, condition=condition,
+                            untested=untested) for channel, fit in (held_out or self.fit["train"]).items())
+
+    @property
+    def next_steps(self) -> tuple[NextStep, ...]:
+        """What would test or improve it, or how to use it."""
+        if "validation" not in self.fit:
+            return (NextStep(Action.CHECK, "Hold data out to test the free run: --validate LOG, or --holdout 0.3."),)
+        return (NextStep(Action.USE, "Tune controllers with 'hydroopt control' and this folder's machine file."),)
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:

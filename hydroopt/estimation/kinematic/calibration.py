@@ -27,6 +27,7 @@ from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
+from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use, determined, judged
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -92,6 +93,32 @@ class Calibration(KinematicSolution, Answer):
                 bound=stated.nearest_bound(k, self.theta[k]) if self.at_bound[k] else "",
                 identifiability=self.category(name)))
         return ParameterTable(rows)
+
+    @cached_property
+    def uses(self) -> tuple[Use, ...]:
+        """How well it places the machine's end, and which dimensions the poses determine."""
+        tested = self.problem.validation is not None
+        condition = f"95 %, by the intervals; {'tested on' if tested else 'no'} held-out poses"
+        workspace = self.workspace
+        extent = float(np.linalg.norm(np.ptp(workspace.position, axis=0))) / 2
+        unknown = "" if np.all(np.isfinite(workspace.std)) else "the poses do not determine all that moves it"
+        half = NORMAL * workspace.largest_std
+        end = judged(Purpose.POSITION, workspace.point, half, "m", half / extent if extent else np.nan,
+                     condition=condition, reason=unknown)
+        return (end, *(determined(Purpose.DIMENSIONS, each, condition="95 % intervals",
+                                  unknown="the poses do not determine it") for each in self.parameters.rows))
+
+    @property
+    def next_steps(self) -> tuple[NextStep, ...]:
+        """Which poses to measure, or how to use it."""
+        steps = []
+        if self.problem.validation is None:
+            steps.append(NextStep(Action.MEASURE, "Measure ten more poses and give them as --validate: they test it."))
+        if weak := [use.subject for use in self.uses if use.usable is Usable.NO and use.purpose is Purpose.DIMENSIONS]:
+            steps.append(NextStep(Action.MEASURE, (
+                f"For {weak[0]}, measure the poses that 'hydroopt plan-poses {self.machine_name} --focus {weak[0]}' "
+                "plans.")))
+        return (*steps, NextStep(Action.USE, "Use the calibrated machine file of this folder in all other commands."))
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:

@@ -24,6 +24,7 @@ from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import number
+from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use, determined
 from hydroopt.spatial.inertia import Array
 
 METHOD = "continuous-time batch estimation"
@@ -116,6 +117,23 @@ class SensorCalibration(Answer):
         unknown = [name for name, each in self.parameters.items() if each.identifiability == "none"]
         cause = () if self.misread is None else (self.misread,)
         return (*cause, *diagnose(self.problem, self.found, unknown))
+
+    @cached_property
+    def uses(self) -> tuple[Use, ...]:
+        """Which corrections of sensors, and which dimensions, the data determine."""
+        imus, numbers = {imu.name for imu in self.problem.machine.imus}, self.problem.machine.numbers
+        return tuple(determined(
+            Purpose.SENSORS if name not in numbers or name.partition(".")[0] in imus else Purpose.DIMENSIONS, each,
+            condition="95 % intervals", unknown="motion and postures hardly determine it")
+            for name, each in self.parameters.items())
+
+    @property
+    def next_steps(self) -> tuple[NextStep, ...]:
+        """What would determine more, or how to use it."""
+        weak = [use.subject for use in self.uses if use.usable is Usable.NO]
+        more = (NextStep(Action.DRIVE, f"For {weak[0]}, move its joint alone through its range, and rest in postures "
+                                       "far apart."),) if weak else ()
+        return (*more, NextStep(Action.USE, "Use the calibrated machine file of this folder in all other commands."))
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:

@@ -13,12 +13,14 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.errors import IdentifiabilityError, ProblemError
+from hydroopt.estimation.dynamic.usability import expected_mass
 from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE
 from hydroopt.excitation.motion.diagnostics import excitation_diagnostics
 from hydroopt.excitation.motion.expected_accuracy import ExpectedAccuracy, expected_accuracy
 from hydroopt.excitation.motion.problem import ExcitationProblem, State
 from hydroopt.excitation.motion.random_motion import best_random_motion
 from hydroopt.logs.table import encoded_columns
+from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results import json_file
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
@@ -26,6 +28,7 @@ from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import number
+from hydroopt.results.verdict import Action, NextStep, Use
 from hydroopt.simulation.passive_joints import passive_motion
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array
@@ -35,7 +38,7 @@ TIGHT = 0.02
 """Part of a limit's range below which no room is left."""
 
 
-class Use(NamedTuple):
+class UseOfLimit(NamedTuple):
     """What a motion uses of a limit, over all of its samples [`unit`]; infinite bounds are none."""
 
     name: str
@@ -131,6 +134,17 @@ class Excitation(Answer):
             row(name, stated.kinds[k], stated.units[k], nominal=float(stated.nominal[k]),
                 prior_std=float(self.accuracy.before[k]), std=float(self.accuracy.after[k]),
                 identifiability=structure.category[k]) for k, name in enumerate(stated.names)])
+
+    @cached_property
+    def uses(self) -> tuple[Use, ...]:
+        """Which masses an identification from this motion will determine."""
+        return tuple(expected_mass(each) for each in self.parameters.rows if each.kind == ParameterKind.MASS)
+
+    @property
+    def next_steps(self) -> tuple[NextStep, ...]:
+        """Drive it, and identify."""
+        return (NextStep(Action.DRIVE, "Drive trajectory.csv, or c/ on the controller, and log angles and pressures."),
+                NextStep(Action.USE, f"Then 'hydroopt identify {self.machine_name} LOG --holdout 0.3 -o DIR'."))
 
     @property
     def fit(self) -> Mapping[str, Mapping[str, Fit]]:
@@ -243,10 +257,10 @@ class Excitation(Answer):
         return found
 
     @cached_property
-    def limits(self) -> tuple[Use, ...]:
+    def limits(self) -> tuple[UseOfLimit, ...]:
         """What it uses of each limit."""
         rows = {row.name: row for row in self.problem.limits.rows}
-        return tuple(Use(name, row.unit, row.lower, float(np.min(self.histories[name])),
+        return tuple(UseOfLimit(name, row.unit, row.lower, float(np.min(self.histories[name])),
                          float(np.max(self.histories[name])), row.upper) for name, row in rows.items())
 
     @cached_property

@@ -19,6 +19,7 @@ from hydroopt.results.fit import Fit
 from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
+from hydroopt.results.verdict import Action, NextStep, Purpose, Use, determined
 from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
@@ -96,6 +97,19 @@ class PosePlan(Answer):
             row(name, parameters.kinds[k], parameters.units[k], nominal=parameters.nominal[k], prior_std=prior[k],
                 std=std.get(name, np.nan), identifiability=category.get(name, "fixed"))
             for k, name in enumerate(parameters.names)])
+
+    @cached_property
+    def uses(self) -> tuple[Use, ...]:
+        """Which dimensions a calibration with these poses will determine."""
+        return tuple(determined(Purpose.DIMENSIONS, each, condition="expected 95 % intervals",
+                                unknown="these poses do not determine it")
+                     for each in self.parameters.rows if each.identifiability != "fixed")
+
+    @property
+    def next_steps(self) -> tuple[NextStep, ...]:
+        """Measure, and calibrate."""
+        return (NextStep(Action.MEASURE, "Measure the poses of sheet.txt and fill their readings in poses.csv."),
+                NextStep(Action.USE, f"Then 'hydroopt calibrate {self.machine_name} poses.csv -o DIR'."))
 
     @property
     def fit(self) -> Mapping[str, Mapping[str, Fit]]:

@@ -9,7 +9,7 @@ from typer.testing import CliRunner
 import hydroopt as ho
 from hydroopt.cli import app
 from hydroopt.errors import SolverError
-from hydroopt.results.answer import Status
+from hydroopt.results.status import Status
 from hydroopt.results.wording import Kind
 
 

@@ -12,8 +12,8 @@ from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.estimation.kinematic.stated_checks import wrong_distances
 from hydroopt.logs.poses import Poses
 from hydroopt.model.closed_chain import KinematicModel
-from hydroopt.results.answer import Status
 from hydroopt.results.diagnostic import of_kind
+from hydroopt.results.status import Status
 from hydroopt.results.wording import Kind
 from hydroopt.simulation import postures
 

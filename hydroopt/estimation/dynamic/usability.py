@@ -1,0 +1,267 @@
+"""What an identified model can be used for: predicting forces, single masses, weighing a load, control."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from functools import partial
+
+import numpy as np
+
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.dynamic.calibrated import calibrated_machine
+from hydroopt.estimation.dynamic.identification import Identification, Intervals
+from hydroopt.estimation.inference.identifiability import FULL, NONE, PRESSURES, random_states
+from hydroopt.machine.actuators import Drive
+from hydroopt.machine.machine import Machine
+from hydroopt.model.kinematics import gravity_in_base
+from hydroopt.model.model import Model
+from hydroopt.parameters.parameter_set import ParameterKind
+from hydroopt.results.parameter_table import ParameterRow, ParameterTable
+from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use, judged
+from hydroopt.spatial.inertia import Array
+
+POSTURES, DRAWS = 200, 400
+"""Number of states, and of parameters by the intervals, over which errors are computed."""
+FROM_DATA = 0.75
+"""Least part of the information on a number that is from data: then its σ is at most half of the prior's."""
+SLOW = 0.1
+"""Speed at which a load is weighed, as a part of the logs' RMS speed."""
+WEIGHED = 5.0
+"""Seconds over which readings are averaged when a load is weighed."""
+WORKING_PRESSURE = 2e7
+"""Pressure [Pa] up to which an actuator works that states no relief pressure."""
+RANGE = 4.0
+"""Range of a force in its standard deviations."""
+_OF_PRIOR = "mostly the machine file's confidence"
+_SEVERITY = (Usable.YES, Usable.UNTESTED, Usable.NO)
+
+
+def uses(found: Identification, parameters: ParameterTable) -> tuple[Use, ...]:
+    """What an identification with this table of parameters can be used for, by the figures alone."""
+    spread = _spread(found)
+    forces = tuple(_forces(found, spread))
+    return (*forces, *_masses(found, parameters), *_weighing(found, spread), *_control(found, forces))
+
+
+def _spread(found: Identification) -> Array | None:
+    """Draws (d, p) of the error of ψ by the intervals; None where the method has none."""
+    rng = np.random.default_rng(found.seed)
+    if found.posterior is not None:
+        samples = found.posterior.samples
+        return np.asarray(samples[rng.choice(len(samples), min(DRAWS, len(samples)), replace=False)] - found.psi)
+    if found.intervals is not Intervals.LEAST_SQUARES:
+        return None
+    basis = list(found.identifiability.basis)
+    R = found.weighted_residuals.R[:, basis]
+    scale = np.linalg.norm(R, axis=0)
+    drawn = np.zeros((DRAWS, len(found.psi)))
+    drawn[:, basis] = np.linalg.solve(np.linalg.qr(R / scale, mode="r"), rng.standard_normal((len(basis), DRAWS))
+                                      ).T / scale
+    return drawn
+
+
+def _states(found: Identification) -> tuple[Array, ...]:
+    """Postures (s, n) within the joint limits at speeds and accelerations of the logs, and pressures if needed.
+
+    Where the logs identify less than a motion could and the method has no priors, postures are those of the logs.
+    """
+    model, rng = found.problem.model, np.random.default_rng(0)
+    motions = [data.plotted.motion for data in found.problem.experiments]
+    q, qd, qdd = (np.concatenate([getattr(motion, key)[motion.interior] for motion in motions])
+                  for key in ("q", "qd", "qdd"))
+    rows = rng.integers(0, len(q), POSTURES)
+    anywhere = found.uses_priors or found.identifiability.rank >= found.structural.rank
+    postures = random_states(model, POSTURES, rng)[0] if anywhere else q[rows]
+    return postures, qd[rows], qdd[rows], *_pressures(model, rng)
+
+
+def _pressures(model: Model, rng: np.random.Generator) -> tuple[Array, ...]:
+    return (rng.uniform(*PRESSURES, (POSTURES, len(model.machine.actuators))),) if model.needs_pressure else ()
+
+
+def _regressor(found: Identification, *states: Array) -> Array:
+    """K (s, r, p) at the identified parameters."""
+    model = found.problem.model
+    if model.linear:
+        return model.over(model.regressor, *states)[0]
+    return model.over(model.linearised, *states, found.psi)[0]
+
+
+def _forces(found: Identification, spread: Array | None) -> Iterator[Use]:
+    """Force prediction of each balance that something drives."""
+    held_out = found.fit.get("validation")
+    if spread is None:
+        untested = "the method states no intervals"
+    else:
+        untested = "" if held_out else "no log was held out"
+        errors = _regressor(found, *_states(found)) @ spread.T
+        model_error = np.quantile(np.sqrt(np.mean(errors**2, axis=0)), 0.95, axis=1)
+    logs = len(found.problem.validation)
+    condition = (f"RMS with the sensors' noise, on {logs} held-out log{'s' * (logs != 1)} and, by the intervals, in "
+                 "all postures at such speeds") if held_out else ""
+    for k, balance in enumerate(found.problem.model.machine.balances):
+        fit = (held_out or found.fit["train"])[balance.name]
+        if not balance.actuators or not np.isfinite(fit.vaf):
+            continue
+        error = float(fit.rms if spread is None else np.hypot(fit.rms, model_error[k]))
+        variation = fit.rms / np.sqrt(1 - fit.vaf) if fit.vaf < 1 else np.inf
+        yield judged(Purpose.FORCES, balance.name, error, balance.unit, error / (RANGE * variation),
+                     condition=condition, untested=untested)
+
+
+def _masses(found: Identification, parameters: ParameterTable) -> Iterator[Use]:
+    """Single masses, each with its 95 % interval, and those of links with what is pinned to them."""
+    names = found.problem.parameters.names
+    places = found.problem.parameters.places(ParameterKind.MASS)
+    for k in sorted(places, key=lambda k: not np.isfinite(found.value[k])):  # those that have a value first
+        row = parameters[names[k]]
+        never = found.structural.category[k] == NONE
+        yield _mass(row.name, row.value, row.ci95, row.information_from_data or 0.0,
+                    "no motion identifies it" if never else "the data do not separate it from others", row)
+    prior = found.prior_std
+    for total in found.total_masses:
+        if len(total.bodies) < 2:
+            continue
+        before = float(np.linalg.norm(prior[found.problem.parameters.select(f"{one}.m" for one in total.bodies)]))
+        share = 1 - (total.std / before) ** 2 if np.isfinite(before) and before else 1.0
+        interval = (total.low, total.high) if np.isfinite(total.low) else None
+        yield _mass(f"{total.link} with pinned ends", total.value, interval, share, "the data do not determine it")
+
+
+def _mass(name: str, value: float | None, interval: tuple[float, float] | None, from_data: float, unknown: str,
+          row: ParameterRow | None = None) -> Use:
+    make = partial(judged, Purpose.MASSES, name)
+    if row is not None and row.identifiability == "fixed":
+        return Use(Purpose.MASSES, name, Usable.UNTESTED, reason="held at a value")
+    if value is None or not np.isfinite(value):
+        return Use(Purpose.MASSES, name, Usable.NO, reason=unknown)
+    if interval is None:
+        return make(np.nan, "kg", np.nan, untested="the method states no intervals")
+    half = (interval[1] - interval[0]) / 2
+    return make(half, "kg", half / abs(value) if value else np.nan, condition="95 % intervals",
+                reason=_OF_PRIOR * (from_data < FROM_DATA))
+
+
+def expected_mass(row: ParameterRow) -> Use:
+    """A mass before it is measured: whether logs that are to come will determine it.
+
+    Args:
+        row: of a design, whose `std` is the one to expect and whose value is the nominal one.
+    """
+    if row.std is None or not row.nominal:
+        return Use(Purpose.MASSES, row.name, Usable.NO, reason="no motion identifies it" if row.identifiability == NONE
+                   else "this motion does not separate it from others")
+    half, from_data = NORMAL * row.std, row.information_from_data or 0.0
+    return judged(Purpose.MASSES, row.name, half, "kg", half / abs(row.nominal), condition="expected 95 % intervals",
+                  reason=_OF_PRIOR * (from_data < FROM_DATA))
+
+
+def _weighing(found: Identification, spread: Array | None) -> Iterator[Use]:
+    """The error of a load at the tip that is weighed by the forces of a slow lift, without weighing the empty machine.
+    """
+    model, rng = found.problem.model, np.random.default_rng(1)
+    machine = model.machine
+    driven = np.concatenate([data.plotted.motion.qd for data in found.problem.experiments])
+    speeds = np.sqrt(np.mean(driven**2, axis=0))
+    q = random_states(model, POSTURES, rng)[0]
+    effect = load_effect(model, q)
+    if spread is None or not np.any(effect):
+        return
+    qd = SLOW * speeds * rng.choice([-1.0, 1.0], q.shape)
+    K = _regressor(found, q, qd, 0 * q, *_pressures(model, rng))
+    sigma = np.array([found.fit["validation" if "validation" in found.fit else "train"][balance.name].rms
+                      for balance in machine.balances])
+    rate = float(np.median([1 / np.median(np.diff(data.plotted.log.t)) for data in found.problem.experiments]))
+    averaged = sigma**2 * np.minimum(1.0, np.maximum(found.correlation_time, 1.0) / (rate * WEIGHED))
+    std = load_std(K, effect, spread, averaged)
+    middle = np.argsort(std)[POSTURES // 2]
+    most = _held(machine, K[middle] @ found.psi, effect[middle], model.over(model.shares, q[middle : middle + 1])[0][0])
+    figure = NORMAL * float(std[middle])
+    yield judged(Purpose.WEIGHING, "", figure, "kg", figure / most, condition=(
+        f"95 %, {WEIGHED:g} s of a slow lift in the median posture, sensors' scales exact"),
+        untested="" if np.isfinite(most) else "the machine file states no limit of its drives")
+
+
+def load_effect(model: Model, q: Array) -> Array:
+    """Forces (s, r) that a load at the tip adds to those of the balances per its mass [N/kg or N·m/kg], in postures
+    q (s, n)."""
+    pull = np.concatenate([np.asarray(gravity_in_base(model.machine), dtype=float).ravel(), np.zeros(3)])
+    return np.asarray(model.over(model.wrench_forces, q, np.tile(pull, (len(q), 1)))[0][:, :, 0])
+
+
+def load_std(K: Array, effect: Array, spread: Array, averaged: Array) -> Array:
+    """Standard deviation (s,) [kg] of a load by weighted least squares over the forces in one posture each.
+
+    Args:
+        K: (s, r, p) regressor.
+        effect: (s, r) of `load_effect`.
+        spread: (d, p) draws of the error of ψ.
+        averaged: (r,) variance of the averaged forces.
+    """
+    errors = K @ spread.T
+    covariance = errors @ errors.transpose(0, 2, 1) / len(spread)
+    driven = averaged > 0
+    noisy = covariance[:, driven][:, :, driven] + np.diag(averaged[driven])
+    weighed = np.linalg.solve(noisy, effect[:, driven, None])[:, :, 0]
+    with np.errstate(divide="ignore"):
+        return np.asarray(1 / np.sqrt(np.sum(weighed * effect[:, driven], axis=1)))
+
+
+def _held(machine: Machine, force: Array, effect: Array, shares: Array) -> float:
+    """The load [kg] that the actuators hold beside the machine itself; NaN where a drive states no limit.
+
+    Args:
+        machine: with relief pressures and torques.
+        force: (r,) that holds the machine itself; `effect` (r,) of a load per its mass.
+        shares: (r, a) of the actuators in the balances.
+    """
+    most = []
+    for actuator in machine.actuators:
+        if isinstance(actuator, Drive):
+            most.append(np.nan if actuator.max_torque is None else actuator.max_torque)
+        else:
+            most.append(min(actuator.areas) * (actuator.relief_pressure or WORKING_PRESSURE))
+    limits = np.abs(shares) @ np.array(most)
+    loaded = np.abs(effect) > 1e-6 * np.max(np.abs(effect))
+    return float(np.min(np.maximum(limits[loaded] - np.abs(force[loaded]), 0.0) / np.abs(effect[loaded])))
+
+
+def _control(found: Identification, forces: tuple[Use, ...]) -> Iterator[Use]:
+    """Feedforward and gravity compensation: as good as the worst actuator, if a machine can have these numbers."""
+    if not forces:
+        return
+    worst = max(forces, key=lambda use: (_SEVERITY.index(use.usable), use.part or 0.0))
+    condition = "feedforward and gravity compensation; valves and oil are not part of it"
+    try:
+        calibrated_machine(found)
+        broken = ""
+    except ProblemError as error:
+        broken = f"no machine can have these numbers: {error.what}"
+    yield judged(Purpose.CONTROL, "", np.nan, "", np.nan if worst.part is None else worst.part, condition=condition,
+                 reason=broken or (worst.reason and f"{worst.subject}: {worst.reason}") * (worst.usable is Usable.NO),
+                 untested="" if broken or worst.usable is not Usable.UNTESTED else worst.reason)
+
+
+def next_steps(found: Identification, judged_uses: tuple[Use, ...]) -> tuple[NextStep, ...]:
+    """What would make an identification usable for more, or how to use it."""
+    def lacking(purpose: Purpose, usable: Usable) -> list[Use]:
+        return [use for use in judged_uses if (use.purpose, use.usable) == (purpose, usable)]
+
+    steps, machine = [], found.problem.model.machine.name
+    if "validation" not in found.fit:
+        steps.append(NextStep(Action.CHECK, "Hold data out to test the prediction: --validate LOG, or --holdout 0.3."))
+    if weak := lacking(Purpose.FORCES, Usable.NO):
+        steps.append(NextStep(Action.CHECK, (
+            f"Check the accuracy of the force of {weak[0].subject}, and try other friction terms: --friction auto.")))
+    names = found.problem.parameters.names
+    possible = {names[k] for k, category in enumerate(found.structural.category) if category == FULL}
+    if focus := [use.subject for use in lacking(Purpose.MASSES, Usable.NO) if use.subject in possible]:
+        wanted = " ".join(f"--focus {name}" for name in focus[:3])
+        steps.append(NextStep(Action.DRIVE, (
+            f"For {focus[0]}, drive what 'hydroopt excite {machine} {wanted} -o motion' designs, and add its log.")))
+    elif not_excited := [name for k, name in enumerate(names) if found.category(k) == "not excited"]:
+        steps.append(NextStep(Action.DRIVE, (
+            f"For {not_excited[0]}, drive what 'hydroopt excite {machine} -o motion' designs, and add its log.")))
+    if not lacking(Purpose.CONTROL, Usable.NO) and not lacking(Purpose.CONTROL, Usable.UNTESTED):
+        steps.append(NextStep(Action.USE, "Write the model as C: 'hydroopt codegen' with this folder."))
+    return tuple(steps)

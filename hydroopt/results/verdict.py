@@ -1,0 +1,271 @@
+"""The verdict of an answer: what it can be used for, with which figures, and what to do next."""
+
+from __future__ import annotations
+
+import textwrap
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, dataclass, replace
+from enum import StrEnum
+from typing import Any, NamedTuple
+
+from hydroopt.results.parameter_table import ParameterRow
+from hydroopt.results.readable import percentage, readable
+from hydroopt.results.status import Status
+from hydroopt.results.tables import number
+
+NORMAL = 1.96
+"""Half-width of a 95 % interval in standard deviations."""
+LINES, WIDTH = 12, 110
+"""Most lines of a card, and characters of a line."""
+
+
+class Purpose(StrEnum):
+    """What an answer may be used for."""
+
+    FORCES = "force prediction"
+    MASSES = "single masses"
+    WEIGHING = "weighing a load"
+    CONTROL = "model-based control"
+    POSITION = "position of the tip"
+    DIMENSIONS = "single dimensions"
+    SENSORS = "sensor corrections"
+    VALVES = "valves and oil"
+    CHANGES = "changes between sessions"
+    LOAD = "the load"
+
+
+class Usable(StrEnum):
+    """Whether an answer is usable for a purpose; not tested where the data for that are missing."""
+
+    YES = "usable"
+    NO = "not usable"
+    UNTESTED = "not tested"
+
+
+class Threshold(NamedTuple):
+    """Largest figure of a purpose, as a part of what it is measured by, and the reason for it."""
+
+    part: float
+    of: str
+    reason: str
+
+
+THRESHOLDS: Mapping[Purpose, Threshold] = {
+    Purpose.FORCES: Threshold(0.05, "the force's range", (
+        "The range is four standard deviations of the force: feedforward that errs by a twentieth of it leaves 4 % of "
+        "the force's variance to the feedback.")),
+    Purpose.MASSES: Threshold(0.10, "its value", (
+        "Drawings and catalogues state masses within about a tenth: a wider 95 % interval adds nothing to them. At "
+        "least three quarters of the information must be from data, else the number repeats the machine file.")),
+    Purpose.WEIGHING: Threshold(0.05, "the load that the machine can hold", (
+        "Scales on loaders and excavators that fill trucks state errors of a few per cent of full scale.")),
+    Purpose.CONTROL: Threshold(0.05, "the force's range", (
+        "As of force prediction: a model is as good as its worst actuator.")),
+    Purpose.POSITION: Threshold(0.004, "the reach", (
+        "Guidance of excavators that grade states about 30 mm at a reach of 8 m.")),
+    Purpose.DIMENSIONS: Threshold(0.5, "its uncertainty before", (
+        "Half of the uncertainty before: three quarters of the information are from the poses.")),
+    Purpose.SENSORS: Threshold(0.5, "its uncertainty before", (
+        "Half of the uncertainty before: three quarters of the information are from the data.")),
+    Purpose.VALVES: Threshold(0.10, "the range of the channel", (
+        "A free run from commands alone adds up all errors: within a tenth of the range the model follows the machine "
+        "for the whole log.")),
+    Purpose.LOAD: Threshold(0.05, "its value", "As of weighing a load."),
+}
+"""When a figure counts as usable. A purpose without a threshold is decided by a test."""
+
+
+@dataclass(frozen=True)
+class Use:
+    """One purpose of an answer for one part of the machine.
+
+    Attributes:
+        purpose: what for.
+        subject: actuator, body, parameter or point that it is about; "" for the whole machine.
+        usable: whether it may be used so.
+        figure: the error [`unit`, SI] by which it was decided; None where there is none.
+        part: the figure as a part of what the purpose's `Threshold` says; None where unknown.
+        condition: under which the figure holds.
+        reason: why it is not usable, or not tested; empty where it is usable.
+
+    >>> use = Use(Purpose.FORCES, "boom_cylinder", Usable.YES, 2600.0, "N", 0.02)
+    >>> print(use)
+    boom_cylinder ±2.6 kN (2.0 %)
+    """
+
+    purpose: Purpose
+    subject: str
+    usable: Usable
+    figure: float | None = None
+    unit: str = ""
+    part: float | None = None
+    condition: str = ""
+    reason: str = ""
+
+    def __str__(self) -> str:
+        sign = " from " if self.purpose is Purpose.CHANGES else " ±"
+        size = "" if self.figure is None else f"{sign}{readable(self.figure, self.unit)}"
+        part = "" if self.part is None else f" ({percentage(self.part)})" if size else f" ±{percentage(self.part)}"
+        return f"{self.subject}{size}{part}".strip()
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry of a JSON file."""
+        finite = {key: None if (value := getattr(self, key)) is None else number(value) for key in ("figure", "part")}
+        return asdict(self) | finite | {"purpose": str(self.purpose), "usable": str(self.usable)}
+
+
+def judged(purpose: Purpose, subject: str, figure: float, unit: str, part: float, *, condition: str = "",
+           reason: str = "", untested: str = "") -> Use:
+    """A use, decided by the threshold of its purpose.
+
+    Args:
+        purpose: with a threshold.
+        subject: what it is about.
+        figure: the error [`unit`].
+        unit: of it, SI.
+        part: the figure as a part of what the threshold says; NaN where unknown, which is not tested.
+        condition: under which the figure holds.
+        reason: why it is not usable, if that is not the figure alone.
+        untested: why it is not tested, if the data for that are missing.
+
+    >>> judged(Purpose.MASSES, "boom.m", 40.0, "kg", 0.03).usable
+    <Usable.YES: 'usable'>
+    """
+    limit = THRESHOLDS[purpose]
+    known, size = number(part), number(figure)
+    if untested:
+        return Use(purpose, subject, Usable.UNTESTED, size, unit, known, condition, untested)
+    if known is None and not reason:
+        return Use(purpose, subject, Usable.UNTESTED, size, unit, None, condition, f"{limit.of} is not known")
+    if reason or (known is not None and known > limit.part):
+        return Use(purpose, subject, Usable.NO, size, unit, known, condition,
+                   reason or f"more than {percentage(limit.part)} of {limit.of}")
+    return Use(purpose, subject, Usable.YES, size, unit, known, condition)
+
+
+def determined(purpose: Purpose, row: ParameterRow, *, condition: str = "", unknown: str = "") -> Use:
+    """A single number of an answer, decided by how much the data narrowed it.
+
+    Args:
+        purpose: whose threshold is a part of the uncertainty before.
+        row: of the table of parameters.
+        condition: under which its interval holds.
+        unknown: why it has none, where it has none.
+    """
+    if row.std is None or row.identifiability == "none":
+        return Use(purpose, row.name, Usable.NO, reason=unknown)
+    half = NORMAL * row.std
+    if not row.prior_std:
+        return Use(purpose, row.name, Usable.YES, half, row.unit, condition=condition)
+    return judged(purpose, row.name, half, row.unit, row.std / row.prior_std, condition=condition)
+
+
+class Action(StrEnum):
+    """What a next step is."""
+
+    DRIVE = "drive"
+    MEASURE = "measure"
+    CHECK = "check"
+    STATE = "state"
+    USE = "use"
+
+
+@dataclass(frozen=True)
+class NextStep:
+    """What to do next: an action, and a sentence that says how."""
+
+    action: Action
+    text: str
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What an answer can be used for, what not, and what to do next; of no answer that is not ok anything is usable.
+
+    Attributes:
+        title: machine and job.
+        status: of the answer.
+        cause: why it is not ok, in a sentence.
+        uses: by purpose and part of the machine.
+        next_steps: the most useful first.
+
+    >>> verdict = Verdict("crane: identification", Status.OK, "", (
+    ...     Use(Purpose.FORCES, "lift_cylinder", Usable.YES, 260.0, "N", 0.02, "on 1 held-out log"),),
+    ...     (NextStep(Action.USE, "Write C with 'hydroopt codegen out'."),))
+    >>> print(verdict.card())
+    crane: identification: ok
+      usable      force prediction: lift_cylinder ±260 N (2.0 %); on 1 held-out log
+      next        Write C with 'hydroopt codegen out'.
+    """
+
+    title: str
+    status: Status
+    cause: str = ""
+    uses: tuple[Use, ...] = ()
+    next_steps: tuple[NextStep, ...] = ()
+
+    def __post_init__(self) -> None:
+        if self.status is not Status.OK:
+            why = f"the answer is {self.status}"
+            object.__setattr__(self, "uses", tuple(
+                replace(use, usable=Usable.NO, reason=why) if use.usable is Usable.YES else use for use in self.uses))
+
+    def usable(self, purpose: Purpose, subject: str | None = None) -> bool:
+        """Whether the answer is usable for a purpose: for one part of the machine, or for all that it is about."""
+        about = [use for use in self.uses if use.purpose is purpose and subject in (None, use.subject)]
+        return bool(about) and all(use.usable is Usable.YES for use in about)
+
+    def card(self) -> str:
+        """The verdict as plain text of at most `LINES` lines, for a terminal."""
+        for most in (6, 4, 3, 2, 1):
+            lines = self._lines(most)
+            if len(lines) <= LINES:
+                break
+        return "\n".join(lines[:LINES])
+
+    def _lines(self, most: int) -> list[str]:
+        """The card with so many subjects a purpose, and half as many next steps, at most."""
+        lines = _wrapped(f"{self.title}: {self.status}{f'. {self.cause}' if self.cause else ''}", "")
+        for usable in Usable:
+            for purpose in Purpose:
+                if some := [use for use in self.uses if (use.purpose, use.usable) == (purpose, usable)]:
+                    lines += _wrapped(f"{purpose}: {_folded(some, most)}", usable)
+        for step in self.next_steps[:max(1, most // 2)]:
+            lines += _wrapped(step.text, "next")
+        return lines
+
+    def as_dict(self) -> dict[str, Any]:
+        """The entry of a JSON file; `from_dict` reads it."""
+        return {"title": self.title, "status": str(self.status), "cause": self.cause,
+                "uses": [use.as_dict() for use in self.uses],
+                "next_steps": [{"action": str(step.action), "text": step.text} for step in self.next_steps],
+                "thresholds": {str(purpose): THRESHOLDS[purpose]._asdict()
+                               for purpose in dict.fromkeys(use.purpose for use in self.uses) if purpose in THRESHOLDS}}
+
+    @classmethod
+    def from_dict(cls, entry: Mapping[str, Any]) -> Verdict:
+        """The verdict that `as_dict` wrote.
+
+        Raises:
+            ValueError, LookupError, TypeError, AttributeError: this is not such an entry.
+        """
+        uses = tuple(Use(**{**use, "purpose": Purpose(use["purpose"]), "usable": Usable(use["usable"])})
+                     for use in entry["uses"])
+        steps = tuple(NextStep(Action(step["action"]), str(step["text"])) for step in entry["next_steps"])
+        return cls(str(entry["title"]), Status(entry["status"]), str(entry["cause"]), uses, steps)
+
+
+def _folded(uses: Sequence[Use], most: int) -> str:
+    """The figures of several uses, then reasons and conditions that they share."""
+    named = ", ".join(filter(None, map(str, uses[:most])))
+    more = f" and {len(uses) - most} more" if len(uses) > most else ""
+    told = [*dict.fromkeys(use.reason for use in uses if use.reason), *dict.fromkeys(
+        use.condition for use in uses if use.condition)]
+    return "; ".join(filter(None, [f"{named}{more}", *told[:2]]))
+
+
+def _wrapped(text: str, label: str) -> list[str]:
+    """A text after a label, with its further lines below it."""
+    first = f"  {label:<11} " if label else ""
+    return textwrap.wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * (14 if label else 2),
+                         break_on_hyphens=False) or [first.rstrip()]
