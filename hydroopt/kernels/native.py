@@ -111,15 +111,15 @@ def _mapped(function: ca.Function) -> Way:
 class Kernel:
     """A compiled function. What is always zero in its outputs it leaves alone, as it is in fresh memory."""
 
-    def __init__(self, library: ctypes.CDLL, made: Program) -> None:
-        self.program = made
+    def __init__(self, library: ctypes.CDLL, function: ca.Function) -> None:
+        self._shapes = [function.size_out(i) for i in range(function.n_out())]
         self._run = library.over
         self._run.argtypes = [ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
         self._run.restype = None
 
     def __call__(self, columns: list[Array], count: int, out: list[Array] | None = None) -> list[Array]:
         """Results (N, rows, columns) of arguments (N, k) or (k,)."""
-        results = out or [np.zeros((count, made.rows, made.columns)) for made in self.program.outputs]
+        results = out or [np.zeros((count, *shape)) for shape in self._shapes]
         parts = min(threads(), -(-count // SHARE))
         edges = [count * k // parts for k in range(parts + 1)]
         if parts == 1:
@@ -151,14 +151,13 @@ def kernel(function: ca.Function) -> Kernel | None:
     if found is None or found.hangs or not function.is_a("SXFunction"):
         return None
     try:
-        made = program(function)
-        return Kernel(_library(function, made, found), made)
+        return Kernel(_library(function, found), function)
     except (OSError, subprocess.SubprocessError, NotImplementedError) as error:
         notice(f"the kernel '{function.name()}' cannot be compiled ({reason(error)})")
         return None
 
 
-def _library(function: ca.Function, made: Program, by: Compiler) -> ctypes.CDLL:
+def _library(function: ca.Function, by: Compiler) -> ctypes.CDLL:
     """The shared library from the cache, or compiled now and kept there, or compiled for this process alone."""
     key = hashlib.sha256()
     here = Path(__file__).parent
@@ -167,15 +166,15 @@ def _library(function: ca.Function, made: Program, by: Compiler) -> ctypes.CDLL:
     for part in (function.serialize().encode(), *own, " ".join((*by.command, *FLAGS)).encode(), by.macros):
         key.update(hashlib.sha256(part).digest())
     try:
-        return _kept(cache.folder(), key.hexdigest()[:32], made, by)
+        return _kept(cache.folder(), key.hexdigest()[:32], function, by)
     except OSError as error:
         notice(f"kernels cannot be kept ({reason(error)})", "they are compiled at each start; set HYDROOPT_CACHE to a "
                "folder to which you alone can write")
     with cache.scratch() as place:
-        return ctypes.CDLL(str(by.compile(source(made), place)))
+        return ctypes.CDLL(str(by.compile(source(program(function)), place)))
 
 
-def _kept(folder: Path, key: str, made: Program, by: Compiler) -> ctypes.CDLL:
+def _kept(folder: Path, key: str, function: ca.Function, by: Compiler) -> ctypes.CDLL:
     """The library of this key in a folder that nobody else can write; what is there but not whole is made anew.
 
     The name is a hash of the content: a library is whole or is not used, however many processes make it at once.
@@ -187,7 +186,7 @@ def _kept(folder: Path, key: str, made: Program, by: Compiler) -> ctypes.CDLL:
         with suppress(FileNotFoundError):  # another process found it first
             entry.unlink()
     with cache.scratch(folder) as place:
-        built = by.compile(source(made), place)
+        built = by.compile(source(program(function)), place)
         built.chmod(0o700)  # whatever the umask: nobody else may write it
         digest = hashlib.sha256(built.read_bytes()).hexdigest()[:32]
         return ctypes.CDLL(str(built.rename(folder / f"{key}-{digest}.so")))

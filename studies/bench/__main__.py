@@ -3,6 +3,7 @@
 import sys
 
 from studies.bench import jobs, kernels
+from studies.bench.calibration import calibration
 from studies.bench.excitation import excitation
 from studies.bench.linkage import linkage
 from studies.bench.montecarlo import montecarlo
@@ -11,7 +12,7 @@ from studies.bench.start import start
 from studies.bench.streaming import streaming
 
 # memory first: the most that this process has ever held counts as the peak of those that it starts
-PARTS = {"streaming": streaming, "identify": jobs.identify, "calibration": jobs.calibration,
+PARTS = {"streaming": streaming, "identify": jobs.identify, "calibration": calibration,
          "excavator": kernels.excavator, "arm": kernels.arm, "linkage": linkage, "batch": kernels.batch,
          "first": kernels.first, "excitation": excitation, "plant": plant, "start": start, "montecarlo": montecarlo}
 

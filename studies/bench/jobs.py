@@ -1,4 +1,4 @@
-"""Time and peak memory of `hydroopt identify` and of the joint kinematic calibration, and how they grow."""
+"""Time and peak memory of `hydroopt identify`, and how they grow."""
 
 import os
 import resource
@@ -9,15 +9,9 @@ import tempfile
 import time
 from pathlib import Path
 
-import numpy as np
-
-from hydroopt import KinematicModel, calibration_problem, load_machine, solve
-from hydroopt.simulation import postures
-
 HYDROOPT = str(Path(sys.executable).with_name("hydroopt"))
 SIZES = {1664: 3, 10_000: 1, 100_000: 1}
 """Samples of the log, and how many runs are taken."""
-POSES = (360, 3000, 10_000)
 
 
 def measured(command: list[str]) -> tuple[float, float]:
@@ -49,23 +43,3 @@ def identify() -> None:
             print(f"{samples:8d} {wall:8.2f} {max(peaks):8.0f} {beyond}")
     print(f"target for 1664 samples: 4 s, 600 MB; this process itself: "
           f"{resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024:.0f} MB")
-
-
-def calibration() -> None:
-    """The joint kinematic problem alone, in this process."""
-    machine = load_machine("cat215b")
-    model = KinematicModel(machine)
-    geometry, fixture = model.parameters.nominal, machine.fixtures[0].position
-    print(f"{'poses':>8} {'joint s':>8} {'ms/pose':>8}")
-    for poses in POSES:
-        q = np.concatenate([
-            postures.random_postures(model, stage, poses // 3, geometry=geometry, fixture=fixture, seed=k)
-            for k, stage in enumerate(machine.stages)])
-        labels = [stage.name for stage in machine.stages for _ in range(poses // 3)]
-        table = postures.record(model, q, labels, ["ball"] * len(q), geometry=geometry)
-        problem = calibration_problem(machine, table, fixed={"ball.y": 0.0})
-        began = time.perf_counter()
-        solve(problem)
-        wall = time.perf_counter() - began
-        print(f"{poses:8d} {wall:8.2f} {1e3 * wall / poses:8.2f}")
-    print("targets: 2 s for 360 poses, 60 s for 10,000")

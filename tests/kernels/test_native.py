@@ -19,7 +19,6 @@ import pytest
 
 from hydroopt.kernels import cache
 from hydroopt.kernels import compiler as system
-from hydroopt.kernels.expression_graph import program
 from hydroopt.kernels.native import FEW, Kernel, Runner, _kept
 
 pytestmark = [pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler"),
@@ -155,11 +154,12 @@ def test_without_a_cache_kernels_are_compiled_in_a_private_place(folder: Path, c
 
 def test_one_empty_cache_is_filled_by_many_at_once(folder: Path, compiled: list[Path]) -> None:
     x = ca.SX.sym("x")
-    made, by = program(ca.Function("square", [x], [x * x + 1])), system.compiler()
+    square, by = ca.Function("square", [x], [x * x + 1]), system.compiler()
     assert by is not None
     place = cache.folder()
     with ThreadPoolExecutor(4) as pool:
-        kernels = [Kernel(library, made) for library in pool.map(lambda _: _kept(place, "key", made, by), range(4))]
+        libraries = list(pool.map(lambda _: _kept(place, "key", square, by), range(4)))
+    kernels = [Kernel(library, square) for library in libraries]
     assert [list(kernel([X], len(X))[0].ravel()) for kernel in kernels] == [RIGHT] * 4
     assert {file.suffix for file in folder.iterdir()} == {".so"}
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from hydroopt.errors import ProblemError, SolverError
-from hydroopt.estimation.kinematic import joint, link_by_link
+from hydroopt.estimation.kinematic import gauss_newton, link_by_link
 from hydroopt.estimation.kinematic.calibration import Calibration
 from hydroopt.estimation.kinematic.column_checks import refuse_misread
 from hydroopt.estimation.kinematic.inclination_checks import refuse_misread_inclination
@@ -145,7 +145,7 @@ def optimum(problem: CalibrationProblem, method: str, start: Array) -> Optimum:
         own = follow_unsensed(problem, start, own)
     stages: tuple[StageResult, ...] = ()
     if method == JOINT:
-        theta, q = joint.maximum_likelihood(problem, start, own)
+        theta, q = gauss_newton.maximum_likelihood(problem, start, own)
     else:
         theta, q, stages = link_by_link.sequential_least_squares(problem, start, own)
     # a solver keeps bounds to its tolerance only; a machine must keep them to the last digit

@@ -17,13 +17,10 @@ from numpy.typing import NDArray
 from hydroopt.estimation.inference import ipopt
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.estimation.kinematic.pose_equations import PoseEquations
+from hydroopt.estimation.kinematic.robust_loss import robust_loss
 from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
 from hydroopt.spatial.inertia import Array
 
-HUBER = 3.0
-"""Error of a pose, in units of what is expected, beyond which Huber's loss grows linearly."""
-FREEDOM = 4.0
-"""Degrees of freedom of Student's t."""
 ANGLE_STEP = 0.01
 """Scale [rad, m] of the angles that move unsensed."""
 STEEPEST = 1e4
@@ -184,7 +181,7 @@ class _PoseTerms:
         q = v[g : g + n]
         rows = model.observed(v[:g], q, v[g + n :]) - target
         square = ca.sumsqr((q - reading) * angle_weight) + ca.sumsqr(rows * row_weight)
-        cost = _loss(square, problem.loss, expected) / 2
+        cost = robust_loss(square, problem.loss, expected) / 2
         weight, multipliers = ca.SX.sym("weight"), ca.SX.sym("multipliers", m)
         lagrangian = weight * cost + ca.dot(multipliers, rows)
         self.rows = ca.Function("rows", [v, data], [rows])
@@ -213,16 +210,6 @@ def _scale(problem: PoseEquations, theta: Array, angles: Array) -> Array:
 
 def _inverse(sigma: Array, where: NDArray[np.bool_]) -> Array:
     return np.where(where, 1 / np.where(where, sigma, 1.0), 0.0)
-
-
-def _loss(square: ca.SX, loss: str, expected: ca.SX) -> ca.SX:
-    """Cost of a squared error; near zero all behave as the square."""
-    if loss == "huber":
-        limit = HUBER**2 * expected
-        return ca.if_else(square <= limit, square, 2 * ca.sqrt(limit * ca.fmax(square, limit)) - limit)
-    if loss == "student_t":
-        return (FREEDOM + expected) * ca.log1p(square / (FREEDOM + expected))
-    return square
 
 
 def _shared_cost(problem: PoseEquations, theta: ca.MX) -> ca.MX:

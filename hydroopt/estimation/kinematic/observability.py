@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference.identifiability import INFORMATION_TOLERANCE, significant
-from hydroopt.estimation.kinematic.problem import CalibrationProblem
+from hydroopt.estimation.kinematic.pose_equations import PoseEquations
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.spatial.inertia import Array
 
@@ -31,6 +31,8 @@ class Linearised:
 
     `shared` and `shared_residual` are those of known distances, then of what is known before. `whitening` (N, u, u)
     makes these rows of the raw rows at the channels `used`; `by_angles` (N, u, n) are their changes by each angle.
+    `unsensed` (N, k, 1 + P) are the parts of rows and Jacobian that the k joints which somewhere move unsensed explain:
+    minus their change that is most probable.
     """
 
     residual: Array
@@ -41,6 +43,7 @@ class Linearised:
     whitening: Array
     used: NDArray[np.intp]
     by_angles: Array
+    unsensed: Array | None = None
 
     def whitened(self, rows: Array) -> Array:
         """(N, u, c) whitened changes of raw changes (N, m, c) of all rows."""
@@ -52,16 +55,15 @@ class Linearised:
         return np.asarray(np.sum(self.residual**2, axis=1))
 
 
-def linearise(problem: CalibrationProblem, theta: Array, q: Array) -> Linearised:
+def linearise(problem: PoseEquations, theta: Array, q: Array) -> Linearised:
     """Whitened rows around parameters (P,) and joint vectors (N, n).
 
     Raises:
         ProblemError: neither sensors nor fixtures state any error, so that nothing can be weighed.
     """
     layout = problem.layout
-    rows, jacobian, by_q = problem.rows(theta, q)
     used = np.flatnonzero(layout.present.any(axis=0))
-    rows, jacobian, by_q = rows[:, used], jacobian[:, used], by_q[:, used]
+    rows, jacobian, by_q = problem.rows(theta, q, used)
     present, row_sigma = layout.present[:, used], problem.row_sigma[:, used]
     read = np.where(layout.sensed, layout.reading - q, 0.0)
     rows = rows + np.einsum("nij,nj->ni", by_q, read)
@@ -81,19 +83,22 @@ def linearise(problem: CalibrationProblem, theta: Array, q: Array) -> Linearised
     total, n = len(problem.parameters), by_q.shape[2]
     blind = white[:, :, 1 + total : 1 + total + n]
     moving = layout.moving.any(axis=0)
-    rank = present.sum(axis=1)
+    rank, unsensed = present.sum(axis=1), None
     if np.any(moving):
-        u, s, _ = np.linalg.svd(blind[:, :, moving], full_matrices=False)
+        u, s, v = np.linalg.svd(blind[:, :, moving], full_matrices=False)
         kept = s > 1e-9 * np.maximum(s[:, :1], 1e-300)
         u = u * (kept & (s > 0))[:, None, :]
+        inverse = (v.transpose(0, 2, 1) / np.where(s > 0, s, 1.0)[:, None, :]) @ u.transpose(0, 2, 1)
+        unsensed = inverse @ white[:, :, : 1 + total]
         white = white - u @ (u.transpose(0, 2, 1) @ white)
         rank = rank - (kept & (s > 0)).sum(axis=1)
     extra, extra_residual = _shared(problem, theta)
     return Linearised(white[:, :, 0], white[:, :, 1 : 1 + total], rank, extra, extra_residual,
-                      white[:, :, 1 + total + 2 * n :], used, white[:, :, 1 + total + n : 1 + total + 2 * n])
+                      white[:, :, 1 + total + 2 * n :], used, white[:, :, 1 + total + n : 1 + total + 2 * n],
+                      unsensed)
 
 
-def _shared(problem: CalibrationProblem, theta: Array) -> tuple[Array, Array]:
+def _shared(problem: PoseEquations, theta: Array) -> tuple[Array, Array]:
     rows, residuals = [], []
     for ends, length, sigma in zip(problem.distances.ends, problem.distances.length, problem.distances.sigma,
                                    strict=True):
@@ -220,7 +225,7 @@ def _sparse_basis(space: Array) -> Array:
     return np.asarray(basis.T)
 
 
-def observability(problem: CalibrationProblem, linearised: Linearised) -> Observability:
+def observability(problem: PoseEquations, linearised: Linearised) -> Observability:
     """Observability of a problem's free parameters in its linearised poses."""
     free = np.flatnonzero(problem.free)
     jacobian = linearised.jacobian[:, :, free].reshape(-1, len(free))

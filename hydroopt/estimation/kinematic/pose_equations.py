@@ -116,19 +116,23 @@ class PoseEquations:
         of its readings, see `KinematicModel.loop`; zero where there is none."""
         return np.where(self.layout.place >= 0, theta[np.maximum(self.layout.place, 0)], self.layout.given)
 
-    def rows(self, theta: Array, q: Array) -> tuple[Array, Array, Array]:
-        """Rows (N, m) that must vanish, and their Jacobians by all parameters (N, m, P) and by angles (N, m, n)."""
+    def rows(self, theta: Array, q: Array, used: NDArray[np.intp] | None = None) -> tuple[Array, Array, Array]:
+        """Rows (N, m) that must vanish, and their Jacobians by all parameters (N, m, P) and by angles (N, m, n);
+        with `used` (u,) only those of some rows (N, u), (N, u, P), (N, u, n)."""
         count, n = q.shape
         k = len(self.model.parameters)
         value, by_g, by_q, by_place = self.model.over(self.model.observed_jacobians, theta[:k], q, self.places(theta))
-        rows = np.where(self.layout.present, value[:, :, 0] - self.layout.target, 0.0)
-        by_q *= self.layout.present[:, :, None]
+        layout = self.layout
+        some = slice(None) if used is None else used
+        present = layout.present[:, some]
+        rows = np.where(present, value[:, some, 0] - layout.target[:, some], 0.0)
         jacobian = np.zeros((count, rows.shape[1], len(self.parameters)))
-        jacobian[:, :, :k] = by_g * self.layout.present[:, :, None]
-        where, which, factor = self.layout.locked
+        np.multiply(by_g[:, some], present[:, :, None], out=jacobian[:, :, :k])
+        by_q, by_place = by_q[:, some] * present[:, :, None], by_place[:, some] * present[:, :, None]
+        where, which, factor = layout.locked
         np.add.at(jacobian, (where[:, None] // n, np.arange(rows.shape[1]), which[:, None]),
                   factor[:, None] * by_q[where // n, :, where % n])
-        for axis, column in enumerate(self.layout.place.T):
+        for axis, column in enumerate(layout.place.T):
             there = np.flatnonzero(column >= 0)
-            jacobian[there, :, column[there]] += by_place[there, :, axis] * self.layout.present[there]
+            jacobian[there, :, column[there]] += by_place[there, :, axis]
         return rows, jacobian, by_q

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from hydroopt.estimation.kinematic import joint
+from hydroopt.estimation.kinematic import gauss_newton
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.estimation.kinematic.unsensed_angles import explained_by_unsensed, guess_unsensed
 from hydroopt.logs.poses import Poses
@@ -129,6 +129,6 @@ def predicted(problem: CalibrationProblem, theta: Array, poses: Poses) -> tuple[
     start = fresh.start
     own = guess_unsensed(fresh, start)
     if np.any(fresh.free) or np.any(fresh.layout.moving):
-        found, own = joint.maximum_likelihood(fresh, start, own)
+        found, own = gauss_newton.maximum_likelihood(fresh, start, own)
         return fresh, found, own
     return fresh, start, fresh.angles(start, fresh.layout.reading)

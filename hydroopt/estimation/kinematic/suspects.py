@@ -357,9 +357,14 @@ def _stretches(problem: CalibrationProblem, square: Array, rank: NDArray[np.int6
             continue
         first = np.concatenate([np.arange(len(rows) - size + 1) for size in sizes])
         last = first + np.repeat(sizes, len(rows) - sizes + 1)
+        windows = len(first)
+        large = total[last] - total[first] > LARGER * (freedom[last] - freedom[first])  # others are no alarm
+        if not np.any(large):
+            continue
+        first, last = first[large], last[large]
         chance = stats.chi2.logsf((total[last] - total[first]) / LARGER, freedom[last] - freedom[first])
         best = int(np.argmin(chance))
-        if chance[best] < np.log(FALSE_ALARM / len(first)):
+        if chance[best] < np.log(FALSE_ALARM / windows):
             poses = np.zeros(len(square), bool)
             poses[rows[first[best] : last[best]]] = True
             size = float(np.sqrt(square[poses].sum() / rank[poses].sum()))
