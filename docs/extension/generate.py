@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from extension import studies
+from extension import commands, figures, studies
 
 
 def generate(docs: Path) -> None:
     """Write all generated pages below ``docs/generated``, each only if it changes."""
-    for name, text in studies.pages(docs.parent / "studies").items():
+    for name, text in (studies.pages(docs.parent / "studies") | commands.pages() | figures.pages()).items():
         _write(docs / "generated" / name, text)
 
 

@@ -1,0 +1,66 @@
+"""The reference of all commands, from the command line itself: what ``--help`` says, as tables."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import typer
+
+from hydroopt.cli import app
+from hydroopt.errors import visible
+
+HEAD = """# Commands
+
+One job a command. `hydroopt COMMAND --help` says the same. MACHINE is a bundled name, a `.toml`, `.urdf` or `.xml`
+(MJCF) file. `-o DIR` receives everything, written whole or not at all.
+
+| exit code | meaning |
+|---|---|
+| 0 | success |
+| 2 | bad input: one sentence with place and remedy |
+| 3 | no trustworthy answer; nothing is exported without `--force` |
+
+| command | does |
+|---|---|
+"""
+
+
+def pages() -> dict[str, str]:
+    """Text of the page by its path below ``docs/generated``."""
+    root = typer.main.get_command(app)
+    context = root.make_context("hydroopt", [], resilient_parsing=True)
+    rows, sections = [], []
+    for name in root.list_commands(context):
+        command = root.get_command(context, name)
+        own = command.make_context(name, [], parent=context, resilient_parsing=True)
+        rows.append(f"| [`{name}`](#{name}) | {_cell(command.get_short_help_str(1000))} |")
+        sections.append(_section(name, own))
+    return {"commands.md": HEAD + "\n".join(rows) + "\n\n" + "\n".join(sections)}
+
+
+def _section(name: str, context: Any) -> str:
+    command = context.command
+    if hasattr(command, "list_commands"):
+        made = [f"## {name}\n\n{command.help or ''}\n"]
+        for each in command.list_commands(context):
+            below = command.get_command(context, each).make_context(each, [], parent=context, resilient_parsing=True)
+            made.append(_section(f"{name} {each}", below).replace("## ", "### ", 1))
+        return "\n".join(made)
+    lines = [f"## {name}", "", command.help or "", ""]
+    usage = " ".join(command.collect_usage_pieces(context))
+    lines += ["```text", f"hydroopt {name} {usage}", "```", ""]
+    if epilog := (command.epilog or "").strip("\n"):
+        lines += ["```text", epilog, "```", ""]
+    records = [(parameter, parameter.get_help_record(context)) for parameter in command.params]
+    rows = [f"| `{record[0].strip()}` | {_cell(record[1])} |".replace("MACHINE|DIR", "MACHINE\\|DIR")
+            for _, record in records if record]
+    lines += ["| argument or option | meaning |", "|---|---|", *rows, ""]
+    return "\n".join(lines)
+
+
+def _cell(text: str) -> str:
+    """Text of help in a cell of a Markdown table."""
+    text = " ".join(visible(text).split())
+    for mark in "|<*_[":
+        text = text.replace(mark, f"\\{mark}")
+    return text

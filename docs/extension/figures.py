@@ -1,0 +1,97 @@
+"""Figures that explain, drawn with hydroopt itself while the site is built."""
+
+from __future__ import annotations
+
+import io
+
+import matplotlib
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from matplotlib.patches import Patch
+
+import hydroopt as ho
+from hydroopt.estimation.inference import identifiability
+from hydroopt.spatial import inertia
+
+BLUE, ORANGE, GREY, INK = "#0072b2", "#d55e00", "#c9d2db", "#1f2933"
+STYLE = {"font.size": 10, "axes.edgecolor": INK, "axes.labelcolor": INK, "text.color": INK, "axes.spines.top": False,
+         "axes.spines.right": False, "svg.hashsalt": "hydroopt", "svg.fonttype": "none", "font.family": "sans-serif"}
+CRANE = """
+name = "crane"
+orientation = ["90 deg", "0 deg", "0 deg"]
+[[links]]
+name = "boom"
+joint = {{ type = "revolute", a = "2.9 m", lower = "0 deg", upper = "60 deg" }}
+[links.body]
+m = "{mass} kg"
+com = ["{centre} m", "0 m", "0 m"]
+inertia_com = ["1 kg*m^2", "0 kg*m^2", "0 kg*m^2", "50 kg*m^2", "0 kg*m^2", "50 kg*m^2"]
+[[cylinders]]
+name = "boom_cylinder"
+bore = "100 mm"
+rod_diameter = "56 mm"
+dead_length = "0.82 m"
+stroke = "0.535 m"
+barrel = {{ link = "base", pin = ["0.26 m", "-1.04 m", "0 m"] }}
+rod = {{ link = "boom", pin = ["0.30 m", "-0.10 m", "0 m"] }}
+"""
+BOOMS = ((125.0, 1.1, BLUE), (110.0, 1.25, ORANGE))
+
+
+def pages() -> dict[str, str]:
+    """SVG text of each figure by its path below ``docs/generated``."""
+    with matplotlib.rc_context(STYLE):
+        return {"figures/two_booms.svg": _svg(_two_booms()), "figures/cat215b_parameters.svg": _svg(_parameters())}
+
+
+def _svg(figure: Figure) -> str:
+    stream = io.StringIO()
+    figure.savefig(stream, format="svg", metadata={"Date": None, "Creator": None}, bbox_inches="tight", pad_inches=0.15)
+    return stream.getvalue()
+
+
+def _two_booms() -> Figure:
+    figure = Figure(figsize=(8.6, 3.2))
+    left, right = figure.subplots(1, 2, width_ratios=(1, 1.2))
+    for row, (mass, centre, colour) in enumerate(BOOMS):
+        _boom(left, -0.75 * row, mass, centre, colour)
+        model = ho.Model(ho.read_machine(CRANE.format(mass=mass, centre=centre)))
+        angles = np.linspace(0, np.pi / 3, 61)
+        force = [float(model.inverse_dynamics(q, 0, 0, model.parameters.nominal)) / 1e3 for q in angles]
+        right.plot(np.degrees(angles), force, color=colour, lw=5 - 3 * row, ls=("-", (0, (3, 2)))[row],
+                   label=f"{mass:.0f} kg at {centre:g} m")
+    left.set(xlim=(-0.3, 3.2), ylim=(-1.15, 0.45), aspect="equal")
+    left.axis("off")
+    right.set(xlabel="angle of the boom [deg]", ylabel="force of the cylinder [kN]", ylim=(0, None))
+    right.legend(frameon=False)
+    return figure
+
+
+def _boom(ax: Axes, y: float, mass: float, centre: float, colour: str) -> None:
+    ax.plot([0, 2.9], [y, y], color=GREY, lw=14, solid_capstyle="round")
+    ax.plot(0, y, "o", ms=8, mfc="white", mec=INK, mew=1.6)
+    ax.plot(centre, y, "o", ms=mass / 8, color=colour)
+    ax.annotate(f"{mass:.0f} kg at {centre:g} m", (centre, y + 0.16), ha="center", va="bottom", color=colour)
+
+
+def _parameters() -> Figure:
+    model = ho.Model(ho.load_machine("cat215b"))
+    found = dict(zip(model.parameters.names, identifiability.structural(model).category, strict=True))
+    bodies = list(model.parameters.bodies)
+    colours = {"full": BLUE, "combination": "#8fc7e8", "none": "#eceff2"}
+    figure = Figure(figsize=(8.6, 3.1))
+    ax = figure.subplots()
+    for row, body in enumerate(bodies):
+        for column, name in enumerate(inertia.NAMES):
+            category = found.get(f"{body}.{name}", "none")
+            ax.add_patch(matplotlib.patches.Rectangle((column, row), 0.94, 0.88, color=colours[category]))
+    ax.set(xlim=(0, len(inertia.NAMES)), ylim=(len(bodies), 0))
+    ax.set_xticks(np.arange(len(inertia.NAMES)) + 0.5, inertia.NAMES)
+    ax.set_yticks(np.arange(len(bodies)) + 0.45, bodies)
+    ax.tick_params(length=0)
+    ax.spines[:].set_visible(False)
+    handles = [Patch(color=colours[key], label=label) for key, label in
+               (("full", "alone"), ("combination", "in combination"), ("none", "no effect"))]
+    figure.legend(handles=handles, loc="upper center", ncols=3, frameon=False)
+    return figure
