@@ -113,7 +113,7 @@ def agreement(model: Model, log: Log, evaluated: Evaluated | None = None) -> Agr
         measured = free_forces(model, log, angles)
     except HydrooptError:
         return None
-    if len(angles) < WINDOWS[0] or not (np.all(np.isfinite(angles)) and np.all(np.isfinite(measured))):
+    if len(angles) < WINDOWS[0] or not np.all(np.isfinite(angles)):
         return None
     step = float(np.median(np.diff(log.t)))
     window = _window(angles, log)
@@ -125,7 +125,9 @@ def agreement(model: Model, log: Log, evaluated: Evaluated | None = None) -> Agr
     q, qd, qdd = (np.tensordot(angles[around], kernel[k], (1, 0)) / step**k for k in range(3))
     for values, weights, order in ((qd, kernel[1], 1), (qdd, kernel[2], 2)):  # joints at rest have no motion but noise
         values[:, np.mean(values**2, axis=0) < 2 * (_noise(angles) * np.linalg.norm(weights) / step**order) ** 2] = 0.0
-    force = np.tensordot(median_filter(measured[around], size=(1, SPIKE, 1), mode="nearest"), kernel[0], (1, 0))
+    told = np.all(np.isfinite(measured[around]), axis=1)
+    calm = median_filter(np.nan_to_num(measured)[around], size=(1, SPIKE, 1), mode="nearest")
+    force = np.tensordot(calm, kernel[0], (1, 0))
     state = (q, qd, qdd) if pressed is None else (q, qd, qdd, pressed[rows])
     key = np.concatenate([values.ravel() for values in state]).tobytes(), step
     if key not in evaluated:
@@ -134,7 +136,9 @@ def agreement(model: Model, log: Log, evaluated: Evaluated | None = None) -> Agr
     K, nominal = evaluated[key]
     if not (np.all(np.isfinite(K)) and np.all(np.isfinite(nominal))):
         return None
-    steady = np.abs(qd) > np.abs(qdd) * step * window / 2  # else dry friction changes its sign within the window
+    force = np.where(told, force, nominal)  # a force that is not measured contradicts nothing
+    # else dry friction changes its sign within the window
+    steady = told & (np.abs(qd) > np.abs(qdd) * step * window / 2)[:, model.dynamics.kept]
     squares, priors, noise, levels, missed = _force_terms(
         model, log, K, np.stack([force, nominal]), steady, float(np.sqrt(np.sum(kernel[0] ** 2))))
     gap, lengths = _length_terms(model, log, angles, rows)

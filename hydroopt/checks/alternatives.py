@@ -163,7 +163,7 @@ def _units(kind: str, names: list[str]) -> Iterator[Scaled]:
 
 def _pressure_units(log: Log, names: list[str]) -> list[Scaled]:
     """Units in which these pressures would be those of a hydraulic machine."""
-    highest = max((float(np.max(np.abs(log.channels[name]))) for name in names), default=0.0)
+    highest = max((float(np.nanmax(np.abs(log.channels[name]))) for name in names), default=0.0)
     what = names[0] if len(names) == 1 else "all pressures"
     return [Scaled(tuple(names), factor, f"{what} in {unit}") for unit, factor in UNITS["pressure"].items()
             if PRESSURES[0] <= factor * highest <= PRESSURES[1]]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from typing import Any, Protocol, Self, TypeVar
 
 from hydroopt.logs.log import Log
@@ -49,6 +49,12 @@ class AnyLog(Protocol):
     @property
     def duration(self) -> float:
         """From the first to the last sample [s]."""
+
+    def extremes(self, channel: str) -> tuple[float, float]:
+        """The smallest and the largest number of a channel; inf and -inf where it holds none."""
+
+    def without(self, channels: Collection[str], findings: tuple[Finding, ...]) -> Self:
+        """The log without some channels, with findings that say why instead of those about them."""
 
     def slice(self, start: int, stop: int) -> Self:
         """Samples `start` to `stop` (0-based, half open) as a log."""

@@ -10,6 +10,18 @@ from hydroopt.machine.quantity import CHANNEL_UNITS
 from hydroopt.notebook_card import CardTable
 from hydroopt.units import UnitError, factor
 
+FORCES = frozenset({"force", "tau", "p_head", "p_rod", "p_a", "p_b"})
+"""Ends of the names of channels that tell an actuator's force."""
+
+
+def is_force(channel: str) -> bool:
+    """Whether a channel tells the force of an actuator, which other actuators do without.
+
+    >>> is_force("boom_cylinder.p_head"), is_force("boom.q")
+    (True, False)
+    """
+    return channel.rpartition(".")[2] in FORCES
+
 
 def si_unit(channel: str, unit: str | None = None) -> str:
     """SI unit of a channel such as ``boom.q``, of the kind of `unit` where the channel allows several.

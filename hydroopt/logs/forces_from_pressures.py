@@ -7,7 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from hydroopt.logs.any_log import AnyLog
-from hydroopt.logs.log import Log
+from hydroopt.logs.log import Log, missing
 from hydroopt.logs.readings import reading
 from hydroopt.machine.actuators import Actuator, Cylinder
 from hydroopt.model.model import Model
@@ -28,21 +28,55 @@ def _force_channels(model: Model, log: AnyLog | None, actuator: Actuator) -> Map
     return parts
 
 
+def absent_forces(model: Model, log: AnyLog) -> dict[str, tuple[str, ...]]:
+    """The channels that a log lacks of each measured actuator whose force it therefore does not tell.
+
+    >>> from hydroopt.machine.machine_file import load_machine
+    >>> model = Model(load_machine("cat215b"))
+    >>> torque, pressure = {"swing.tau": [0.0, 0.0]}, {"boom_cylinder.p_head": [0.0, 0.0]}
+    >>> log = Log("run", [0.0, 0.1], {**torque, **pressure, "stick_cylinder.force": [0.0, 0.0]})
+    >>> absent_forces(model, log)
+    {'boom_cylinder': ('boom_cylinder.p_rod',)}
+    """
+    sealing = _sealing_channels(model)
+    needed = {each.name: dict.fromkeys((*_force_channels(model, log, each), *sealing.get(each.name, ())))
+              for each in model.machine.measured_actuators}
+    return {name: lacking for name, channels in needed.items()
+            if (lacking := tuple(channel for channel in channels if channel not in log.channels))}
+
+
 def actuator_forces(model: Model, log: Log) -> Array:
-    """Forces (N, a) of all actuators [N or N·m], in the order of ``machine.actuators``; zero for unmeasured ones."""
-    measured, found = model.machine.measured_actuators, []
-    for actuator in model.machine.actuators:
-        parts = _force_channels(model, log, actuator) if actuator in measured else {}
-        found.append(sum((factor * reading(model.machine, log, channel) for channel, factor in parts.items()),
-                         np.zeros(log.t.size)))
+    """Forces (N, a) of all actuators [N or N·m], in the order of ``machine.actuators``; zero for unmeasured ones.
+
+    NaN where the log does not tell the force of a measured actuator.
+    """
+    machine, absent, found = model.machine, absent_forces(model, log), []
+    for actuator in machine.actuators:
+        parts = _force_channels(model, log, actuator) if actuator in machine.measured_actuators else {}
+        found.append(np.full(log.size, np.nan) if actuator.name in absent else
+                     sum((factor * reading(machine, log, channel) for channel, factor in parts.items()),
+                         np.zeros(log.size)))
     return np.column_stack(found)
 
 
 def forces(model: Model, log: Log, q: Array) -> Array:
-    """Measured forces (N, r) of the balances at joint positions q (N, n)."""
+    """Measured forces (N, r) of the balances at joint positions q (N, n).
+
+    NaN where the log does not tell the force of an actuator that has a share in the balance.
+
+    Raises:
+        LogError: the log tells no force at all.
+    """
+    absent = absent_forces(model, log)
+    if absent and len(absent) == len(model.machine.measured_actuators):
+        raise missing(next(iter(absent.values()))[0], log.channels, log.path or log.name)
     found = actuator_forces(model, log)
-    return found if model.machine.one_each else np.asarray(
-        np.einsum("nra,na->nr", model.over(model.shares, q)[0], found))
+    if model.machine.one_each:
+        return found
+    shares = model.over(model.shares, q)[0]
+    made = np.einsum("nra,na->nr", shares, np.nan_to_num(found))
+    made[np.any((shares != 0) & ~np.isfinite(found)[:, None, :], axis=2)] = np.nan
+    return np.asarray(made)
 
 
 def force_noise(model: Model, log: AnyLog | None = None) -> Array:
@@ -74,14 +108,19 @@ def _sealing_channels(model: Model) -> Mapping[str, tuple[str, str]]:
 
 
 def pressures(model: Model, log: Log) -> Array | None:
-    """The pressures (N, a) [Pa] that the friction of seals depends on; None where none does."""
+    """The pressures (N, a) [Pa] that the friction of seals depends on; None where none does.
+
+    Where the log does not tell them it does not tell the force either; they are 0 there.
+    """
     machine, pressed = model.machine, _sealing_channels(model)
-    return np.column_stack([sum((reading(machine, log, channel) for channel in pressed.get(actuator.name, ())),
-                                np.zeros(log.t.size)) for actuator in machine.actuators]) if pressed else None
+    there = {name: channels for name, channels in pressed.items() if set(channels) <= set(log.channels)}
+    return np.column_stack([sum((np.nan_to_num(reading(machine, log, channel)) for channel in
+                                 there.get(actuator.name, ())), np.zeros(log.t.size))
+                            for actuator in machine.actuators]) if pressed else None
 
 
 def force_channels(model: Model, log: AnyLog) -> set[str]:
     """The channels that forces, and the pressures on seals, are read from."""
     parts = (*(_force_channels(model, log, each) for each in model.machine.measured_actuators),
              *_sealing_channels(model).values())
-    return {channel for part in parts for channel in part}
+    return {channel for part in parts for channel in part if channel in log.channels}

@@ -1,6 +1,6 @@
 """A measurement log in SI units: making it with all findings reported, cutting it, writing it."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -126,6 +126,17 @@ class Log(Shown):
         if name not in self.channels:
             raise missing(name, self.channels, self.path or self.name)
         return self.channels[name]
+
+    def extremes(self, channel: str) -> tuple[float, float]:
+        """The smallest and the largest number of a channel; inf and -inf where it holds none."""
+        x = self.channels[channel]
+        return float(np.fmin.reduce(x, initial=np.inf)), float(np.fmax.reduce(x, initial=-np.inf))
+
+    def without(self, channels: Collection[str], findings: tuple[Finding, ...]) -> "Log":
+        """The log without some channels, with findings that say why instead of those about them."""
+        kept = tuple(finding for finding in self.findings if finding.channel not in channels)
+        return replace(self, channels={name: x for name, x in self.channels.items() if name not in channels},
+                       findings=(*kept, *findings))
 
     def loaded(self, purpose: str) -> "Log":
         """The log itself; a log that is read in pieces refuses."""

@@ -101,7 +101,7 @@ def read_recording(
         groups: list[tuple[ChannelGroup, np.datetime64 | None]] = []
         findings: list[Finding] = []
         for part in parts:
-            for group, start, found in _groups(part, chosen, limits or {}, split="nan" not in (treatment or {})):
+            for group, start, found in _groups(part, chosen, limits or {}, split=chosen["nan"] == "use"):
                 groups.append((group, start))
                 findings += found
         digest = _digest(source)

@@ -20,11 +20,11 @@ class Finding:
     """A finding about a log.
 
     Attributes:
-        kind: "nan", "duplicate", "non-monotonic", "irregular", "gap", "stuck", "spike", "saturated", or for
-            information "rows" (a map selected them), "ignored" (columns that are not channels), "empty" (columns
-            without a number), "sparse" (columns with numbers in some rows), "format" and "clock" (what was taken of a
-            file and of its times that they do not state), "unpaired" and "resampled" (samples that the merging of a
-            recording's groups leaves out).
+        kind: "nan", "duplicate", "non-monotonic", "irregular", "gap", "stuck", "spike", "saturated", "dead" (a force
+            that never changes while its joint moves), or for information "rows" (a map selected them), "ignored"
+            (columns that are not channels), "empty" (columns without a number), "sparse" (columns with numbers in some
+            rows), "format" and "clock" (what was taken of a file and of its times that they do not state), "unpaired"
+            and "resampled" (samples that the merging of a recording's groups leaves out).
         channel: the channel, "t" for the time; empty for "ignored".
         first: first and `last`: last 1-based data row concerned; count: number of samples concerned.
         text: one sentence.

@@ -1,6 +1,8 @@
-"""One channel of a log, in the unit that the machine has for it."""
+"""One channel of a log, in the unit that the machine has for it, and without gaps."""
 
 from __future__ import annotations
+
+import numpy as np
 
 from hydroopt.errors import LogError
 from hydroopt.logs.log import Log
@@ -21,3 +23,13 @@ def reading(machine: Machine, log: Log, channel: str) -> Array:
                        f"{machine.link(joint).joint.type} and needs '{want}'", where=log.path or log.name,
                        remedy="correct the column's unit or the joint's type")
     return values
+
+
+def bridged(x: Array) -> Array:
+    """Samples (N,) with a straight line where they hold no number.
+
+    >>> bridged(np.array([1.0, np.nan, 3.0])).tolist()
+    [1.0, 2.0, 3.0]
+    """
+    there, at = np.isfinite(x), np.arange(len(x))
+    return x if there.all() else np.interp(at, at[there], x[there])

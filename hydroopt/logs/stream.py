@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from copy import copy
 from dataclasses import dataclass, replace
 from functools import cached_property
@@ -120,6 +120,17 @@ class LogStream:
         object.__setattr__(made, "findings", (*self.findings, *more))
         return made
 
+    def extremes(self, channel: str) -> tuple[float, float]:
+        """The smallest and the largest number of a channel; inf and -inf where it holds none."""
+        return self.survey.extremes[channel]
+
+    def without(self, channels: Collection[str], findings: tuple[Finding, ...]) -> LogStream:
+        """The same rows without some channels, with findings that say why."""
+        columns = {name: column for name, column in self.layout.columns.items() if name not in channels}
+        return replace(self, layout=self.layout.model_copy(update={"columns": columns}),
+                       units={name: unit for name, unit in self.units.items() if name not in channels},
+                       findings=(*self.findings, *findings))
+
     def split(self, fraction: float) -> tuple[LogStream, LogStream]:
         """The first `fraction` of the rows, and the rest.
 
@@ -145,10 +156,10 @@ class LogStream:
 
     @cached_property
     def survey(self) -> Survey:
-        """One look at all rows.
+        """One look at all rows; the extremes of a channel without a number are inf and -inf.
 
         Raises:
-            LogError: there are not two times, or not one number in a channel.
+            LogError: there are not two times.
         """
         extremes = dict.fromkeys(self.units, (np.inf, -np.inf))
         ranges: dict[str, list[Array]] = {name: [] for name in self.units}
@@ -167,10 +178,8 @@ class LogStream:
                     ranges[name].append(high - low)
                 extremes[name] = (min(extremes[name][0], float(np.fmin.reduce(low))),
                                   max(extremes[name][1], float(np.fmax.reduce(high))))
-        empty = [name for name, (low, high) in extremes.items() if not low <= high]
-        if not steps or empty:
-            raise LogError(f"{empty[0]} holds no number" if steps else "times do not increase", where=self.path,
-                           remedy="select other rows, or leave the channel out with a map")
+        if not steps:
+            raise LogError("times do not increase", where=self.path, remedy="select other rows")
         return Survey(first, last, step, steps, moved, extremes,
                       {name: np.nan_to_num(np.concatenate(parts)) for name, parts in ranges.items()})
 

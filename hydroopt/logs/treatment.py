@@ -8,11 +8,12 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.logs import quality as find
+from hydroopt.logs.channels import is_force
 from hydroopt.logs.quality import Array, Finding, Mask
 from hydroopt.logs.table import runs
 
 ACTIONS: dict[str, tuple[str, ...]] = {
-    "nan": ("error", "drop", "interpolate"),
+    "nan": ("use", "drop", "interpolate", "error"),
     "non-monotonic": ("error", "drop"),
     "duplicate": ("error", "first", "mean"),
     "saturated": ("keep", "drop", "error"),
@@ -21,7 +22,8 @@ ACTIONS: dict[str, tuple[str, ...]] = {
     "irregular": ("keep", "error"),
     "gap": ("split", "keep", "error"),
 }
-"""Actions by kind of finding; the first is the default."""
+"""Actions by kind of finding; the first is the default. `use`: a sample without a force serves the other actuators, one
+without anything else is dropped."""
 
 
 @dataclass(frozen=True)
@@ -99,7 +101,8 @@ def _note(
                        remedy=f"choose {' or '.join(others)}, or correct the file")
     if action != "keep":
         done = {"drop": "dropped", "interpolate": "interpolated", "first": "first one kept",
-                "mean": "averaged", "split": "split there"}[action]
+                "mean": "averaged", "split": "split there",
+                "use": "used for other actuators" if is_force(channel) else "dropped"}[action]
         found = replace(found, text=f"{found.text}; {done}")
     return replace(samples, findings=(*samples.findings, found))
 
@@ -109,8 +112,11 @@ def _not_a_number(samples: Samples, chosen: Mapping[str, str], limits: object, w
     bad = {name: mask for name, mask in bad.items() if mask.any()}
     for name, mask in bad.items():
         samples = _note(samples, "nan", name, mask, "hold no finite number", chosen, where)
-    if chosen["nan"] == "drop" and bad:
-        return samples.keep(~np.logical_or.reduce(list(bad.values())))
+    if chosen["nan"] in ("use", "drop"):
+        dropped = [mask for name, mask in bad.items() if chosen["nan"] == "drop" or not is_force(name)]
+        samples = replace(samples, channels={name: np.where(bad[name], np.nan, x) if name in bad else x
+                                             for name, x in samples.channels.items()})
+        return samples.keep(~np.logical_or.reduce(dropped)) if dropped else samples
     if "t" in bad:
         raise LogError(f"t: samples {runs(samples.sample[bad['t']])} have no time, which cannot be "
                        "interpolated", where=where, remedy="choose --treat nan=drop or correct the file")
@@ -121,7 +127,7 @@ def _not_a_number(samples: Samples, chosen: Mapping[str, str], limits: object, w
 
 def _bridge(samples: Samples, name: str, mask: Mask, where: str) -> Samples:
     """Linear in time over the masked samples; never beyond the outermost good ones."""
-    good = np.flatnonzero(~mask)
+    good = np.flatnonzero(~mask & np.isfinite(samples.channels[name]))
     if good.size < 2 or mask[0] or mask[-1]:
         raise LogError(f"{name}: samples at the very start or end cannot be interpolated", where=where,
                        remedy="choose 'drop' instead, or trim the log with 'rows = [first, last]' in a map")
@@ -157,14 +163,20 @@ def _repeats(samples: Samples, chosen: Mapping[str, str], limits: object, where:
 
 def _outliers(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, tuple[float, float]],
               where: str) -> Samples:
-    """Saturation, standstill, spikes: each sample counts once. Commands (`.u`) may rest and jump."""
-    sensed = {name: x for name, x in samples.channels.items() if not name.endswith(".u")}
+    """Saturation, standstill, spikes: each sample counts once. Commands (`.u`) may rest and jump.
+
+    Where a force is missing its channel is judged as if it were a straight line there.
+    """
+    present = {name: np.isfinite(x) for name, x in samples.channels.items()}
+    joined = {name: x if present[name].all() else np.interp(samples.t, samples.t[present[name]], x[present[name]])
+              for name, x in samples.channels.items() if present[name].any()}
+    sensed = {name: x for name, x in joined.items() if not name.endswith(".u")}
     none = np.zeros(samples.t.size, bool)
     whole = samples.whole or {}
-    clipped = {name: find.saturated(x, limits.get(name), name in sensed, whole.get(name))
-               for name, x in samples.channels.items()}
-    level = {name: mask & ~clipped[name] for name, mask in find.stuck(sensed, samples.whole).items()}
-    spiky = {name: find.spikes(x) & ~clipped[name] & ~level[name] for name, x in sensed.items()}
+    clipped = {name: find.saturated(x, limits.get(name), name in sensed, whole.get(name)) & present[name]
+               for name, x in joined.items()}
+    level = {name: mask & ~clipped[name] & present[name] for name, mask in find.stuck(sensed, samples.whole).items()}
+    spiky = {name: find.spikes(x) & ~clipped[name] & ~level[name] & present[name] for name, x in sensed.items()}
     texts: tuple[tuple[str, dict[str, Mask], Callable[[str, Mask], str]], ...] = (
         ("saturated", clipped, lambda name, mask: "sit at or beyond the limit of the range"),
         ("stuck", level, lambda name, mask: "rest at one value while other channels move"),
@@ -185,7 +197,8 @@ def _outliers(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, 
 def _worst(samples: Samples) -> Callable[[str, Mask], str]:
     def text(name: str, mask: Mask) -> str:
         x = samples.channels[name]
-        off = np.abs(x - np.interp(samples.t, samples.t[~mask], x[~mask]))
+        good = ~mask & np.isfinite(x)
+        off = np.nan_to_num(np.abs(x - np.interp(samples.t, samples.t[good], x[good])))
         worst = int(np.argmax(np.where(mask, off, -1.0)))
         return f"stand off their neighbours (worst at sample {samples.sample[worst]})"
     return text

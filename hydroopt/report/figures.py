@@ -23,6 +23,7 @@ from hydroopt.spatial.inertia import Array
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.estimate import Estimate
     from hydroopt.estimation.dynamic.experiment import Experiment
+    from hydroopt.machine.balances import Balance
 
 Mask = NDArray[np.bool_]
 
@@ -108,18 +109,16 @@ def thin(x: Array, y: Array, points: int = POINTS) -> tuple[Array, Array]:
 
 
 def forces(estimate: Estimate) -> Figure:
-    """Measured against predicted force of every balance over time; validation on a shaded ground.
+    """Measured against predicted force of every balance that is measured, over time; validation on a shaded ground.
 
     Predictions of the nominal and the reduced model stand beside those of the identified one (Figure 37); where they
     are far off, they are cut.
     """
-    machine = estimate.problem.model.machine
     logs = _timeline(estimate)
     *others, identified = estimate.variants
     with matplotlib.rc_context(STYLE):
-        figure, axes = _rows(len(machine.balances), 1.45)
-        for k, balance in enumerate(machine.balances):
-            ax = axes[k][0]
+        figure, axes = _rows(len(shown := _measured(estimate, logs)), 1.45)
+        for (k, balance), (ax,) in zip(shown, axes, strict=True):
             factor, label = _force_axis(balance.unit, np.concatenate([log.data.force[:, k] for log in logs]))
             for log in logs:
                 for rows in _segments(log):
@@ -149,9 +148,8 @@ def residuals(estimate: Estimate) -> Figure:
     machine = estimate.problem.model.machine
     logs = _timeline(estimate)
     with matplotlib.rc_context(STYLE):
-        figure, axes = _rows(len(machine.balances), 1.55, widths=(2.0, 1.0))
-        for k, balance in enumerate(machine.balances):
-            over_time, over_speed = axes[k]
+        figure, axes = _rows(len(shown := _measured(estimate, logs)), 1.55, widths=(2.0, 1.0))
+        for (k, balance), (over_time, over_speed) in zip(shown, axes, strict=True):
             joint = machine.joints.index(balance.joint)
             errors = [np.where(log.data.inside, log.data.force[:, k] - log.predicted[:, k], np.nan) for log in logs]
             factor, label = _force_axis(balance.unit, np.concatenate(errors), "residual")
@@ -328,6 +326,12 @@ def _force_axis(unit: str, values: Array, what: str = "") -> tuple[float, str]:
     kilo = bool(finite.size) and float(finite.max()) >= 2000
     word = what or ("force" if unit == "N" else "torque")
     return (1e-3 if kilo else 1.0), f"{word} [{'k' if kilo else ''}{unit_text(unit)}]"
+
+
+def _measured(estimate: Estimate, logs: Sequence[Stretch]) -> list[tuple[int, Balance]]:
+    """The balances, with their places, of which a log that is shown tells the force."""
+    return [(k, balance) for k, balance in enumerate(estimate.problem.model.machine.balances)
+            if any(np.any(np.isfinite(log.data.force[:, k])) for log in logs)]
 
 
 def _reaches(values: Sequence[Array]) -> tuple[float, float]:

@@ -131,7 +131,7 @@ def _weights(estimate: Estimate) -> list[tuple[str, str, str, str]]:
     """Actuator or joint, σ of its residual with unit, and correlation time in samples."""
     return [(a.name, plain(s), unit_text(unit), plain(t, 3)) for a, s, unit, t in
             zip(estimate.problem.model.machine.balances, estimate.sigma, estimate.problem.model.force_units,
-                estimate.correlation_time, strict=True)]
+                estimate.correlation_time, strict=True) if a.name in estimate.fit["train"]]
 
 
 def _groups(estimate: Estimate) -> list[Group]:

@@ -26,4 +26,9 @@ SENSOR_WORDS: dict[Kind, Words] = {
         "changes are known.",
         "Survey points of the tip at rest, read its joint or cylinder in some postures, or measure where its IMU "
         "sits."),
+    Kind.PRESSURE_NOT_MEASURED: Words(
+        "{log} lacks {subject}: commands, motion and the other pressures alone tell what happens there."),
+    Kind.FORCE_NOT_MEASURED: Words(
+        "{log} lacks {channels}: the equations of {subject} are not used there, those of other actuators are.",
+        "Record or map what is missing; state measured = false of an actuator that is never measured."),
 }

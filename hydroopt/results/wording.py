@@ -37,6 +37,8 @@ class Kind(StrEnum):
     # of any job
     NO_VALIDATION = "no validation data"
     FINDING = "finding in the data"
+    FORCE_NOT_MEASURED = "force not measured in a log"
+    PRESSURE_NOT_MEASURED = "pressure not measured in a log"
     NOTE = "note"
     IMPOSSIBLE_NOMINAL_BODIES = "nominal bodies not physically consistent"
     GRAVITY_IDLE = "gravity does no work"

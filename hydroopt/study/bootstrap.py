@@ -75,7 +75,7 @@ class Resampling:
                                         strict=True):
                 force[rows, k] += new
         forces = [force if e.calm is None else
-                  force + _of_holds((e.force - fitted) * (e.inside[:, None] & e.calm), rng)
+                  force + _of_holds(np.where(e.inside[:, None] & e.calm, e.force - fitted, 0.0), rng)
                   for e, force, fitted in zip(experiments, forces, predicted, strict=True)]
         again = replace(problem, experiments=tuple(replace(e, force=force) for e, force in
                                                    zip(experiments, forces, strict=True)))

@@ -86,8 +86,6 @@ BROKEN = {
     "ragged": (text(r12="0.110,1"), "data row 12 is damaged"),
     "cut": (text() + "1.0,2", "data row 101 is damaged"),
     "garbage number": (text(r12="0.110,1e200,100"), "data row 12 is damaged"),
-    "nan": (text(r12="0.110,,100"), r"boom.q: sample 12 .*--treat nan=drop or --treat nan=interpolate"),
-    "infinite": (text(r12="0.110,inf,100"), "boom.q: sample 12 "),
     "repeated": (text(r12="0.100,3,100"), "t: sample 12 .*--treat duplicate=first"),
     "backwards": (text(r12="-3,3,100"), "t: sample 12 .*--treat non-monotonic=drop"),
     "header only": (HEADER + "\n", "no data"),
@@ -124,6 +122,18 @@ def test_foreign_columns_are_left_out_and_named(csv):
     log = read_log(csv("t [s],boom.q [rad],comment\n0,1,ok\n1,2,fine\n"))
     assert list(log.channels) == ["boom.q"]
     assert "comment" in log.findings[-1].text
+
+
+@pytest.mark.parametrize("cell", ["", "inf", "nan"])
+def test_a_sample_without_angle_is_dropped_one_without_force_serves_others(csv, cell):
+    log = read_log(csv(text(r12=f"0.110,{cell},100")))
+    assert (log.size, 12 in log.sample) == (99, False)
+    assert "sample 12 holds no finite number; dropped" in log.findings[0].text
+    log = read_log(csv(text(r12=f"0.110,3,{cell}")))
+    assert (log.size, np.flatnonzero(np.isnan(log.channels["boom_cylinder.p_head"])).tolist()) == (100, [11])
+    assert "sample 12 holds no finite number; used for other actuators" in log.findings[0].text
+    with pytest.raises(LogError, match=r"sample 12 .*--treat nan=use or --treat nan=drop or --treat nan=interpolate"):
+        read_log(csv(text(r12=f"0.110,{cell},100")), treatment={"nan": "error"})
 
 
 @pytest.mark.parametrize(("row", "treatment", "count", "value"), [

@@ -85,10 +85,11 @@ def test_what_rests_through_a_piece_is_not_stuck_if_it_moves_later(tmp_path: Pat
 def test_a_bad_row_is_named(tmp_path: Path, row: int) -> None:
     data = columns()
     data["boom.q [deg]"][row - 1] = np.nan
+    path = write(tmp_path / "log.parquet", data)
     with pytest.raises(LogError, match=rf"boom\.q: sample {row} holds no finite number.*--treat nan=drop"):
-        found(write(tmp_path / "log.parquet", data))
-    kept = found(tmp_path / "log.parquet", treatment={"nan": "drop"})
-    assert kept["nan", "boom.q"] == (row, row, 1)
+        found(path, treatment={"nan": "error"})
+    for treatment in ({}, {"nan": "drop"}):
+        assert found(path, treatment=treatment)["nan", "boom.q"] == (row, row, 1)
 
 
 def test_the_sample_follows_what_moves(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -150,9 +150,10 @@ def test_stamps_that_may_be_either_are_refused(tmp_path, header, stamps, pattern
         stamped(tmp_path, stamps, header)
 
 
-def test_an_absurd_stamp_among_epochs_is_named(tmp_path):
-    with pytest.raises(LogError, match="t: sample 2 holds no finite number"):
-        stamped(tmp_path, ["1795407600", "9" * 40, "1795407601", "1795407602"])
+def test_an_absurd_stamp_among_epochs_is_dropped_and_named(tmp_path):
+    recording = stamped(tmp_path, ["1795407600", "9" * 40, "1795407601", "1795407602"])
+    assert recording.groups[0].sample.tolist() == [1, 3, 4]
+    assert "t: sample 2 holds no finite number; dropped" in [one.text for one in recording.findings]
 
 
 def test_a_map_settles_day_and_month(tmp_path):

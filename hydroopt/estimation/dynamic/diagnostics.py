@@ -10,6 +10,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.calibrated import calibrated_machine
 from hydroopt.estimation.dynamic.identification import Identification, Intervals, body_groups
 from hydroopt.estimation.dynamic.score_covariance import STEADY
+from hydroopt.estimation.dynamic.training_logs import forces_not_measured
 from hydroopt.estimation.inference.identifiability import NONE, Confounded
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
@@ -49,8 +50,8 @@ def _prediction(found: Identification) -> Iterator[Diagnostic]:
         yield Diagnostic(Kind.NO_VALIDATION)
         return
     for channel, held_out in found.fit["validation"].items():
-        trained = found.fit["train"][channel]
-        if channel == "all":
+        trained = found.fit["train"].get(channel)
+        if channel == "all" or trained is None:
             continue
         if 1 < held_out.relative < np.inf:  # nothing is measured at a passive joint
             yield Diagnostic(Kind.WORSE_THAN_ZERO, (channel,), {"relative": number(held_out.relative)})
@@ -67,7 +68,9 @@ def _unexplained(found: Identification) -> Iterator[Diagnostic]:
     table = found.fit["validation" if data == "validation" else "train"]
     stated = np.nan_to_num(force_noise(found.problem.model, found.problem.experiments[0].log))
     for balance, noise in zip(found.problem.model.machine.balances, stated, strict=True):
-        fit = table[balance.name]
+        fit = table.get(balance.name)
+        if fit is None:  # not measured in these logs
+            continue
         beyond = np.sqrt(max(fit.rms**2 - (ABOVE_NOISE * noise) ** 2, 0.0))
         if beyond and UNEXPLAINED * fit.rms < fit.relative * beyond and fit.relative <= 1:
             yield Diagnostic(Kind.UNEXPLAINED_ACTUATOR, (balance.name,), {"relative": fit.relative, "data": data})
@@ -94,6 +97,7 @@ def _consistency(found: Identification) -> Iterator[Diagnostic]:
 
 def _findings(found: Identification) -> Iterator[Diagnostic]:
     """Findings of data quality in the logs, without the rows and columns that were left out."""
+    yield from forces_not_measured(found.problem.model, (*found.problem.experiments, *found.problem.validation))
     texts = [(data.log.path or data.log.name, finding.text)
              for data in (*found.problem.experiments, *found.problem.validation) for finding in data.log.findings
              if finding.kind not in ("rows", "ignored")]

@@ -90,7 +90,8 @@ class Experiment:
     `inside` (N,) is False near the ends of a stretch, where derivatives of noisy angles are worse: those samples are
     not used for estimation and validation. `known` (N, n) is False where an actuator's dry friction is not known, since
     the sign of its joint's velocity is not (Eq. 4.51, see `friction_sign`): those samples are not used one by one.
-    Where the joint is `calm` (N, n) then, each hold is one equation (`holds`); None stands for nowhere. `remarks`
+    Where the joint is `calm` (N, n) then, each hold is one equation (`holds`); None stands for nowhere. `force` is NaN
+    where the log does not tell it; it is neither `known` nor `calm` there. `remarks`
     state which channels were not used and how measured lengths compare with the geometry. `pressure` (N, n) [Pa] is
     p_head + p_rod of each cylinder whose seals' friction depends on it and 0 for all other actuators; None where no
     friction does. `added` (N, n, p) is what an attached calibrator or faults of instruments add to the regressor.
@@ -181,7 +182,9 @@ class Experiment:
     def moments(self, psi: Array) -> Array:
         """Sums (4, n) over the samples used: 1, force, force² and error² of the prediction by ψ."""
         force, predicted = self.force[self.inside], self.predicted(psi)[self.inside]
-        return np.array([x.sum(axis=0) for x in (np.ones_like(force), force, force**2, (force - predicted) ** 2)])
+        told = np.isfinite(force)
+        return np.array([np.where(told, x, 0.0).sum(axis=0)
+                         for x in (np.ones_like(force), force, force**2, (force - predicted) ** 2)])
 
     def blocks(self, origin: int, span: tuple[int, int]) -> Iterator[slice]:
         """The samples `span` (first, end) in blocks: at most `BLOCK` rows of one stretch, by multiples of it from the
@@ -240,7 +243,8 @@ class Experiment:
     def notes(self) -> tuple[str, ...]:
         """How the log was treated, in sentences."""
         left_out = f"{int(np.sum(~self.inside))} of {len(self.inside)} samples at the ends of stretches left out"
-        inside, calm = self.inside[:, None], np.zeros_like(self.known) if self.calm is None else self.calm
+        inside = self.inside[:, None] & np.isfinite(self.force)
+        calm = np.zeros_like(self.known) if self.calm is None else self.calm
         held, unused = inside & calm, inside & ~self.known & ~calm
         return (*self.motion.notes, left_out, standstill_note(np.sum(held, axis=0), np.sum(unused, axis=0)),
                 *self.remarks)
@@ -257,8 +261,9 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
 
     Joint angles are read from ``<joint>.q`` or, where a log lacks them, from the length of the cylinder that moves the
     joint. Forces are those of the pressures (Eq. 4.33, 4.61) or, where a log lacks one of them, ``<cylinder>.force`` or
-    ``<joint>.tau``. A log with angles of the calibrator's joints was recorded with the calibrator attached, see
-    `attached_calibrator`. Channels that are not used are named in the notes.
+    ``<joint>.tau``; where it lacks these too, the equations of other actuators remain. A log with angles of the
+    calibrator's joints was recorded with the calibrator attached, see `attached_calibrator`. Channels that are not used
+    are named in the notes.
 
     Raises:
         LogError: a channel is missing or in a unit that does not suit its joint, or a length at which a triangle is
@@ -279,10 +284,12 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
     often = np.mean(phases.moving, axis=0)[kept] > FEW_MOVING
     attached = attached_calibrator(model, log, motion, smoothing or SmoothingSpline(bandwidth=machine.bandwidth))
     added = None if attached is None else attached.regressor(motion.q, motion.qd, motion.qdd)
-    known = dry_friction_known(model, motion, phases, limits.noise) & (often | ~has_dry_friction(model))
-    return Experiment(model, log, motion, free_forces(model, log, motion.q), known,
+    force = free_forces(model, log, motion.q)
+    told = np.isfinite(force)
+    known = dry_friction_known(model, motion, phases, limits.noise) & (often | ~has_dry_friction(model)) & told
+    return Experiment(model, log, motion, force, known,
                       (*remarks(model, given, angles), *calibrator_remark(attached)), pressures(model, log), added,
-                      phases.calm[:, kept] & ~known)
+                      phases.calm[:, kept] & ~known & told)
 
 
 def channels_used(model: Model, log: AnyLog) -> set[str]:

@@ -105,10 +105,12 @@ def folded_rows(rows: Array, more: Array) -> Array:
 def triangle(*blocks: Array) -> Array:
     """R, upper triangular, of the blocks A (m, k) stacked: ``‖R·v‖ = ‖A·v‖`` for every v (k,).
 
+    Blocks of zeros change no bit of it.
+
     >>> triangle(np.array([[3.0]]), np.array([[4.0]]))
     array([[-5.]])
     """
-    return np.asarray(np.linalg.qr(np.vstack(blocks), mode="r"))
+    return np.asarray(np.linalg.qr(np.vstack([block for block in blocks if np.any(block)] or blocks[:1]), mode="r"))
 
 
 def split(R: Array) -> tuple[Array, Array, float]:

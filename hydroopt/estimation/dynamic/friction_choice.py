@@ -317,8 +317,9 @@ def _reason(name: str, chosen: str, best: str, difference: tuple[float, float],
 
 
 def _errors(estimate: Estimate, data: Sequence[Experiment], predicted: Sequence[Array]) -> Array:
-    """Measured minus predicted forces (N, n) of all samples that take part."""
-    return np.concatenate([(e.force - force)[e.inside] for e, force in zip(data, predicted, strict=True)])
+    """Measured minus predicted forces (N, n) of all samples that take part; 0 where a log does not tell the force."""
+    errors = np.concatenate([(e.force - force)[e.inside] for e, force in zip(data, predicted, strict=True)])
+    return np.where(np.isfinite(errors), errors, 0.0)
 
 
 def _mean_and_error(blocks: Array) -> tuple[float, float]:

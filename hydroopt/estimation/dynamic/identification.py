@@ -178,7 +178,8 @@ class Identification:
 
     @property
     def fit(self) -> dict[str, dict[str, Fit]]:
-        """Fit by data set and balance; the entry ``all`` covers all balances of one unit or of mixed units."""
+        """Fit by data set and balance that is measured there; the entry ``all`` covers all, of one unit or mixed units.
+        """
         return self.fit_by_model[[*self.fit_by_model][-1]]
 
     @cached_property
@@ -190,11 +191,12 @@ class Identification:
 
     def _fit(self, data: tuple[AnyExperiment, ...], psi: Array) -> dict[str, Fit]:
         count, force, squared, error = sum((e.moments(psi) for e in data), np.zeros((4, len(self.sigma))))
-        sums, units = np.array([count, error, squared, squared - force**2 / count]), self.problem.model.force_units
+        sums = np.array([count, error, squared, squared - force**2 / np.maximum(count, 1)])
+        units = self.problem.model.force_units
         table = {balance.name: Fit.of_sums(sums[:, k], units[k])
-                 for k, balance in enumerate(self.problem.model.machine.balances)}
-        if len(set(units)) == 1:
-            return table | {"all": Fit.of_sums(sums.sum(axis=1), units[0])}
+                 for k, balance in enumerate(self.problem.model.machine.balances) if count[k]}
+        if len({units[k] for k in np.flatnonzero(count)}) == 1:
+            return table | {"all": Fit.of_sums(sums.sum(axis=1), units[int(np.argmax(count > 0))])}
         # channels of different units are compared in units of their own noise
         sums[1:] /= self.sigma**2
         return table | {"all": Fit.of_sums(sums.sum(axis=1), "sigma")}

@@ -14,7 +14,7 @@ import numpy as np
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.estimation.dynamic.score_covariance import STEADY
-from hydroopt.estimation.dynamic.training_logs import contradictions
+from hydroopt.estimation.dynamic.training_logs import contradictions, losses
 from hydroopt.estimation.dynamic.weighted_residuals import weighted_residuals
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
 from hydroopt.estimation.inference.whitening import gaussian_posterior
@@ -26,7 +26,7 @@ from hydroopt.results.answer import load
 from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.json_file import Job, not_an_answer
 from hydroopt.results.status import Status
-from hydroopt.results.wording import OF_LOGS
+from hydroopt.results.wording import OF_LOGS, Kind
 from hydroopt.spatial.inertia import Array
 
 INFORMATION = "information.csv"
@@ -96,7 +96,7 @@ def stored_information(model: Model, source: Sequence[Log] | str | Path,
     return StoredInformation(*weighted.stored(), mean_phi([half.phi for half in halves]),
                              not any(half.p_value < STEADY for half in halves), weighted.sigma,
                              weighted.correlation_time, weighted.samples, tuple(inputs),
-                             contradictions(model, problem.experiments))
+                             (*contradictions(model, problem.experiments), *losses(model, problem.experiments)))
 
 
 def refuse_shared_samples(before: StoredInformation, after: StoredInformation) -> None:
@@ -169,7 +169,7 @@ def _read(model: Model, folder: Path) -> StoredInformation:
     except (ValueError, KeyError, TypeError):
         raise not_an_answer(folder) from None
     return StoredInformation(triangles, freedom, phi, steady, sigma, times, samples, tuple(inputs),
-                             of_kind(estimate.diagnostics, *OF_LOGS))
+                             of_kind(estimate.diagnostics, *OF_LOGS, Kind.FORCE_NOT_MEASURED))
 
 
 def _triangles(model: Model, text: str, file: Path) -> tuple[Array, Array]:

@@ -244,7 +244,7 @@ class StreamedExperiment:
         totals.sample_count = int(np.sum(data.inside[a:b]))
         for block in data.blocks(origin, (int(a), int(b))):
             K, force = data.fold_block(totals.known, block, float(np.mean(self.stream.rows)))
-            others = data.inside[block, None] & ~data.known[block]
+            others = data.inside[block, None] & ~data.known[block] & np.isfinite(force)
             for start in range(0, len(force) if np.any(others) else 0, ROWS):
                 rows = slice(start, start + ROWS)
                 totals.others.fold(K[rows], force[rows], others[rows])
@@ -303,9 +303,11 @@ def _experiment(model: Model, log: Log, angles: Array, motion: Motion, limits: S
     """An experiment of a piece: how often a joint moves in all of the log is not known yet."""
     phases = Phases.of(angles, motion, limits)
     motion = phases.at_rest(motion)
-    known = dry_friction_known(model, motion, phases, limits.noise)
-    return Experiment(model, log, motion, free_forces(model, log, motion.q), known, remarks, pressures(model, log),
-                      calm=phases.calm[:, model.dynamics.kept] & ~known)
+    force = free_forces(model, log, motion.q)
+    told = np.isfinite(force)
+    known = dry_friction_known(model, motion, phases, limits.noise) & told
+    return Experiment(model, log, motion, force, known, remarks, pressures(model, log),
+                      calm=phases.calm[:, model.dynamics.kept] & ~known & told)
 
 
 def _joined(findings: Iterable[Finding]) -> Iterator[Finding]:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 
 from hydroopt.checks.plausibility import examine, misread_error
 from hydroopt.errors import HydrooptError, ProblemError, SolverError
@@ -10,9 +10,11 @@ from hydroopt.estimation.dynamic import streamed_experiment
 from hydroopt.estimation.dynamic.experiment import AnyExperiment
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.calibrator_angles import calibrator_channels
+from hydroopt.logs.dead_channels import without_dead_channels
+from hydroopt.logs.forces_from_pressures import absent_forces
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.model.model import Model
-from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.diagnostic import Diagnostic, listed, of_kind
 from hydroopt.results.wording import Kind
 
 
@@ -23,7 +25,7 @@ def prepared(log: AnyLog, model: Model, smoothing: Smoothing | None) -> AnyExper
         LogError, ProblemError: it cannot be used; the mistake in it that explains this is named, if there is one.
     """
     try:
-        return streamed_experiment.prepared(log, model, smoothing)
+        return streamed_experiment.prepared(without_dead_channels(model.machine, log), model, smoothing)
     except HydrooptError as error:
         raise misread_error(model, log) or error from None
 
@@ -34,6 +36,22 @@ def contradictions(model: Model, experiments: Sequence[AnyExperiment]) -> tuple[
     for data in experiments:
         logs.setdefault(data.log.sha256 or str(id(data.log)), data.log)
     return tuple(found for log in logs.values() for found in examine(model, log))
+
+
+def forces_not_measured(model: Model, experiments: Sequence[AnyExperiment]) -> Iterator[Diagnostic]:
+    """Logs that do not tell the force of a measured actuator; both parts of a split log as one."""
+    absent = {data.log.path or data.log.name: lacking for data in experiments
+              if (lacking := absent_forces(model, data.log))}
+    for where, lacking in absent.items():
+        channels = listed([channel for some in lacking.values() for channel in some])
+        yield Diagnostic(Kind.FORCE_NOT_MEASURED, tuple(lacking), {"log": where, "channels": channels})
+
+
+def losses(model: Model, experiments: Sequence[AnyExperiment]) -> tuple[Diagnostic, ...]:
+    """What logs lack: forces, and samples without a number."""
+    samples = [Diagnostic(Kind.FINDING, (data.log.path or data.log.name,), {"text": finding.text})
+               for data in experiments for finding in data.log.findings if finding.kind in ("nan", "dead")]
+    return (*forces_not_measured(model, experiments), *samples)
 
 
 def explained(error: SolverError, of_logs: Sequence[Diagnostic]) -> SolverError:

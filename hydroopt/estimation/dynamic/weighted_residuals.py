@@ -320,7 +320,7 @@ def _sigma(problem: ResidualProblem, data: CompressedRegressor, tolerance: float
     for _ in range(3):
         R, r, _ = data.weighted(sigma)
         psi, _, identifiable = least_squares.base_least_squares(R, r, problem.parameters.names, tolerance)
-        freedom = np.maximum(data.samples - identifiable.rank / len(sigma), 1.0)
+        freedom = np.maximum(data.samples - identifiable.rank / max(1, int(np.count_nonzero(data.samples))), 1.0)
         estimated = np.maximum(np.sqrt(data.squares(psi) / freedom), floor)
         sigma = np.where(data.samples > 0, estimated, sigma)  # as stated for actuators at rest
     return np.asarray(sigma)
@@ -356,7 +356,8 @@ def _robust(problem: ResidualProblem, data: CompressedRegressor, folded: Sequenc
         residuals = _residuals(problem, psi)
         if problem.reweight:
             taken = np.concatenate(_taken(problem, residuals))
-            sigma = np.maximum(1.4826 * np.nanmedian(np.abs(taken), axis=0), floor)
+            read, sigma = np.any(np.isfinite(taken), axis=0), sigma.copy()
+            sigma[read] = np.maximum(1.4826 * np.nanmedian(np.abs(taken[:, read]), axis=0), floor[read])
         ratios = [np.abs(res) / sigma for res in residuals]
         weights = [np.minimum(1.0, HUBER / np.maximum(u, 1e-12)) if problem.loss == "huber" else 5.0 / (4.0 + u**2)
                    for u in ratios]
@@ -364,7 +365,9 @@ def _robust(problem: ResidualProblem, data: CompressedRegressor, folded: Sequenc
         if np.all(np.abs(psi - before) < 1e-3 * problem.parameters.scale):
             break
     bent = [(u < HUBER).astype(float) if problem.loss == "huber" else 5 * (4 - u**2) / (4 + u**2) ** 2 for u in ratios]
-    mean = np.nan_to_num(np.nanmean(np.concatenate(_taken(problem, bent)), axis=0), nan=1.0)
+    slopes = np.concatenate(_taken(problem, bent))
+    count = np.sum(np.isfinite(slopes), axis=0)
+    mean = np.where(count > 0, np.nansum(slopes, axis=0) / np.maximum(count, 1), 1.0)
     pseudo = [replace(e, force=e.force - res + weight * res / mean)
               for e, res, weight in zip(_loaded(problem), residuals, weights, strict=True)]
     bands = [one.bands(point) for one in pseudo]

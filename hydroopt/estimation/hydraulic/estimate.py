@@ -25,6 +25,7 @@ from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import Action, NextStep, Purpose, Use, judged
+from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
 METHOD = "multiple shooting"
@@ -77,7 +78,10 @@ class HydraulicEstimate(Answer):
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """Channels that the model does not explain, and parameters that the data do not determine."""
-        return (*unexplained_channels(self.problem.channels, self.misfit), *parameter_diagnostics(self.shooting))
+        lost = (Diagnostic(Kind.PRESSURE_NOT_MEASURED, channels, {"log": where})
+                for where, channels in self.problem.lost_pressures.items())
+        return (*lost, *unexplained_channels(self.problem.channels, self.misfit),
+                *parameter_diagnostics(self.shooting))
 
     @cached_property
     def parameters(self) -> ParameterTable:

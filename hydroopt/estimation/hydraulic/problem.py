@@ -22,8 +22,8 @@ from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.logs.frames import refuse_others
 from hydroopt.logs.joint_angles import measured_angles
 from hydroopt.logs.log import Log
-from hydroopt.logs.readings import reading
-from hydroopt.logs.smoothing import SmoothingSpline, condition
+from hydroopt.logs.readings import bridged, reading
+from hydroopt.logs.smoothing import Motion, SmoothingSpline, condition
 from hydroopt.logs.tip_wrench import wrench_channels
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.machine import Machine
@@ -128,7 +128,7 @@ class HydraulicProblem(Shown):
         for k, each in enumerate(plant.actuators):
             owner = each.actuator.name
             guess |= {f"{owner}.spool": _placed(plant, k, u[:, k]), f"{owner}.spool_rate": np.zeros(log.size)}
-            guess |= {channel: reading(machine, log, channel) for channel in each.chambers}
+            guess |= self._pressures(log, k, motion)
         guess[SUPPLY[0]] = log.channels.get(SUPPLY[0], u[:, -2])
         states = np.column_stack([guess[name] for name in plant.states])
         edges = np.flatnonzero(np.diff(log.segment, prepend=log.segment[0] - 1, append=log.segment[-1] + 1))
@@ -136,6 +136,30 @@ class HydraulicProblem(Shown):
         steps = self.steps or max(1, math.ceil(float(np.median(np.diff(log.t))) / LONGEST - 1e-3))
         return tuple(Record(log.t[at], u[at], y[at], states[at], steps=steps, name=log.path or log.name)
                      for at in spans)
+
+    def _pressures(self, log: Log, k: int, motion: Motion) -> dict[str, Array]:
+        """Initial guess of both pressures (N,) of an actuator: as read, or what the nominal force leaves for one that
+        the log lacks."""
+        plant, each = self.plant, self.plant.actuators[k]
+        read = {channel: bridged(reading(plant.machine, log, channel)) for channel in each.chambers
+                if channel in log.channels}
+        for channel in each.chambers:
+            if channel not in read:
+                model, place = plant.model, plant.machine.actuators.index(each.actuator)
+                extra = [np.zeros((log.size, len(plant.machine.actuators)))] if model.needs_pressure else []
+                force = model.over(model.inverse_dynamics, motion.q, motion.qd, motion.qdd, *extra,
+                                   model.parameters.nominal)[0][:, place, 0]
+                (known, pressure), factors = next(iter(read.items())), each.actuator.effort_factors
+                read[channel] = np.maximum((force - factors[known] * pressure) / factors[channel], 0.0)
+        return read
+
+    @property
+    def lost_pressures(self) -> dict[str, tuple[str, ...]]:
+        """The pressures that each log lacks, of those logs that lack any."""
+        wanted = [channel for each in self.plant.actuators for channel in each.chambers]
+        lacking = {log.path or log.name: tuple(channel for channel in wanted if channel not in log.channels)
+                   for log in (*self.logs, *self.validation)}
+        return {where: channels for where, channels in lacking.items() if channels}
 
     @cached_property
     def shooting(self) -> ShootingProblem:
@@ -196,7 +220,8 @@ def hydraulic_problem(machine: Machine, logs: Sequence[Log], validation: Sequenc
 
     Args:
         machine: with a circuit for every actuator, and sensors.
-        logs: training logs: commands, motion and pressures of all actuators.
+        logs: training logs: commands, motion and pressures of all actuators. One chamber of each may be unmeasured; a
+            pressure without a number in some samples does not count in these.
         validation: validation logs.
         bodies: whether masses and inertias are identified, too, as far as forces identify them; else they are exact,
             as after an identification of their own.
@@ -216,7 +241,8 @@ def hydraulic_problem(machine: Machine, logs: Sequence[Log], validation: Sequenc
         refuse_others(some, (Log,), "log", "identification of valves and oil")
     plant = Plant(Model(machine))
     for log in (*logs, *validation):
-        for channel in (*plant.inputs, *(c for each in plant.actuators for c in each.chambers)):
+        for channel in (*plant.inputs, *(next((c for c in each.chambers if c in log.channels), each.chambers[0])
+                                         for each in plant.actuators)):
             reading(machine, log, channel)
         if found := wrench_channels(log):
             raise LogError(f"the wrench at the tip ({', '.join(sorted(found))}) is not part of the valves' model",

@@ -88,6 +88,12 @@ def band_variances(channels: Sequence[Channel], sigma: Array, prior: tuple[Array
         least: (n,) variances that none of a channel is below.
     """
     counts = np.array([channel.counts for channel in channels])
+    silent = ~np.any(counts, axis=1)
+    if np.any(silent):  # one without rows has the variance that it is given
+        heard = iter(band_variances([one for one, left_out in zip(channels, silent, strict=True) if not left_out],
+                                    sigma[~silent], prior, scale, least[~silent]) if not np.all(silent) else ())
+        return tuple(Spectrum(np.full(len(none), std**2), _smooth(none, none)[1], float(1 / std**2)) if left_out
+                     else next(heard) for none, std, left_out in zip(counts, sigma, silent, strict=True))
     weight, variance = 1 / sigma**2, np.repeat(sigma[:, None] ** 2, counts.shape[1], axis=1)
     freedom, belief = counts.copy(), 1.0
     # coordinates z in which weighted rows and priors are orthonormal at first, so that products of rows are harmless

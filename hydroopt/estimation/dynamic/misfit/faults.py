@@ -289,7 +289,8 @@ class Scaled(Fault):
 
     def effect(self, view: View, size: float) -> Array:
         """What it adds to the readings, times the size."""
-        return np.asarray(size * view.contributions[self.subject[0]])
+        added = view.contributions.get(self.subject[0])  # None in a log without this pressure
+        return np.zeros_like(view.predicted) if added is None else np.asarray(size * added)
 
 
 @dataclass(frozen=True)
@@ -322,7 +323,8 @@ def _placed(view: View, values: Array, readings: tuple[int, ...]) -> Array:
 def _seal_pressure(view: View, reading: int) -> Array:
     actuator = view.model.machine.balances[reading].alone
     assert isinstance(actuator, Cylinder)
-    return np.asarray(sum(view.pressures[channel] for channel in actuator.chambers))
+    return np.asarray(sum((view.pressures[channel] for channel in actuator.chambers if channel in view.pressures),
+                          np.zeros(len(view.predicted))))
 
 
 def listed(view: View) -> Iterator[Fault]:

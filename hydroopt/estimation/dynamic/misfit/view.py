@@ -15,6 +15,7 @@ from scipy.ndimage import median_filter
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.joint_angles import angle_noise, measured_angles
+from hydroopt.logs.readings import bridged
 from hydroopt.logs.smoothing import Motion
 from hydroopt.logs.spline import MIN_SAMPLES, Basis, Grid, wider
 from hydroopt.machine.actuators import Cylinder, Drive
@@ -98,10 +99,11 @@ class View:
 
     @cached_property
     def measured(self) -> Array:
-        """Measured readings (N, c)."""
+        """Measured readings (N, c); the predicted ones, which are not `usable`, where the log does not tell a force."""
         log, cylinders = self.experiment.log, self.model.machine.cylinders
         lengths = [log.channels[f"{cylinders[k].name}.length"] for k in self.lengths]
-        return np.column_stack([self.experiment.force, *lengths])
+        read = np.column_stack([self.experiment.force, *lengths])
+        return np.where(np.isfinite(read), read, self.predicted)
 
     @cached_property
     def residual(self) -> Array:
@@ -272,7 +274,7 @@ class View:
             variance = np.where(np.all(np.isfinite(stds) & (stds > 0)), stds, 1.0) ** 2
             parts = factors * variance / np.sum(factors**2 * variance, axis=1, keepdims=True)
             for channel, part in zip((channel for each in read for channel in each.chambers), parts.T, strict=True):
-                found[channel] = _slow(log.channels[channel] - part * self.residual[:, k], self.window)
+                found[channel] = _slow(bridged(log.channels[channel]) - part * self.residual[:, k], self.window)
         return found
 
     @cached_property

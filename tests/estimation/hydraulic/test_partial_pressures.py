@@ -1,0 +1,56 @@
+"""Valves and oil from logs that lack pressures."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydroopt.errors import LogError
+from hydroopt.estimation.hydraulic.problem import hydraulic_problem
+from hydroopt.logs.log import Log
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.model import Model
+from hydroopt.model.plant import Plant
+from hydroopt.results.diagnostic import of_kind
+from hydroopt.results.wording import Kind
+from hydroopt.simulation.drive_valves import drive
+from hydroopt.solving import solve
+
+PLANT = Plant(Model(load_machine("patu655_lift")))
+PRESSURES = PLANT.machine.cylinders[0].chambers
+
+
+@pytest.fixture(scope="module")
+def log() -> Log:
+    t = np.arange(160) / 50
+    return drive(PLANT, t, 5.7 + np.cos(2 * t)[:, None], np.array([0.2]), seed=1)
+
+
+def lacking(log: Log, *channels: str) -> Log:
+    return replace(log, channels={name: x for name, x in log.channels.items() if name not in channels})
+
+
+def test_the_other_pressure_and_the_motion_tell_what_one_pressure_would(log: Log) -> None:
+    whole, partly = (solve(hydraulic_problem(PLANT.machine, [each])) for each in (log, lacking(log, PRESSURES[1])))
+    for name, one in whole.parameters.items():
+        other = partly.parameters[name]
+        if one.value and one.std and other.value is not None and other.std:
+            assert abs(other.value - one.value) < 2 * other.std
+    (said,) = of_kind(partly.diagnostics, Kind.PRESSURE_NOT_MEASURED)
+    assert said.subject == (PRESSURES[1],)
+    assert not of_kind(whole.diagnostics, Kind.PRESSURE_NOT_MEASURED)
+
+
+def test_samples_without_a_pressure_do_not_count(log: Log) -> None:
+    holes = np.where(np.arange(log.size) < 40, np.nan, log.channels[PRESSURES[0]])
+    problem = hydraulic_problem(PLANT.machine, [replace(log, channels={**log.channels, PRESSURES[0]: holes})])
+    (record,) = problem.shooting.records
+    assert np.isnan(record.y[:, problem.channels.index(PRESSURES[0])]).sum() == 40
+    assert np.all(np.isfinite(record.guess))
+
+
+def test_an_actuator_without_any_pressure_is_refused(log: Log) -> None:
+    with pytest.raises(LogError, match=r"there is no channel 'lift_cylinder\.p_head'"):
+        hydraulic_problem(PLANT.machine, [lacking(log, *PRESSURES)])
