@@ -57,6 +57,7 @@ kills: $(READY)
 wheel: $(READY)
 	rm -rf dist
 	$(BIN)/python -m build
+	$(BIN)/twine check --strict dist/*
 
 clean:
 	rm -rf $(VENV) out build dist *.egg-info

@@ -5,10 +5,12 @@ from __future__ import annotations
 import platform
 from importlib import metadata
 
-DISTRIBUTION = "hydroopt-calibration"
-"""Name of the distribution that holds the package `hydroopt`; on the package index `hydroopt` is another project."""
+from hydroopt.extras import DISTRIBUTION
+
 PACKAGES = ("casadi", "clarabel", "cvxpy", "numpy", "scipy")
 """Packages that determine the last bits of a result, besides the settings and the processor."""
+WITHOUT_SOLVERS = {"cvxpy": "cvxpy-base"}
+"""Distributions that hold the same package without solvers of other projects."""
 
 
 def version() -> str:
@@ -27,4 +29,11 @@ def versions(*packages: str) -> dict[str, str]:
     ['python', 'hydroopt', 'casadi', 'clarabel', 'cvxpy', 'numpy', 'scipy', 'control']
     """
     return {"python": platform.python_version(), "hydroopt": version(),
-            **{name: metadata.version(name) for name in (*PACKAGES, *packages)}}
+            **{name: _version(name) for name in (*PACKAGES, *packages)}}
+
+
+def _version(package: str) -> str:
+    try:
+        return metadata.version(WITHOUT_SOLVERS.get(package, package))
+    except metadata.PackageNotFoundError:
+        return metadata.version(package)

@@ -13,8 +13,9 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "hydroopt"
 
 ROOMS = (
-    ("errors", "interrupt", "versions", "matplotlib_import"),
-    ("input_file", "files", "units", "notebook_card"),
+    ("errors", "interrupt", "matplotlib_import"),
+    ("extras",),
+    ("input_file", "files", "units", "notebook_card", "versions"),
     ("spatial",),
     ("kernels",),
     ("machine",),

@@ -38,7 +38,7 @@ def test_sdist_holds_what_its_tests_need(built: Path) -> None:
         names = {name.partition("/")[2] for name in file.getnames()}
     assert {"pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE", "Makefile", "constraints.txt",
             "hydroopt/__init__.py", "models/cat215b.toml", "tests/test_distribution.py", "studies/__main__.py",
-            "data/kr300/map.toml"} <= names
+            "data/kr300/map.toml", "conda/recipe.yaml"} <= names
     assert not {name for name in names if "__pycache__" in name or name.startswith((".git/", "out/"))}
 
 
@@ -51,6 +51,13 @@ def test_wheel_holds_the_package_and_the_machines_alone(built: Path) -> None:
                if path.is_file() and "__pycache__" not in path.parts}
     assert tracked <= names
     assert f"{STEM}.dist-info/licenses/LICENSE" in names
+
+
+def test_the_index_would_take_both(built: Path) -> None:
+    done = subprocess.run([sys.executable, "-m", "twine", "check", "--strict", *map(str, built.iterdir())],
+                          capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stdout
+    assert done.stdout.count("PASSED") == 2
 
 
 def test_a_machine_loads_from_the_wheel(built: Path, tmp_path: Path) -> None:

@@ -1,8 +1,14 @@
 """The library python-control; modules take it from here, since it imports matplotlib."""
 
+from typing import TYPE_CHECKING
+
+from hydroopt.extras import needed
 from hydroopt.matplotlib_import import import_matplotlib
 
-import_matplotlib()
-import control  # noqa: E402
+if TYPE_CHECKING:
+    import control
+else:
+    import_matplotlib()
+    control = needed("control", "controllers are designed with python-control", where="control")
 
 __all__ = ["control"]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import platform
 import shlex
 import signal
 import subprocess
@@ -14,8 +15,22 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-FLAGS = ("-O3", "-march=native", "-fno-math-errno", "-fPIC", "-shared", "-w")
-"""No fast-math: only that sqrt need not set errno. Products and sums may be fused, as the compiler does by itself."""
+
+def flags(system: str, processor: str) -> tuple[str, ...]:
+    """Options for the processor at hand, as ``platform.system()`` and ``platform.machine()`` name it.
+
+    No fast-math: only that sqrt need not set errno. Products and sums may be fused, as the compiler does by itself.
+    Tests run on Linux alone; elsewhere a compiler that refuses these options leaves the work to CasADi.
+
+    >>> flags("Darwin", "arm64")
+    ('-O3', '-mcpu=native', '-fno-math-errno', '-fPIC', '-shared', '-w')
+    """
+    own = "-mcpu=native" if (system, processor) == ("Darwin", "arm64") else "-march=native"
+    place = () if system == "Windows" else ("-fPIC",)  # all code there can be moved, and clang refuses the option
+    return ("-O3", own, "-fno-math-errno", *place, "-shared", "-w")
+
+
+FLAGS = flags(platform.system(), platform.machine())
 PROBING, COMPILING = 10.0, 120.0
 """Time limits [s] of a compiler to introduce itself, and to compile a kernel."""
 
@@ -33,7 +48,9 @@ class Compiler:
 
     @property
     def libraries(self) -> tuple[str, ...]:
-        """The C library's vectors of sines, where there are any, and its mathematics."""
+        """The C library's vectors of sines, where there are any, and its mathematics, where it is a library."""
+        if b"_MSC_VER" in self.macros:
+            return ()
         vectors = all(name in self.macros for name in (b"__GLIBC__", b"__x86_64__")) and b"__clang__" not in self.macros
         return ("-DVECTOR_LIBRARY", "-lmvec", "-lm") if vectors else ("-lm",)
 

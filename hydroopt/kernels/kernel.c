@@ -27,6 +27,9 @@ static void kernel({% for given in inputs %}const real *restrict x{{ loop.index0
 {% endfor %}
 }
 
+#ifdef _WIN32
+__declspec(dllexport)
+#endif
 void over(long n, const double *const *in, const long *stride, double *const *out)
 {
     for (long s = 0; s < n; s += LANES) {

@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import dataclass
+from datetime import date
 from decimal import Decimal, InvalidOperation
 from typing import Any
 
@@ -21,6 +22,7 @@ YEARS_2001_TO_2040 = (978_307_200, 2_208_988_800)
 MISSING = np.iinfo(np.int64).min
 """The tick of a stamp that is missing, numpy's NaT."""
 
+_FIRST_DAY = date(1970, 1, 1).toordinal()
 _TIME = r"\d{1,2}:\d{2}(?::\d{2}(?:[.,]\d{1,9})?)?"
 _DATES = {"%Y-%m-%d": r"\d{4}-\d{1,2}-\d{1,2}", "%Y/%m/%d": r"\d{4}/\d{1,2}/\d{1,2}",
           "%d.%m.%Y": r"\d{1,2}\.\d{1,2}\.\d{4}"}
@@ -190,37 +192,63 @@ def _either_form(cells: Sequence[str], order: str | None, where: str) -> str:
 
 
 def _of_dates(cells: Sequence[str], form: str, where: str, *, zoned: bool) -> Stamps:
-    import pandas as pd  # noqa: PLC0415 (import cost)
-
-    texts = [" ".join(cell.replace("T", " ", 1).split()) for cell in cells]
-    times = [text.partition(" ")[2] for text in texts]
-    shape = next((time for time in times if time), "")
-    clock = "" if not shape else " %I:%M" if re.search("[AaPp]\\.?[Mm]", shape) else " %H:%M"
-    texts = [text.replace(",", ".") for text in texts]
-    if shape.count(":") - len(re.findall(r"[+-]\d{2}:\d{2}$", shape)) >= 2:
-        clock += ":%S"
-    if any("." in time or "," in time for time in times):
-        clock += ".%f"
-        texts = [re.sub(r"(:\d{2}:\d{2})(?!\.\d)(?=\D|$)", r"\1.0", text, count=1) for text in texts]
-    half = " %p" if "%I" in clock else ""
-    if half:
-        texts = [re.sub(r"\s*([AaPp])\.?[Mm]\.?", r" \1M", text).upper() for text in texts]
-    zone = "%z" if zoned else ""
-    if zoned:
-        texts = [re.sub(r"\s*(Z|UTC)$", "+0000", text, flags=re.IGNORECASE) for text in texts]
-        texts = [re.sub(r"\s+([+-]\d{2}:?\d{2})$", r"\1", text) for text in texts]
-    try:
-        moments = pd.to_datetime(pd.Series([text or None for text in texts], dtype=object),
-                                 format=f"{form}{clock}{half}{zone}", utc=True)
-    except (ValueError, TypeError, OverflowError):
-        bad = next((k for k, cell in enumerate(cells) if cell.strip() and not looks_dated(cell)), 0)
-        raise LogError(f"'{cells[bad]:.40}' in data row {bad + 1}, or a cell after it, is no date such as "
-                       f"'{next(c for c in cells if c.strip()):.40}'", where=where,
-                       remedy="write all of them in one form, or give seconds") from None
-    values = moments.dt.tz_localize(None).to_numpy().astype("M8[ns]")
+    pattern, days = _pattern(cells, form, zoned=zoned), dict[tuple[str, ...], int]()
+    ticks = np.full(len(cells), MISSING)
+    for k, cell in enumerate(cells):
+        if not cell.strip():
+            continue
+        try:
+            ticks[k] = _tick(pattern.fullmatch(cell.strip()), days)
+        except (ValueError, OverflowError):
+            raise LogError(f"'{cell:.40}' in data row {k + 1} is no date such as "
+                           f"'{next(c for c in cells if c.strip()):.40}'", where=where,
+                           remedy="write all of them in one form, or give seconds") from None
     order = {"%d": "day first", "%m": "month first", "%Y": "year first"}[form[:2]]
     zone = "" if zoned else ", without a zone: taken as UTC"
-    return Stamps(values.astype(np.int64), 10**9, True, f"the time is a date, {order}{zone}; t = 0 at its first sample")
+    return Stamps(ticks, 10**9, True, f"the time is a date, {order}{zone}; t = 0 at its first sample")
+
+
+def _pattern(cells: Sequence[str], form: str, *, zoned: bool) -> re.Pattern[str]:
+    """The one form that all moments must have: that of the first with a time of day."""
+    date = re.escape(form).replace("%Y", r"(?P<Y>\d{4})").replace("%m", r"(?P<m>\d{1,2})").replace(
+        "%d", r"(?P<d>\d{1,2})")
+    found = map(_MOMENT.fullmatch, map(str.strip, cells))
+    first = next((match for match in found if match and match["time"]), None)
+    if first is None:
+        clock = ""
+    else:
+        seconds = r":(?P<S>\d{2})(?:[.,](?P<f>\d{1,9}))?" if first["time"].count(":") == 2 else ""
+        half = r"\s*(?P<p>[AaPp])\.?[Mm]\.?" if first["half"] else ""
+        clock = rf"(?:[T ]|,)\s*(?P<H>\d{{1,2}}):(?P<M>\d{{2}}){seconds}{half}"
+    return re.compile(f"{date}{clock}" + (r"\s*(?P<z>Z|UTC|[+-]\d{2}:?\d{2})" if zoned else ""), re.IGNORECASE)
+
+
+def _tick(match: re.Match[str] | None, days: dict[tuple[str, ...], int]) -> int:
+    """Nanoseconds since 1970 of a moment; `days` keeps the dates seen.
+
+    Raises:
+        ValueError, OverflowError: it is no moment.
+    """
+    if match is None:
+        raise ValueError
+    of = match.groupdict()
+    key = (of["Y"], of["m"], of["d"])
+    if key not in days:
+        days[key] = date(*map(int, key)).toordinal() - _FIRST_DAY
+    hour, minute, second = (int(of.get(part) or 0) for part in "HMS")
+    if of.get("p"):
+        if not 1 <= hour <= 12:
+            raise ValueError
+        hour = hour % 12 + 12 * (of["p"] in "Pp")
+    if hour > 23 or minute > 59 or second > 59:
+        raise ValueError
+    zone = of.get("z") or "Z"
+    offset = 0 if zone.upper() in ("Z", "UTC") else int(f"{zone[0]}1") * (60 * int(zone[1:3]) + int(zone[-2:]))
+    whole = days[key] * 86_400 + hour * 3600 + (minute - offset) * 60 + second
+    ticks = whole * 10**9 + int((of.get("f") or "").ljust(9, "0"))
+    if abs(ticks) >= -MISSING:
+        raise OverflowError
+    return ticks
 
 
 def _of_day_times(cells: Sequence[str], where: str) -> Stamps:

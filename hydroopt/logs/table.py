@@ -3,6 +3,7 @@
 import gzip
 import hashlib
 import io
+import math
 import os
 import zlib
 from collections.abc import Mapping, Sequence
@@ -14,6 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from hydroopt.errors import LogError, ProblemError
+from hydroopt.extras import needed
 from hydroopt.files import write_file
 from hydroopt.input_file import read_bytes
 from hydroopt.logs.channels import si_unit
@@ -189,18 +191,21 @@ def write_columns(path: str | Path, columns: Mapping[str, NDArray[Any]], what: s
 
 def encoded_columns(columns: Mapping[str, NDArray[Any]], *, parquet: bool = False) -> bytes:
     """Content of a CSV or Parquet file of columns (N,) by header, NaN as an empty cell."""
-    import pyarrow as pa  # noqa: PLC0415 (import cost)
-    from pyarrow import csv  # noqa: PLC0415
-    from pyarrow import parquet as parquet_files  # noqa: PLC0415
-
-    table = pa.table({name: pa.array(column, from_pandas=True) for name, column in columns.items()})
-    file = io.BytesIO()
     if parquet:
-        parquet_files.write_table(table, file)
-    else:
-        file.write((",".join(columns) + "\n").encode())
-        csv.write_csv(table, file, csv.WriteOptions(include_header=False))
-    return file.getvalue()
+        arrow = needed("pyarrow", "Parquet files are written with pyarrow", where="output", error=LogError)
+        table = arrow.table({name: arrow.array(column, from_pandas=True) for name, column in columns.items()})
+        file = io.BytesIO()
+        needed("pyarrow.parquet", "Parquet files are written with pyarrow", where="output").write_table(table, file)
+        return file.getvalue()
+    rows = zip(*map(_cells, columns.values()), strict=True)
+    return "".join(f"{','.join(row)}\n" for row in (columns, *rows)).encode()
+
+
+def _cells(column: NDArray[Any]) -> list[str]:
+    """Cells of a CSV file: numbers with all of their digits, NaN empty, texts in quotation marks."""
+    if column.dtype.kind not in "fiu":
+        return ['"{}"'.format(str(cell).replace('"', '""')) for cell in column.tolist()]
+    return ["" if math.isnan(value) else repr(value).removesuffix(".0") for value in column.tolist()]
 
 
 def runs(rows: Sequence[int] | NDArray[np.int64], most: int = 4) -> str:

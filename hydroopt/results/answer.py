@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hydroopt.extras import needed
 from hydroopt.notebook_card import Card, CardTable, Shown
 from hydroopt.results import json_file
 from hydroopt.results.diagnostic import Diagnostic, of_kind
@@ -170,8 +171,7 @@ class Answer(Shown, ABC):
 
     def fit_to_frame(self) -> pd.DataFrame:
         """The fit as a pandas DataFrame indexed by data set and channel."""
-        import pandas as pd  # noqa: PLC0415 (import cost)
-
+        pd = needed("pandas", "data frames are those of pandas", where="to_frame")
         rows = [{"data": data, "channel": channel, **fit.as_dict()}
                 for data, table in self.fit.items() for channel, fit in table.items()]
         return pd.DataFrame(rows, columns=None if rows else ["data", "channel"]).set_index(["data", "channel"])

@@ -8,6 +8,7 @@ from contextlib import closing
 from pathlib import Path
 
 from hydroopt.errors import ProblemError, SolverError
+from hydroopt.extras import needed
 from hydroopt.files import claimed, write_files
 from hydroopt.study import processes
 from hydroopt.study.directory import Directory
@@ -72,6 +73,7 @@ def _computed(study: Study, indices: Sequence[int], scheduler: str | None, worke
     """Outcomes of cells as they finish."""
     if scheduler is None:
         return processes.computed(study, indices, workers)
+    needed("distributed", "cells are handed to a scheduler with Dask", where=f"--scheduler {scheduler}")
     from hydroopt.study.scheduler import computed  # noqa: PLC0415 (Dask takes a second to import)
 
     return computed(study, indices, scheduler, say)

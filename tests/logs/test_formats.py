@@ -316,6 +316,6 @@ def test_a_missing_library_is_named_with_the_command(tmp_path, monkeypatch):
     monkeypatch.setattr("hydroopt.logs.formats.foreign_file.ROOT", tmp_path)
     (tmp_path / "hydroopt").symlink_to(__import__("hydroopt").__path__[0])
     path.rename(tmp_path / "run.h5")
-    with pytest.raises(LogError, match=r"run\.h5: the library 'h5py' .* HDF5 files is not installed; install it with: "
+    with pytest.raises(LogError, match=r"run\.h5: the library 'h5py' .* HDF5 files is not installed; run "
                                        r"pip install 'hydroopt-calibration\[hdf5\]'"):
         read_log(tmp_path / "run.h5", mapping=layout)

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import LogError
+from hydroopt.extras import install
 from hydroopt.logs import stamps
 from hydroopt.logs.column_map import Key, LogMap
 from hydroopt.logs.formats.log_file import LogFile
@@ -24,8 +25,9 @@ from hydroopt.logs.table import Array, RawKey, Table, check_size, find_column, s
 
 NAMES = {"hdf5": "HDF5", "mat73": "MATLAB 7.3", "npz": "NPZ", "xlsx": "spreadsheet", "tdms": "TDMS", "mdf": "MDF",
          "bags": "ROS bag or MCAP"}
-EXTRAS = {"hdf5": "hdf5", "mat73": "hdf5", "xlsx": "xlsx", "tdms": "tdms", "mdf": "mdf", "bags": "ros"}
-"""The extra of the package that installs the library of a kind of file."""
+LIBRARIES = {"hdf5": "h5py", "mat73": "h5py", "xlsx": "python_calamine", "tdms": "nptdms", "mdf": "asammdf",
+             "bags": "rosbags"}
+"""The library that reads a kind of file."""
 PROGRAM = Path(__file__).with_name("process.py")
 ROOT = Path(__file__).parents[3]
 MEMORY = 6 * 1000**3
@@ -93,9 +95,8 @@ class ForeignFile:
             raise self._crashed()
         said = json.loads(line)
         if "missing" in said:
-            extra = EXTRAS.get(self.kind, "")
             raise LogError(f"the library '{said['missing']}' that reads {NAMES[self.kind]} files is not installed",
-                           where=self.where, remedy=f"install it with: pip install 'hydroopt-calibration[{extra}]'")
+                           where=self.where, remedy=install(LIBRARIES[self.kind]))
         if "unreadable" in said:
             raise unreadable(NAMES[self.kind], self.where, ValueError(said["unreadable"]))
         blobs = [self._process.stdout.read(size) for size in said["sizes"]]

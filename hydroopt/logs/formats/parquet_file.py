@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hydroopt.errors import LogError
+from hydroopt.extras import needed
 from hydroopt.logs import stamps
 from hydroopt.logs.column_map import Key, LogMap
 from hydroopt.logs.table import Array, RawKey, Table, check_size, find_column, selected, unreadable
@@ -22,7 +23,8 @@ class ParquetFile:
     own_stamps, shown = False, ""
 
     def __init__(self, source: bytes | Path, where: str, layout: LogMap | None) -> None:
-        from pyarrow import ArrowException, BufferReader  # noqa: PLC0415 (import cost)
+        needed("pyarrow", "Parquet files are read with pyarrow", where=where, error=LogError)
+        from pyarrow import ArrowException, BufferReader  # noqa: PLC0415 (an extra)
         from pyarrow.parquet import ParquetFile as Reader  # noqa: PLC0415
 
         self.where, self._rows = where, layout.rows if layout else None

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import csv
-import io
+import re
 from collections.abc import Sequence
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,15 +63,15 @@ class TextFile:
         good = [i for i, w in enumerate(widths) if w == width]
         if not good:
             refuse_damage(damage, rows, self.where)
-        sound = "\n".join(lines[i] for i in good)
-        found = self._parse(sound, width, index)
+        sound = [lines[i] for i in good]
+        found = self._parse(sound, index)
         columns: dict[RawKey, Array] = {}
         made: Stamps | None = None
         for key, position in zip(keys, index, strict=True):
             values = np.full(rows.size, np.nan)
             cells = found[position]
             if key == time:
-                made = self._stamps(cells, position, sound, width, np.array(good), rows.size)
+                made = self._stamps(cells, position, sound, np.array(good), rows.size)
                 if made is not None and isinstance(cells, list):
                     columns[key] = made.seconds()
                     continue
@@ -88,7 +87,7 @@ class TextFile:
     def _named(self, position: int) -> str:
         return f"column {position + 1} " + (f"'{self.header[position]}'" if self.header else "without name")
 
-    def _stamps(self, cells: Array | list[str], position: int, sound: str, width: int, good: NDArray[np.int64],
+    def _stamps(self, cells: Array | list[str], position: int, sound: Sequence[str], good: NDArray[np.int64],
                 size: int) -> Stamps | None:
         """The time's dates, or its epoch with all digits; None where it is neither."""
         if isinstance(cells, list):
@@ -99,28 +98,24 @@ class TextFile:
             unit = stamps.epoch_unit(cells)
             if unit is None:
                 return None
-            from pyarrow import string  # noqa: PLC0415
-
-            texts = self._columns(sound, width, [position], string())[position].to_pylist()
+            texts = self._columns(sound, [position])[position]
             ticks = [stamps.exact_ticks(text.replace(self._decimal, "."), unit) for text in texts]
             made = stamps.epoch(np.array(ticks, np.int64), 10**9, unit)
         ticks_of_all = np.full(size, stamps.MISSING)
         ticks_of_all[good] = made.ticks
         return replace(made, ticks=ticks_of_all)
 
-    def _texts(self, keys: Sequence[Key], sound: str, width: int, good: NDArray[np.int64],
+    def _texts(self, keys: Sequence[Key], sound: Sequence[str], width: int, good: NDArray[np.int64],
                size: int) -> dict[Key, list[str]]:
         """Text columns of length `size`, '' in the rows that are not `good`."""
-        from pyarrow import string  # noqa: PLC0415
-
         if not keys:
             return {}
         index = [find_column(key, self.header, width, self.where) for key in keys]
-        cells = self._columns(sound, width, index, string())
+        cells = self._columns(sound, index)
         out = {}
         for key, position in zip(keys, index, strict=True):
             column = np.full(size, "", dtype=object)
-            column[good] = cells[position].to_pylist()
+            column[good] = cells[position]
             out[key] = column.tolist()
         return out
 
@@ -144,6 +139,8 @@ class TextFile:
             return 0
 
     def _number(self, cell: str) -> float | None:
+        if cell in ("NA", "null"):
+            return np.nan
         if self._thousands:
             cell = cell.replace(self._thousands, "")
         try:
@@ -151,33 +148,30 @@ class TextFile:
         except ValueError:
             return None
 
-    def _columns(self, text: str, width: int, index: Sequence[int], kind: Any) -> dict[int, Any]:
-        """The columns `index` as Arrow columns of `kind`."""
-        from pyarrow import csv as arrow  # noqa: PLC0415
-        from pyarrow import float64  # noqa: PLC0415
+    def _columns(self, lines: Sequence[str], index: Sequence[int]) -> dict[int, list[str]]:
+        """The cells of the columns `index`."""
+        rows = list(csv.reader(lines, delimiter=self._delimiter))
+        return {i: [row[i] if row else "" for row in rows] for i in set(index)}
 
-        names = [str(i) for i in range(width)]
-        wanted = sorted({names[i] for i in index})
-        result = arrow.read_csv(
-            io.BytesIO(text.encode()),
-            read_options=arrow.ReadOptions(column_names=names),
-            parse_options=arrow.ParseOptions(delimiter=self._delimiter, ignore_empty_lines=False),
-            convert_options=arrow.ConvertOptions(
-                column_types=dict.fromkeys(wanted, kind), include_columns=wanted, decimal_point=self._decimal,
-                null_values=["", "nan", "NaN", "NAN", "NA", "null"] if kind == float64() else []))
-        return {int(name): result.column(name) for name in wanted}
-
-    def _parse(self, text: str, width: int, index: list[int]) -> dict[int, Array | list[str]]:
+    def _parse(self, lines: Sequence[str], index: Sequence[int]) -> dict[int, Array | list[str]]:
         """Columns as numbers; one that holds anything else comes back as its texts."""
-        from pyarrow import ArrowInvalid, float64, string  # noqa: PLC0415
-
+        wanted = sorted(set(index))
         try:
-            columns = self._columns(text, width, index, float64())
-            return {i: np.asarray(column.to_numpy(), dtype=np.float64) for i, column in columns.items()}
-        except ArrowInvalid:
+            table = np.loadtxt(self._plain(lines), delimiter=self._delimiter, usecols=wanted, comments=None,
+                               quotechar='"', ndmin=2)
+            return dict(zip(wanted, table.T.copy(), strict=True))
+        except ValueError:  # a cell is no plain number
             out: dict[int, Array | list[str]] = {}
-            for i, column in self._columns(text, width, index, string()).items():
-                cells: list[str] = column.to_pylist()
+            for i, cells in self._columns(lines, wanted).items():
                 numbers = [self._number(cell) for cell in cells]
                 out[i] = cells if None in numbers else np.array(numbers, dtype=float)
             return out
+
+    def _plain(self, lines: Sequence[str]) -> Sequence[str]:
+        """Lines with a decimal point, and nan in empty cells."""
+        text = "\n".join(lines)
+        if self._decimal not in (".", self._delimiter):
+            text = text.replace(self._decimal, ".")
+        between = re.escape(self._delimiter)
+        filled = re.sub(rf"(^|{between})(?={between}|$)", r"\1nan", text, flags=re.MULTILINE)
+        return filled.split("\n")

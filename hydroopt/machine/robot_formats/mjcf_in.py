@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from hydroopt.errors import MachineError
+from hydroopt.extras import needed
 from hydroopt.machine.robot_formats.bodies import CentralInertia
 from hydroopt.machine.robot_formats.frames import from_quaternion, pose, shift, turn_about
 from hydroopt.machine.robot_formats.tree import Mimic, RobotTree, Spring, TreeJoint, TreePin, one_tree
@@ -34,11 +35,7 @@ def read_mjcf(path: str | Path) -> RobotTree:
     """
     file = str(path)
     robot_element(file, "mujoco", "MJCF")
-    try:
-        import mujoco  # noqa: PLC0415 (an extra)
-    except ImportError:
-        raise MachineError("MJCF files are read with MuJoCo, which is not installed", where=file,
-                           remedy="run pip install 'hydroopt-calibration[mjcf]'") from None
+    mujoco = needed("mujoco", "MJCF files are read with MuJoCo", where=file, error=MachineError)
     try:
         model = mujoco.MjModel.from_xml_path(file)
     except (ValueError, mujoco.FatalError) as error:

@@ -109,7 +109,7 @@ def test_robust_losses_find_stribeck_speeds_too(loss: Any) -> None:
     start = crane(coulomb=0.0, stribeck=0.0, stribeck_speed=0.06)
     plain, robust = (identify(identification_problem(start, dirty, smoothing=PERIODIC).with_loss(one), intervals=False)
                      for one in ("squares", loss))
-    assert robust["lift_cylinder.v_stribeck"] == pytest.approx(0.03, rel=0.25)
+    assert robust["lift_cylinder.v_stribeck"].value == pytest.approx(0.03, rel=0.25)
     assert abs(robust["lift_cylinder.f_stribeck"].value - 1500) < abs(plain["lift_cylinder.f_stribeck"].value - 1500)
 
 
@@ -223,7 +223,7 @@ def test_what_predicts_is_chosen_not_what_fits(plain: Estimate) -> None:
     assert rows["viscous"].held_out > rows["coulomb+viscous"].held_out + 3 * rows["viscous"].std
     assert [row.parameters for row in choice.candidates] == [0, 1, 1, 2, 4, 4, 3, 2, 6]
     assert sum(row.chosen for row in choice.candidates) == 1
-    assert plain["lift_cylinder.f_coulomb"] == pytest.approx(500, abs=60)
+    assert plain["lift_cylinder.f_coulomb"].value == pytest.approx(500, abs=60)
 
 
 @pytest.mark.slow

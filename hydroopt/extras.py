@@ -1,0 +1,48 @@
+"""Libraries that only some jobs need: what installs each, and the sentence where one is missing."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import Any
+
+from hydroopt.errors import HydrooptError, ProblemError
+
+DISTRIBUTION = "hydroopt-calibration"
+"""Name of the distribution that holds the package `hydroopt`; on the package index `hydroopt` is another project."""
+EXTRAS = {"control": "control", "dask": "cluster", "distributed": "cluster", "pandas": "frames", "pyarrow": "parquet",
+          "mujoco": "mjcf", "h5py": "hdf5", "asammdf": "mdf", "mcap": "ros", "rosbags": "ros", "nptdms": "tdms",
+          "python_calamine": "xlsx"}
+"""The extra of the distribution that installs a module; tests hold it against pyproject.toml."""
+
+
+def needed(module: str, purpose: str, *, where: str, error: type[HydrooptError] = ProblemError) -> Any:
+    """A module of a library that an extra installs.
+
+    Args:
+        module: such as ``pyarrow.parquet``.
+        purpose: what needs it, with a verb: "Parquet files are read with pyarrow".
+        where: what is being done or read.
+        error: the kind of error.
+
+    Raises:
+        HydrooptError: of this kind, the library is not installed; it names the command that installs it.
+
+    >>> needed("json", "texts are read with json", where="text").loads("1")
+    1
+    """
+    library = module.partition(".")[0]
+    try:
+        return import_module(module)
+    except ModuleNotFoundError as missing:
+        if missing.name != library:  # it is there, but damaged
+            raise
+        raise error(f"{purpose}, which is not installed", where=where, remedy=install(library)) from None
+
+
+def install(library: str) -> str:
+    """The command that installs a library.
+
+    >>> install("mcap")
+    "run pip install 'hydroopt-calibration[ros]'"
+    """
+    return f"run pip install '{DISTRIBUTION}[{EXTRAS[library]}]'"
