@@ -13,6 +13,8 @@ from .estimation.dynamic.estimate import Estimate as Estimate
 from .estimation.dynamic.friction_candidates import FrictionChoice as FrictionChoice
 from .estimation.dynamic.friction_choice import choose_friction as choose_friction
 from .estimation.dynamic.friction_choice import with_friction as with_friction
+from .estimation.dynamic.log_check import LogCheck as LogCheck
+from .estimation.dynamic.log_check import check_logs as check_logs
 from .estimation.dynamic.payload import Payload as Payload
 from .estimation.dynamic.payload import payload as payload
 from .estimation.dynamic.problem import IdentificationProblem as IdentificationProblem

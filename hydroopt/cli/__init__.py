@@ -6,9 +6,10 @@ import ast
 import os
 import sys
 from collections.abc import Collection
+from functools import cached_property
 from importlib import import_module
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Annotated, Any, get_args, get_type_hints
 
 import typer
 from typer.core import TyperCommand, TyperGroup
@@ -18,9 +19,15 @@ from hydroopt.cli import limits
 from hydroopt.cli.terminal import echo
 from hydroopt.errors import HydrooptError, ProblemError, StoppedError
 
-COMMANDS = ("show", "map", "simulate", "identify", "identify-valves", "identify-payload", "compare", "calibrate",
-            "calibrate-sensors", "plan-poses", "excite", "control", "study", "codegen", "convert")
-"""A command is the function of its name in the module of its name; the docstring of that function is its help."""
+JOBS = {"Describe a machine": ("models", "show", "convert"),
+        "Measure": ("excite", "plan-poses", "simulate", "map", "check"),
+        "Identify and calibrate": ("identify", "identify-valves", "identify-payload", "compare", "calibrate",
+                                   "calibrate-sensors"),
+        "Control": ("control", "codegen"),
+        "Repeat": ("study",)}
+"""Commands by job. A command is the function of its name in the module of its name; the docstring of that function is
+its help, whose last paragraph is an example."""
+COMMANDS = tuple(name for names in JOBS.values() for name in names)
 
 
 class Command(limits.Command):
@@ -51,11 +58,21 @@ class Deferred(TyperCommand):
         super().__init__(name)
         self.key = name.replace("-", "_")
 
-    def get_short_help_str(self, limit: int = 45) -> str:
-        """The first paragraph of the command's help, from its source."""
+    @cached_property
+    def paragraphs(self) -> list[str]:
+        """The paragraphs of the command's help, from its source."""
         source = ast.parse(Path(__file__).with_name(f"{self.key}.py").read_text("utf-8"))
         function = next(node for node in source.body if isinstance(node, ast.FunctionDef) and node.name == self.key)
-        self.short_help = (ast.get_docstring(function) or "").partition("\n\n")[0]
+        return (ast.get_docstring(function) or "").split("\n\n")
+
+    @property
+    def example(self) -> str:
+        """A command line."""
+        return self.paragraphs[-1].removeprefix("Example: ")
+
+    def get_short_help_str(self, limit: int = 45) -> str:
+        """The first paragraph of the command's help."""
+        self.short_help = self.paragraphs[0]
         return super().get_short_help_str(limit)
 
     def make_context(self, info_name: str | None, args: list[str], parent: Any = None, **extra: Any) -> Any:
@@ -104,12 +121,34 @@ class Commands(Group):
     def __init__(self, **attributes: Any) -> None:
         super().__init__(**attributes | {"commands": {name: Deferred(name) for name in COMMANDS}})
 
+    def format_commands(self, ctx: Any, formatter: Any) -> None:
+        """Write the commands by job, each job with an example."""
+        width = formatter.width - 6 - max(map(len, COMMANDS))
+        for job, names in JOBS.items():
+            with formatter.section(job):
+                formatter.write_dl([(name, self.commands[name].get_short_help_str(width)) for name in names],
+                                   col_max=max(map(len, COMMANDS)))
+                command = self.commands[names[-1] if job == "Measure" else names[0]]
+                assert isinstance(command, Deferred)
+                formatter.write_text(f"Example: {command.example}")
 
-app = typer.Typer(cls=Commands, add_completion=False, rich_markup_mode=None, pretty_exceptions_enable=False)
+
+app = typer.Typer(cls=Commands, rich_markup_mode=None, pretty_exceptions_enable=False)
+
+
+def _print_version(wanted: bool) -> None:
+    if wanted:
+        from hydroopt.versions import version
+
+        echo(f"hydroopt {version()}")
+        raise typer.Exit
 
 
 @app.callback()
-def hydroopt() -> None:
+def hydroopt(
+    version: Annotated[bool, typer.Option("--version", callback=_print_version, is_eager=True, help=(
+        "Print the version."))] = False,
+) -> None:
     """Calibrate hydraulically actuated manipulators: a machine file and logs in, a model with error bars out."""
 
 

@@ -51,7 +51,10 @@ def calibrate(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Calibrate a machine's geometry from poses: DIR gets estimate.json, report.html, the calibrated machine."""
+    """Calibrate a machine's geometry from poses: DIR gets estimate.json, report.html, the calibrated machine.
+
+    Example: hydroopt calibrate cat215b poses.csv -o out/geometry
+    """
     import numpy as np
 
     from hydroopt.estimation.kinematic.calibrate import calibrate as solve_calibration

@@ -34,7 +34,10 @@ def calibrate_sensors(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Calibrate IMUs, clocks and geometry by motion and postures: DIR gets the motion and the calibrated machine."""
+    """Calibrate IMUs, clocks and geometry by motion and postures: DIR gets the motion and the calibrated machine.
+
+    Example: hydroopt calibrate-sensors excavator_imu motion.csv --at-rest rest.csv -o out/sensors
+    """
     from hydroopt.estimation.motion.problem import sensor_problem
     from hydroopt.estimation.motion.sensor_calibration import METHOD
     from hydroopt.logs.log_files import read_log

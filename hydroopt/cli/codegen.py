@@ -22,7 +22,10 @@ def codegen(
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
 ) -> None:
-    """Write the model as C for a controller: DIR gets a folder that builds and tests itself."""
+    """Write the model as C for a controller: DIR gets a folder that builds and tests itself.
+
+    Example: hydroopt codegen cat215b -o out/c
+    """
     from hydroopt.codegen import parameter_source as codegen_origin
     from hydroopt.codegen.folder import Code
     from hydroopt.model.model import Model

@@ -48,7 +48,10 @@ def compare(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Test which parameters changed over sessions, and at which: DIR gets comparison.json, report.html and tables."""
+    """Test which parameters changed over sessions, and at which: DIR gets comparison.json, report.html and tables.
+
+    Example: hydroopt compare cat215b monday.csv friday.csv -o out/change
+    """
     from hydroopt.estimation.dynamic import change_history, two_session_answer
     from hydroopt.estimation.dynamic.change import detect_change
     from hydroopt.estimation.dynamic.change_history import detect_changes

@@ -53,6 +53,8 @@ def control(
     """Close the loop in simulation: controllers with several models of a machine follow a motion on its true self.
 
     DIR gets the figures, the margins, a report, and the best feedforward as C.
+
+    Example: hydroopt control patu655_lift --motion log.csv -o out/control
     """
     from hydroopt.checks.plausibility import misread_error
     from hydroopt.codegen import parameter_source

@@ -30,7 +30,10 @@ def convert(
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
 ) -> None:
-    """Convert a machine or a calibrated estimate from one format to another: .toml, .urdf, .xml (MJCF), .sdf."""
+    """Convert a machine or a calibrated estimate from one format to another: .toml, .urdf, .xml (MJCF), .sdf.
+
+    Example: hydroopt convert robot.urdf robot.toml
+    """
     from hydroopt.codegen.parameter_source import read
     from hydroopt.files import write_files
     from hydroopt.input_file import is_directory

@@ -68,6 +68,8 @@ def excite(
     """Design the motion with the most information: DIR gets it, the accuracy to expect, and C code.
 
     Ctrl-C ends the search and keeps the best motion so far.
+
+    Example: hydroopt excite cat215b -o out/drive
     """
     from hydroopt.codegen import parameter_source
     from hydroopt.codegen.folder import Code

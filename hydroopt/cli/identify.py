@@ -89,7 +89,10 @@ def identify(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Identify masses, inertias, friction and offsets: DIR gets estimate.json, report.html, the calibrated machine."""
+    """Identify masses, inertias, friction and offsets: DIR gets estimate.json, report.html, the calibrated machine.
+
+    Example: hydroopt identify cat215b out/run/log.csv --holdout 0.3 -o out/estimate
+    """
     from hydroopt.estimation.dynamic.estimate import inputs_of
     from hydroopt.estimation.dynamic.friction_choice import choose_friction, friction_problem
     from hydroopt.estimation.dynamic.problem import identification_problem

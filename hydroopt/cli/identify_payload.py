@@ -47,7 +47,10 @@ def identify_payload(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Identify a carried load from logs with and without it: DIR gets payload.json, report.html and a table."""
+    """Identify a carried load from logs with and without it: DIR gets payload.json, report.html and a table.
+
+    Example: hydroopt identify-payload patu655 --unloaded empty.csv --loaded full.csv -o out/load
+    """
     from hydroopt.estimation.dynamic.payload import payload
     from hydroopt.estimation.dynamic.two_session_answer import METHOD
     from hydroopt.machine.machine_file import load_machine

@@ -39,7 +39,10 @@ def identify_valves(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Identify valves, oil and friction: DIR gets estimate.json, report.html, free runs and the calibrated machine."""
+    """Identify valves, oil and friction: DIR gets estimate.json, report.html, free runs and the calibrated machine.
+
+    Example: hydroopt identify-valves patu655_lift driven.csv --holdout 0.3 -o out/valves
+    """
     from hydroopt.estimation.hydraulic.estimate import METHOD
     from hydroopt.estimation.hydraulic.problem import hydraulic_problem
     from hydroopt.logs.log_files import read_log

@@ -27,6 +27,8 @@ def map(
     """Propose a column map of a log: which of its columns are which channels of a machine, and how sure that is.
 
     A channel that is only guessed is written as a comment.
+
+    Example: hydroopt map log.csv cat215b --to map.toml
     """
     from hydroopt.files import write_file
     from hydroopt.logs.map_proposal import propose_map

@@ -12,6 +12,7 @@ import typer
 
 from hydroopt.errors import ProblemError
 from hydroopt.input_file import is_directory
+from hydroopt.machine.bundled_files import bundled_files
 
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.weighted_residuals import Loss
@@ -24,8 +25,14 @@ if TYPE_CHECKING:
 
 L = TypeVar("L", bound="AnyLog")
 
+def _machines(incomplete: str) -> list[str]:
+    """Bundled machines whose names begin so, for the completion of a shell."""
+    return [name for name in bundled_files() if name.startswith(incomplete)]
+
+
 MachineName = Annotated[str, typer.Argument(
-    metavar="MACHINE", help="A bundled machine's name, or a .toml, .urdf or .xml (MJCF) file.")]
+    metavar="MACHINE", autocompletion=_machines, help=(
+        "A bundled machine's name, or a .toml, .urdf or .xml (MJCF) file."))]
 MachineOrFolder = Annotated[str, typer.Argument(metavar="MACHINE|DIR", help=(
     "A machine, or the directory that identify or calibrate wrote."))]
 ParameterSetName = Annotated[str | None, typer.Option(

@@ -40,7 +40,10 @@ def plan_poses(
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Plan the poses of a kinematic calibration: DIR gets sheet.txt to measure by, poses.csv to fill in, plan.json."""
+    """Plan the poses of a kinematic calibration: DIR gets sheet.txt to measure by, poses.csv to fill in, plan.json.
+
+    Example: hydroopt plan-poses cat215b -n 40 -o out/plan
+    """
     from hydroopt.excitation.poses.exchange import fedorov_exchange
     from hydroopt.excitation.poses.problem import pose_problem
     from hydroopt.machine.machine_file import load_machine

@@ -27,7 +27,10 @@ def show(
     parameter_set: ParameterSetName = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show a machine: joints, cylinders and their geometry, sensors, and which parameters are identifiable."""
+    """Show a machine: joints, cylinders and their geometry, sensors, and which parameters are identifiable.
+
+    Example: hydroopt show cat215b -o out
+    """
     from rich.console import Console
     from rich.markup import escape
 

@@ -68,6 +68,8 @@ def simulate(
     """Simulate the log, or the poses, that a machine's sensors would record: DIR gets log.csv and truth.json.
 
     A given motion may state the wrench at the tip (tip.fx to tip.mz), which then acts on the machine.
+
+    Example: hydroopt simulate cat215b --truth random -o out/run
     """
     from hydroopt.files import write_files
     from hydroopt.logs.log_files import read_log

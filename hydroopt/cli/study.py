@@ -56,6 +56,8 @@ def study() -> None:
     """Monte Carlo, sweep, bootstrap or multistart: DIR gets every cell, results.csv, summary.json and report.html.
 
     The same command resumes an interrupted study.
+
+    Example: hydroopt study montecarlo cat215b --cells 50 -o out/study
     """
 
 

@@ -21,6 +21,7 @@ from hydroopt.errors import MachineError
 from hydroopt.input_file import read_text, toml
 from hydroopt.machine import base_motion, cylinder_checks, free_links, linkages, loop_checks, oil_links, prior_checks
 from hydroopt.machine.actuators import Cylinder, TorqueFriction
+from hydroopt.machine.bundled_files import bundled_files
 from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.links import Joint, JointFriction, JointSpring, Note
 from hydroopt.machine.loops import Loop
@@ -41,13 +42,7 @@ def bundled() -> tuple[str, ...]:
     >>> "cat215b" in bundled()
     True
     """
-    return tuple(sorted(file.stem for file in _models().glob("*.toml")))
-
-
-def _models() -> Path:
-    """Where the bundled machine files are: inside an installed package, or at the top level of a checkout."""
-    package = Path(__file__).parents[1]
-    return package / "models" if (package / "models").is_dir() else package.parent / "models"
+    return tuple(bundled_files())
 
 
 def load_machine(machine: str | Path, *, parameter_set: str | None = None, tip: str | None = None) -> Machine:
@@ -79,8 +74,8 @@ def load_machine(machine: str | Path, *, parameter_set: str | None = None, tip: 
     if tip is not None:
         raise MachineError(f"only of a robot file the chain to a tip such as '{tip}' can be read", where=name,
                            remedy="leave it out")
-    if name in bundled():
-        return read_machine((_models() / f"{name}.toml").read_text("utf-8"), where=name, parameter_set=parameter_set)
+    if file := bundled_files().get(name):
+        return read_machine(file.read_text("utf-8"), where=name, parameter_set=parameter_set)
     if path.suffix != ".toml":
         raise MachineError(f"this is neither a bundled machine nor a .toml or {' or '.join(ROBOT_SUFFIXES)} file",
                            where=name, remedy=f"name a .toml file or one of {', '.join(bundled())}")
@@ -156,7 +151,7 @@ def _with_base(data: dict[str, Any], where: str) -> dict[str, Any]:
     if base not in bundled():
         raise MachineError(f"'{base}' is no bundled machine", where=f"{where}: based_on",
                            remedy=f"name one of {', '.join(bundled())}, or state the whole machine")
-    before = toml((_models() / f"{base}.toml").read_text("utf-8"), MachineError, where=str(base))
+    before = toml(bundled_files()[base].read_text("utf-8"), MachineError, where=str(base))
     merged: dict[str, Any] = _merged(_with_base(before, str(base)), data)
     return merged
 

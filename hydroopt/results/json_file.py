@@ -42,13 +42,14 @@ class Job(StrEnum):
     CHANGE_HISTORY = "comparison of several sessions"
     PAYLOAD = "identification of a payload"
     CONTROL = "comparison of controllers"
+    CHECK = "check of logs"
 
 
 FILES = {Job.IDENTIFICATION: "estimate.json", Job.CALIBRATION: "estimate.json", Job.SENSORS: "estimate.json",
          Job.HYDRAULICS: "estimate.json",
          Job.EXCITATION: "excitation.json", Job.POSE_PLAN: "plan.json",
          Job.CHANGE: "comparison.json", Job.CHANGE_HISTORY: "comparison.json",
-         Job.PAYLOAD: "payload.json", Job.CONTROL: "control.json"}
+         Job.PAYLOAD: "payload.json", Job.CONTROL: "control.json", Job.CHECK: "check.json"}
 """The JSON file of each job."""
 COMMON = ("schema", "job", "machine", "created", "inputs", "method", "versions", "status", "verdict", "findings",
           "diagnostics", "parameters", "fit", "wall_s", "files")

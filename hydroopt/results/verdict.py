@@ -22,6 +22,7 @@ LINES, WIDTH = 12, 110
 class Purpose(StrEnum):
     """What an answer may be used for."""
 
+    LOGS = "identification from these logs"
     FORCES = "force prediction"
     MASSES = "single masses"
     WEIGHING = "weighing a load"
@@ -267,5 +268,7 @@ def _folded(uses: Sequence[Use], most: int) -> str:
 def _wrapped(text: str, label: str) -> list[str]:
     """A text after a label, with its further lines below it."""
     first = f"  {label:<11} " if label else ""
-    return textwrap.wrap(text, WIDTH, initial_indent=first, subsequent_indent=" " * (14 if label else 2),
-                         break_on_hyphens=False) or [first.rstrip()]
+    whole = text.replace(" %", "\N{NO-BREAK SPACE}%")
+    lines = textwrap.wrap(whole, WIDTH, initial_indent=first, subsequent_indent=" " * (14 if label else 2),
+                          break_on_hyphens=False)
+    return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines] or [first.rstrip()]

@@ -30,6 +30,8 @@ WEIGHED = 5.0
 """Seconds over which readings are averaged when a load is weighed."""
 WORKING_PRESSURE = 2e7
 """Pressure [Pa] up to which an actuator works that states no relief pressure."""
+UPPER = 1.645
+"""Standard deviations by which the RMS error of a log of finite length is raised, so that it holds in 95 %."""
 RANGE = 4.0
 """Range of a force in its standard deviations."""
 _OF_PRIOR = "mostly the machine file's confidence"
@@ -97,13 +99,16 @@ def _forces(found: Identification, spread: Array | None) -> Iterator[Use]:
         errors = _regressor(found, *_states(found)) @ spread.T
         model_error = np.quantile(np.sqrt(np.mean(errors**2, axis=0)), 0.95, axis=1)
     logs = len(found.problem.validation)
+    samples = sum(data.sample_count for data in found.problem.validation or found.problem.experiments)
+    independent = np.maximum(samples / np.maximum(found.correlation_time, 1.0), 1.0)
     condition = (f"RMS with the sensors' noise, on {logs} held-out log{'s' * (logs != 1)} and, by the intervals, in "
                  "all postures at such speeds") if held_out else ""
     for k, balance in enumerate(found.problem.model.machine.balances):
         fit = (held_out or found.fit["train"])[balance.name]
         if not balance.actuators or not np.isfinite(fit.vaf):
             continue
-        error = float(fit.rms if spread is None else np.hypot(fit.rms, model_error[k]))
+        measured = fit.rms * (1 + UPPER / np.sqrt(2 * independent[k]))
+        error = float(measured if spread is None else np.hypot(measured, model_error[k]))
         variation = fit.rms / np.sqrt(1 - fit.vaf) if fit.vaf < 1 else np.inf
         yield judged(Purpose.FORCES, balance.name, error, balance.unit, error / (RANGE * variation),
                      condition=condition, untested=untested)
@@ -138,7 +143,7 @@ def _mass(name: str, value: float | None, interval: tuple[float, float] | None, 
     if interval is None:
         return make(np.nan, "kg", np.nan, untested="the method states no intervals")
     half = (interval[1] - interval[0]) / 2
-    return make(half, "kg", half / abs(value) if value else np.nan, condition="95 % intervals",
+    return make(half, "kg", half / abs(value) if value else np.nan, condition="95 % intervals, sensors' scales exact",
                 reason=_OF_PRIOR * (from_data < FROM_DATA))
 
 
@@ -148,7 +153,7 @@ def expected_mass(row: ParameterRow) -> Use:
     Args:
         row: of a design, whose `std` is the one to expect and whose value is the nominal one.
     """
-    if row.std is None or not row.nominal:
+    if row.std is None or not row.nominal or row.identifiability == NONE:
         return Use(Purpose.MASSES, row.name, Usable.NO, reason="no motion identifies it" if row.identifiability == NONE
                    else "this motion does not separate it from others")
     half, from_data = NORMAL * row.std, row.information_from_data or 0.0

@@ -1,0 +1,217 @@
+"""Whether logs can be used, what is suspicious in them, and what an identification from them would determine."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from hydroopt.estimation.dynamic import usability
+from hydroopt.estimation.dynamic.estimate import Estimate, inputs_of
+from hydroopt.estimation.dynamic.identify import identify
+from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
+from hydroopt.estimation.inference.identifiability import COMBINATION, FULL, NONE, Identifiability
+from hydroopt.logs.any_log import AnyLog
+from hydroopt.logs.smoothing import Smoothing
+from hydroopt.machine.machine import Machine
+from hydroopt.model.model import Model
+from hydroopt.parameters.parameter_set import ParameterKind
+from hydroopt.results.answer import Answer
+from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.fit import Fit
+from hydroopt.results.json_file import Job, MachineId
+from hydroopt.results.parameter_table import ParameterTable, row
+from hydroopt.results.readable import percentage
+from hydroopt.results.tables import number
+from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use
+from hydroopt.results.wording import Kind
+from hydroopt.spatial.inertia import Array
+
+METHOD = "the information of the motion"
+LITTLE_RANGE = 0.2
+"""Part of a joint's range below which its motion tells little: gravity's change of direction stays within noise."""
+
+
+class JointCoverage(NamedTuple):
+    """What a joint does in the logs: part of its range, RMS speed and acceleration [rad/s, rad/s² or m/s, m/s²]."""
+
+    joint: str
+    of_range: float
+    speed: float
+    acceleration: float
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class LogCheck(Answer):
+    """What logs are good for, before any identification; `check_logs` returns it.
+
+    Attributes:
+        problem: the identification that the logs would enter.
+        rough: least squares on base parameters, from which the weights of the residuals are.
+
+    Example:
+        >>> import hydroopt as ho
+        >>> model = ho.Model(ho.load_machine("patu655_lift"))
+        >>> log = ho.simulate(model, ho.random_trajectory(model, duration=20, rate=20, seed=1), seed=1)
+        >>> found = ho.check_logs(model.machine, [log])
+        >>> found.status, found.identifiability.rank
+        (<Status.OK: 'ok'>, 5)
+        >>> found.parameters["lift_cylinder.f_coulomb"].std < 200
+        True
+    """
+
+    problem: IdentificationProblem
+    rough: Estimate
+
+    job = Job.CHECK
+
+    @property
+    def machine_id(self) -> MachineId:
+        """Which machine it is about."""
+        return MachineId.of(self.problem.model.machine)
+
+    @property
+    def method(self) -> str:
+        """How it was computed."""
+        return METHOD
+
+    @property
+    def identifiability(self) -> Identifiability:
+        """What the motion of the logs determines."""
+        return self.rough.identifiability
+
+    @cached_property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """What contradicts the machine file, what looks wrong in the logs, and what the motion does not excite."""
+        return (*self.rough.of_logs, *self._findings(), *self._not_excited())
+
+    def _findings(self) -> Iterator[Diagnostic]:
+        for data in self.problem.experiments:
+            for each in data.log.findings:
+                yield Diagnostic(Kind.FINDING, (data.log.path or data.log.name,), {"text": each.text})
+
+    def _not_excited(self) -> Iterator[Diagnostic]:
+        names, rough = self.problem.parameters.names, self.rough
+        for kind, missing in ((Kind.NOT_EXCITED, [name for k, name in enumerate(names)
+                                                  if rough.category(k) == "not excited"]),
+                              (Kind.NOT_IDENTIFIABLE, [name for k, name in enumerate(names)
+                                                       if rough.structural.category[k] == NONE])):
+            if missing:
+                yield Diagnostic(kind, tuple(missing))
+
+    @cached_property
+    def std(self) -> Array:
+        """Standard deviations (p,) to expect, by the logs and the machine file's confidences; infinite without both."""
+        parameters, R = self.problem.parameters, self.rough.weighted_residuals.R
+        rows = np.vstack([R, self.problem.square_rows[0]]) * parameters.scale
+        _, values, axes = np.linalg.svd(rows, full_matrices=False)
+        kept = values > 1e-9 * values[0]
+        with np.errstate(divide="ignore"):
+            spread = np.linalg.norm(axes[kept] / values[kept, None], axis=0)
+        lost = np.max(np.abs(axes[~kept]), axis=0, initial=0.0) > 1e-6
+        return np.asarray(parameters.scale * np.where(lost, np.inf, spread))
+
+    @cached_property
+    def parameters(self) -> ParameterTable:
+        """All parameters: `std` is the one to expect of an identification; no values, as none is identified yet."""
+        stated = self.problem.parameters
+        return ParameterTable([
+            row(name, stated.kinds[k], stated.units[k], nominal=float(stated.nominal[k]),
+                prior_std=float(stated.prior_std[k]), std=float(self.std[k]), identifiability=self.rough.category(k))
+            for k, name in enumerate(stated.names)])
+
+    @cached_property
+    def uses(self) -> tuple[Use, ...]:
+        """Whether the logs can be used, and which masses they would determine."""
+        counts = self.identifiability
+        detail = (f"{counts.rank} of {self.rough.structural.rank} base parameters, "
+                  f"{counts.count(FULL)} parameters alone and {counts.count(COMBINATION)} in combinations")
+        logs = tuple(Use(Purpose.LOGS, data.log.path or data.log.name, Usable.YES, condition=detail)
+                     for data in self.problem.experiments)
+        masses = [usability.expected_mass(each) for each in self.parameters.rows if each.kind == ParameterKind.MASS]
+        return (*logs, *sorted(masses, key=lambda use: np.inf if use.part is None else use.part))
+
+    @cached_property
+    def next_steps(self) -> tuple[NextStep, ...]:
+        """What to drive beside these logs, or to identify from them."""
+        machine, steps = self.machine_name, []
+        logs = " ".join(data.log.path or data.log.name for data in self.problem.experiments)
+        weak = [each for each in self.coverage if each.of_range < LITTLE_RANGE]
+        if weak:
+            steps.append(NextStep(Action.DRIVE, (
+                f"Move {weak[0].joint} further: it covers {percentage(weak[0].of_range)} of its range.")))
+        if any(each.kind is Kind.NOT_EXCITED for each in self.diagnostics):
+            steps.append(NextStep(Action.DRIVE, (
+                f"Add the motion that 'hydroopt excite {machine} --log {logs} -o motion' designs.")))
+        steps.append(NextStep(Action.USE, f"Identify: 'hydroopt identify {machine} {logs} --holdout 0.3 -o out'."))
+        return tuple(steps)
+
+    @cached_property
+    def coverage(self) -> tuple[JointCoverage, ...]:
+        """What each joint does in the logs."""
+        machine = self.problem.model.machine
+        motions = [data.plotted.motion for data in self.problem.experiments]
+        q, qd, qdd = (np.concatenate([getattr(motion, key) for motion in motions]) for key in ("q", "qd", "qdd"))
+        ranges = [np.ptp(machine.link(joint).joint.range) for joint in machine.joints]
+        return tuple(JointCoverage(joint, float(np.ptp(q[:, k]) / ranges[k]), float(np.sqrt(np.mean(qd[:, k] ** 2))),
+                                   float(np.sqrt(np.mean(qdd[:, k] ** 2))))
+                     for k, joint in enumerate(machine.joints))
+
+    @property
+    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
+        """Empty: nothing is identified yet."""
+        return {}
+
+    @property
+    def inputs(self) -> tuple[Mapping[str, Any], ...]:
+        """The logs."""
+        return inputs_of(self.problem)
+
+    def details(self) -> Mapping[str, Any]:
+        """Rank, coverage of each joint, and the residuals' standard deviations."""
+        found, balances = self.identifiability, self.problem.model.machine.balances
+        return {"conditioning": {"rank": found.rank, "structural_rank": self.rough.structural.rank,
+                                 "condition_number": number(found.condition_number)},
+                "coverage": [each._asdict() for each in self.coverage],
+                "weights": {balance.name: {"sigma": number(sigma), "unit": balance.unit}
+                            for balance, sigma in zip(balances, self.rough.sigma, strict=True)}}
+
+    def files(self) -> Mapping[str, str]:
+        """The table of parameters with the standard deviations to expect."""
+        return {"parameters.csv": self.parameters.to_csv()}
+
+    def __str__(self) -> str:
+        lines = [f"  {'joint':<20} {'of its range':>12} {'RMS speed':>14} {'RMS acceleration':>18}"]
+        units = self.problem.model.machine.channel_units
+        for each in self.coverage:
+            unit = units[f"{each.joint}.q"]
+            lines.append(f"  {each.joint:<20} {percentage(each.of_range):>12} {each.speed:>8.3g} {unit}/s "
+                         f"{each.acceleration:>10.3g} {unit}/s²")
+        for data in self.problem.experiments:
+            lines.append(f"  {data.log.path or data.log.name}: {data.sample_count} of {data.log.size} samples usable")
+        return "\n".join(lines)
+
+
+def check_logs(machine: Machine | Model, logs: Sequence[AnyLog], *, smoothing: Smoothing | None = None) -> LogCheck:
+    """Check logs against a machine: can they be used, what is suspicious, and what would they identify.
+
+    Standard deviations to expect are those of weighted least squares with the machine file's confidences, without
+    bounds and conditions on bodies, and with the scatter of the residuals in these logs.
+
+    Args:
+        machine: nominal description, or its model.
+        logs: to be identified from.
+        smoothing: how angles are differentiated; a smoothing spline by default.
+
+    Raises:
+        LogError: a channel is missing or a log is too short.
+        ProblemError: there is no log, or one is given twice.
+        IdentifiabilityError: no joint moves.
+
+    See `LogCheck` for an example.
+    """
+    problem = identification_problem(machine, logs, smoothing=smoothing)
+    return LogCheck(problem, identify(problem.by_data_alone(), "wls"))

@@ -1,0 +1,65 @@
+"""`hydroopt check` and `hydroopt models` as a user runs them."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from typer.testing import CliRunner
+
+import hydroopt
+from hydroopt.cli import app
+from hydroopt.errors import SolverError
+
+
+def run(*arguments: str) -> str:
+    done = CliRunner().invoke(app, list(arguments), catch_exceptions=False)
+    assert done.exit_code == 0, done.output
+    return done.stdout
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("lift")
+    run("simulate", "patu655_lift", "--duration", "20", "--rate", "20", "--seed", "1", "-o", str(out))
+    return out / "log.csv"
+
+
+def test_a_good_log_is_usable_and_the_next_step_is_named(log: Path, tmp_path: Path) -> None:
+    text = run("check", "patu655_lift", str(log), "-o", str(tmp_path / "out"))
+    assert text.splitlines()[0].endswith(": ok")
+    assert "usable      identification from these logs" in text
+    assert "hydroopt identify patu655_lift" in text
+    saved = hydroopt.load(tmp_path / "out")
+    assert saved.job == "check of logs"
+    assert saved.parameters["lift_cylinder.f_coulomb"].std is not None
+
+
+def test_as_json(log: Path) -> None:
+    content = json.loads(run("check", "patu655_lift", str(log), "--json"))
+    assert content["conditioning"]["rank"] == content["conditioning"]["structural_rank"] == 5
+    assert content["verdict"]["uses"][0]["usable"] == "usable"
+
+
+def test_a_log_with_a_flipped_sign_is_not_usable(log: Path, tmp_path: Path) -> None:
+    lines = log.read_text().splitlines()
+    column = lines[0].split(",").index("lift.q [rad]")
+    flipped = [line.split(",") for line in lines[1:]]
+    for cells in flipped:
+        cells[column] = repr(-float(cells[column]))
+    wrong = tmp_path / "flipped.csv"
+    wrong.write_text("\n".join([lines[0], *(",".join(cells) for cells in flipped)]) + "\n")
+    with pytest.raises(SolverError, match="contradict the machine file"):
+        CliRunner().invoke(app, ["check", "patu655_lift", str(wrong)], catch_exceptions=False)
+    text = CliRunner().invoke(app, ["check", "patu655_lift", str(wrong)]).stdout
+    assert ": suspect." in text
+    assert not any(line.startswith("  usable") for line in text.splitlines())
+
+
+def test_models_lists_every_bundled_machine() -> None:
+    rows = json.loads(run("models", "--json"))
+    assert [row["name"] for row in rows] == list(hydroopt.bundled())
+    crane = next(row for row in rows if row["name"] == "patu655")
+    assert (crane["joints"], crane["moved_by"]) == (2, "2 cylinders")
+    assert all(row["assumed"] <= row["stated"] for row in rows)
