@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from hydroopt.report import chain_sides
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, LIGHT, ORANGE, SHADE, STYLE, WIDTH, changes, changes_of, svg
 from hydroopt.report.numbers import NONE, Row, plain, quantity, unit_text
-from hydroopt.report.page import page
+from hydroopt.report.page import document
 from hydroopt.results.status import Status
 
 if TYPE_CHECKING:
@@ -67,8 +67,9 @@ def render(c: Calibration) -> str:
     problem, identified = c.problem, c.observability
     groups = _groups(c)
     every = [p for _, rows in groups for p in rows]
-    return page("calibration.html").render(
-        machine=problem.model.machine, calibration=c, suspect=c.status is not Status.OK,
+    return document(
+        "calibration.html", machine=problem.model.machine, calibration=c, diagnostics=c.diagnostics,
+        suspect=c.status is not Status.OK,
         method=METHODS.get(c.method, ""), fit=_fit(c), groups=groups, figures=_drawings(c),
         counts={kind: sum(p.identifiability == kind for p in every)
                 for kind in ("full", "combination", "none", "fixed")},

@@ -13,7 +13,7 @@ from matplotlib.ticker import FuncFormatter, NullFormatter
 from hydroopt.report import hydraulics
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE, STYLE, WIDTH, svg, thin
 from hydroopt.report.numbers import NONE, plain
-from hydroopt.report.page import page
+from hydroopt.report.page import document
 
 if TYPE_CHECKING:
     from hydroopt.control.comparison import Comparison
@@ -29,8 +29,8 @@ def render(comparison: Comparison) -> str:
     setting = comparison.setting
     machine = setting.plant.machine
     drawn = {"errors": _errors(comparison), "pressures": _pressures(comparison), "bode": _bode(comparison)}
-    return page("closed_loop.html").render(
-        machine=machine, diagnostics=comparison.diagnostics, origin=comparison.source,
+    return document(
+        "closed_loop.html", machine=machine, diagnostics=comparison.diagnostics, origin=comparison.source,
         truth=setting.true.text, rate=plain(setting.rate),
         duration=plain(float(setting.t[-1] - setting.t[0])), winner=comparison.winner.name,
         sensitivity=plain(setting.sensitivity), best=comparison.feedforward,

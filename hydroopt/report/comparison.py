@@ -12,8 +12,7 @@ from matplotlib.figure import Figure
 
 from hydroopt.report.figures import BLUE, GREY, ORANGE, STYLE, panels, svg
 from hydroopt.report.numbers import p_value, plain, quantity, unit_text
-from hydroopt.report.page import page
-from hydroopt.results.diagnostic import sentences
+from hydroopt.report.page import document
 
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.change import Change, Difference
@@ -60,9 +59,9 @@ def sessions_page(template: str, answer: SessionAnswer, title: str, roles: Itera
         notes: how it was computed, in sentences.
         more: values for the template.
     """
-    return page(template).render(
-        machine=answer.machine, title=title, contradictions=answer.contradictions, files=files, notes=notes,
-        findings=[finding.text for finding in answer.findings], diagnostics=sentences(answer.diagnostics),
+    return document(
+        template, machine=answer.machine, title=title, contradictions=answer.contradictions, files=files, notes=notes,
+        answers=[finding.text for finding in answer.findings], diagnostics=answer.diagnostics,
         logs=[_session_row(role, each, answer.machine)
               for role, each in zip(roles, answer.sessions.values(), strict=True)], **more)
 

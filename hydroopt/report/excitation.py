@@ -15,7 +15,7 @@ from matplotlib.patches import Circle, Rectangle
 from hydroopt.machine.machine import BASE
 from hydroopt.report.figures import BLUE, GREEN, GREY, INK, LIGHT, ORANGE, STYLE, WIDTH, svg, thin
 from hydroopt.report.numbers import NONE, percent, plain, quantity, unit_text
-from hydroopt.report.page import page
+from hydroopt.report.page import document
 
 if TYPE_CHECKING:
     from hydroopt.excitation.motion.excitation import Excitation, UseOfLimit
@@ -51,8 +51,9 @@ def render(excitation: Excitation) -> str:
                "path": _path(excitation)}
     still = ", ".join(f"{joint} at {_shown(position, machine.channel_units[f'{joint}.q'])}"
                       for joint, position in problem.resting.items())
-    return page("excitation.html").render(
-        machine=machine, excitation=excitation, diagnostics=excitation.diagnostics, series=basis.text, still=still,
+    return document(
+        "excitation.html", machine=machine, excitation=excitation, diagnostics=excitation.diagnostics,
+        series=basis.text, still=still,
         criterion=IN_WORDS[problem.information.criterion], focus=bool(problem.parameters.focus),
         value=plain(excitation.value), random=_beside_random(excitation),
         count=excitation.random_motions, gain=plain(excitation.gain, 3),

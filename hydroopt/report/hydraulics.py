@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from hydroopt.report.figures import BLUE, ORANGE, STYLE, WIDTH, svg
-from hydroopt.report.page import page
+from hydroopt.report.page import document
 
 if TYPE_CHECKING:
     from hydroopt.model.plant import Plant
@@ -95,4 +95,4 @@ def section(plant: Plant, sweeps: Sequence[Sweep]) -> dict[str, Any]:
 
 def render(plant: Plant, sweeps: Sequence[Sweep]) -> str:
     """A page of its own that needs nothing else."""
-    return page("hydraulics.html").render(machine=plant.machine, hydraulics=section(plant, sweeps))
+    return document("hydraulics.html", machine=plant.machine, hydraulics=section(plant, sweeps))

@@ -8,10 +8,11 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from markupsafe import Markup
 
-from hydroopt.report import figures, side_view
+from hydroopt.report import force_charts
+from hydroopt.report.intervals import interval
 from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
-from hydroopt.report.page import page
-from hydroopt.results.diagnostic import sentences
+from hydroopt.report.page import document
+from hydroopt.report.scene import SceneView, Tint
 from hydroopt.results.fit import Fit
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ class Parameter(NamedTuple):
     identifiability: str
     alone: bool
     beside: bool
+    figure: Markup
 
 
 class Group(NamedTuple):
@@ -60,15 +62,18 @@ class Group(NamedTuple):
 def render(estimate: Estimate) -> str:
     """The report as one HTML page that needs nothing else."""
     problem, friction, groups = estimate.problem, estimate.friction_choice, _groups(estimate)
-    return page("identification.html").render(
-        machine=problem.model.machine, estimate=estimate, diagnostics=sentences(estimate.diagnostics),
+    samples = force_charts.samples(estimate)
+    return document(
+        "identification.html", samples=samples, charts=force_charts.charts(estimate, samples), scene=_scene(estimate),
+        machine=problem.model.machine, estimate=estimate, diagnostics=estimate.diagnostics,
+        verdict=estimate.verdict,
         method=METHODS.get(estimate.method, ""), fit=_fit(estimate), models=list(estimate.variants),
         fit_by_model=_fit_by_model(estimate), friction=friction,
         friction_rows=[(c, plain(c.training), f"{plain(c.held_out)} ± {plain(c.std, 2)}")
                        for c in (friction.candidates if friction else ())],
         misfit=estimate.misfit, misfit_readings=_readings(estimate.misfit), misfit_causes=_causes(estimate.misfit),
         weights=_weights(estimate), groups=groups, base=_base(estimate), totals=_totals(estimate),
-        figures=_figures(estimate), condition=plain(estimate.identifiability.condition_number, 3),
+        condition=plain(estimate.identifiability.condition_number, 3),
         counts={c: sum(p.identifiability == c for g in groups for p in g.parameters)
                 for c in ("full", "combination", "not excited", "none", "fixed")},
         confounded=[(c.name, plain(c.inflation, 3), ", ".join(c.partners)) for c in estimate.confounded],
@@ -78,12 +83,21 @@ def render(estimate: Estimate) -> str:
         fixed=[f"{name} = {plain(value, 5)}" for name, value in problem.fixed.items()])
 
 
-def _figures(estimate: Estimate) -> dict[str, Markup]:
-    drawn = {"forces": figures.forces(estimate), "residuals": figures.residuals(estimate),
-             "side-view": side_view.side_view(estimate.problem.model.machine, estimate.scenes,
-                                              "mean pose of the training data", "poses at its joints' extremes"),
-             "changes": figures.changes(figures.changes_of(estimate.parameters))}
-    return {name: Markup(figures.svg(figure, name)) for name, figure in drawn.items() if figure is not None}
+def _scene(estimate: Estimate) -> SceneView:
+    """The machine replaying its logs, coloured by residuals or by the uncertainty of masses."""
+    machine = estimate.problem.model.machine
+    residual = {balance.name if balance.alone else balance.joint: (
+        f"{balance.name}.residual", float(sigma) * force_charts.factor(estimate, k))
+        for k, (balance, sigma) in enumerate(zip(machine.balances, estimate.sigma, strict=True)) if sigma > 0}
+    parts: dict[str, float] = {}
+    for owner in estimate.problem.parameters.bodies:
+        mass = estimate.parameters[f"{owner}.m"]
+        if mass.value and mass.std:
+            part = owner.removesuffix(".barrel").removesuffix(".rod")
+            parts[part] = max(parts.get(part, 0.0), 100 * abs(mass.std / mass.value))
+    masses = [Tint("uncertainty of masses", "standard deviation of the mass / mass", "%", 50.0, values=parts)]
+    return SceneView(estimate.scene, tuple(f"{joint}.q" for joint in machine.joints), (
+        Tint("residual", "residual / σ of the actuator", "σ", 4.0, columns=residual), *masses * bool(parts)))
 
 
 def _fit(estimate: Estimate) -> list[dict[str, Any]]:
@@ -144,7 +158,8 @@ def _groups(estimate: Estimate) -> list[Group]:
             name, element, unit_text(one.unit), quantity(value, std, (low, high), nominal),
             NONE if one.prior_std is None else plain(one.prior_std, 2),
             NONE if one.information_from_data is None else percent(one.information_from_data), one.bound or "",
-            one.identifiability, one.ci95 is None and one.value is not None, value < low or value > high))
+            one.identifiability, one.ci95 is None and one.value is not None, value < low or value > high,
+            interval(one)))
     least = estimate.consistency
     return [Group(owner, plain(least[owner], 3) if owner in least else "", least.get(owner, 0.0) < 0,
                   any(row.numbers.value == NONE for row in rows), rows)

@@ -12,7 +12,8 @@ from matplotlib.figure import Figure
 
 from hydroopt.report import side_view
 from hydroopt.report.figures import BLUE, ORANGE, STYLE, panels, svg
-from hydroopt.report.page import page
+from hydroopt.report.page import document
+from hydroopt.results.diagnostic import Diagnostic
 
 if TYPE_CHECKING:
     from hydroopt.machine.machine import Machine
@@ -59,7 +60,8 @@ def render(machine: Machine, facts: Mapping[str, Any], scenes: Sequence[Scene], 
     drawn = {"side-view": side_view.side_view(machine, scenes, "middle of all ranges", "limits of each joint")}
     if arms or ratios:
         drawn["over-range"] = figure(machine, arms, ratios)
-    return page("machine.html").render(
-        machine=machine, diagnostics=facts["diagnostics"], identifiability=facts["identifiability"],
+    return document(
+        "machine.html", machine=machine, diagnostics=[Diagnostic.from_dict(each) for each in facts["diagnostics"]],
+        identifiability=facts["identifiability"],
         figures={name: Markup(svg(each, name)) for name, each in drawn.items()}, ratios=ratios,
         tables=[(title, facts[key]) for key, title in TABLES.items() if facts[key]])

@@ -1,25 +1,105 @@
-"""The templates of the pages, which all share one style."""
+"""The one document of all pages: a template with its style, and the data and scripts of its figures and its machine."""
 
 from __future__ import annotations
 
+import base64
+import hashlib
+import json
+from collections.abc import Mapping, Sequence
 from functools import cache
 from importlib.resources import files
+from typing import Any, NamedTuple
 
 import jinja2
+from markupsafe import Markup
 
 from hydroopt.errors import visible
+from hydroopt.report import charts as figures
+from hydroopt.report.charts import Chart, Curves, HeatMap, TimeChart
+from hydroopt.report.findings import findings
 from hydroopt.report.numbers import NONE, SPACE, plain
+from hydroopt.report.samples import Samples
+from hydroopt.report.scene import SceneView
+from hydroopt.results.diagnostic import Diagnostic
+
+SCRIPTS = ("core", "kinematics", "scene", "charts", "tables", "start")
+"""The page's own scripts, in order."""
+
+
+class Drawn(NamedTuple):
+    """A figure as templates show it: its place among the page's charts, and what remains where no script runs."""
+
+    place: int
+    kind: str
+    title: str
+    alt: str
+    static: Markup | None
+    tall: int
 
 
 @cache
-def page(name: str) -> jinja2.Template:
-    """A template of the folder ``templates``; all share one style."""
-    folder = files("hydroopt.report").joinpath("templates")
-    loader = jinja2.FunctionLoader(lambda part: folder.joinpath(part).read_text(encoding="utf-8"))
-    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True,
-                                     lstrip_blocks=True, loader=loader, finalize=_safe)
+def _text(*path: str) -> str:
+    return files("hydroopt.report").joinpath(*path).read_text(encoding="utf-8")
+
+
+@cache
+def _environment() -> jinja2.Environment:
+    environment = jinja2.Environment(
+        autoescape=True, undefined=jinja2.StrictUndefined, trim_blocks=True, lstrip_blocks=True, finalize=_safe,
+        loader=jinja2.FunctionLoader(lambda part: _text("templates", part)))
     environment.filters["number"] = lambda value: NONE if value is None else plain(value, 3)
-    return environment.get_template(name)
+    return environment
+
+
+def document(template: str, *, samples: Samples | None = None, charts: Mapping[str, Sequence[Chart]] | None = None,
+             scene: SceneView | None = None, diagnostics: Sequence[Diagnostic] = (), **content: Any) -> str:
+    """A page that needs nothing else: no file, no network.
+
+    Args:
+        template: of the folder ``templates``.
+        samples: columns that figures and machine share.
+        charts: figures by the names under which the template shows them.
+        scene: the machine in space.
+        diagnostics: of the answer; `hydroopt.report.findings` parts them.
+        content: whatever else the template shows.
+    """
+    samples = samples or Samples("", figures.NOTHING, {})
+    flat = [chart for some in (charts or {}).values() for chart in some]
+    drawn = iter(enumerate(flat))
+    shown = {name: [_drawn(next(drawn), samples) for _ in some] for name, some in (charts or {}).items()}
+    data = {"samples": samples.payload() if len(samples.at) else None, "charts": [figures.payload(c) for c in flat],
+            "scene": None if scene is None else scene.payload()}
+    scripts = _scripts(scene, plotted=bool(flat))
+    policy = "; ".join(("default-src 'none'", "img-src data: blob:", "style-src 'unsafe-inline'",
+                        "script-src " + " ".join(f"'sha256-{_digest(text)}'" for text in scripts)))
+    style = _text("templates", "style.css") + (_text("vendor", "uPlot.min.css") if flat else "")
+    return _environment().get_template(template).render(
+        charts=shown, scene=scene, found=findings(diagnostics),
+        replayed=samples if len(samples.at) else None, policy=policy, style=Markup(style),
+        data=Markup(json.dumps(data, separators=(",", ":"), allow_nan=False).replace("<", r"\u003c")),
+        scripts=[Markup(text) for text in scripts], **content)
+
+
+def _drawn(numbered: tuple[int, Chart], samples: Samples) -> Drawn:
+    index, chart = numbered
+    lines = isinstance(chart, TimeChart | Curves)
+    alt = figures.described(chart, samples) if isinstance(chart, TimeChart | Curves) else getattr(chart, "alt", "")
+    return Drawn(index, chart.kind, chart.title, alt or chart.title,
+                 figures.static(chart, samples) if isinstance(chart, TimeChart | Curves) else None,
+                 170 if lines else 300 if isinstance(chart, HeatMap) else 230)
+
+
+def _scripts(scene: SceneView | None, *, plotted: bool) -> list[str]:
+    """Texts of the scripts of a page: only the libraries that it needs."""
+    libraries = [_text("vendor", "three.min.js")] if scene else []
+    libraries += [_text("vendor", "uPlot.iife.min.js")] if plotted else []
+    closing = "" if scene is None else f"const closeLoops = (q, tree) => {{\n{scene.graph.closure_script}\n}};\n"
+    own = "\n".join(_text("scripts", f"{name}.js") for name in SCRIPTS)
+    return [*libraries, f'"use strict";\n(() => {{\n{closing}{own}\n}})();']
+
+
+def _digest(text: str) -> str:
+    return base64.b64encode(hashlib.sha256(text.encode()).digest()).decode()
 
 
 def _safe(value: object) -> object:

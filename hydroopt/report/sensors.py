@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 
 from hydroopt.report.figures import BLUE, STYLE, WIDTH, changes, changes_of, svg, thin
 from hydroopt.report.numbers import Row, plain, quantity, unit_text
-from hydroopt.report.page import page
+from hydroopt.report.page import document
 from hydroopt.spatial.inertia import Array
 
 if TYPE_CHECKING:
@@ -32,8 +32,9 @@ def render(calibration: SensorCalibration) -> str:
     accuracy = [(joint, *_in_print(float(np.sqrt(np.mean(np.concatenate(
         [course[f"{joint}.q_std"] for course in courses]) ** 2))), machine.position_unit(joint)))
         for joint in machine.joints] if courses else []
-    return page("sensors.html").render(
-        machine=machine, calibration=calibration, diagnostics=calibration.diagnostics, accuracy=accuracy,
+    return document(
+        "sensors.html", machine=machine, calibration=calibration, diagnostics=calibration.diagnostics,
+        accuracy=accuracy,
         motions=len(courses), postures=sum(len(set(zip(t.stage.tolist(), t.pose.tolist(), strict=True)))
                                            for t in calibration.problem.poses),
         readings=[(channel, *_in_print(fit.rms, fit.unit), plain(calibration.ratios[channel], 3))

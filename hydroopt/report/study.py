@@ -17,7 +17,7 @@ from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 from hydroopt.files import write_files
 from hydroopt.report.figures import BLUE, GREEN, GREY, ORANGE, STYLE, WIDTH, svg
 from hydroopt.report.numbers import NONE, plain, unit_text
-from hydroopt.report.page import page
+from hydroopt.report.page import document
 from hydroopt.study.study import Study
 from hydroopt.study.table import Table
 
@@ -56,8 +56,8 @@ def render(content: Mapping[str, Any], table: Table) -> str:
     kind = content["study"]
     figure = {"montecarlo": _trials, "sweep": _sweep, "bootstrap": _bootstrap, "multistart": _starts}[kind](
         content, table)
-    return page("study.html").render(
-        content=content, kind=kind, title=TITLES[kind], none=NONE, number=_number, unit=unit_text,
+    return document(
+        "study.html", content=content, kind=kind, title=TITLES[kind], none=NONE, number=_number, unit=unit_text,
         figure=Markup(svg(figure, kind)), failures=_failures(content),
         settings=[(key, _word(value)) for key, value in content["settings"].items()])
 

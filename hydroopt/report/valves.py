@@ -14,7 +14,7 @@ from matplotlib.lines import Line2D
 from hydroopt.report.figures import BLUE, GREY, ORANGE, STYLE, WIDTH, changes, changes_of, svg, thin
 from hydroopt.report.hydraulics import section
 from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
-from hydroopt.report.page import page
+from hydroopt.report.page import document
 
 if TYPE_CHECKING:
     from hydroopt.estimation.hydraulic.estimate import HydraulicEstimate, Run
@@ -41,8 +41,8 @@ def render(estimate: HydraulicEstimate) -> str:
         _or_nan(each.value), _or_nan(each.std), each.ci95 or (np.nan, np.nan), _or_nan(each.nominal)),
         each.identifiability, each.bound or "") for name, each in estimate.parameters.items()]
     drawn = {"runs": free_runs(estimate), "changes": changes(changes_of(estimate.parameters))}
-    return page("valves.html").render(
-        machine=problem.plant.machine, estimate=estimate, diagnostics=estimate.diagnostics,
+    return document(
+        "valves.html", machine=problem.plant.machine, estimate=estimate, diagnostics=estimate.diagnostics,
         hydraulics=section(problem.plant, estimate.sweeps) if estimate.sweeps else None, fit=_fit(estimate),
         bodies=problem.bodies.shape[1],
         groups=[(owner, list(rows)) for owner, rows in groupby(lines, lambda p: p.name.rpartition(".")[0])],

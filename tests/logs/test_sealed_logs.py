@@ -146,8 +146,8 @@ def test_friction_is_chosen_and_said(place: Path) -> None:
     assert all(set(row) == keys for row in choice["candidates"])
     assert choice["rule"] in " ".join(said.split("\n"))
     page = (place / "chosen/report.html").read_text("utf-8")
-    assert page.index("<h2>Fit</h2>") < page.index("<h2>Friction terms</h2>") < page.index("<h2>Machine</h2>")
-    table = page[page.index("<h2>Friction terms</h2>"):page.index("<h2>Machine</h2>")]
+    assert page.index("<h2>Fit</h2>") < page.index("<h2>Friction terms</h2>") < page.index("<h2>Parameters</h2>")
+    table = page[page.index("<h2>Friction terms</h2>"):page.index("<h2>Parameters</h2>")]
     assert all(row["friction"] in table for row in choice["candidates"])
     assert table.count("chosen</td>") == 1
 

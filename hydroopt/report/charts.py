@@ -1,0 +1,195 @@
+"""The figures of a page: what each shows, in words too, and the lines that remain where no script runs."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, ClassVar
+
+import numpy as np
+from markupsafe import Markup
+
+from hydroopt.report.numbers import plain
+from hydroopt.report.samples import Samples, packed
+from hydroopt.spatial.inertia import Array
+
+NOTHING = np.zeros(0)
+COLOURS = {"measured": "#8a96a3", "predicted": "#0072b2", "other": "#d55e00", "third": "#009e73", "fourth": "#cc79a7",
+           "fifth": "#e69f00", "sixth": "#56b4e9"}
+"""Okabe and Ito's palette, which colour-blind readers can tell apart, by the look of a line."""
+LOOKS = ("predicted", "other", "third", "fourth", "fifth", "sixth")
+"""Looks of lines of equal rank, in order."""
+STATIC_POINTS = 500
+WIDE, TALL = 1000, 190
+LEFT, ABOVE, BELOW = 62, 8, 24
+"""Points of a line, and measures of a figure, where no script runs."""
+
+
+@dataclass(frozen=True)
+class Line:
+    """A column drawn over the clock: `look` is one of `COLOURS`; `dashed` lines are limits or other models."""
+
+    column: str
+    label: str
+    look: str = "predicted"
+    dashed: bool = False
+    dots: bool = False
+
+
+@dataclass(frozen=True)
+class TimeChart:
+    """Lines over the clock.
+
+    Attributes:
+        title: what is shown, with its unit.
+        lines: the first is drawn first.
+        alt: what the figure shows, with its numbers; by default the range of every line.
+        band: lower and upper edge of a shaded band.
+        limits: heights of broken lines.
+        span: lowest and highest value of the axis; by default that of the lines.
+        logarithmic: whether the axis of values is.
+    """
+
+    title: str
+    lines: tuple[Line, ...]
+    alt: str = ""
+    band: tuple[float, float] | None = None
+    limits: tuple[float, ...] = ()
+    span: tuple[float, float] | None = None
+    logarithmic: bool = False
+    kind: ClassVar[str] = "time"
+
+
+@dataclass(frozen=True)
+class Cloud:
+    """A dot a sample: column `y` over column `x`; a click moves the clock to the dot."""
+
+    title: str
+    x: str
+    y: str
+    across: str
+    alt: str = ""
+    band: tuple[float, float] | None = None
+    kind: ClassVar[str] = "cloud"
+
+
+@dataclass(frozen=True)
+class HeatMap:
+    """Mean magnitude of column `value` in cells of the place of the machine's tip, or of columns `x` and `y`."""
+
+    title: str
+    value: str
+    unit: str
+    x: str = ""
+    y: str = ""
+    across: str = ""
+    up: str = ""
+    kind: ClassVar[str] = "map"
+
+
+@dataclass(frozen=True)
+class Grid:
+    """A matrix in colours: `values` (rows, columns), names beside both axes."""
+
+    title: str
+    values: Array
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+    unit: str
+    alt: str
+    kind: ClassVar[str] = "grid"
+
+
+@dataclass(frozen=True)
+class Curves:
+    """Lines (k,) over values of their own, not over the clock: label and look, x, y; `band` likewise two edges."""
+
+    title: str
+    across: str
+    x: Array
+    lines: tuple[tuple[str, str, Array], ...]
+    alt: str = ""
+    limits: tuple[float, ...] = ()
+    kind: ClassVar[str] = "curves"
+
+
+Chart = TimeChart | Cloud | HeatMap | Curves
+
+
+def described(chart: TimeChart | Curves, samples: Samples) -> str:
+    """A chart in words: its title and the range of every line.
+
+    >>> samples = Samples("time [s]", np.arange(3.0), {"f": np.array([-1.0, 2.0, np.nan])})
+    >>> described(TimeChart("boom cylinder: force [kN]", (Line("f", "measured"),)), samples)
+    'boom cylinder: force [kN], time [s] from 0 to 2: measured from −1 to 2.'
+    """
+    if chart.alt:
+        return chart.alt
+    if isinstance(chart, Curves):
+        over, at, lines = chart.across, chart.x, [(label, values) for label, _, values in chart.lines]
+    else:
+        over, at = samples.clock, samples.at
+        lines = [(line.label, samples.columns[line.column]) for line in chart.lines]
+    told = [f"{label} from {plain(float(np.nanmin(values)), 3)} to {plain(float(np.nanmax(values)), 3)}"
+            for label, values in lines if np.any(np.isfinite(values))]
+    ends = f"{plain(float(at[0]), 3)} to {plain(float(at[-1]), 3)}" if len(at) else "nothing"
+    return f"{chart.title}, {over} from {ends}: {'; '.join(told) or 'no values'}."
+
+
+def static(chart: TimeChart | Curves, samples: Samples) -> Markup:
+    """The chart as an ``<svg>`` element of lines and the ends of both axes."""
+    if isinstance(chart, Curves):
+        x, lines = chart.x, [(values, look, False) for _, look, values in chart.lines]
+    else:
+        x = samples.at
+        lines = [(samples.columns[line.column], line.look, line.dashed) for line in chart.lines]
+    stride = max(1, len(x) // STATIC_POINTS)
+    shown = [(np.log10(values[::stride]) if getattr(chart, "logarithmic", False) else values[::stride], look, dashed)
+             for values, look, dashed in lines]
+    low, high = _reach([values for values, _, _ in shown], getattr(chart, "span", None))
+    first, last = (float(x[0]), float(x[-1])) if len(x) else (0.0, 1.0)
+    across = LEFT + (WIDE - LEFT - 4) * (x[::stride] - first) / ((last - first) or 1.0)
+    parts = [f'<rect x="{LEFT}" y="{ABOVE}" width="{WIDE - LEFT - 4}" height="{TALL - ABOVE - BELOW}" fill="none" '
+             'stroke="#8a96a3" stroke-width=".7"/>']
+    for values, look, dashed in shown:
+        up = ABOVE + (TALL - ABOVE - BELOW) * (high - np.clip(values, low, high)) / (high - low)
+        parts.append(f'<path d="{_path(across, up)}" fill="none" stroke="{COLOURS[look]}" stroke-width="1.2"'
+                     f'{" stroke-dasharray=" + chr(34) + "5 3" + chr(34) if dashed else ""}/>')
+    ends = (low, high) if not getattr(chart, "logarithmic", False) else (10**low, 10**high)
+    for value, y in ((ends[1], ABOVE + 11), (ends[0], TALL - BELOW)):
+        parts.append(f'<text x="{LEFT - 6}" y="{y}" text-anchor="end">{plain(value, 3)}</text>')
+    for value, at, anchor in ((first, LEFT, "start"), (last, WIDE - 4, "end")):
+        parts.append(f'<text x="{at}" y="{TALL - 6}" text-anchor="{anchor}">{plain(value, 3)}</text>')
+    return Markup(f'<svg class="static" viewBox="0 0 {WIDE} {TALL}" aria-hidden="true">{"".join(parts)}</svg>')
+
+
+def _reach(values: Sequence[Array], span: tuple[float, float] | None) -> tuple[float, float]:
+    if span is not None:
+        return span
+    finite = np.concatenate([each[np.isfinite(each)] for each in values]) if values else np.zeros(0)
+    low, high = (float(finite.min()), float(finite.max())) if finite.size else (0.0, 1.0)
+    return (low, high) if high > low else (low - 1.0, high + 1.0)
+
+
+def _path(x: Array, y: Array) -> str:
+    words, pen = [], "M"
+    for a, b in zip(x.tolist(), y.tolist(), strict=True):
+        if math.isfinite(b):
+            words.append(f"{pen}{a:.0f} {b:.0f}")
+            pen = "L"
+        else:
+            pen = "M"
+    return "".join(words)
+
+
+def payload(chart: Chart) -> dict[str, Any]:
+    """What the page's scripts read of a chart."""
+    found = {"kind": chart.kind} | {key: value for key, value in vars(chart).items() if key != "alt"}
+    if isinstance(chart, TimeChart):
+        found["lines"] = [vars(line) for line in chart.lines]
+    if isinstance(chart, Curves):
+        found["x"] = packed(chart.x)
+        found["lines"] = [{"label": label, "look": look, "values": packed(values)}
+                          for label, look, values in chart.lines]
+    return found

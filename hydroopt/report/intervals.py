@@ -1,0 +1,42 @@
+"""A parameter as a small figure in its row: prior, estimate and 95 % interval in standard deviations of the prior."""
+
+from __future__ import annotations
+
+from markupsafe import Markup
+
+from hydroopt.report.numbers import plain
+from hydroopt.results.parameter_table import ParameterRow
+
+REACH = 5.0
+"""Standard deviations up to which the figure shows changes; what lies beyond is drawn at its edge."""
+WIDE, TALL, ROUND = 150, 16, 3.2
+"""Measures of the figure, and the radius of the estimate's dot."""
+PRIOR = 1.96
+"""Half of a prior's 95 % interval in standard deviations."""
+
+
+def interval(one: ParameterRow) -> Markup:
+    """The change against the nominal value with its interval; a hollow dot is identifiable only with others or a prior.
+
+    In standard deviations of the prior, or of the estimate where it has no prior; empty without an interval.
+    """
+    size = one.prior_std or one.std
+    if one.value is None or one.nominal is None or one.ci95 is None or not size:
+        return Markup("")
+    change, low, high = ((x - one.nominal) / size for x in (one.value, *one.ci95))
+    x, a, b = (_place(value) for value in (change, low, high))
+    of = "prior standard deviations" if one.prior_std else "standard deviations of its own, without a prior"
+    said = f"changed by {plain(change, 2)}, 95 % interval {plain(low, 2)} to {plain(high, 2)} {of}"
+    prior = (f'<rect class="prior" x="{_place(-PRIOR):.1f}" y="2" width="{2 * PRIOR * WIDE / (2 * REACH):.1f}" '
+             f'height="{TALL - 4}"/>') if one.prior_std else ""
+    middle = TALL / 2
+    together = "" if one.identifiability == "full" else " together"
+    dot = (f'<circle class="value{together}" cx="{x:.1f}" cy="{middle:.0f}" r="{ROUND}"/>' if abs(change) <= REACH else
+           f'<path class="value{together}" d="M{x:.1f} {middle - 4:.0f}v8l{5 if change > 0 else -5} -4z"/>')
+    return Markup(f'<svg class="interval" viewBox="0 0 {WIDE} {TALL}" role="img" aria-label="{said}">{prior}'
+                  f'<line class="zero" x1="{WIDE / 2:.0f}" x2="{WIDE / 2:.0f}" y1="0" y2="{TALL}"/>'
+                  f'<line class="bar" x1="{a:.1f}" x2="{b:.1f}" y1="{middle:.0f}" y2="{middle:.0f}"/>{dot}</svg>')
+
+
+def _place(value: float) -> float:
+    return float(WIDE / 2 + min(REACH, max(-REACH, value)) * (WIDE - 12) / (2 * REACH))

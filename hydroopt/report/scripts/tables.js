@@ -1,0 +1,40 @@
+// A click on a heading sorts its table, a second one the other way, a third restores the order.
+const SUPERSCRIPT = "⁰¹²³⁴⁵⁶⁷⁸⁹";
+
+function sortKey(cell) {
+  const text = cell ? cell.textContent.trim().replace(/[\u202f\u00a0]/g, "").replace(/−/g, "-") : "";
+  const found = /^[<±]?(-?\d[\d.]*(?:e[-+]?\d+)?)(?:×10(⁻?)([⁰¹²³⁴⁵⁶⁷⁸⁹]+))?/.exec(text);
+  if (!found) return text === "—" || text === "" ? null : text.toLowerCase();
+  const power = found[3] ? [...found[3]].reduce((sum, c) => 10 * sum + SUPERSCRIPT.indexOf(c), 0) : 0;
+  return +found[1] * 10 ** (found[2] ? -power : power);
+}
+
+function compared(a, b) {
+  if (a === null || b === null) return (a === null) - (b === null);
+  if (typeof a === typeof b) return a < b ? -1 : a > b ? 1 : 0;
+  return typeof a === "number" ? -1 : 1;
+}
+
+for (const table of document.querySelectorAll("main table")) {
+  const heading = table.tHead && table.tHead.rows[table.tHead.rows.length - 1], body = table.tBodies[0];
+  if (!heading || !body) continue;
+  const order = [...body.rows], rows = order.filter((row) => !row.classList.contains("owner") && !row.classList.contains("total"));
+  if (rows.length < 3) continue;
+  [...heading.cells].forEach((cell, k) => {
+    if (!cell.textContent.trim()) return;
+    const button = element("button", { type: "button", class: "sort" });
+    button.append(...cell.childNodes);
+    cell.append(button);
+    button.addEventListener("click", () => {
+      const next = { ascending: "descending", descending: "none" }[cell.getAttribute("aria-sort")] || "ascending";
+      for (const other of heading.cells) other.removeAttribute("aria-sort");
+      const sign = next === "descending" ? -1 : 1;
+      const sorted = rows.map((row) => [sortKey(row.cells[k]), row])
+        .sort(([a], [b]) => (a === null || b === null ? compared(a, b) : sign * compared(a, b))).map(([, row]) => row);
+      const rest = order.filter((row) => !rows.includes(row));
+      rest.forEach((row) => { row.hidden = next !== "none" && row.classList.contains("owner"); });
+      body.append(...(next === "none" ? order : [...sorted, ...rest]));
+      if (next !== "none") cell.setAttribute("aria-sort", next);
+    });
+  });
+}
