@@ -7,6 +7,7 @@ HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE)]
 
 from extension.generate import generate  # noqa: E402
+from sphinx.application import Sphinx  # noqa: E402
 
 from hydroopt import versions  # noqa: E402
 
@@ -16,12 +17,19 @@ project_copyright = author
 version = release = versions.version()
 html_title = f"hydroopt {release}"
 
-extensions = ["myst_parser"]
+extensions = ["myst_parser", "sphinx.ext.autodoc", "sphinx.ext.napoleon"]
+autodoc_typehints_format = "short"
+autodoc_type_aliases = {name: name for name in ("Array", "ArrayLike", "Indices", "Expression", "Smoothing", "AnyLog")}
+autodoc_preserve_defaults = True
+napoleon_attr_annotations = False
+autodoc_member_order = "bysource"
+python_use_unqualified_type_names = True
+maximum_signature_line_length = 90
 myst_enable_extensions = ["colon_fence", "deflist"]
 myst_heading_anchors = 3
-exclude_patterns = ["extension", "build"]
+exclude_patterns = ["extension", "generated/machine_file.md", "generated/c_functions.md"]
 default_role = "code"
-suppress_warnings = ["config.cache"]
+suppress_warnings = ["ref.python"]  # a letter such as q is an attribute of several classes
 
 html_theme = "furo"
 html_static_path = ["_static"]
@@ -33,3 +41,8 @@ html_theme_options = {
 }
 
 generate(HERE)
+
+
+def setup(app: Sphinx) -> None:
+    """Let Sphinx read signatures of classes whose defaults are made when they are called."""
+    app.connect("autodoc-process-signature", lambda *args: (args[5] and args[5].replace("<factory>", "..."), args[6]))

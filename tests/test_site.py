@@ -1,6 +1,7 @@
 """The documentation site: it builds without a warning, and a reader needs no network."""
 
 import re
+import runpy
 import subprocess
 import sys
 from pathlib import Path
@@ -38,3 +39,13 @@ def test_pages_load_nothing_from_the_network(site: Path) -> None:
 def test_every_study_has_its_row() -> None:
     told = set(re.findall(r"^\| \[`(\w+)`\]", (ROOT / "docs/studies.md").read_text("utf-8"), re.MULTILINE))
     assert {path.parent.name for path in (ROOT / "studies").glob("*/README.md")} == told
+
+
+def test_every_key_of_a_machine_file_has_a_docstring(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(ROOT / "docs"))
+    machine_file = runpy.run_path(str(ROOT / "docs/extension/machine_file.py"))
+    text = machine_file["pages"]()["machine_file.md"]
+    assert "| `dead_zone` | m/s (\\> 0) | – | Speed below which there is no dry friction: neither" in text
+    assert "| `type` | `\"revolute\"` or `\"prismatic\"` or `\"locked\"` | **required** |" in text
+    assert "| `lower` | 3 × m | **required** |" in text
+    assert text.count("\n## ") > 40

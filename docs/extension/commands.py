@@ -6,8 +6,8 @@ from typing import Any
 
 import typer
 
+from extension.text import cell
 from hydroopt.cli import app
-from hydroopt.errors import visible
 
 HEAD = """# Commands
 
@@ -33,7 +33,7 @@ def pages() -> dict[str, str]:
     for name in root.list_commands(context):
         command = root.get_command(context, name)
         own = command.make_context(name, [], parent=context, resilient_parsing=True)
-        rows.append(f"| [`{name}`](#{name}) | {_cell(command.get_short_help_str(1000))} |")
+        rows.append(f"| [`{name}`](#{name}) | {cell(command.get_short_help_str(1000))} |")
         sections.append(_section(name, own))
     return {"commands.md": HEAD + "\n".join(rows) + "\n\n" + "\n".join(sections)}
 
@@ -46,21 +46,13 @@ def _section(name: str, context: Any) -> str:
             below = command.get_command(context, each).make_context(each, [], parent=context, resilient_parsing=True)
             made.append(_section(f"{name} {each}", below).replace("## ", "### ", 1))
         return "\n".join(made)
-    lines = [f"## {name}", "", command.help or "", ""]
+    text, _, example = (command.help or "").partition("Example: ")
     usage = " ".join(command.collect_usage_pieces(context))
-    lines += ["```text", f"hydroopt {name} {usage}", "```", ""]
-    if epilog := (command.epilog or "").strip("\n"):
-        lines += ["```text", epilog, "```", ""]
+    lines = [f"## {name}", "", text, "", "```text", f"hydroopt {name} {usage}", "```", ""]
+    if example:
+        lines += ["For example:", "", "```sh", " ".join(example.split()), "```", ""]
     records = [(parameter, parameter.get_help_record(context)) for parameter in command.params]
-    rows = [f"| `{record[0].strip()}` | {_cell(record[1])} |".replace("MACHINE|DIR", "MACHINE\\|DIR")
+    rows = [f"| `{record[0].strip()}` | {cell(record[1])} |".replace("MACHINE|DIR", "MACHINE\\|DIR")
             for _, record in records if record]
     lines += ["| argument or option | meaning |", "|---|---|", *rows, ""]
     return "\n".join(lines)
-
-
-def _cell(text: str) -> str:
-    """Text of help in a cell of a Markdown table."""
-    text = " ".join(visible(text).split())
-    for mark in "|<*_[":
-        text = text.replace(mark, f"\\{mark}")
-    return text

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from extension import commands, figures, studies
+from extension import api, c_interface, commands, figures, machine_file, machines, studies
 
 
 def generate(docs: Path) -> None:
     """Write all generated pages below ``docs/generated``, each only if it changes."""
-    for name, text in (studies.pages(docs.parent / "studies") | commands.pages() | figures.pages()).items():
+    made = (studies.pages(docs.parent / "studies") | commands.pages() | machine_file.pages() | api.pages()
+            | c_interface.pages() | machines.pages() | figures.pages())
+    for name, text in made.items():
         _write(docs / "generated" / name, text)
 
 

@@ -127,12 +127,17 @@ class Code:
             names |= {"load"} if routine.name == "payload_update" else set()
         return {name: struct for name, struct in self.interface.structs.items() if name in names}
 
+    @property
+    def header(self) -> str:
+        """Text of the public header: structs, sizes, units and prototypes."""
+        return self._render("header.h")
+
     def files(self) -> dict[str, str]:
         """Every file by name."""
         count = sum(len(lines) for lines in self.bodies.values())
         parts = {f"{self.name}.c": list(self.routines)} if count < LARGE else {
             f"{self.name}.c": [], **{f"{self.name}_{name}.c": [name] for name in self.routines}}
-        files = {f"{self.name}.h": self._render("header.h"), f"{self.name}_internal.h": self._render("internal.h"),
+        files = {f"{self.name}.h": self.header, f"{self.name}_internal.h": self._render("internal.h"),
                  f"{self.name}_params.h": self._render("params.h")}
         for file, names in parts.items():
             files[file] = self._render("source.c", names=names, prepares=file == f"{self.name}.c")

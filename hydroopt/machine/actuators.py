@@ -37,26 +37,30 @@ SHARED_PRESSURE = 1e7
 
 
 class CylinderFriction(Noun):
-    """Friction of a cylinder and the offset of its force reading (Eq. 4.54); unstated terms are not modelled.
-
-    Where `coulomb_reverse` or `viscous_reverse` is stated, it holds while the cylinder retracts, and `coulomb` or
-    `viscous` only while it extends. `stribeck` is the friction at breakaway in excess of Coulomb friction, which
-    vanishes well above the `stribeck_speed` (Armstrong-Hélouvry et al. 1994). `seal` is the friction per pressure in
-    both chambers together (Bonchis et al. 1999). Slower than `dead_zone` there is no dry friction: neither Coulomb's
-    nor Stribeck's nor the seals'.
-    """
+    """Friction of a cylinder and the offset of its force reading (Eq. 4.54); unstated terms are not modelled."""
 
     offset: Force | None = None
+    """Constant error of the force reading."""
     coulomb: Force | None = Field(None, ge=0)
+    """Dry friction; with `coulomb_reverse` only while extending."""
     coulomb_reverse: Force | None = Field(None, ge=0)
+    """Dry friction while retracting."""
     viscous: LinearViscosity | None = Field(None, ge=0)
+    """Friction per speed; with `viscous_reverse` only while extending."""
     viscous_reverse: LinearViscosity | None = Field(None, ge=0)
+    """Friction per speed while retracting."""
     stribeck: Force | None = Field(None, ge=0)
+    """Friction at breakaway in excess of Coulomb friction (Armstrong-Hélouvry et al. 1994)."""
     stribeck_speed: Speed | None = Field(None, gt=0)
+    """Speed well above which that excess vanishes; needed with `stribeck`."""
     seal: Area | None = Field(None, ge=0)
+    """Friction per pressure in both chambers together (Bonchis et al. 1999)."""
     dead_zone: Speed | None = Field(None, gt=0)
+    """Speed below which there is no dry friction: neither Coulomb's nor Stribeck's nor the seals'."""
     barrel_pin: Torque | None = Field(None, ge=0)
+    """Dry friction in the barrel's pin."""
     rod_pin: Torque | None = Field(None, ge=0)
+    """Dry friction in the rod's pin."""
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
@@ -78,26 +82,40 @@ def _refuse_half_friction(friction: CylinderFriction | TorqueFriction) -> None:
 class Cylinder(Noun):
     """A hydraulic cylinder, or several equal jacks side by side, between two links.
 
-    Areas and diameters are those of one jack and are multiplied by `jacks`; bodies, friction and forces are those of
-    all jacks together, which move as one. `dead_length` is the pin distance when fully retracted. Of a cylinder that is
-    not `measured` no log holds the pressures or the force; its length may be logged all the same.
+    Its areas are stated by `head_area` and `rod_area`, or by `bore` and `rod_diameter`. Bodies, friction and forces are
+    those of all jacks together, which move as one.
     """
 
     name: Name
+    """Name of the cylinder."""
     barrel: Attachment
+    """Pin and body of the barrel."""
     rod: Attachment
+    """Pin and body of the rod."""
     jacks: int = Field(1, ge=1, le=100)
+    """Number of equal jacks side by side."""
     head_area: Area | None = Field(None, gt=0)
+    """Piston area of one jack on the head side."""
     rod_area: Area | None = Field(None, gt=0)
+    """Piston area of one jack on the rod side, less the rod."""
     bore: Length | None = Field(None, gt=0)
+    """Diameter of one jack's piston."""
     rod_diameter: Length | None = Field(None, gt=0)
+    """Diameter of one jack's rod."""
     dead_length: Length = Field(gt=0)
+    """Distance of the pins when fully retracted."""
     stroke: Length = Field(gt=0)
+    """What it extends by."""
     max_speed: Speed | None = Field(None, gt=0)
+    """Greatest speed."""
     relief_pressure: Pressure | None = Field(None, gt=0)
+    """Pressure at which a valve relieves a chamber."""
     measured: bool = True
+    """Whether logs hold its pressures or force; its length may be logged all the same."""
     friction: CylinderFriction = CylinderFriction()
+    """Friction, and the offset of the force reading."""
     circuit: Circuit | None = None
+    """Valve, hoses and leaks."""
 
     @model_validator(mode="after")
     def _areas(self) -> Self:
@@ -147,16 +165,24 @@ class Cylinder(Noun):
 
 
 class TorqueFriction(Noun):
-    """Friction of a rotary actuator and the offset of its torque reading (Eq. 4.53); see `CylinderFriction`."""
+    """Friction of a rotary actuator and the offset of its torque reading (Eq. 4.53), on the joint's side."""
 
     offset: Torque | None = None
+    """Constant error of the torque reading."""
     coulomb: Torque | None = Field(None, ge=0)
+    """Dry friction; with `coulomb_reverse` only while turning positively."""
     coulomb_reverse: Torque | None = Field(None, ge=0)
+    """Dry friction while turning negatively."""
     viscous: AngularViscosity | None = Field(None, ge=0)
+    """Friction per speed; with `viscous_reverse` only while turning positively."""
     viscous_reverse: AngularViscosity | None = Field(None, ge=0)
+    """Friction per speed while turning negatively."""
     stribeck: Torque | None = Field(None, ge=0)
+    """Friction at breakaway in excess of Coulomb friction (Armstrong-Hélouvry et al. 1994)."""
     stribeck_speed: AngularSpeed | None = Field(None, gt=0)
+    """Speed well above which that excess vanishes; needed with `stribeck`."""
     dead_zone: AngularSpeed | None = Field(None, gt=0)
+    """Speed below which there is no dry friction."""
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
@@ -165,19 +191,24 @@ class TorqueFriction(Noun):
 
 
 class Motor(Noun):
-    """A hydraulic motor on a joint: torque = torque_per_pressure · gear · (p_a − p_b) (Eq. 4.61).
-
-    Of a motor that is not `measured` no log holds the pressures or the torque.
-    """
+    """A hydraulic motor on a joint: torque = torque_per_pressure · gear · (p_a − p_b) (Eq. 4.61)."""
 
     name: Name
+    """Name of the motor."""
     joint: str
+    """Joint that it turns."""
     torque_per_pressure: TorquePerPressure = Field(gt=0)
+    """Torque per pressure, which is its displacement per radian: "23.9 cm^3" for 150 cm³ a turn, or "150 cm^3/rev"."""
     gear: Number = Field(1.0, gt=0)
+    """Turns of the motor per turn of the joint."""
     measured: bool = True
+    """Whether logs hold its pressures or torque."""
     relief_pressure: Pressure | None = Field(None, gt=0)
+    """Pressure at which a valve relieves a side."""
     friction: TorqueFriction = TorqueFriction()
+    """Friction, and the offset of the torque reading."""
     circuit: Circuit | None = None
+    """Valve, hoses and leaks."""
 
     @property
     def areas(self) -> tuple[float, float]:
@@ -211,16 +242,22 @@ def _by_pressures(actuator: Cylinder | Motor) -> dict[str, float]:
 
 
 class Drive(Noun):
-    """A joint driven directly by a torque that is sensed if `measured`, as in an electric arm; torques are those on the
-    joint's side."""
+    """A joint driven directly by a torque, as in an electric arm; torques are those on the joint's side."""
 
     name: Name
+    """Name of the drive."""
     joint: str
+    """Joint that it moves."""
     gear: Number = Field(1.0, gt=0)
+    """Turns of the rotor per turn of the joint."""
     measured: bool = True
+    """Whether logs hold its torque."""
     max_torque: Torque | None = Field(None, gt=0)
+    """Greatest torque."""
     rotor_inertia: Inertia | None = Field(None, ge=0)
+    """Inertia of the rotor, on the rotor's side."""
     friction: TorqueFriction = TorqueFriction()
+    """Friction, and the offset of the torque reading."""
 
     @property
     def capacity(self) -> float:
@@ -254,14 +291,23 @@ class GasCylinder(Noun):
     """
 
     name: Name
+    """Name of the gas cylinder."""
     barrel: Attachment
+    """Pin of the barrel; it carries no body."""
     rod: Attachment
+    """Pin of the rod; it carries no body."""
     acts: Literal["pull", "push"]
+    """`pull`: the gas is compressed when it lengthens; `push`: when it shortens."""
     area: Area = Field(gt=0)
+    """Area that the gas acts on."""
     volume: Volume = Field(gt=0)
+    """Volume of the gas at the reference length."""
     reference_length: Length = Field(gt=0)
+    """Distance of the pins at which `precharge` and `volume` hold."""
     precharge: Pressure = Field(ge=0)
+    """Pressure of the gas at the reference length."""
     polytropic: Number = Field(1.0, ge=1.0, le=1.67)
+    """Exponent n of p·Vⁿ = const."""
 
     def gas_volume(self, length: Any) -> Any:
         """Volume of the gas [m³] at pin distances [m]: numbers or symbols."""

@@ -16,15 +16,16 @@ CLOSES = {"ball": (0, 1, 2), "hinge": (0, 1, 2, 3, 4), "rigid": (0, 1, 2, 3, 4, 
 class Calibrator(Noun):
     """A sensed linkage from the far end of a machine's link to a ball that sits in a fixture (Section 3.5.1).
 
-    Its links form a serial chain, the first one on the machine's link `parent`. `tip` is the ball's centre (3,)
-    [m] in the frame at the far end of the last link, which is the tool's frame. Without links of its own it is a rigid
-    tool with a ball. Its joints have no actuators and turn without friction; bodies of its links load the machine's
-    actuators while it is attached.
+    Its links form a serial chain. Without links of its own it is a rigid tool with a ball. Its joints have no actuators
+    and turn without friction; bodies of its links load the machine's actuators while it is attached.
     """
 
     parent: Name
+    """Link of the machine that carries it."""
     links: tuple[Link, ...] = ()
+    """Its own links, in order."""
     tip: Lengths = (0.0, 0.0, 0.0)
+    """The ball's centre (3,) in the frame at the far end of the last link, which is the tool's frame."""
 
     @model_validator(mode="after")
     def _serial(self) -> Self:
@@ -43,25 +44,28 @@ class Calibrator(Noun):
 class Fixture(Noun):
     """What holds the tip in the base frame without a sensor (the task of Section 3.3.2).
 
-    Its frame stands at `position` (3,) [m], turned by `orientation`: roll, pitch, yaw [rad], which a ball does not
-    have. The tip stands in its origin, and by `kind` the tool
+    The tip stands in the origin of its frame, and by `kind` the tool
 
     - ``ball`` turns freely (3 freedoms, the thesis's),
     - ``hinge`` turns about its own z axis, which lies along the fixture's (1),
     - ``rigid`` stands as the fixture's frame does (0),
     - ``plane`` turns freely, while the tip slides in the fixture's x-y plane (5).
-
-    `play` [m] is the standard deviation, in each held direction, of the tip, `tilt` [rad] that of held turns. A fixture
-    that `moves` has another place in every stage, and the stated one is the initial guess of all of them.
     """
 
     name: Name
+    """Name of the fixture."""
     kind: Literal["ball", "hinge", "rigid", "plane"] = "ball"
+    """How it holds the tool."""
     position: Lengths
+    """Place (3,) of its frame in the base frame."""
     orientation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw of its frame; a ball has none."""
     play: Length = Field(0.0, ge=0)
+    """Standard deviation of the tip in each held direction."""
     tilt: Angle = Field(0.0, ge=0)
+    """Standard deviation of held turns."""
     moves: bool = False
+    """Whether it has another place in every stage; the stated one is then the initial guess of all of them."""
 
     @property
     def closes(self) -> tuple[int, ...]:
@@ -85,22 +89,24 @@ class Fixture(Noun):
 
 
 class Tracker(Noun):
-    """An instrument that tracks the tip: its position in the base frame (3,) [m], and its roll, pitch, yaw [rad]."""
+    """An instrument that tracks the tip in the columns `tip.x`, `tip.y`, `tip.z` of a pose table."""
 
     position: Lengths = (0.0, 0.0, 0.0)
+    """Place (3,) of its frame in the base frame."""
     orientation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw of its frame."""
 
 
 class Distance(Noun):
-    """A distance between two points.
-
-    Between fixtures its `length` [m] is known: it determines the scale of a closed chain (Section 3.6.4). Between
-    targets, of links, base or ground, it has none: poses read it in the column ``<name>.length``.
-    """
+    """A distance between two points."""
 
     name: Name
+    """Name of the distance."""
     between: tuple[Name, Name]
+    """Two fixtures, or two targets of links, base or ground."""
     length: Length | None = Field(None, gt=0)
+    """Between fixtures the known length, which determines the scale of a closed chain (Section 3.6.4); between targets
+    none: poses read it in the column ``<name>.length``."""
 
     @property
     def measured(self) -> bool:
@@ -109,18 +115,20 @@ class Distance(Noun):
 
 
 class Stage(Noun):
-    """Poses measured one after another: which joints move without a sensor, and the approximate angles [rad] of locked
-    ones.
+    """Poses measured one after another.
 
-    A locked joint keeps its unknown angle in the following stages until one of them moves it. Leaking cylinders let it
-    drift linearly during a stage, by an angle with the standard deviation `drift` [rad]. Joints with readings in the
-    pose table need not be named.
+    A locked joint keeps its unknown angle in the following stages until one of them moves it. Joints with readings in
+    the pose table need not be named.
     """
 
     name: Name
+    """Name of the stage."""
     moves: tuple[Name, ...] = ()
+    """Joints that move without a sensor."""
     locked: dict[Name, Angle] = Field(default_factory=dict)
+    """Approximate angles of locked joints, by joint."""
     drift: Angle = Field(0.0, ge=0)
+    """Standard deviation of the angle by which leaking cylinders let a locked joint drift, linearly over the stage."""
 
     @model_validator(mode="after")
     def _one_state(self) -> Self:

@@ -13,14 +13,18 @@ from hydroopt.machine.quantity import Name, Noun, Position, Ratio
 class Coupling(Noun):
     """position of `joint` = Σ ratio · position of another joint + `offset`.
 
-    One of its joints is dependent and follows from the others. Ratios are in SI units of `joint` per unit of the other
-    joint: 1 between joints of one kind, m/rad or rad/m between one that slides and one that turns.
+    One of its joints is dependent and follows from the others.
     """
 
     name: Name
+    """Name of the coupling."""
     joint: str
+    """The joint on the left."""
     ratios: dict[str, Ratio] = Field(min_length=1)
+    """Position of `joint` per position of each other joint: 1 between joints of one kind, m/rad or rad/m between one
+    that slides and one that turns."""
     offset: Position = 0.0
+    """Position of `joint` where all others are zero."""
 
     @property
     def joints(self) -> tuple[str, ...]:

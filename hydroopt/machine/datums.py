@@ -15,9 +15,8 @@ TILTS = {"plane": ("roll", "pitch"), "line": ("pitch", "yaw")}
 class Datum(Noun):
     """A plane, the x-y plane of its frame, or a line, the x axis of its frame.
 
-    The frame stands at `position` (3,) [m] in the frame of what rests, turned by `orientation`: roll, pitch, yaw [rad];
-    then it is shifted along its own axes by `offset` (3,) [m] and turned by `tilt`, roll, pitch, yaw [rad]. Offset and
-    tilt are what a calibration may change: with a `sigma`, the datum is known so well only.
+    The frame is shifted along its own axes by `offset` and turned by `tilt`, which are what a calibration may change:
+    with a `sigma`, the datum is known so well only.
 
     Poses that touch it say so in the columns ``floor.tooth.z`` [m], of a plane `floor` and a target `tooth`, or
     ``edge.tooth.y`` and ``.z`` of a line: zero, or the radius of a touching ball.
@@ -27,11 +26,17 @@ class Datum(Noun):
     """
 
     name: Name
+    """Name of the datum."""
     kind: Literal["plane", "line"] = "plane"
+    """Plane or line."""
     position: Lengths = (0.0, 0.0, 0.0)
+    """Place (3,) of its frame in the frame of what rests."""
     orientation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw of its frame."""
     offset: Lengths = (0.0, 0.0, 0.0)
+    """Shift (3,) along its own axes."""
     tilt: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw about its own axes."""
 
     @property
     def axes(self) -> tuple[str, ...]:

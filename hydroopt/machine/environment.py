@@ -22,17 +22,20 @@ from hydroopt.machine.quantity import (
 
 
 class Pump(Noun):
-    """The supply that all actuators share: together they take no more than `max_flow` [m³/s], if that is stated.
+    """The supply that all actuators share.
 
-    It keeps `pressure`, against `tank_pressure`, as long as that flow suffices. With the `volume` of the line behind it
-    the supply's pressure gives way within a few percent when much is drawn, and falls when more is; without, it is the
-    same whatever is drawn.
+    With the `volume` of the line behind it the supply's pressure gives way within a few percent when much is drawn, and
+    falls when more is; without, it is the same whatever is drawn.
     """
 
     max_flow: Flow | None = Field(None, gt=0)
+    """What all actuators together take at most."""
     pressure: Pressure | None = Field(None, gt=0)
+    """Pressure that it keeps as long as that flow suffices."""
     tank_pressure: Pressure = Field(0.0, ge=0)
+    """Pressure in the tank."""
     volume: Volume | None = Field(None, gt=0)
+    """Volume of the line behind the pump."""
 
     @model_validator(mode="after")
     def _whole(self) -> Self:
@@ -46,10 +49,12 @@ class Pump(Noun):
 
 
 class Workspace(Noun):
-    """Where the far end of the last link may go: between `lower` and `upper` (3,) [m] in the base frame."""
+    """Where the far end of the last link may go, in the base frame."""
 
     lower: Lengths
+    """Corner (3,) with the smallest coordinates."""
     upper: Lengths
+    """Corner (3,) with the largest coordinates."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -58,26 +63,30 @@ class Workspace(Noun):
 
 
 class Obstacle(Noun):
-    """A ball about `centre` (3,) [m] in the frame of a link or of the base, which the far end of the last link avoids.
+    """A ball that the far end of the last link avoids.
 
     A cab that swings with its machine is attached to the swinging link.
     """
 
     name: Name
+    """Name of the obstacle."""
     link: Name
+    """Link that carries it, or `base`."""
     centre: Lengths
+    """Centre (3,) in that link's frame."""
     radius: Length = Field(gt=0)
+    """Radius."""
 
 
 class Footprint(Noun):
-    """What the machine stands on: corners (x, y) [m] of the tracks or outriggers in the base frame, at ground height.
-
-    `mass` and `com` (3,) [m] are those of the chassis below the first joint, in the base frame.
-    """
+    """What the machine stands on, and the chassis that keeps it from tipping over."""
 
     corners: tuple[tuple[Length, Length], ...] = Field(min_length=3)
+    """Corners (x, y) of tracks or outriggers in the base frame, at ground height."""
     mass: Mass = Field(ge=0)
+    """Mass of the chassis below the first joint."""
     com: Lengths
+    """Its centre of mass (3,) in the base frame."""
 
     @model_validator(mode="after")
     def _convex(self) -> Self:

@@ -25,30 +25,32 @@ INCLINATION = ("roll", "pitch")
 
 
 class Gyroscope(Noun):
-    """Rates of rotation: one-sided spectral density of the noise, standard deviation of each axis's constant bias in a
-    log, and largest magnitude."""
+    """Rates of rotation."""
 
     noise: AngularRateDensity = Field(gt=0)
+    """One-sided spectral density of the noise."""
     bias: AngularRate = Field(gt=0)
+    """Standard deviation of each axis's constant error in a log."""
     range: AngularRate | None = Field(None, gt=0)
+    """Largest magnitude."""
 
 
 class Accelerometer(Noun):
-    """Specific forces, +g upwards at rest: one-sided spectral density of the noise, standard deviation of each axis's
-    constant bias in a log, and largest magnitude."""
+    """Specific forces, +g upwards at rest."""
 
     noise: AccelerationDensity = Field(gt=0)
+    """One-sided spectral density of the noise."""
     bias: Acceleration = Field(gt=0)
+    """Standard deviation of each axis's constant error in a log."""
     range: Acceleration | None = Field(None, gt=0)
+    """Largest magnitude."""
 
 
 class Imu(Noun):
     """An inertial measurement unit on a link or on the base.
 
-    `position` [m] is in the frame in which pins of that link are stated (P_i, or the base frame), `orientation` roll,
-    pitch and yaw [rad] of its axes there. Its channels are ``<name>.gyro_x`` to ``gyro_z`` and ``<name>.accel_x`` to
-    ``accel_z`` along its own axes, and ``<name>.roll`` and ``<name>.pitch``, the inclination of its axes that some
-    units compute themselves.
+    Its channels are ``<name>.gyro_x`` to ``gyro_z`` and ``<name>.accel_x`` to ``accel_z`` along its own axes, and
+    ``<name>.roll`` and ``<name>.pitch``, the inclination of its axes that some units compute themselves.
 
     >>> unit = Imu(name="boom_imu", link="boom", position=(1.0, 0.0, 0.0), rate=100.0,
     ...            gyroscope=Gyroscope(noise=1e-4, bias=5e-3))
@@ -59,12 +61,19 @@ class Imu(Noun):
     """
 
     name: Name
+    """Name of the unit."""
     link: str
+    """Link that carries it, or `base`."""
     position: Lengths
+    """Place (3,) in the frame in which pins of that link are stated."""
     orientation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw of its axes there."""
     rate: Rate = Field(gt=0)
+    """Samples per second."""
     gyroscope: Gyroscope | None = None
+    """Its gyroscope."""
     accelerometer: Accelerometer | None = None
+    """Its accelerometer."""
 
     @property
     def channels(self) -> tuple[str, ...]:

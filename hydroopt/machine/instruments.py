@@ -21,17 +21,19 @@ class Instrument(Noun):
     the target's frame as a rotation vector ``station.prism.rx``, ``.ry``, ``.rz`` [rad] or a quaternion
     ``station.prism.qw``, ``.qx``, ``.qy``, ``.qz``.
 
-    It stands on the ground or on a `link`, at `position` (3,) [m], turned by `orientation`: roll, pitch, yaw [rad].
-    Without a position its pose is unknown, and another one in each set-up that a pose table's column ``setup`` names.
-
     >>> Instrument(name="station").stands
     False
     """
 
     name: Name
+    """Name of the instrument."""
     link: str = GROUND
+    """Link that carries it, or the ground."""
     position: Lengths | None = None
+    """Place (3,) of its frame; without it its pose is unknown, and another one in each set-up that a pose table's
+    column ``setup`` names."""
     orientation: tuple[Angle, Angle, Angle] | None = None
+    """Roll, pitch, yaw of its frame."""
 
     @property
     def stands(self) -> bool:

@@ -57,17 +57,24 @@ class Note(Noun):
 class Body(Noun):
     """A rigid body: mass, centre of mass or first moment, inertia about either, in the owner's frame.
 
-    Moments of inertia stand in the order xx, xy, xz, yy, yz, zz (Eq. 4.12). `shape` bounds where its mass is, and
-    `symmetric` names the planes of the frame about which it is spread evenly; both bind what is identified.
+    It is stated by `com` and `inertia_com`, or by `mc` and `inertia`. Moments of inertia stand in the order xx, xy, xz,
+    yy, yz, zz (Eq. 4.12).
     """
 
     m: Mass = Field(ge=0)
+    """Mass."""
     com: Lengths | None = None
+    """Centre of mass (3,)."""
     mc: tuple[MassMoment, MassMoment, MassMoment] | None = None
+    """First moment (3,): mass times centre of mass, with `inertia`."""
     inertia_com: Six | None = None
+    """Six moments of inertia about the centre of mass, with `com`."""
     inertia: Six | None = None
+    """Six moments of inertia about the frame's origin, with `mc`."""
     shape: Shape | None = None
+    """What bounds the places of its mass; binds what is identified."""
     symmetric: tuple[Plane, ...] = ()
+    """Planes of the frame about which its mass is spread evenly; binds what is identified."""
 
     @field_validator("symmetric", mode="before")
     @classmethod
@@ -114,40 +121,58 @@ class JointFriction(Noun):
     """Friction about or along a joint; a term that is not stated is not modelled."""
 
     coulomb: Torque | None = Field(None, ge=0)
+    """Dry friction."""
     viscous: AngularViscosity | None = Field(None, ge=0)
+    """Friction per speed."""
 
 
 class JointSpring(Noun):
     """A spring about or along a joint: it turns it back with `preload` + `stiffness`·(q − `reference`)."""
 
     stiffness: Stiffness = Field(ge=0)
+    """Torque per angle, or force per length where the joint slides."""
     reference: Position = 0.0
+    """Position in which it only gives `preload`."""
     preload: Torque | None = None
+    """Torque or force at the reference; not modelled if not stated."""
 
 
 class Joint(Noun):
     """Modified Denavit-Hartenberg joint and link: Trans(z,d)·Rot(z,θ)·Trans(x,a)·Rot(x,α)·Rot(y,β) (Eq. 3.8).
 
-    The joint variable adds to `theta` (revolute) or `d` (prismatic); a locked joint has none. Under the torque of
-    gravity the joint gives way by `compliance` times that torque. A `dependent` joint follows others through a loop or
-    coupling. A `passive` joint moves by itself, but no actuator is there to move it.
+    The joint variable adds to `theta` (revolute) or `d` (prismatic); a locked joint has none.
     """
 
     type: Literal["revolute", "prismatic", "locked"]
+    """What the joint does."""
     theta: Angle = 0.0
+    """Turn about z before the link's frame P; the joint's zero."""
     d: Length = 0.0
+    """Step along z before the link's frame P."""
     a: Length = 0.0
+    """Length of the link along x of P."""
     alpha: Angle = 0.0
+    """Turn about x behind the length."""
     beta: Angle = 0.0
+    """Turn about y behind that; needed between nearly parallel axes."""
     lower: float | None = Field(None, allow_inf_nan=False)
+    """Lower limit; a joint that moves by itself needs both."""
     upper: float | None = Field(None, allow_inf_nan=False)
+    """Upper limit."""
     max_speed: float | None = Field(None, gt=0, allow_inf_nan=False)
+    """Greatest speed."""
     max_acceleration: float | None = Field(None, gt=0, allow_inf_nan=False)
+    """Greatest acceleration."""
     compliance: AngularCompliance | None = Field(None, ge=0)
+    """Angle per torque by which the joint gives way under gravity."""
     dependent: bool = False
+    """Whether it follows other joints through a loop or coupling."""
     passive: bool = False
+    """Whether it moves by itself although no actuator is there to move it."""
     friction: JointFriction = JointFriction()
+    """Friction of the joint itself."""
     spring: JointSpring | None = None
+    """A spring about or along the joint."""
 
     @model_validator(mode="before")
     @classmethod
@@ -207,26 +232,31 @@ class Joint(Noun):
 
 
 class Link(Noun):
-    """A link with the joint that moves it; its body stands in P_i = Trans(z,d)·Rot(z,θ).
-
-    The joint's axis is the z axis of the parent's far end or, where a `pin` (3,) [m] is stated, passes through this
-    point of the parent's frame P (or the base frame), parallel to its z axis.
-    """
+    """A link with the joint that moves it; its body stands in P_i = Trans(z,d)·Rot(z,θ)."""
 
     name: Name
+    """Name of the link and of its joint."""
     parent: str
+    """Link that carries it; the one before it in the file, or `base`, if not stated."""
     pin: Lengths | None = None
+    """Point (3,) of the parent's frame P (or the base frame) through which the joint's axis passes, parallel to the
+    parent's z; without it the axis is the z axis of the parent's far end."""
     joint: Joint
+    """How it moves, and how long it is."""
     body: Body | None = None
+    """Its mass and inertia; without it, it has none."""
 
 
 class Attachment(Noun):
-    """One end of a cylinder: pin (3,) [m] in the link's frame P_i (or the base frame), and the end's body.
+    """One end of a cylinder.
 
     The barrel's frame lies at the barrel's pin and the rod's at the rod's, both with x along the centre line from
     barrel pin to rod pin and z as near as possible to the axis of the driven joint.
     """
 
     link: str
+    """Link, or `base`, that it is pinned to."""
     pin: Lengths
+    """Place (3,) of the pin in the link's frame P_i (or the base frame)."""
     body: Body | None = None
+    """Mass and inertia of barrel or rod, in its own frame."""

@@ -10,29 +10,36 @@ from hydroopt.machine.quantity import ImpossibleError, Length, Lengths, Name, No
 
 
 class SharedPin(Noun):
-    """A pin (3,) [m] of a link, in its frame P_i (or the base frame)."""
+    """A pin of a link."""
 
     link: str
+    """The link, or `base`."""
     pin: Lengths
+    """Its place (3,) in that link's frame P_i (or the base frame)."""
 
 
 class Loop(Noun):
-    """The far end of `link`, or a `pin` (3,) [m] of it, is held at a pin of another link, for which joints depend.
+    """A link is held at a pin of another one, for which joints depend.
 
     By a `pin` it turns about an axis: two equations, in the loop's plane. By a `ball` it is held in space: three
-    equations. A rigid rod of a `length` [m] with a ball at each end keeps the distance of both: one equation.
-
-    A loop can be assembled in several ways. `posture` tells which: positions [rad or m] of the joints that the loop
-    follows, and roughly where dependent joints stand then.
+    equations. A rigid `rod` with a ball at each end keeps the distance of both: one equation.
     """
 
     name: Name
+    """Name of the loop."""
     link: str
+    """The link that is held."""
     pin: Lengths | None = None
+    """Point (3,) of it that is held; its far end if not stated."""
     to: SharedPin
+    """The pin of the other link."""
     closed_by: Literal["pin", "ball", "rod"] = "pin"
+    """How it is held."""
     length: Length | None = Field(None, gt=0)
+    """Length of the rod."""
     posture: dict[str, Position] = Field(min_length=1)
+    """In which of several ways the loop is assembled: positions of the joints that it follows, and roughly where
+    dependent joints stand then."""
 
     @model_validator(mode="after")
     def _rod_has_a_length(self) -> Self:

@@ -12,10 +12,12 @@ from hydroopt.spatial.inertia import Array
 
 
 class Box(Noun):
-    """All points between the corners `lower` and `upper` (3,) [m], with edges along the axes of the body's frame."""
+    """All points between two corners, with edges along the axes of the body's frame."""
 
     lower: Lengths
+    """Corner (3,) with the smallest coordinates."""
     upper: Lengths
+    """Corner (3,) with the largest coordinates."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -24,10 +26,12 @@ class Box(Noun):
 
 
 class Ellipsoid(Noun):
-    """All points about `centre` (3,) [m] within `semi_axes` (3,) [m] along the axes of the body's frame."""
+    """All points of an ellipsoid with semi-axes along the axes of the body's frame."""
 
     centre: Lengths
+    """Centre (3,)."""
     semi_axes: Lengths
+    """Semi-axes (3,)."""
 
     @model_validator(mode="after")
     def _extended(self) -> Self:
@@ -38,11 +42,14 @@ class Ellipsoid(Noun):
 
 
 class Tube(Noun):
-    """All points within `radius` [m] of the x axis of the body's frame, from x = `start` to x = `end` [m]."""
+    """All points of a cylinder about the x axis of the body's frame."""
 
     radius: Length = Field(gt=0)
+    """Radius."""
     start: Length
+    """Place of one end along x."""
     end: Length
+    """Place of the other end along x."""
 
     @model_validator(mode="after")
     def _ordered(self) -> Self:
@@ -53,11 +60,14 @@ class Tube(Noun):
 
 
 class Shape(Noun):
-    """Where a body's mass is: within a box, an ellipsoid or a cylinder along x, in the frame of the body's numbers."""
+    """Where a body's mass is, in the frame of the body's numbers: exactly one of these."""
 
     box: Box | None = None
+    """A box."""
     ellipsoid: Ellipsoid | None = None
+    """An ellipsoid."""
     cylinder: Tube | None = None
+    """A cylinder along x."""
 
     @model_validator(mode="after")
     def _one(self) -> Self:
@@ -99,16 +109,22 @@ class TotalMass(Noun):
     """The mass of several bodies together, as of a weighbridge; with a confidence it is a prior, without it exact."""
 
     name: Name
+    """Name of the statement."""
     bodies: tuple[str, ...] = Field(min_length=1)
+    """Bodies that were weighed together, such as `boom`, `boom_cylinder.rod`."""
     value: Mass = Field(gt=0)
+    """Their mass."""
 
 
 class Identical(Noun):
-    """Identical parts: `bodies` of equal inertial parameters, and actuators of equal `friction`."""
+    """Identical parts."""
 
     name: Name
+    """Name of the statement."""
     bodies: tuple[str, ...] = ()
+    """Bodies of equal inertial parameters."""
     friction: tuple[str, ...] = ()
+    """Actuators of equal friction."""
 
     @model_validator(mode="after")
     def _several(self) -> Self:

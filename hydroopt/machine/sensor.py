@@ -12,16 +12,18 @@ from hydroopt.machine.quantity import CHANNEL_UNITS, ImpossibleError, Noun, Quan
 
 
 class Sensor(Noun):
-    """What a set of channels is measured with.
-
-    `accuracy` is the bound of a uniform error, or the standard deviation of a Gaussian one.
-    """
+    """What a set of channels is measured with."""
 
     channels: tuple[str, ...] = Field(min_length=1)
+    """Channels, all of one unit."""
     accuracy: float = Field(ge=0, allow_inf_nan=False)
+    """Bound of a uniform error, or standard deviation of a Gaussian one, in the channels' unit."""
     resolution: float = Field(0.0, ge=0, allow_inf_nan=False)
+    """Step of the reading, in the channels' unit."""
     rate: Rate | None = Field(None, gt=0)
+    """Samples per second."""
     distribution: Literal["uniform", "gaussian"] = "uniform"
+    """Distribution of the error."""
 
     @model_validator(mode="before")
     @classmethod

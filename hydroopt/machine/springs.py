@@ -15,15 +15,21 @@ class Spring(Noun):
     """A linear spring between two links, such as a counterbalance; its ends are called as those of cylinders.
 
     It pulls its pins together with `preload` + `stiffness`·(length − `reference_length`), and pushes them apart where
-    this is negative. Without a preload, `reference_length` is the free length. The ends carry no body.
+    this is negative. The ends carry no body.
     """
 
     name: Name
+    """Name of the spring."""
     barrel: Attachment
+    """One pin."""
     rod: Attachment
+    """The other pin."""
     stiffness: LinearStiffness = Field(ge=0)
+    """Force per length."""
     reference_length: Length = Field(gt=0)
+    """Distance of the pins at which it pulls with `preload`; the free length without one."""
     preload: Force | None = None
+    """Force at the reference length; not modelled if not stated."""
 
     @model_validator(mode="after")
     def _no_bodies(self) -> Self:

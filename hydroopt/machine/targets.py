@@ -13,14 +13,15 @@ TIP = "tip"
 class Target(Noun):
     """A prism, a ball, a punched mark or a marker on a link.
 
-    `position` (3,) [m] and `orientation`, roll, pitch and yaw [rad], are in the frame in which pins of that link are
-    stated (P_i, or the base frame). A point needs no orientation.
-
     >>> Target(name="stick_prism", link="stick", position=(1.2, 0.3, 0.0)).link
     'stick'
     """
 
     name: Name
+    """Name of the target."""
     link: str
+    """Link, `base` or `ground` that carries it."""
     position: Lengths = (0.0, 0.0, 0.0)
+    """Place (3,) in the frame in which pins of that link are stated (P_i, or the base frame)."""
     orientation: tuple[Angle, Angle, Angle] = (0.0, 0.0, 0.0)
+    """Roll, pitch, yaw there; a point needs none."""

@@ -32,47 +32,59 @@ EDGES = ("flow_pa", "flow_at", "flow_pb", "flow_bt")
 
 
 class Oil(Noun):
-    """The fluid: its bulk modulus without air, and the part of its volume at ambient pressure that is free air.
-
-    The air follows p·Vⁿ = const with the exponent n = `polytropic`: 1 where it takes its time, 1.4 where it has none.
-    """
+    """The fluid."""
 
     bulk_modulus: Pressure = Field(gt=0)
+    """Bulk modulus without air."""
     air: Number = Field(0.0, ge=0, le=0.5)
+    """Free air, as a part of the volume at ambient pressure."""
     polytropic: Number = Field(1.4, ge=1.0, le=1.67)
+    """Exponent n of the air's p·Vⁿ = const: 1 where it takes its time, 1.4 where it has none."""
 
 
 class Valve(Noun):
     """A proportional directional valve with four metering edges.
 
-    A command off `neutral` by more than the `dead_band` (`dead_band_reverse` on the side that retracts) moves the
-    spool; at `full` it is fully spool_position towards P→A and B→T, which extends a cylinder and turns a motor
-    positively, and as far on the other side of `neutral` towards P→B and A→T. These three and the dead bands have the
-    unit `command`. An edge opens when the spool has travelled `overlap`, a part of its full travel; a negative one is
-    an underlap. `rounding`, likewise a part of the travel, is the range over which dead band and edges set in: the
-    clearance between spool and housing (Eryilmaz and Wilson 2006). Fully open, an edge lets its flow pass at the
-    pressure drop `rated_drop`; `rated_flow` is that of all edges for which none is stated. Below `laminar_drop` an
-    edge's flow is laminar. The spool follows as a system of second order with `natural_frequency` and `damping`, or at
-    once if these are not stated; commands arrive later by `delay`.
+    A command off `neutral` by more than the dead band moves the spool; at `full` it is fully displaced towards P→A and
+    B→T, which extends a cylinder and turns a motor positively, and as far on the other side of `neutral` towards P→B
+    and A→T. The spool follows as a system of second order, or at once if its frequency is not stated.
     """
 
     command: Literal["1", "V", "A"] = "1"
+    """Unit of the command, and of `neutral`, `full` and the dead bands."""
     neutral: float = Field(0.0, allow_inf_nan=False)
+    """Command at rest."""
     full: float = Field(1.0, allow_inf_nan=False)
+    """Command at full opening towards P→A and B→T."""
     dead_band: float = Field(0.0, ge=0, allow_inf_nan=False)
+    """Change of the command off neutral that does not move the spool."""
     dead_band_reverse: float | None = Field(None, ge=0, allow_inf_nan=False)
+    """The same on the side that retracts; as `dead_band` if not stated."""
     overlap: Number = Field(0.0, gt=-1, lt=1)
+    """Travel of the spool, as a part of its full travel, before an edge opens; negative is an underlap."""
     rounding: Number = Field(0.01, gt=0, le=0.2)
+    """Range, as a part of the travel, over which dead band and edges set in: the clearance between spool and housing
+    (Eryilmaz and Wilson 2006)."""
     rated_flow: Flow | None = Field(None, gt=0)
+    """Flow of each edge for which none is stated, fully open at `rated_drop`."""
     flow_pa: Flow | None = Field(None, gt=0)
+    """Flow from P to A."""
     flow_at: Flow | None = Field(None, gt=0)
+    """Flow from A to T."""
     flow_pb: Flow | None = Field(None, gt=0)
+    """Flow from P to B."""
     flow_bt: Flow | None = Field(None, gt=0)
+    """Flow from B to T."""
     rated_drop: Pressure = Field(gt=0)
+    """Pressure drop over one edge at which the flows hold."""
     laminar_drop: Pressure = Field(5e4, gt=0)
+    """Drop below which an edge's flow is laminar."""
     natural_frequency: Rate | None = Field(None, gt=0)
+    """Natural frequency of the spool."""
     damping: Number | None = Field(None, gt=0, le=10)
+    """Damping of the spool; with `natural_frequency`."""
     delay: Duration = Field(0.0, ge=0, le=10)
+    """By what commands arrive later."""
 
     @model_validator(mode="before")
     @classmethod
@@ -115,22 +127,26 @@ class Valve(Noun):
 
 
 class Circuit(Noun):
-    """What feeds one actuator: its valve, hoses and leaks.
-
-    `volume_a` and `volume_b` are those of the hoses and dead spaces at the ports A and B, `hose_modulus` is that of
-    their walls: the pressure that would widen them by their own volume. `leakage` passes the piston, `leakage_a` and
-    `leakage_b` leave the chambers for the tank. `air_a` and `air_b` are free air in the oil of a chamber and its hose,
-    as a part of its volume at ambient pressure, where there is more or less of it than in the rest. With
-    `anticavitation` check valves let oil follow from the tank when a chamber's pressure falls below the tank's.
-    """
+    """What feeds one actuator: its valve, hoses and leaks."""
 
     valve: Valve
+    """The valve."""
     volume_a: Volume = Field(gt=0)
+    """Volume of hose and dead space at port A."""
     volume_b: Volume = Field(gt=0)
+    """Volume of hose and dead space at port B."""
     hose_modulus: Pressure | None = Field(None, gt=0)
+    """Pressure that would widen the hoses by their own volume."""
     leakage: LeakageConductance | None = Field(None, ge=0)
+    """Conductance past the piston."""
     leakage_a: LeakageConductance | None = Field(None, ge=0)
+    """Conductance from chamber A to the tank."""
     leakage_b: LeakageConductance | None = Field(None, ge=0)
+    """Conductance from chamber B to the tank."""
     air_a: Number | None = Field(None, ge=0, le=0.9)
+    """Free air in chamber A and its hose, as a part of its volume at ambient pressure, where it differs from the oil's.
+    """
     air_b: Number | None = Field(None, ge=0, le=0.9)
+    """Free air in chamber B and its hose, likewise."""
     anticavitation: bool = False
+    """Whether check valves let oil follow from the tank when a chamber's pressure falls below the tank's."""

@@ -182,8 +182,9 @@ def _weighing(found: Identification, spread: Array | None) -> Iterator[Use]:
     middle = np.argsort(std)[POSTURES // 2]
     most = _held(machine, K[middle] @ found.psi, effect[middle], model.over(model.shares, q[middle : middle + 1])[0][0])
     figure = NORMAL * float(std[middle])
-    yield judged(Purpose.WEIGHING, "", figure, "kg", figure / most, condition=(
+    yield judged(Purpose.WEIGHING, "", figure, "kg", figure / most if most else np.nan, condition=(
         f"95 %, {WEIGHED:g} s of a slow lift in the median posture, sensors' scales exact"),
+        reason="" if most else "in the median posture the machine alone takes all that its actuators hold",
         untested="" if np.isfinite(most) else "the machine file states no limit of its drives")
 
 
