@@ -104,7 +104,7 @@ def force_noise(model: Model, log: AnyLog | None = None) -> Array:
 
 def _sealing_channels(model: Model) -> Mapping[str, tuple[str, str]]:
     return {cylinder.name: cylinder.chambers for cylinder in model.machine.cylinders
-            if cylinder.name in model.machine.sealed}
+            if cylinder.name in model.pressed}
 
 
 def pressures(model: Model, log: Log) -> Array | None:

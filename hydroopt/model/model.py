@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property, partial
 
 import casadi as ca
@@ -21,6 +21,7 @@ from hydroopt.model.kinematics import coordinates
 from hydroopt.model.regressor import Dynamics
 from hydroopt.notebook_card import Card, Shown
 from hydroopt.parameters import dynamic as dynamic_parameters
+from hydroopt.parameters.force_terms import ForceTerm
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet, parameter_table
 from hydroopt.spatial.inertia import Array
 
@@ -30,7 +31,8 @@ class Model(Shown):
 
     `actuator_inertia` tells the complete model (with barrels and rods) from the thesis's reduced one. With `calibrator`
     the bodies of the calibrator are parameters, too, the last ones; the functions here are those of the free machine,
-    to which `AttachedCalibrator` adds what the calibrator does while it is attached. All functions
+    to which `AttachedCalibrator` adds what the calibrator does while it is attached. `terms` are force terms of the
+    user's own, see `ForceTerm`. All functions
     take and return columns in SI; joint vectors are in the order of ``machine.joints``, measured forces in that of
     ``machine.balances``, which is that of the actuators where each joint has one, pressures and forces of actuators in
     that of ``machine.actuators``, parameters in that of ``model.parameters``.
@@ -48,16 +50,18 @@ class Model(Shown):
     ((3, 1), ('N*m', 'N', 'N'))
     """
 
-    def __init__(self, machine: Machine, *, actuator_inertia: bool = True, calibrator: bool = False) -> None:
+    def __init__(self, machine: Machine, *, actuator_inertia: bool = True, calibrator: bool = False,
+                 terms: Sequence[ForceTerm] = ()) -> None:
         if not isinstance(machine, Machine):
             raise ProblemError(f"this is {type(machine).__name__} {machine!r:.40}, not a Machine", where="Model",
                                remedy="give a Machine, such as load_machine('cat215b') returns")
         self.machine = machine
         self.actuator_inertia = actuator_inertia
         self.calibrator = calibrator
+        self.terms = _fitting(terms, machine)
         self.coordinates = coordinates(machine)
         self.geometry = Geometry(machine)
-        self.dynamics = Dynamics(self.geometry, self.coordinates)
+        self.dynamics = Dynamics(self.geometry, self.coordinates, self.terms)
         self._runner = Runner()
 
     def __repr__(self) -> str:
@@ -70,13 +74,14 @@ class Model(Shown):
         return Card(repr(self), tables=[parameter_table(self.parameters)])
 
     def __reduce__(self) -> tuple[object, ...]:
-        return partial(Model, actuator_inertia=self.actuator_inertia, calibrator=self.calibrator), (self.machine,)
+        return partial(Model, actuator_inertia=self.actuator_inertia, calibrator=self.calibrator,
+                       terms=self.terms), (self.machine,)
 
     @cached_property
     def parameters(self) -> ParameterSet:
         """Names, units, nominal values, bounds and prior of ψ (p,)."""
         return dynamic_parameters.parameter_set(self.machine, actuator_inertia=self.actuator_inertia,
-                                                calibrator=self.calibrator)
+                                                calibrator=self.calibrator, terms=self.terms)
 
     @cached_property
     def bodies(self) -> dict[str, dynamic_parameters.Owned]:
@@ -141,13 +146,27 @@ class Model(Shown):
 
     @property
     def linear(self) -> bool:
-        """Whether forces are linear in all parameters: no actuator has a Stribeck speed."""
-        return ParameterKind.STRIBECK_SPEED not in self.parameters.kinds
+        """Whether forces are linear in all parameters: no actuator has a Stribeck speed or a term that is not."""
+        return not np.any(self.nonlinear)
+
+    @cached_property
+    def nonlinear(self) -> NDArray[np.bool_]:
+        """Which parameters (p,) forces are not linear in: Stribeck speeds, and coefficients of own terms."""
+        own = {name for each in self.dynamics.own_forces if not each.linear for name in each.names}
+        return np.array([kind is ParameterKind.STRIBECK_SPEED or name in own for name, kind in zip(
+            self.parameters.names, self.parameters.kinds, strict=True)], dtype=bool)
 
     @property
     def needs_pressure(self) -> bool:
-        """Whether forces depend on pressures: a cylinder's file states the friction of its seals."""
-        return bool(self.machine.sealed)
+        """Whether forces depend on pressures."""
+        return bool(self.pressed)
+
+    @cached_property
+    def pressed(self) -> tuple[str, ...]:
+        """Names of the measured cylinders whose forces depend on their pressures: by the friction of their seals, or by
+        terms of the user's own."""
+        own = {self.machine.actuators[each.actuator].name for each in self.dynamics.own_forces if each.pressed}
+        return tuple(each.name for each in self.machine.cylinders if each.name in {*self.machine.sealed, *own})
 
     def refuse_seals(self, where: str) -> None:
         """Refuse a machine with friction of seals, where no pressures are available.
@@ -156,9 +175,9 @@ class Model(Shown):
             ProblemError: names the cylinders.
         """
         if self.needs_pressure:
-            raise ProblemError(f"the friction of the seals of {', '.join(self.machine.sealed)} depends on pressures, "
-                               "which are not an input here", where=where,
-                               remedy="remove 'seal' from the machine file")
+            raise ProblemError(f"the friction of {', '.join(self.pressed)} depends on pressures, which are no input",
+                               where=where, remedy="remove 'seal' from the machine file, and own force terms "
+                               "with pressures")
 
     @cached_property
     def _state(self) -> dict[str, ca.SX]:
@@ -361,3 +380,25 @@ def _dense(name: str, inputs: list[ca.SX], outputs: list[ca.SX], input_names: li
            output_names: list[str]) -> ca.Function:
     """A function with few operations and dense outputs, so that their layout is the same for every machine."""
     return program(ca.Function(name, inputs, outputs, input_names, output_names)).function()
+
+
+def _fitting(terms: Sequence[ForceTerm], machine: Machine) -> tuple[ForceTerm, ...]:
+    """The terms, for measured actuators of a machine, with names of their own.
+
+    Raises:
+        ProblemError: an actuator is unknown or not measured, or a name is taken.
+    """
+    measured = [each.name for each in machine.measured_actuators]
+    taken = set(dynamic_parameters.parameter_set(machine, calibrator=True).names)
+    for term in terms:
+        if not isinstance(term, ForceTerm):
+            raise ProblemError(f"this is {type(term).__name__}, not a ForceTerm", where="Model",
+                               remedy="give a list of hydroopt.ForceTerm")
+        if term.actuator not in measured:
+            raise ProblemError(f"'{term.actuator}' is not a measured actuator", where=term.where,
+                               remedy=f"use {', '.join(measured)}")
+        if both := taken & term.addresses.keys():
+            raise ProblemError(f"{', '.join(sorted(both))} is a parameter already", where=term.where,
+                               remedy="rename the coefficient")
+        taken |= term.addresses.keys()
+    return tuple(terms)

@@ -10,7 +10,7 @@ as in the thesis, and otherwise the joint's own equation, from which unmeasured 
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 
 import casadi as ca
@@ -24,7 +24,9 @@ from hydroopt.model.friction import friction_terms
 from hydroopt.model.kinematics import Coordinates, Motion, gravity_in_base, link_motions
 from hydroopt.model.load_sharing import shared_load
 from hydroopt.model.mechanism import tree_motion
+from hydroopt.model.own_forces import MotionSymbols, own_force
 from hydroopt.parameters.dynamic import bodies, parameter_set
+from hydroopt.parameters.force_terms import ForceTerm
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
 from hydroopt.spatial import inertia
 from hydroopt.spatial.poses import Pose, skew
@@ -52,11 +54,11 @@ def _bullet(w: ca.SX) -> ca.SX:
 class Dynamics:
     """All expressions of a machine's dynamics in one set of symbols; `Model` turns them into functions."""
 
-    def __init__(self, geometry: Geometry, coordinates: Coordinates) -> None:
-        self.geometry, self.coordinates = geometry, coordinates
+    def __init__(self, geometry: Geometry, coordinates: Coordinates, terms: Sequence[ForceTerm] = ()) -> None:
+        self.geometry, self.coordinates, self.terms = geometry, coordinates, tuple(terms)
         self.machine: Machine = geometry.machine
         self.pressure = ca.SX.sym("pressure", len(self.machine.actuators))
-        """Sum of the pressures [Pa] in both chambers of each cylinder, which only the friction of seals depends on."""
+        """Sum of the pressures [Pa] in both chambers of each cylinder, for the friction of seals and own terms."""
         self.tree = tree_motion(geometry, coordinates)
         links = link_motions(geometry, self.tree.symbols)
         cylinders = {c.name: cylinder_motion(geometry, c, links, self.tree.symbols) for c in self.machine.pinned}
@@ -65,6 +67,19 @@ class Dynamics:
         self.rates = ca.vertcat(*[self._rate_of(a) for a in self.machine.actuators])
         self.transmission = self._transmission()
         """(actuators, joints): actuator speed = transmission · q̇; its entries are the lever arms."""
+        self.own_forces = tuple(own_force(term, k, self._symbols(k)) for term in self.terms
+                                for k, each in enumerate(self.machine.actuators) if each.name == term.actuator)
+        """Terms of the user's own."""
+
+    def _symbols(self, k: int) -> MotionSymbols:
+        actuator = self.machine.actuators[k]
+        q, qd, qdd = (dict(zip(self.machine.joints, ca.vertsplit(x), strict=True)) for x in self.coordinates)
+        position = (self.cylinders[actuator.name].length if isinstance(actuator, Cylinder)
+                    else self.coordinates.q[self.joint_of(actuator)])
+        return MotionSymbols(q, qd, qdd, position, self.rates[k], self.pressure[k])
+
+    def _parameters(self, *, actuator_inertia: bool) -> ParameterSet:
+        return parameter_set(self.machine, actuator_inertia=actuator_inertia, terms=self.terms)
 
     def _rate_of(self, actuator: Actuator) -> ca.SX:
         if isinstance(actuator, Cylinder):
@@ -182,7 +197,7 @@ class Dynamics:
 
     def mass_matrix(self, psi: ca.SX, *, actuator_inertia: bool = True) -> ca.SX:
         """M (n, n) of the kinetic energy q̇ᵀ·M·q̇/2 of all bodies and rotors."""
-        parameters = parameter_set(self.machine, actuator_inertia=actuator_inertia)
+        parameters = self._parameters(actuator_inertia=actuator_inertia)
         total = ca.SX.zeros(len(self.machine.joints), len(self.machine.joints))
         for owner in bodies(self.machine, actuator_inertia=actuator_inertia):
             phi, allowed = psi[parameters.bodies[owner]], self._allowed(owner)
@@ -199,7 +214,7 @@ class Dynamics:
 
     def gravity_torques(self, psi: ca.SX, *, actuator_inertia: bool = True) -> ca.SX:
         """Generalised forces (n,) that hold all bodies against gravity."""
-        parameters = parameter_set(self.machine, actuator_inertia=actuator_inertia)
+        parameters = self._parameters(actuator_inertia=actuator_inertia)
         total = ca.SX.zeros(len(self.machine.joints))
         for owner in bodies(self.machine, actuator_inertia=actuator_inertia):
             phi = psi[parameters.bodies[owner]]
@@ -264,7 +279,7 @@ class Dynamics:
         Of forces that are not linear in the parameters K is the derivative at `psi` (p,), or at the nominal values,
         where a Stribeck force of zero counts as its typical size: it would hide its speed.
         """
-        parameters = parameter_set(self.machine, actuator_inertia=actuator_inertia)
+        parameters = self._parameters(actuator_inertia=actuator_inertia)
         if psi is None:
             psi = ca.DM(np.where(parameters.nominal == 0, parameters.scale, parameters.nominal))
         columns: dict[str, ca.SX] = {}
@@ -276,8 +291,10 @@ class Dynamics:
 
     def forces(self, psi: ca.SX, *, actuator_inertia: bool = True) -> ca.SX:
         """K·ψ (r,) in fewer operations: each body's wrench is computed before it is projected on the joints."""
-        parameters = parameter_set(self.machine, actuator_inertia=actuator_inertia)
+        parameters = self._parameters(actuator_inertia=actuator_inertia)
         total = self.at_balances(self._of_bodies(parameters, psi, actuator_inertia=actuator_inertia))
+        for each in self.own_forces:
+            total = total + self.shares[:, each.actuator] * each.at(parameters, psi)[0]
         return _added(total, parameters, psi, self._effort_columns(parameters, psi))
 
     def actuator_forces(self, psi: ca.SX, load: ca.SX | None = None, *, actuator_inertia: bool = True) -> ca.SX:
@@ -292,10 +309,12 @@ class Dynamics:
     def efforts(self, psi: ca.SX, *, actuator_inertia: bool = True) -> tuple[ca.SX, ca.SX]:
         """Generalised forces (n,) at the joints that a motion demands of the actuators, and what each (a,) takes for
         its own friction and offset."""
-        parameters = parameter_set(self.machine, actuator_inertia=actuator_inertia)
+        parameters = self._parameters(actuator_inertia=actuator_inertia)
         total = self._of_bodies(parameters, psi, actuator_inertia=actuator_inertia)
         own = [_added(ca.SX(0), parameters, psi, self._own_friction(k, parameters, psi))
                for k in range(len(self.machine.actuators))]
+        for each in self.own_forces:
+            own[each.actuator] = own[each.actuator] + each.at(parameters, psi)[0]
         return _added(total, parameters, psi, self._joint_columns()), ca.vertcat(*own)
 
     def _of_bodies(self, parameters: ParameterSet, psi: ca.SX, *, actuator_inertia: bool) -> ca.SX:
@@ -318,6 +337,9 @@ class Dynamics:
             columns |= {name: share * term if share.nnz() else share
                         for name, term in self._own_friction(k, parameters, psi).items()}
             columns |= {name: self.at_balances(column) for name, column in self._of_actuator(actuator).items()}
+        for each in self.own_forces:
+            share = self.shares[:, each.actuator]
+            columns |= {name: share * slope for name, slope in each.at(parameters, psi)[1].items()}
         return columns | {name: self.at_balances(column) for name, column in self._passive_columns().items()}
 
     def _joint_columns(self) -> dict[str, ca.SX]:
@@ -380,9 +402,11 @@ def _along(J: ca.SX, torque: ca.SX, rank: int) -> tuple[ca.SX, ca.SX]:
 
 
 def _added(total: ca.SX, parameters: ParameterSet, psi: ca.SX, columns: Mapping[str, ca.SX]) -> ca.SX:
-    """A sum and columns times their parameters; a Stribeck speed acts in the column of its force already."""
+    """A sum and columns times their parameters; a Stribeck speed acts in the column of its force already, and own terms
+    are added as they are."""
     for name, column in columns.items():
-        if name in parameters.positions and parameters.kind(name) is not ParameterKind.STRIBECK_SPEED:
+        if name in parameters.positions and parameters.kind(name) not in (
+                ParameterKind.STRIBECK_SPEED, ParameterKind.COEFFICIENT):
             total = total + column * psi[parameters.positions[name]]
     return total
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import chain
 from typing import NamedTuple
 
@@ -12,6 +13,7 @@ from hydroopt.machine.addresses import Number, gas_numbers, spring_numbers
 from hydroopt.machine.links import Body, Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
+from hydroopt.parameters.force_terms import ForceTerm
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
@@ -100,13 +102,15 @@ def _passive(number: Number) -> Scalar:
     return Scalar(number, -np.inf if number.kind is ParameterKind.PRELOAD else 0.0)
 
 
-def parameter_set(machine: Machine, *, actuator_inertia: bool = True, calibrator: bool = False) -> ParameterSet:
+def parameter_set(machine: Machine, *, actuator_inertia: bool = True, calibrator: bool = False,
+                  terms: Sequence[ForceTerm] = ()) -> ParameterSet:
     """All dynamic parameters ψ of a machine, joint after joint (Eq. 4.55).
 
     Args:
         machine: where nominal values and confidences come from.
         actuator_inertia: whether barrels and rods belong to the model (the thesis's complete model).
         calibrator: whether the bodies of the calibrator belong to it; they come last.
+        terms: force terms of the user's own, whose coefficients come before those.
     """
     found = bodies(machine, actuator_inertia=actuator_inertia, calibrator=calibrator)
     names: list[str] = []
@@ -137,6 +141,12 @@ def parameter_set(machine: Machine, *, actuator_inertia: bool = True, calibrator
         kinds.append(scalar.number.kind)
         units.append(scalar.number.unit)
         blocks.append(scalar_block(scalar, machine.notes))
+    for address, each in chain.from_iterable(term.addresses.items() for term in terms):
+        names.append(address)
+        kinds.append(ParameterKind.COEFFICIENT)
+        units.append(each.unit)
+        blocks.append((*np.array([[each.nominal], [each.lower], [each.upper], [abs(each.nominal) or 1.0]]),
+                       np.array([[0.0 if each.sigma is None else 1 / each.sigma**2]])))
     for link in machine.calibrator.links if machine.calibrator else ():
         if link.name in found:
             add_body(link.name)

@@ -172,6 +172,9 @@ def forces(model: Model, motion: Trajectory, psi: Array) -> Array:
     The friction of seals depends on pressures and these on the force, which is so found for both at once. Actuators of
     one joint share its load by the rule of `shared_load`.
     """
+    if own := set(model.pressed) - set(model.machine.sealed):
+        raise ProblemError(f"own terms of {', '.join(own)} depend on pressures, which follow from forces",
+                           where="simulate", remedy="simulate without these terms")
     if not model.machine.one_each:
         return _shared_forces(model, motion, psi)
     state, still = (motion.q, motion.qd, motion.qdd), np.zeros_like(motion.q)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 import numpy as np
 
 from hydroopt.errors import MachineError, ProblemError
@@ -29,6 +31,9 @@ def calibrated_machine(estimate: Identification) -> Machine:
     problem = estimate.problem
     machine, names = problem.model.machine, problem.parameters.names
     where = f"{machine.name} by {estimate.algorithm}"
+    if own := list(chain.from_iterable(term.addresses for term in problem.model.terms)):
+        raise ProblemError(f"a machine file cannot state force terms of the user's own: {', '.join(own)}", where=where,
+                           remedy="keep the parameters with the model, or identify without the terms")
     impossible = [owner for owner, smallest in estimate.consistency.items() if smallest < 0]
     bounded = np.clip(estimate.psi, problem.parameters.lower, problem.parameters.upper)
     rounded = abs(bounded - estimate.psi) <= ROUNDING * np.maximum(1.0, abs(bounded))

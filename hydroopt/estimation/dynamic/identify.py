@@ -111,7 +111,7 @@ def _solve(problem: IdentificationProblem, method: Method, tolerance: float, rid
     parameters = problem.parameters
     if problem.model.linear:
         return _solve_at(problem, parameters.nominal, method, tolerance, ridge, intervals, seed, freed)
-    speeds = np.array([kind is ParameterKind.STRIBECK_SPEED for kind in parameters.kinds])
+    speeds = problem.model.nonlinear
     nonlinear = speeds | np.array([kind is ParameterKind.STRIBECK_FRICTION for kind in parameters.kinds])
     rows = {actuator.name: k for k, balance in enumerate(problem.model.machine.balances)
             for actuator in balance.actuators}
@@ -147,7 +147,7 @@ def _solve(problem: IdentificationProblem, method: Method, tolerance: float, rid
     names = ", ".join(np.array(parameters.names)[speeds])
     raise SolverError(f"Gauss-Newton steps did not converge: these data do not determine {names}",
                       where=f"identification of {problem.model.machine.name}",
-                      remedy="use a method with bounds and priors (sdp, qp, nlp), or leave out 'stribeck'")
+                      remedy="use a method with bounds and priors (sdp, qp, nlp), start closer, or leave them out")
 
 
 def _misfit(estimate: Estimate, psi: Array) -> float:

@@ -49,7 +49,7 @@ def reduced_parameters(weighted: WeightedResiduals[IdentificationProblem], metho
     if not model.linear or parameters.bodies.keys() == bodies(model.machine, actuator_inertia=False,
                                                               calibrator=model.calibrator).keys():
         return None
-    small = Model(model.machine, actuator_inertia=False, calibrator=model.calibrator)
+    small = Model(model.machine, actuator_inertia=False, calibrator=model.calibrator, terms=model.terms)
     kept = parameters.select(small.parameters.names)
     psi = np.zeros(len(parameters))
     try:
