@@ -60,7 +60,7 @@ class Run:
 
 
 class Sensors:
-    """Readings of angles, chamber pressures and supply pressure, with the errors and rates that the machine file
+    """Readings of angles, chamber pressures and supply pressure, with the errors, lags and rates that the machine file
     states."""
 
     def __init__(self, plant: Plant, offsets: Array, period: float, seed: int | None) -> None:
@@ -79,10 +79,15 @@ class Sensors:
         self.added[len(machine.joints):-1:2] = offsets / self.areas[:, 0]
         self.rng = None if seed is None else np.random.default_rng(seed)
         self.held = np.zeros(len(self.channels))
+        lags = np.array([machine.lag(name).value for name in self.channels])
+        self.follows = -np.expm1(-period / np.maximum(lags, 1e-12))
+        self.behind = np.full(len(self.channels), np.nan)
 
     def read(self, k: int, q: Array, pressure: Array, p_supply: float) -> Array:
         """Readings (m,) at sample k."""
         true = np.array([*q, *pressure.ravel(), p_supply]) + self.added
+        before = np.where(np.isnan(self.behind), true, self.behind)
+        true = self.behind = before + self.follows * (true - before)
         for i, sensor in enumerate(self.sensors):
             if k % self.every[i] == 0:
                 self.held[i] = true[i] if sensor is None or self.rng is None else float(measure(

@@ -7,6 +7,7 @@ from collections.abc import Mapping
 import numpy as np
 
 from hydroopt.logs.any_log import AnyLog
+from hydroopt.logs.lag import slowed
 from hydroopt.logs.log import Log, missing
 from hydroopt.logs.readings import reading
 from hydroopt.machine.actuators import Actuator, Cylinder
@@ -45,18 +46,39 @@ def absent_forces(model: Model, log: AnyLog) -> dict[str, tuple[str, ...]]:
             if (lacking := tuple(channel for channel in channels if channel not in log.channels))}
 
 
+def _measured_parts(model: Model, log: AnyLog) -> list[Mapping[str, float]]:
+    """Of each actuator the channels that its force is read from, with their factors; none of an unmeasured one."""
+    measured = model.machine.measured_actuators
+    return [_force_channels(model, log, actuator) if actuator in measured else {}
+            for actuator in model.machine.actuators]
+
+
+def _lags(model: Model, log: AnyLog) -> Array:
+    """Time constants (a,) [s] of the actuators' forces, where several share the load of a joint one for all."""
+    found = np.array([max((model.machine.lag(channel).value for channel in parts), default=0.0)
+                      for parts in _measured_parts(model, log)])
+    return found if model.machine.one_each else np.full_like(found, found.max())
+
+
+def force_lags(model: Model, log: AnyLog) -> Array:
+    """Time constants (r,) [s] with which the balances' measured forces lag, by the sensors of the machine file: for
+    each the longest of the channels that it is read from."""
+    found = _lags(model, log)
+    return found if model.machine.one_each else np.full(len(model.machine.balances), found[0])
+
+
 def actuator_forces(model: Model, log: Log) -> Array:
     """Forces (N, a) of all actuators [N or N·m], in the order of ``machine.actuators``; zero for unmeasured ones.
 
-    NaN where the log does not tell the force of a measured actuator.
+    They lag as `force_lags` says: readings that lag less are slowed. NaN where the log does not tell the force of a
+    measured actuator.
     """
-    machine, absent, found = model.machine, absent_forces(model, log), []
-    for actuator in machine.actuators:
-        parts = _force_channels(model, log, actuator) if actuator in machine.measured_actuators else {}
-        found.append(np.full(log.size, np.nan) if actuator.name in absent else
-                     sum((factor * reading(machine, log, channel) for channel, factor in parts.items()),
-                         np.zeros(log.size)))
-    return np.column_stack(found)
+    machine, absent = model.machine, absent_forces(model, log)
+    return np.column_stack([np.full(log.size, np.nan) if actuator.name in absent else sum(
+        (factor * slowed(log.t, reading(machine, log, channel), machine.lag(channel).value, lag, log.segment)
+         for channel, factor in parts.items()), np.zeros(log.size))
+        for actuator, parts, lag in zip(machine.actuators, _measured_parts(model, log), _lags(model, log).tolist(),
+                                        strict=True)])
 
 
 def forces(model: Model, log: Log, q: Array) -> Array:

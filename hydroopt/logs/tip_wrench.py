@@ -6,7 +6,8 @@ import numpy as np
 
 from hydroopt.errors import LogError
 from hydroopt.logs.any_log import AnyLog
-from hydroopt.logs.forces_from_pressures import forces
+from hydroopt.logs.forces_from_pressures import force_lags, forces
+from hydroopt.logs.lag import lagged
 from hydroopt.logs.log import Log
 from hydroopt.machine.description import WRENCH
 from hydroopt.model.model import Model
@@ -43,7 +44,8 @@ def tip_wrench(log: Log) -> Array | None:
 
 
 def free_forces(model: Model, log: Log, q: Array) -> Array:
-    """Measured forces (N, r) as if nothing touched the tip: measured ones minus what a stated wrench adds to them.
+    """Measured forces (N, r) as if nothing touched the tip: measured ones minus what a stated wrench adds to them,
+    with their lag.
 
     Args:
         model: the machine.
@@ -55,4 +57,9 @@ def free_forces(model: Model, log: Log, q: Array) -> Array:
     """
     wrench = tip_wrench(log)
     measured = forces(model, log, q)
-    return measured if wrench is None else measured - model.over(model.wrench_forces, q, wrench)[0][:, :, 0]
+    if wrench is None:
+        return measured
+    added = model.over(model.wrench_forces, q, wrench)[0][:, :, 0]
+    lags = force_lags(model, log).tolist()
+    return measured - np.column_stack([lagged(log.t, each, lag, log.segment)
+                                       for each, lag in zip(added.T, lags, strict=True)])

@@ -26,7 +26,7 @@ from hydroopt.machine.loops import Loop
 from hydroopt.machine.mass_statements import Identical, TotalMass
 from hydroopt.machine.matching import entangled, matched
 from hydroopt.machine.quantity import CHANNEL_UNITS, Acceleration, Angle, Length, Name, Noun, Rate
-from hydroopt.machine.sensor import Sensor
+from hydroopt.machine.sensor import Lag, Sensor
 from hydroopt.machine.springs import Pinned, Spring
 from hydroopt.machine.targets import TIP, Target
 from hydroopt.machine.valves import Circuit, Oil
@@ -424,3 +424,17 @@ class MachineDescription(Noun):
         """The sensor that reads a channel, if the file states one."""
         units = (imu.sensor(channel) for imu in self.imus)
         return next((s for s in (*self.sensors, *units) if s and channel in s.channels), None)
+
+    @property
+    def lags(self) -> dict[str, Sensor | Imu]:
+        """What may lag, by the path of its lag."""
+        found: dict[str, Sensor | Imu] = {f"sensors.{k}.lag": sensor for k, sensor in enumerate(self.sensors)}
+        return found | {f"{imu.name}.lag": imu for imu in self.imus}
+
+    def lag(self, channel: str) -> Lag:
+        """How a channel's readings lag behind the true values; none if the file states none."""
+        for path, one in self.lags.items():
+            if one.lag and channel in one.channels:
+                name = one.name if isinstance(one, Imu) else ", ".join(one.channels)
+                return Lag(f"{name}: lag", one.lag, self.notes.get(path, Note()).spread(one.lag) or 0.0)
+        return Lag()

@@ -12,6 +12,7 @@ from hydroopt.machine.quantity import (
     Angle,
     AngularRate,
     AngularRateDensity,
+    Duration,
     Lengths,
     Name,
     Noun,
@@ -70,6 +71,8 @@ class Imu(Noun):
     """Roll, pitch, yaw of its axes there."""
     rate: Rate = Field(gt=0)
     """Samples per second."""
+    lag: Duration = Field(0.0, ge=0)
+    """Time constant of a first-order system that readings of its own channels follow the true values with."""
     gyroscope: Gyroscope | None = None
     """Its gyroscope."""
     accelerometer: Accelerometer | None = None
@@ -90,4 +93,4 @@ class Imu(Noun):
         if channel not in self.channels or (part := self.part(channel)) is None:
             return None
         return Sensor(channels=(channel,), accuracy=part.noise * math.sqrt(self.rate / 2), rate=self.rate,
-                      distribution="gaussian")
+                      lag=self.lag, distribution="gaussian")

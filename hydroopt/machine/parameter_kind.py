@@ -41,6 +41,7 @@ class ParameterKind(StrEnum):
     DRIFT = "drift"
     BIAS = "bias of a reading"
     DELAY = "delay"
+    LAG = "lag of a reading"
     CLOCK_DRIFT = "relative error of a clock"
 
     BULK_MODULUS = "bulk modulus"

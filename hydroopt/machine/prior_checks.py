@@ -44,6 +44,7 @@ def _further_calibrated(machine: Machine) -> Iterator[str]:
     yield from (f"{total.name}.value" for total in machine.total_masses)
     for stage in machine.stages:
         yield from (f"{stage.name}.locked.{joint}" for joint in stage.locked)
+    yield from machine.lags
 
 
 def _refuse_unused(what: str, path: str, used: Collection[str], machine: Machine) -> None:

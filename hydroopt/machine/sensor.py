@@ -4,11 +4,24 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from typing import Any, Literal
+from typing import Any, Literal, NamedTuple, Self
 
 from pydantic import Field, ValidationInfo, model_validator
 
-from hydroopt.machine.quantity import CHANNEL_UNITS, ImpossibleError, Noun, Quantity, Rate, keyed
+from hydroopt.machine.quantity import CHANNEL_UNITS, Duration, ImpossibleError, Noun, Quantity, Rate, keyed
+
+LAGGING = ("q", "qd", "qdd", "length", "tau", "force", "p_head", "p_rod", "p_a", "p_b", "roll", "pitch",
+           "gyro_x", "gyro_y", "gyro_z", "accel_x", "accel_y", "accel_z")
+"""Endings of the channels whose lag counts."""
+
+
+class Lag(NamedTuple):
+    """How a channel's readings lag: a name, which all channels of a sensor or IMU have in common, the time constant [s]
+    and its standard deviation, 0 where it is known."""
+
+    name: str = ""
+    value: float = 0.0
+    sigma: float = 0.0
 
 
 class Sensor(Noun):
@@ -22,6 +35,8 @@ class Sensor(Noun):
     """Step of the reading, in the channels' unit."""
     rate: Rate | None = Field(None, gt=0)
     """Samples per second."""
+    lag: Duration = Field(0.0, ge=0)
+    """Time constant of a first-order system that readings follow the true values with."""
     distribution: Literal["uniform", "gaussian"] = "uniform"
     """Distribution of the error."""
 
@@ -52,6 +67,14 @@ class Sensor(Noun):
                 problem = problem or error
         assert problem is not None
         raise problem
+
+    @model_validator(mode="after")
+    def _can_lag(self) -> Self:
+        idle = [channel for channel in self.channels if channel.rpartition(".")[2] not in LAGGING]
+        if self.lag and idle:
+            raise ImpossibleError(f"a lag of '{idle[0]}' has no meaning here",
+                                  f"state it for channels that end in .{', .'.join(LAGGING)}", "lag")
+        return self
 
     @property
     def std(self) -> float:

@@ -6,6 +6,7 @@ import numpy as np
 
 from hydroopt.errors import ProblemError
 from hydroopt.logs import sensors
+from hydroopt.logs.lag import lagged
 from hydroopt.logs.log import Log
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.model.plant import Plant
@@ -86,9 +87,10 @@ def drive(plant: Plant, t: Array, commands: Array, start: Array, *, supply: Arra
     states = np.vstack([start, np.asarray(after).T])
     _refuse_far(plant, t, states, name)
     channels = _channels(plant, states, late, given, psi, theta)
-    rng = np.random.default_rng(seed)
+    rng, machine = np.random.default_rng(seed), plant.machine
+    channels = {channel: lagged(t, values, machine.lag(channel).value) for channel, values in channels.items()}
     for channel in channels if noise else ():
-        sensor = plant.machine.sensor(channel)
+        sensor = machine.sensor(channel)
         if sensor is not None:
             channels[channel] = sensors.measure(channels[channel], sensor.accuracy, sensor.resolution, rng,
                                                 sensor.distribution)

@@ -8,6 +8,7 @@ import numpy as np
 
 from hydroopt.errors import IdentifiabilityError, ProblemError
 from hydroopt.logs import sensors
+from hydroopt.logs.lag import lagged
 from hydroopt.logs.log import Log
 from hydroopt.machine.actuators import Cylinder, Drive
 from hydroopt.machine.description import WRENCH
@@ -241,7 +242,7 @@ def simulate(model: Model, motion: Trajectory, psi: Array | None = None, *, nois
         model: the machine.
         motion: what it does.
         psi: its true parameters (p,); the nominal ones if None.
-        noise: whether sensors err and quantise as the machine file states.
+        noise: whether sensors err and quantise as the machine file states; they lag as it states in either case.
         seed: of the errors.
         name: of the log.
 
@@ -276,6 +277,7 @@ def simulate(model: Model, motion: Trajectory, psi: Array | None = None, *, nois
         joints = motion.calibrator.attached.joints
         channels |= {f"{joint}.q": angle for joint, angle in zip(joints, motion.calibrator.q.T, strict=True)
                      if machine.sensor(f"{joint}.q")}
+    channels = {channel: lagged(motion.t, values, machine.lag(channel).value) for channel, values in channels.items()}
     if noise:
         for channel in channels:
             sensor = machine.sensor(channel)

@@ -10,6 +10,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.folding import ROWS, ActuatorTriangles
 from hydroopt.estimation.dynamic.frequency_bands import BLOCK, ActuatorBands
 from hydroopt.estimation.dynamic.friction_sign import (
@@ -21,12 +22,13 @@ from hydroopt.estimation.dynamic.friction_sign import (
     has_dry_friction,
 )
 from hydroopt.estimation.dynamic.holds import Hold
+from hydroopt.estimation.dynamic.lagging_forces import added_by_lags, known_in_spite_of
 from hydroopt.estimation.dynamic.with_calibrator import attached_calibrator, calibrator_remark
 from hydroopt.estimation.motion.observations import motion_channels
-from hydroopt.estimation.motion.sensed import has_rates, sensed
+from hydroopt.estimation.motion.sensed import calls_for_fit, sensed
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.calibrator_angles import calibrator_channels
-from hydroopt.logs.forces_from_pressures import force_channels, pressures
+from hydroopt.logs.forces_from_pressures import force_channels, force_lags, pressures
 from hydroopt.logs.joint_angles import angle_channels, angle_noise, measured_angles
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Motion, Smoothing, SmoothingSpline, condition
@@ -94,7 +96,7 @@ class Experiment:
     where the log does not tell it; it is neither `known` nor `calm` there. `remarks`
     state which channels were not used and how measured lengths compare with the geometry. `pressure` (N, n) [Pa] is
     p_head + p_rod of each cylinder whose seals' friction depends on it and 0 for all other actuators; None where no
-    friction does. `added` (N, n, p) is what an attached calibrator or faults of instruments add to the regressor.
+    friction does. `added` (N, n, p) is what an attached calibrator, lags or faults of instruments add to the regressor.
     """
 
     model: Model
@@ -173,6 +175,19 @@ class Experiment:
             else:
                 root = np.sqrt(weights[rows])
                 triangles.fold(K * root[:, :, None], force * root, self.known[rows])
+
+    def _lagging(self, lags: Array) -> Experiment:
+        """With forces that are predicted with the lags (r,) [s] of their readings.
+
+        Raises:
+            ProblemError: forces are not linear in the parameters.
+        """
+        if not self.model.linear:
+            raise ProblemError("lags of forces cannot be combined with friction that is not linear",
+                               where=self.log.path or self.log.name,
+                               remedy="leave out the 'lag' of pressures and forces, and free it: --free lag")
+        made = added_by_lags(self.equations()[0][0], lags, self.motion)
+        return replace(self, added=made if self.added is None else self.added + made)
 
     def predicted(self, psi: Array) -> Array:
         """Actuator forces (N, n) that the parameters ψ predict for the motion."""
@@ -271,7 +286,7 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
         ProblemError: the attached calibrator cannot have moved as the log says.
     """
     machine, given = model.machine, log
-    if has_rates(machine, log):
+    if calls_for_fit(machine, log):
         log, motion = sensed(machine, log)
         angles = motion.q
     else:
@@ -284,18 +299,19 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
     often = np.mean(phases.moving, axis=0)[kept] > FEW_MOVING
     attached = attached_calibrator(model, log, motion, smoothing or SmoothingSpline(bandwidth=machine.bandwidth))
     added = None if attached is None else attached.regressor(motion.q, motion.qd, motion.qdd)
-    force = free_forces(model, log, motion.q)
+    lags, force = force_lags(model, log), free_forces(model, log, motion.q)
     told = np.isfinite(force)
     known = dry_friction_known(model, motion, phases, limits.noise) & (often | ~has_dry_friction(model)) & told
-    return Experiment(model, log, motion, force, known,
+    made = Experiment(model, log, motion, force, known_in_spite_of(lags, known, motion),
                       (*remarks(model, given, angles), *calibrator_remark(attached)), pressures(model, log), added,
                       phases.calm[:, kept] & ~known & told)
+    return made._lagging(lags) if np.any(lags) else made
 
 
 def channels_used(model: Model, log: AnyLog) -> set[str]:
     """The channels that angles, forces and pressures are read from."""
     machine = model.machine
-    motion = {*motion_channels(machine, log.channels)} if has_rates(machine, log) else angle_channels(model, log)
+    motion = {*motion_channels(machine, log.channels)} if calls_for_fit(machine, log) else angle_channels(model, log)
     return (motion | force_channels(model, log) | wrench_channels(log)
             | (calibrator_channels(model.machine, log) if model.calibrator else set()))
 

@@ -13,7 +13,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.experiment import AnyExperiment
 from hydroopt.estimation.dynamic.instruments import instrument
 from hydroopt.estimation.dynamic.problem_text import problem_text
-from hydroopt.estimation.dynamic.training_logs import prepared, refuse_calibrator, refuse_repetition
+from hydroopt.estimation.dynamic.training_logs import prepared, refuse_added, refuse_repetition
 from hydroopt.estimation.dynamic.weighted_residuals import Loss, weighted_residuals
 from hydroopt.estimation.inference import conditions as physics
 from hydroopt.estimation.inference import nlp, sdp, statements
@@ -257,7 +257,7 @@ class IdentificationProblem(Shown):
         Raises:
             ProblemError: instruments were given, or the calibrator is attached in a log.
         """
-        refuse_calibrator("a fitted motion", self.experiments)
+        refuse_added("a fitted motion", self.experiments)
         if self.instruments:
             raise ProblemError("a fitted motion cannot be combined with instruments", where="motion",
                                remedy="choose one of the two")
@@ -276,7 +276,7 @@ class IdentificationProblem(Shown):
                 the calibrator is attached in a log.
             LogError: a reference does not cover its log, or lacks a joint.
         """
-        refuse_calibrator("instruments", self.experiments)
+        refuse_added("instruments", self.experiments)
         if self.fitted_motion or self.correlated:
             raise ProblemError("instruments cannot be combined with a fitted motion or correlated channels",
                                where="motion", remedy="choose one of them")

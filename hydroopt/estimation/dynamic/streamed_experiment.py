@@ -32,11 +32,12 @@ from hydroopt.estimation.dynamic.friction_sign import (
     dry_friction_known,
     has_dry_friction,
 )
+from hydroopt.estimation.motion.sensed import calls_for_fit
 from hydroopt.kernels.native import threads
 from hydroopt.logs import streamed_smoothing
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.calibrator_angles import calibrator_channels
-from hydroopt.logs.forces_from_pressures import pressures
+from hydroopt.logs.forces_from_pressures import force_lags, pressures
 from hydroopt.logs.joint_angles import angle_channels, angle_noise, measured_angles
 from hydroopt.logs.log import Log, missing
 from hydroopt.logs.quality import Finding
@@ -268,6 +269,10 @@ def streamed_experiment(model: Model, stream: LogStream, smoothing: Smoothing | 
         stream.loaded(what)
     if model.calibrator and calibrator_channels(model.machine, stream):
         stream.loaded("an attached calibrator")
+    if calls_for_fit(model.machine, stream):
+        stream.loaded("a fit of the motion to rates, or to positions that lag,")
+    if np.any(force_lags(model, stream)):
+        stream.loaded("a lag of forces")
     for channel in sorted(channels_used(model, stream) - set(stream.channels)):
         raise missing(channel, stream.channels, stream.path)
     return StreamedExperiment(model, stream, smoothing)

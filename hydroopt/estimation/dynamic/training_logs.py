@@ -8,6 +8,7 @@ from hydroopt.checks.plausibility import examine, misread_error
 from hydroopt.errors import HydrooptError, ProblemError, SolverError
 from hydroopt.estimation.dynamic import streamed_experiment
 from hydroopt.estimation.dynamic.experiment import AnyExperiment
+from hydroopt.estimation.dynamic.lagging_forces import refuse_lags
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.calibrator_angles import calibrator_channels
 from hydroopt.logs.dead_channels import without_dead_channels
@@ -61,9 +62,14 @@ def explained(error: SolverError, of_logs: Sequence[Diagnostic]) -> SolverError:
                        remedy=misread[0].remedy.rstrip(".")) if misread else error
 
 
-def refuse_calibrator(what: str, experiments: Sequence[AnyExperiment]) -> None:
-    """Refuse logs with a calibrator attached, which `what` cannot be combined with."""
+def refuse_added(what: str, experiments: Sequence[AnyExperiment]) -> None:
+    """Refuse logs with a calibrator attached or with forces that lag, which `what` cannot be combined with.
+
+    Raises:
+        ProblemError: there is one.
+    """
     for data in experiments:
+        refuse_lags(what, data.model, data.log)
         if data.model.calibrator and calibrator_channels(data.model.machine, data.log):
             raise ProblemError(f"{what} cannot be combined with an attached calibrator",
                                where=data.log.path or data.log.name, remedy="choose one of the two")

@@ -309,7 +309,7 @@ def _sensed(plant: Plant, logs: Sequence[Log]) -> tuple[tuple[str, ...], Array]:
     """Channels that some log has, with the σ of their sensors; the supply's pressure only if it has a sensor.
 
     Raises:
-        ProblemError: the file does not state a sensor.
+        ProblemError: the file does not state a sensor, or states a lag.
     """
     machine = plant.machine
     measured = [channel for channel in _measurable(plant) if any(channel in log.channels for log in logs)
@@ -319,6 +319,11 @@ def _sensed(plant: Plant, logs: Sequence[Log]) -> tuple[tuple[str, ...], Array]:
     if missing:
         raise ProblemError(f"no accuracy is stated for {', '.join(missing)}", where=f"machine '{machine.name}'",
                            remedy="state the accuracy of each in [[sensors]]")
+    late = [channel for channel in measured if machine.lag(channel).value]
+    if late:
+        raise ProblemError(f"a lag is stated for {', '.join(late)}, which the identification of valves and oil "
+                           "does not take into account", where=f"machine '{machine.name}'",
+                           remedy="remove 'lag' there, if it is far below the periods of the motion")
     return tuple(measured), np.array([stated[channel] for channel in measured])
 
 

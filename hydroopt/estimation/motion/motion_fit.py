@@ -13,16 +13,18 @@ factors.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt.errors import SolverError
 from hydroopt.estimation.motion.banded import Bordered, add_blocks
-from hydroopt.estimation.motion.observations import Common, Observations
+from hydroopt.estimation.motion.observations import PAST, WEIGHTS, Common, Observations, longest
 from hydroopt.estimation.motion.paths import Path, Spline, Support, motion
+from hydroopt.machine.sensor import Lag
 from hydroopt.model.sensor_readings import SensorReadings
 from hydroopt.spatial.inertia import Array
 
@@ -35,6 +37,8 @@ STEADY = 0.1
 """Relative change of the intensities below which they count as found."""
 SMALLEST = 1e-3
 """Smallest part of a step that is tried."""
+SHORTEST_LAG = 1e-3
+"""The shortest that a lag is taken to be, as a part of the stated one."""
 WEAK = 10.0
 """Spread of a coefficient about the middle of its joint's range, in ranges, so that what nobody measures is bounded."""
 
@@ -56,6 +60,10 @@ class Stretch:
         """Time of the last reading [s]."""
         return max(float(each.stamped[-1]) for each in self.data)
 
+    def back(self, data: Observations) -> int:
+        """How many coefficients lagging readings reach back."""
+        return int(np.ceil(data.memory / self.path.basis.spacing)) if isinstance(self.path, Spline) else 0
+
     def moved(self, step: Array) -> Stretch:
         """With other coefficients."""
         return replace(self, path=self.path.moved(step))
@@ -63,13 +71,13 @@ class Stretch:
 
 @dataclass(frozen=True, eq=False)
 class Rows:
-    """Readings linearised: whitened residuals (N, m), derivatives by coefficients (N, m, width·n) and by the common
-    numbers (N, m, p)."""
+    """Readings linearised: whitened residuals (N, m), derivatives by the coefficients (N, m, width·n) from the `first`
+    (N,) on and by the common numbers (N, m, p)."""
 
     left: Array
     by_path: Array
     by_common: Array
-    support: Support
+    first: NDArray[np.intp]
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,41 +113,63 @@ class MotionFit:
 
     def rows(self, stretch: Stretch, data: Observations, part: slice) -> Rows:
         """Some samples of observations, linearised."""
-        made = self.readings[data.channels]
         t, shift = self._stamps(data, part)
-        support = stretch.path.support(t)
-        q, qd, qdd, jerk = motion(stretch.path, support)
-        places = [self.places[number.name] for number in made.numbers]
-        values, *by_motion, by_g = made(q, qd, qdd, self.value[places])
-        by_common = np.zeros((len(t), len(data.channels), len(self.common)))
-        by_common[:, :, places] = by_g
-        for k, channel in enumerate(data.channels):
-            if data.biased[k]:
-                place = self.places[data.bias(channel)]
-                values[:, k] += self.value[place]
-                by_common[:, k, place] = 1.0
-        if shift:
-            flow = sum(np.einsum("kmn,kn->km", by, x) for by, x in zip(by_motion, (qd, qdd, jerk), strict=True))
-            for name, factor in shift.items():
-                by_common[:, :, self.places[name]] = flow * factor[:, None]
-        by_path = sum(np.einsum("kw,kmn->kmwn", support.values[order], by) for order, by in enumerate(by_motion))
+        path, back, (n, m) = stretch.path, stretch.back(data), (len(t), len(data.channels))
+        made, at = self.readings[data.channels], np.arange(n)
+        places = np.array([self.places[number.name] for number in made.numbers], dtype=np.intp)
+        values, by_common = np.zeros((n, m)), np.zeros((n, m, len(self.common)))
+        by_path = np.zeros((n, m, path.width + back, len(self.intensity)))
+        first = np.maximum(path.support(t).first - back, 0)
+        for lag, chosen, past, weight in self._moments(data):
+            support = path.support(t - past)
+            q, qd, qdd, jerk = motion(path, support)
+            read, *by_motion, by_g = made(q, qd, qdd, self.value[places])
+            values[:, chosen] += weight * read[:, chosen]
+            by_common[np.ix_(at, chosen, places)] += weight * by_g[:, chosen]
+            if shift or lag.sigma:
+                flow = weight * sum(np.einsum("kmn,kn->km", by, x)
+                                    for by, x in zip(by_motion, (qd, qdd, jerk), strict=True))
+                late = {lag.name: np.full(n, -past / self._time_constant(lag))} if lag.sigma else {}
+                for name, factor in (shift | late).items():
+                    by_common[:, chosen, self.places[name]] += flow[:, chosen] * factor[:, None]
+            own = sum(np.einsum("kw,kmn->kmwn", support.values[order], by[:, chosen])
+                      for order, by in enumerate(by_motion))
+            knots = (support.first - first)[:, None] + np.arange(path.width)
+            by_path[at[:, None, None], chosen[:, None], knots[:, None, :]] += weight * own
+        for k in np.flatnonzero(data.biased):
+            place = self.places[data.bias(data.channels[k])]
+            values[:, k] += self.value[place]
+            by_common[:, k, place] = 1.0
         root = np.where(data.used[part] & np.isfinite(values), 1 / data.sigma, 0.0)
         left = np.where(root > 0, data.values[part] - values, 0.0) * root
-        n, m = len(t), len(data.channels)
         if not np.all(np.isfinite(values)):  # a linkage that cannot close
             by_path, by_common = np.nan_to_num(by_path), np.nan_to_num(by_common)
-        return Rows(left, by_path.reshape(n, m, -1) * root[:, :, None], by_common * root[:, :, None], support)
+        return Rows(left, by_path.reshape(n, m, -1) * root[:, :, None], by_common * root[:, :, None], first)
 
     def left(self, stretch: Stretch, data: Observations, part: slice = slice(None)) -> Array:
         """Whitened residuals (N, m); zero where there is no reading."""
         made = self.readings[data.channels]
         t, _ = self._stamps(data, part)
-        q, qd, qdd, _ = motion(stretch.path, stretch.path.support(t))
-        values = made.values(q, qd, qdd, self.value[[self.places[number.name] for number in made.numbers]])
+        g = self.value[[self.places[number.name] for number in made.numbers]]
+        values = np.zeros((len(t), len(data.channels)))
+        for _, chosen, past, weight in self._moments(data):
+            q, qd, qdd, _ = motion(stretch.path, stretch.path.support(t - past))
+            values[:, chosen] += weight * made.values(q, qd, qdd, g)[:, chosen]
         for k in np.flatnonzero(data.biased):
             values[:, k] += self.value[self.places[data.bias(data.channels[k])]]
         used = data.used[part] & np.isfinite(values)
         return np.where(used, data.values[part] - values, 0.0) / data.sigma
+
+    def _moments(self, data: Observations) -> Iterator[tuple[Lag, NDArray[np.intp], float, float]]:
+        """By lags the channels that have them, and how long ago [s] they read the motion with which weight."""
+        for lag, chosen in data.by_lag.items():
+            moments = zip(PAST * self._time_constant(lag), WEIGHTS, strict=True) if lag.value else ((0.0, 1.0),)
+            for past, weight in moments:
+                yield lag, chosen, float(past), float(weight)
+
+    def _time_constant(self, lag: Lag) -> float:
+        value = float(self.value[self.places[lag.name]]) if lag.sigma else lag.value
+        return min(max(value, SHORTEST_LAG * lag.value), longest(lag))
 
     def clock(self, data: Observations) -> tuple[float, float]:
         """Delay [s] and drift of the clock of observations."""
@@ -158,8 +188,9 @@ class MotionFit:
     def equations(self, stretch: Stretch) -> tuple[Bordered, float]:
         """Normal equations of a stretch without the priors of the common numbers, and its part of the objective."""
         path, n = stretch.path, len(self.intensity)
-        count, p, width = len(path.coefficients), len(self.common), path.width * n
-        band, border = np.zeros((width, count * n)), np.zeros((count * n, p))
+        count, p = len(path.coefficients), len(self.common)
+        widest = (path.width + max(stretch.back(data) for data in stretch.data)) * n
+        band, border = np.zeros((widest, count * n)), np.zeros((count * n, p))
         corner, right, right_corner = np.zeros((p, p)), np.zeros(count * n), np.zeros(p)
         total = 0.0
         for data in stretch.data:
@@ -167,12 +198,12 @@ class MotionFit:
                 part = slice(start, min(start + CHUNK, len(data.t)))
                 rows = self.rows(stretch, data, part)
                 total += float(np.sum(rows.left**2))
-                order = np.argsort(rows.support.first, kind="stable")
-                first, at = np.unique(rows.support.first[order], return_index=True)
+                order = np.argsort(rows.first, kind="stable")
+                first, at = np.unique(rows.first[order], return_index=True)
                 across = rows.by_path[order].transpose(0, 2, 1)
                 by_common, left = rows.by_common[order], rows.left[order]
                 add_blocks(band, np.add.reduceat(across @ across.transpose(0, 2, 1), at), first, n)
-                places = first[:, None] * n + np.arange(width)
+                places = first[:, None] * n + np.arange(across.shape[1])
                 np.add.at(border, places, np.add.reduceat(across @ by_common, at))
                 np.add.at(right, places, np.add.reduceat((across @ left[:, :, None])[:, :, 0], at))
                 flat = by_common.reshape(left.size, p)

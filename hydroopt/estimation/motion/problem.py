@@ -13,7 +13,12 @@ from hydroopt.errors import LogError, ProblemError
 from hydroopt.estimation.inference.listing import counted
 from hydroopt.estimation.motion.first_guess import first_guess
 from hydroopt.estimation.motion.motion_fit import FittedPaths, MotionFit, Stretch, solve
-from hydroopt.estimation.motion.observations import Common, Observations, observations, row_observations
+from hydroopt.estimation.motion.observations import (
+    Common,
+    Observations,
+    observations,
+    row_observations,
+)
 from hydroopt.estimation.motion.paths import Postures, Spline
 from hydroopt.logs.clock import Clock
 from hydroopt.logs.log import Log
@@ -157,6 +162,8 @@ def _spline(machine: Machine, readings: Readings, data: tuple[Observations, ...]
     times, guess = first_guess(machine, readings, data)
     stamps = np.sort(np.concatenate([each.stamped for each in data]))
     spacing = 1 / (KNOTS * (machine.bandwidth or FASTEST))
+    if memory := max(each.memory for each in data):  # what lagging sensors remember was before the first reading
+        stamps = np.insert(stamps, 0, stamps[0] - memory - spacing)
     return Stretch(Spline.over(stamps, spacing, times, guess), data)
 
 

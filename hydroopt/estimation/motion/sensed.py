@@ -1,4 +1,5 @@
-"""The motion of a log whose rates or accelerations are measured, in the place of smoothed and differentiated angles."""
+"""The motion of a log whose rates or accelerations are measured, or whose positions lag, in the place of smoothed and
+differentiated angles."""
 
 from __future__ import annotations
 
@@ -23,9 +24,9 @@ POSITIONS = ("q", "length")
 """Endings of channels that tell positions, which alone call for no fit."""
 
 
-def has_rates(machine: Machine, log: AnyLog) -> bool:
-    """Whether a log has rates, accelerations or inclinations with a stated accuracy."""
-    return any(channel.rpartition(".")[2] not in (*POSITIONS, "x", "y", "z")
+def calls_for_fit(machine: Machine, log: AnyLog) -> bool:
+    """Whether a log has rates, accelerations or inclinations with a stated accuracy, or positions that lag."""
+    return any(channel.rpartition(".")[2] not in (*POSITIONS, "x", "y", "z") or machine.lag(channel).value
                for channel in motion_channels(machine, log.channels))
 
 

@@ -10,8 +10,9 @@ import numpy as np
 
 from hydroopt.estimation.dynamic.misfit.error_covariance import ErrorCovariance, Whitened
 from hydroopt.estimation.dynamic.misfit.faults import Fault
-from hydroopt.estimation.dynamic.misfit.view import View, stretches
+from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
+from hydroopt.logs.lag import stretches
 from hydroopt.spatial.inertia import Array
 
 PARTS = 4

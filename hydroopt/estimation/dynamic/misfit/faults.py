@@ -13,9 +13,10 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.linalg import solve_banded
 
 from hydroopt.estimation.dynamic.misfit.view import View
+from hydroopt.logs.forces_from_pressures import force_channels
+from hydroopt.logs.lag import lagged
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.balances import Balance
 from hydroopt.model.kinematics import gravity_in_base
@@ -176,15 +177,8 @@ class Lag(Fault):
         return _only(self._slowed(view, view.regressor, size), self.readings)
 
     def _slowed(self, view: View, true: Array, size: float) -> Array:
-        t = view.motion.t
-        step = float(np.median(np.diff(t)))
-        part = step / (abs(size) + step)
-        if part > 0.8:  # far shorter than a sample
-            return np.asarray(-size * np.gradient(true, t, axis=0))
-        moved = (true - true[0]).reshape(len(t), -1)
-        recursion = np.array([np.ones(len(t)), np.full(len(t), part - 1.0)])  # yᵢ = part·xᵢ + (1 − part)·yᵢ₋₁
-        made = solve_banded((1, 0), recursion, part * moved) - moved
-        return np.asarray(np.sign(size) * made.reshape(true.shape))
+        motion = view.motion
+        return np.asarray(np.sign(size) * (lagged(motion.t, true, abs(size), motion.segment) - true))
 
 
 @dataclass(frozen=True)
@@ -331,11 +325,20 @@ def listed(view: View) -> Iterator[Fault]:
     """All faults that a log's readings are searched for, of the sizes that the machine file states."""
     forces = range(len(view.model.machine.balances))
     for fault in _usual(view):
-        stated = view.model.machine.faults.of(fault.group)
+        stated = stated_size(view, fault)
         if stated is not None and fault.group in OF_FORCE and isinstance(fault, Added) and fault.reading in forces:
             stated *= float(np.sqrt(np.mean(view.measured[:, fault.reading] ** 2)))
         fits = stated is not None and (fault.group not in ("offset", "play") or fault.unit == "deg")
         yield replace(fault, scale=stated) if stated is not None and fits else fault
+
+
+def stated_size(view: View, fault: Fault) -> float | None:
+    """The standard deviation [SI] that the machine file states: of a sensor's lag, or of the fault's group."""
+    of_group, machine = view.model.machine.faults.of(fault.group), view.model.machine
+    if not isinstance(fault, Lag):
+        return of_group
+    return max((machine.lag(channel).sigma for channel in force_channels(view.model, view.experiment.log)
+                if fault.subject == ("forces",) or channel.partition(".")[0] in fault.subject), default=0.0) or of_group
 
 
 def _usual(view: View) -> Iterator[Fault]:

@@ -17,7 +17,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.folding import triangle
 from hydroopt.estimation.dynamic.misfit.blocks import Data
-from hydroopt.estimation.dynamic.misfit.faults import Fault, listed
+from hydroopt.estimation.dynamic.misfit.faults import Fault, listed, stated_size
 from hydroopt.estimation.dynamic.misfit.naming import Search
 from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
@@ -127,11 +127,10 @@ def chosen_faults(view: View, words: Sequence[str]) -> tuple[Fault, ...]:
     """
     every = [fault for fault in listed(view) if fault.free]
     found: dict[Fault, None] = {}
-    stated = view.model.machine.faults
     for word in words:
         if word == "instruments":
             usual = [f for group in UNCERTAIN for f in _of_group(every, group)]
-            found |= dict.fromkeys(f if stated.of(f.group) else replace(f, scale=UNCERTAIN[f.group]) for f in usual)
+            found |= dict.fromkeys(f if stated_size(view, f) else replace(f, scale=UNCERTAIN[f.group]) for f in usual)
             continue
         some = _of_group(every, word) or [f for f in every if f.name == word]
         if not some:
@@ -139,7 +138,7 @@ def chosen_faults(view: View, words: Sequence[str]) -> tuple[Fault, ...]:
             raise ProblemError(f"'{word}' is no fault that can be freed", where=f"faults of {view.model.machine.name}",
                                remedy=f"use instruments, {', '.join(groups)}, or one with its subject such as "
                                       f"'{every[-1].name}'")
-        found |= dict.fromkeys(f if stated.of(f.group) else replace(f, scale=WIDE * f.scale) for f in some)
+        found |= dict.fromkeys(f if stated_size(view, f) else replace(f, scale=WIDE * f.scale) for f in some)
     return tuple(found)
 
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +14,7 @@ from scipy.ndimage import median_filter
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.joint_angles import angle_noise, measured_angles
+from hydroopt.logs.lag import stretches
 from hydroopt.logs.readings import bridged
 from hydroopt.logs.smoothing import Motion
 from hydroopt.logs.spline import MIN_SAMPLES, Basis, Grid, wider
@@ -323,12 +323,6 @@ def _slow(x: Array, window: int) -> Array:
     calm = median_filter(x, size=window, mode="nearest")
     padded = np.pad(calm, window // 2, mode="edge")
     return np.convolve(padded, np.full(window, 1.0 / window), mode="valid")
-
-
-def stretches(segment: NDArray[np.int64]) -> list[tuple[int, int]]:
-    """First sample of each stretch, and one after its last."""
-    edges = np.flatnonzero(np.diff(segment, prepend=segment[0] - 1, append=segment[-1] + 1)).tolist()
-    return list(pairwise(edges))
 
 
 def _too_smooth(experiment: Experiment) -> list[int]:
