@@ -60,7 +60,7 @@ def _stretch(t: Array, x: Array, lag: float) -> Array:
 
 
 def slowed(t: Array, y: Array, lag: float, wanted: float, segment: NDArray[np.int64] | None = None) -> Array:
-    """Readings y (N,) of a sensor with a `lag` [s] as one with a longer lag, `wanted` [s], gives them; NaN where they are.
+    """Readings y (N,), some NaN, of a sensor with a `lag` [s] as one with a longer lag, `wanted` [s], gives them.
 
     >>> t = np.arange(5) / 10
     >>> slowed(t, 2.0 * t, 0.01, 0.05).round(6).tolist()

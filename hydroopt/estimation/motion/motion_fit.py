@@ -24,6 +24,7 @@ from hydroopt.errors import SolverError
 from hydroopt.estimation.motion.banded import Bordered, add_blocks
 from hydroopt.estimation.motion.observations import PAST, WEIGHTS, Common, Observations, longest
 from hydroopt.estimation.motion.paths import Path, Spline, Support, motion
+from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.machine.sensor import Lag
 from hydroopt.model.sensor_readings import SensorReadings
 from hydroopt.spatial.inertia import Array
@@ -106,6 +107,14 @@ class MotionFit:
         """Places of the common numbers by name."""
         return {each.name: k for k, each in enumerate(self.common)}
 
+    @cached_property
+    def _possible(self) -> tuple[Array, Array]:
+        """Smallest and largest values (p,) of the common numbers: lags are positive, and as long as paths allow for."""
+        ranges = [(SHORTEST_LAG * each.prior, longest(each.prior, each.sigma)) if each.kind is ParameterKind.LAG
+                  else (-np.inf, np.inf) for each in self.common]
+        lower, upper = np.array(ranges).reshape(-1, 2).T
+        return lower, upper
+
     @property
     def sigma(self) -> Array:
         """Standard deviations (p,) before."""
@@ -168,8 +177,7 @@ class MotionFit:
                 yield lag, chosen, float(past), float(weight)
 
     def _time_constant(self, lag: Lag) -> float:
-        value = float(self.value[self.places[lag.name]]) if lag.sigma else lag.value
-        return min(max(value, SHORTEST_LAG * lag.value), longest(lag))
+        return float(self.value[self.places[lag.name]]) if lag.sigma else lag.value
 
     def clock(self, data: Observations) -> tuple[float, float]:
         """Delay [s] and drift of the clock of observations."""
@@ -254,7 +262,8 @@ class MotionFit:
     def stepped(self, equations: Sequence[Bordered], step: Array, part: float = 1.0) -> MotionFit:
         """After `part` of a step of the common numbers (p,) and of what follows from it."""
         n = len(self.intensity)
-        return replace(self, value=self.value + part * step, stretches=tuple(
+        value = np.clip(self.value + part * step, *self._possible)
+        return replace(self, value=value, stretches=tuple(
             stretch.moved(part * each.inner(step).reshape(-1, n))
             for stretch, each in zip(self.stretches, equations, strict=True)))
 

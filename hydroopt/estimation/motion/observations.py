@@ -39,9 +39,9 @@ KNOWN = Clock()
 """The clock of stamps that are right."""
 
 
-def longest(lag: Lag) -> float:
-    """The longest that a lag is taken to be [s]."""
-    return lag.value + MARGIN * lag.sigma
+def longest(value: float, sigma: float) -> float:
+    """The longest that a lag of a stated value and standard deviation is taken to be [s]."""
+    return value + MARGIN * sigma
 
 
 class Common(NamedTuple):
@@ -101,7 +101,7 @@ class Observations:
     @property
     def memory(self) -> float:
         """How long its channels remember what was [s], by what is known before."""
-        return float(PAST[-1]) * max(map(longest, self.lags), default=0.0)
+        return float(PAST[-1]) * max((longest(lag.value, lag.sigma) for lag in self.lags), default=0.0)
 
     @property
     def stamped(self) -> Array:
