@@ -74,3 +74,4 @@ from .simulation.simulate import random_trajectory as random_trajectory
 from .simulation.simulate import random_truth as random_truth
 from .simulation.simulate import simulate as simulate
 from .solving import solve as solve
+from .viewing import view as view

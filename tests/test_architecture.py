@@ -34,7 +34,7 @@ ROOMS = (
     ("codegen",),
     ("study",),
     ("report",),
-    ("solving",),
+    ("solving", "viewing"),
     ("cli",),
     ("__init__", "__main__"),
 )

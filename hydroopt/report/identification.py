@@ -10,6 +10,7 @@ from markupsafe import Markup
 
 from hydroopt.report import force_charts
 from hydroopt.report.intervals import interval
+from hydroopt.report.machine_view import mass_tints
 from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
 from hydroopt.report.page import document
 from hydroopt.report.scene import SceneView, Tint
@@ -89,15 +90,8 @@ def _scene(estimate: Estimate) -> SceneView:
     residual = {balance.name if balance.alone else balance.joint: (
         f"{balance.name}.residual", float(sigma) * force_charts.factor(estimate, k))
         for k, (balance, sigma) in enumerate(zip(machine.balances, estimate.sigma, strict=True)) if sigma > 0}
-    parts: dict[str, float] = {}
-    for owner in estimate.problem.parameters.bodies:
-        mass = estimate.parameters[f"{owner}.m"]
-        if mass.value and mass.std:
-            part = owner.removesuffix(".barrel").removesuffix(".rod")
-            parts[part] = max(parts.get(part, 0.0), 100 * abs(mass.std / mass.value))
-    masses = [Tint("uncertainty of masses", "standard deviation of the mass / mass", "%", 50.0, values=parts)]
     return SceneView(estimate.scene, tuple(f"{joint}.q" for joint in machine.joints), (
-        Tint("residual", "residual / σ of the actuator", "σ", 4.0, columns=residual), *masses * bool(parts)))
+        Tint("residual", "residual / σ of the actuator", "σ", 4.0, columns=residual), *mass_tints(estimate.parameters)))
 
 
 def _fit(estimate: Estimate) -> list[dict[str, Any]]:

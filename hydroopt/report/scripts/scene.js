@@ -58,18 +58,19 @@ const view = machine && (() => {
   // --- links: the hull of discs about the points that a link joins, across its joint's axis ---
   const ring = (at, radius, half) => [...Array(14).keys()].flatMap((k) => [-half, half].map((z) =>
     new THREE.Vector3(at[0] + radius * Math.cos(k * Math.PI / 7), at[1] + radius * Math.sin(k * Math.PI / 7), at[2] + z)));
-  const hull = (name, points, own) => {
-    const shape = new THREE.ConvexGeometry(points.flatMap((at) => ring(at, 1.5 * thick, 0.32 * thick)));
+  const hull = (name, points, own, half) => {
+    const shape = new THREE.ConvexGeometry(points.flatMap((at) => ring(at, 1.5 * thick, half * thick)));
     const mesh = new THREE.Mesh(shape, own);
     mesh.add(new THREE.LineSegments(new THREE.EdgesGeometry(shape, 35), lineMaterial));
     placed(name).add(mesh);
     return mesh;
   };
   const pinShape = new THREE.CylinderGeometry(0.75 * thick, 0.75 * thick, 2.6 * thick, 20).rotateX(Math.PI / 2);
-  for (const body of scene.bodies) {
+  // links in one plane differ in thickness and shade, so that each remains visible
+  for (const [k, body] of scene.bodies.entries()) {
     const own = material("link").clone();
-    tinted[body.name] = { material: own, plain: "link" };
-    hull(body.name, body.points, own);
+    tinted[body.name] = { material: own, plain: "link", shade: [1, 0.84, 1.14][k % 3] };
+    hull(body.name, body.points, own, 0.24 + 0.11 * (k % 3));
     placed(body.name).add(new THREE.Mesh(pinShape, material("pin")));
     if (body.com) {
       const ball = new THREE.Mesh(new THREE.SphereGeometry(0.8 * thick, 20, 14), material("com"));
@@ -77,7 +78,7 @@ const view = machine && (() => {
       placed(body.name).add(ball);
     }
   }
-  if (scene.onBase.length) hull("base", [[0, 0, 0], ...scene.onBase], material("chassis"));
+  if (scene.onBase.length) hull("base", [[0, 0, 0], ...scene.onBase], material("chassis"), 0.5);
   for (const closing of scene.closings) {
     const pin = new THREE.Mesh(pinShape, material("pin"));
     pin.position.set(...closing.one.at);
@@ -194,7 +195,7 @@ const view = machine && (() => {
   let way = null;
   const select = holder.querySelector("[data-tint]"), legend = holder.querySelector("[data-legend]");
   const tint = () => {
-    for (const [name, { material: own, plain }] of Object.entries(tinted)) {
+    for (const [name, { material: own, plain, shade }] of Object.entries(tinted)) {
       let part;
       if (way) {
         const turned = Object.entries(scene.turning).filter(([, joint]) => joint === name).map(([drive]) => drive);
@@ -202,7 +203,7 @@ const view = machine && (() => {
         part = key === undefined ? undefined : key in way.columns ? Math.abs(column(way.columns[key][0])[clock.nearest]) / way.columns[key][1] : way.values[key];
       }
       if (Number.isFinite(part)) own.color.setRGB(...ramp(part / way.highest).map((c) => c / 255), "srgb");
-      else own.color.setStyle(look.colour(way ? "faint" : plain));
+      else own.color.setStyle(look.colour(way ? "faint" : plain)).multiplyScalar(shade ?? 1);
     }
   };
   const chosen = () => {
@@ -219,7 +220,7 @@ const view = machine && (() => {
 
   // --- looking around ---
   const fit = () => {
-    const centre = bounds.getCenter(new THREE.Vector3()), distance = 0.55 * size / Math.tan(camera.fov * Math.PI / 360) / Math.min(1, 0.72 * camera.aspect);
+    const centre = bounds.getCenter(new THREE.Vector3()), distance = 0.52 * size / Math.tan(camera.fov * Math.PI / 360) / Math.min(1, 0.72 * camera.aspect);
     camera.position.copy(centre).add(new THREE.Vector3(0.42, -1, 0.34).normalize().multiplyScalar(distance));
     controls.target.copy(centre);
     camera.near = distance / 100; camera.far = 20 * distance;

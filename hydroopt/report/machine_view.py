@@ -1,0 +1,45 @@
+"""A machine in space whose joints a reader moves, beside what an answer says of it."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from hydroopt.report.intervals import interval
+from hydroopt.report.numbers import Row, quantity, unit_text
+from hydroopt.report.page import document
+from hydroopt.report.scene import SceneView, Tint
+
+if TYPE_CHECKING:
+    from hydroopt.model.scene_graph import SceneGraph
+    from hydroopt.results.answer import SavedAnswer
+    from hydroopt.results.parameter_table import ParameterRow, ParameterTable
+
+BARREL_OR_ROD = (".barrel", ".rod")
+
+
+def render(scene: SceneGraph, answer: SavedAnswer | None = None) -> str:
+    """The page of a machine, and of the answer that it is from."""
+    rows = [] if answer is None else [(one.name, unit_text(one.unit), _numbers(one), interval(one), one.identifiability)
+                                      for one in answer.parameters.rows]
+    tints = () if answer is None else mass_tints(answer.parameters)
+    return document("view.html", scene=SceneView(scene, tints=tints), machine=scene.machine, answer=answer,
+                    diagnostics=() if answer is None else answer.diagnostics, rows=rows)
+
+
+def _numbers(one: ParameterRow) -> Row:
+    value, std, nominal = (np.nan if x is None else x for x in (one.value, one.std, one.nominal))
+    return quantity(value, std, one.ci95 or (np.nan, np.nan), nominal)
+
+
+def mass_tints(parameters: ParameterTable) -> tuple[Tint, ...]:
+    """Colours by the uncertainty of masses; none where no mass was estimated."""
+    parts: dict[str, float] = {}
+    for one in parameters.rows:
+        owner, _, element = one.name.rpartition(".")
+        if element == "m" and one.value and one.std:
+            for end in BARREL_OR_ROD:
+                owner = owner.removesuffix(end)
+            parts[owner] = max(parts.get(owner, 0.0), 100 * abs(one.std / one.value))
+    return (Tint("uncertainty of masses", "standard deviation / mass", "%", 50.0, values=parts),) * bool(parts)

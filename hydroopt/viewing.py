@@ -1,0 +1,111 @@
+"""The page of whatever one has: a machine in space, or an answer with its figures."""
+
+from __future__ import annotations
+
+import html
+import webbrowser
+from dataclasses import dataclass
+from importlib import import_module
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from hydroopt.errors import ProblemError
+from hydroopt.files import write_files
+
+if TYPE_CHECKING:
+    from hydroopt.machine.machine import Machine
+    from hydroopt.results.answer import SavedAnswer
+
+PAGES = {"Estimate": ("hydroopt.report.identification", "render"),
+         "Calibration": ("hydroopt.report.calibration", "render"),
+         "SensorCalibration": ("hydroopt.report.sensors", "render"),
+         "HydraulicEstimate": ("hydroopt.report.valves", "render"),
+         "Excitation": ("hydroopt.report.excitation", "render"),
+         "Change": ("hydroopt.report.comparison", "render_change"),
+         "Payload": ("hydroopt.report.comparison", "render_payload"),
+         "ChangeHistory": ("hydroopt.report.change_history", "render_history")}
+"""Module and name of what writes the page of each answer."""
+VIEW = "view.html"
+TALL = 900
+"""Name of the file of a view, and its height in a notebook [px]."""
+
+
+@dataclass(frozen=True, repr=False)
+class View:
+    """A page that needs nothing else; notebooks show it below the cell."""
+
+    page: str
+
+    def __repr__(self) -> str:
+        return f"View({len(self.page.encode()) / 1e6:.1f} MB of HTML)"
+
+    def _repr_html_(self) -> str:
+        return (f'<iframe srcdoc="{html.escape(self.page)}" style="width: 100%; height: {TALL}px; border: 0" '
+                'title="hydroopt"></iframe>')
+
+    def save(self, directory: str | Path) -> Path:
+        """Write ``view.html`` into a directory, and say where it is.
+
+        Raises:
+            ProblemError: it cannot be written.
+        """
+        write_files(Path(directory), {VIEW: self.page})
+        return Path(directory) / VIEW
+
+    def open(self, directory: str | Path) -> Path:
+        """Write it, and show it in the browser."""
+        file = self.save(directory)
+        webbrowser.open(file.resolve().as_uri())
+        return file
+
+
+def view(shown: Any) -> View:
+    """A page of a machine, of an answer, or of a folder of results.
+
+    Args:
+        shown: a `Machine`, a `Model`, the name or file of a machine, what `solve` returned, what `load` returned, or
+            the folder that a command wrote.
+
+    Raises:
+        MachineError, ProblemError: there is no such machine or folder, or a folder holds no machine.
+
+    >>> import hydroopt
+    >>> page = hydroopt.view("cat215b")
+    >>> page.save("out/excavator").name
+    'view.html'
+    """
+    from hydroopt.machine.machine_file import load_machine  # noqa: PLC0415
+    from hydroopt.results.answer import Answer, SavedAnswer, load  # noqa: PLC0415
+
+    if isinstance(shown, str | Path):
+        shown = load(shown) if Path(shown).is_dir() else load_machine(shown)
+    if isinstance(shown, SavedAnswer):
+        return _of_machine(_saved_machine(shown), shown)
+    if isinstance(shown, Answer):
+        for kind in type(shown).__mro__:
+            if place := PAGES.get(kind.__name__):
+                return View(getattr(import_module(place[0]), place[1])(shown))
+    machine = getattr(shown, "machine", shown)
+    if type(machine).__name__ != "Machine":
+        raise ProblemError(f"a {type(shown).__name__} has no page", where="view",
+                           remedy="give a Machine, its name or file, an answer, or the folder of one")
+    return _of_machine(machine)
+
+
+def _saved_machine(answer: SavedAnswer) -> Machine:
+    from hydroopt.machine.machine_file import bundled, load_machine  # noqa: PLC0415
+
+    if answer.machine_file is not None:
+        return load_machine(answer.machine_file)
+    if answer.machine_name in bundled() and (known := load_machine(answer.machine_name)).sha256 == (
+            answer.machine_id.sha256):
+        return known
+    raise ProblemError("this folder holds no machine file", where=str(answer.directory),
+                       remedy="open its report.html, or view the machine file itself")
+
+
+def _of_machine(machine: Machine, answer: SavedAnswer | None = None) -> View:
+    from hydroopt.model.scene_graph import SceneGraph  # noqa: PLC0415
+    from hydroopt.report.machine_view import render  # noqa: PLC0415
+
+    return View(render(SceneGraph(machine), answer))
