@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
-from scipy.stats import qmc
 
 from hydroopt.control.feasibility import steady_speeds
 from hydroopt.control.model_variants import ModelVariant
@@ -22,6 +21,7 @@ from hydroopt.model.plant import Plant
 from hydroopt.model.workspace import SHARE, top_speed
 from hydroopt.simulation.passive_joints import passive_motion
 from hydroopt.simulation.simulate import Trajectory, sampling_rate
+from hydroopt.spatial.evenly_spread import halton
 from hydroopt.spatial.inertia import Array
 
 MOTION_POINTS = 6
@@ -110,7 +110,7 @@ class Setting:
             speeds = steady_speeds(self.plant, q, qd, least)
             on_motion.append(point(self.plant, f"motion at {t:.1f} s", q, speeds, psi, theta))
         n, in_workspace = len(least), list[Point]()
-        for k, share in enumerate(qmc.Halton(2 * n, scramble=False).random(WORKSPACE_POINTS + 1)[1:]):
+        for k, share in enumerate(halton(2 * n, WORKSPACE_POINTS)):
             direction = np.where(share[n:] < 0.5, -1.0, 1.0)
             q = hanging.postures((lower + (upper - lower) * (EDGE + (1 - 2 * EDGE) * share[:n]))[None])[0]
             try:

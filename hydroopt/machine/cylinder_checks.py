@@ -7,7 +7,6 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from scipy.stats import qmc
 
 from hydroopt.machine.actuators import Cylinder, GasCylinder
 from hydroopt.machine.geometry import Geometry
@@ -18,6 +17,7 @@ from hydroopt.machine.posture import said_posture
 from hydroopt.machine.quantity import ImpossibleError
 from hydroopt.machine.springs import Pinned, Spring
 from hydroopt.spatial.cylinder_triangle import Triangle
+from hydroopt.spatial.evenly_spread import sobol
 from hydroopt.spatial.inertia import Array
 
 FEW = 3
@@ -126,7 +126,7 @@ def _samples(machine: Machine, joints: Sequence[str]) -> Array:
         return np.stack([values.ravel() for values in np.meshgrid(*axes, indexing="ij")])
     n = len(joints)
     corners = np.array(np.meshgrid(*[[-1.0, 1.0]] * n, indexing="ij")).reshape(n, -1)
-    between = 2 * qmc.Sobol(n, scramble=False).random_base2(DRAWN)[1:].T - 1
+    between = 2 * sobol(n, DRAWN).T - 1
     u = np.hstack([np.zeros((n, 1)), corners, between])
     return np.asarray(ranges.mean(axis=1)[:, None] + np.ptp(ranges, axis=1)[:, None] / 2 * u)
 

@@ -14,7 +14,6 @@ from typing import Any, NamedTuple
 import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 
 from hydroopt.machine.assembly import Solved
 from hydroopt.machine.closures import GeneralClosure, place, said
@@ -22,6 +21,7 @@ from hydroopt.machine.equations import closure_equations, directions
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.posture import apart, said_posture, turns
 from hydroopt.machine.quantity import ImpossibleError
+from hydroopt.spatial.evenly_spread import halton
 from hydroopt.spatial.inertia import Array
 
 CLOSED = 1e-5
@@ -182,7 +182,7 @@ def assembled(geometry: Geometry, closure: GeneralClosure, posture: Mapping[str,
     middle, half = ranges.mean(axis=1), np.ptp(ranges, axis=1) / 2
     n = len(begin)
     count = SAMPLES.get(n, 512)
-    u = 2 * qmc.Halton(n, scramble=False).random(count + 1)[1:].T - 1
+    u = 2 * halton(n, count).T - 1
     u = np.sin(np.pi / 2 * u)  # denser towards the ends of the ranges, as the nodes of Chebyshev's polynomials
     corners = np.array(np.meshgrid(*[[-1.0, 0.0, 1.0]] * n, indexing="ij")).reshape(n, -1)[:, :count]
     q = middle[:, None] + half[:, None] * np.hstack([corners, u])

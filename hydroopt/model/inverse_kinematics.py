@@ -10,11 +10,11 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import qmc
 
 from hydroopt.errors import ProblemError
 from hydroopt.model.cylinder_motion import SHORTEST_LEVER
 from hydroopt.model.model import Model
+from hydroopt.spatial.evenly_spread import halton
 from hydroopt.spatial.inertia import Array
 
 STARTS = 256
@@ -149,7 +149,7 @@ def _starts(model: Model, free: list[int], fixed: Mapping[str, float], count: in
     q = np.tile(middle, (count, 1))
     for name, value in fixed.items():
         q[:, machine.joints.index(name)] = value
-    spread = qmc.Halton(len(free), scramble=False).random(count + 1)[1:] - 0.5
+    spread = halton(len(free), count) - 0.5
     for column, k in enumerate(free):
         joint = machine.link(machine.joints[k]).joint
         width = 2 * np.pi if joint.type == "revolute" else joint.range[1] - joint.range[0]

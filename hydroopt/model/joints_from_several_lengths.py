@@ -12,7 +12,6 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
-from scipy.stats import qmc
 
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.general_loops import Start
@@ -20,6 +19,7 @@ from hydroopt.machine.geometry import Geometry
 from hydroopt.model.joint_from_length import joint_from_length
 from hydroopt.model.model import Model
 from hydroopt.model.regressor import Dynamics
+from hydroopt.spatial.evenly_spread import halton
 from hydroopt.spatial.inertia import Array
 
 SAMPLES = {1: 96, 2: 256}
@@ -151,7 +151,7 @@ def _fitted(model: Model, joints: list[str], cylinders: list[Cylinder]) -> Toget
                                                             [each.name for each in cylinders])))
     n = len(read) + len(others)
     count, free = SAMPLES.get(n, 512), [*own, *others]
-    drawn = np.sin(np.pi / 2 * (2 * qmc.Halton(len(free), scramble=False).random(count + 1)[1:].T - 1))
+    drawn = np.sin(np.pi / 2 * (2 * halton(len(free), count).T - 1))
     corners = np.array(np.meshgrid(*[[-1.0, 0.0, 1.0]] * len(free), indexing="ij")).reshape(len(free), -1)[:, :count]
     ranges = np.array([machine.link(machine.joints[k]).joint.range for k in free])
     q = np.tile(_middle(model)[:, None], (1, corners.shape[1] + count))

@@ -5,12 +5,12 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import qmc
 
 from hydroopt.errors import ProblemError
 from hydroopt.model.hanging import Hanging
 from hydroopt.model.hydraulics import conductance
 from hydroopt.model.plant import Plant, Steady
+from hydroopt.spatial.evenly_spread import halton
 from hydroopt.spatial.inertia import Array
 
 SHARE = 0.1
@@ -73,8 +73,7 @@ def sweeps(plant: Plant, psi: Array, theta: Array, *, positions: int = 9, postur
     """
     supply, joints, hanging = plant.supply, plant.machine.joints, Hanging(plant.model)
     ranges = np.array([plant.machine.link(joint).joint.range for joint in joints])
-    spread = qmc.Halton(len(joints), scramble=False).random(postures)
-    spread[0] = 0.5  # the sequence begins at the lower limits
+    spread = np.vstack([np.full(len(joints), 0.5), halton(len(joints), postures - 1)])
     found = []
     for joint, actuators in plant.drivers.items():
         k = joints.index(joint)

@@ -16,7 +16,7 @@ from hydroopt.estimation.dynamic.problem_text import problem_text
 from hydroopt.estimation.dynamic.training_logs import prepared, refuse_added, refuse_repetition
 from hydroopt.estimation.dynamic.weighted_residuals import Loss, weighted_residuals
 from hydroopt.estimation.inference import conditions as physics
-from hydroopt.estimation.inference import nlp, sdp, statements
+from hydroopt.estimation.inference import convex_program, nlp, sdp, statements
 from hydroopt.estimation.inference.conditions import Condition, ScaledBody
 from hydroopt.estimation.inference.constraints import Constraint, Expression
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
@@ -380,7 +380,7 @@ class IdentificationProblem(Shown):
             self, RANK_TOLERANCE, lambda R, r: nlp.interior_point(self, gaussian_posterior(self, R, r)).psi, point)
         return nlp.nonlinear_program(self, weighted.terms)
 
-    def cvxpy(self, point: Array | None = None) -> sdp.ConvexProgram:
+    def cvxpy(self, point: Array | None = None) -> convex_program.ConvexProgram:
         """The problem as cvxpy's convex program; ``solve(problem, "sdp", intervals=False)`` has the same optimum.
 
         Args:
@@ -395,7 +395,7 @@ class IdentificationProblem(Shown):
             return sdp.semidefinite_program(self, posterior, consistent=self.consistent).psi
 
         weighted = weighted_residuals(self, RANK_TOLERANCE, optimum, point)
-        return sdp.convex_program(self, weighted.R, weighted.r, weighted.rest)
+        return convex_program.convex_program(self, weighted.R, weighted.r, weighted.rest)
 
     def prior_misfit(self, psi: Array) -> float:
         """The negative logarithm of all priors times two, at ψ (p,)."""

@@ -3,14 +3,19 @@
 from __future__ import annotations
 
 import warnings
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-import cvxpy as cp
+import lazy_loader  # type: ignore[import-untyped]
 import numpy as np
 
 from hydroopt.errors import SolverError
 from hydroopt.estimation.inference.certificate import Certificate
 from hydroopt.spatial.inertia import Array
+
+if TYPE_CHECKING:
+    import cvxpy as cp
+else:  # takes long to load, and most problems do without it
+    cp = lazy_loader.load("cvxpy")
 
 
 def solve_convex(problem: cp.Problem, where: str) -> bool:

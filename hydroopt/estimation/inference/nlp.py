@@ -15,10 +15,10 @@ import casadi as ca
 import numpy as np
 
 from hydroopt.errors import SolverError
-from hydroopt.estimation.inference import ipopt, sdp
+from hydroopt.estimation.inference import convex_program, ipopt
 from hydroopt.estimation.inference.conditions import MARGIN, UPPER, Condition, square
 from hydroopt.estimation.inference.constraints import Named, as_casadi
-from hydroopt.estimation.inference.problem import InferenceProblem
+from hydroopt.estimation.inference.problem import InferenceProblem, names_of
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.estimation.inference.sdp import Optimum
 from hydroopt.estimation.inference.whitening import WIDEST, GaussianPosterior
@@ -62,7 +62,7 @@ def interior_point(problem: InferenceProblem, unconstrained: GaussianPosterior) 
     conditions = problem.requirements(consistent=problem.consistent)
     posterior = unconstrained.conditioned_on(conditions)
     if posterior is None:
-        sdp.refuse_contradiction(problem, unconstrained, consistent=problem.consistent)
+        convex_program.refuse_contradiction(problem, unconstrained, consistent=problem.consistent)
         raise SolverError("the equalities contradict each other", where=where, remedy="drop or loosen one of them")
     size = posterior.slope.shape[1]
     z = ca.SX.sym("z", size)
@@ -79,13 +79,13 @@ def interior_point(problem: InferenceProblem, unconstrained: GaussianPosterior) 
         answer = ipopt.solve_nlp({"x": program.x, "f": program.f, "g": program.g}, program.x0, program.lbx,
                                    program.ubx, program.lbg, program.ubg, where, names)
     except SolverError:
-        sdp.refuse_contradiction(problem, unconstrained, consistent=problem.consistent)
+        convex_program.refuse_contradiction(problem, unconstrained, consistent=problem.consistent)
         raise
     psi = posterior.offset + posterior.slope @ answer[:size]
     g = np.asarray(ca.Function("g", [program.x], [program.g])(answer)).ravel()
     active = {c.name for c in conditions if c.kind == "zero"} | {name for name, k in names if abs(g[k]) < 1e-6}
     active |= {c.name for c in conditions if c.kind == "semidefinite" and c.margin(psi) < 1e-4}
-    every = sdp.names_of(problem, consistent=problem.consistent)
+    every = names_of(problem, consistent=problem.consistent)
     return Optimum(psi, tuple(name for name in every if name in active))
 
 

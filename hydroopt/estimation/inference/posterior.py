@@ -101,17 +101,16 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
     log_density = inequalities.log_density(slack, lambda: state)
 
     def sweep() -> None:
-        nonlocal state, slack, log_density
         order = rng.permutation(len(state))
         for first in range(0, len(order), BLOCK):
             block = order[first : first + BLOCK]
-            state, slack, log_density = _elliptical_step(state, slack, log_density, block, inequalities, rng)
+            _elliptical_step(state, slack, log_density, block, inequalities, rng)
 
     settled = False
     for _ in range(ROUNDS):
         for _ in range(WARM_UP // 2):
             sweep()
-        half_way = state
+        half_way = state.copy()
         for _ in range(WARM_UP - WARM_UP // 2):
             sweep()
         settled = _settled(half_way, state)
@@ -226,8 +225,10 @@ class _Inequalities:
 
 
 def _elliptical_step(state: Array, slack: Array, log_density: Array, block: NDArray[np.intp],
-                     inequalities: _Inequalities, rng: np.random.Generator) -> tuple[Array, Array, Array]:
+                     inequalities: _Inequalities, rng: np.random.Generator) -> None:
     """Move a block of coordinates of all chains along random ellipses, shrunk until the density is high enough.
+
+    State (k, c), slack (m, c) and log-density (c,) change in place.
 
     A chain that found no place after `TRIES` stays: every number of rejected places is as likely on the way back,
     so that stopping early keeps the distribution, and the slowest chain does not hold up the others.
@@ -242,16 +243,16 @@ def _elliptical_step(state: Array, slack: Array, log_density: Array, block: NDAr
     for k in range(1, TRIES):
         angles[k] = rng.uniform(low, high)
         low, high = np.where(angles[k] < 0, angles[k], low), np.where(angles[k] < 0, high, angles[k])
-    state, slack, log_density = state.copy(), slack.copy(), log_density.copy()
     threshold = log_density - rng.exponential(size=chains)
-    waiting = np.arange(chains)
+    waiting, slope = np.arange(chains), inequalities.slope[:, block]
     for tries in (angles[:1], angles[1:]):  # most chains are done after one
         if not len(waiting):
             break
         angle, current = tries[:, waiting], state[np.ix_(block, waiting)]
         step = current[:, None] * (np.cos(angle) - 1) + other[:, waiting][:, None] * np.sin(angle)
         flat = step.reshape(len(block), -1)
-        linear = np.tile(slack[:, waiting], len(tries)) + inequalities.slope[:, block] @ flat
+        linear = slope @ flat
+        linear.reshape(len(slack), len(tries), -1)[:] += slack[:, None, waiting]
         new = inequalities.log_density(linear, partial(_stepped, state, np.tile(waiting, len(tries)), block, flat))
         good = new.reshape(angle.shape) > threshold[waiting]
         found = np.flatnonzero(good.any(axis=0))
@@ -260,7 +261,6 @@ def _elliptical_step(state: Array, slack: Array, log_density: Array, block: NDAr
         slack[:, waiting[found]] = linear[:, pick]
         log_density[waiting[found]] = new[pick]
         waiting = np.delete(waiting, found)
-    return state, slack, log_density
 
 
 def _stepped(state: Array, chains: NDArray[np.intp], block: NDArray[np.intp], step: Array) -> Array:

@@ -57,3 +57,9 @@ class InferenceProblem(Protocol):
 
     def requirements(self, *, consistent: bool) -> tuple[Condition, ...]:
         """The same with the bounds of single parameters."""
+
+
+def names_of(problem: InferenceProblem, *, consistent: bool) -> tuple[str, ...]:
+    """Names of all conditions and constraints, each once."""
+    conditions = problem.requirements(consistent=consistent)
+    return tuple(dict.fromkeys([c.name for c in conditions] + [c.name for c in problem.constraints]))

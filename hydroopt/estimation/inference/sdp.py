@@ -2,23 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
 
-import cvxpy as cp
 import numpy as np
 
-from hydroopt.errors import ProblemError, SolverError
-from hydroopt.estimation.inference import clarabel
-from hydroopt.estimation.inference.conditions import MARGIN, Condition, square
-from hydroopt.estimation.inference.constraints import Named, no_relation
-from hydroopt.estimation.inference.problem import InferenceProblem
-from hydroopt.estimation.inference.whitening import WIDEST, GaussianPosterior, gaussian_posterior
-from hydroopt.spatial import inertia
+from hydroopt.errors import SolverError
+from hydroopt.estimation.inference import convex_program
+from hydroopt.estimation.inference.conditions import Condition
+from hydroopt.estimation.inference.nearest_point import cones, nearest_point
+from hydroopt.estimation.inference.problem import InferenceProblem, names_of
+from hydroopt.estimation.inference.whitening import GaussianPosterior
 from hydroopt.spatial.inertia import Array
-
-NamedConstraints = list[tuple[str, list[Any]]]
 
 
 @dataclass(frozen=True, eq=False)
@@ -29,40 +24,6 @@ class Optimum:
     active: tuple[str, ...]
 
 
-@dataclass(frozen=True, eq=False)
-class ConvexProgram:
-    """A problem as cvxpy's convex program, which a user extends and solves with cvxpy.
-
-    Its variables are the whitened coordinates z of the posterior, ψ = offset + slope·z, because convex solvers need
-    variables of one size; an expression of the user's own takes parameters by name, ``program["boom.m"]``.
-
-    Attributes:
-        problem: objective and constraints; equalities hold by the choice of z.
-        psi: (p,) expression of the parameters ψ in SI.
-        variables: the same by name.
-        constraints: each inequality and matrix by name.
-    """
-
-    problem: cp.Problem
-    psi: cp.Expression
-    variables: Mapping[str, cp.Expression]
-    constraints: Mapping[str, list[Any]]
-
-    def __getitem__(self, name: str) -> cp.Expression:
-        """The expression of a parameter.
-
-        Raises:
-            ProblemError: there is no such parameter.
-        """
-        if name not in self.variables:
-            raise ProblemError("no parameter has this name", where=f"parameter '{name}'",
-                               remedy=f"choose one of {', '.join(list(self.variables)[:8])}, …")
-        return self.variables[name]
-
-    def __repr__(self) -> str:
-        return f"ConvexProgram({len(self.variables)} parameters, {len(self.constraints)} constraints)"
-
-
 def semidefinite_program(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool) -> Optimum:
     """The most probable ψ under bounds, constraints and, if asked, physical consistency.
 
@@ -70,107 +31,32 @@ def semidefinite_program(problem: InferenceProblem, posterior: GaussianPosterior
         ProblemError: constraints contradict each other; the smallest contradicting set is named.
         SolverError: the solver's answer is not to be trusted.
     """
-    where, unconstrained = problem.where, posterior
-    posterior, z, cost, named = _program(problem, unconstrained, consistent=consistent)
-    everything = [c for _, group in named for c in group]
-    names = names_of(problem, consistent=consistent)
-    active = {c.name for c in problem.requirements(consistent=consistent) if c.kind == "zero"}
-    z.value = np.zeros(z.shape)
-    if not _distant(problem) and all(np.all(c.violation() <= 0) for c in everything):
-        # the least possible ‖z‖, without a solver's rounding
-        return Optimum(posterior.offset, tuple(name for name in names if name in active))
-    if not clarabel.solve_convex(cp.Problem(cp.Minimize(cost), everything), where):
-        raise _contradiction(problem, unconstrained, consistent=consistent)
-    value = np.asarray(z.value, dtype=float)
-    psi = posterior.offset + posterior.slope @ value
-    clarabel.certify_convex(z, _gradient(problem, posterior, value), everything).trust(where)
+    conditions = problem.requirements(consistent=consistent)
+    found = None if problem.constraints or problem.distance == "log-det" else _nearest(problem, posterior, conditions)
+    if found is None:  # cvxpy knows the user's own constraints, and names those that contradict each other
+        found = convex_program.most_probable(problem, posterior, consistent=consistent)
+    psi, held = found
     for body in problem.bodies if consistent else ():
         smallest = np.linalg.eigvalsh(body.pseudo_inertia(psi[body.columns]))[0]
         if smallest <= 0:
             raise SolverError(f"the body '{body.owner}' came out physically inconsistent (smallest eigenvalue "
-                              f"{smallest:.1e})", where=where, remedy="widen its prior or the constraints on it")
-    active |= {name for name, group in named if _is_active(group)}
-    return Optimum(psi, tuple(name for name in names if name in active))
+                              f"{smallest:.1e})", where=problem.where,
+                              remedy="widen its prior or the constraints on it")
+    active = held | {c.name for c in conditions if c.kind == "zero"}
+    return Optimum(psi, tuple(name for name in names_of(problem, consistent=consistent) if name in active))
 
 
-def convex_program(problem: InferenceProblem, R: Array, r: Array, rest: float = 0.0) -> ConvexProgram:
-    """The program that `semidefinite_program` solves, with residuals ``‖R·ψ − r‖² + rest``.
-
-    Raises:
-        ProblemError: a constraint is not convex; or constraints contradict each other, and the smallest contradicting
-            set is named.
-    """
-    unconstrained = gaussian_posterior(problem, R, r)
-    posterior, z, cost, named = _program(problem, unconstrained, consistent=problem.consistent)
-    curved = [name for name, group in named if not all(c.is_dcp() for c in group)]
-    if curved:
-        raise ProblemError(f"not convex: {', '.join(curved)}", where=problem.where,
-                           remedy="use problem.nlp(), whose constraints need not be convex")
-    parameters, offset = problem.parameters, posterior.offset
-    squares, right = problem.square_rows
-    wide = (offset - parameters.nominal) / (WIDEST * parameters.scale)
-    # the cost at z = 0, which whitened coordinates leave out
-    rest += float(np.sum((R @ offset - r) ** 2) + np.sum((squares @ offset - right) ** 2) + np.sum(wide**2))
-    rest -= float(np.sum(posterior.right**2)) if _distant(problem) else 0.0
-    psi = posterior.offset + posterior.slope @ z
-    return ConvexProgram(cp.Problem(cp.Minimize(cost + rest), [c for _, group in named for c in group]), psi,
-                         {name: psi[k] for k, name in enumerate(parameters.names)}, dict(named))
-
-
-def _program(problem: InferenceProblem, unconstrained: GaussianPosterior, *,
-             consistent: bool) -> tuple[GaussianPosterior, cp.Variable, Any, NamedConstraints]:
-    """The posterior where equalities hold, its coordinates z, the cost, and the constraints by name.
-
-    Raises:
-        ProblemError: constraints contradict each other; the smallest contradicting set is named.
-    """
-    posterior = unconstrained.conditioned_on(problem.requirements(consistent=consistent))
-    if posterior is None:
-        raise _contradiction(problem, unconstrained, consistent=consistent)
-    z = cp.Variable(posterior.slope.shape[1], name="z")
-    named = constraints_of(problem, posterior, z, consistent=consistent)
-    cost = cp.sum_squares(z) if not _distant(problem) else (
-        cp.sum_squares(posterior.root @ z - posterior.right) + sum(_distances(problem, posterior, z)))
-    return posterior, z, cost, named
-
-
-def names_of(problem: InferenceProblem, *, consistent: bool) -> tuple[str, ...]:
-    """Names of all constraints, each once."""
-    conditions = problem.requirements(consistent=consistent)
-    return tuple(dict.fromkeys([c.name for c in conditions] + [c.name for c in problem.constraints]))
-
-
-def constraints_of(problem: InferenceProblem, posterior: GaussianPosterior, z: cp.Variable, *, consistent: bool,
-                   without: Collection[str] = ()) -> NamedConstraints:
-    """Constraints by name but some, in terms of the Gaussian's coordinates z, which hold equalities by themselves."""
-    named: dict[str, list[Any]] = {}
-    for condition in problem.requirements(consistent=consistent):
-        if condition.kind != "zero" and condition.name not in without:
-            named.setdefault(condition.name, []).append(_constraint(condition, posterior, z))
-    view = Named(problem.parameters, lambda k: posterior.offset[k] + posterior.slope[k] @ z)
-    for constraint in problem.constraints:
-        if constraint.name in without:
-            continue
-        relation = constraint.evaluated(view)
-        if not isinstance(relation, cp.Constraint):
-            raise no_relation(constraint)
-        named[constraint.name] = [relation]
-    return list(named.items())
-
-
-def refuse_contradiction(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool) -> None:
-    """Name the contradicting constraints after a solver failed; nothing if a constraint is not convex.
-
-    Raises:
-        ProblemError: constraints contradict each other; the smallest contradicting set is named.
-    """
-    try:
-        named = constraints_of(problem, posterior, cp.Variable(posterior.slope.shape[1]), consistent=consistent)
-    except ProblemError:  # one that only CasADi understands
-        return
-    convex = all(c.is_dcp() for _, group in named for c in group)
-    if convex and not _compatible(problem, posterior, consistent=consistent):
-        raise _contradiction(problem, posterior, consistent=consistent)
+def _nearest(problem: InferenceProblem, posterior: GaussianPosterior,
+             conditions: Sequence[Condition]) -> tuple[Array, frozenset[str]] | None:
+    """ψ and the active inequalities under conditions alone; None if they contradict each other."""
+    conditioned = posterior.conditioned_on(conditions)
+    if conditioned is None:
+        return None
+    origin, within = np.zeros(conditioned.slope.shape[1]), cones(conditions, conditioned)
+    if all(cone.least(origin) >= 0 for cone in within):
+        return conditioned.offset, frozenset()  # the least possible ‖z‖, without a solver's rounding
+    found = nearest_point(origin, within, problem.where)
+    return None if found is None else (conditioned.offset + conditioned.slope @ found.z, found.active)
 
 
 def inner_point(problem: InferenceProblem, posterior: GaussianPosterior, z: Array, *, consistent: bool,
@@ -179,73 +65,9 @@ def inner_point(problem: InferenceProblem, posterior: GaussianPosterior, z: Arra
 
     The user's own constraints are ignored.
     """
-    moved = cp.Variable(len(z))
-    inequalities = [_constraint(condition, posterior, moved, margin)
-                    for condition in problem.requirements(consistent=consistent) if condition.kind != "zero"]
-    program = cp.Problem(cp.Minimize(cp.sum_squares(moved - z)), inequalities)
+    within = cones(problem.requirements(consistent=consistent), posterior, margin)
     try:
-        found = clarabel.solve_convex(program, problem.where)
+        found = nearest_point(z, within, problem.where)
     except SolverError:  # the estimate holds; without a start there are no intervals, which a note states
         return None
-    return np.asarray(moved.value, dtype=float) if found else None
-
-
-def _constraint(condition: Condition, posterior: GaussianPosterior, z: cp.Variable, margin: float = 0.0) -> Any:
-    at_mean, slope = condition.evaluate(posterior.offset), condition.rows @ posterior.slope
-    if condition.kind == "semidefinite":
-        return _matrix(at_mean, slope, z) - (MARGIN + margin) * np.eye(4) >> 0
-    return slope @ z >= margin - at_mean
-
-
-def _matrix(constant: Array, slope: Array, z: cp.Variable) -> Any:
-    """Symmetric matrix (4, 4) whose upper triangle is linear in z."""
-    full = np.array([square(entry).ravel() for entry in np.eye(10)]).T
-    matrix = cp.reshape(full @ slope @ z, (4, 4), order="C") + square(constant)
-    return (matrix + matrix.T) / 2
-
-
-def _distant(problem: InferenceProblem) -> bool:
-    return problem.distance == "log-det"
-
-
-def _distances(problem: InferenceProblem, posterior: GaussianPosterior, z: cp.Variable) -> list[Any]:
-    found = []
-    for body in problem.bodies:
-        W = _matrix(body.basis @ posterior.offset[body.columns], body.basis @ posterior.slope[body.columns], z)
-        found.append(body.weight * (cp.trace(W) - cp.log_det(W) - 4))
-    return found
-
-
-def _gradient(problem: InferenceProblem, posterior: GaussianPosterior, z: Array) -> Array:
-    """Gradient (k,) of the cost, for a check without cvxpy."""
-    gradient: Array = 2 * posterior.root.T @ (posterior.root @ z - posterior.right)
-    for body in problem.bodies if _distant(problem) else ():
-        J = inertia.pseudo_inertia((posterior.offset + posterior.slope @ z)[body.columns])
-        along = body.scaling.T @ body.scaling - np.linalg.inv(J)
-        gradient += body.weight * posterior.slope[body.columns].T @ np.einsum("kij,ji", inertia.PSEUDO_BASIS, along)
-    return gradient
-
-
-def _is_active(group: Sequence[Any]) -> bool:
-    return any(np.max(np.abs(np.asarray(c.dual_value, dtype=float))) > 1e-6 for c in group)
-
-
-def _compatible(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool,
-                without: Collection[str] = ()) -> bool:
-    left = posterior.conditioned_on([c for c in problem.requirements(consistent=consistent) if c.name not in without])
-    if left is None:
-        return False
-    z = cp.Variable(left.slope.shape[1])
-    named = constraints_of(problem, left, z, consistent=consistent, without=without)
-    program = cp.Problem(cp.Minimize(cp.sum_squares(z)), [c for _, group in named for c in group])
-    return clarabel.solve_convex(program, problem.where)
-
-
-def _contradiction(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool) -> ProblemError:
-    """A smallest set of contradicting constraints: each is left out that the contradiction does not need."""
-    names, without = names_of(problem, consistent=consistent), set[str]()
-    for name in names:
-        if not _compatible(problem, posterior, consistent=consistent, without=without | {name}):
-            without.add(name)
-    return ProblemError(f"these cannot hold together: {'; '.join(n for n in names if n not in without)}",
-                        where=problem.where, remedy="drop or loosen one of them")
+    return None if found is None else found.z

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 import numpy as np
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from hydroopt.estimation.motion.motion_fit import FittedPaths
 from hydroopt.estimation.motion.observations import Observations
@@ -46,7 +46,7 @@ def diagnose(problem: SensorProblem, found: FittedPaths, unknown: Sequence[str])
                 drifting.append((change, channel, data))
     tests = sum(len(data.channels) for _, data in pairs)
     for (statistic, size, free), channel, data in drifting:
-        if tests * float(chi2.sf(statistic, free)) < SURE:
+        if tests * float(chdtrc(free, statistic)) < SURE:
             yield Diagnostic(Kind.BIAS_DRIFTS, (channel,), {
                 "log": data.name, "size": size, "unit": data.units[data.channels.index(channel)]})
     for ratio, channel, data in sorted(far, key=lambda each: -each[0]):

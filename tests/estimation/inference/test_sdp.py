@@ -17,7 +17,9 @@ from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
 from hydroopt.estimation.dynamic.regressor_qr import compress
-from hydroopt.estimation.inference import clarabel, nlp, sdp
+from hydroopt.estimation.inference import clarabel, convex_program, nlp, sdp
+from hydroopt.estimation.inference.conditions import UPPER
+from hydroopt.estimation.inference.nearest_point import Cone, certify, cones, nearest_point
 from hydroopt.estimation.inference.whitening import GaussianPosterior, gaussian_posterior
 from hydroopt.spatial import inertia
 
@@ -270,7 +272,8 @@ def test_certificate_refuses_what_is_not_the_minimum(one_body: OneBody) -> None:
     problem = one_body(np.array([50.0, 0, 0, 0, 1, 0, 0, 1, 0, 3]))
     posterior = prior_only(problem)
     z = cp.Variable(10)
-    everything = [c for _, group in sdp.constraints_of(problem, posterior, z, consistent=True) for c in group]
+    everything = [c for _, group in convex_program.constraints_of(problem, posterior, z, consistent=True)
+                  for c in group]
     assert clarabel.solve_convex(cp.Problem(cp.Minimize(cp.sum_squares(z)), everything), "test")
     minimum = np.array(z.value)
     clarabel.certify_convex(z, 2 * minimum, everything).trust("test")
@@ -282,3 +285,32 @@ def test_certificate_refuses_what_is_not_the_minimum(one_body: OneBody) -> None:
     everything[0].dual_variables[0].save_value(0 * np.asarray(everything[0].dual_value))
     with pytest.raises(SolverError, match="stationarity"):
         clarabel.certify_convex(z, 2 * minimum, everything).trust("test")
+
+
+def test_the_certificate_of_cones_refuses_what_is_not_the_minimum(one_body: OneBody) -> None:
+    problem = one_body(np.array([50.0, 0, 0, 0, 1, 0, 0, 1, 0, 3]))
+    posterior = prior_only(problem)
+    within = cones(problem.requirements(consistent=True), posterior)
+    origin = np.zeros(10)
+    minimum = nearest_point(origin, within, "test").z
+    variable = cp.Variable(10)
+    everything = [c for _, group in convex_program.constraints_of(problem, posterior, variable, consistent=True)
+                  for c in group]
+    cp.Problem(cp.Minimize(cp.sum_squares(variable)), everything).solve(solver=cp.CLARABEL)
+    np.testing.assert_allclose(minimum, variable.value, atol=1e-6)
+    # multipliers of half the squared length, matrices by their triangles
+    multipliers = [np.asarray(c.dual_value).reshape(4, 4)[UPPER] / 2 if cone.matrix else np.ravel(c.dual_value) / 2
+                   for cone, c in zip(within, everything, strict=True)]
+    certify(minimum, multipliers, origin, within).trust("test")
+    for wrong in (1.05 * minimum, 0.95 * minimum, minimum + 0.01 * np.eye(10)[3]):
+        with pytest.raises(SolverError, match="failed our check"):
+            certify(wrong, multipliers, origin, within).trust("test")
+    with pytest.raises(SolverError, match="stationarity"):
+        certify(minimum, [0 * part for part in multipliers], origin, within).trust("test")
+    with pytest.raises(SolverError, match="stationarity"):  # inside, where nothing holds it back
+        certify(minimum, multipliers, minimum, within).trust("test")
+
+
+def test_contradicting_cones_have_no_point() -> None:
+    away = [Cone("above", False, -np.ones(1), np.eye(1)), Cone("below", False, -np.ones(1), -np.eye(1))]
+    assert nearest_point(np.zeros(1), away, "test") is None
