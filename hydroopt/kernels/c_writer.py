@@ -62,7 +62,7 @@ class _Writer:
             text, rank = self.expression(index)
             # a reciprocal that serves once becomes a division where it does
             long = len(text) > WIDTH and node.op != "inv"
-            if node.op not in ("input", "constant") and (self.uses[index] > 1 or long):
+            if node.op != "input" and not self.fixed(Ref(index)) and (self.uses[index] > 1 or long):
                 self.lines.append(f"const {naming.type} v{named} = {text};")
                 text, rank = f"v{named}", _ATOM
                 named += 1

@@ -31,6 +31,8 @@ def flags(system: str, processor: str) -> tuple[str, ...]:
 
 
 FLAGS = flags(platform.system(), platform.machine())
+LONG = 300_000
+"""Characters of C beyond which full optimisation takes minutes and gains little."""
 PROBING, COMPILING = 10.0, 120.0
 """Time limits [s] of a compiler to introduce itself, and to compile a kernel."""
 
@@ -64,7 +66,8 @@ class Compiler:
             subprocess.SubprocessError: it fails or exceeds its time limit.
         """
         built = folder / "kernel.so"
-        command = (*self.command, *FLAGS, "-x", "c", "-", "-o", str(built), *self.libraries)
+        quick = ("-O1",) if len(source) > LONG else ()  # the last level stated counts
+        command = (*self.command, *FLAGS, *quick, "-x", "c", "-", "-o", str(built), *self.libraries)
         try:
             _run(command, source.encode(), COMPILING, folder)
         except subprocess.TimeoutExpired:

@@ -19,6 +19,8 @@ EACH({{ name }}, {{ name }}(x[l]))
 EACH(sign, (double)((x[l] > 0) - (x[l] < 0)) + (x[l] - x[l]))
 static inline real each_pow(real x, double p) { real y; for (int l = 0; l < LANES; l++) y[l] = pow(x[l], p); return y; }
 static inline real each_atan2(real x, real z) { real y; for (int l = 0; l < LANES; l++) y[l] = atan2(x[l], z[l]); return y; }
+static inline real each_fmin(real x, real z) { real y; for (int l = 0; l < LANES; l++) y[l] = fmin(x[l], z[l]); return y; }
+static inline real each_fmax(real x, real z) { real y; for (int l = 0; l < LANES; l++) y[l] = fmax(x[l], z[l]); return y; }
 
 static void kernel({% for given in inputs %}const real *restrict x{{ loop.index0 }}, {% endfor %}real *restrict y)
 {

@@ -1,237 +1,279 @@
-"""Records and dynamics as one sparse nonlinear program, with the states at all points among the unknowns.
+"""Records' dynamics by collocation: motions that fulfil them, and residuals as they follow from θ and first states.
 
 Within each interval states are polynomials that fulfil ẋ = f(x, u, θ) at three Radau points (Biegler 2010, Section
-10.2): of order 5, and stable however stiff the dynamics are, as those of small chambers of oil. All derivatives are
-those of two small functions, mapped over the points and gathered.
+10.2): of order 5, and stable however stiff the dynamics are, as those of small chambers of oil. Newton's method solves
+one interval after the other. A linear system of each takes changes of its first state and of θ to its end, so that no
+state remains unknown but each record's first (condensing, Bock 1987).
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from itertools import pairwise
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
-from scipy.sparse.linalg import splu
 
-from hydroopt.estimation.hydraulic.dynamics import POINTS, WIDEST, ShootingProblem
-from hydroopt.estimation.inference.program import NonlinearProgram
+from hydroopt.errors import SolverError
+from hydroopt.estimation.hydraulic.dynamics import POINTS, WIDEST, Record, ShootingProblem
+from hydroopt.kernels.native import kernel
 from hydroopt.spatial.inertia import Array
 
+FACTORS = np.asarray(ca.collocation_coeff(ca.collocation_points(POINTS, "radau"))[0])
+"""(POINTS + 1, POINTS) derivative at the points of the polynomial through an interval's beginning and its points."""
+EXACT, NEARLY = 1e-10, 1e-7
+"""Defect, in units of the states' scales, below which an interval is solved; and below which one is, where rounding
+keeps steps from making it smaller."""
+NEWTON, HALVINGS = 60, 8
+"""Steps that an interval gets, and how often one is halved."""
+SLOW = 0.2
+"""Ratio of defects after and before a step from which on derivatives are evaluated anew."""
+CHUNK = 256
+"""Intervals whose derivatives are held at a time."""
+MANY = 2000
+"""Points of all records from which on functions are compiled."""
+ARGUMENTS, RESULTS = ["x", "z", "data"], ["value", "by_state", "by_z"]
+
 
 @dataclass(frozen=True, eq=False)
-class Linearised:
-    """Residual rows around a solution, with the states as they follow from θ and the first states of the records.
+class Condensed:
+    """A record's residuals, linear in the changes of its first state and of z.
 
     Attributes:
-        theta: (p,).
-        points: for each record states (K, nx) at the points of `Record.time`.
-        rows: (m,) outputs minus readings in units of σ, `readings` of them; then `priors` rows of the priors of θ, and
-            those of first states.
-        jacobian: (m, p + f) by θ, then by the records' f first states, in units of `Dynamics.scale`.
+        rows: (m,) of its readings, in units of σ.
+        jacobian: (m, nx + p) by its first state, then by z.
+        first, slope: residuals of the prior of its first state, and their derivative by this state.
     """
 
-    theta: Array
-    points: tuple[Array, ...]
     rows: Array
     jacobian: Array
-    readings: int
-    priors: int
+    first: Array
+    slope: Array
+
+    @cached_property
+    def triangle(self) -> Array:
+        """R of the QR decomposition of derivatives and residuals: all that a step needs."""
+        prior = np.zeros((len(self.slope), self.jacobian.shape[1] + 1))
+        prior[:, : self.slope.shape[1]], prior[:, -1] = self.slope, self.first
+        both = np.vstack([np.column_stack([self.jacobian, self.rows]), prior])
+        return np.asarray(np.linalg.qr(both, mode="r"))
 
 
-@dataclass(frozen=True, eq=False)
-class Expressions:
-    """Of the unknowns x: defects, which must vanish, residual rows, whose squares are minimised, and derivatives.
+class Collocation:
+    """The collocated dynamics of a problem's records.
 
-    `curvature` is the second derivative of Σ multipliers·defects + weight·Σ rows²/2, without that of the squares.
+    States are in units of their scales; θ counts from its nominal value in units of its scale, as z.
     """
 
-    defects: ca.MX
-    defects_by_x: ca.MX
-    rows: ca.MX
-    rows_by_x: ca.MX
-    curvature: ca.MX
-
-
-class Program:
-    """x = (θ, states at all points of all records), in units of their scales and θ from its nominal value."""
-
-    def __init__(self, problem: ShootingProblem) -> None:
+    def __init__(self, problem: ShootingProblem, functions: tuple[_Sloped, _Sloped] | None = None) -> None:
         self.problem = problem
-        records, held = problem.records, problem.dynamics.held
-        self.p, self.nx, self.ny = len(problem.parameters), problem.dynamics.scale.size, len(problem.sigma)
-        counts = [len(record.time) for record in records]
-        self.first = np.concatenate([[0], np.cumsum(counts)])
-        self.size = self.p + self.nx * int(self.first[-1])
-        self.stages = np.setdiff1d(np.arange(self.first[-1]), self.first[:-1])
-        self.samples = np.concatenate([k + np.arange(len(r.t)) * POINTS * r.steps
-                                       for k, r in zip(self.first, records, strict=False)])
-        self.defects = self.nx * len(self.stages)
-        self.span = np.concatenate([np.repeat(np.diff(r.edges), POINTS) for r in records])
-        self.stage_inputs = np.concatenate([r.inputs(held) for r in records])
-        self.sample_inputs = np.concatenate([r.u for r in records])
-        self.readings = np.concatenate([r.y for r in records])
-        self.present = np.flatnonzero(np.isfinite(self.readings).ravel())
-        self.derivative = _matrix(*self._derivative(), (self.defects, self.size))
-        self.prior, self.prior_right, self.priors = self._priors()
-        self.stage, self.reading = self._functions()
-
-    def _derivative(self) -> tuple[Array, NDArray[np.intp], NDArray[np.intp]]:
-        """Interval times ẋ at the points, of the polynomials through each interval's points, as triplets."""
-        factor = np.asarray(ca.collocation_coeff(ca.collocation_points(POINTS, "radau"))[0])  # (POINTS + 1, POINTS)
-        interval = np.repeat(self.stages.reshape(-1, POINTS)[:, :1] - 1, POINTS * (POINTS + 1) * self.nx, axis=1)
-        power, j, i = (k.ravel() for k in np.meshgrid(np.arange(POINTS + 1), np.arange(POINTS), np.arange(self.nx),
-                                                  indexing="ij"))
-        row = (np.arange(len(interval))[:, None] * POINTS + j) * self.nx + i
-        column = self.p + (interval + power) * self.nx + i
-        return np.tile(factor[power, j], len(interval)), row.ravel(), column.ravel()
-
-    def _priors(self) -> tuple[ca.DM, Array, int]:
-        """Rows A and right side b of the priors' residuals A·x − b: of θ (how many), then of first states."""
-        parameters, dynamics = self.problem.parameters, self.problem.dynamics
+        self.nx, self.p = len(problem.dynamics.states), len(problem.parameters)
+        self.stage, self.reading = functions or _functions(problem)
+        self.inputs = [np.column_stack([r.inputs(problem.dynamics.held), np.repeat(np.diff(r.edges), POINTS)])
+                       for r in problem.records]
+        self.present = [np.isfinite(r.y) for r in problem.records]
+        self.readings = [np.where(here, r.y, 0.0) / problem.sigma
+                         for here, r in zip(self.present, problem.records, strict=True)]
+        parameters = problem.parameters
         values, vectors = np.linalg.eigh(parameters.information * np.outer(parameters.scale, parameters.scale))
         informed = values > 1e-14 * max(float(values.max(initial=0.0)), 1e-300)
-        root = (np.sqrt(values[informed])[:, None] * vectors[:, informed].T)
-        row, column = (k.ravel() for k in np.indices(root.shape))
-        value, right = root.ravel(), [np.zeros(len(root))]
-        for k, record in zip(self.first, self.problem.records, strict=False):
-            sigma = WIDEST * dynamics.scale if record.initial_sigma is None else record.initial_sigma
-            which = np.flatnonzero(np.isfinite(sigma))
-            unit = dynamics.scale[which] / sigma[which]
-            row = np.concatenate([row, sum(map(len, right)) + np.arange(len(which))])
-            column, value = np.concatenate([column, self.p + k * self.nx + which]), np.concatenate([value, unit])
-            right.append(record.guess[0, which] / sigma[which])
-        total = sum(map(len, right))
-        return _matrix(value, row, column, (total, self.size)), np.concatenate(right), len(root)
+        self.prior: Array = np.sqrt(values[informed])[:, None] * vectors[:, informed].T
+        """Rows whose product with z are the residuals of θ's prior."""
 
-    def _functions(self) -> tuple[_Mapped, _Mapped]:
-        """Interval times rates, in units of the states' scales; and outputs in units of σ."""
-        dynamics, parameters = self.problem.dynamics, self.problem.parameters
-        state, z = ca.SX.sym("x", self.nx), ca.SX.sym("z", self.p)
-        u, span = ca.SX.sym("u", len(dynamics.inputs)), ca.SX.sym("span")
-        x, theta = state * ca.DM(dynamics.scale), ca.DM(parameters.nominal) + ca.DM(parameters.scale) * z
-        f = dynamics.rates(x, u, theta) * span / ca.DM(dynamics.scale)
-        h = dynamics.outputs(x, u, theta) / ca.DM(self.problem.sigma)
-        stages = _Mapped(f, state, z, ca.vertcat(u, span), np.column_stack([self.stage_inputs, self.span]), self.stages)
-        return stages, _Mapped(h, state, z, u, self.sample_inputs, self.samples)
+    def of(self, records: Sequence[Record]) -> Collocation:
+        """The same dynamics on other records, by the same functions."""
+        return Collocation(replace(self.problem, records=tuple(records)), (self.stage, self.reading))
 
-    def expressions(self, x: ca.MX, weight: ca.MX, multipliers: ca.MX) -> Expressions:
-        """Constraints, residuals and derivatives that IPOPT needs."""
-        z, states = x[: self.p], ca.reshape(x[self.p :], self.nx, int(self.first[-1]))
-        rates, rates_by_x = self.stage.evaluate(states, z)
-        outputs, outputs_by_x = self.reading.evaluate(states, z)
-        index, sigma = self.present.tolist(), np.tile(self.problem.sigma, len(self.readings))
-        pick = _matrix(np.ones(len(index)), np.arange(len(index)), self.present, (len(index), len(sigma)))
-        right = ca.DM(self.readings.ravel()[self.present] / sigma[self.present])
-        left = pick @ outputs - right
-        curvature = (weight * self.reading.curvature(states, z, pick.T @ left)
-                     - self.stage.curvature(states, z, multipliers))
-        return Expressions(
-            self.derivative @ x - rates, self.derivative - rates_by_x,
-            ca.vertcat(left, self.prior @ x - ca.DM(self.prior_right)),
-            ca.vertcat(pick @ outputs_by_x, ca.MX(self.prior)), curvature)
+    def cost(self, z: Array, points: Sequence[Array]) -> float:
+        """Half the sum of squares of all residuals, of readings and of priors."""
+        rows = [self.prior @ z]
+        for k, (record, states) in enumerate(zip(self.problem.records, points, strict=True)):
+            values = self.reading.value(states[:: POINTS * record.steps], z, record.u)
+            rows += [(values - self.readings[k])[self.present[k]], self._first(k, states)[0]]
+        return float(sum(part @ part for part in rows)) / 2
 
-    def initial_guess(self, theta: Array, points: Sequence[Array]) -> Array:
-        """x of parameters (p,) and, record by record, states (K, nx) at all points."""
-        parameters = self.problem.parameters
-        return np.concatenate([(theta - parameters.nominal) / parameters.scale,
-                               (np.vstack(points) / self.problem.dynamics.scale).ravel()])
+    def condensed(self, z: Array, points: Sequence[Array]) -> tuple[Condensed, ...]:
+        """Each record's residuals around states (K, nx) that fulfil the dynamics."""
+        return tuple(self._condensed(k, z, states) for k, states in enumerate(points))
 
-    def nlp(self, theta: Array, points: Sequence[Array]) -> NonlinearProgram:
-        """The nonlinear program, with an initial guess of parameters (p,) and states (K, nx) of each record."""
-        parameters, dynamics, records = self.problem.parameters, self.problem.dynamics, self.problem.records
-        x = ca.MX.sym("x", self.size)
-        here = self.expressions(x, ca.MX(0), ca.MX.zeros(self.defects))
-        free, zero = np.full(self.size - self.p, np.inf), np.zeros(self.defects)
-        names = [*parameters.names, *(f"{state}, record {k + 1}, {t:.6g} s" for k, record in enumerate(records)
-                                      for t in record.time for state in dynamics.states)]
-        units = [f"{scale:.6g} {unit} from {nominal:.6g}" for scale, unit, nominal in zip(
-            parameters.scale, parameters.units, parameters.nominal, strict=True)]
-        units += [f"{scale:g}" for scale in dynamics.scale] * int(self.first[-1])
-        counts = np.sum(np.isfinite(self.readings), axis=0)
-        terms = [f"half the sum of squares of {count} residuals of {channel}, sigma {sigma:.4g}"
-                 for channel, count, sigma in zip(dynamics.channels, counts, self.problem.sigma, strict=True)]
-        return NonlinearProgram(
-            x=x, f=ca.sumsqr(here.rows) / 2, x_names=tuple(names), x_units=tuple(units),
-            x0=self.initial_guess(theta, points),
-            lbx=np.concatenate([(parameters.lower - parameters.nominal) / parameters.scale, -free]),
-            ubx=np.concatenate([(parameters.upper - parameters.nominal) / parameters.scale, free]),
-            g=here.defects, g_names=tuple(f"dynamics of {state}" for state in dynamics.states) * len(self.stages),
-            lbg=zero, ubg=zero, p=ca.MX.sym("p", 0), objective=(
-                *terms, f"half the sum of squares of {self.priors} residuals of the parameters' priors",
-                f"half the sum of squares of {self.prior.size1() - self.priors} residuals of the first states' priors"))
+    def run(self, z: Array, first: Sequence[Array], near: Sequence[Array]) -> tuple[Array, ...]:
+        """States (K, nx) of each record that fulfil the dynamics, from first states (nx,) on, near a guess (K, nx).
 
-    def linearised(self, x: Array) -> Linearised:
-        """The residual rows at a solution as they change along the dynamics."""
-        parameters, symbol = self.problem.parameters, ca.MX.sym("x", self.size)
-        here = self.expressions(symbol, ca.MX(0), ca.MX.zeros(self.defects))
-        end = ca.Function("end", [symbol], [here.rows, here.rows_by_x, here.defects_by_x])
-        rows, rows_by_x, defects_by_x = end(x)
-        by_x, held = rows_by_x.sparse().tocsc(), defects_by_x.sparse().tocsc()
-        inner = self.p + (self.stages[:, None] * self.nx + np.arange(self.nx)).ravel()
-        outer = np.setdiff1d(np.arange(self.size), inner)
-        follow = splu(held[:, inner]).solve(-held[:, outer].toarray())
-        jacobian = by_x[:, inner] @ follow + by_x[:, outer].toarray()
-        jacobian[:, : self.p] /= parameters.scale
-        states = x[self.p :].reshape(-1, self.nx) * self.problem.dynamics.scale
-        points = tuple(states[a:b] for a, b in pairwise(self.first.tolist()))
-        # IPOPT lets bounds give way a little
-        theta = np.clip(parameters.nominal + parameters.scale * x[: self.p], parameters.lower, parameters.upper)
-        return Linearised(theta, points, np.asarray(rows).ravel(), np.asarray(jacobian), len(self.present), self.priors)
+        Raises:
+            SolverError: an interval has no solution near the guess.
+        """
+        found = [np.vstack([begin, guess[1:]]) for begin, guess in zip(first, near, strict=True)]
+        for at in range(0, max(map(len, found)) - 1, POINTS):
+            inner = slice(at + 1, at + POINTS + 1)
+            going = [k for k, states in enumerate(found) if len(states) > at + 1]
+            begin = np.array([found[k][at] for k in going])
+            guess = begin[:, None] + np.array([near[k][inner] - near[k][at] for k in going])
+            solved = self._solved(z, begin, guess, np.array([self.inputs[k][at : at + POINTS] for k in going]))
+            for k, states in zip(going, solved, strict=True):
+                if not np.all(np.isfinite(states)):
+                    raise SolverError("the simulation did not converge", where=self.problem.records[k].name,
+                                      remedy="start from other parameters and states")
+                found[k][inner] = states
+        return tuple(found)
 
+    def _first(self, k: int, states: Array) -> tuple[Array, Array]:
+        """Residuals of the prior of the k-th record's first state, and their derivative by this state."""
+        record, scale = self.problem.records[k], self.problem.dynamics.scale
+        sigma = (WIDEST * scale if record.initial_sigma is None else record.initial_sigma) / scale
+        which = np.flatnonzero(np.isfinite(sigma))
+        slope = np.zeros((len(which), self.nx))
+        slope[np.arange(len(which)), which] = 1 / sigma[which]
+        return (states[0] - record.guess[0] / scale)[which] / sigma[which], slope
 
-class _Mapped:
-    """A small function of a point's states, of θ and of data, at many points: values, and their derivative by x."""
+    def _condensed(self, k: int, z: Array, states: Array) -> Condensed:
+        record, data, long = self.problem.records[k], self.inputs[k], POINTS * CHUNK
+        nodes = [np.eye(self.nx, self.nx + self.p)]
+        for at in range(0, len(data), long):
+            for end in self._ends(z, states[at : at + long + 1], data[at : at + long]):
+                nodes.append(end[:, : self.nx] @ nodes[-1])
+                nodes[-1][:, self.nx :] += end[:, self.nx :]
+        value, by_x, by_z = self.reading.slopes(states[:: POINTS * record.steps], z, record.u)
+        change = by_x @ np.array(nodes[:: record.steps])
+        change[:, :, self.nx :] += by_z
+        here = self.present[k]
+        return Condensed((value - self.readings[k])[here], change[here], *self._first(k, states))
 
-    def __init__(self, value: ca.SX, state: ca.SX, z: ca.SX, data: ca.SX, at: Array,
-                 points: NDArray[np.intp]) -> None:
-        by_state, by_theta = ca.jacobian(value, state), ca.jacobian(value, z)
-        count, self.rows = len(points), value.numel()
-        function = ca.Function("point", [state, z, data], [value, by_state, by_theta])
-        self.function, self.data, self.points = function.map(count), ca.DM(at.T), points
-        block = np.repeat(np.arange(count), by_state.nnz())
-        row, column = (np.tile(k, count) for k in by_state.sparsity().get_triplet())
-        shared = np.repeat(np.arange(count), by_theta.nnz())
-        shared_row, shared_column = (np.tile(k, count) for k in by_theta.sparsity().get_triplet())
-        self.row = np.concatenate([shared * self.rows + shared_row, block * self.rows + row]).astype(np.intp)
-        self.column = np.concatenate([shared_column, z.numel() + points[block] * state.numel() + column]).astype(
-            np.intp)
-        self.order = np.lexsort((self.row, self.column))
-        multipliers, both = ca.SX.sym("m", self.rows), ca.vertcat(z, state)
-        bend = ca.hessian(ca.dot(multipliers, value), both)[0]
-        self.bend = ca.Function("bend", [state, z, data, multipliers], [bend]).map(count)
-        row, column = (np.tile(k, count) + both.numel() * np.repeat(np.arange(count), bend.nnz())
-                       for k in bend.sparsity().get_triplet())
-        self.pattern = _matrix(np.ones(len(row)), row, column, (count * both.numel(),) * 2).sparsity()
+    def _ends(self, z: Array, states: Array, data: Array) -> Array:
+        """(E, nx, nx + p) how the ends of intervals follow from their first states and from z."""
+        nx, count, diagonal = self.nx, len(data) // POINTS, np.arange(self.nx)
+        _, by_x, by_z = self.stage.slopes(states[1:], z, data)
+        right = np.zeros((count, POINTS, nx, nx + self.p))
+        right[:, :, diagonal, diagonal] = -FACTORS[0][:, None]
+        right[..., nx:] = by_z.reshape(count, POINTS, nx, self.p)
+        return np.asarray(np.linalg.solve(self._newton(by_x), right.reshape(count, POINTS * nx, -1))[:, -nx:])
 
-    def curvature(self, states: ca.MX, z: ca.MX, multipliers: ca.MX) -> ca.MX:
-        """Second derivative by x of Σ multipliers·value."""
-        count, p, nx = len(self.points), z.numel(), states.size1()
-        if not self.pattern.nnz():
-            return ca.MX(p + states.numel(), p + states.numel())
-        entries = self.bend(states[:, self.points.tolist()], ca.repmat(z, 1, count), self.data,
-                            ca.reshape(multipliers, self.rows, count))
-        first = (p + nx) * np.arange(count)[:, None]
-        row = np.concatenate([(first + np.arange(p)).ravel(), (first + p + np.arange(nx)).ravel()])
-        column = np.concatenate([np.tile(np.arange(p), count),
-                                 (p + self.points[:, None] * nx + np.arange(nx)).ravel()])
-        gather = _matrix(np.ones(len(row)), row, column, (count * (p + nx), p + states.numel()))
-        return gather.T @ (ca.MX(self.pattern, ca.vec(entries.nz[:])) @ gather)
+    def _solved(self, z: Array, begin: Array, guess: Array, data: Array) -> Array:
+        """States (E, POINTS, nx) of intervals from their first states (E, nx) on; NaN where Newton's method fails."""
+        states = guess.copy()
+        missed = self._missed(z, begin, states, data)
+        matrix = np.zeros((len(states), POINTS * self.nx, POINTS * self.nx))
+        stale, again = np.ones((2, len(states)), dtype=bool)
+        for _ in range(NEWTON):
+            size = _largest(missed)
+            left = np.flatnonzero(~(size < EXACT))
+            if not left.size:
+                break
+            fresh = left[stale[left]]
+            if fresh.size:
+                matrix[fresh] = self._newton(self.stage.slopes(_flat(states[fresh]), z, _flat(data[fresh]))[1])
+            step = _solve(matrix[left], missed[left])
+            for part in 0.5 ** np.arange(HALVINGS):
+                tried = states[left] - part * step
+                new = self._missed(z, begin[left], tried, data[left])
+                better = _largest(new) < (1 - part / 10) * size[left]
+                taken = left[better]
+                states[taken], missed[taken] = tried[better], new[better]
+                stale[taken] = _largest(new[better]) > SLOW * size[taken]
+                left, step = left[~better], step[~better]
+                if not left.size:
+                    break
+            for k in left:  # where no step makes the defect smaller
+                if not stale[k]:
+                    stale[k] = True
+                elif size[k] < NEARLY:
+                    missed[k] = 0.0
+                elif again[k]:
+                    again[k], states[k] = False, begin[k]
+                    missed[k] = self._missed(z, begin[[k]], states[[k]], data[[k]])[0]
+                else:
+                    states[k], missed[k] = np.nan, 0.0
+        states[~(_largest(missed) < EXACT)] = np.nan
+        return states
 
-    def evaluate(self, states: ca.MX, z: ca.MX) -> tuple[ca.MX, ca.MX]:
-        """Values at all points, and their derivative by x."""
-        count, size = len(self.points), z.numel() + states.numel()
-        value, by_state, by_theta = self.function(
-            states[:, self.points.tolist()], ca.repmat(z, 1, count), self.data)
-        starts = np.concatenate([[0], np.cumsum(np.bincount(self.column, minlength=size))])
-        pattern = ca.Sparsity(self.rows * count, size, starts.tolist(), self.row[self.order].tolist())
-        entries = ca.vertcat(ca.vec(by_theta.nz[:]), ca.vec(by_state.nz[:]))
-        return ca.vec(value), ca.MX(pattern, entries[self.order.tolist()])
+    def _missed(self, z: Array, begin: Array, states: Array, data: Array) -> Array:
+        """Defects (E, POINTS, nx) of intervals: by how much the polynomials miss the dynamics."""
+        rates = self.stage.value(_flat(states), z, _flat(data))
+        return np.asarray(FACTORS[0][:, None] * begin[:, None] + np.einsum("ij,eik->ejk", FACTORS[1:], states)
+                          - rates.reshape(states.shape))
+
+    def _newton(self, by_x: Array) -> Array:
+        """(E, POINTS·nx, POINTS·nx) derivative of intervals' defects by their points, from (E·POINTS, nx, nx)."""
+        nx, diagonal = self.nx, np.arange(self.nx)
+        left = np.zeros((len(by_x) // POINTS, POINTS, nx, POINTS, nx))
+        left[:, :, diagonal, :, diagonal] = FACTORS[1:].T
+        for j in range(POINTS):
+            left[:, j, :, j] -= by_x[j::POINTS]
+        return left.reshape(-1, POINTS * nx, POINTS * nx)
 
 
-def _matrix(value: Array, row: NDArray[np.intp], column: NDArray[np.intp], shape: tuple[int, int]) -> ca.DM:
-    if not len(value):
-        return ca.DM(*shape)
-    return ca.DM.triplet(row.tolist(), column.tolist(), ca.DM(value), *shape)
+def _functions(problem: ShootingProblem) -> tuple[_Sloped, _Sloped]:
+    """Rates times an interval, in units of the states' scales; and outputs in units of σ."""
+    dynamics, parameters = problem.dynamics, problem.parameters
+    state, z = ca.SX.sym("x", len(dynamics.states)), ca.SX.sym("z", len(parameters))
+    u, span, scale = ca.SX.sym("u", len(dynamics.inputs)), ca.SX.sym("span"), ca.DM(dynamics.scale)
+    theta = ca.DM(parameters.nominal) + ca.DM(parameters.scale) * z
+    points = sum(len(record.time) for record in problem.records)
+    rates = dynamics.rates(state * scale, u, theta) * span / scale
+    outputs = dynamics.outputs(state * scale, u, theta) / ca.DM(problem.sigma)
+    return _Sloped(rates, state, z, ca.vertcat(u, span), points), _Sloped(outputs, state, z, u, points)
+
+
+class _Sloped:
+    """A function of a state, z and data at many points: its values and derivatives, which are sparse."""
+
+    def __init__(self, value: ca.SX, state: ca.SX, z: ca.SX, data: ca.SX, points: int) -> None:
+        slopes = [ca.jacobian(value, by) for by in (state, z)]
+        self.places = [np.array(slope.sparsity().get_triplet(), dtype=np.intp) for slope in slopes]
+        self.shapes = [slope.shape for slope in slopes]
+        given = [state, z, data]
+        found = [ca.densify(value), *(ca.densify(ca.vertcat(ca.SX(0, 1), *slope.nonzeros())) for slope in slopes)]
+        self._value = _at_points(ca.Function("value", given, found[:1], ARGUMENTS, RESULTS[:1]), points)
+        self._slopes = _at_points(ca.Function("slopes", given, found, ARGUMENTS, RESULTS), points)
+
+    def value(self, states: Array, z: Array, data: Array) -> Array:
+        """(N, rows)."""
+        return self._value(states, z, data)[0]
+
+    def slopes(self, states: Array, z: Array, data: Array) -> tuple[Array, Array, Array]:
+        """Values (N, rows), and their derivatives by the state (N, rows, nx) and by z (N, rows, p)."""
+        value, *entries = self._slopes(states, z, data)
+        dense = []
+        for (row, column), shape, part in zip(self.places, self.shapes, entries, strict=True):
+            made = np.zeros((len(states), *shape))
+            made[:, row, column] = part
+            dense.append(made)
+        return value, dense[0], dense[1]
+
+
+def _at_points(function: ca.Function, points: int) -> Callable[[Array, Array, Array], list[Array]]:
+    """A function's vectors (N, ·) at N states, at one z and at N data; compiled if there are many points in all."""
+    compiled = kernel(function) if points > MANY else None
+
+    def evaluated(states: Array, z: Array, data: Array) -> list[Array]:
+        columns = [np.ascontiguousarray(values) for values in (states, z, data)]
+        if compiled:
+            return [values.reshape(len(states), -1) for values in compiled(columns, len(states))]
+        found = function.map(len(states)).call([columns[0].T, z, columns[2].T])
+        return [np.asarray(values).T for values in found]
+
+    return evaluated
+
+
+def _flat(values: Array) -> Array:
+    """(E·POINTS, k) of (E, POINTS, k)."""
+    return values.reshape(-1, values.shape[-1])
+
+
+def _largest(missed: Array) -> Array:
+    """(E,) largest defect of each interval; infinite where one is no number."""
+    size = np.abs(missed).max(axis=(1, 2))
+    return np.where(np.isfinite(size), size, np.inf)
+
+
+def _solve(matrices: Array, right: Array) -> Array:
+    """Solutions (E, POINTS, nx); NaN where a matrix has no inverse."""
+    found = np.full(right.shape, np.nan)
+    good = np.all(np.isfinite(matrices), axis=(1, 2)) & np.all(np.isfinite(right), axis=(1, 2))
+    try:
+        found[good] = np.linalg.solve(matrices[good], right[good].reshape(int(good.sum()), -1, 1)).reshape(
+            -1, *right.shape[1:])
+    except np.linalg.LinAlgError:  # one of them: each by itself
+        for k in np.flatnonzero(good):
+            found[k] = np.linalg.lstsq(matrices[k], right[k].ravel(), rcond=None)[0].reshape(right[k].shape)
+    return found

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import IdentifiabilityError, LogError, ProblemError
-from hydroopt.estimation.hydraulic.collocation import Program
+from hydroopt.estimation.hydraulic.collocated_program import nonlinear_program
 from hydroopt.estimation.hydraulic.dynamics import Dynamics, Record, ShootingProblem
 from hydroopt.estimation.hydraulic.shooting import measured_states
 from hydroopt.estimation.inference.identifiability import PREDICTED_TOLERANCE, significant
@@ -187,7 +187,7 @@ class HydraulicProblem(Shown):
             sigma: (ny,) standard deviation of each channel's readings, in SI; by default the sensors'.
         """
         problem = self.shooting if sigma is None else replace(self.shooting, sigma=sigma)
-        return Program(problem).nlp(self.parameters.nominal, measured_states(problem))
+        return nonlinear_program(problem, measured_states(problem))
 
     def cvxpy(self) -> NoReturn:
         """Refuse: the problem is not convex.

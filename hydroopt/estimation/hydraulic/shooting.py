@@ -1,43 +1,53 @@
-"""Parameters of any dynamics ẋ = f(x, u, θ), y = h(x, u, θ) from what sensors recorded: one bounded nonlinear program.
+"""Parameters of any dynamics ẋ = f(x, u, θ), y = h(x, u, θ) from what sensors recorded: bounded least squares.
 
-Unknowns are θ and the states of every record, at its samples and between them. The dynamics are constraints, so that a
-poor initial guess does not diverge as a simulation would (multiple shooting, Bock 1987, every interval being one). With
-Gaussian errors of the readings and Gaussian priors the answer is the most probable one. IPOPT finds it with the
-constrained Gauss-Newton Hessian; the information on θ is what is left when the dynamics have eliminated the states.
+Unknowns are θ and the first states of every record; from these the dynamics give all others. With Gaussian errors of
+the readings and Gaussian priors the answer is the most probable one. The information on θ is what is left when the
+first states are eliminated.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 from scipy.stats import truncnorm
 
-from hydroopt.errors import ProblemError, SolverError
-from hydroopt.estimation.hydraulic.collocation import Linearised, Program
-from hydroopt.estimation.hydraulic.dynamics import POINTS, Record, ShootingProblem, free_run
-from hydroopt.estimation.inference import ipopt
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.hydraulic.collocation import Collocation
+from hydroopt.estimation.hydraulic.dynamics import Record, ShootingProblem, free_run
+from hydroopt.estimation.hydraulic.levenberg_marquardt import Motion, fitted_motion, least_squares
 from hydroopt.estimation.inference.correlation import correlation_time
 from hydroopt.estimation.inference.identifiability import ROUNDING_TOLERANCE, significant
 from hydroopt.spatial.inertia import Array
 
-PATIENCE, NEAR = 60, 0.1
-"""Steps that the Gauss-Newton Hessian gets to come near (the exact one gets twice as many), and IPOPT's error, in
-squares of σ, that counts as near."""
-ASTRAY = 3.0
-"""Ratio of residuals and stated errors from which on another start is tried."""
-ROUGHLY = 1e-6
-"""Error of the steps of a simulation to start from."""
 UNKNOWN = 0.5
 """Part of the prior's information below which the data's counts as telling less than the prior."""
 SHARE = 0.3
 """Component of a direction from which on a parameter belongs to it."""
+
+
+@dataclass(frozen=True, eq=False)
+class Linearised:
+    """Residual rows around a solution, with the states as they follow from θ and the first states of the records.
+
+    Attributes:
+        theta: (p,).
+        points: for each record states (K, nx) at the points of `Record.time`.
+        rows: (m,) outputs minus readings in units of σ, `readings` of them; then `priors` rows of the priors of θ, and
+            those of first states.
+        jacobian: (m, p + f) by θ, then by the records' f first states, in units of `Dynamics.scale`.
+    """
+
+    theta: Array
+    points: tuple[Array, ...]
+    rows: Array
+    jacobian: Array
+    readings: int
+    priors: int
 
 
 class WeakDirection(NamedTuple):
@@ -217,75 +227,35 @@ def _without(columns: Array, rows: Array) -> Array:
 def multiple_shooting(problem: ShootingProblem, start: Array | ShootingEstimate | None = None) -> ShootingEstimate:
     """The most probable parameters and motion, from `start` (p,), an estimate nearby, or the nominal parameters.
 
-    The initial guess is a simulation from the start or, if that fails, the measured states. The Gauss-Newton Hessian
-    comes first; the exact one continues, since the former converges slowly with large residuals. Intervals finer than
-    the samples' come last.
-
     Raises:
-        SolverError: IPOPT failed or its answer failed our check.
+        SolverError: the dynamics cannot be simulated, or the steps do not converge.
     """
+    parameters, scale, collocation = problem.parameters, problem.dynamics.scale, Collocation(problem)
     if isinstance(start, ShootingEstimate):
-        theta, points = start.theta, start.solution.points
-        with suppress(SolverError):
-            return _solved(problem, theta, points, exact=True)
-        # the start fulfils all constraints, so that IPOPT has nothing to restore where its line search rejects the step
-        # of an indefinite Hessian; that of Gauss and Newton is not indefinite
-        return _solved_near(problem, theta, points)
-    parameters = problem.parameters
-    theta = np.clip(parameters.nominal if start is None else start, parameters.lower, parameters.upper)
-    if all(record.steps == 1 for record in problem.records):
-        return _best(problem, theta)
-    coarse = replace(problem, records=tuple(replace(record, steps=1) for record in problem.records))
-    best = _best(coarse, theta)
-    finer = [r.between(points[::POINTS]) for r, points in zip(problem.records, best.solution.points, strict=True)]
-    return _solved(problem, best.theta, finer, exact=True)
+        z = (start.theta - parameters.nominal) / parameters.scale
+        found = least_squares(collocation, z, [states / scale for states in start.solution.points])
+    else:
+        theta = np.clip(parameters.nominal if start is None else start, parameters.lower, parameters.upper)
+        found = fitted_motion(collocation, (theta - parameters.nominal) / parameters.scale,
+                              [states / scale for states in measured_states(problem)])
+    return ShootingEstimate(problem, _linearised(collocation, found))
 
 
-def _best(problem: ShootingProblem, theta: Array) -> ShootingEstimate:
-    """From a simulation or, if that fails or is far from the readings, from measured states, too."""
-    try:
-        found = _solved_near(problem, theta, _simulated(problem, theta))
-        if found.residual_scale < ASTRAY:
-            return found
-    except SolverError:
-        return _solved_near(problem, theta, measured_states(problem))
-    with suppress(SolverError):
-        other = _solved_near(problem, theta, measured_states(problem))
-        return min(found, other, key=lambda one: float(np.sum(one.solution.rows**2)))
-    return found
-
-
-def _solved_near(problem: ShootingProblem, theta: Array, points: Sequence[Array]) -> ShootingEstimate:
-    with suppress(SolverError):
-        near = _solved(problem, theta, points, exact=False)
-        theta, points = near.theta, near.solution.points
-    return _solved(problem, theta, points, exact=True)
-
-
-def _simulated(problem: ShootingProblem, theta: Array) -> list[Array]:
-    found = [(r, free_run(problem.dynamics, r, r.guess[0], theta, accuracy=ROUGHLY)[0]) for r in problem.records]
-    if not all(np.all(np.isfinite(states)) for _, states in found):
-        raise SolverError("the simulation diverged", where=problem.name, remedy="give another start")
-    return [r.between(states) for r, states in found]
-
-
-def _solved(problem: ShootingProblem, theta: Array, points: Sequence[Array], *, exact: bool) -> ShootingEstimate:
-    collocation = Program(problem)
-    nlp = collocation.nlp(theta, points)
-    x, weight, multipliers = nlp.x, ca.MX.sym("weight"), ca.MX.sym("multipliers", collocation.defects)
-    here, nothing = collocation.expressions(x, weight, multipliers), ca.MX.sym("p", 0)
-    hessian = weight * (here.rows_by_x.T @ here.rows_by_x) + (here.curvature if exact else 0)
-    options: dict[str, Any] = {
-        "grad_f": ca.Function("grad_f", [x, nothing], [
-            ca.sumsqr(here.rows) / 2, ca.densify(here.rows_by_x.T @ here.rows)], ["x", "p"], ["f", "grad_f_x"]),
-        "jac_g": ca.Function("jac_g", [x, nothing], [here.defects, here.defects_by_x], ["x", "p"], ["g", "jac_g_x"]),
-        "hess_lag": ca.Function("hess_lag", [x, nothing, weight, multipliers], [ca.triu(hessian)],
-                                ["x", "p", "lam_f", "lam_g"], ["triu_hess_gamma_x_x"])}
-    options |= ({"ipopt.max_iter": 2 * PATIENCE, "ipopt.mu_init": 1e-4} if exact else
-                {"ipopt.max_iter": PATIENCE, "ipopt.tol": NEAR, "ipopt.dual_inf_tol": NEAR})
-    answer = ipopt.solve_nlp(nlp.as_dict(), nlp.x0, nlp.lbx, nlp.ubx, nlp.lbg, nlp.ubg,
-                               f"identification of {problem.name}", (), options)
-    return ShootingEstimate(problem, collocation.linearised(answer))
+def _linearised(collocation: Collocation, found: Motion) -> Linearised:
+    """All residual rows around a motion."""
+    problem, parameters = collocation.problem, collocation.problem.parameters
+    linear, p, nx = collocation.condensed(found.z, found.points), collocation.p, collocation.nx
+    of_z, of_first = [each.jacobian[:, nx:] for each in linear], [each.jacobian[:, :nx] for each in linear]
+    count = sum(len(each.slope) for each in linear)
+    jacobian = np.block([[np.vstack(of_z), block_diag(*of_first)],
+                         [collocation.prior, np.zeros((len(collocation.prior), nx * len(linear)))],
+                         [np.zeros((count, p)), block_diag(*(each.slope for each in linear))]])
+    jacobian[:, :p] /= parameters.scale
+    rows = np.concatenate([*(each.rows for each in linear), collocation.prior @ found.z,
+                           *(each.first for each in linear)])
+    theta = np.clip(parameters.nominal + parameters.scale * found.z, parameters.lower, parameters.upper)  # rounding
+    return Linearised(theta, tuple(states * problem.dynamics.scale for states in found.points), rows, jacobian,
+                      len(rows) - len(collocation.prior) - count, len(collocation.prior))
 
 
 def measured_states(problem: ShootingProblem) -> list[Array]:

@@ -16,7 +16,7 @@ OPTIONS: Mapping[str, Any] = {
     "ipopt.print_level": 0, "print_time": False, "ipopt.sb": "yes", "ipopt.tol": 1e-9, "ipopt.dual_inf_tol": 1e-7,
     "ipopt.nlp_scaling_method": "none", "ipopt.max_iter": 1000, "error_on_fail": False,
     "ipopt.option_file_name": ""}  # or ipopt.opt in the working directory could load libraries and overwrite files
-"""Of all programs; multiple shooting replaces some."""
+"""Of all programs."""
 _IPOPT_WORDS = {
     "Solve_Succeeded": "solved",
     "Solved_To_Acceptable_Level": "solved, but less accurately than requested",
@@ -33,8 +33,7 @@ def solve_nlp(nlp: dict[str, Any], start: Array, lower: Array, upper: Array, con
               derivatives: Mapping[str, ca.Function] | None = None) -> Array:
     """Minimise a CasADi NLP with IPOPT and check the answer ourselves; `names` tells rows of constraints.
 
-    `derivatives` are the options grad_f, jac_g and hess_lag of nlpsol, for a caller who knows them; other options in it
-    replace those of `OPTIONS`.
+    `derivatives` are the options grad_f, jac_g and hess_lag of nlpsol, for a caller who knows them.
 
     Raises:
         SolverError: IPOPT's reason in plain words, or a failed check.
