@@ -86,7 +86,7 @@ def _page(machine: Machine, facts: dict[str, Any], output: Path) -> None:
 
     model = Model(machine)
     facts = facts | {"linkages": [each | {"ratios": _ratios(each)} for each in facts["linkages"]]}
-    drawn = report.render(machine, facts, limit_scenes(model), lever_arms(model), transmission_ratios(model))
+    drawn = report.render(model.scene_graph, facts, limit_scenes(model), lever_arms(model), transmission_ratios(model))
     write_files(output, {"machine.html": drawn})
 
 

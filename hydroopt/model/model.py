@@ -19,6 +19,7 @@ from hydroopt.model.imu_readings import imu_readings
 from hydroopt.model.joint_from_length import joint_from_length
 from hydroopt.model.kinematics import coordinates
 from hydroopt.model.regressor import Dynamics
+from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.notebook_card import Card, Shown
 from hydroopt.parameters import dynamic as dynamic_parameters
 from hydroopt.parameters.force_terms import ForceTerm
@@ -88,6 +89,11 @@ class Model(Shown):
         """Bodies whose numbers are parameters, by owner."""
         return dynamic_parameters.bodies(self.machine, actuator_inertia=self.actuator_inertia,
                                          calibrator=self.calibrator)
+
+    @cached_property
+    def scene_graph(self) -> SceneGraph:
+        """The machine's bodies and how they move together, for pictures."""
+        return SceneGraph(self.machine)
 
     @cached_property
     def forward_kinematics(self) -> ca.Function:

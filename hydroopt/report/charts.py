@@ -103,7 +103,17 @@ class Grid:
 
 @dataclass(frozen=True)
 class Curves:
-    """Lines (k,) over values of their own, not over the clock: label and look, x, y; `band` likewise two edges."""
+    """Lines over values of their own, not over the clock.
+
+    Attributes:
+        title: what is shown, with its unit.
+        across: what `x` (N,) is, with its unit.
+        lines: label, look and values (N,) of each.
+        alt: what the figure shows, with its numbers; by default the range of every line.
+        limits: heights of broken lines.
+        bands: look, lower and upper edge (N,) of shaded bands.
+        logarithmic: whether the axis of `x`, and that of values, is.
+    """
 
     title: str
     across: str
@@ -111,6 +121,8 @@ class Curves:
     lines: tuple[tuple[str, str, Array], ...]
     alt: str = ""
     limits: tuple[float, ...] = ()
+    bands: tuple[tuple[str, Array, Array], ...] = ()
+    logarithmic: tuple[bool, bool] = (False, False)
     kind: ClassVar[str] = "curves"
 
 
@@ -145,9 +157,11 @@ def static(chart: TimeChart | Curves, samples: Samples) -> Markup:
         x = samples.at
         lines = [(samples.columns[line.column], line.look, line.dashed) for line in chart.lines]
     stride = max(1, len(x) // STATIC_POINTS)
-    shown = [(np.log10(values[::stride]) if getattr(chart, "logarithmic", False) else values[::stride], look, dashed)
+    flat, upright = chart.logarithmic if isinstance(chart, Curves) else (False, chart.logarithmic)
+    x = np.log10(x) if flat else x
+    shown = [(np.log10(values[::stride]) if upright else values[::stride], look, dashed)
              for values, look, dashed in lines]
-    low, high = _reach([values for values, _, _ in shown], getattr(chart, "span", None))
+    low, high = _reach([values for values, _, _ in shown], None if isinstance(chart, Curves) else chart.span)
     first, last = (float(x[0]), float(x[-1])) if len(x) else (0.0, 1.0)
     across = LEFT + (WIDE - LEFT - 4) * (x[::stride] - first) / ((last - first) or 1.0)
     parts = [f'<rect x="{LEFT}" y="{ABOVE}" width="{WIDE - LEFT - 4}" height="{TALL - ABOVE - BELOW}" fill="none" '
@@ -156,11 +170,12 @@ def static(chart: TimeChart | Curves, samples: Samples) -> Markup:
         up = ABOVE + (TALL - ABOVE - BELOW) * (high - np.clip(values, low, high)) / (high - low)
         parts.append(f'<path d="{_path(across, up)}" fill="none" stroke="{COLOURS[look]}" stroke-width="1.2"'
                      f'{" stroke-dasharray=" + chr(34) + "5 3" + chr(34) if dashed else ""}/>')
-    ends = (low, high) if not getattr(chart, "logarithmic", False) else (10**low, 10**high)
+    ends = (10**low, 10**high) if upright else (low, high)
     for value, y in ((ends[1], ABOVE + 11), (ends[0], TALL - BELOW)):
         parts.append(f'<text x="{LEFT - 6}" y="{y}" text-anchor="end">{plain(value, 3)}</text>')
     for value, at, anchor in ((first, LEFT, "start"), (last, WIDE - 4, "end")):
-        parts.append(f'<text x="{at}" y="{TALL - 6}" text-anchor="{anchor}">{plain(value, 3)}</text>')
+        shown_value = plain(10**value if flat else value, 3)
+        parts.append(f'<text x="{at}" y="{TALL - 6}" text-anchor="{anchor}">{shown_value}</text>')
     return Markup(f'<svg class="static" viewBox="0 0 {WIDE} {TALL}" aria-hidden="true">{"".join(parts)}</svg>')
 
 
@@ -192,4 +207,5 @@ def payload(chart: Chart) -> dict[str, Any]:
         found["x"] = packed(chart.x)
         found["lines"] = [{"label": label, "look": look, "values": packed(values)}
                           for label, look, values in chart.lines]
+        found["bands"] = [{"look": look, "low": packed(low), "high": packed(high)} for look, low, high in chart.bands]
     return found

@@ -5,19 +5,15 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import TYPE_CHECKING, Any
 
-import matplotlib
 import numpy as np
-from markupsafe import Markup
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
-from hydroopt.report.figures import BLUE, ORANGE, STYLE, WIDTH, svg
+from hydroopt.report.charts import Curves
 from hydroopt.report.page import document
+from hydroopt.report.scene import SceneView
 
 if TYPE_CHECKING:
     from hydroopt.model.plant import Plant
     from hydroopt.model.workspace import Sweep
-    from hydroopt.spatial.inertia import Array
 
 KEYS = ("frequency", "damping", "gain")
 
@@ -56,43 +52,30 @@ def _gain_unit(plant: Plant, sweep: Sweep) -> str:
     return unit if command == "1" else f"{unit} per {command}"
 
 
-def figure(plant: Plant, sweeps: Sequence[Sweep]) -> Figure:
+def charts(plant: Plant, sweeps: Sequence[Sweep]) -> list[Curves]:
     """Frequency, damping and gain of every joint over its range; bands are what the other joints' postures make."""
-    joints = list(dict.fromkeys(sweep.joint for sweep in sweeps))
-    with matplotlib.rc_context(STYLE):
-        drawn = Figure(figsize=(WIDTH, 0.5 + 1.75 * len(joints)), layout="constrained")
-        axes = drawn.subplots(len(joints), len(KEYS), squeeze=False)
-        for line, joint in zip(axes, joints, strict=True):
-            unit, factor = _unit(plant, joint)
-            for sweep in (each for each in sweeps if each.joint == joint):
-                colour = BLUE if sweep.speed > 0 else ORANGE
-                for ax, key in zip(line, KEYS, strict=True):
-                    values = sweep.each(key) * (factor if key == "gain" else 1.0)
-                    _band(ax, sweep.position * factor, np.abs(values) if key == "gain" else values, colour)
-                line[2].set_ylabel(_gain_unit(plant, sweep))
-            for ax, title, label in zip(line, ("natural frequency", "damping", "steady gain"),
-                                        ("Hz", "of critical", line[2].get_ylabel()), strict=True):
-                ax.set(title=f"{joint}: {title}", xlabel=unit, ylabel=label)
-                ax.set_ylim(0, 1.1 * ax.get_ylim()[1])
-        drawn.legend(handles=[Line2D([], [], color=BLUE, label="towards the upper limit"),
-                              Line2D([], [], color=ORANGE, label="towards the lower limit")],
-                     loc="outside upper right", ncols=2)
-    return drawn
-
-
-def _band(ax: Any, x: Array, values: Array, colour: str) -> None:
-    ax.plot(x, values[:, 0], color=colour)
-    least = np.where(np.isfinite(values), values, np.inf).min(axis=1)
-    most = np.where(np.isfinite(values), values, -np.inf).max(axis=1)
-    ok = np.isfinite(least)
-    ax.fill_between(x[ok], least[ok], most[ok], color=colour, alpha=0.15, linewidth=0)
-
-
-def section(plant: Plant, sweeps: Sequence[Sweep]) -> dict[str, Any]:
-    """What the part ``hydraulics_section.html`` of a page needs."""
-    return {"rows": rows(plant, sweeps), "figure": Markup(svg(figure(plant, sweeps), "hydraulics"))}
+    made = []
+    for joint in dict.fromkeys(sweep.joint for sweep in sweeps):
+        unit, factor = _unit(plant, joint)
+        own = [sweep for sweep in sweeps if sweep.joint == joint]
+        for key, title in zip(KEYS, ("natural frequency [Hz]", "damping, of critical", "steady gain"), strict=True):
+            lines, bands = [], []
+            for sweep in own:
+                look = "predicted" if sweep.speed > 0 else "other"
+                values = np.abs(sweep.each(key)) * (factor if key == "gain" else 1.0)
+                lines.append(("towards the upper limit" if sweep.speed > 0 else "towards the lower limit", look,
+                              values[:, 0]))
+                least, most = (np.where(np.any(np.isfinite(values), axis=1), edge, np.nan) for edge in (
+                    np.min(np.where(np.isfinite(values), values, np.inf), axis=1),
+                    np.max(np.where(np.isfinite(values), values, -np.inf), axis=1)))
+                bands.append((look, least, most))
+            named = f"{title} [{_gain_unit(plant, own[0])}]" if key == "gain" else title
+            made.append(Curves(f"{joint}: {named}", f"{joint} [{unit}]", factor * own[0].position, tuple(lines),
+                               bands=tuple(bands)))
+    return made
 
 
 def render(plant: Plant, sweeps: Sequence[Sweep]) -> str:
     """A page of its own that needs nothing else."""
-    return document("hydraulics.html", machine=plant.machine, hydraulics=section(plant, sweeps))
+    return document("hydraulics.html", machine=plant.machine, hydraulics=rows(plant, sweeps),
+                    charts={"hydraulics": charts(plant, sweeps)}, scene=SceneView(plant.model.scene_graph))

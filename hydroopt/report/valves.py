@@ -5,24 +5,21 @@ from __future__ import annotations
 from itertools import groupby
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import matplotlib
 import numpy as np
 from markupsafe import Markup
-from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
 
-from hydroopt.report.figures import BLUE, GREY, ORANGE, STYLE, WIDTH, changes, changes_of, svg, thin
-from hydroopt.report.hydraulics import section
+from hydroopt.report import hydraulics
+from hydroopt.report.charts import Chart, Line, TimeChart
+from hydroopt.report.intervals import interval
 from hydroopt.report.numbers import NONE, Row, percent, plain, quantity, unit_text
 from hydroopt.report.page import document
+from hydroopt.report.panels import SMALL
+from hydroopt.report.samples import Recording, joined
+from hydroopt.report.scene import SceneView
 
 if TYPE_CHECKING:
-    from hydroopt.estimation.hydraulic.estimate import HydraulicEstimate, Run
+    from hydroopt.estimation.hydraulic.estimate import HydraulicEstimate
     from hydroopt.results.fit import Fit
-
-PRINTED = {"rad": ("deg", 180 / np.pi), "m": ("mm", 1e3), "Pa": ("bar", 1e-5)}
-"""Units that a reader prefers, and what SI is multiplied by."""
-
 
 class Parameter(NamedTuple):
     """One line of the parameter table."""
@@ -32,6 +29,7 @@ class Parameter(NamedTuple):
     numbers: Row
     identifiability: str
     bound: str
+    figure: Markup
 
 
 def render(estimate: HydraulicEstimate) -> str:
@@ -39,15 +37,17 @@ def render(estimate: HydraulicEstimate) -> str:
     problem, found = estimate.problem, estimate.shooting
     lines = [Parameter(name, unit_text(each.unit), quantity(
         _or_nan(each.value), _or_nan(each.std), each.ci95 or (np.nan, np.nan), _or_nan(each.nominal)),
-        each.identifiability, each.bound or "") for name, each in estimate.parameters.items()]
-    drawn = {"runs": free_runs(estimate), "changes": changes(changes_of(estimate.parameters))}
+        each.identifiability, each.bound or "", interval(each)) for name, each in estimate.parameters.items()]
+    machine = problem.plant.machine
     return document(
-        "valves.html", machine=problem.plant.machine, estimate=estimate, diagnostics=estimate.diagnostics,
-        hydraulics=section(problem.plant, estimate.sweeps) if estimate.sweeps else None, fit=_fit(estimate),
+        "valves.html", samples=joined(_recordings(estimate)), charts=_charts(estimate), verdict=estimate.verdict,
+        scene=SceneView(problem.plant.model.scene_graph, tuple(f"{joint}.q" for joint in machine.joints)),
+        machine=machine,
+        estimate=estimate, diagnostics=estimate.diagnostics,
+        hydraulics=hydraulics.rows(problem.plant, estimate.sweeps) if estimate.sweeps else None, fit=_fit(estimate),
         bodies=problem.bodies.shape[1],
         groups=[(owner, list(rows)) for owner, rows in groupby(lines, lambda p: p.name.rpartition(".")[0])],
         counts={kind: sum(p.identifiability == kind for p in lines) for kind in ("full", "combination", "none")},
-        figures={name: Markup(svg(figure, name)) for name, figure in drawn.items() if figure is not None},
         weights=[(channel, *_in_print(sigma, unit), plain(misfit, 3)) for channel, sigma, unit, misfit in zip(
             problem.channels, found.problem.sigma, (problem.plant.machine.channel_units[c] for c in problem.channels),
             estimate.misfit, strict=True)],
@@ -60,7 +60,7 @@ def _or_nan(value: float | None) -> float:
 
 
 def _in_print(value: float, unit: str) -> tuple[str, str]:
-    name, factor = PRINTED.get(unit, (unit_text(unit), 1.0))
+    name, factor = SMALL.get(unit, (unit_text(unit), 1.0))
     return plain(factor * value, 3), name
 
 
@@ -81,34 +81,41 @@ def _cells(fit: Fit | None) -> tuple[str, str, str, str]:
             percent(fit.vaf))
 
 
-def free_runs(estimate: HydraulicEstimate) -> Figure:
-    """Commands, and each channel measured and in free run, over all stretches one after the other."""
+def _commands(estimate: HydraulicEstimate) -> list[str]:
+    return list(estimate.problem.plant.inputs)
+
+
+def _recordings(estimate: HydraulicEstimate) -> list[Recording]:
+    """Commands, joint positions of the free run, and each channel measured and in free run, of all stretches."""
     problem = estimate.problem
-    shown = [(role, run) for role, runs in estimate.runs.items() for run in runs]
-    inputs = problem.plant.inputs
-    units = problem.plant.machine.channel_units
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 0.4 + 1.5 * (len(inputs) + len(problem.channels))), layout="constrained")
-        axes = figure.subplots(len(inputs) + len(problem.channels), 1, sharex=True, squeeze=False)[:, 0]
-        shift = 0.0
-        for role, run in shown:
-            t = run.record.t - run.record.t[0] + shift
-            shift = float(t[-1]) + 0.02 * float(t[-1] - t[0])
-            for ax, k in zip(axes, range(len(inputs)), strict=False):
-                ax.plot(*thin(t, run.record.u[:, k]), color=GREY, drawstyle="steps-post")
-            for k, ax in enumerate(axes[len(inputs) :]):
-                _measured_and_free(ax, t, run, k, PRINTED.get(units[problem.channels[k]], ("", 1.0))[1],
-                                   BLUE if role == "train" else ORANGE)
-        for ax, name in zip(axes, (*inputs, *problem.channels), strict=True):
-            ax.set(title=name, ylabel=PRINTED.get(units[name], (unit_text(units[name]),))[0])
-        axes[-1].set_xlabel("time, stretches one after the other [s]")
-        figure.legend(handles=[Line2D([], [], color=GREY, label="measured"),
-                               Line2D([], [], color=BLUE, label="free run, training"),
-                               Line2D([], [], color=ORANGE, label="free run, validation")][: 3 if len(
-                                   estimate.runs["validation"]) else 2], loc="outside upper right", ncols=3)
-    return figure
+    machine, states = problem.plant.machine, problem.plant.states
+    found = []
+    for role, runs in estimate.runs.items():
+        for run in runs:
+            columns = {f"{joint}.q": run.states[:, states.index(f"{joint}.q")] for joint in machine.joints}
+            columns |= {f"{name} command": run.record.u[:, k] for k, name in enumerate(_commands(estimate))}
+            for k, channel in enumerate(problem.channels):
+                factor = SMALL.get(machine.channel_units[channel], ("", 1.0))[1]
+                columns |= {f"{channel} measured": factor * run.record.y[:, k],
+                            f"{channel} free": factor * run.outputs[:, k]}
+            found.append(Recording("training" if role == "train" else role, role, run.record.t,
+                                   np.zeros(len(run.record.t), dtype=np.int64), columns))
+    return found
 
 
-def _measured_and_free(ax: Any, t: Any, run: Run, k: int, factor: float, colour: str) -> None:
-    ax.plot(*thin(t, factor * run.record.y[:, k]), color=GREY, lw=0.7)
-    ax.plot(*thin(t, factor * run.outputs[:, k]), color=colour)
+def _charts(estimate: HydraulicEstimate) -> dict[str, list[Chart]]:
+    """Commands, and every channel measured and in free run."""
+    problem, units = estimate.problem, estimate.problem.plant.machine.channel_units
+
+    def unit(name: str) -> str:
+        return SMALL.get(units[name], (unit_text(units[name]), 1.0))[0]
+
+    free: list[Chart] = [TimeChart(f"{channel} [{unit(channel)}]", (
+        Line(f"{channel} measured", "measured", "measured"), Line(f"{channel} free", "free run")))
+        for channel in problem.channels]
+    commands: list[Chart] = [TimeChart(f"{name} [{unit(name)}]", (Line(f"{name} command", name, "third"),))
+                             for name in _commands(estimate)]
+    shown = {"free": free, "commands": commands}
+    if estimate.sweeps:
+        shown["hydraulics"] = [*hydraulics.charts(problem.plant, estimate.sweeps)]
+    return shown

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fixtures.html import stands_alone
+from fixtures.html import data_of, stands_alone
 from hydroopt.cli import app
 from hydroopt.machine.machine_file import load_machine
 
@@ -78,7 +78,9 @@ def test_the_page_shows_free_runs_and_diagnostics(left: Path) -> None:
     page = (left / "out" / "report.html").read_text()
     for title in ("Diagnostics", "Free run", "Parameters", "Weights", "Data"):
         assert f"<h2>{title}</h2>" in page
-    assert page.count('aria-label="runs"') == page.count('aria-label="changes"') == 1
+    lines = [[line["label"] for line in chart["lines"]] for chart in data_of(page)["charts"]]
+    assert lines.count(["measured", "free run"]) >= 3
+    assert 'class="interval"' in page
     assert "jack.dead_band_reverse" in page
     assert stands_alone(page)
 

@@ -25,7 +25,6 @@ from hydroopt.estimation.dynamic.stored_information import INFORMATION, informat
 from hydroopt.estimation.dynamic.training_logs import contradictions
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine
-from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.json_file import Job, MachineId
@@ -148,11 +147,6 @@ class Estimate(Identification, Answer):
         found, units = self.identifiability, self.problem.parameters.units
         return tuple({"expression": found.expression(i), "unit": units[found.basis[i]],
                       "value": number(self.base_value[i]), "std": number(self.base_std[i])} for i in range(found.rank))
-
-    @cached_property
-    def scene(self) -> SceneGraph:
-        """The machine's bodies and how they move together."""
-        return SceneGraph(self.problem.model.machine)
 
     def details(self) -> Mapping[str, Any]:
         """Base parameters, masses of links, conditioning, physical consistency, weights and how it was computed."""

@@ -64,7 +64,7 @@ function keys(figure, lines) {
   const values = lines.map(({ label, look: name, dashed, dots }) => {
     const value = element("b"), swatch = element("i", { class: dots ? "dot" : dashed ? "dashed" : "" });
     swatch.style.color = `var(--${name})`;
-    holder.append(element("span", { class: "key" }, swatch, label, " ", value));
+    holder.append(element("span", { class: "key" }, ...(lines.length > 1 ? [swatch, label, " "] : []), value));
     return value;
   });
   figure.querySelector(".plot").before(holder);
@@ -202,12 +202,17 @@ function scale(unit, top) {
 
 function curves(figure, chart) {
   const x = unpack(chart.x), lines = chart.lines.map((line) => ({ ...line, values: unpack(line.values) }));
+  const bands = chart.bands.map((band) => ({ ...band, low: unpack(band.low), high: unpack(band.high) }));
   if (lines.length > 1) keys(figure, lines);
+  const hidden = { stroke: null, width: 0, points: { show: false } }, first = lines.length + 1;
   drawn(figure, {
-    series: [{}, ...lines.map((line) => ({ stroke: () => look.colour(line.look), width: 1.5, points: { show: false } }))],
-    scales: { x: { time: false } }, axes: axes(chart.across),
-    hooks: { draw: [(u) => chart.limits.forEach((value) => rule(u, value, look.colour("ink")))] },
-  }, [Array.from(x), ...lines.map((line) => gaps(line.values))]);
+    series: [{}, ...lines.map((line) => ({ stroke: () => look.colour(line.look), width: 1.5, points: { show: false } })),
+      ...bands.flatMap(() => [hidden, hidden])],
+    bands: bands.map((band, k) => ({ series: [first + 2 * k + 1, first + 2 * k],
+      fill: () => look.colour(band.look).replace("rgb(", "rgba(").replace(")", ", 0.16)") })),
+    scales: { x: { time: false, distr: chart.logarithmic[0] ? 3 : 1 }, y: { distr: chart.logarithmic[1] ? 3 : 1 } },
+    axes: axes(chart.across), hooks: { draw: [(u) => chart.limits.forEach((value) => rule(u, value, look.colour("ink")))] },
+  }, [Array.from(x), ...lines.map((line) => gaps(line.values)), ...bands.flatMap((band) => [gaps(band.low), gaps(band.high)])]);
 }
 
 for (const figure of document.querySelectorAll("figure[data-chart]")) {

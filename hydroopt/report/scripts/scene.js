@@ -164,7 +164,7 @@ const view = machine && (() => {
   const named = [
     ...scene.bodies.map((body) => ({ sprite: label(body.name), at: (poses) => machine.place(poses, { body: body.name, at: middleOf(body.points) }) })),
     ...scene.struts.map((strut) => ({ sprite: label(strut.name), at: (poses) => middleOf([machine.place(poses, strut.start), machine.place(poses, strut.end)]) })),
-    ...scene.marks.map((mark) => ({ sprite: label(mark.name), at: (poses) => machine.place(poses, { ...mark, at: [mark.at[0], mark.at[1], mark.at[2] + (mark.kind === "obstacle" ? mark.radius : 2 * thick)] }) })),
+    ...scene.marks.map((mark) => ({ sprite: label(mark.name), mark: true, at: (poses) => machine.place(poses, { ...mark, at: [mark.at[0], mark.at[1], mark.at[2] + (mark.kind === "obstacle" ? mark.radius : 2 * thick)] }) })),
   ];
 
   // --- motion ---
@@ -240,8 +240,10 @@ const view = machine && (() => {
   });
   holder.querySelector("[data-reset]").addEventListener("click", fit);
   const names = holder.querySelector("[data-names]");
-  labels.visible = names.checked;
-  names.addEventListener("change", () => { labels.visible = names.checked; draw(); });
+  // what stands around the machine is always named, its own parts if wanted
+  const name = () => { for (const { sprite, mark } of named) sprite.visible = Boolean(mark) || names.checked; draw(); };
+  names.addEventListener("change", name);
+  name();
 
   const dress = () => {
     for (const [name, own] of Object.entries(materials)) own.color.setStyle(look.colour(name));
