@@ -123,11 +123,11 @@ class Commands(Group):
 
     def format_commands(self, ctx: Any, formatter: Any) -> None:
         """Write the commands by job, each job with an example."""
-        width = formatter.width - 6 - max(map(len, COMMANDS))
+        width = formatter.width - 6 - max(len(name) for name in COMMANDS)  # `map` names a submodule here
         for job, names in JOBS.items():
             with formatter.section(job):
                 formatter.write_dl([(name, self.commands[name].get_short_help_str(width)) for name in names],
-                                   col_max=max(map(len, COMMANDS)))
+                                   col_max=max(len(name) for name in COMMANDS))
                 command = self.commands[names[-1] if job == "Measure" else names[0]]
                 assert isinstance(command, Deferred)
                 formatter.write_text(f"Example: {command.example}")

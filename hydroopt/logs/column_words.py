@@ -30,7 +30,7 @@ WORDS = {
 MEANING = {word: meaning for meaning, words in WORDS.items() for word in (meaning, *words)}
 GENERIC = {"cylinder", "motor", "joint", "link", "axis", "imu", "sensor"}
 """Words of a part's name that a column of it need not have."""
-ASIDE = {"linear", "angular", "sensor",
+ASIDE = {"linear", "angular", "sensor", "log", "data", "daten",
          "raw", "actual", "ist", "value", "wert", "signal", "measured", "mess", "side", "seite", "in", "of",
          "deg", "rad", "bar", "pa", "kpa", "mpa", "psi", "m", "mm", "cm", "s", "ms", "us", "ns", "n", "kn", "grad",
          "nm"}

@@ -136,7 +136,7 @@ def propose_map(path: str | Path, machine: Machine) -> MapProposal:
     Raises:
         LogError: the file is damaged or of an unknown kind.
     """
-    with open_files([str(path)], None) as source:
+    with open_files([str(path)], None, listed=True) as source:
         columns = [column for sheet in source.sheets for column in _columns(sheet)]
         own = all(sheet.content.own_stamps for sheet in source.sheets)
         several = len(source.sheets) > 1

@@ -20,7 +20,7 @@ from hydroopt.logs.log import Log, full_layout, given_layout, left_out
 from hydroopt.logs.log_files import read_log
 from hydroopt.logs.quality import Finding
 from hydroopt.logs.spline import MIN_SAMPLES, Grid
-from hydroopt.logs.table import in_si, kind_of, refuse_damage
+from hydroopt.logs.table import in_si, kind_of, refuse_damage, stamps_of
 from hydroopt.logs.treatment import Samples, choose, treat
 
 Array = NDArray[np.float64]
@@ -61,6 +61,7 @@ class LogStream:
         rows: first and last 1-based data row.
         findings: those known before the samples are read.
         piece: rows read at a time.
+        origin: moment of t = 0 in UTC; None where the stamps state no date.
     """
 
     path: str
@@ -72,6 +73,7 @@ class LogStream:
     rows: tuple[int, int]
     findings: tuple[Finding, ...] = ()
     piece: int = PIECE
+    origin: np.datetime64 | None = None
 
     @property
     def name(self) -> str:
@@ -149,10 +151,12 @@ class LogStream:
         wanted = {"t", *(self.units if channels is None else channels)}
         layout = self.layout.model_copy(update={
             "columns": {name: column for name, column in self.layout.columns.items() if name in wanted}})
-        for table in ParquetFile(Path(self.path), self.path, self.layout).pieces(layout.keys, ranges):
+        file, (time,) = ParquetFile(Path(self.path), self.path, self.layout), layout.columns["t"].keys
+        for table in file.pieces(layout.keys, ranges, time):
             values, _ = in_si(layout, table, self.path)
             refuse_damage(table.damage, table.rows, self.path)
-            yield Samples(values.pop("t"), values, table.rows)
+            t, made = values.pop("t"), stamps_of(layout, table)
+            yield Samples(t if made is None else made.seconds(self.origin), values, table.rows)
 
     @cached_property
     def survey(self) -> Survey:
@@ -279,11 +283,16 @@ def stream(path: str | Path, *, mapping: LogMap | str | Path | None = None,
     file = ParquetFile(Path(path), where, given)
     layout, ignored = full_layout(given, file.header, where)
     rows = file.selected
-    # the units as they are found for whole logs: of no samples
-    _, units = in_si(layout, next(file.pieces(layout.keys, [(rows[0], rows[0])])), where)
+    # units and dates as they are found for whole logs
+    first = next(file.pieces(layout.keys, [(rows[0], min(rows[0] + BLOCK - 1, rows[1]))], layout.columns["t"].keys[0]))
+    (_, units), made = in_si(layout, first, where), stamps_of(layout, first)
+    notes = left_out(layout, ignored, *rows)
+    if made is not None and made.shown:
+        notes += (Finding("clock", "t", *rows, 0, made.shown),)
     with Path(path).open("rb") as data:
         digest = hashlib.file_digest(data, "sha256").hexdigest()
-    return LogStream(where, digest, layout, units, chosen, limits or {}, rows, left_out(layout, ignored, *rows), piece)
+    return LogStream(where, digest, layout, units, chosen, limits or {}, rows, notes, piece,
+                     None if made is None else made.start)
 
 
 def _ranges(rows: tuple[int, int], size: int) -> list[tuple[int, int]]:

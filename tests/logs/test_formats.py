@@ -6,6 +6,8 @@ import shutil
 import zipfile
 
 import numpy as np
+import pandas as pd
+import pyarrow as pa
 import pytest
 
 from fixtures.tiers import tiered
@@ -51,6 +53,12 @@ def german(folder):
         text = text.replace(name.replace(".", ","), name)
     (folder / "run.txt").write_text(text, "utf-16")
     return folder / "run.txt", None
+
+
+def semicolons(folder):
+    path, _ = csv(folder)
+    (folder / "run.tsv").write_text("# Excavator 7\n" + path.read_text().replace(",", ";"))
+    return folder / "run.tsv", None
 
 
 def parquet(folder):
@@ -212,7 +220,8 @@ def json_mcap(folder):
     return folder / "run.mcap", mapped()
 
 
-FORMATS = {"csv": csv, "csv.gz": packed, "German text": german, "parquet": parquet, "mat": mat, "mat 7.3": mat73,
+FORMATS = {"csv": csv, "csv.gz": packed, "semicolons": semicolons,
+           "German text": german, "parquet": parquet, "mat": mat, "mat 7.3": mat73,
            "hdf5": hdf5, "npz": npz, "xlsx": xlsx, "tdms": tdms, "mdf": mdf, "ros2 sqlite": ros2("SQLITE3"),
            "ros2 mcap": ros2("MCAP"), "ros1": ros1, "mcap json": json_mcap}
 DATED = {"tdms", "mdf", "ros2 sqlite", "ros2 mcap", "ros1", "mcap json"}
@@ -236,6 +245,14 @@ def numbers(log):
     return [x.tobytes() for x in (found.value, found.std, found.ci95, found.base_value)]
 
 
+def dated():
+    return {"t": START + (T * 1e9).round().astype("m8[ns]"), **NAMED}
+
+
+FRAMES = {"pandas": lambda: pd.DataFrame({"t [s]": T, **NAMED}), "pandas with dates": lambda: pd.DataFrame(dated()),
+          "Arrow": lambda: pa.table({"t [s]": T, **NAMED}), "Arrow with dates": lambda: pa.table(dated())}
+
+
 @pytest.mark.slow
 def test_every_format_gives_the_same_estimate(tmp_path):
     expected = numbers(MADE)
@@ -243,6 +260,16 @@ def test_every_format_gives_the_same_estimate(tmp_path):
         (tmp_path / kind).mkdir()
         path, layout = write(tmp_path / kind)
         assert numbers(read_log(path, mapping=layout)) == expected, kind
+    for kind, make in FRAMES.items():
+        assert numbers(Log.from_frame(make())) == expected, kind
+
+
+@pytest.mark.parametrize("kind", FRAMES)
+def test_every_frame_gives_the_same_numbers(kind):
+    log = Log.from_frame(FRAMES[kind]())
+    assert log.t.tobytes() == T.tobytes()
+    assert {name: x.tobytes() for name, x in log.channels.items()} == {
+        name: x.tobytes() for name, x in CHANNELS.items()}
 
 
 MILD = {"tdms"}

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.io import savemat
 
 from hydroopt.cli import app
 from hydroopt.logs.column_words import matched, naming, words_of
@@ -138,3 +139,23 @@ def test_the_command_writes_the_map_and_says_what_is_next(log, tmp_path, capsys)
         app(["map", str(path), "cat215b", "--to", str(to)], standalone_mode=False)
     app(["map", str(path), "cat215b", "--json"], standalone_mode=False)
     assert json.loads(capsys.readouterr().out)["unused"] == ["Oil temp"]
+
+
+def test_variables_of_a_matlab_file_are_listed_and_its_map_reads_them(machine, log, tmp_path):
+    """Vectors, fields of a struct and rows of a matrix."""
+    pressures = {channel: x for channel, x in log.channels.items() if ".p_" in channel}
+    content = {"t": log.t, "log": {channel.replace(".q", "_angle_deg"): np.degrees(log.channels[channel])[:, None]
+                                   for channel in ("swing.q", "boom.q", "stick.q")},
+               "boom_cylinder_p_head_bar": 1e-5 * pressures["boom_cylinder.p_head"],
+               "p": np.array([*pressures.values()]), "note": "made today", "table": np.zeros((900, 900))}
+    savemat(tmp_path / "run.mat", content)
+    found = propose_map(tmp_path / "run.mat", machine)
+    assert {"swing.q", "boom.q", "stick.q", "boom_cylinder.p_head"} <= {each.channel for each in found.proposals}
+    assert {f"p[{row}]" for row in range(len(pressures))} <= set(found.unused)
+    lines = found.toml().replace('# t = ', 't = ').replace("[columns]", '[columns]\n"stick_cylinder.p_rod" = '
+                                                           '{ column = "p[5]", unit = "Pa" }')
+    (tmp_path / "map.toml").write_text("\n".join(line for line in lines.splitlines()
+                                                 if '"stick_cylinder.p_rod"' not in line or "p[5]" in line))
+    read = read_log(tmp_path / "run.mat", mapping=tmp_path / "map.toml")
+    np.testing.assert_allclose(read.channels["boom.q"], log.channels["boom.q"], rtol=1e-14)
+    np.testing.assert_array_equal(read.channels["stick_cylinder.p_rod"], [*pressures.values()][5])

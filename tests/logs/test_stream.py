@@ -127,3 +127,18 @@ def test_only_long_parquet_files_are_read_in_pieces(tmp_path: Path, monkeypatch:
 def test_a_survey_of_infinite_readings_warns_of_nothing(tmp_path):
     Log("made", np.arange(50.0), {"boom.q": np.full(50, np.inf)}).write(tmp_path / "log.parquet")
     assert stream(tmp_path / "log.parquet").survey.extremes["boom.q"] == (np.inf, np.inf)
+
+
+@pytest.mark.parametrize("stamps", ["dates", "ns", "ms", "float s"])
+def test_dates_and_epochs_are_read_in_pieces_as_in_memory(tmp_path: Path, stamps: str) -> None:
+    ticks = np.int64(1_795_407_600_000_000_007) + 20_000_000 * np.arange(ROWS)
+    column = {"dates": ticks.astype("M8[ns]"), "ns": ticks, "ms": ticks // 10**6, "float s": ticks / 1e9}[stamps]
+    name = {"dates": "t", "ns": "t [ns]", "ms": "t [ms]", "float s": "t [s]"}[stamps]
+    path = write(tmp_path / "log.parquet", {name: column} | {k: x for k, x in columns().items() if k != "t [s]"})
+    whole, pieces = read_log(path), stream(path, piece=800)
+    read = np.concatenate([samples.t for samples in pieces.read([(1, 800), (801, ROWS)])])
+    assert read.tobytes() == whole.t.tobytes()
+    after = pieces.split(0.5)[1]
+    assert next(after.read([after.rows])).t.tobytes() == whole.split(0.5)[1].t.tobytes()
+    assert pieces.origin is not None
+    assert ("clock" in {one.kind for one in pieces.findings}) is ("clock" in {one.kind for one in whole.findings})

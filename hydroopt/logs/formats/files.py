@@ -33,8 +33,10 @@ class Source:
 
 
 @contextmanager
-def open_files(paths: Sequence[str], layout: LogMap | None) -> Iterator[Source]:
+def open_files(paths: Sequence[str], layout: LogMap | None, *, listed: bool = False) -> Iterator[Source]:
     """The sheets of files, open as long as they are read; a directory that is no bag stands for its files.
+
+    Without a map, MATLAB files up to version 7 are only `listed`: they state no units.
 
     Raises:
         LogError: a file is damaged or of an unknown kind, or declares more than can be held.
@@ -54,18 +56,18 @@ def open_files(paths: Sequence[str], layout: LogMap | None) -> Iterator[Source]:
             else:
                 data, digest, kind = load(file, kind)
                 digests.append(digest)
-                sheets.append(Sheet(front, file, _open(kind, data, file, layout)))
+                sheets.append(Sheet(front, file, _open(kind, data, file, layout, listed=listed)))
         yield Source(tuple(sheets), tuple(digests))
 
 
-def _open(kind: str, data: bytes, where: str, layout: LogMap | None) -> LogFile:
+def _open(kind: str, data: bytes, where: str, layout: LogMap | None, *, listed: bool) -> LogFile:
     """A file of `kind` "csv", "parquet" or "mat" from its bytes; `layout` is its map, if it has one.
 
     Raises:
         LogError: the file is damaged or not of that kind, or declares more than can be held.
     """
     if kind == "mat":
-        return MatFile(data, where, layout)
+        return MatFile(data, where, layout, listed=listed)
     return TextFile(data, where, layout) if kind == "csv" else ParquetFile(data, where, layout)
 
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import json
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import Any
 
 import numpy as np
@@ -22,10 +22,14 @@ class UnusableError(Exception):
     """What is wrong with a variable, and what to do about it."""
 
 
-def answer(data: bytes, keys: Sequence[tuple[str, int | None]]) -> bytes:
+ROWS = 64
+"""Rows of a matrix up to which each is listed as a vector."""
+
+
+def answer(data: bytes, keys: Sequence[tuple[str, int | None]] | None) -> bytes:
     """Sizes of the vectors `keys` (variable, row) as a line of JSON, then their numbers; or what is wrong in that line.
 
-    Variables have dots for the fields of structs.
+    Without keys, the names of all vectors. Variables have dots for the fields of structs.
 
     >>> from scipy.io import savemat
     >>> savemat(file := io.BytesIO(), {"q": [[1.0, 2.0]]})
@@ -33,12 +37,15 @@ def answer(data: bytes, keys: Sequence[tuple[str, int | None]]) -> bytes:
     b'{"sizes": [2]}\\n\\x00'
     """
     try:
-        names = sorted({variable.partition(".")[0] for variable, _ in keys})
+        names = None if keys is None else sorted({variable.partition(".")[0] for variable, _ in keys})
         content = loadmat(io.BytesIO(data), variable_names=names)  # type: ignore[arg-type]
     except MemoryError:
         return _line({"unreadable": "it declares more than memory can hold"})
     except Exception as error:  # whatever SciPy raises, the file is at fault
         return _line({"unreadable": str(error) if isinstance(error, ValueError | MatReadError) else "it is damaged"})
+    if keys is None:
+        return _line({"names": [name for variable, value in content.items() if not variable.startswith("__")
+                                for name in _listed(variable, value)]})
     found = []
     for variable, row in keys:
         try:
@@ -46,6 +53,21 @@ def answer(data: bytes, keys: Sequence[tuple[str, int | None]]) -> bytes:
         except UnusableError as error:
             return _line({"variable": variable, "what": error.args[0], "remedy": error.args[1]})
     return _line({"sizes": [vector.size for vector in found]}) + b"".join(vector.tobytes() for vector in found)
+
+
+def _listed(name: str, value: Any) -> Iterator[str]:
+    """Names of the vectors of a variable: its own, those of its rows or of its fields."""
+    if not isinstance(value, np.ndarray) or value.ndim != 2 or not value.size:
+        return
+    if value.dtype.names:
+        for field, part in zip(value.dtype.names, value.item(), strict=True) if value.size == 1 else ():
+            yield from _listed(f"{name}.{field}", part)
+    elif value.dtype.kind in "fiu" and value.size > 1:
+        rows, columns = value.shape
+        if 1 in value.shape:
+            yield name
+        elif rows <= min(ROWS, columns):
+            yield from (f"{name}[{row}]" for row in range(rows))
 
 
 def _line(content: dict[str, Any]) -> bytes:

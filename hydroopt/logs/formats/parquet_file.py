@@ -6,6 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt.errors import LogError
 from hydroopt.extras import needed
@@ -67,15 +68,17 @@ class ParquetFile:
                            remedy="convert the column to float64")
         return name
 
-    def pieces(self, keys: Sequence[RawKey], ranges: Sequence[tuple[int, int]]) -> Iterator[Table]:
+    def pieces(self, keys: Sequence[RawKey], ranges: Sequence[tuple[int, int]],
+               time: RawKey | None = None) -> Iterator[Table]:
         """The columns `keys` as numbers, nulls NaN, of ranges of 1-based data rows (first, last) that may overlap.
 
-        The ranges come in the order of both their ends. No more of the file is held than the widest of them.
+        The ranges come in the order of both their ends. No more of the file is held than the widest of them. A `time`
+        of dates or of an epoch comes as stamps, too.
         """
         from pyarrow import ArrowException  # noqa: PLC0415 (import cost)
 
-        names = [self._column(key) for key in keys]
-        held: list[tuple[int, list[Array]]] = []  # first row, and columns
+        names = [self._column(key, moment=key == time) for key in keys]
+        held: list[tuple[int, list[NDArray[Any]]]] = []  # first row, and columns
         waiting = deque(ranges)
         batches = self._batches(names, ranges)
         while waiting:
@@ -85,16 +88,26 @@ class ParquetFile:
                 try:
                     row, batch = next(batches)
                     if row + batch.num_rows > first:
-                        held.append((row, [np.asarray(batch.column(name).cast("float64"), dtype=float)
-                                           for name in names]))
+                        held.append((row, [self._numbers(batch.column(name), moment=key == time)
+                                           for key, name in zip(keys, names, strict=True)]))
                 except (ArrowException, OSError, ValueError) as error:
                     raise unreadable("Parquet", self.where, error) from None
                 except StopIteration:
                     raise unreadable("Parquet", self.where, ValueError("fewer rows than declared")) from None
             parts = [[column[max(0, first - row) : last + 1 - row] for column in columns] for row, columns in held]
-            yield Table(dict(zip(keys, map(np.concatenate, zip(*parts, strict=True)), strict=True)),
-                        np.arange(first, last + 1))
+            columns = dict(zip(keys, map(np.concatenate, zip(*parts, strict=True)), strict=True))
+            made = stamps.of_column(columns[time]) if time in columns else None
+            yield Table({key: x.astype(float) for key, x in columns.items()}, np.arange(first, last + 1), stamps=made)
             waiting.popleft()
+
+    @staticmethod
+    def _numbers(column: Any, *, moment: bool) -> NDArray[Any]:
+        """An Arrow array as floating point; of a time as dates or whole numbers where it holds these."""
+        if moment:
+            values = column.to_numpy(zero_copy_only=False)
+            if values.dtype.kind in "mMiu":
+                return np.asarray(values)
+        return np.asarray(column.cast("float64", safe=False), dtype=float)
 
     def _batches(self, names: list[str], ranges: Sequence[tuple[int, int]]) -> Iterator[tuple[int, Any]]:
         """(first row, Arrow record batch) of the row groups that hold any of the ranges."""
@@ -121,7 +134,7 @@ class ParquetFile:
                 if key == time and (made := stamps.of_column(column.to_numpy()[rows - 1])) and not made.unit:
                     columns[key] = made.seconds()
                     continue
-                columns[key] = np.asarray(column.cast("float64").to_numpy(), dtype=float)[rows - 1]
+                columns[key] = np.asarray(column.cast("float64", safe=False).to_numpy(), dtype=float)[rows - 1]
             except (ArrowException, OSError, ValueError, IndexError) as error:
                 raise unreadable("Parquet", self.where, error) from None
         return Table(columns, rows, stamps=made, texts={
