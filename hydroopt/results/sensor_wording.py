@@ -26,6 +26,10 @@ SENSOR_WORDS: dict[Kind, Words] = {
         "changes are known.",
         "Survey points of the tip at rest, read its joint or cylinder in some postures, or measure where its IMU "
         "sits."),
+    Kind.POSITION_ASSUMED: Words(
+        "In {log}, the position of {subject} is known to {std:.2g} {unit} only (standard deviation): it changes the "
+        "forces of {actuator} by {part:.1f %}, which masses and intervals leave out.",
+        "Survey three points of the tip, or twelve postures at rest, and calibrate the sensors with them (--at-rest)."),
     Kind.PRESSURE_NOT_MEASURED: Words(
         "{log} lacks {subject}: commands, motion and the other pressures alone tell what happens there."),
     Kind.FORCE_NOT_MEASURED: Words(

@@ -56,6 +56,7 @@ class Kind(StrEnum):
     SATURATED = "sensor saturated"
     NOT_BY_MOTION = "not determined by motion and poses"
     POSITION_UNCERTAIN = "position of a joint uncertain"
+    POSITION_ASSUMED = "uncertain position of a joint taken as exact"
 
     # comparison of controllers
     UNSTABLE_ELSEWHERE = "loop unstable outside the motion"
@@ -193,7 +194,7 @@ OF_LOGS = REFUTATIONS | frozenset({
     Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE, Kind.OTHER_SAMPLING_RATE})
 """Kinds of what contradicts the machine file in a log as it is read, before any fit."""
 CONTRADICTIONS = OF_LOGS | frozenset({
-    Kind.STROKE_CONTRADICTS_POSES, Kind.BIAS_DRIFTS, Kind.MOTION_UNEXPLAINED,
+    Kind.STROKE_CONTRADICTS_POSES, Kind.BIAS_DRIFTS, Kind.MOTION_UNEXPLAINED, Kind.POSITION_ASSUMED,
     Kind.MISFIT_CAUSE, Kind.LACK_OF_FIT, Kind.BODIES_CONTRADICTED, Kind.PRIORS_CONTRADICTED,
     Kind.WORSE_THAN_ZERO, Kind.UNEXPLAINED_ACTUATOR,
     Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_CHANNEL, Kind.ERRORS_FAR_LARGER,

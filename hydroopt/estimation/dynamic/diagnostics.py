@@ -27,6 +27,8 @@ ABOVE_NOISE, WEAK = 1.5, 2.0
 """Residuals as a multiple of the sensors' noise, and the growth of bodies that a log-det distance permits, beyond which
 there is a diagnostic."""
 
+NOT_EXACT = 0.01
+"""Part of an actuator's force by which the standard deviation of a position may change it."""
 CONFLICT = 1e-3
 """p-value of agreement of data and priors below which the answer is suspect."""
 
@@ -37,8 +39,9 @@ _EFFECTS = {ParameterKind.MASS: "gravity", ParameterKind.FIRST_MOMENT: "gravity"
 
 def diagnose(found: Identification) -> tuple[Diagnostic, ...]:
     """All diagnostics of an identification, the most severe first."""
-    return (*machine_diagnostics(found.problem.model), *_prediction(found), *_sampling(found),
-            *_prior_conflict(found), *_consistency(found), *_findings(found), *_residuals(found), *_repeats(found),
+    return (*machine_diagnostics(found.problem.model), *_positions(found), *_prediction(found),
+            *_sampling(found), *_prior_conflict(found), *_consistency(found), *_findings(found), *_residuals(found),
+            *_repeats(found),
             *_assumptions(found), *_active(found), *_identifiability(found),
             *_confounded(found.problem.parameters, found.confounded))
 
@@ -74,6 +77,28 @@ def _unexplained(found: Identification) -> Iterator[Diagnostic]:
         beyond = np.sqrt(max(fit.rms**2 - (ABOVE_NOISE * noise) ** 2, 0.0))
         if beyond and UNEXPLAINED * fit.rms < fit.relative * beyond and fit.relative <= 1:
             yield Diagnostic(Kind.UNEXPLAINED_ACTUATOR, (balance.name,), {"relative": fit.relative, "data": data})
+
+
+def _positions(found: Identification) -> Iterator[Diagnostic]:
+    """Joints whose positions are fitted, and known so little that forces depend on it."""
+    model, told = found.problem.model, set[str]()
+    for data in (*found.problem.experiments, *found.problem.validation):
+        each = data.plotted
+        if each.position_std is None:
+            continue
+        rows = np.flatnonzero(each.inside)
+        change = model.over(model.force_by_motion, *each.inputs(rows), found.psi)[0] * each.position_std
+        size = np.sqrt(np.nanmean(each.force[rows] ** 2, axis=0))
+        part = np.sqrt(np.mean(change**2, axis=0)) / size[:, None]  # (r, n)
+        for j, joint in enumerate(model.machine.joints):
+            k = int(np.nanargmax(part[:, j]))
+            if part[k, j] > NOT_EXACT and joint not in told:
+                told.add(joint)
+                slides, std = model.machine.position_unit(joint) == "m", float(each.position_std[j])
+                yield Diagnostic(Kind.POSITION_ASSUMED, (joint,), {
+                    "log": each.log.path or each.log.name, "actuator": model.machine.balances[k].name,
+                    "part": float(part[k, j]), "std": 1e3 * std if slides else float(np.degrees(std)),
+                    "unit": "mm" if slides else "deg"})
 
 
 def _sampling(found: Identification) -> Iterator[Diagnostic]:

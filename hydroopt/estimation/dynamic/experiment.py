@@ -97,6 +97,7 @@ class Experiment:
     state which channels were not used and how measured lengths compare with the geometry. `pressure` (N, n) [Pa] is
     p_head + p_rod of each cylinder whose seals' friction depends on it and 0 for all other actuators; None where no
     friction does. `added` (N, n, p) is what an attached calibrator, lags or faults of instruments add to the regressor.
+    `position_std` (n,) is the standard deviation of the joints' positions where the motion is fitted to other sensors.
     """
 
     model: Model
@@ -108,6 +109,7 @@ class Experiment:
     pressure: Array | None = None
     added: Array | None = None
     calm: NDArray[np.bool_] | None = None
+    position_std: Array | None = None
 
     def inputs(self, rows: slice | NDArray[np.intp] = slice(None)) -> tuple[Array, ...]:
         """Inputs of the model's regressor and inverse dynamics: q, qd, qdd and, where needed, pressure (·, n)."""
@@ -285,9 +287,9 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
             open.
         ProblemError: the attached calibrator cannot have moved as the log says.
     """
-    machine, given = model.machine, log
+    machine, given, position_std = model.machine, log, None
     if calls_for_fit(machine, log):
-        log, motion = sensed(machine, log)
+        log, motion, position_std = sensed(machine, log)
         angles = motion.q
     else:
         angles = measured_angles(model, log)
@@ -304,7 +306,7 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
     known = dry_friction_known(model, motion, phases, limits.noise) & (often | ~has_dry_friction(model)) & told
     made = Experiment(model, log, motion, force, known_in_spite_of(lags, known, motion),
                       (*remarks(model, given, angles), *calibrator_remark(attached)), pressures(model, log), added,
-                      phases.calm[:, kept] & ~known & told)
+                      phases.calm[:, kept] & ~known & told, position_std)
     return made._lagging(lags) if np.any(lags) else made
 
 

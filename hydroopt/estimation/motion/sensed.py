@@ -4,6 +4,7 @@ differentiated angles."""
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 
@@ -30,8 +31,17 @@ def calls_for_fit(machine: Machine, log: AnyLog) -> bool:
                for channel in motion_channels(machine, log.channels))
 
 
-def sensed(machine: Machine, log: Log) -> tuple[Log, Motion]:
-    """The log with the fitted angle of each joint, and the fitted motion at its samples.
+class Sensed(NamedTuple):
+    """A log with the fitted positions, the fitted motion at its samples, and the RMS standard deviation (n,) of the
+    joints' positions in it."""
+
+    log: Log
+    motion: Motion
+    position_std: Array
+
+
+def sensed(machine: Machine, log: Log) -> Sensed:
+    """The motion of a log by all its sensors.
 
     Of the geometry only the places of IMUs count as uncertain: calibrate it before.
 
@@ -59,12 +69,13 @@ def sensed(machine: Machine, log: Log) -> tuple[Log, Motion]:
                    units={**used.units, **{name: machine.channel_units[name] for name in angles}})
     bandwidth = np.full(len(machine.joints), machine.bandwidth or FASTEST)
     interior = np.concatenate([inside(used.t[used.segment == number], bandwidth) for number in np.unique(used.segment)])
+    position_std = np.sqrt(np.nanmean(std**2, axis=0))
     said = ", ".join(f"{joint} {_spread(value, machine.position_unit(joint))}" for joint, value in zip(
-        machine.joints, np.sqrt(np.nanmean(std**2, axis=0)), strict=True))
+        machine.joints, position_std, strict=True))
     note = f"motion fitted to {len(motion_channels(machine, log.channels))} channels; standard deviations: {said}"
     q, qd, qdd = made[:, kept]
-    return used, Motion(used.t, q, qd, qdd, used.segment, interior, bandwidth,
-                        np.ones(len(machine.joints), dtype=int), (note,))
+    return Sensed(used, Motion(used.t, q, qd, qdd, used.segment, interior, bandwidth,
+                               np.ones(len(machine.joints), dtype=int), (note,)), position_std)
 
 
 def _taken(found: FittedPaths, log: Log, recording: Recording) -> Array:

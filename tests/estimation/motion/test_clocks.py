@@ -41,7 +41,7 @@ def test_delay_and_drift_are_recovered_within_their_intervals(late, fast):
 
 def test_the_motion_is_given_when_forces_were_read():
     machine, course, made = recording(5)
-    log, motion = sensed(machine, made.log())
+    log, motion, _ = sensed(machine, made.log())
     true = (log.t - LATE) / (1 + FAST)
     for joint in range(2):
         expected = np.interp(true, course.t, course.qd[:, joint])

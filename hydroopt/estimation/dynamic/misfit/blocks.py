@@ -76,7 +76,8 @@ class Data:
 
     Attributes:
         views: of the logs that have samples enough.
-        prior: (P, P) information about the nuisances: all parameters, then the geometry of measured lengths.
+        prior: (P, P) information about the nuisances: all parameters, then the geometry of measured lengths, then
+            constant errors of positions that are not read but fitted.
         pull: (P,) information times the distance of the priors' mean from the nominal parameters.
     """
 
@@ -88,18 +89,21 @@ class Data:
         self._regressors = [_with(view, chosen) for view in self.views]
         self.blocks = blocks_of(self.views)
         self._covariances = [self._covariance(block) for block in self.blocks]
-        parameters, extra = problem.parameters, 4 * len(self.views[0].lengths)
+        parameters = problem.parameters
+        fitted = any(view.experiment.position_std is not None for view in self.views)
+        beside = np.append(np.full(4 * len(self.views[0].lengths), GEOMETRY),
+                           np.ones(len(problem.model.machine.joints) if fitted else 0))
         rows, right = problem.prior_rows
-        p = len(parameters)
+        p, extra = len(parameters), len(beside)
         self.prior = np.zeros((p + extra, p + extra))
         self.prior[:p, :p] = rows.T @ rows
-        at = np.arange(p + extra)
-        self.prior[at[p:], at[p:]] = 1 / GEOMETRY**2
+        self.prior[p:, p:] = np.diag(1 / beside**2)
         held = list(parameters.select(problem.fixed))
         self.prior[held, held] += 1e8 / parameters.scale[held] ** 2
         self.pull = np.zeros(p + extra)
         self.pull[:p] = rows.T @ (right - rows @ parameters.nominal)
-        self.scale = np.append(parameters.scale, np.full(extra, GEOMETRY))
+        self.scale = np.append(parameters.scale, beside)
+        self._fitted = fitted
         self.problem, self.from_nominal = problem, psi - parameters.nominal
 
     def about(self, from_nominal: Array, chosen: Sequence[tuple[Fault, float]]) -> Data:
@@ -123,9 +127,9 @@ class Data:
 
     @cached_property
     def nuisances(self) -> Columns:
-        """Of all parameters and of the geometry of lengths."""
-        return self.columns([np.concatenate([K, _geometry(view)], axis=2)
-                             for view, K in zip(self.views, self._regressors, strict=True)])
+        """Of all parameters, of the geometry of lengths and of positions that are fitted."""
+        return self.columns([np.concatenate([K, _geometry(view), view.by_position[:, :, : None if self._fitted else 0]],
+                                            axis=2) for view, K in zip(self.views, self._regressors, strict=True)])
 
     @cached_property
     def cosines(self) -> Columns:

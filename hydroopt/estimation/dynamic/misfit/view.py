@@ -177,6 +177,12 @@ class View:
         return np.asarray(np.maximum(np.maximum(stated, took), 1e-9))
 
     @cached_property
+    def by_position(self) -> Array:
+        """What constant errors of the joints' positions of one standard deviation add to the readings (N, c, n)."""
+        std = self.experiment.position_std
+        return np.zeros((*self.predicted.shape, self.motion.q.shape[1])) if std is None else self.by_motion[0] * std
+
+    @cached_property
     def by_motion(self) -> Array:
         """Derivatives (3, N, c, n) of the predicted readings by q, qd and qdd, steps of dry friction aside."""
         state = [self.motion.q, self.motion.qd, self.motion.qdd]

@@ -1,0 +1,68 @@
+"""Identification from a motion that IMUs tell: what the uncertainty of a position does to verdict and tests of fit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import hydroopt as ho
+from hydroopt.estimation.dynamic.misfit.blocks import Data
+from hydroopt.estimation.dynamic.misfit.naming import examine_fit
+from hydroopt.machine.machine_file import read_machine
+from hydroopt.results.diagnostic import of_kind
+from hydroopt.results.wording import Kind
+from tests.estimation.motion.test_motion_fit import ARM, simulated
+
+BODIES = ('body = { m = { value = "300 kg", sigma = "30 %" }, com = { value = ["1.4 m", "0.1 m", "0 m"], '
+          'sigma = "30 %" }, inertia_com = { value = ["5 kg*m^2", "0 kg*m^2", "0 kg*m^2", "150 kg*m^2", "0 kg*m^2", '
+          '"150 kg*m^2"], sigma = "30 %" } }')
+SENSORS = '''
+[[sensors]]
+channels = ["boom.tau", "stick.tau"]
+accuracy = "40 N*m"
+rate = "50 Hz"
+'''
+
+
+def arm(*, stick_exact: bool, bodies_within: str = "30 %") -> ho.Machine:
+    bodies = BODIES.replace("30 %", bodies_within)
+    text = ARM.replace("\n[[drives]]", f"\n{bodies}\n[[drives]]", 1).replace('\n[[links]]\nname = "stick"', (
+        f'\n{bodies}\n[[links]]\nname = "stick"'))
+    if stick_exact:
+        before, _, after = text.rpartition(', sigma = "2 deg" }')
+        text = f"{before} }}{after}"
+    return read_machine(f"orientation = [\"90 deg\", \"0 deg\", \"0 deg\"]\n{text}{SENSORS}")
+
+
+@pytest.fixture(scope="module")
+def uncertain() -> tuple[ho.Machine, ho.Log]:
+    """The arm, and a log of one whose stick has its IMU turned by 3°; the file states 2°."""
+    machine = arm(stick_exact=False)
+    turned = machine.with_values({"stick_imu.yaw": np.radians(3.0)})
+    return machine, simulated(turned, 3)[1]
+
+
+def test_a_position_that_is_hardly_known_makes_the_answer_suspect(uncertain: tuple[ho.Machine, ho.Log]) -> None:
+    machine, log = uncertain
+    found = ho.solve(ho.identification_problem(machine, [log]), intervals=False)
+    (said,) = of_kind(found.diagnostics, Kind.POSITION_ASSUMED)
+    assert said.subject == ("stick",)
+    assert 1.0 < said.evidence["std"] < 2.5
+    assert found.status == "suspect"
+    assert any("at rest" in step.text for step in found.verdict.next_steps)
+    exact = ho.solve(ho.identification_problem(arm(stick_exact=True), [simulated(arm(stick_exact=True), 3)[1]]),
+                     intervals=False)
+    assert not of_kind(exact.diagnostics, Kind.POSITION_ASSUMED)
+    assert exact.status == "ok"
+
+
+def test_tests_of_fit_know_of_the_uncertain_position(uncertain: tuple[ho.Machine, ho.Log]) -> None:
+    """Where bodies are known well, nothing but the position explains the residuals."""
+    _, log = uncertain
+    problem = ho.identification_problem(arm(stick_exact=False, bodies_within="0.1 %"), [log])
+    psi = problem.parameters.nominal
+    exact = replace(problem, experiments=tuple(replace(each, position_std=None) for each in problem.experiments))
+    assert [cause.fault.words for cause in examine_fit(Data(exact, psi)).found] == ["stick.q reads too much"]
+    assert not examine_fit(Data(problem, psi)).found
