@@ -72,6 +72,8 @@ def charts(estimate: Estimate, made: Samples) -> dict[str, list[Chart]]:
     shown: dict[str, list[Chart]] = {"forces": [], "residuals": []}
     for k, balance in enumerate(machine.balances):
         printed, name, joint = unit(estimate, k), balance.name, balance.joint
+        if not np.any(np.isfinite(made.columns[f"{name}.measured"])):
+            continue  # no log tells this force
         band = 2 * float(estimate.sigma[k]) * factor(estimate, k)
         within = (-band, band) if np.isfinite(band) else None
         word = "force" if balance.unit == "N" else "torque"

@@ -104,7 +104,12 @@ def _forces(found: Identification, spread: Array | None) -> Iterator[Use]:
     condition = (f"RMS with the sensors' noise, on {logs} held-out log{'s' * (logs != 1)} and, by the intervals, in "
                  "all postures at such speeds") if held_out else ""
     for k, balance in enumerate(found.problem.model.machine.balances):
-        fit = (held_out or found.fit["train"])[balance.name]
+        fit = (held_out or found.fit["train"]).get(balance.name)
+        if fit is None or balance.name not in found.fit["train"]:
+            trained = balance.name in found.fit["train"]
+            yield Use(Purpose.FORCES, balance.name, Usable.UNTESTED if trained else Usable.NO,
+                      reason=f"no {'held-out' if trained else 'training'} log tells its force")
+            continue
         if not balance.actuators or not np.isfinite(fit.vaf):
             continue
         measured = fit.rms * (1 + UPPER / np.sqrt(2 * independent[k]))
@@ -174,8 +179,8 @@ def _weighing(found: Identification, spread: Array | None) -> Iterator[Use]:
         return
     qd = SLOW * speeds * rng.choice([-1.0, 1.0], q.shape)
     K = _regressor(found, q, qd, 0 * q, *_pressures(model, rng))
-    sigma = np.array([found.fit["validation" if "validation" in found.fit else "train"][balance.name].rms
-                      for balance in machine.balances])
+    table = found.fit["validation" if "validation" in found.fit else "train"]
+    sigma = np.array([table[each.name].rms if each.name in table else 0.0 for each in machine.balances])
     rate = float(np.median([1 / np.median(np.diff(data.plotted.log.t)) for data in found.problem.experiments]))
     averaged = sigma**2 * np.minimum(1.0, np.maximum(found.correlation_time, 1.0) / (rate * WEIGHED))
     std = load_std(K, effect, spread, averaged)
