@@ -88,20 +88,19 @@ def frame_of_columns(columns: Mapping[str, Any]) -> pd.DataFrame:
     return pd.DataFrame({name: np.array(column) for name, column in columns.items()})
 
 
-def refuse_others(given: object, kinds: tuple[type, ...], noun: str, where: str) -> None:
-    """Refuse what is no sequence of logs, such as a bare DataFrame.
+def all_of(given: Any, kinds: tuple[type, ...], noun: str, where: str) -> tuple[Any, ...]:
+    """Logs, or one of them alone, as a tuple.
 
     Raises:
-        LogError: names what was given and how to make a log of it.
+        LogError: something is none, such as a bare DataFrame; it says how to make a log of it.
     """
-    items = given if isinstance(given, Sequence) and not isinstance(given, str) else [given]
+    items = tuple(given) if isinstance(given, Sequence) and not isinstance(given, str) else (given,)
     for item in items:
         if not isinstance(item, kinds):
             raise LogError(f"this is a {type(item).__name__}, not a {noun}", where=where,
                            remedy=f"make one by {kinds[0].__name__}.from_frame(frame, units={{...}}) or by reading a "
                                   "file")
-    if items is not given:
-        raise LogError(f"this is one {noun}, not a list", where=where, remedy=f"put the {noun} in brackets")
+    return items
 
 
 def _header(name: str, unit: str | None, where: str, *, poses: bool) -> str:

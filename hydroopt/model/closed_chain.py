@@ -14,6 +14,7 @@ from hydroopt.kernels.native import Runner
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.addresses import Number
 from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.links import Link
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.mechanism import Mechanism
@@ -65,8 +66,8 @@ class KinematicModel(Shown):
         """What a notebook shows: the parameters with what the machine file states of them."""
         return Card(repr(self), tables=[parameter_table(self.parameters)])
 
-    def __init__(self, machine: Machine) -> None:
-        self.machine = machine
+    def __init__(self, machine: GivenMachine) -> None:
+        self.machine = machine = machine_of(machine, "KinematicModel")
         stated = Geometry(machine)
         self.links = stated.links
         self.joints = tuple(link.name for link in self.links if link.joint.independent)

@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from hydroopt.errors import ProblemError
+from hydroopt.machine.given_machine import GivenMachine
 from hydroopt.model.cylinder_motion import SHORTEST_LEVER
-from hydroopt.model.model import Model
+from hydroopt.model.model import Model, model_of
 from hydroopt.spatial.evenly_spread import halton
 from hydroopt.spatial.inertia import Array
 
@@ -63,7 +64,7 @@ class Posture:
         return not (self.outside or self.beyond_stroke or self.dead_points or self.past_dead_points)
 
 
-def inverse_kinematics(model: Model, position: ArrayLike, rotation: ArrayLike | None = None, *,
+def inverse_kinematics(model: Model | GivenMachine, position: ArrayLike, rotation: ArrayLike | None = None, *,
                        held: Mapping[str, float] | None = None, starts: int = STARTS) -> tuple[Posture, ...]:
     """All postures that bring the tip, the far end of the machine's last link, to a place.
 
@@ -90,6 +91,7 @@ def inverse_kinematics(model: Model, position: ArrayLike, rotation: ArrayLike | 
     >>> len(postures), dict(postures[-1].outside).keys()
     (4, dict_keys(['boom', 'stick']))
     """
+    model = model_of(model, "inverse kinematics")
     machine, fixed = model.machine, dict(held or {})
     target = _target(position, rotation)
     for joint in fixed:

@@ -13,6 +13,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.kernels.expression_graph import program
 from hydroopt.kernels.native import Runner
 from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
 from hydroopt.model import lagrange
 from hydroopt.model.imu_readings import imu_readings
@@ -39,7 +40,8 @@ class Model(Shown):
     that of ``machine.actuators``, parameters in that of ``model.parameters``.
 
     Raises:
-        ProblemError: `machine` is not a `Machine`.
+        ProblemError: `machine` is none, nor the name or file of one; or a force term does not suit it.
+        MachineError: its file cannot be used.
 
     >>> from hydroopt.machine.machine_file import load_machine
     >>> model = Model(load_machine("cat215b"))
@@ -51,12 +53,9 @@ class Model(Shown):
     ((3, 1), ('N*m', 'N', 'N'))
     """
 
-    def __init__(self, machine: Machine, *, actuator_inertia: bool = True, calibrator: bool = False,
+    def __init__(self, machine: GivenMachine, *, actuator_inertia: bool = True, calibrator: bool = False,
                  terms: Sequence[ForceTerm] = ()) -> None:
-        if not isinstance(machine, Machine):
-            raise ProblemError(f"this is {type(machine).__name__} {machine!r:.40}, not a Machine", where="Model",
-                               remedy="give a Machine, such as load_machine('cat215b') returns")
-        self.machine = machine
+        self.machine = machine = machine_of(machine, "Model")
         self.actuator_inertia = actuator_inertia
         self.calibrator = calibrator
         self.terms = _fitting(terms, machine)
@@ -408,3 +407,15 @@ def _fitting(terms: Sequence[ForceTerm], machine: Machine) -> tuple[ForceTerm, .
                                remedy="rename the coefficient")
         taken |= term.addresses.keys()
     return tuple(terms)
+
+
+def model_of(given: Model | GivenMachine, where: str) -> Model:
+    """A model, or that of a machine, name or file.
+
+    Raises:
+        ProblemError, MachineError: see `machine_of`.
+
+    >>> model_of("patu655_lift", "test")
+    Model('patu655_lift': 1 joint, 52 parameters, with actuator inertia)
+    """
+    return given if isinstance(given, Model) else Model(machine_of(given, where))

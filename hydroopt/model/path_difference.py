@@ -11,6 +11,7 @@ from numpy.typing import ArrayLike
 
 from hydroopt.errors import ProblemError
 from hydroopt.machine.geometry import Geometry
+from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.mechanism import Mechanism
 from hydroopt.spatial.inertia import Array
@@ -43,7 +44,7 @@ class PathDifference(NamedTuple):
         return 1 - float(np.sum(self.error**2)) / spread if spread else float("nan")
 
 
-def path_difference(first: Machine, second: Machine, angles: Mapping[str, ArrayLike], point: str = TIP, *,
+def path_difference(first: GivenMachine, second: GivenMachine, angles: Mapping[str, ArrayLike], point: str = TIP, *,
                     seen_from: str = BASE) -> PathDifference:
     """Where two machines of the same links and joints place a point while their joints turn alike.
 
@@ -65,7 +66,8 @@ def path_difference(first: Machine, second: Machine, angles: Mapping[str, ArrayL
     >>> round(ho.path_difference(nominal, longer, angles, "stick").rms, 6)
     0.01
     """
-    places = [_places(machine, angles, point, seen_from) for machine in (first, second)]
+    places = [_places(machine_of(machine, "path difference"), angles, point, seen_from)
+              for machine in (first, second)]
     return PathDifference(point, *places)
 
 

@@ -12,7 +12,7 @@ from scipy.optimize import brentq, root
 from hydroopt.errors import ProblemError
 from hydroopt.kernels.expression_graph import program
 from hydroopt.machine.actuators import Cylinder, Drive
-from hydroopt.machine.machine import Machine
+from hydroopt.machine.given_machine import GivenMachine
 from hydroopt.model.contact import Wall
 from hydroopt.model.hydraulics import (
     AMBIENT,
@@ -25,7 +25,7 @@ from hydroopt.model.hydraulics import (
     spool_position,
 )
 from hydroopt.model.load_sharing import shared_load
-from hydroopt.model.model import Model
+from hydroopt.model.model import Model, model_of
 from hydroopt.notebook_card import Shown
 from hydroopt.parameters import hydraulic as hydraulic_parameters
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
@@ -74,8 +74,8 @@ class Plant(Shown):
     def __repr__(self) -> str:
         return f"Plant('{self.machine.name}': {len(self.states)} states, {len(self.machine.actuators)} valves)"
 
-    def __init__(self, model: Model | Machine, wall: Wall | None = None) -> None:
-        model = model if isinstance(model, Model) else Model(model)
+    def __init__(self, model: Model | GivenMachine, wall: Wall | None = None) -> None:
+        model = model_of(model, "Plant")
         self.model, self.machine, self.wall = model, model.machine, wall
         machine = model.machine
         self.actuators: list[ActuatorHydraulics] = []

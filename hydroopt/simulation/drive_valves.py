@@ -9,6 +9,8 @@ from hydroopt.logs import sensors
 from hydroopt.logs.lag import lagged
 from hydroopt.logs.log import Log
 from hydroopt.machine.actuators import Cylinder
+from hydroopt.machine.given_machine import GivenMachine
+from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.spatial.inertia import Array
@@ -17,7 +19,8 @@ ACCURACY = 1e-9
 """Relative error of the simulation's steps: well below what sensors show, and what identification leaves of its own."""
 
 
-def commands_for(plant: Plant, motion: Trajectory, psi: Array | None = None, theta: Array | None = None) -> Array:
+def commands_for(plant: Plant | Model | GivenMachine, motion: Trajectory, psi: Array | None = None,
+                 theta: Array | None = None) -> Array:
     """Commands (N, a) that would hold the speeds of a motion if each were steady, in the unit of each valve.
 
     Args:
@@ -36,6 +39,7 @@ def commands_for(plant: Plant, motion: Trajectory, psi: Array | None = None, the
         >>> commands_for(plant, Trajectory(t, q, 0 * q, 0 * q)).shape
         (3, 1)
     """
+    plant = plant if isinstance(plant, Plant) else Plant(plant)
     if motion.wrench is not None:
         raise ProblemError("the motion has a wrench at the tip, which a machine driven by its valves does not take",
                            where="drive", remedy="leave out the channels of the tip's wrench, or do not drive valves")
@@ -43,7 +47,7 @@ def commands_for(plant: Plant, motion: Trajectory, psi: Array | None = None, the
     return np.array([plant.steady(q, qd, psi, theta).u for q, qd in zip(motion.q, motion.qd, strict=True)])
 
 
-def drive(plant: Plant, t: Array, commands: Array, start: Array, *, supply: Array | None = None,
+def drive(plant: Plant | Model | GivenMachine, t: Array, commands: Array, start: Array, *, supply: Array | None = None,
           psi: Array | None = None, theta: Array | None = None, noise: bool = True, seed: int = 0,
           name: str = "driven") -> Log:
     """The log that the sensors of a machine driven by its valves would record.
@@ -69,6 +73,7 @@ def drive(plant: Plant, t: Array, commands: Array, start: Array, *, supply: Arra
         >>> drive(plant, t, 5.7 + np.cos(2 * t)[:, None], np.array([0.2])).size
         100
     """
+    plant = plant if isinstance(plant, Plant) else Plant(plant)
     step = float(t[1] - t[0])
     if not np.allclose(np.diff(t), step, rtol=1e-6):
         raise ProblemError("the times are not evenly spaced", where="drive", remedy="give commands at a steady rate")

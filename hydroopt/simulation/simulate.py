@@ -12,9 +12,10 @@ from hydroopt.logs.lag import lagged
 from hydroopt.logs.log import Log
 from hydroopt.machine.actuators import Cylinder, Drive
 from hydroopt.machine.description import WRENCH
+from hydroopt.machine.given_machine import GivenMachine
 from hydroopt.machine.imus import ACCELEROMETER, GYROSCOPE, INCLINATION
 from hydroopt.machine.machine import Machine
-from hydroopt.model.model import Model
+from hydroopt.model.model import Model, model_of
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.simulation.calibrator_motion import CalibratorMotion
@@ -48,7 +49,7 @@ class Trajectory:
     calibrator: CalibratorMotion | None = None
 
 
-def random_trajectory(model: Model, *, duration: float, rate: float, seed: int, harmonics: int = 5,
+def random_trajectory(model: Model | GivenMachine, *, duration: float, rate: float, seed: int, harmonics: int = 5,
                       slowest: float = 0.02, fastest: float = 0.3) -> Trajectory:
     """A smooth motion of all joints within 90 % of the machine's limits, periodic over its duration.
 
@@ -64,6 +65,7 @@ def random_trajectory(model: Model, *, duration: float, rate: float, seed: int, 
     >>> motion.q.shape
     (500, 3)
     """
+    model = model_of(model, "random_trajectory")
     if not (duration > 0 and rate > 0 and duration * rate >= 2):
         raise ProblemError(f"a motion of {duration} s at {rate} Hz has no samples", where="simulate",
                            remedy="give a positive duration and rate")
@@ -105,7 +107,7 @@ def sampling_rate(machine: Machine) -> float:
     return max(rates, default=50.0)
 
 
-def random_truth(model: Model, seed: int, *, tries: int = 20000) -> Array:
+def random_truth(model: Model | GivenMachine, seed: int, *, tries: int = 20000) -> Array:
     """Parameters ψ (p,) drawn from the machine file's confidences, with physically consistent bodies.
 
     Identical parts are drawn together, with the confidence that all that is stated of them gives.
@@ -120,6 +122,7 @@ def random_truth(model: Model, seed: int, *, tries: int = 20000) -> Array:
     >>> psi.shape == model.parameters.nominal.shape
     True
     """
+    model = model_of(model, "random_truth")
     machine = model.machine
     stated = [*(one.name for one in machine.total_masses),
               *(f"the shape or symmetry of {owner}" for owner, owned in bodies(machine).items()
@@ -234,8 +237,8 @@ def _sealed(without: Array, share: Array, head: float, rod: float) -> Array:
     return np.asarray(level + beyond / (1 - share * np.where(beyond > 0, 1 / head, -1 / rod)))
 
 
-def simulate(model: Model, motion: Trajectory, psi: Array | None = None, *, noise: bool = True, seed: int = 0,
-             name: str = "simulated") -> Log:
+def simulate(model: Model | GivenMachine, motion: Trajectory, psi: Array | None = None, *, noise: bool = True,
+             seed: int = 0, name: str = "simulated") -> Log:
     """The log that the machine's sensors would record. Passive joints start as `motion` states and follow the others.
 
     Args:
@@ -252,6 +255,7 @@ def simulate(model: Model, motion: Trajectory, psi: Array | None = None, *, nois
     >>> simulate(model, motion, seed=2)
     Log('simulated': 500 samples, 9.98 s, 11 channels)
     """
+    model = model_of(model, "simulate")
     psi = model.parameters.nominal if psi is None else psi
     rng = np.random.default_rng(seed)
     machine = model.machine

@@ -155,13 +155,12 @@ def test_an_arrow_table_is_a_frame() -> None:
 
 
 @pytest.mark.parametrize("given", [frame(), [frame()], None, {"t": T}, "log.csv"])
-def test_a_problem_refuses_what_is_no_list_of_logs(given) -> None:
+def test_a_problem_refuses_what_is_no_log(given) -> None:
     machine = load_machine("cat215b")
     for build in (identification_problem, hydraulic_problem):
         with pytest.raises(LogError, match=r"this is a \w+, not a log; make one by Log\.from_frame"):
             build(machine, given)
     with pytest.raises(LogError, match=r"this is a \w+, not a table of poses; make one by Poses\.from_frame"):
         calibration_problem(machine, given)
-    log = Log.from_frame(frame())
-    with pytest.raises(LogError, match="this is one log, not a list"):
-        identification_problem(machine, log)
+    with pytest.raises(LogError, match=r"there is no channel 'swing\.q'"):  # one log stands for a list of it
+        identification_problem(machine, Log.from_frame(frame()))

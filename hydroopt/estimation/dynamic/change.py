@@ -20,7 +20,7 @@ from hydroopt.estimation.dynamic.two_session_answer import TwoSessionAnswer
 from hydroopt.input_file import similar
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
-from hydroopt.machine.machine import Machine
+from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import GROUPS, ParameterSet
 from hydroopt.results.diagnostic import Diagnostic, probability
@@ -140,8 +140,9 @@ class Change(TwoSessionAnswer):
         return {"comparison.csv": csv_text([with_limits(one.as_dict()) for one in self.differences])}
 
 
-def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: Sequence[Log] | str | Path, *,
-                  parts: Iterable[str] | None = None, level: float = 0.05, smoothing: Smoothing | None = None,
+def detect_change(machine: GivenMachine, before: Log | Sequence[Log] | str | Path,
+                  after: Log | Sequence[Log] | str | Path, *, parts: Iterable[str] | None = None,
+                  level: float = 0.05, smoothing: Smoothing | None = None,
                   intervals: bool = True, seed: int = 0) -> Change:
     """Which parameters changed between two sessions, by one least squares over both.
 
@@ -178,6 +179,7 @@ def detect_change(machine: Machine, before: Sequence[Log] | str | Path, after: S
         >>> change.findings[0].kind
         <Kind.NO_CHANGE_DETECTED: 'no change detected'>
     """
+    machine = machine_of(machine, "detect_change")
     refuse_level(level)
     model = Model(machine)
     names = named_parts(model.parameters, usual_parts(model.parameters) if parts is None else parts)

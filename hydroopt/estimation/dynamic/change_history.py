@@ -26,6 +26,7 @@ from hydroopt.estimation.dynamic.stored_information import (
 )
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
+from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
 from hydroopt.results.diagnostic import Diagnostic, probability
@@ -289,7 +290,7 @@ METHOD = "scan over sessions"
 """One least squares over all sessions, and tests of steps at each session and drifts."""
 
 
-def detect_changes(machine: Machine, sessions: Sequence[Sequence[Log] | Log | str | Path], *,
+def detect_changes(machine: GivenMachine, sessions: Sequence[Sequence[Log] | Log | str | Path], *,
                    parts: Iterable[str] | None = None, level: float = 0.05, smoothing: Smoothing | None = None,
                    seed: int = 0) -> ChangeHistory:
     """Which parameters agree over several sessions in time order, drifted, or changed at which session.
@@ -332,6 +333,7 @@ def detect_changes(machine: Machine, sessions: Sequence[Sequence[Log] | Log | st
         >>> history.findings[0].kind, str(history.history("lift_cylinder.f_coulomb").course)
         (<Kind.SESSIONS_AGREE: 'sessions agree'>, 'agrees')
     """
+    machine = machine_of(machine, "detect_changes")
     refuse_level(level)
     if len(sessions) < 3:
         raise ProblemError(f"changes over sessions need at least three, not {len(sessions)}", where="sessions",
@@ -339,7 +341,7 @@ def detect_changes(machine: Machine, sessions: Sequence[Sequence[Log] | Log | st
     model = Model(machine)
     names = named_parts(model.parameters, usual_parts(model.parameters) if parts is None else parts)
     with threadpool_limits(limits=1, user_api="blas"):
-        known = [stored_information(model, [each] if isinstance(each, Log) else each, smoothing) for each in sessions]
+        known = [stored_information(model, each, smoothing) for each in sessions]
         for one, other in itertools.combinations(known, 2):
             refuse_shared_samples(one, other)
         return change_history(model, names, known, level, seed)

@@ -24,6 +24,7 @@ from hydroopt.estimation.inference.least_squares import base_least_squares
 from hydroopt.logs.any_log import AnyLog, in_memory
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.actuators import Actuator, Cylinder
+from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
@@ -66,7 +67,7 @@ def terms_of(text: str, machine: Machine | None = None) -> tuple[str, ...]:
     return tuple(term for term in TERMS if term in named)
 
 
-def with_friction(machine: Machine, terms: str, *, speeds: Mapping[str, float] | None = None,
+def with_friction(machine: GivenMachine, terms: str, *, speeds: Mapping[str, float] | None = None,
                   scales: Mapping[str, float] | None = None) -> Machine:
     """The machine with these friction terms, and no others, at every cylinder, motor and drive.
 
@@ -89,6 +90,7 @@ def with_friction(machine: Machine, terms: str, *, speeds: Mapping[str, float] |
         >>> machine.cylinders[0].friction.coulomb is None, machine.cylinders[0].friction.viscous
         (True, 330.0)
     """
+    machine = machine_of(machine, "with_friction")
     named = terms_of(terms, machine)
     if speeds is None:
         model = Model(machine)
@@ -187,7 +189,7 @@ def _best_start(problem: IdentificationProblem) -> dict[str, float]:
             for actuator in balance.actuators}
 
 
-def choose_friction(machine: Machine, logs: Sequence[AnyLog], validation: Sequence[AnyLog],
+def choose_friction(machine: GivenMachine, logs: Sequence[AnyLog], validation: Sequence[AnyLog],
                     candidates: Sequence[str] | None = None, *, smoothing: Smoothing | None = None,
                     actuator_inertia: bool = True,
                     prepare: Callable[[IdentificationProblem], IdentificationProblem] | None = None,
@@ -228,6 +230,7 @@ def choose_friction(machine: Machine, logs: Sequence[AnyLog], validation: Sequen
         >>> estimate.friction_choice.terms
         'viscous'
     """
+    machine = machine_of(machine, "choose_friction")
     if not validation:
         raise ProblemError("friction terms are chosen by their prediction of held-out logs, and no log is held out",
                            where="friction", remedy="give --validate or --holdout, or name one set of terms")

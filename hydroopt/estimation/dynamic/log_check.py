@@ -16,7 +16,7 @@ from hydroopt.estimation.dynamic.problem import IdentificationProblem, identific
 from hydroopt.estimation.inference.identifiability import COMBINATION, FULL, NONE, Identifiability
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.smoothing import Smoothing
-from hydroopt.machine.machine import Machine
+from hydroopt.machine.given_machine import GivenMachine
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import ParameterKind
 from hydroopt.results.answer import Answer
@@ -195,7 +195,8 @@ class LogCheck(Answer):
         return "\n".join(lines)
 
 
-def check_logs(machine: Machine | Model, logs: Sequence[AnyLog], *, smoothing: Smoothing | None = None) -> LogCheck:
+def check_logs(machine: GivenMachine | Model, logs: AnyLog | Sequence[AnyLog], *,
+               smoothing: Smoothing | None = None) -> LogCheck:
     """Check logs against a machine: can they be used, what is suspicious, and what would they identify.
 
     Standard deviations to expect are those of weighted least squares with the machine file's confidences, without

@@ -30,6 +30,7 @@ from hydroopt.estimation.dynamic.training_logs import explained
 from hydroopt.estimation.dynamic.two_session_answer import TwoSessionAnswer
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
+from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.model.model import Model
@@ -151,8 +152,9 @@ class Payload(TwoSessionAnswer):
         return {"payload.csv": csv_text([with_limits(one.as_dict()) for one in self.quantities])}
 
 
-def payload(machine: Machine, unloaded: Sequence[Log] | str | Path, loaded: Sequence[Log] | str | Path, *,
-            link: str | None = None, friction_changes: bool = False, gain: float = 0.0,
+def payload(machine: GivenMachine, unloaded: Log | Sequence[Log] | str | Path,
+            loaded: Log | Sequence[Log] | str | Path, *, link: str | None = None,
+            friction_changes: bool = False, gain: float = 0.0,
             smoothing: Smoothing | None = None, seed: int = 0) -> Payload:
     """Mass and centre of mass of a load that one session carries and another does not.
 
@@ -186,6 +188,7 @@ def payload(machine: Machine, unloaded: Sequence[Log] | str | Path, loaded: Sequ
         >>> load.findings[0].kind
         <Kind.NO_LOAD_DETECTED: 'no payload detected'>
     """
+    machine = machine_of(machine, "payload")
     if not 0 <= gain < 1:
         raise ProblemError(f"a relative error must be at least 0 and less than 1, not {gain:g}", where="gain",
                            remedy="give a part of one, such as 0.05")

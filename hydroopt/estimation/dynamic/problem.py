@@ -28,11 +28,11 @@ from hydroopt.estimation.inference.whitening import gaussian_posterior
 from hydroopt.logs.any_log import AnyLog, in_memory
 from hydroopt.logs.calibrator_angles import calibrator_channels
 from hydroopt.logs.forces_from_pressures import force_noise
-from hydroopt.logs.frames import refuse_others
+from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Motion, Smoothing
 from hydroopt.logs.stream import LogStream
-from hydroopt.machine.machine import Machine
+from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.model.model import Model
 from hydroopt.notebook_card import Shown
 from hydroopt.parameters.parameter_set import ParameterSet
@@ -412,8 +412,8 @@ class IdentificationProblem(Shown):
         return problem_text(self, (*self.stated_priors, *self.priors))
 
 
-def identification_problem(machine: Machine | Model, logs: Sequence[AnyLog],
-                           validation: Sequence[AnyLog] = (), *,
+def identification_problem(machine: GivenMachine | Model, logs: AnyLog | Sequence[AnyLog],
+                           validation: AnyLog | Sequence[AnyLog] = (), *,
                            smoothing: Smoothing | None = None, actuator_inertia: bool = True) -> IdentificationProblem:
     """The dynamic identification problem of a machine and its logs.
 
@@ -438,8 +438,8 @@ def identification_problem(machine: Machine | Model, logs: Sequence[AnyLog],
     >>> problem.subject_to("arm", "boom.m + stick.m <= 2600 kg").stated_constraints
     ('arm',)
     """
-    for some in (logs, validation):
-        refuse_others(some, (Log, LogStream), "log", "identification")
+    logs, validation = (all_of(some, (Log, LogStream), "log", "identification") for some in (logs, validation))
+    machine = machine if isinstance(machine, Model) else machine_of(machine, "identification_problem")
     refuse_repetition([*logs, *validation])
     if not logs:
         raise ProblemError("there is no training log", where="identification", remedy="give at least one")

@@ -18,6 +18,7 @@ from hydroopt.estimation.dynamic.training_logs import contradictions, losses
 from hydroopt.estimation.dynamic.weighted_residuals import weighted_residuals
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
 from hydroopt.estimation.inference.whitening import gaussian_posterior
+from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import Machine
@@ -68,7 +69,7 @@ class StoredInformation:
                                                           self.samples, strict=True)}
 
 
-def stored_information(model: Model, source: Sequence[Log] | str | Path,
+def stored_information(model: Model, source: Log | Sequence[Log] | str | Path,
                        smoothing: Smoothing | None = None) -> StoredInformation:
     """The information of logs, or that of the folder which `hydroopt identify` wrote from them.
 
@@ -87,6 +88,7 @@ def stored_information(model: Model, source: Sequence[Log] | str | Path,
                            "file that sessions are compared with")
     if isinstance(source, str | Path):
         return _read(model, Path(source))
+    source = all_of(source, (Log,), "log", model.machine.name)
     problem = identification_problem(model.machine, source, smoothing=smoothing)
     weighted = weighted_residuals(problem, RANK_TOLERANCE, lambda R, r: gaussian_posterior(problem, R, r).offset,
                                   model.parameters.nominal)

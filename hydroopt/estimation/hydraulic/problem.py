@@ -19,14 +19,14 @@ from hydroopt.estimation.hydraulic.dynamics import Dynamics, Record, ShootingPro
 from hydroopt.estimation.hydraulic.shooting import measured_states
 from hydroopt.estimation.inference.identifiability import PREDICTED_TOLERANCE, significant
 from hydroopt.estimation.inference.program import NonlinearProgram
-from hydroopt.logs.frames import refuse_others
+from hydroopt.logs.frames import all_of
 from hydroopt.logs.joint_angles import measured_angles
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import bridged, reading
 from hydroopt.logs.smoothing import Motion, SmoothingSpline, condition
 from hydroopt.logs.tip_wrench import wrench_channels
 from hydroopt.machine.actuators import Cylinder
-from hydroopt.machine.machine import Machine
+from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.model.hydraulics import spool_position
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
@@ -211,7 +211,7 @@ class HydraulicProblem(Shown):
         return Card(repr(self), tables=[parameter_table(self.parameters)])
 
 
-def hydraulic_problem(machine: Machine, logs: Sequence[Log], validation: Sequence[Log] = (), *,
+def hydraulic_problem(machine: GivenMachine, logs: Log | Sequence[Log], validation: Log | Sequence[Log] = (), *,
                      bodies: bool = False, steps: int | None = None) -> HydraulicProblem:
     """The identification of valves, oil and friction from logs, with the machine file's confidences as priors.
 
@@ -237,8 +237,8 @@ def hydraulic_problem(machine: Machine, logs: Sequence[Log], validation: Sequenc
     Example:
         See `HydraulicProblem`.
     """
-    for some in (logs, validation):
-        refuse_others(some, (Log,), "log", "identification of valves and oil")
+    machine = machine_of(machine, "hydraulic_problem")
+    logs, validation = (all_of(some, (Log,), "log", "identification of valves and oil") for some in (logs, validation))
     plant = Plant(Model(machine))
     for log in (*logs, *validation):
         for channel in (*plant.inputs, *(next((c for c in each.chambers if c in log.channels), each.chambers[0])

@@ -16,9 +16,9 @@ from hydroopt.estimation.kinematic.instrument_poses import placed
 from hydroopt.estimation.kinematic.joint import nonlinear_program
 from hydroopt.estimation.kinematic.pose_equations import PoseEquations, PoseLoss
 from hydroopt.estimation.kinematic.pose_layout import LayoutBuilder, PoseLayout
-from hydroopt.logs.frames import refuse_others
+from hydroopt.logs.frames import all_of
 from hydroopt.logs.poses import Poses
-from hydroopt.machine.machine import Machine
+from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.notebook_card import Shown
 
@@ -102,7 +102,7 @@ class CalibrationProblem(PoseEquations, Shown):
         return replace(self, poses=self.poses.select(keep), layout=layout, row_sigma=self.row_sigma[keep])
 
 
-def calibration_problem(machine: Machine, poses: Poses, validation: Poses | None = None, *,
+def calibration_problem(machine: GivenMachine, poses: Poses, validation: Poses | None = None, *,
                         fixed: Mapping[str, float] | None = None, priors: bool = True) -> CalibrationProblem:
     """The kinematic calibration of a machine from a table of poses.
 
@@ -122,7 +122,8 @@ def calibration_problem(machine: Machine, poses: Poses, validation: Poses | None
     >>> hydroopt.calibration_problem(machine, plan.poses, fixed={"tip.x": 0.0})
     <CalibrationProblem of panda_mukca: 35 parameters from 40 poses>
     """
-    refuse_others([poses] if validation is None else [poses, validation], (Poses,), "table of poses", "calibration")
+    machine = machine_of(machine, "calibration_problem")
+    all_of([poses] if validation is None else [poses, validation], (Poses,), "table of poses", "calibration")
     model = KinematicModel(machine)
     builder = LayoutBuilder(machine, model, poses)
     if not len(builder.parameter_set()):

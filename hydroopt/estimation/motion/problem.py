@@ -21,9 +21,11 @@ from hydroopt.estimation.motion.observations import (
 )
 from hydroopt.estimation.motion.paths import Postures, Spline
 from hydroopt.logs.clock import Clock
+from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
 from hydroopt.logs.poses import Poses
 from hydroopt.logs.recording import Recording
+from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
 from hydroopt.model.sensor_readings import SensorReadings
 from hydroopt.notebook_card import Shown
@@ -62,7 +64,8 @@ class SensorProblem(Shown):
                 f"{sum(map(len, self.poses))} rows of poses, {'all geometry' if self.geometry else 'IMUs alone'})")
 
 
-def sensor_problem(machine: Machine, logs: Sequence[Log | Recording], poses: Sequence[Poses] = (), *,
+def sensor_problem(machine: GivenMachine, logs: Log | Recording | Sequence[Log | Recording],
+                   poses: Poses | Sequence[Poses] = (), *,
                    geometry: bool = True) -> SensorProblem:
     """The problem of calibrating sensors, clocks and geometry by motion and postures at rest.
 
@@ -83,6 +86,9 @@ def sensor_problem(machine: Machine, logs: Sequence[Log | Recording], poses: Seq
     >>> found.parameters["stick_imu.roll"].unit, found.machine.name
     ('rad', 'excavator_imu')
     """
+    machine = machine_of(machine, "sensor_problem")
+    logs = all_of(logs, (Log, Recording), "log", "sensors")
+    poses = all_of(poses, (Poses,), "table of poses", "sensors")
     if not logs and not poses:
         raise ProblemError("there is neither a log nor a table of poses", where="sensors", remedy="give at least one")
     return SensorProblem(machine, tuple(one if isinstance(one, Recording) else Recording.of(one) for one in logs),

@@ -32,7 +32,7 @@ from hydroopt.excitation.motion.random_motion import random_motion, resting_post
 from hydroopt.excitation.motion.sqp import sequential_quadratic_programming
 from hydroopt.interrupt import blocked, deferred, end_with_parent, ignore
 from hydroopt.logs.any_log import AnyLog
-from hydroopt.machine.machine import Machine
+from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import sampling_rate
 from hydroopt.spatial.inertia import Array
@@ -48,7 +48,7 @@ SMALLEST, TRIES = 0.1, 10
 Report = Callable[[int, float], None]
 
 
-def excitation_problem(machine: Machine, basis: Basis, *, criterion: str = "D", focus: Sequence[str] = (),
+def excitation_problem(machine: GivenMachine, basis: Basis, *, criterion: str = "D", focus: Sequence[str] = (),
                        priors: bool = False, logs: Sequence[AnyLog] = (), rate: float | None = None,
                        resting: Mapping[str, float] | None = None) -> ExcitationProblem:
     """The design of a motion with the most information on a machine's parameters, within its limits.
@@ -79,6 +79,7 @@ def excitation_problem(machine: Machine, basis: Basis, *, criterion: str = "D", 
         >>> motion.trajectory.q.shape
         (1001, 1)
     """
+    machine = machine_of(machine, "excitation_problem")
     model = Model(machine)
     model.refuse_seals("excitation")
     level = {joint: float(np.clip(0.0, *machine.link(joint).joint.range)) for joint in machine.base_joints}

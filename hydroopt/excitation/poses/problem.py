@@ -15,6 +15,7 @@ from hydroopt.estimation.kinematic.observability import Linearised, Observabilit
 from hydroopt.estimation.kinematic.problem import CalibrationProblem, calibration_problem
 from hydroopt.excitation.criteria import refuse_criterion
 from hydroopt.logs.poses import Texts
+from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.notebook_card import Shown
@@ -166,8 +167,9 @@ use hydroopt.solve.
             "parameters", *table(("name", "unit", "prior std", ""), rows)])
 
 
-def pose_problem(machine: Machine, count: int, *, stages: Sequence[str] | None = None, criterion: str | None = None,
-                 focus: Sequence[str] = (), priors: bool = False, fixed: Mapping[str, float] | None = None,
+def pose_problem(machine: GivenMachine, count: int, *, stages: Sequence[str] | None = None,
+                 criterion: str | None = None, focus: Sequence[str] = (), priors: bool = False,
+                 fixed: Mapping[str, float] | None = None,
                  setups: Sequence[str] = ("",)) -> PoseProblem:
     """Which poses to measure for a machine's calibration, planned about the geometry of its file.
 
@@ -191,6 +193,7 @@ def pose_problem(machine: Machine, count: int, *, stages: Sequence[str] | None =
     >>> len(plan.q)
     15
     """
+    machine = machine_of(machine, "pose_problem")
     criterion = criterion or ("A" if focus else "D")
     refuse_criterion(criterion, focus)
     problem = PoseProblem(machine, count, _groups(machine, stages, setups), criterion, tuple(focus), priors,
