@@ -1,62 +1,55 @@
-"""Draw docs/figures/readme.svg, the picture of the README: ``python docs/figures/readme.py``."""
+"""Take docs/figures/readme.png, the README's picture of a report: ``python docs/figures/readme.py`` (extra ``dev``)."""
 
 from __future__ import annotations
 
+import io
+import shutil
+import tempfile
 from pathlib import Path
 
-import matplotlib
-import numpy as np
-from matplotlib.axes import Axes
-from matplotlib.figure import Figure
+from PIL import Image
+from playwright.sync_api import sync_playwright
 
 import hydroopt as ho
-from hydroopt.model.scene import scenes, vertical_plane
-from hydroopt.report import side_view
+from hydroopt.report import identification
 
-GREY, ORANGE, BLUE, INK = "#8a96a3", "#d55e00", "#0072b2", "#1f2933"
-STYLE = {"font.size": 9.5, "axes.spines.top": False, "axes.spines.right": False, "axes.edgecolor": INK,
-         "svg.hashsalt": "hydroopt", "path.simplify_threshold": 0.4, "axes.labelcolor": INK, "text.color": INK}
-ACTUATOR, SECONDS = "boom_cylinder", 16.0
+MACHINE = "excavator_bucket"
+COLOURS = 96
+SHORTEN = """() => {
+    for (const figure of document.querySelectorAll(".first figure.chart"))
+        if (!/^(boom|stick|bucket)_cylinder/.test(figure.textContent.trim())) figure.remove()
+    document.querySelector(".first section .note").remove()
+}"""
+"""Leaves the figures of the cylinders."""
 
 
-def drawing() -> Figure:
-    """The machine beside measured and predicted forces of a log that the estimate has not seen."""
-    machine = ho.load_machine("excavator_bucket")
+def report() -> str:
+    """The page of an identification: 40 s of training, 20 s that the estimate has not seen."""
+    machine = ho.load_machine(MACHINE)
     model = ho.Model(machine)
     truth = ho.random_truth(model, seed=4)
-    train, unseen = (ho.simulate(model, ho.random_trajectory(model, duration=40, rate=50, seed=k), truth, seed=k)
-                     for k in (1, 2))
-    estimate = ho.solve(ho.identification_problem(machine, [train], [unseen]))
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(9.4, 3.3), layout="constrained")
-        left, right = figure.subplots(1, 2, width_ratios=(1.0, 1.25))
-        _machine(left, model)
-        _forces(right, estimate)
-    return figure
+    train, unseen = (ho.simulate(model, ho.random_trajectory(model, duration=duration, rate=50, seed=k), truth, seed=k)
+                     for k, duration in ((1, 40), (2, 20)))
+    return identification.render(ho.solve(ho.identification_problem(machine, [train], [unseen])))
 
 
-def _machine(ax: Axes, model: ho.Model) -> None:
-    posture = np.radians([0.0, 38.0, -72.0, -48.0])
-    ax.set(aspect="equal")
-    ax.axis("off")
-    (scene,) = scenes(model, posture[None], vertical_plane(model, posture))
-    side_view._draw(ax, model.machine, scene, faint=False)
-
-
-def _forces(ax: Axes, estimate: ho.Estimate) -> None:
-    k = [balance.name for balance in estimate.problem.model.machine.balances].index(ACTUATOR)
-    data = estimate.problem.validation[0].plotted
-    rows = data.motion.t <= data.motion.t[0] + SECONDS
-    t = data.motion.t[rows]
-    nominal = estimate.predict(data, estimate.problem.parameters.nominal)
-    ax.plot(t, data.force[rows, k] / 1e3, color=GREY, lw=2.4, label="measured, unseen")
-    ax.plot(t, nominal[rows, k] / 1e3, color=ORANGE, lw=1.2, ls=(0, (4, 2)), label="machine file")
-    ax.plot(t, estimate.predictions["validation"][0][rows, k] / 1e3, color=BLUE, lw=1.2, label="calibrated")
-    ax.set(xlabel="time [s]", ylabel="force of the boom cylinder [kN]")
-    ax.margins(x=0)
-    ax.legend(frameon=False, ncols=3, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+def picture(page: Path) -> bytes:
+    """What a browser shows of the machine in space and of the forces beside it."""
+    with sync_playwright() as playwright:
+        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=[
+            "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"])
+        tab = browser.new_page(viewport={"width": 1280, "height": 900}, device_scale_factor=1.5)
+        tab.goto(page.as_uri())
+        tab.wait_for_timeout(3000)
+        tab.evaluate(SHORTEN)
+        made = tab.locator(".first").screenshot()
+        browser.close()
+    return made
 
 
 if __name__ == "__main__":
-    place = Path(__file__).with_suffix(".svg")
-    drawing().savefig(place, metadata={"Date": None, "Creator": None}, facecolor="white")
+    with tempfile.TemporaryDirectory() as folder:
+        page = Path(folder) / "report.html"
+        page.write_text(report(), "utf-8")
+        shot = Image.open(io.BytesIO(picture(page))).convert("RGB")
+    shot.quantize(COLOURS).save(Path(__file__).with_suffix(".png"), optimize=True)
