@@ -14,7 +14,7 @@ def view(
     shown: Annotated[str, typer.Argument(metavar="MACHINE|DIR", help=(
         "A bundled machine's name, a .toml, .urdf, .sdf or .xml (MJCF) file, or a folder that a command wrote."))],
     output: Annotated[Path | None, typer.Option("-o", "--output", help=(
-        "Directory that receives view.html; that of the results, or out/MACHINE, if not given."))] = None,
+        "Directory that receives everything: view.html; that of the results, or out/MACHINE, if not given."))] = None,
     show_now: Annotated[bool, typer.Option("--open", help="Show it in the browser.")] = False,
 ) -> None:
     """Show a machine in space: joints by sliders, linkages and cylinders that follow, and what an answer says of it.
