@@ -31,7 +31,7 @@ WEIGHED = 5.0
 WORKING_PRESSURE = 2e7
 """Pressure [Pa] up to which an actuator works that states no relief pressure."""
 UPPER = 1.645
-"""Standard deviations by which the RMS error of a log of finite length is raised, so that it holds in 95 %."""
+"""Standard deviations by which the squared error in a log of finite length is raised, so that it holds in 95 %."""
 RANGE = 4.0
 """Range of a force in its standard deviations."""
 _OF_PRIOR = "mostly the machine file's confidence"
@@ -90,18 +90,17 @@ def _regressor(found: Identification, *states: Array) -> Array:
 
 
 def _forces(found: Identification, spread: Array | None) -> Iterator[Use]:
-    """Force prediction of each balance that something drives."""
+    """Force prediction of each balance that something drives, by the model's own error without the sensors' noise."""
     held_out = found.fit.get("validation")
+    own = _own_error(found)
     if spread is None:
         untested = "the method states no intervals"
     else:
         untested = "" if held_out else "no log was held out"
         errors = _regressor(found, *_states(found)) @ spread.T
-        model_error = np.quantile(np.sqrt(np.mean(errors**2, axis=0)), 0.95, axis=1)
+        own = np.hypot(own, np.quantile(np.sqrt(np.mean(errors**2, axis=0)), 0.95, axis=1))
     logs = len(found.problem.validation)
-    samples = sum(data.sample_count for data in found.problem.validation or found.problem.experiments)
-    independent = np.maximum(samples / np.maximum(found.correlation_time, 1.0), 1.0)
-    condition = (f"RMS with the sensors' noise, on {logs} held-out log{'s' * (logs != 1)} and, by the intervals, in "
+    condition = (f"RMS without the sensors' noise, on {logs} held-out log{'s' * (logs != 1)} and, by the intervals, in "
                  "all postures at such speeds") if held_out else ""
     for k, balance in enumerate(found.problem.model.machine.balances):
         fit = (held_out or found.fit["train"]).get(balance.name)
@@ -112,11 +111,30 @@ def _forces(found: Identification, spread: Array | None) -> Iterator[Use]:
             continue
         if not balance.actuators or not np.isfinite(fit.vaf):
             continue
-        measured = fit.rms * (1 + UPPER / np.sqrt(2 * independent[k]))
-        error = float(measured if spread is None else np.hypot(measured, model_error[k]))
         variation = fit.rms / np.sqrt(1 - fit.vaf) if fit.vaf < 1 else np.inf
-        yield judged(Purpose.FORCES, balance.name, error, balance.unit, error / (RANGE * variation),
+        yield judged(Purpose.FORCES, balance.name, float(own[k]), balance.unit, float(own[k]) / (RANGE * variation),
                      condition=condition, untested=untested)
+
+
+def _own_error(found: Identification) -> Array:
+    """Upper bound (r,) of the RMS that residuals have beside white noise, held out if any are.
+
+    What neighbouring samples have in common is the model's: the mean of their products is the variance of residuals
+    less that of white noise, whatever accuracy the file states. Noise that is not white counts as the model's.
+    """
+    problem, which = found.problem, "validation" if found.problem.validation else "train"
+    products, squares, pairs = np.zeros((3, len(found.sigma)))
+    for data, predicted in zip(problem.validation or problem.experiments, found.predictions[which], strict=True):
+        shown = data.plotted
+        taken = shown.inside[:, None] & shown.known
+        residual = np.where(taken, shown.force - predicted, 0.0)
+        both = taken[1:] & taken[:-1] & (np.diff(shown.motion.segment) == 0)[:, None]
+        products += np.sum(np.where(both, residual[1:] * residual[:-1], 0.0), axis=0)
+        squares += np.sum(np.where(both, (residual[1:] ** 2 + residual[:-1] ** 2) / 2, 0.0), axis=0)
+        pairs += both.sum(axis=0)
+    count = np.maximum(pairs, 1.0)
+    independent = np.maximum(count / np.maximum(found.correlation_time, 1.0), 1.0)
+    return np.asarray(np.sqrt(np.maximum(products / count, 0.0) + UPPER * squares / count / np.sqrt(independent)))
 
 
 def _masses(found: Identification, parameters: ParameterTable) -> Iterator[Use]:

@@ -12,7 +12,7 @@ from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.estimation.inference.identifiability import random_states
-from hydroopt.logs.forces_from_pressures import force_noise, forces
+from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
 from hydroopt.results.verdict import Purpose, Usable
@@ -86,8 +86,9 @@ def held(name: str, seeds: Sequence[int]) -> dict[str, list[bool]]:
         motion = one_joint_at_a_time(model, speed, rng)
         log = simulate(model, motion, truth, seed=1000 + seed)
         known = identification_problem(model, [log]).experiments[0].plotted.known
-        error = forces(model, log, motion.q) - model.over(
-            model.inverse_dynamics, motion.q, motion.qd, motion.qdd, estimate.psi)[0][:, :, 0]
+        true, predicted = (model.over(model.inverse_dynamics, motion.q, motion.qd, motion.qdd, psi)[0][:, :, 0]
+                           for psi in (truth, estimate.psi))
+        error = true - predicted
         for use in estimate.verdict.uses:
             if use.usable is not Usable.YES or use.figure is None:
                 continue
