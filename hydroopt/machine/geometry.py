@@ -25,7 +25,7 @@ class Geometry:
     Joint variables are given as a mapping from the names of joints, dependent ones too; a joint left out is zero.
     """
 
-    def __init__(self, machine: Machine, symbols: Mapping[str, ca.SX] | None = None) -> None:
+    def __init__(self, machine: Machine, symbols: Mapping[str, ca.SX] | Mapping[str, float] | None = None) -> None:
         self.machine = machine
         self.links = (*machine.links, *(machine.calibrator.links if machine.calibrator else ()))
         self.numbers = machine.geometry_numbers

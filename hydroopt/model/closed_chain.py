@@ -20,6 +20,7 @@ from hydroopt.machine.machine import BASE, Machine
 from hydroopt.machine.mechanism import Mechanism
 from hydroopt.model.pose_rows.frames import Frames
 from hydroopt.model.pose_rows.measurements import inputs, measurements
+from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.notebook_card import Card, Shown
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet, parameter_table
 from hydroopt.spatial.inertia import Array
@@ -121,6 +122,11 @@ class KinematicModel(Shown):
         self._end = tip if machine.calibrator else (
             poses[machine.tip] @ self.geometry.far_end(machine.tip)).origin if machine.links else tip
         self._runner = Runner()
+
+    def scene_graph(self, geometry: Array) -> SceneGraph:
+        """The bodies of machine and calibrator at a geometry (p,), for pictures."""
+        numbers = dict(zip(self.parameters.names, map(float, geometry), strict=True))
+        return SceneGraph(self.machine, calibrator=True, geometry=numbers)
 
     def loop_sines(self, g: ca.SX, q: ca.SX) -> list[ca.SX]:
         """Sines of the angles between the bars of the machine's linkages, at a geometry (p,) and joints (n,)."""

@@ -71,6 +71,7 @@ class SceneGraph:
     Args:
         machine: the machine.
         calibrator: whether the links of its calibrator are bodies, too; their joints follow those of the tree.
+        geometry: numbers [SI] by name that replace those of the machine file.
 
     >>> from hydroopt.machine.machine_file import load_machine
     >>> scene = SceneGraph(load_machine("cat215b"))
@@ -78,10 +79,12 @@ class SceneGraph:
     (['swing', 'boom', 'stick'], ['boom_cylinder', 'stick_cylinder'])
     """
 
-    def __init__(self, machine: Machine, *, calibrator: bool = False) -> None:
-        self.machine, self.geometry = machine, Geometry(machine)
+    def __init__(self, machine: Machine, *, calibrator: bool = False,
+                 geometry: Mapping[str, float] | None = None) -> None:
+        self.machine, self.geometry = machine, Geometry(machine, geometry)
         own = len(machine.links)
         self._links = self.geometry.links if calibrator else self.geometry.links[:own]
+        self._carried = calibrator and machine.calibrator is not None
         self.columns = (*machine.tree_joints, *(link.name for link in self._links[own:] if link.joint.moving))
 
     @cached_property
@@ -117,6 +120,7 @@ class SceneGraph:
         ends += [point for closing in self.closings for point in (closing.one, closing.other)]
         for body, point in ends:
             joined[body].append(point)
+        joined[self.tip[0]].append(self.tip[1])
         for link in self._links:
             joined[link.name].append(_point(self.geometry.far_end(link.name).origin))
             joined[link.parent] += [seats[link.name][:3, 3].tolist(),
@@ -130,7 +134,10 @@ class SceneGraph:
 
     @property
     def tip(self) -> Point:
-        """The far end of the machine's last link."""
+        """The far end of the machine's last link, or the tip of its calibrator."""
+        if self._carried:
+            last = self.machine.chain[-1].name
+            return last, _point(self.geometry.far_end(last).point(self.geometry.point("tip")))
         return self.machine.tip, _point(self.geometry.far_end(self.machine.tip).origin)
 
     @property

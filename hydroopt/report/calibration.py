@@ -2,32 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from itertools import groupby
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib
 import numpy as np
 from markupsafe import Markup
-from matplotlib.axes import Axes
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
-from matplotlib.lines import Line2D
-from matplotlib.patches import Patch
-from matplotlib.ticker import FuncFormatter
-from numpy.typing import NDArray
 
 from hydroopt.report import chain_sides
-from hydroopt.report.figures import BLUE, GREEN, GREY, INK, LIGHT, ORANGE, SHADE, STYLE, WIDTH, changes, changes_of, svg
+from hydroopt.report.charts import Chart, Field, Line, TimeChart
+from hydroopt.report.figures import INK, LIGHT, STYLE, WIDTH, svg
+from hydroopt.report.intervals import interval
 from hydroopt.report.numbers import NONE, Row, plain, quantity, unit_text
 from hydroopt.report.page import document
+from hydroopt.report.samples import Samples, Span
+from hydroopt.report.scene import SceneView, base_point
 from hydroopt.results.status import Status
 
 if TYPE_CHECKING:
     from hydroopt.estimation.kinematic.calibration import Calibration
-    from hydroopt.estimation.kinematic.chain_points import ChainPoints
-    from hydroopt.estimation.kinematic.residuals import PoseResiduals
     from hydroopt.results.fit import Fit
     from hydroopt.spatial.inertia import Array
 
@@ -42,10 +35,8 @@ PRINTED: dict[str, tuple[str, float]] = {"m": ("mm", 1e3), "rad": ("deg", 180 / 
 
 MOST = 40
 """Parameters that the map of correlations can name legibly."""
-PANELS = 3
-SHOWN = 3
-"""Stages, and poses of each, in the picture of the chain."""
-BINS = 40
+FIXTURES = 12
+"""Fixtures that the machine in space shows."""
 FLAT = 1e-6
 """Width of a view, relative to its length, from which on it is drawn."""
 
@@ -60,6 +51,7 @@ class Parameter(NamedTuple):
     partner: str
     alone: bool
     strong: bool
+    figure: Markup
 
 
 def render(c: Calibration) -> str:
@@ -68,7 +60,8 @@ def render(c: Calibration) -> str:
     groups = _groups(c)
     every = [p for _, rows in groups for p in rows]
     return document(
-        "calibration.html", machine=problem.model.machine, calibration=c, diagnostics=c.diagnostics,
+        "calibration.html", samples=_samples(c), charts={"residuals": _residuals(c), "workspace": _workspace(c)},
+        scene=_scene(c), verdict=c.verdict, machine=problem.model.machine, calibration=c, diagnostics=c.diagnostics,
         suspect=c.status is not Status.OK,
         method=METHODS.get(c.method, ""), fit=_fit(c), groups=groups, figures=_drawings(c),
         counts={kind: sum(p.identifiability == kind for p in every)
@@ -82,9 +75,7 @@ def render(c: Calibration) -> str:
 
 
 def _drawings(c: Calibration) -> dict[str, Markup]:
-    drawn = {"residuals": residuals(c), "chain": chains(c), "sides": chain_sides.distances(c.sides),
-             "changes": changes(changes_of(c.parameters, priors_only=True)), "correlations": correlations(c),
-             "workspace": workspace(c)}
+    drawn = {"sides": chain_sides.distances(c.sides), "correlations": correlations(c)}
     return {name: Markup(svg(figure, name)) for name, figure in drawn.items() if figure is not None}
 
 
@@ -138,7 +129,8 @@ def _parameter(c: Calibration, k: int) -> Parameter:
     std = float(c.std[k])
     numbers = quantity(factor * float(c.theta[k]) if c.determined[k] else np.nan, factor * std, (low, high),
                        factor * float(parameters.nominal[k]))
-    return Parameter(name.rpartition(".")[2], unit, numbers, c.category(name), partner, np.isnan(std), strong)
+    return Parameter(name.rpartition(".")[2], unit, numbers, c.category(name), partner, np.isnan(std), strong,
+                     interval(c.parameters[name]))
 
 
 def _tables(c: Calibration) -> list[dict[str, Any]]:
@@ -163,79 +155,64 @@ def _printed(value: float, unit: str) -> str:
     return f"{plain(factor * value, 6)} {shown}"
 
 
-# --- residuals ---
+# --- poses ---
 
 
-def residuals(c: Calibration) -> Figure:
-    """Residuals of every pose before and after, stage by stage; suspects are ringed."""
-    parts = c.residuals
-    units = {channel: unit for part in parts for channel, unit in part.units.items()}
-    channels = list(units)
-    total = sum(len(part.poses) for part in parts)
-    crowded = any(len(stage) * 0.056 > count / total * (WIDTH - 0.8) for stage, count in _runs(parts))
-    each, top = 2.5, 0.85 if crowded else 0.45
-    height = top + each * len(channels)
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, height))
-        for row, channel in enumerate(channels):
-            ax = figure.add_axes((0.65 / WIDTH, (0.42 + (len(channels) - 1 - row) * each) / height, 1 - 0.8 / WIDTH,
-                                  (each - 0.5) / height))
-            start = 0
-            for part in parts:
-                _stages(ax, part, start, turned=None if row else 25 if crowded else 0)
-                x = start + 1 + np.arange(len(part.poses))
-                if channel in part.after:
-                    flagged = c.suspicious if part.role == "train" else np.zeros(len(x), dtype=bool)
-                    _dots(ax, part, channel, x, flagged, 2.2 if total > 300 else 3.2)
-                start += len(x)
-            ax.set(yscale="log", xlim=(0.5, start + 0.5), ylabel=_in_thousandths(channel, units[channel], " [mm]"))
-            ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            ax.grid(axis="x", visible=False)
-            ax.tick_params(labelbottom=row == len(channels) - 1)
-        figure.axes[-1].set_xlabel("pose, in the order of the files")
-        handles: list[Line2D | Patch] = [_dot(GREY, "nominal"), _dot(BLUE, "calibrated")]
-        if len(parts) > 1:
-            handles += [_dot(ORANGE, "calibrated, held out"), Patch(facecolor=SHADE, edgecolor="#e8d3b0", lw=0.6,
-                                                                    label="held out, not used for the estimate")]
-        if c.suspicious.any():
-            handles.append(Line2D([], [], color="#b3261e", marker="o", mfc="none", ls="none", ms=6, label="suspect"))
-        figure.legend(handles=handles, loc="upper left", ncols=len(handles), bbox_to_anchor=(0.05, 1.0),
-                      borderaxespad=0.2)
-    return figure
+def _samples(c: Calibration) -> Samples:
+    """Joint positions and residuals [mm or mrad] of every pose; held-out poses follow those of training."""
+    joints, parts = c.problem.model.joints, c.residuals
+    sizes = [len(part.poses) for part in parts]
+    columns: dict[str, list[Array]] = {}
+    for number, part in enumerate(parts):
+        solved = part.role == "train" and len(c.q) == sizes[number]
+        known = c.q if solved else np.full((sizes[number], len(joints)), np.nan)
+        made = {f"{joint}.q": known[:, k] for k, joint in enumerate(joints)}
+        for when, table in (("before", part.before), ("after", part.after)):
+            made |= {f"{channel}.{when}": 1e3 * values for channel, values in table.items()}
+        for name in {*columns, *made}:
+            columns.setdefault(name, [np.full(size, np.nan) for size in sizes[:number]]).append(
+                made.get(name, np.full(sizes[number], np.nan)))
+    ends = np.cumsum([0, *sizes]).tolist()
+    spans = tuple(Span(a, b - 1, "training" if part.role == "train" else "held out", part.role)
+                  for part, a, b in zip(parts, ends, ends[1:], strict=False) if b > a)
+    return Samples("pose, in the order of the files", np.arange(1.0, ends[-1] + 1),
+                   {name: np.concatenate(values) for name, values in columns.items()}, spans)
 
 
-def _runs(parts: Sequence[PoseResiduals]) -> list[tuple[str, int]]:
-    """Stages with their number of poses, in order."""
-    return [(stage, len(list(rows))) for part in parts for stage, rows in groupby(map(str, part.poses.stage))]
+def _residuals(c: Calibration) -> list[Chart]:
+    """Residuals of every pose before and after, by channel."""
+    units = {channel: unit for part in c.residuals for channel, unit in part.units.items()}
+    made: list[Chart] = []
+    for channel, unit in units.items():
+        table = c.fit.get("train", {}).get(channel)
+        printed = f"{_in_thousandths(channel, unit, ' [mm]')}"
+        rms = "" if table is None else f", RMS {plain(1e3 * table.rms, 3)} as calibrated on the training poses"
+        lines = [Line(f"{channel}.{when}", label, look, dots=True) for when, label, look in (
+            ("before", "nominal", "measured"), ("after", "calibrated", "predicted"))
+            if any(channel in getattr(part, when) for part in c.residuals)]
+        made.append(TimeChart(printed, tuple(lines), f"Residual of {printed} of every pose{rms}.", logarithmic=True))
+    return made
 
 
-def _dot(colour: str, label: str) -> Line2D:
-    return Line2D([], [], color=colour, marker="o", ls="none", ms=4, label=label)
+def _scene(c: Calibration) -> SceneView:
+    """The chain as calibrated in every training pose, with the places that held its tip."""
+    fixtures = tuple(base_point(f"fixture {k + 1}", at.tolist(), "fixture", 0.0)
+                     for k, at in enumerate(c.held_at[:FIXTURES]))
+    return SceneView(c.scene, tuple(f"{joint}.q" for joint in c.problem.model.joints), marks=fixtures)
 
 
-def _dots(ax: Axes, part: PoseResiduals, channel: str, x: NDArray[np.int64], flagged: NDArray[np.bool_],
-          size: float) -> None:
-    for table, colour in ((part.before, GREY), (part.after, BLUE if part.role == "train" else ORANGE)):
-        if channel in table:
-            ax.plot(x, 1e3 * table[channel], ls="none", marker="o", ms=size, mew=0, color=colour)
-    ax.plot(x[flagged], 1e3 * part.after[channel][flagged], ls="none", marker="o", ms=6, mfc="none", mew=0.9,
-            color="#b3261e")
-
-
-def _stages(ax: Axes, part: PoseResiduals, start: int, *, turned: float | None) -> None:
-    """Every other stage on a darker ground, held-out poses on their own; names above, turned by an angle [deg]."""
-    position = start + 0.5
-    for k, (stage, count) in enumerate(_runs([part])):
-        if part.role == "validation" or k % 2 == 0:
-            colour, alpha = (SHADE, 1.0) if part.role == "validation" else (LIGHT, 0.45)
-            ax.axvspan(position, position + count, color=colour, alpha=alpha, lw=0, zorder=0.5)
-        if k:
-            ax.axvline(position, color=GREY, lw=0.4)
-        if turned is not None:
-            ax.annotate(stage, (position + count / 2, 1.0), xycoords=ax.get_xaxis_transform(), xytext=(0, 3),
-                        textcoords="offset points", rotation=turned, rotation_mode="anchor", va="bottom", fontsize=7,
-                        ha="left" if turned else "center", annotation_clip=False)
-        position += count
+def _workspace(c: Calibration) -> list[Chart]:
+    """Standard deviation of the machine's end over its workspace, from the side and from above."""
+    known = np.isfinite(c.workspace.std)
+    x, y, z = c.workspace.position[known].T
+    std = 1e3 * c.workspace.std[known]
+    if not np.any(std):
+        return []
+    views = (("from the side, turned into one plane", np.hypot(x, y), z, "radius from the base's z axis [m]",
+              "height along it [m]"), ("from above, all heights", x, y, "x [m]", "y [m]"))
+    return [Field(f"standard deviation of the {c.workspace.point}, {title}", across, up, std, "mm", below, beside)
+            for title, across, up, below, beside in views
+            if min(np.ptp(across), np.ptp(up)) > FLAT * max(np.ptp(across), np.ptp(up))]  # a plane is a line from above
 
 
 # --- correlations ---
@@ -276,131 +253,3 @@ def correlations(c: Calibration) -> Figure | None:
         bar = figure.colorbar(picture, cax=figure.add_axes(room(margin + side + 0.2, 0.16, min(side, 3.0))))
         bar.set_label("correlation [1]")
     return figure
-
-
-# --- workspace ---
-
-
-def workspace(c: Calibration) -> Figure | None:
-    """Mean standard deviation of the machine's end over its workspace from the side and from above."""
-    space = c.workspace
-    known = np.isfinite(space.std)
-    if not np.any(space.std[known]):
-        return None
-    std = 1e3 * space.std[known]
-    views = ((_side, "from the side, turned into one plane", "radius from the base's z axis [m]",
-              "height along it [m]"), (_above, "from above, all heights", "x [m]", "y [m]"))
-    spans = [np.ptp(view(space.position[known]), axis=0) for view, *_ in views]
-    shown = [(*view, span) for view, span in zip(views, spans, strict=True)
-             if np.min(span) > FLAT * np.max(span)]  # a plane is a line from above
-    if not shown:
-        return None
-    tall = min(4.4, (WIDTH - 2.7) / sum(float(span[0] / span[1]) for *_, span in shown))
-    height, left = tall + 1.05, 0.65
-    colours = Normalize(float(np.quantile(std, 0.005)), float(np.quantile(std, 0.995)))
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, height))
-        for view, title, across, up, span in shown:
-            wide = tall * float(span[0] / span[1])
-            ax = figure.add_axes((left / WIDTH, 0.5 / height, wide / WIDTH, tall / height))
-            mean, edges = _binned(view(space.position[known]), std)
-            ax.pcolormesh(*edges, mean.T, cmap="viridis", norm=colours, rasterized=True)
-            ax.plot(*view(space.measured).T, ls="none", marker="o", ms=2.4, mfc="white", mec=INK, mew=0.4,
-                    label="measured poses")
-            ax.set(xlabel=across, title=title)
-            ax.set_ylabel(up, labelpad=1)
-            left += max(wide, 2.2) + 0.75
-        bar = figure.colorbar(ScalarMappable(colours, "viridis"), extend="both", cax=figure.add_axes((
-            (left - 0.45) / WIDTH, 0.55 / height, 0.17 / WIDTH, min(3.6, 0.9 * tall) / height)))
-        bar.set_label(f"standard deviation of the {space.point} [mm]")
-        figure.legend(*figure.axes[0].get_legend_handles_labels(), loc="upper left", bbox_to_anchor=(0.05, 1.0),
-                      borderaxespad=0.2)
-    return figure
-
-
-def _side(points: Array) -> Array:
-    return np.stack([np.hypot(points[:, 0], points[:, 1]), points[:, 2]], axis=-1)
-
-
-def _above(points: Array) -> Array:
-    return points[:, :2]
-
-
-def _binned(points: Array, values: Array) -> tuple[Array, list[Array]]:
-    """Mean of the values in square cells, NaN where there is none, and the cells' edges."""
-    low, high = points.min(axis=0), points.max(axis=0)
-    cell = float(np.max(high - low)) / BINS
-    edges = [np.arange(low[k] - cell / 2, high[k] + cell, cell) for k in range(2)]
-    total, count = (np.histogram2d(points[:, 0], points[:, 1], bins=edges, weights=weights)[0]
-                    for weights in (values, np.ones_like(values)))
-    return np.divide(total, count, out=np.full_like(total, np.nan), where=count > 0), edges
-
-
-# --- chain ---
-
-
-def chains(c: Calibration) -> Figure | None:
-    """The closed chain from the side in some measured poses of some stages; the first of each in full colour."""
-    problem = c.problem
-    machine, stage_of = problem.model.machine, problem.poses.stage
-    if machine.calibrator is None:
-        return None
-    stages = _spread(list(dict.fromkeys(map(str, stage_of))), PANELS)
-    views = [_flattened(c.chain(_spread(np.flatnonzero(stage_of == stage).tolist(), SHOWN)))
-             for stage in stages]
-    corners = np.concatenate([part.reshape(-1, 2) for view in views for part in (view.points, view.fixture, view.pins)])
-    low, high = np.nanmin(corners, axis=0), np.nanmax(corners, axis=0)
-    low, high = low - 0.05 * np.max(high - low), high + 0.05 * np.max(high - low)
-    wide = (WIDTH - 0.65) / len(views) - 0.15
-    tall = min(4.2, wide * float((high - low)[1] / (high - low)[0]))
-    height = tall + 0.95
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, height))
-        for k, (stage, view) in enumerate(zip(stages, views, strict=True)):
-            ax = figure.add_axes(((0.6 + k * (wide + 0.15)) / WIDTH, 0.42 / height, wide / WIDTH, tall / height))
-            for pose in reversed(range(len(view.points))):
-                _draw(ax, view, pose, faint=pose > 0)
-            ax.axhline(0, color=GREY, lw=0.6, zorder=0.8)
-            ax.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), xlabel="reach [m]", title=stage or "poses")
-            ax.set_aspect("equal")
-            ax.tick_params(labelleft=k == 0)
-        figure.axes[0].set_ylabel("height [m]")
-        handles = [Line2D([], [], color=INK, lw=2.4, marker="o", mfc="white", ms=4, label="machine"),
-                   Line2D([], [], color=ORANGE, lw=2, marker="o", mfc="white", ms=4,
-                          label="calibrator" if machine.calibrator.links else "tool")]
-        if machine.pinned:
-            handles.append(Line2D([], [], color=BLUE, lw=2, label="cylinders"))
-        if machine.fixtures:
-            handles.append(Line2D([], [], color=GREEN, marker="D", ls="none", ms=6, label="fixture"))
-        figure.legend(handles=handles, loc="upper left", ncols=4, bbox_to_anchor=(0.05, 1.0), borderaxespad=0.2)
-    return figure
-
-
-def _spread(things: list[Any], most: int) -> list[Any]:
-    """Some of a list, evenly from the first to the last."""
-    return [things[k] for k in dict.fromkeys(np.linspace(0, len(things) - 1, most).round().astype(int).tolist())]
-
-
-def _flattened(chain: ChainPoints) -> ChainPoints:
-    """The chain seen perpendicularly to the vertical plane in which it mainly lies."""
-    flat = chain.points[:, :, :2].reshape(-1, 2)
-    across = np.linalg.svd(flat, full_matrices=False)[2][0]
-    across = across * (1.0 if across @ flat.sum(axis=0) >= 0 else -1.0)
-
-    def projected(points: Array) -> Array:
-        return np.stack([points[..., :2] @ across, points[..., 2]], axis=-1)
-
-    return chain._replace(points=projected(chain.points), fixture=projected(chain.fixture), pins=projected(chain.pins))
-
-
-def _draw(ax: Axes, view: ChainPoints, pose: int, *, faint: bool) -> None:
-    alpha = 0.25 if faint else 1.0
-    points, machine = view.points[pose], view.machine_links + 1
-    for pins, carriers in zip(view.pins[pose], view.carrier, strict=True):
-        for pin, link in zip(pins, carriers, strict=True):
-            if link >= 0:  # what carries the pin, as a triangle on the link's line
-                ax.plot(*np.array([points[link], pin, points[link + 1]]).T, color=GREY, lw=0.8, alpha=0.7 * alpha)
-        ax.plot(*pins.T, color=BLUE, lw=2.2, alpha=alpha, solid_capstyle="round")
-    for part, colour, width in ((points[:machine], INK, 2.6), (points[machine - 1 :], ORANGE, 2.0)):
-        ax.plot(*part.T, color=colour, lw=width, alpha=alpha, marker="o", ms=3.4, mfc="white", mew=1.0)
-    ax.plot(*view.fixture[pose], color=GREEN, marker="D", ms=6, ls="none", zorder=5, alpha=0.5 if faint else 1.0)

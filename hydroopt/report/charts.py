@@ -76,29 +76,28 @@ class Cloud:
 
 @dataclass(frozen=True)
 class HeatMap:
-    """Mean magnitude of column `value` in cells of the place of the machine's tip, or of columns `x` and `y`."""
+    """Mean magnitude of the column `value` in cells of the place of the machine's tip."""
 
     title: str
     value: str
     unit: str
-    x: str = ""
-    y: str = ""
     across: str = ""
     up: str = ""
     kind: ClassVar[str] = "map"
 
 
 @dataclass(frozen=True)
-class Grid:
-    """A matrix in colours: `values` (rows, columns), names beside both axes."""
+class Field:
+    """Mean of `value` (N,) in cells of the places `x`, `y` (N,), which are no samples of the page."""
 
     title: str
-    values: Array
-    rows: tuple[str, ...]
-    columns: tuple[str, ...]
+    x: Array
+    y: Array
+    value: Array
     unit: str
-    alt: str
-    kind: ClassVar[str] = "grid"
+    across: str
+    up: str
+    kind: ClassVar[str] = "field"
 
 
 @dataclass(frozen=True)
@@ -126,7 +125,7 @@ class Curves:
     kind: ClassVar[str] = "curves"
 
 
-Chart = TimeChart | Cloud | HeatMap | Curves
+Chart = TimeChart | Cloud | HeatMap | Field | Curves
 
 
 def described(chart: TimeChart | Curves, samples: Samples) -> str:
@@ -203,6 +202,8 @@ def payload(chart: Chart) -> dict[str, Any]:
     found = {"kind": chart.kind} | {key: value for key, value in vars(chart).items() if key != "alt"}
     if isinstance(chart, TimeChart):
         found["lines"] = [vars(line) for line in chart.lines]
+    if isinstance(chart, Field):
+        found |= {key: packed(getattr(chart, key)) for key in ("x", "y", "value")}
     if isinstance(chart, Curves):
         found["x"] = packed(chart.x)
         found["lines"] = [{"label": label, "look": look, "values": packed(values)}

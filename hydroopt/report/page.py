@@ -15,7 +15,7 @@ from markupsafe import Markup
 
 from hydroopt.errors import visible
 from hydroopt.report import charts as figures
-from hydroopt.report.charts import Chart, Curves, HeatMap, TimeChart
+from hydroopt.report.charts import Chart, Curves, Field, HeatMap, TimeChart
 from hydroopt.report.findings import findings
 from hydroopt.report.numbers import NONE, SPACE, plain
 from hydroopt.report.samples import Samples
@@ -86,7 +86,7 @@ def _drawn(numbered: tuple[int, Chart], samples: Samples) -> Drawn:
     alt = figures.described(chart, samples) if isinstance(chart, TimeChart | Curves) else getattr(chart, "alt", "")
     return Drawn(index, chart.kind, chart.title, alt or chart.title,
                  figures.static(chart, samples) if isinstance(chart, TimeChart | Curves) else None,
-                 170 if lines else 300 if isinstance(chart, HeatMap) else 230)
+                 170 if lines else 300 if isinstance(chart, HeatMap | Field) else 230)
 
 
 def _scripts(scene: SceneView | None, *, plotted: bool) -> list[str]:

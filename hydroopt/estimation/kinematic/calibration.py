@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from hydroopt.estimation.kinematic import calibrated_machine, diagnostics
-from hydroopt.estimation.kinematic.chain_points import ChainPoints, chain_points
 from hydroopt.estimation.kinematic.chain_sides import ChainSides, chain_sides, table_of
 from hydroopt.estimation.kinematic.prediction import coverage
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
@@ -21,6 +20,7 @@ from hydroopt.estimation.kinematic.unsensed_angles import follow_unsensed, guess
 from hydroopt.estimation.kinematic.workspace import WorkspaceAccuracy, workspace_accuracy
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
+from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
@@ -28,6 +28,7 @@ from hydroopt.results.json_file import Job, MachineId
 from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use, determined, judged
+from hydroopt.spatial.inertia import Array
 
 
 @dataclass(frozen=True, eq=False, repr=False)
@@ -170,6 +171,17 @@ class Calibration(KinematicSolution, Answer):
         return tuple(found)
 
     @cached_property
+    def scene(self) -> SceneGraph:
+        """The bodies of machine and calibrator as calibrated."""
+        return self.problem.model.scene_graph(self.theta[: len(self.problem.model.parameters)])
+
+    @property
+    def held_at(self) -> Array:
+        """Places (k, 3) [m] of fixtures that hold the tip in the training poses, each once."""
+        places = self.problem.places(self.theta)[self.problem.layout.held, :3]
+        return np.unique(np.round(places, 3), axis=0)
+
+    @cached_property
     def workspace(self) -> WorkspaceAccuracy:
         """Accuracy of the machine's end over its workspace."""
         return workspace_accuracy(self)
@@ -180,10 +192,6 @@ class Calibration(KinematicSolution, Answer):
         if self.problem.validation is None or self.algorithm != JOINT:
             return float("nan")
         return coverage(self, self.problem.validation)
-
-    def chain(self, rows: Sequence[int]) -> ChainPoints:
-        """The calibrated chain as points, in some of the training poses."""
-        return chain_points(self, rows)
 
     def __str__(self) -> str:
         lines = [f"{self.machine_name} by {self.method}: {self.status}, {len(self.problem.poses)} poses, "

@@ -168,7 +168,8 @@ function cloud(figure, chart) {
 
 const CELLS = 24;
 function heatMap(figure, chart, tip) {
-  const values = column(chart.value), place = chart.x ? [column(chart.x), column(chart.y)] : tip();
+  const own = chart.kind === "field", values = own ? unpack(chart.value) : column(chart.value);
+  const place = own ? [unpack(chart.x), unpack(chart.y)] : tip();
   const [x, y] = place, spans = [extent(x, 0), extent(y, 0)], sum = new Float64Array(CELLS * CELLS), count = new Uint32Array(CELLS * CELLS);
   const cell = (value, [low, high]) => Math.min(CELLS - 1, Math.floor(CELLS * (value - low) / (high - low)));
   for (let k = 0; k < values.length; k++) {
@@ -219,7 +220,7 @@ for (const figure of document.querySelectorAll("figure[data-chart]")) {
   const chart = page.charts[+figure.dataset.chart];
   if (chart.kind === "time") timeChart(figure, chart);
   else if (chart.kind === "cloud") cloud(figure, chart);
-  else if (chart.kind === "map") heatMap(figure, chart, () => machine.tipPlaces());
+  else if (chart.kind === "map" || chart.kind === "field") heatMap(figure, chart, () => machine.tipPlaces());
   else curves(figure, chart);
 }
 for (const button of timePlots.length ? document.querySelectorAll("[data-zoom-reset]") : []) {
