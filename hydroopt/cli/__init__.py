@@ -19,7 +19,7 @@ from hydroopt.cli import limits
 from hydroopt.cli.terminal import echo
 from hydroopt.errors import HydrooptError, ProblemError, StoppedError
 
-JOBS = {"Describe a machine": ("models", "show", "view", "convert"),
+JOBS = {"Describe a machine": ("new", "models", "show", "view", "convert"),
         "Measure": ("excite", "plan-poses", "simulate", "map", "check"),
         "Identify and calibrate": ("identify", "identify-valves", "identify-payload", "compare", "calibrate",
                                    "calibrate-sensors"),

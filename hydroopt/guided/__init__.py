@@ -1,0 +1,1 @@
+"""A machine file from questions that a mechanic with a tape can answer."""

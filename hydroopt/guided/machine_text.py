@@ -1,0 +1,237 @@
+"""The machine file of a sketch: measured numbers with the tape's accuracy, all others as assumed, with comments."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+
+from hydroopt.guided.kinds import CylinderPart, LinkagePart, Member
+from hydroopt.guided.sketch import Sketch
+
+TAPE = 0.005
+"""Standard deviation [m] of a distance between pin centres by a tape."""
+GUESS = 0.05
+"""Standard deviation of a typical length, as a part of it."""
+STEEL = 7850.0
+"""Density [kg/m³]."""
+
+
+def machine_text(sketch: Sketch) -> str:
+    """The text of the machine file, which `hydroopt.read_machine` takes.
+
+    Raises:
+        OpenError: a triangle or a linkage does not close.
+    """
+    return "\n".join(_Writer(sketch).lines()) + "\n"
+
+
+class _Writer:
+    """Writes the parts of a sketch."""
+
+    def __init__(self, sketch: Sketch) -> None:
+        self.sketch, self.kind = sketch, sketch.kind
+        self.assumed = f"assumed: typical of {'an' if self.kind.name[0] in 'aeiou' else 'a'} {self.kind.name}, scaled"
+        self.column = sketch.column
+
+    def lines(self) -> Iterator[str]:
+        """All lines."""
+        name = self.sketch.word("name")
+        yield f"# {name}: written by 'hydroopt new', kind {self.kind.name}. Typical numbers: {self.kind.typical}."
+        yield "# Replace what is assumed by what you know, and keep sigma honest: it is the standard deviation that the"
+        yield "# estimators believe. Pins stand in the frame of their link: x from its first pin to its last, y up when"
+        yield "# the link points forward, z sideways."
+        yield f'name = "{name}"'
+        yield f'description = "{name}, described by the guided start of hydroopt"'
+        yield 'bandwidth = { value = "2 Hz", source = "assumed: what the valves of such a machine follow" }'
+        if self.kind.slew:
+            yield 'ground = { value = "0 m", source = "level ground" }'
+        elif not self.column:
+            yield "# The base frame lies in the plane of the machine: x forward, y up."
+            yield 'orientation = ["90 deg", "0 deg", "0 deg"]'
+        if self.kind.slew:
+            yield from self._slew()
+        for k, member in enumerate(self.sketch.members):
+            yield from self._link(k, member)
+        for k, member in enumerate(self.sketch.members):
+            if member.linkage is not None:
+                yield from self._linkage(k, member, member.linkage)
+        if self.kind.slew:
+            yield from self._motor()
+        for k, member in enumerate(self.sketch.members):
+            yield from (self._drive(member) if member.cylinder is None else self._cylinder(k, member, member.cylinder))
+        yield from self._sensors()
+
+    def _slew(self) -> Iterator[str]:
+        slew, size = self.kind.slew, self.sketch.number(f"{self.sketch.members[0].name}.length")
+        mass = self.kind.slew_mass * (size / self.kind.members[0].length) ** 3
+        yield from ("", "# Turns about the vertical; its far end is the first pin of the next link.", "[[links]]",
+                    f'name = "{slew}"')
+        yield (f"joint = {{ type = \"revolute\", d = {self._length(f'{slew}.height')}, "
+               f"a = {self._length(f'{slew}.offset')}, alpha = \"90 deg\", lower = \"-180 deg\", upper = \"180 deg\", "
+               f"{self._pace(30, 30)} }}")
+        radius = 0.25 * size
+        yield from self._body("links.body", mass, (-0.1 * size, 0.0, 0.1 * size), (
+            mass * radius**2 / 2, mass * radius**2 / 2, mass * radius**2), 0.2, 0.1 * size)
+
+    def _link(self, k: int, member: Member) -> Iterator[str]:
+        length = self.sketch.number(f"{member.name}.length")
+        low, high = (math.degrees(limit) for limit in self.sketch.limits(k))
+        by = "what its cylinder's stroke reaches" if member.cylinder else "stated"
+        yield from ("", f"# {member.name}: from the {member.first} to the {member.last}; limits are {by}.", "[[links]]",
+                    f'name = "{member.name}"')
+        column = self.column and k == 0
+        far = (f"d = {self._length(f'{member.name}.length')}, alpha = \"90 deg\"" if column else
+               f"a = {self._length(f'{member.name}.length')}")
+        yield (f'joint = {{ type = "revolute", {far}, lower = "{low:.2f} deg", upper = "{high:.2f} deg", '
+               f"{self._pace(25, 40)} }}")
+        mass, along = self.sketch.number(f"{member.name}.mass"), 0.45 * length
+        thick = mass * (0.15 * length) ** 2 / 6
+        com = (0.0, 0.0, along - length) if column else (along, 0.05 * length, 0.0)
+        slender = mass * length**2 / 12
+        yield from self._body("links.body", mass, com, (slender, slender, thick) if column else (
+            thick, slender, slender), 0.05 if self.sketch.measured(f"{member.name}.mass") else 0.3, 0.1 * length,
+            measured=self.sketch.measured(f"{member.name}.mass"))
+
+    def _linkage(self, k: int, member: Member, part: LinkagePart) -> Iterator[str]:
+        stroke = self.sketch.stroke(k)
+        angle, rocker = self.sketch.posture(k, sum(stroke) / 2, sum(self.sketch.limits(k - 1)) / 2)
+        yield from ("", f"# The cylinder turns the {part.rocker_name}, which moves the {member.name} by the "
+                    f"{part.coupler_name}.", "[[linkages]]", f'name = "{member.name}_linkage"',
+                    f'moves = "{member.name}"',
+                    "# one posture tells on which side the parts are assembled")
+        yield (f'posture = {{ {member.name} = "{math.degrees(angle):.1f} deg", {part.rocker_name} = '
+               f'"{math.degrees(rocker):.1f} deg" }}')
+        for role, name in (("rocker", part.rocker_name), ("coupler", part.coupler_name)):
+            length = self.sketch.number(f"{name}.length")
+            yield f"[linkages.{role}]"
+            if name != role:
+                yield f'name = "{name}"'
+            yield f"pin = {self._pin(f'{name}.pin')}"
+            yield f"length = {self._length(f'{name}.length')}"
+            mass = 180.0 * length**3
+            yield from self._body(f"linkages.{role}.body", mass, (length / 2, 0.0, 0.0), (
+                mass * length**2 / 120, mass * length**2 / 12, mass * length**2 / 12), 0.3, 0.1 * length)
+
+    def _motor(self) -> Iterator[str]:
+        ratio = (self.sketch.number(f"{self.sketch.members[0].name}.length") / 6.2) ** 3
+        yield from ("", "# Torque per pressure difference: displacement per radian of the swing, by the plate.",
+                    "[[motors]]", f'name = "{self.kind.slew}_motor"', f'joint = "{self.kind.slew}"',
+                    f'torque_per_pressure = {{ value = "{6e-3 * ratio:.3g} N*m/Pa", source = "{self.assumed}" }}')
+        yield (f'friction = {{ coulomb = {self._guess(3000 * ratio, "N*m", 1)}, '
+               f'viscous = {self._guess(2000 * ratio, "N*m*s/rad", 2)} }}')
+
+    def _cylinder(self, k: int, member: Member, part: CylinderPart) -> Iterator[str]:
+        name, stroke_key, sketch = part.name, f"{member.name}_stroke", self.sketch
+        short, long = sketch.stroke(k)
+        bore, rod = sketch.number(f"{name}.bore"), sketch.number(f"{name}.rod")
+        jacks = int(sketch.number(f"{name}.jacks"))
+        head = jacks * math.pi / 4 * bore**2
+        yield from ("", "[[cylinders]]", f'name = "{name}"')
+        if jacks > 1:
+            yield f"jacks = {jacks}"
+        for key, size in (("bore", bore), ("rod_diameter", rod)):
+            source = "measured" if sketch.measured(f"{name}.{key.removesuffix('_diameter')}") else self.assumed
+            yield f'{key} = {{ value = "{1e3 * size:.1f} mm", source = "{source}" }}'
+        yield "# pin to pin, fully retracted"
+        yield f"dead_length = {self._length(f'{stroke_key}.retracted')}"
+        source = "tape measure" if sketch.measured(f"{stroke_key}.extended") else self.assumed
+        yield f'stroke = {{ value = "{long - short:.4f} m", source = "{source}" }}'
+        yield f'relief_pressure = {{ value = "300 bar", source = "{self.assumed}" }}'
+        yield (f'friction = {{ offset = {self._guess(0.0, "N", 1, 1.5e5 * head)}, '
+               f'coulomb = {self._guess(2e5 * head, "N", 1)}, viscous = {self._guess(5e5 * head, "N*s/m", 2)} }}')
+        if part.on_ground:
+            yield from ("[cylinders.barrel]", f'link = "{self.kind.slew or "base"}"',
+                        f"pin = {self._ground_pin(name)}")
+        else:
+            yield from ("[cylinders.barrel]", f'link = "{sketch.members[k - 1].name}"',
+                        f"pin = {self._pin(f'{name}.barrel_pin')}")
+        barrel = 1.3 * STEEL * jacks * math.pi / 4 * (1.2**2 - 1) * bore**2 * short
+        yield from self._rod_like("cylinders.barrel.body", barrel, 0.45 * short, short, bore)
+        if member.linkage is None:
+            yield from ("[cylinders.rod]", f'link = "{member.name}"', f"pin = {self._pin(f'{name}.rod_pin')}")
+        else:
+            at = sketch.rocker_rod(member.linkage)
+            yield from ("[cylinders.rod]", f'link = "{member.linkage.rocker_name}"',
+                        f"pin = {self._vector(at, 2 * TAPE, self.assumed)}")
+        yield from self._rod_like("cylinders.rod.body", 1.2 * STEEL * jacks * math.pi / 4 * rod**2 * 1.1 * (
+            long - short), -0.5 * (long - short), 1.1 * (long - short), rod)
+
+    def _drive(self, member: Member) -> Iterator[str]:
+        torque = self.sketch.number(f"{member.name}.torque")
+        source = "stated" if self.sketch.measured(f"{member.name}.torque") else self.assumed
+        yield from ("", "[[drives]]", f'name = "{member.name}_drive"', f'joint = "{member.name}"',
+                    f'max_torque = {{ value = "{torque:.4g} N*m", source = "{source}" }}',
+                    f'friction = {{ coulomb = {self._guess(0.03 * torque, "N*m", 1)}, '
+                    f'viscous = {self._guess(0.03 * torque, "N*m*s/rad", 2)} }}')
+
+    def _sensors(self) -> Iterator[str]:
+        members = self.sketch.members
+        joints = ([self.kind.slew] if self.kind.slew else []) + [member.name for member in members]
+        chambers = [f"{self.kind.slew}_motor.{side}" for side in ("p_a", "p_b")] if self.kind.slew else []
+        chambers += [f"{member.cylinder.name}.{side}" for member in members if member.cylinder
+                     for side in ("p_head", "p_rod")]
+        lengths = [f"{member.cylinder.name}.length" for member in members if member.cylinder]
+        torques = [f"{member.name}.tau" for member in members if member.cylinder is None]
+        yield from ("", "# Accuracy is the standard deviation of one reading; a log may hold fewer channels.")
+        for channels, accuracy in (([f"{joint}.q" for joint in joints], "0.1 deg"), (chambers, "2 bar"),
+                                   (lengths, "2 mm"), (torques, "1 N*m")):
+            if channels:
+                yield from ("", "[[sensors]]", f"channels = [{', '.join(f'{chr(34)}{c}{chr(34)}' for c in channels)}]",
+                            f'accuracy = {{ value = "{accuracy}", source = "assumed" }}', 'rate = "100 Hz"')
+
+    def _rod_like(self, table: str, mass: float, along: float, length: float, width: float) -> Iterator[str]:
+        yield from self._body(table, mass, (along, 0.0, 0.0), (
+            mass * width**2 / 8, mass * length**2 / 12, mass * length**2 / 12), 0.3, 0.1 * length)
+
+    def _body(self, table: str, mass: float, com: tuple[float, float, float], inertia: tuple[float, float, float],
+              sigma: float, com_sigma: float, *, measured: bool = False) -> Iterator[str]:
+        x, y, z = inertia
+        yield f"[{table}]"
+        yield (f'm = {{ value = "{mass:.4g} kg", sigma = "{100 * sigma:.0f} %", '
+               f'source = "{"stated" if measured else self.assumed}" }}')
+        yield (f'com = {{ value = ["{com[0]:.4f} m", "{com[1]:.4f} m", "{com[2]:.4f} m"], sigma = "{com_sigma:.3f} m", '
+               f'source = "assumed" }}')
+        zero = '"0 kg*m^2"'
+        yield (f'inertia_com = {{ value = ["{x:.5g} kg*m^2", {zero}, {zero}, "{y:.5g} kg*m^2", {zero}, '
+               f'"{z:.5g} kg*m^2"], sigma = "30 %", source = "assumed: a slender body" }}')
+
+    def _pace(self, speed: float, acceleration: float) -> str:
+        return (f'max_speed = {{ value = "{speed} deg/s", source = "assumed" }}, '
+                f'max_acceleration = {{ value = "{acceleration} deg/s^2", source = "assumed" }}')
+
+    def _guess(self, value: float, unit: str, spread: float, sigma: float | None = None) -> str:
+        size = sigma if sigma is not None else spread * value
+        return f'{{ value = "{value:.4g} {unit}", sigma = "{size:.4g} {unit}", source = "{self.assumed}" }}'
+
+    def _length(self, key: str) -> str:
+        value = self.sketch.number(key)
+        if self.sketch.measured(key):
+            return f'{{ value = "{value:.4f} m", sigma = "{1e3 * TAPE:.0f} mm", source = "tape measure" }}'
+        sigma = max(TAPE, GUESS * abs(value))
+        return f'{{ value = "{value:.4f} m", sigma = "{1e3 * sigma:.0f} mm", source = "{self.assumed}" }}'
+
+    def _pin(self, key: str) -> str:
+        """A pin from two distances: their errors grow as the angle between them gets flat."""
+        point = self.sketch.point(key)
+        near, far = self.sketch.number(f"{key}.from_first"), self.sketch.number(f"{key}.from_last")
+        if not self.sketch.measured(f"{key}.from_first", f"{key}.from_last"):
+            return self._vector(point, max(2 * TAPE, GUESS * abs(point)), self.assumed)
+        length = abs(point.real) + math.sqrt(max(far**2 - point.imag**2, 0.0))
+        sine = abs(point.imag) * length / (near * far) if near * far else 0.0
+        return self._vector(point, TAPE / max(0.2, min(1.0, sine)), "tape measure, from both ends of the link")
+
+    def _ground_pin(self, name: str) -> str:
+        forward, up = (self.sketch.number(f"{name}.barrel_{way}") for way in ("forward", "up"))
+        measured = self.sketch.measured(f"{name}.barrel_forward", f"{name}.barrel_up")
+        source = "tape measure and plumb line" if measured else self.assumed
+        sigma = 2 * TAPE if measured else max(2 * TAPE, GUESS * math.hypot(forward, up))
+        if not self.kind.slew:
+            return self._vector(complex(forward, up), sigma, source)
+        offset = self.sketch.number(f"{self.kind.slew}.offset")
+        return (f'{{ value = ["{offset + forward:.4f} m", "0 m", "{up:.4f} m"], sigma = "{1e3 * sigma:.0f} mm", '
+                f'source = "{source}" }}')
+
+    @staticmethod
+    def _vector(point: complex, sigma: float, source: str) -> str:
+        return (f'{{ value = ["{point.real:.4f} m", "{point.imag:.4f} m", "0 m"], sigma = "{1e3 * sigma:.0f} mm", '
+                f'source = "{source}" }}')

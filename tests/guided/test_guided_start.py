@@ -1,0 +1,143 @@
+"""Typical machines of every kind are accepted, plane and space agree, and answers are refused with a reason."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from hydroopt.guided.drawing import HEIGHT, WIDTH, page, terminal
+from hydroopt.guided.kinds import KINDS
+from hydroopt.guided.machine_text import machine_text
+from hydroopt.guided.plane import OpenError, by_distances, turned
+from hydroopt.guided.question import AnswerError, Question
+from hydroopt.guided.side_geometry import MARGIN, STOP
+from hydroopt.guided.sketch import Sketch
+from hydroopt.machine.machine_file import read_machine
+from hydroopt.model.model import Model
+
+
+def answered(kind: str, **given: str) -> Sketch:
+    """A sketch with all questions answered, by what is given or typically."""
+    sketch = Sketch(KINDS[kind], {})
+    answers = {key.replace("__", "."): text for key, text in given.items()}
+    while (question := sketch.open) is not None:
+        sketch = sketch.answered(question, answers.get(question.key, ""))
+    return sketch
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_a_typical_machine_is_accepted_and_marked_as_assumed(kind: str) -> None:
+    machine = read_machine(machine_text(answered(kind)))
+    assert machine.name == f"my_{kind}"
+    notes = machine.notes.values()
+    assert all((note.source or "").startswith("assumed") or note.source == "level ground" for note in notes)
+    assert sum(note.sigma is not None for note in notes) >= 8
+
+
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "arm"])
+def test_lengths_of_cylinders_in_space_are_those_of_the_tape(kind: str) -> None:
+    """The model in space is the witness of the plane triangles: at joint limits strokes end."""
+    sketch = answered(kind, **{f"{KINDS[kind].members[0].name}__length": "3.1 m"} if kind != "empty" else {})
+    machine = read_machine(machine_text(sketch))
+    model = Model(machine)
+    middle = np.array([sum(machine.link(joint).joint.range) / 2 for joint in machine.joints])
+    for k, member in enumerate(sketch.members):
+        joint = machine.joints.index(member.name)
+        stands_on_lift = member.linkage is not None and member.cylinder is not None and member.cylinder.on_ground
+        found = []
+        for limit in machine.link(member.name).joint.range:
+            q = middle.copy()
+            q[joint] = limit
+            length = model.over(model.cylinder_kinematics, q[None], 0 * q[None], 0 * q[None])[0][0, k, 0]
+            found.append(float(length))
+        low, high = sorted(found)
+        short, long = sketch.stroke(k)
+        lever = 3.0 * (STOP if stands_on_lift else MARGIN)
+        assert short <= low + 1e-9
+        assert high <= long + 1e-9
+        if not stands_on_lift:
+            assert low - short < lever
+            assert long - high < lever
+
+
+def test_an_excavator_from_tape_measurements() -> None:
+    """A pin by its two distances, with the accuracy of the tape; limits from the stroke."""
+    sketch = answered("excavator", boom__length="5.2 m", boom_cylinder__rod_pin__from_first="2.7 m",
+                      boom_cylinder__rod_pin__from_last="3.4 m")
+    machine = read_machine(machine_text(sketch))
+    pin = np.array(next(c for c in machine.cylinders if c.name == "boom_cylinder").rod.pin)
+    assert np.linalg.norm(pin) == pytest.approx(2.7, abs=1e-4)
+    assert np.linalg.norm(pin - [5.2, 0, 0]) == pytest.approx(3.4, abs=1e-4)
+    note = machine.notes["boom_cylinder.rod.pin"]
+    assert (note.source or "").startswith("tape measure")
+    assert note.sigma is not None
+    assert 0.005 <= note.sigma <= 0.025
+
+
+def test_a_length_may_be_in_any_unit_but_needs_one() -> None:
+    question = Question("boom.length", "From pin to pin?", "m", 5.0, most=60)
+    assert question.read("5200 mm") == question.read("5.2 m") == 5.2
+    assert question.read("") == 5.0
+    for text, reason in (("5200", "no unit"), ("5 kg", "unit"), ("900 m", "outside"), ("long", "unit")):
+        with pytest.raises(AnswerError, match=reason):
+            question.read(text)
+
+
+def test_distances_that_no_pin_has_are_refused_with_what_would_be_possible() -> None:
+    sketch = Sketch(KINDS["excavator"], {})
+    while (question := sketch.open) is not None and question.key != "boom_cylinder.rod_pin.from_last":
+        sketch = sketch.answered(question, "")
+    assert question is not None
+    with pytest.raises(AnswerError, match="must lie between"):
+        sketch.answered(question, "1 m")
+
+
+def test_a_cylinder_too_short_or_too_long_for_its_pins_is_refused() -> None:
+    sketch = Sketch(KINDS["crane"], {})
+    while (question := sketch.open) is not None and question.key != "main_boom_stroke.retracted":
+        sketch = sketch.answered(question, "")
+    assert question is not None
+    with pytest.raises(AnswerError, match="from the main boom pivot"):
+        sketch.answered(question, "3 m")
+    sketch = sketch.answered(question, "")
+    question = sketch.open
+    assert question is not None
+    with pytest.raises(AnswerError, match="outside what is possible"):
+        sketch.answered(question, "0.5 m")
+
+
+def test_an_answer_that_no_longer_fits_is_asked_again() -> None:
+    sketch = answered("crane", main_boom_stroke__extended="1.3 m")
+    changed = Sketch(sketch.kind, {**sketch.answers, "main_boom_stroke.retracted": "0.6 m"})
+    assert changed.open is not None
+    assert changed.open.key == "main_boom_stroke.extended"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_drawings_fit_and_show_every_part(kind: str) -> None:
+    for sketch in (Sketch(KINDS[kind], {}), answered(kind)):
+        lines = terminal(sketch).splitlines()
+        assert 0 < len(lines) <= HEIGHT
+        assert max(map(len, lines)) <= WIDTH
+        html = page(sketch)
+        for member in sketch.members:
+            assert f"<title>{member.name}</title>" in html
+    assert 'http-equiv="refresh"' in html
+    assert 'http-equiv="refresh"' not in page(sketch, finished=True)
+    assert [part.known for part in sketch.parts()] == [True] * len(list(sketch.parts()))
+    assert not any(part.known for part in Sketch(KINDS[kind], {}).parts())
+
+
+def test_triangles() -> None:
+    point = by_distances(2.0, 3.0, 4.0, -1.0)
+    assert (abs(point), abs(point - 4), point.imag < 0) == (pytest.approx(2.0), pytest.approx(3.0), True)
+    for sign in (1.0, -1.0):
+        angle = turned(0.7 + 0.2j, 0.5 - 0.1j, 0.9, sign)
+        longer = turned(0.7 + 0.2j, 0.5 - 0.1j, 0.91, sign)
+        turn = (0.5 - 0.1j) * complex(math.cos(angle), math.sin(angle))
+        assert abs(turn - (0.7 + 0.2j)) == pytest.approx(0.9)
+        assert (longer - angle) * sign > 0
+    with pytest.raises(OpenError, match="between 1500 mm and 2500 mm"):
+        by_distances(3.0, 0.5, 2.0, 1.0)
