@@ -9,6 +9,7 @@ import numpy as np
 
 from hydroopt.estimation.inference import identifiability
 from hydroopt.estimation.kinematic.mobility import mobility
+from hydroopt.estimation.motion.expected import DURATION, NAME, expected_calibration
 from hydroopt.machine.couplings import Coupling
 from hydroopt.machine.cylinder_checks import Span, spans
 from hydroopt.machine.loop_checks import LoopRange, loop_ranges
@@ -17,10 +18,17 @@ from hydroopt.model.model import Model
 from hydroopt.parameters import hydraulic as hydraulic_parameters
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.results.machine_diagnostics import machine_diagnostics
+from hydroopt.simulation.simulate import Trajectory
+
+TOLD = {"full": "yes", "combination": "partly", "none": "hardly"}
+"""Whether a motion tells a number, by its identifiability."""
 
 
-def machine_facts(machine: Machine) -> dict[str, Any]:
-    """Joints, cylinders, channels, sensors, parameters, identifiability and mobility, ready for JSON."""
+def machine_facts(machine: Machine, motion: Trajectory | None = None) -> dict[str, Any]:
+    """Joints, cylinders, channels, sensors, parameters, identifiability and mobility, ready for JSON.
+
+    Of IMUs what a `motion` tells, by default a random one.
+    """
     model = Model(machine)
     found = identifiability.structural(model)
     cylinders = [_cylinder_facts(model, k) for k in range(len(machine.cylinders))]
@@ -28,7 +36,7 @@ def machine_facts(machine: Machine) -> dict[str, Any]:
                   for row, category in zip(_parameter_facts(model.parameters), found.category, strict=True)]
     sensors = [{"channel": channel, "unit": machine.channel_units[channel], "std": sensor.std, "rate_hz": sensor.rate}
                for sensor in machine.sensors for channel in sensor.channels]
-    motion = mobility(machine)
+    freedom = mobility(machine)
     return {"machine": {"name": machine.name, "parameter_set": machine.parameter_set, "sha256": machine.sha256,
                          "description": machine.description},
              "joints": [_joint_facts(machine, name) for name in machine.joints], "cylinders": cylinders,
@@ -39,8 +47,22 @@ def machine_facts(machine: Machine) -> dict[str, Any]:
              "hydraulic_parameters": _parameter_facts(hydraulic_parameters.parameter_set(machine)),
              "identifiability": {"rank": found.rank, "full": found.count("full"),
                                  "combination": found.count("combination"), "none": found.count("none")},
-            "calibration": motion.as_dict() | {"lines": motion.lines()},
+            "calibration": freedom.as_dict() | {"lines": freedom.lines()},
+            "imus": _imu_facts(machine, motion) if machine.imus else None,
             "diagnostics": [each.as_dict() for each in machine_diagnostics(model)]}
+
+
+def _imu_facts(machine: Machine, motion: Trajectory | None) -> dict[str, Any]:
+    """What a motion tells of where units sit, of their biases and of the joints' positions: standard deviations."""
+    found = expected_calibration(machine, motion)
+    numbers = [{"name": each.name.replace(f"{NAME}: ", "bias of "), "unit": each.unit, "stated_std": each.prior_std,
+                "expected_std": each.std, "told": TOLD[each.identifiability]} for each in found.parameters.values()]
+    spread = {joint: float(np.sqrt(np.mean(np.concatenate([one[f"{joint}.q_std"] for one in found.motions]) ** 2)))
+              for joint in machine.joints}
+    return {"motion": f"a random motion of {DURATION:g} s" if motion is None else "the given motion",
+            "numbers": numbers,
+            "joints": [{"joint": joint, "unit": machine.position_unit(joint), "std": std, "range": float(np.ptp(
+                machine.link(joint).joint.range))} for joint, std in spread.items()]}
 
 
 def _parameter_facts(parameters: ParameterSet) -> list[dict[str, Any]]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -17,6 +18,9 @@ if TYPE_CHECKING:
 
     from hydroopt.machine.machine import Machine
 
+UNKNOWN = 0.25
+"""Standard deviation of a joint's position, as a part of its range, beyond which nothing tells it."""
+
 
 def show(
     machine: MachineName,
@@ -24,6 +28,8 @@ def show(
         "Show frequency, damping and gain of every joint on its oil over the workspace."))] = False,
     output: Annotated[Path | None, typer.Option("-o", "--output", help=(
         "Directory that receives everything: machine.html, or with --hydraulics hydraulics.html and .csv."))] = None,
+    motion: Annotated[Path | None, typer.Option("--motion", metavar="LOG", help=(
+        "Motion of all joints, as excite writes it, for what IMUs tell; else a random one."))] = None,
     parameter_set: ParameterSetName = None,
     as_json: AsJson = False,
 ) -> None:
@@ -35,13 +41,15 @@ def show(
     from rich.markup import escape
 
     from hydroopt.cli.machine_facts import machine_facts
+    from hydroopt.logs.log_files import read_log
     from hydroopt.machine.machine_file import load_machine
+    from hydroopt.simulation.reference_motion import reference_motion
 
     described = load_machine(machine, parameter_set=parameter_set)
     if hydraulics:
         _hydraulics(described, output, as_json=as_json)
         return
-    facts = machine_facts(described)
+    facts = machine_facts(described, None if motion is None else reference_motion(described, read_log(motion)))
     if output is not None:
         _page(described, facts, output)
     if as_json:
@@ -69,12 +77,26 @@ def show(
     for each in facts["linkages"]:
         console.print(f"{each['linkage']}: {each['dependent']} follow {each['follows']}, {_ratios(each)}; least angle "
                       f"to a dead point {each['margin_deg']:.1f} deg, at {each['margin_at']}", soft_wrap=True)
+    if facts["imus"]:
+        console.print(_table(f"IMUs: what {facts['imus']['motion']} tells (standard deviations)",
+                             facts["imus"]["numbers"]))
+        console.print("Positions of joints by that motion: " + ", ".join(map(_position, facts["imus"]["joints"]))
+                      + ".", soft_wrap=True)
     if lines := facts["calibration"]["lines"]:
         console.print("[bold]Kinematic calibration[/bold]")
         for line in lines:
             console.print(escape(line), soft_wrap=True)
     if output is not None:
         echo(f"{output / 'machine.html'}")
+
+
+def _position(each: dict[str, Any]) -> str:
+    """How well a joint's position is known, in words."""
+    if each["std"] > UNKNOWN * each["range"]:
+        return f"{each['joint']} not determined"
+    turns = each["unit"] == "rad"
+    value, unit = (math.degrees(each["std"]), "deg") if turns else (1e3 * each["std"], "mm")
+    return f"{each['joint']} ±{value:.2g} {unit}"
 
 
 def _page(machine: Machine, facts: dict[str, Any], output: Path) -> None:

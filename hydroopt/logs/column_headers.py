@@ -64,5 +64,6 @@ def map_of_header(header: list[str], where: str, *, poses: bool = False,
     if "t" not in columns and not (poses or timed):
         shown = ", ".join(f"'{name.strip()[:40]}'" for name in header[:12])
         raise LogError(f"there is no column 't [s]' among {shown}", where=where,
-                       remedy="name the time column 't [s]' or give a map of the columns with --map")
+                       remedy="name the time column 't [s]' or give a map of the columns with --map, which "
+                       "hydroopt map proposes")
     return LogMap(columns=columns, labels=Labels(**labels) if poses else None), tuple(ignored)

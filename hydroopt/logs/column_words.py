@@ -40,6 +40,8 @@ QUANTITIES = {"q": {"angle"}, "qd": {"velocity"}, "qdd": {"acceleration"}, "leng
               "p_supply": {"supply"}, "p_tank": {"tank"}}
 """Words that a column of a channel of each suffix has."""
 IMPLIED = {"rad": "angle", "m": "length", "Pa": "pressure", "rad/s": "velocity", "N": "force", "N*m": "torque"}
+SHORTEST = 3
+"""Letters of the shortest part of a compound word."""
 _FOLDED = str.maketrans(dict(zip("äöüÄÖÜß", ("ae", "oe", "ue", "Ae", "Oe", "Ue", "ss"), strict=True)))
 _UNITS = {"°": "deg", "degree": "deg", "degrees": "deg", "°/s": "deg/s", "m/s²": "m/s^2", "µs": "us"}
 
@@ -79,12 +81,21 @@ def naming(header: str) -> Naming:
 def words_of(name: str) -> frozenset[str]:
     """The words of a name by their meaning; numbers are words.
 
-    >>> sorted(words_of("BoomCyl_pRod2"))
-    ['2', 'boom', 'cylinder', 'pressure', 'rod']
+    >>> sorted(words_of("BoomCyl_pRod2")), sorted(words_of("Löffelzylinder"))
+    (['2', 'boom', 'cylinder', 'pressure', 'rod'], ['bucket', 'cylinder'])
     """
     folded = name.translate(_FOLDED)
     parts = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", folded)
-    return frozenset(MEANING.get(part.lower(), part.lower()) for part in parts) - ASIDE
+    return frozenset(MEANING.get(word, word) for part in parts for word in _parted(part.lower())) - ASIDE
+
+
+def _parted(word: str) -> list[str]:
+    """The known words that a word such as "auslegerzylinder" consists of; else itself."""
+    if word not in MEANING:
+        for cut in range(SHORTEST, len(word) - SHORTEST + 1):
+            if word[:cut] in MEANING and (rest := _parted(word[cut:])) and all(part in MEANING for part in rest):
+                return [word[:cut], *rest]
+    return [word]
 
 
 def matched(channel: str, named: Naming, kind: str) -> int:

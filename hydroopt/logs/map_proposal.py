@@ -112,7 +112,8 @@ class MapProposal:
             lines += ["", "# no channel was found for the columns:",
                       *(f"# {json.dumps(name, ensure_ascii=False)}" for name in self.unused)]
         for each in clocks:
-            lines += ["", f"[clocks.{json.dumps(each.column.sheet.name, ensure_ascii=False)}]", self._line("t", each)]
+            lines += ["", f"[clocks.{json.dumps(each.column.sheet.name, ensure_ascii=False)}]", self._line("t", each),
+                      '# delay = "0 ms ± 50 ms"  # if its clock is not that of the others: it is estimated with these']
         return "\n".join(lines) + "\n"
 
     def _line(self, key: str, each: Proposal) -> str:

@@ -337,6 +337,26 @@ def test_a_directory_is_one_recording(tmp_path):
     assert recording.name == "run"
 
 
+def test_a_directory_is_one_recording_with_its_bags(tmp_path):
+    """Positions of the bag's topic beside pressures as text."""
+    folder = tmp_path / "monday"
+    folder.mkdir()
+    ros2("MCAP")(folder)
+    names = [name for name in CHANNELS if ".p_" in name]
+    Log("can", T, {name: CHANNELS[name] for name in names}).write(folder / "can.csv")
+    stamps = [str(START + np.timedelta64(20 * k, "ms")) for k in range(N)]
+    rows = (folder / "can.csv").read_text().replace("t [s]", "t").splitlines()
+    (folder / "can.csv").write_text("\n".join([rows[0], *(f"{stamp},{row.partition(',')[2]}" for stamp, row in
+                                                         zip(stamps, rows[1:], strict=True))]))
+    layout = LogMap.model_validate({"columns": {
+        "lift.q": {"column": "position[lift]", "unit": "rad", "group": "run"}, **{
+            name: {"column": f"{name} [Pa]", "unit": "Pa", "group": "can"} for name in names}},
+        "clocks": {"can": {"t": {"column": "t"}}}})
+    log = read_recording(folder, mapping=layout).log()
+    np.testing.assert_allclose(log.channels["lift.q"], CHANNELS["lift.q"], rtol=0, atol=1e-12)
+    assert set(names) <= set(log.channels)
+
+
 def test_a_missing_library_is_named_with_the_command(tmp_path, monkeypatch):
     path, layout = npz(tmp_path)
     (tmp_path / "h5py.py").write_text("raise ImportError('gone', name='h5py')")

@@ -93,19 +93,26 @@ class StageMobility(Identified):
 
 @dataclass(frozen=True)
 class Mobility:
-    """All stages of a machine, what they identify together, what each cylinder's readings identify, and obstacles."""
+    """All stages of a machine, what they identify together, what each cylinder's readings identify, and obstacles.
+
+    `surveyed` is what poses identify that instruments, datums, tapes between targets and inclination measure as well.
+    """
 
     machine: Machine
     stages: tuple[StageMobility, ...]
     together: Identified | None
     cylinders: dict[str, Identified]
     obstacles: tuple[str, ...]
+    surveyed: Identified | None = None
 
     def lines(self) -> list[str]:
         """Plain text for a screen; none for a machine without calibrator and length sensors."""
         text = [line for stage in self.stages for line in stage.lines()]
         if self.together is not None and len(self.stages) > 1:
             text += ["all stages together:", *self.together.lines()]
+        if self.surveyed is not None:
+            text += [f"poses measured by {', '.join(_surveyors(self.machine))} identify "
+                     f"{_count(self.surveyed.rank, 'number')}", *self.surveyed.lines()]
         for name, found in self.cylinders.items():
             count = _count(found.rank, "number")
             text += [f"{name}: lengths and joint angles identify {count} of its geometry (Eq. 3.26)", *found.lines()]
@@ -116,7 +123,8 @@ class Mobility:
         return {"stages": [asdict(stage) for stage in self.stages],
                 "together": None if self.together is None else asdict(self.together),
                 "cylinders": {name: asdict(found) for name, found in self.cylinders.items()},
-                "obstacles": list(self.obstacles)}
+                "obstacles": list(self.obstacles),
+                "surveyed": None if self.surveyed is None else asdict(self.surveyed)}
 
 
 def grubler(n: int, *, p: int, d: int, extra: int, t: int = 3) -> int:
@@ -137,7 +145,10 @@ def mobility(machine: Machine, *, count: int = 30, seed: int = 0) -> Mobility:
     fixture."""
     cylinders = {cylinder.name: _triangle(machine, cylinder, count) for cylinder in machine.cylinders
                  if _read(machine, *_triangle_channels(machine, cylinder))}
+    surveyed = _surveyed(machine, count, seed) if _surveyors(machine) and not machine.fixtures else None
     if machine.calibrator is None or not (machine.fixtures or machine.tracker):
+        if surveyed is not None and surveyed.rank:
+            return Mobility(machine, (), None, cylinders, (), surveyed)
         return Mobility(machine, (), None, cylinders, (str(ProblemError(
             "nothing closes the chain, so that no pose identifies any of its links", where=f"machine '{machine.name}'",
             remedy="state a calibrator with a fixture or a tracker")),))
@@ -162,7 +173,38 @@ def mobility(machine: Machine, *, count: int = 30, seed: int = 0) -> Mobility:
         except ProblemError as error:
             sentences.append(str(error))
     stages = tuple(visit.described(own) for visit, own in zip(visits, found, strict=True))
-    return Mobility(machine, stages, together, cylinders, tuple(sentences))
+    return Mobility(machine, stages, together, cylinders, tuple(sentences), surveyed)
+
+
+def _surveyors(machine: Machine) -> list[str]:
+    """Names of what measures poses without closing a chain: instruments, datums, tapes between targets, units."""
+    units = [imu.name for imu in machine.imus if imu.accelerometer or any(
+        machine.sensor(f"{imu.name}.{angle}") for angle in ("roll", "pitch"))]
+    return [*(each.name for each in machine.instruments), *(each.name for each in machine.datums),
+            *(each.name for each in machine.distances if each.measured), *units]
+
+
+def _surveyed(machine: Machine, count: int, seed: int) -> Identified | None:
+    """What so many random poses identify, and as many in which each target touches each datum that it is to touch; None
+    where a joint is not read, so that only motion tells."""
+    if not all(_read(machine, f"{joint}.q") for joint in machine.joints if joint not in machine.base_joints):
+        return None
+    model, rng = KinematicModel(machine), np.random.default_rng(seed)
+    low, high = postures.limits(model)
+    q, touch = rng.uniform(low, high, (count, len(low))), [""] * count
+    drive = [k for k in range(len(low)) if model.joints[k] not in machine.base_joints]
+    datums = {datum.name for datum in machine.datums}
+    channels = postures.measured_channels(model)
+    for each in model.measurements:
+        if each.name.partition(".")[0] in datums and set(each.channels) & set(channels):
+            meeting, good = postures.touch_datum(model, model.parameters.nominal, q[:count], drive, each.name)
+            q, touch = np.vstack([q, meeting[good]]), [*touch, *[each.name] * int(np.sum(good))]
+    poses = postures.record(model, q, [POSES] * len(q), [""] * len(q), geometry=model.parameters.nominal, touch=touch,
+                            channels=channels, seed=None)
+    problem = calibration_problem(machine, poses, priors=False)
+    problem = replace(problem, row_sigma=np.maximum(problem.row_sigma, PLAY))
+    return _identified(problem, linearise(problem, problem.start, q), {
+        name for name, hidden in zip(problem.parameters.names, problem.cylinder_parameters, strict=True) if hidden})
 
 
 class _Visit:

@@ -88,19 +88,24 @@ def true_kind(path: str | Path, layout: LogMap | None) -> str | None:
 
 
 def _files_of(path: str) -> list[str]:
-    """The file, or the files of a directory that are logs; a directory with metadata.yaml is a ROS 2 bag.
+    """The file, or the files and bags of a directory that are logs.
 
     Raises:
         LogError: the directory holds no log.
     """
-    if not is_directory(path) or os.path.isfile(os.path.join(path, "metadata.yaml")):
+    if not is_directory(path) or _is_bag(path):
         return [path]
-    files = sorted(entry.path for entry in os.scandir(path)
-                   if not entry.name.startswith(".") and (entry.is_file() and kind_of(entry.path, None) is not None))
+    files = sorted(entry.path for entry in os.scandir(path) if not entry.name.startswith(".") and (
+        kind_of(entry.path, None) is not None if entry.is_file() else _is_bag(entry.path)))
     if not files:
         raise LogError("this is a directory without logs, not a file", where=path,
                        remedy=f"name a file of {', '.join(FORMATS)}, or a directory of such files")
     return files
+
+
+def _is_bag(path: str) -> bool:
+    """Whether this is the directory of a ROS 2 bag."""
+    return os.path.isfile(os.path.join(path, "metadata.yaml"))
 
 
 def _size(path: str) -> int:
