@@ -8,6 +8,8 @@ from pathlib import Path
 
 import pytest
 
+from fixtures.browser import browser, needs_browser
+
 ROOT = Path(__file__).parents[1]
 LOADED = re.compile(r"""<(?:script|img|link rel="(?:stylesheet|icon|preload)")[^>]*?(?:src|href)="([^"]*)\"""")
 """What a page loads by itself."""
@@ -41,6 +43,7 @@ def test_every_study_has_its_row() -> None:
     assert {path.parent.name for path in (ROOT / "studies").glob("*/README.md")} == told
 
 
+@pytest.mark.slow
 def test_every_key_of_a_machine_file_has_a_docstring(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.syspath_prepend(str(ROOT / "docs"))
     machine_file = runpy.run_path(str(ROOT / "docs/extension/machine_file.py"))
@@ -49,3 +52,23 @@ def test_every_key_of_a_machine_file_has_a_docstring(monkeypatch: pytest.MonkeyP
     assert "| `type` | `\"revolute\"` or `\"prismatic\"` or `\"locked\"` | **required** |" in text
     assert "| `lower` | 3 × m | **required** |" in text
     assert text.count("\n## ") > 40
+
+
+@pytest.mark.slow
+@needs_browser
+def test_pages_fit_a_phone_in_light_and_dark(site: Path) -> None:
+    """Only tables and code scroll sideways, and no page writes errors or asks for what is outside."""
+    complaints: list[str] = []
+    with browser() as opened:
+        for scheme in ("light", "dark"):
+            context = opened.new_context(viewport={"width": 400, "height": 800}, color_scheme=scheme)
+            page = context.new_page()
+            page.on("console", lambda said: complaints.append(said.text) if said.type == "error" else None)
+            page.on("request", lambda asked: complaints.append(asked.url) if not asked.url.startswith(
+                (site.as_uri(), "data:")) else None)
+            for file in sorted(site.rglob("*.html")):
+                page.goto(file.as_uri())
+                if page.evaluate("document.documentElement.scrollWidth > document.documentElement.clientWidth"):
+                    complaints.append(f"{file.name} is too wide")
+            context.close()
+    assert not complaints

@@ -8,13 +8,15 @@ from pydantic import BaseModel
 
 import hydroopt
 
-ROOMS = {"machine": "Machines", "model": "Models", "logs": "Logs and poses", "simulation": "Simulation",
-         "estimation.dynamic": "Bodies and friction", "estimation.kinematic": "Geometry",
+ROOMS = {"machine": "Machines", "model": "Models", "parameters": "Models", "logs": "Logs and poses",
+         "simulation": "Simulation", "estimation.dynamic": "Bodies and friction",
+         "estimation.kinematic": "Geometry",
          "estimation.motion": "Sensors", "estimation.hydraulic": "Valves and oil",
          "excitation": "What to measure next", "solving": "Solve", "results": "Answers",
-         "estimation.inference": "Solvers", "errors": "Errors"}
+         "viewing": "Pages", "estimation.inference": "Solvers", "errors": "Errors"}
 """Headings, in the order of the page, by the modules of the names below them."""
 
+OTHERS = "Further names"
 HEAD = """# Python interface
 
 All public names stand in the package itself: `import hydroopt as ho`, then `ho.Model`. Examples below run
@@ -24,10 +26,11 @@ with the tests.
 
 def pages() -> dict[str, str]:
     """Text of the page by its path below ``docs/generated``."""
-    below: dict[str, list[str]] = {title: [] for title in ROOMS.values()}
+    below: dict[str, list[str]] = {title: [] for title in (*ROOMS.values(), OTHERS)}
     for name in sorted(hydroopt.__all__, key=str.lower):
         module = getattr(hydroopt, name).__module__.removeprefix("hydroopt.")
-        below[next(title for room, title in ROOMS.items() if f"{module}.".startswith(f"{room}."))].append(name)
+        title = next((title for room, title in ROOMS.items() if f"{module}.".startswith(f"{room}.")), OTHERS)
+        below[title].append(name)
     sections = [f"## {title}\n\n" + "\n".join(map(_entry, names)) for title, names in below.items() if names]
     return {"api.md": "\n".join([HEAD, *sections])}
 

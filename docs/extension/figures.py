@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import io
+import re
+from pathlib import Path
 
 import matplotlib
 import numpy as np
@@ -12,6 +14,8 @@ from matplotlib.patches import Patch
 
 import hydroopt as ho
 from hydroopt.estimation.inference import identifiability
+from hydroopt.model.scene import limit_scenes
+from hydroopt.report.side_view import side_view
 from hydroopt.spatial import inertia
 
 BLUE, ORANGE, GREY, INK = "#0072b2", "#d55e00", "#c9d2db", "#1f2933"
@@ -39,10 +43,19 @@ rod = {{ link = "boom", pin = ["0.30 m", "-0.10 m", "0 m"] }}
 BOOMS = ((125.0, 1.1, BLUE), (110.0, 1.25, ORANGE))
 
 
-def pages() -> dict[str, str]:
+def pages(docs: Path) -> dict[str, str]:
     """SVG text of each figure by its path below ``docs/generated``."""
+    *_, crane = re.findall(r"^```toml\n(# crane\.toml\n.*?)^```",
+                           (docs / "tutorials/crane_by_hand.md").read_text("utf-8"), re.DOTALL | re.MULTILINE)
+    drawn = {"crane": _drawing(ho.read_machine(crane)), "excavator": _drawing(ho.load_machine("excavator_bucket"))}
     with matplotlib.rc_context(STYLE):
-        return {"figures/two_booms.svg": _svg(_two_booms()), "figures/cat215b_parameters.svg": _svg(_parameters())}
+        drawn |= {"two_booms": _two_booms(), "cat215b_parameters": _parameters(), "interval": _interval()}
+        return {f"figures/{name}.svg": _svg(figure) for name, figure in drawn.items()}
+
+
+def _drawing(machine: ho.Machine) -> Figure:
+    """The machine from the side, as ``show -o`` draws it."""
+    return side_view(machine, limit_scenes(ho.Model(machine)), "middle of all ranges", "limits of each joint")
 
 
 def _svg(figure: Figure) -> str:
@@ -95,3 +108,27 @@ def _parameters() -> Figure:
                (("full", "alone"), ("combination", "in combination"), ("none", "no effect"))]
     figure.legend(handles=handles, loc="upper center", ncols=3, frameon=False)
     return figure
+
+
+def _interval() -> Figure:
+    """What a prior, data and a bound make of one number."""
+    mass = np.linspace(-60, 260, 801)
+    curves = {"prior, from the machine file": (_bell(mass, 60, 60), GREY), "data": (_bell(mass, 20, 45), ORANGE)}
+    posterior = np.where(mass >= 0, curves["prior, from the machine file"][0] * curves["data"][0], 0.0)
+    share = np.cumsum(posterior) / posterior.sum()
+    low, high = np.interp([0.025, 0.975], share, mass)
+    figure = Figure(figsize=(8.6, 2.9))
+    ax = figure.subplots()
+    for label, (values, colour) in curves.items():
+        ax.plot(mass, values, color=colour, lw=2, label=label)
+    posterior /= posterior.max()
+    ax.plot(mass, posterior, color=BLUE, lw=2.4, label="both, and a mass is not negative")
+    inside = (mass >= low) & (mass <= high)
+    ax.fill_between(mass[inside], posterior[inside], color=BLUE, alpha=0.2, lw=0, label="95 % interval")
+    ax.set(xlabel="mass [kg]", yticks=[], xlim=(mass[0], mass[-1]), ylim=(0, 1.08))
+    ax.legend(frameon=False)
+    return figure
+
+
+def _bell(x: np.ndarray, centre: float, sigma: float) -> np.ndarray:
+    return np.exp(-0.5 * ((x - centre) / sigma) ** 2)

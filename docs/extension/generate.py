@@ -10,7 +10,7 @@ from extension import api, c_interface, commands, figures, machine_file, machine
 def generate(docs: Path) -> None:
     """Write all generated pages below ``docs/generated``, each only if it changes."""
     made = (studies.pages(docs.parent / "studies") | commands.pages() | machine_file.pages() | api.pages()
-            | c_interface.pages() | machines.pages() | figures.pages())
+            | c_interface.pages() | machines.pages() | figures.pages(docs))
     for name, text in made.items():
         _write(docs / "generated" / name, text)
 
