@@ -21,6 +21,7 @@ PAGES = {"Estimate": ("hydroopt.report.identification", "render"),
          "SensorCalibration": ("hydroopt.report.sensors", "render"),
          "HydraulicEstimate": ("hydroopt.report.valves", "render"),
          "Excitation": ("hydroopt.report.excitation", "render"),
+         "PosePlan": ("hydroopt.report.pose_plan", "render"),
          "Change": ("hydroopt.report.comparison", "render_change"),
          "Payload": ("hydroopt.report.comparison", "render_payload"),
          "ChangeHistory": ("hydroopt.report.change_history", "render_history")}

@@ -47,6 +47,7 @@ def plan_poses(
     from hydroopt.excitation.poses.exchange import fedorov_exchange
     from hydroopt.excitation.poses.problem import pose_problem
     from hydroopt.machine.machine_file import load_machine
+    from hydroopt.report.pose_plan import render
 
     began = time.perf_counter()
     described = load_machine(machine)
@@ -56,5 +57,5 @@ def plan_poses(
         if fix:
             problem = problem.fixing(**parameter_values(fix, problem.parameters))
         plan = fedorov_exchange(problem, candidates=candidates, seed=seed)
-    plan.save(output, wall_s=time.perf_counter() - began)
+    plan.save(output, pages={"report.html": render(plan)}, wall_s=time.perf_counter() - began)
     print_answer(plan, output, plan.sheet(), quiet=quiet, as_json=as_json)

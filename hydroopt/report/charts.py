@@ -48,6 +48,7 @@ class TimeChart:
         band: lower and upper edge of a shaded band.
         limits: heights of broken lines.
         span: lowest and highest value of the axis; by default that of the lines.
+        shaded: look, and columns of the lower and upper edge, of shaded bands.
         logarithmic: whether the axis of values is.
     """
 
@@ -57,6 +58,7 @@ class TimeChart:
     band: tuple[float, float] | None = None
     limits: tuple[float, ...] = ()
     span: tuple[float, float] | None = None
+    shaded: tuple[tuple[str, str, str], ...] = ()
     logarithmic: bool = False
     kind: ClassVar[str] = "time"
 
@@ -112,6 +114,7 @@ class Curves:
         limits: heights of broken lines.
         bands: look, lower and upper edge (N,) of shaded bands.
         logarithmic: whether the axis of `x`, and that of values, is.
+        dots: whether values are dots instead of lines.
     """
 
     title: str
@@ -122,6 +125,7 @@ class Curves:
     limits: tuple[float, ...] = ()
     bands: tuple[tuple[str, Array, Array], ...] = ()
     logarithmic: tuple[bool, bool] = (False, False)
+    dots: bool = False
     kind: ClassVar[str] = "curves"
 
 

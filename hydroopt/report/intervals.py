@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from markupsafe import Markup
 
 from hydroopt.report.numbers import plain
@@ -36,6 +38,19 @@ def interval(one: ParameterRow) -> Markup:
     return Markup(f'<svg class="interval" viewBox="0 0 {WIDE} {TALL}" role="img" aria-label="{said}">{prior}'
                   f'<line class="zero" x1="{WIDE / 2:.0f}" x2="{WIDE / 2:.0f}" y1="0" y2="{TALL}"/>'
                   f'<line class="bar" x1="{a:.1f}" x2="{b:.1f}" y1="{middle:.0f}" y2="{middle:.0f}"/>{dot}</svg>')
+
+
+def spread(value: float, ci95: tuple[float, float], reach: float, unit: str, *, striking: bool = False) -> Markup:
+    """A value [`unit`] with its 95 % interval about zero, on an axis to ±`reach`; empty without an interval."""
+    if not reach > 0 or not all(map(math.isfinite, (value, *ci95))):
+        return Markup("")
+    x, a, b = (_place(REACH * each / reach) for each in (value, *ci95))
+    said = f"{plain(value, 3)}, 95 % interval {plain(ci95[0], 3)} to {plain(ci95[1], 3)} {unit}"
+    middle = TALL / 2
+    return Markup(f'<svg class="interval{" striking" * striking}" viewBox="0 0 {WIDE} {TALL}" role="img" '
+                  f'aria-label="{said}"><line class="zero" x1="{WIDE / 2:.0f}" x2="{WIDE / 2:.0f}" y1="0" y2="{TALL}"/>'
+                  f'<line class="bar" x1="{a:.1f}" x2="{b:.1f}" y1="{middle:.0f}" y2="{middle:.0f}"/>'
+                  f'<circle class="value" cx="{x:.1f}" cy="{middle:.0f}" r="{ROUND}"/></svg>')
 
 
 def _place(value: float) -> float:

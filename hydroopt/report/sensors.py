@@ -5,14 +5,14 @@ from __future__ import annotations
 from itertools import groupby
 from typing import TYPE_CHECKING
 
-import matplotlib
 import numpy as np
-from markupsafe import Markup
-from matplotlib.figure import Figure
 
-from hydroopt.report.figures import BLUE, STYLE, WIDTH, changes, changes_of, svg, thin
+from hydroopt.report.charts import Chart, Line, TimeChart
+from hydroopt.report.intervals import interval
 from hydroopt.report.numbers import Row, plain, quantity, unit_text
 from hydroopt.report.page import document
+from hydroopt.report.samples import Recording, Samples, joined
+from hydroopt.report.scene import SceneView
 from hydroopt.spatial.inertia import Array
 
 if TYPE_CHECKING:
@@ -25,15 +25,18 @@ PRINTED = {"rad": ("deg", 180 / np.pi), "rad/s": ("deg/s", 180 / np.pi), "m": ("
 def render(calibration: SensorCalibration) -> str:
     """The report as one HTML page that needs nothing else."""
     machine, table = calibration.problem.machine, calibration.parameters
-    rows = [(name, unit_text(each.unit), _numbers(each.value, each.std, each.ci95, each.nominal), each.identifiability)
-            for name, each in table.items()]
-    drawn = {"motion": motions(calibration), "changes": changes(changes_of(table))}
+    rows = [(name, unit_text(each.unit), _numbers(each.value, each.std, each.ci95, each.nominal), each.identifiability,
+             interval(each)) for name, each in table.items()]
+    samples = _samples(calibration)
+    replayed = tuple(f"{joint}.q" for joint in machine.joints) if calibration.motions else ()
     courses = calibration.motions
     accuracy = [(joint, *_in_print(float(np.sqrt(np.mean(np.concatenate(
         [course[f"{joint}.q_std"] for course in courses]) ** 2))), machine.position_unit(joint)))
         for joint in machine.joints] if courses else []
     return document(
-        "sensors.html", machine=machine, calibration=calibration, diagnostics=calibration.diagnostics,
+        "sensors.html", samples=samples, charts={"motion": _charts(calibration, samples)}, verdict=calibration.verdict,
+        scene=SceneView(calibration.scene, replayed), machine=machine, calibration=calibration,
+        diagnostics=calibration.diagnostics,
         accuracy=accuracy,
         motions=len(courses), postures=sum(len(set(zip(t.stage.tolist(), t.pose.tolist(), strict=True)))
                                            for t in calibration.problem.poses),
@@ -41,8 +44,7 @@ def render(calibration: SensorCalibration) -> str:
                   for channel, fit in calibration.fit["train"].items()],
         groups=[(owner, list(some)) for owner, some in groupby(rows, lambda each: each[0].rpartition(".")[0])],
         counts={kind: sum(each.identifiability == kind for each in table.values())
-                for kind in ("full", "combination", "none")},
-        figures={name: Markup(svg(figure, name)) for name, figure in drawn.items() if figure is not None})
+                for kind in ("full", "combination", "none")})
 
 
 def _numbers(value: float | None, std: float | None, ci95: tuple[float, float] | None,
@@ -56,32 +58,28 @@ def _in_print(value: float, unit: str) -> tuple[str, str]:
     return plain(factor * value, 3), name
 
 
-def motions(calibration: SensorCalibration) -> Figure | None:
-    """Fitted positions with their intervals, motion after motion; None without any."""
-    machine, courses = calibration.problem.machine, calibration.motions
-    if not courses:
-        return None
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 0.4 + 1.3 * len(machine.joints)), layout="constrained")
-        axes = figure.subplots(len(machine.joints), 1, sharex=True, squeeze=False)[:, 0]
-        shift = 0.0
-        for course in courses:
-            t = course["t"] - course["t"][0] + shift
-            shift = float(t[-1]) * 1.02
-            for ax, joint in zip(axes, machine.joints, strict=True):
-                name, factor = PRINTED[machine.position_unit(joint)]
-                q, wide = factor * course[f"{joint}.q"], 1.96 * factor * course[f"{joint}.q_std"]
-                at, low = thin(t, q - wide)
-                ax.plot(*thin(t, q), color=BLUE)
-                ax.fill_between(at, low, np.interp(at, t, q + wide), color=BLUE, alpha=0.25, lw=0)
-                ax.set(title=joint, ylabel=name, ylim=_limits(ax.get_ylim(), q))
-        axes[-1].set_xlabel("time, motions one after the other [s]")
-    return figure
+def _samples(calibration: SensorCalibration) -> Samples:
+    """Fitted joint positions with the edges of their 95 % intervals, motion after motion."""
+    machine, found = calibration.problem.machine, []
+    for k, course in enumerate(calibration.motions):
+        columns: dict[str, Array] = {}
+        for joint in machine.joints:
+            factor = PRINTED[machine.position_unit(joint)][1]
+            q, wide = factor * course[f"{joint}.q"], 1.96 * factor * course[f"{joint}.q_std"]
+            columns |= {f"{joint}.q": course[f"{joint}.q"], joint: q, f"{joint} low": q - wide,
+                        f"{joint} high": q + wide}
+        found.append(Recording("motion", f"motion {k + 1}", course["t"], np.zeros(len(course["t"]), dtype=np.int64),
+                               columns))
+    return joined(found)
 
 
-def _limits(before: tuple[float, float], q: Array) -> tuple[float, float]:
-    """Limits of an axis that show the motion, however wide its band."""
-    margin = 0.2 * float(np.ptp(q)) + 1e-6
-    low, high = float(q.min()) - margin, float(q.max()) + margin
-    return (low, high) if before == (0.0, 1.0) else (max(min(low, before[0]), low - margin),
-                                                     min(max(high, before[1]), high + margin))
+def _charts(calibration: SensorCalibration, samples: Samples) -> list[Chart]:
+    """Fitted positions with their intervals; an axis shows the motion, however wide its band."""
+    machine, made = calibration.problem.machine, list[Chart]()
+    for joint in machine.joints if calibration.motions else ():
+        q = samples.columns[joint][np.isfinite(samples.columns[joint])]
+        margin = 0.2 * float(np.ptp(q)) + 1e-6
+        made.append(TimeChart(f"{joint} [{PRINTED[machine.position_unit(joint)][0]}]", (Line(joint, joint),),
+                              span=(float(q.min()) - margin, float(q.max()) + margin),
+                              shaded=(("predicted", f"{joint} low", f"{joint} high"),)))
+    return made

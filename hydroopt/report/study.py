@@ -4,27 +4,26 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Sized
+from functools import partial
+from itertools import cycle
 from pathlib import Path
 from typing import Any
 
-import matplotlib
 import numpy as np
-from markupsafe import Markup
-from matplotlib.figure import Figure
-from matplotlib.ticker import FuncFormatter, MaxNLocator, NullFormatter
 
 from hydroopt.files import write_files
-from hydroopt.report.figures import BLUE, GREEN, GREY, ORANGE, STYLE, WIDTH, svg
+from hydroopt.report.charts import LOOKS, Curves
 from hydroopt.report.numbers import NONE, plain, unit_text
 from hydroopt.report.page import document
+from hydroopt.spatial.inertia import Array
 from hydroopt.study.study import Study
 from hydroopt.study.table import Table
 
 SCHEMA = 1
 """Version of summary.json; it changes when a key changes its meaning or goes."""
 
-COLOURS = (BLUE, ORANGE, GREEN, GREY)
+ORDER = "parameter, in the order of the table"
 TITLES = {"montecarlo": "Monte Carlo", "sweep": "sweep", "bootstrap": "block bootstrap", "multistart": "random starts"}
 
 
@@ -54,11 +53,12 @@ def render(content: Mapping[str, Any], table: Table) -> str:
         table: of the cells.
     """
     kind = content["study"]
-    figure = {"montecarlo": _trials, "sweep": _sweep, "bootstrap": _bootstrap, "multistart": _starts}[kind](
+    charts = {"montecarlo": _trials, "sweep": _sweep, "bootstrap": _bootstrap, "multistart": _starts}[kind](
         content, table)
     return document(
-        "study.html", content=content, kind=kind, title=TITLES[kind], none=NONE, number=_number, unit=unit_text,
-        figure=Markup(svg(figure, kind)), failures=_failures(content),
+        "study.html", charts={"study": charts}, content=content,
+        kind=kind, title=TITLES[kind], none=NONE, number=_number, unit=unit_text,
+        failures=_failures(content),
         settings=[(key, _word(value)) for key, value in content["settings"].items()])
 
 
@@ -75,111 +75,81 @@ def _failures(content: Mapping[str, Any]) -> list[str]:
     return [f"{len(one['cells'])} cells failed: {one['error']}" for one in failures]
 
 
-def _trials(content: Mapping[str, Any], table: Table) -> Figure:
+def _trials(content: Mapping[str, Any], table: Table) -> list[Curves]:
     """Coverage of every parameter, and the distribution of the errors of validation forces."""
     (point,) = content["points"]
-    rows = [row for row in point["parameters"] if row["coverage"] is not None]
-    actuators = list(point["prediction"])
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 3.4))
-        left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": (1.6, 1.0)})
-        if rows:
-            half = point["coverage_half_width"]
-            left.axhspan(100 * (0.95 - half), min(100 * (0.95 + half), 100), color=GREEN, alpha=0.13, lw=0)
-            left.axhline(95, color=GREY, lw=0.8)
-            left.plot([100 * row["coverage"] for row in rows], ls="none", marker="o", ms=3.2, color=BLUE)
-        left.set(title="coverage of 95 % intervals; shaded: 95 % within chance", ylabel="%",
-                 xlabel="parameter, in the order of the table")
-        for colour, name in zip(_cycle(len(actuators)), actuators, strict=True):
-            values = table.column(f"{name}.rms")
-            values = np.sort(values[np.isfinite(values)])
-            if values.size:
-                right.step(values, np.arange(1, len(values) + 1) / len(values) * 100, color=colour, label=name)
-        right.set(title="RMS error of noise-free validation forces", xlabel="σ of the force's sensors",
-                  ylabel="cells up to here [%]")
-        right.set_xlim(left=0)
-        left.xaxis.set_major_locator(MaxNLocator(integer=True))
-        right.legend(loc="lower right")
-        figure.subplots_adjust(left=0.06, right=0.99, top=0.9, bottom=0.14, wspace=0.18)
-    return figure
+    rows, made = [row for row in point["parameters"] if row["coverage"] is not None], []
+    if rows:
+        half = point["coverage_half_width"]
+        made.append(Curves("coverage of 95 % intervals [%], and 95 % within chance", ORDER, _numbers(rows), (
+            ("coverage", "predicted", np.array([100 * row["coverage"] for row in rows])),), dots=True,
+            limits=(100 * (0.95 - half), 95.0, min(100 * (0.95 + half), 100.0))))
+    for name in point["prediction"]:
+        values = table.column(f"{name}.rms")
+        values = np.sort(values[np.isfinite(values)])
+        if values.size > 1:
+            made.append(Curves(f"{name}: cells up to this error [%]", "RMS error of noise-free validation forces [σ]",
+                               values, (("cells", "predicted", np.arange(1, len(values) + 1) / len(values) * 100),)))
+    return made
 
 
-def _sweep(content: Mapping[str, Any], table: Table) -> Figure:
+def _sweep(content: Mapping[str, Any], table: Table) -> list[Curves]:
     """Prediction and coverage over the first quantity varied, a line for each combination of the others."""
     del table
-    points = content["points"]
-    names = list(content["settings"]["vary"])
+    points, names = content["points"], list(content["settings"]["vary"])
     first, others = names[0], names[1:]
     lines: dict[str, list[Mapping[str, Any]]] = {}
     for point in points:
-        lines.setdefault(", ".join(f"{key} {point['values'][key]:g}" for key in others), []).append(point)
-    actuators = list(points[0]["prediction"])
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 3.2))
-        axes = figure.subplots(1, len(actuators) + 1, squeeze=False)[0]
-        for colour, (label, some) in zip(_cycle(len(lines)), lines.items(), strict=True):
-            x = [point["values"][first] for point in some]
-            for ax, name in zip(axes, actuators, strict=False):
-                low, middle, high = (_floats(point["prediction"][name][key] for point in some)
-                                     for key in ("q05", "median", "q95"))
-                ax.fill_between(x, low, high, color=colour, alpha=0.15, lw=0)
-                ax.plot(x, middle, color=colour, marker="o", ms=3.5, label=label)
-                ax.set(title=name, xlabel=first, ylabel="RMS error of validation forces [σ]")
-                ax.set_ylim(bottom=0)
-            axes[-1].plot(x, 100 * _floats(point["coverage"] for point in some), color=colour, marker="o", ms=3.5)
-        axes[-1].axhline(95, color=GREY, lw=0.8)
-        axes[-1].set(title="coverage of 95 % intervals", xlabel=first, ylabel="%")
-        if others:
-            axes[0].legend()
-        figure.subplots_adjust(left=0.06, right=0.99, top=0.9, bottom=0.15, wspace=0.25)
-    return figure
+        label = ", ".join(f"{key} {point['values'][key]:g}" for key in others)
+        lines.setdefault(label or "median", []).append(point)
+    x = np.array(sorted({float(point["values"][first]) for point in points}))
+
+    def over(some: Sequence[Mapping[str, Any]], value: Callable[[Mapping[str, Any]], float | None]) -> Array:
+        known = {float(point["values"][first]): value(point) for point in some}
+        return _floats(known.get(float(at)) for at in x)
+
+    made = []
+    for name in points[0]["prediction"]:
+        q05, median, q95 = ({label: over(some, partial(_prediction, name, key)) for label, some in lines.items()}
+                            for key in ("q05", "median", "q95"))
+        made.append(Curves(f"{name}: RMS error of validation forces [σ]", first, x, tuple(
+            (label, look, values) for (label, values), look in zip(median.items(), cycle(LOOKS), strict=False)),
+            bands=tuple((look, low, high) for low, high, look in zip(q05.values(), q95.values(), cycle(LOOKS),
+                                                                      strict=False))))
+    return [*made, Curves("coverage of 95 % intervals [%]", first, x, tuple(
+        (label, look, 100 * over(some, lambda point: point["coverage"]))
+        for (label, some), look in zip(lines.items(), cycle(LOOKS), strict=False)), limits=(95.0,))]
 
 
-def _bootstrap(content: Mapping[str, Any], table: Table) -> Figure:
+def _prediction(name: str, key: str, point: Mapping[str, Any]) -> float | None:
+    found: float | None = point["prediction"][name][key]
+    return found
+
+
+def _bootstrap(content: Mapping[str, Any], table: Table) -> list[Curves]:
     """Scatter over stated σ of parameters and base parameters."""
     del table
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 3.0))
-        axes = figure.subplots(1, 2, sharey=True)
-        for ax, key, title in zip(axes, ("parameters", "base_parameters"), ("parameters", "base parameters"),
-                                  strict=True):
-            ax.axhline(1, color=GREY, lw=0.8)
-            ax.plot(_floats(row["scatter_over_stated"] for row in content[key]), ls="none", marker="o", ms=3.2,
-                    color=BLUE)
-            ax.set(title=title, xlabel="in the order of the table")
-        axes[0].set_ylabel("scatter / stated σ")
-        axes[0].set_ylim(bottom=0)
-        figure.subplots_adjust(left=0.06, right=0.99, top=0.9, bottom=0.15, wspace=0.05)
-    return figure
+    return [Curves(f"{title}: scatter / stated σ", ORDER, _numbers(content[key]), (
+        ("scatter / stated σ", "predicted", _floats(row["scatter_over_stated"] for row in content[key])),),
+        limits=(1.0,), dots=True) for key, title in (("parameters", "parameters"),
+                                                     ("base_parameters", "base parameters"))]
 
 
-def _starts(content: Mapping[str, Any], table: Table) -> Figure:
+def _starts(content: Mapping[str, Any], table: Table) -> list[Curves]:
     """Squared errors of the optima over the starts, the best first, and the ranges of the parameters."""
-    rows = [row for row in content["parameters"] if row["std"]]
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, 3.2))
-        left, right = figure.subplots(1, 2, gridspec_kw={"width_ratios": (1.0, 1.6)})
-        costs = np.sort(table.column("cost"))
-        left.plot(costs, color=BLUE, marker="o", ms=3.2)
-        left.set(title="squared errors at the optima", xlabel="start, the best first",
-                 yscale="log" if costs[-1] > 10 * costs[0] > 0 else "linear")
-        for key in ("lowest_std", "highest_std"):
-            right.plot([row[key] for row in rows], ls="none", marker="_", color=BLUE)
-        right.axhline(0, color=GREY, lw=0.8)
-        right.set(title="range about the best", xlabel="parameter, in the order of the table",
-                  ylabel="standard deviations", yscale="symlog")
-        for ax in (left, right):  # powers of ten would appear as TeX
-            ax.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
-            ax.yaxis.set_minor_formatter(NullFormatter())
-            ax.xaxis.set_major_locator(MaxNLocator(integer=True))
-        figure.subplots_adjust(left=0.07, right=0.99, top=0.9, bottom=0.15, wspace=0.2)
-    return figure
+    rows, costs = [row for row in content["parameters"] if row["std"]], np.sort(table.column("cost"))
+    made = [Curves("squared errors at the optima", "start, the best first", _numbers(costs), (
+        ("squared errors", "predicted", costs),), dots=True, logarithmic=(False, bool(costs[-1] > 10 * costs[0] > 0)))]
+    if rows:
+        made.append(Curves("range about the best [standard deviations]", ORDER, _numbers(rows), tuple(
+            (label, look, _floats(row[key] for row in rows)) for label, look, key in (
+                ("lowest", "predicted", "lowest_std"), ("highest", "other", "highest_std"))), limits=(0.0,), dots=True))
+    return made
 
 
-def _cycle(count: int) -> list[str]:
-    return [COLOURS[k % len(COLOURS)] for k in range(count)]
+def _numbers(rows: Sized) -> Array:
+    return np.arange(1.0, len(rows) + 1)
 
 
-def _floats(values: Any) -> Any:
-    some: Sequence[float | None] = list(values)
-    return np.array([math.nan if value is None else value for value in some])
+def _floats(values: Iterable[float | None]) -> Array:
+    return np.array([math.nan if value is None else value for value in values])

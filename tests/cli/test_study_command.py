@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
+from fixtures.html import data_of, stands_alone
 from hydroopt.cli import app
 from hydroopt.errors import StoppedError
 from hydroopt.study.montecarlo import VARIED
@@ -50,7 +51,8 @@ def test_a_study_leaves_table_summary_and_report(montecarlo: tuple[Path, str]) -
     inside = [float(row[f"{first['name']}.inside"]) for row in rows]
     assert first["coverage"] == sum(inside) / 5
     page = (out / "report.html").read_text("utf-8")
-    assert "<svg" in page
+    assert stands_alone(page)
+    assert data_of(page)["charts"]
     assert "All cells gave a result" in page
     assert "contain the true value" in said
 

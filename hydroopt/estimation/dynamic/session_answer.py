@@ -11,6 +11,7 @@ import numpy as np
 
 from hydroopt.estimation.dynamic.stored_information import StoredInformation
 from hydroopt.machine.machine import Machine
+from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
@@ -71,6 +72,11 @@ class SessionAnswer(Answer):
     def of_logs(self) -> tuple[Diagnostic, ...]:
         """What contradicts the machine file in the logs as they are read."""
         return tuple(found for session in self.sessions.values() for found in session.of_logs)
+
+    @property
+    def scene(self) -> SceneGraph:
+        """The machine's bodies and how they move together."""
+        return SceneGraph(self.machine)
 
     @property
     def machine_id(self) -> MachineId:

@@ -18,6 +18,7 @@ from hydroopt.logs.table import encoded_columns
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine
+from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
@@ -160,6 +161,11 @@ class SensorCalibration(Answer):
                 for k, channel in enumerate(data.channels):
                     squares.setdefault(channel, []).extend(left[data.used[:, k], k] ** 2)
         return {channel: float(np.sqrt(np.mean(values))) for channel, values in squares.items() if values}
+
+    @cached_property
+    def scene(self) -> SceneGraph:
+        """The machine's bodies and how they move together."""
+        return SceneGraph(self.machine)
 
     @cached_property
     def motions(self) -> tuple[dict[str, Array], ...]:

@@ -13,6 +13,7 @@ from hydroopt.estimation.kinematic.observability import Observability
 from hydroopt.excitation.poses.problem import PoseGroup, PoseLabels, PoseProblem
 from hydroopt.logs.poses import Poses, Texts
 from hydroopt.machine.machine import Machine
+from hydroopt.model.scene_graph import SceneGraph
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.fit import Fit
@@ -125,6 +126,11 @@ class PosePlan(Answer):
     def joints(self) -> tuple[str, ...]:
         """Names of the n joints of machine and calibrator."""
         return self.problem.model.joints
+
+    @property
+    def scene(self) -> SceneGraph:
+        """The bodies of machine and calibrator at the nominal geometry."""
+        return self.problem.model.scene_graph(self.problem.model.parameters.nominal)
 
     @property
     def names(self) -> tuple[str, ...]:

@@ -59,6 +59,11 @@ function rule(u, value, colour) {
 
 const gaps = (values) => Array.from(values, (v) => Number.isFinite(v) ? v : null);
 
+// Shaded bands lie between pairs of series that are not drawn themselves.
+const HIDDEN = { width: 0, points: { show: false } };
+const between = (first, names) => names.map((name, k) => ({ series: [first + 2 * k + 1, first + 2 * k],
+  fill: () => look.colour(name).replace("rgb(", "rgba(").replace(")", ", 0.18)") }));
+
 function keys(figure, lines) {
   const holder = element("div", { class: "keys", "aria-hidden": "true" });
   const values = lines.map(({ label, look: name, dashed, dots }) => {
@@ -79,8 +84,10 @@ function timeChart(figure, chart) {
     points: { show: Boolean(line.dots), size: 4, width: 0, fill: () => look.colour(line.look) } }));
   const y = chart.logarithmic ? { distr: 3 } : chart.span ? { range: chart.span } : {};
   const marker = element("div", { class: "now" });
+  const edges = chart.shaded.flatMap(([, low, high]) => [low, high]);
   const plot = drawn(figure, {
-    series: [{}, ...series], scales: { x: { time: false }, y },
+    series: [{}, ...series, ...edges.map(() => HIDDEN)], bands: between(series.length + 1, chart.shaded.map(([name]) => name)),
+    scales: { x: { time: false }, y },
     axes: axes(figure.hasAttribute("data-last") ? samples.clock : ""),
     cursor: { drag: { x: true, y: false, setScale: true } },
     hooks: {
@@ -93,7 +100,7 @@ function timeChart(figure, chart) {
       }],
       draw: [(u) => chart.limits.forEach((value) => rule(u, value, look.colour("ink")))],
     },
-  }, [Array.from(samples.at), ...chart.lines.map((line) => gaps(column(line.column)))]);
+  }, [Array.from(samples.at), ...[...chart.lines.map((line) => line.column), ...edges].map((name) => gaps(column(name)))]);
   plot.over.append(marker);
   timePlots.push(plot);
   const move = () => {
@@ -204,13 +211,11 @@ function scale(unit, top) {
 function curves(figure, chart) {
   const x = unpack(chart.x), lines = chart.lines.map((line) => ({ ...line, values: unpack(line.values) }));
   const bands = chart.bands.map((band) => ({ ...band, low: unpack(band.low), high: unpack(band.high) }));
-  if (lines.length > 1) keys(figure, lines);
-  const hidden = { stroke: null, width: 0, points: { show: false } }, first = lines.length + 1;
+  if (lines.length > 1) keys(figure, lines.map((line) => ({ ...line, dots: chart.dots })));
   drawn(figure, {
-    series: [{}, ...lines.map((line) => ({ stroke: () => look.colour(line.look), width: 1.5, points: { show: false } })),
-      ...bands.flatMap(() => [hidden, hidden])],
-    bands: bands.map((band, k) => ({ series: [first + 2 * k + 1, first + 2 * k],
-      fill: () => look.colour(band.look).replace("rgb(", "rgba(").replace(")", ", 0.16)") })),
+    series: [{}, ...lines.map((line) => ({ stroke: () => look.colour(line.look), width: 1.5, paths: chart.dots ? () => null : undefined,
+      points: { show: chart.dots, size: 5, width: 0, fill: () => look.colour(line.look) } })), ...bands.flatMap(() => [HIDDEN, HIDDEN])],
+    bands: between(lines.length + 1, bands.map((band) => band.look)),
     scales: { x: { time: false, distr: chart.logarithmic[0] ? 3 : 1 }, y: { distr: chart.logarithmic[1] ? 3 : 1 } },
     axes: axes(chart.across), hooks: { draw: [(u) => chart.limits.forEach((value) => rule(u, value, look.colour("ink")))] },
   }, [Array.from(x), ...lines.map((line) => gaps(line.values)), ...bands.flatMap((band) => [gaps(band.low), gaps(band.high)])]);
