@@ -43,11 +43,12 @@ def convert(
 
     robot = read_robot(machine, tip=tip) if Path(machine).suffix in ROBOT_SUFFIXES else None
     extra: dict[str, str] = {}
+    replaced: tuple[str, ...] = ()
     if cylinders or ask:
         if robot is None or robot.rest:
             raise ProblemError("cylinders replace drives of a robot file without a sidecar only", where=machine,
                                remedy="state them in the machine file or the sidecar")
-        described, extra = _on_cylinders(robot, machine, cylinders, target)
+        described, extra, replaced = _on_cylinders(robot, machine, cylinders, target)
     elif is_directory(machine):
         described = read(machine, parameter_set=parameter_set)[0]
     else:
@@ -56,30 +57,33 @@ def convert(
     write_files(target.parent, written.files | extra)
     if not quiet:
         echo(", ".join(str(target.parent / name) for name in (*written.files, *extra)))
-        for lost in robot.lost if robot else ():
+        for lost in (*robot.lost, *replaced) if robot else ():
             echo(f"not in {Path(machine).name}'s machine: {lost}")
         for lost in written.lost:
             echo(f"not in {target.name}: {lost}")
 
 
-def _on_cylinders(robot: RobotFile, machine: str, file: Path | None, target: Path) -> tuple[Machine, dict[str, str]]:
-    """The machine on the cylinders of a file and of those asked for; the latter as a file to be written."""
+def _on_cylinders(robot: RobotFile, machine: str, file: Path | None,
+                  target: Path) -> tuple[Machine, dict[str, str], tuple[str, ...]]:
+    """The machine on the cylinders of a file and of those asked for, the latter as a file to be written, and what is
+    lost of the drives that they replace."""
     from hydroopt.input_file import read_text, toml
     from hydroopt.machine.machine_file import dump_tables
     from hydroopt.machine.robot_formats.cylinder_drives import with_cylinders
 
     if file is not None:
         stated = toml(read_text(file, MachineError, noun="file of cylinders"), MachineError, where=str(file))
-        described, reaches = with_cylinders(robot, stated, str(file))
+        described, reaches, lost = with_cylinders(robot, stated, str(file))
         for name, reach in reaches.items():
             echo(f"{name}: {reach.shortest:.4g} to {reach.longest:.4g} m long, lever arm at least {reach.arm:.3g}")
-        return described, {}
+        return described, {}, lost
     stated = {}
     for drive in robot.tables.get("drives", []):
         if typer.confirm(f"{drive['joint']}: does a cylinder drive it?", default=True):
             stated |= _asked(robot, drive["joint"], stated)
     name = target.with_suffix(".cylinders.toml").name
-    return with_cylinders(robot, stated, name)[0], {name: dump_tables(stated)}
+    made = with_cylinders(robot, stated, name)
+    return made.machine, {name: dump_tables(stated)}, made.lost
 
 
 def _asked(robot: RobotFile, joint: str, known: dict[str, Any]) -> dict[str, Any]:
@@ -96,7 +100,7 @@ def _asked(robot: RobotFile, joint: str, known: dict[str, Any]) -> dict[str, Any
             table[end] = {"link": link, "pin": [f"{word} m" for word in pin.replace(",", " ").split()]}
         table |= {key: typer.prompt(f"  {text}") for key, text in _ASKED}
         try:
-            reach = with_cylinders(robot, known | {name: table}, "answers")[1][name]
+            reach = with_cylinders(robot, known | {name: table}, "answers").reaches[name]
         except HydrooptError as error:
             echo(f"  {error}")
             continue

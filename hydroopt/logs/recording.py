@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -135,11 +135,13 @@ class Recording(Shown):
 
     @classmethod
     def of(cls, log: Log, group: str = "") -> Recording:
-        """A recording of the one group of channels that a log is.
+        """The recording that a log was merged from, with all samples; else one of the one group of channels that it is.
 
         >>> Recording.of(Log("run", [0.0, 0.1], {"boom.q": [0.0, 0.1]})).groups[0].channels["boom.q"].tolist()
         [0.0, 0.1]
         """
+        if isinstance(log.recording, Recording):
+            return log.recording
         only = ChannelGroup(group, log.t, log.channels, log.units, log.sample, log.segment)
         return cls(log.name, (only,), None, log.findings, log.path, log.sha256)
 
@@ -182,22 +184,22 @@ class Recording(Shown):
         base = groups[self._grid(grid, where)]
         others = [group for group in groups if group is not base]
         keep, findings, lost = np.ones(base.size, bool), self.findings, list[Finding]()
-        for group in others:
+        for alike in _sampled_alike(others):
+            group, shown = alike[0], ", ".join(map(_shown, alike))
             _refuse_apart(base, group, where)
             outside = (base.t < group.t[0]) | (base.t > group.t[-1])
             inside = ~outside & _in_gap(base, group)
-            shown = _shown(group)
             for mask, text in ((outside, f"stand outside of the time of {shown}; left out"),
                                (inside, f"stand in a gap of {shown}; left out")):
                 if mask.any():
                     lost.append(quality.finding("unpaired", "t", mask, base.sample, text))
             keep &= ~(outside | inside)
             if not np.array_equal(group.t, base.t):
-                count = _lost(base, group)
+                count, verb = _lost(base, group), "is" if len(alike) == 1 else "are"
                 lost.append(Finding("resampled", next(iter(group.channels)), int(base.sample[0]), int(base.sample[-1]),
-                                    count, f"{shown} of {1 / group.step:.4g} Hz is interpolated at the "
-                                    f"{1 / base.step:.4g} Hz of {_shown(base)}; {count or 'none'} of its {group.size} "
-                                    "samples do not count"))
+                                    count, f"{shown} of {1 / group.step:.4g} Hz {verb} interpolated at the "
+                                    f"{1 / base.step:.4g} Hz of {_shown(base)}; {count or 'none'} of "
+                                    f"{'its' if len(alike) == 1 else 'their'} {group.size} samples do not count"))
         if np.count_nonzero(keep) < 2:
             raise LogError("fewer than two samples have values of all groups", where=where,
                            remedy="record the groups at the same time, or map the channels of one group only")
@@ -231,6 +233,14 @@ class Recording(Shown):
         needed = [k for k, group in enumerate(self.groups)
                   if any(channel.rpartition(".")[2] in NEEDED for channel in group.channels)]
         return min(needed or range(len(names)), key=lambda k: self.groups[k].step)
+
+
+def _sampled_alike(groups: Sequence[ChannelGroup]) -> list[list[ChannelGroup]]:
+    """The groups, those with the same stamps and stretches together."""
+    found: dict[tuple[bytes, bytes], list[ChannelGroup]] = {}
+    for group in groups:
+        found.setdefault((group.t.tobytes(), group.segment.tobytes()), []).append(group)
+    return list(found.values())
 
 
 def _shown(group: ChannelGroup) -> str:

@@ -85,6 +85,16 @@ def test_cylinders_of_a_file_replace_drives(tmp_path):
     assert load_machine(tmp_path / "again.urdf").cylinders[0].bore == 0.11
 
 
+def test_friction_of_a_replaced_drive_becomes_its_joints_and_what_is_lost_is_listed(tmp_path):
+    robot, stated, out = (tmp_path / name for name in ("digger.urdf", "cylinders.toml", "digger.toml"))
+    robot.write_text(ARM.replace('upper="0.9"/>', 'upper="0.9" effort="700"/><dynamics damping="30" friction="12"/>'))
+    stated.write_text(CYLINDERS)
+    said = convert(robot, out, "--cylinders", stated).output
+    assert "not in digger.urdf's machine: the greatest torque of the drive of 'lift', which a cylinder replaces" in said
+    friction = load_machine(out).link("lift").joint.friction
+    assert (friction.viscous, friction.coulomb) == (30.0, 12.0)
+
+
 @pytest.mark.parametrize(("change", "words"), [
     ('joint = "lift"|joint = "lifd"', r"lift_cylinder\.joint: no drive moves 'lifd'; name one of lift"),
     ('link = "boom"|link = "bomm"', r"lift_cylinder\.rod\.link: the robot has no link 'bomm'; use boom"),

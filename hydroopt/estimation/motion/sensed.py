@@ -49,7 +49,7 @@ def sensed(machine: Machine, log: Log) -> Sensed:
         LogError: a joint's motion is not measured, or an IMU is misread.
         SolverError: the fit does not converge.
     """
-    recording = log.recording if isinstance(log.recording, Recording) else Recording.of(log)
+    recording = Recording.of(log)
     found, cause = examined_fit(SensorProblem(machine, (recording,), geometry=False))
     if cause is not None:
         raise LogError(cause.text.rstrip("."), where=log.path or log.name, remedy=cause.remedy.rstrip("."))

@@ -30,8 +30,18 @@ class Reach(NamedTuple):
     arm: float
 
 
-def with_cylinders(robot: RobotFile, stated: Mapping[str, Any], where: str) -> tuple[Machine, dict[str, Reach]]:
-    """The machine of a robot file in which cylinders drive joints, and how far each of them moves.
+class OnCylinders(NamedTuple):
+    """The machine on cylinders, how far each of them moves, and what of the replaced drives is left out."""
+
+    machine: Machine
+    reaches: dict[str, Reach]
+    lost: tuple[str, ...]
+
+
+def with_cylinders(robot: RobotFile, stated: Mapping[str, Any], where: str) -> OnCylinders:
+    """The machine of a robot file in which cylinders drive joints.
+
+    Damping and friction of a replaced drive become those of its joint; limits of torque, gears and rotors are lost.
 
     Args:
         robot: the file, without a sidecar.
@@ -48,6 +58,7 @@ def with_cylinders(robot: RobotFile, stated: Mapping[str, Any], where: str) -> t
     tables = copy.deepcopy(robot.tables)
     drives = {drive["joint"]: drive for drive in tables.get("drives", [])}
     made: dict[str, dict[str, Any]] = {}
+    lost: list[str] = []
     for name, table in stated.items():
         place = f"{where}: {name}"
         if not isinstance(table, dict):
@@ -57,7 +68,7 @@ def with_cylinders(robot: RobotFile, stated: Mapping[str, Any], where: str) -> t
         if joint not in drives:
             raise MachineError(f"no drive moves '{joint}'", where=f"{place}.joint",
                                remedy=f"name one of {', '.join(similar(joint, drives, 6))}")
-        del drives[joint]
+        lost += _replaced(drives.pop(joint), next(link for link in tables["links"] if link["name"] == joint))
         for end in ("barrel", "rod"):
             cylinder[end] = _attached(robot, cylinder.get(end), f"{place}.{end}")
         made[name] = {"name": name} | cylinder
@@ -73,7 +84,16 @@ def with_cylinders(robot: RobotFile, stated: Mapping[str, Any], where: str) -> t
         shortest, longest, _ = reaches[name]
         margin = _MARGIN * (longest - shortest)
         made[name] |= {"dead_length": f"{shortest - margin!r} m", "stroke": f"{longest - shortest + 2 * margin!r} m"}
-    return build_machine(tables, where) if open_ended else machine, reaches
+    return OnCylinders(build_machine(tables, where) if open_ended else machine, reaches, tuple(lost))
+
+
+def _replaced(drive: dict[str, Any], link: dict[str, Any]) -> list[str]:
+    """What a replaced drive says beside its friction, in sentences; the friction becomes that of the link's joint."""
+    if friction := {key: drive["friction"][key] for key in ("coulomb", "viscous") if key in drive.get("friction", {})}:
+        link["joint"]["friction"] = friction | link["joint"].get("friction", {})
+    words = {"gear": "the gear", "max_torque": "the greatest torque", "rotor_inertia": "the rotor's inertia"}
+    said = [words[key] for key in words if key in drive]
+    return [f"{' and '.join(said)} of the drive of '{drive['joint']}', which a cylinder replaces"] if said else []
 
 
 def _attached(robot: RobotFile, stated: Any, where: str) -> dict[str, Any]:

@@ -62,3 +62,11 @@ def test_intervals_of_clocks_hold_the_truth():
             place = found.fit.places[name]
             held.append(abs(found.fit.value[place] - true) < 1.96 * spread[place])
     assert np.mean(held) > 0.89
+
+
+def test_sensors_are_calibrated_by_all_samples_of_a_merged_log():
+    """Not by those that merging leaves, and with the clocks of the groups."""
+    machine, _, made = recording(5)
+    merged, whole = (sensor_problem(machine, [each]) for each in (made.log(), made))
+    assert [group.size for group in merged.logs[0].groups] == [group.size for group in whole.logs[0].groups]
+    assert merged.logs[0].clocks == whole.logs[0].clocks
