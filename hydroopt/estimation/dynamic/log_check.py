@@ -137,7 +137,7 @@ class LogCheck(Answer):
     @cached_property
     def next_steps(self) -> tuple[NextStep, ...]:
         """What to drive beside these logs, or to identify from them."""
-        machine, steps = self.machine_name, []
+        steps: list[NextStep] = []
         logs = " ".join(data.log.path or data.log.name for data in self.problem.experiments)
         weak = [each for each in self.coverage if each.of_range < LITTLE_RANGE]
         if weak:
@@ -145,8 +145,9 @@ class LogCheck(Answer):
                 f"Move {weak[0].joint} further: it covers {percentage(weak[0].of_range)} of its range.")))
         if any(each.kind is Kind.NOT_EXCITED for each in self.diagnostics):
             steps.append(NextStep(Action.DRIVE, (
-                f"Add the motion that 'hydroopt excite {machine} --log {logs} -o motion' designs.")))
-        steps.append(NextStep(Action.USE, f"Identify: 'hydroopt identify {machine} {logs} --holdout 0.3 -o out'."))
+                f"Add the motion that 'hydroopt excite MACHINE --log {logs} -o motion' designs.")))
+        steps.append(NextStep(Action.USE, (
+            f"Identify: 'hydroopt identify MACHINE {logs} --holdout 0.3 -o out', with the same options.")))
         return tuple(steps)
 
     @cached_property

@@ -276,7 +276,7 @@ def next_steps(found: Identification, judged_uses: tuple[Use, ...]) -> tuple[Nex
     def lacking(purpose: Purpose, usable: Usable) -> list[Use]:
         return [use for use in judged_uses if (use.purpose, use.usable) == (purpose, usable)]
 
-    steps, machine = [], found.problem.model.machine.name
+    steps: list[NextStep] = []
     if "validation" not in found.fit:
         steps.append(NextStep(Action.CHECK, "Hold data out to test the prediction: --validate LOG, or --holdout 0.3."))
     if weak := lacking(Purpose.FORCES, Usable.NO):
@@ -287,10 +287,10 @@ def next_steps(found: Identification, judged_uses: tuple[Use, ...]) -> tuple[Nex
     if focus := [use.subject for use in lacking(Purpose.MASSES, Usable.NO) if use.subject in possible]:
         wanted = " ".join(f"--focus {name}" for name in focus[:3])
         steps.append(NextStep(Action.DRIVE, (
-            f"For {focus[0]}, drive what 'hydroopt excite {machine} {wanted} -o motion' designs, and add its log.")))
+            f"For {focus[0]}, drive what 'hydroopt excite MACHINE {wanted} -o motion' designs, and add its log.")))
     elif not_excited := [name for k, name in enumerate(names) if found.category(k) == "not excited"]:
         steps.append(NextStep(Action.DRIVE, (
-            f"For {not_excited[0]}, drive what 'hydroopt excite {machine} -o motion' designs, and add its log.")))
+            f"For {not_excited[0]}, drive what 'hydroopt excite MACHINE -o motion' designs, and add its log.")))
     if not lacking(Purpose.CONTROL, Usable.NO) and not lacking(Purpose.CONTROL, Usable.UNTESTED):
         steps.append(NextStep(Action.USE, "Write the model as C: 'hydroopt codegen' with this folder."))
     return tuple(steps)

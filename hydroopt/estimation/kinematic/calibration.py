@@ -117,7 +117,7 @@ class Calibration(KinematicSolution, Answer):
             steps.append(NextStep(Action.MEASURE, "Measure ten more poses and give them as --validate: they test it."))
         if weak := [use.subject for use in self.uses if use.usable is Usable.NO and use.purpose is Purpose.DIMENSIONS]:
             steps.append(NextStep(Action.MEASURE, (
-                f"For {weak[0]}, measure the poses that 'hydroopt plan-poses {self.machine_name} --focus {weak[0]}' "
+                f"For {weak[0]}, measure the poses that 'hydroopt plan-poses MACHINE --focus {weak[0]}' "
                 "plans.")))
         return (*steps, NextStep(Action.USE, "Use the calibrated machine file of this folder in all other commands."))
 

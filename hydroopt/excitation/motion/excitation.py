@@ -144,7 +144,7 @@ class Excitation(Answer):
     def next_steps(self) -> tuple[NextStep, ...]:
         """Drive it, and identify."""
         return (NextStep(Action.DRIVE, "Drive trajectory.csv, or c/ on the controller, and log angles and pressures."),
-                NextStep(Action.USE, f"Then 'hydroopt identify {self.machine_name} LOG --holdout 0.3 -o DIR'."))
+                NextStep(Action.USE, "Then 'hydroopt identify MACHINE LOG --holdout 0.3 -o DIR'."))
 
     @property
     def fit(self) -> Mapping[str, Mapping[str, Fit]]:
