@@ -9,8 +9,6 @@ from hydroopt.extras import DISTRIBUTION
 
 PACKAGES = ("casadi", "clarabel", "cvxpy", "numpy", "scipy")
 """Packages that determine the last bits of a result, besides the settings and the processor."""
-WITHOUT_SOLVERS = {"cvxpy": "cvxpy-base"}
-"""Distributions that hold the same package without solvers of other projects."""
 
 
 def version() -> str:
@@ -23,17 +21,18 @@ def version() -> str:
 
 
 def versions(*packages: str) -> dict[str, str]:
-    """Versions of Python, of hydroopt, of the packages that determine results, and of further packages, by name.
+    """Versions of Python, of hydroopt, of packages that determine results, and of others, by name, as far as installed.
 
     >>> list(versions("control"))
     ['python', 'hydroopt', 'casadi', 'clarabel', 'cvxpy', 'numpy', 'scipy', 'control']
     """
     return {"python": platform.python_version(), "hydroopt": version(),
-            **{name: _version(name) for name in (*PACKAGES, *packages)}}
+            **{name: found for name in (*PACKAGES, *packages) if (found := _version(name))}}
 
 
 def _version(package: str) -> str:
+    """Empty where an extra is not installed."""
     try:
-        return metadata.version(WITHOUT_SOLVERS.get(package, package))
-    except metadata.PackageNotFoundError:
         return metadata.version(package)
+    except metadata.PackageNotFoundError:
+        return ""

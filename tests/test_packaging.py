@@ -22,7 +22,7 @@ PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]
 RECIPE = yaml.safe_load((ROOT / "conda/recipe.yaml").read_text("utf-8"))
 DEVELOPMENT = ("dev", "docs")
 ON_CONDA = {"matplotlib": "matplotlib-base"}
-PACKAGES = {"lazy_loader": "lazy-loader", "python_calamine": "python-calamine", "cvxpy": "cvxpy-base"}
+PACKAGES = {"lazy_loader": "lazy-loader", "python_calamine": "python-calamine"}
 """Distributions whose name is not that of their module."""
 
 
@@ -44,7 +44,7 @@ def test_every_library_that_is_imported_is_installed_by_the_core_or_by_its_extra
                  [alias.name.split(".")[0] for alias in node.names] for node in nodes if isinstance(node, ast.Import)))
     foreign = names - set(sys.stdlib_module_names) - {"hydroopt"}
     core = {PACKAGES.get(name, name) for name in foreign - EXTRAS.keys()}
-    assert core - {"markupsafe"} == CORE.keys() - {"clarabel"}  # jinja2 brings the first, cvxpy calls the second
+    assert core - {"markupsafe"} == CORE.keys()  # jinja2 brings it
     assert EXTRAS.keys() <= foreign | {"mujoco", "control", "pandas", "pyarrow"}
     for library, extra in EXTRAS.items():
         assert PACKAGES.get(library, library) in OPTIONAL[extra]

@@ -5,17 +5,18 @@ from __future__ import annotations
 import warnings
 from typing import TYPE_CHECKING, Any
 
-import lazy_loader  # type: ignore[import-untyped]
 import numpy as np
 
 from hydroopt.errors import SolverError
 from hydroopt.estimation.inference.certificate import Certificate
+from hydroopt.extras import Lazy
 from hydroopt.spatial.inertia import Array
 
 if TYPE_CHECKING:
     import cvxpy as cp
 else:  # takes long to load, and most problems do without it
-    cp = lazy_loader.load("cvxpy")
+    cp = Lazy("cvxpy", "constraints of one's own, log-det distances and contradictions are stated with cvxpy",
+              where="constraints")
 
 
 def solve_convex(problem: cp.Problem, where: str) -> bool:

@@ -6,7 +6,6 @@ from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
-import lazy_loader  # type: ignore[import-untyped]
 import numpy as np
 
 from hydroopt.errors import ProblemError
@@ -15,13 +14,15 @@ from hydroopt.estimation.inference.conditions import MARGIN, Condition, square
 from hydroopt.estimation.inference.constraints import Named, no_relation
 from hydroopt.estimation.inference.problem import InferenceProblem, names_of
 from hydroopt.estimation.inference.whitening import WIDEST, GaussianPosterior, gaussian_posterior
+from hydroopt.extras import Lazy
 from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 
 if TYPE_CHECKING:
     import cvxpy as cp
 else:  # takes long to load, and most problems do without it
-    cp = lazy_loader.load("cvxpy")
+    cp = Lazy("cvxpy", "constraints of one's own, log-det distances and contradictions are stated with cvxpy",
+              where="constraints")
 
 NamedConstraints = list[tuple[str, list[Any]]]
 
