@@ -62,6 +62,7 @@ from .model.path_difference import path_difference as path_difference
 from .model.plant import Plant as Plant
 from .parameters.force_terms import Coefficient as Coefficient
 from .parameters.force_terms import ForceTerm as ForceTerm
+from .plots import Plots as Plots
 from .results.answer import Answer as Answer
 from .results.answer import load as load
 from .results.diagnostic import Diagnostic as Diagnostic

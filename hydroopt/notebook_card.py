@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from html import escape
+from importlib import import_module
+from typing import Any
 
 from hydroopt.errors import visible
 
@@ -62,6 +64,22 @@ class Shown:
 
     def _repr_html_(self) -> str:
         return self.card().html()
+
+
+class Drawn(Shown):
+    """An object that also has figures and a page.
+
+    What draws them stands above everything that can be drawn, and is loaded by its name when it is asked for.
+    """
+
+    @property
+    def plot(self) -> Any:
+        """Its figures, see `hydroopt.plots.Plots`."""
+        return import_module("hydroopt.plots").Plots(self)
+
+    def view(self) -> Any:
+        """Its page, which notebooks show below the cell, see `hydroopt.view`."""
+        return import_module("hydroopt.viewing").view(self)
 
 
 def _text(text: str) -> str:

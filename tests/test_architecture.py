@@ -34,7 +34,7 @@ ROOMS = (
     ("codegen",),
     ("study",),
     ("report", "guided"),
-    ("solving", "viewing"),
+    ("solving", "viewing", "plots"),
     ("cli",),
     ("__init__", "__main__"),
 )
@@ -45,7 +45,7 @@ QUARANTINE = {
     "control": ("control.python_control",),
     "cvxpy": ("estimation.inference",),
     "piqp": ("excitation.motion.sqp",),
-    "matplotlib": ("report",),
+    "matplotlib": ("report", "plots"),
     "jinja2": ("kernels", "codegen", "report"),
     "pyarrow": ("logs",),
     "typer": ("cli",),

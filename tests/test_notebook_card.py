@@ -120,3 +120,30 @@ def test_frames_hold_parameters_and_fits(shown: dict[str, Any]) -> None:
     assert frame.loc["lift_cylinder.f_coulomb", "value"] == estimate["lift_cylinder.f_coulomb"].value
     assert fits.loc[("train", "all"), "vaf"] == estimate.fit["train"]["all"].vaf
     assert ParameterTable([]).to_frame().empty
+
+
+def test_figures_are_matplotlib_s_and_show_in_notebooks(shown: dict[str, Any]) -> None:
+    from matplotlib.figure import Figure
+
+    estimate = shown["estimate"]
+    for draw in (estimate.plot.forces, estimate.plot.residuals, estimate.plot.parameters, estimate.plot.machine,
+                 shown["machine"].plot.machine, shown["model"].plot.machine):
+        figure = draw()
+        assert isinstance(figure, Figure)
+        assert figure._repr_svg_().startswith("<svg ")
+    drawn = [line.get_ydata() for ax in estimate.plot.forces().axes for line in ax.get_lines()]
+    assert max(np.nanmax(np.abs(y)) for y in drawn if len(y)) > 0
+
+
+def test_what_has_no_such_figure_says_so(shown: dict[str, Any]) -> None:
+    with pytest.raises(ho.ProblemError, match="a Machine has no forces to draw"):
+        shown["machine"].plot.forces()
+    with pytest.raises(ho.ProblemError, match="a Model has no parameters to draw"):
+        shown["model"].plot.parameters()
+
+
+def test_view_is_the_page_of_the_object(shown: dict[str, Any]) -> None:
+    for name in ("machine", "model", "estimate"):
+        page = shown[name].view()
+        assert page.page == ho.view(shown[name]).page
+        assert page._repr_html_().startswith("<iframe srcdoc=")

@@ -21,13 +21,13 @@ from hydroopt.machine.imus import INCLINATION
 from hydroopt.machine.links import Joint, Note
 from hydroopt.machine.quantity import ImpossibleError
 from hydroopt.machine.targets import GROUND, TIP
-from hydroopt.notebook_card import Card, CardTable, Shown
+from hydroopt.notebook_card import Card, CardTable, Drawn
 from hydroopt.units import same_kind
 
 __all__ = ["BASE", "Machine"]
 
 
-class Machine(Shown, MachineDescription):
+class Machine(Drawn, MachineDescription):
     """A manipulator: a tree of links on the base, their actuators, and the sensors.
 
     `orientation` is roll, pitch, yaw of the base frame in a world whose z points up. Above the frequency `bandwidth`

@@ -21,14 +21,14 @@ from hydroopt.model.joint_from_length import joint_from_length
 from hydroopt.model.kinematics import coordinates
 from hydroopt.model.regressor import Dynamics
 from hydroopt.model.scene_graph import SceneGraph
-from hydroopt.notebook_card import Card, Shown
+from hydroopt.notebook_card import Card, Drawn
 from hydroopt.parameters import dynamic as dynamic_parameters
 from hydroopt.parameters.force_terms import ForceTerm
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet, parameter_table
 from hydroopt.spatial.inertia import Array
 
 
-class Model(Shown):
+class Model(Drawn):
     """A machine's kinematics and dynamics; n joints, r balances, p dynamic parameters.
 
     `actuator_inertia` tells the complete model (with barrels and rods) from the thesis's reduced one. With `calibrator`

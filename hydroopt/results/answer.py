@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from hydroopt.extras import needed
-from hydroopt.notebook_card import Card, CardTable, Shown
+from hydroopt.notebook_card import Card, CardTable, Drawn
 from hydroopt.results import json_file
 from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.fit import Fit
@@ -24,7 +24,7 @@ if TYPE_CHECKING:
     import pandas as pd
 
 
-class Answer(Shown, ABC):
+class Answer(Drawn, ABC):
     """The answer of any job; `hydroopt.load` reads what `save` wrote.
 
     It has a status, diagnostics, a table of parameters, a fit and files; the class of each job adds its own results.
