@@ -109,13 +109,13 @@ def test_lengths_that_no_posture_has_are_named_with_their_sample():
 def test_generated_code_checks_that_loops_close():
     """Every routine that stands on the loop has a check that holds in the range and fails where it cannot close."""
     interface = Interface(excavator())
-    q = interface.inputs["q"]
+    given = [interface.inputs["q"], interface.inputs["geometry"]]
     for name in ("forward_kinematics", "cylinder_state", "inverse_dynamics", "regressor", "gravity_forces"):
         guard = interface.routines[name].guards[0]
         assert guard.status == "OPEN_TRIANGLE"
-        sine = ca.Function("sine", [q], [guard.value])
-        assert abs(float(sine([0, 0, -1, -1]))) > STRAIGHT
-        assert not abs(float(sine([0, 0, -1, 1.2]))) > STRAIGHT  # not a number: the bars do not reach
+        sine, geometry = ca.Function("sine", given, [guard.value]), interface.values["geometry"]
+        assert abs(float(sine([0, 0, -1, -1], geometry))) > STRAIGHT
+        assert not abs(float(sine([0, 0, -1, 1.2], geometry))) > STRAIGHT  # not a number: the bars do not reach
 
 
 @pytest.mark.slow

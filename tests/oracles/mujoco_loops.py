@@ -266,8 +266,16 @@ class MujocoLoops:
     def _inverse(self, q: np.ndarray, qd: np.ndarray, qdd: np.ndarray) -> np.ndarray:
         """MuJoCo's inverse dynamics of the cut tree in a state; the Jacobian of the pins there."""
         start = self.posture()
-        for share in np.linspace(0, 1, STEPS + 1)[1:]:
-            self.data.qpos[self.given] = start + share * (q - start)
+        for left in np.linspace(1, 0, STEPS + 1)[1:]:
+            _, rows, _ = self._forward()
+            share = 1 - left**2  # bars turn with the root of the distance from a toggle
+            change = start + share * (q - start) - self.data.qpos[self.given]
+            self.data.qpos[self.given] += change
+            # near a toggle the other branch is close: the motion itself is the guess
+            follow = np.linalg.lstsq(rows[:, self.free], rows[:, self.given] @ change, rcond=1e-9)[0]
+            self.data.qpos[self.free] -= follow
+            for cylinder in self.machine.cylinders:
+                self._aim(cylinder)
             assert self._close()
         _, rows, _ = self._forward()
 
