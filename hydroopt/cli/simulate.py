@@ -112,7 +112,7 @@ def simulate(
             if commands is not None:
                 tries = [partial(_commands, plant, read_log(commands, mapping=map_file))]
             else:
-                path = (_random(model, duration, rate, seed) if motion is None
+                path = (_standing(described, _random(model, duration, rate, seed)) if motion is None
                         else reference_motion(described, read_log(motion, mapping=map_file)))
                 sizes = [0.5**k for k in range(1 if motion is not None else HALVINGS + 1)]
                 tries = [partial(_driving, plant, path, psi, theta, size) for size in sizes]
@@ -152,6 +152,16 @@ def _random(model: Model, duration: float | None, rate: float | None, seed: int)
 
     return random_trajectory(model, duration=DURATION if duration is None else duration,
                              rate=sampling_rate(model.machine) if rate is None else rate, seed=seed)
+
+
+def _standing(machine: Machine, motion: Trajectory) -> Trajectory:
+    """The motion with the base at rest in its first place."""
+    from dataclasses import replace
+
+    base = [machine.joints.index(joint) for joint in machine.base_joints]
+    q, qd, qdd = motion.q.copy(), motion.qd.copy(), motion.qdd.copy()
+    q[:, base], qd[:, base], qdd[:, base] = q[0, base], 0.0, 0.0
+    return replace(motion, q=q, qd=qd, qdd=qdd)
 
 
 def _driving(plant: Plant, motion: Trajectory, psi: Array, theta: Array, size: float) -> tuple[Array, Array, Array]:

@@ -19,6 +19,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.model.hanging import Hanging
 from hydroopt.model.plant import Plant
 from hydroopt.model.workspace import SHARE, top_speed
+from hydroopt.simulation.drive_valves import refuse_moving_base
 from hydroopt.simulation.passive_joints import passive_motion
 from hydroopt.simulation.simulate import Trajectory, sampling_rate
 from hydroopt.spatial.evenly_spread import halton
@@ -72,10 +73,7 @@ class Setting:
             ProblemError: the base moves, or a passive joint leaves its range.
         """
         model, motion = self.plant.model, self.motion
-        base = [self.plant.machine.joints.index(joint) for joint in self.plant.machine.base_joints]
-        if np.any(motion.qd[:, base]) or np.any(np.ptp(motion.q[:, base], axis=0)):
-            raise ProblemError("the base moves in this motion", where="--motion", remedy="let it stand still, at any "
-                               "slope: what the ground does to it is not simulated")
+        refuse_moving_base(self.plant, motion, "--motion")
         q, qd, qdd = passive_motion(model, motion.t, (motion.q, motion.qd, motion.qdd), model.parameters.nominal,
                                     motion.wrench)
         return Reference(replace(motion, q=q, qd=qd, qdd=qdd))

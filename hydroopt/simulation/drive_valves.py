@@ -18,6 +18,9 @@ from hydroopt.spatial.inertia import Array
 ACCURACY = 1e-9
 """Relative error of the simulation's steps: well below what sensors show, and what identification leaves of its own."""
 
+REST = 1e-9
+"""Speed [rad/s or m/s] and change of place [rad or m] of a base that stands still, but for rounding."""
+
 
 def commands_for(plant: Plant | Model | GivenMachine, motion: Trajectory, psi: Array | None = None,
                  theta: Array | None = None) -> Array:
@@ -29,8 +32,8 @@ def commands_for(plant: Plant | Model | GivenMachine, motion: Trajectory, psi: A
         psi, theta: its dynamic and hydraulic parameters; the nominal ones if None.
 
     Raises:
-        ProblemError: the supply cannot move the machine so, the file states no supply pressure, or the motion has a
-            wrench at the tip, which a machine driven by its valves does not take.
+        ProblemError: the supply cannot move the machine so, the file states no supply pressure, the base moves, or
+            the motion has a wrench at the tip, which a machine driven by its valves does not take.
 
     Example:
         >>> import hydroopt as ho
@@ -43,6 +46,7 @@ def commands_for(plant: Plant | Model | GivenMachine, motion: Trajectory, psi: A
     if motion.wrench is not None:
         raise ProblemError("the motion has a wrench at the tip, which a machine driven by its valves does not take",
                            where="drive", remedy="leave out the channels of the tip's wrench, or do not drive valves")
+    refuse_moving_base(plant, motion, "drive")
     psi, theta = _numbers(plant, psi, theta)
     return np.array([plant.steady(q, qd, psi, theta).u for q, qd in zip(motion.q, motion.qd, strict=True)])
 
@@ -102,6 +106,18 @@ def drive(plant: Plant | Model | GivenMachine, t: Array, commands: Array, start:
     channels |= {channel: commands[:, k] for k, channel in enumerate(plant.inputs)}
     units = plant.machine.channel_units
     return Log(name, t, channels, units={channel: units[channel] for channel in channels})
+
+
+def refuse_moving_base(plant: Plant, motion: Trajectory, where: str) -> None:
+    """Refuse a motion in which the base moves.
+
+    Raises:
+        ProblemError: it does.
+    """
+    base = [plant.machine.joints.index(joint) for joint in plant.machine.base_joints]
+    if np.any(np.abs(motion.qd[:, base]) > REST) or np.any(np.ptp(motion.q[:, base], axis=0) > REST):
+        raise ProblemError("the base moves in this motion", where=where, remedy="let it stand still, at any slope: "
+                           "what the ground does to it is not simulated")
 
 
 def random_numbers(plant: Plant, seed: int) -> Array:

@@ -42,6 +42,8 @@ LONGEST = 0.01
 a standard deviation."""
 RANDOM = 200
 """States at which forces are evaluated to find the identifiable directions of bodies."""
+REST, ROUNDING = 3.0, 1e-6
+"""Scatter of a base at rest, in standard deviations of its sensor, and what is added for rounding [rad or m]."""
 AT_WORST = 3.0
 """How many of its σ a dead band may be smaller than stated, before a command counts as never leaving it."""
 
@@ -84,13 +86,13 @@ class HydraulicProblem(Shown):
 
     def split(self, values: Any) -> tuple[Any, Any]:
         """Dynamic and hydraulic parameters of the plant (p,), (h,) from those identified: numbers or symbols."""
-        model, friction = self.plant.model, len(self.psi)
+        model, friction, last = self.plant.model, len(self.psi), len(self.psi) + len(self.theta)
+        given = values if isinstance(values, ca.SX) else ca.DM(values)
         made = []
-        moved = ca.DM(self.bodies) @ values[friction + len(self.theta) :]
-        for nominal, at, part in ((ca.DM(model.parameters.nominal) + moved, self.psi, values[:friction]),
-                                  (ca.DM(self.plant.parameters.nominal), self.theta,
-                                   values[friction : friction + len(self.theta)])):
-            whole = type(moved)(nominal)
+        for nominal, at, part in (
+                (ca.DM(model.parameters.nominal) + ca.DM(self.bodies) @ given[last:, :], self.psi, given[:friction, :]),
+                (ca.DM(self.plant.parameters.nominal), self.theta, given[friction:last, :])):
+            whole = type(given)(nominal)
             whole[at.tolist()] = part
             made.append(whole)
         return made[0], made[1]
@@ -231,7 +233,7 @@ def hydraulic_problem(machine: GivenMachine, logs: Log | Sequence[Log], validati
     Raises:
         ProblemError: the file states no circuit, no confidence or no sensors, or a supply pressure is neither logged
             nor stated.
-        LogError: a command, a pressure or a motion is missing.
+        LogError: a command, a pressure or a motion is missing, or the base moves.
         IdentifiabilityError: no command leaves its dead band.
 
     Example:
@@ -248,6 +250,7 @@ def hydraulic_problem(machine: GivenMachine, logs: Log | Sequence[Log], validati
             raise LogError(f"the wrench at the tip ({', '.join(sorted(found))}) is not part of the valves' model",
                            where=log.path or log.name,
                            remedy="give logs without contact, or leave these columns out if nothing acted")
+        _refuse_moving_base(plant, log)
     _refuse_dead_band(plant, logs)
     psi, theta = _identified(plant)
     if not len(psi) + len(theta):
@@ -370,6 +373,17 @@ def _placed(plant: Plant, k: int, command: Array) -> Array:
     wanted = spool_position(plant.actuators[k].valve, symbol,
                        lambda key: float(nominal.nominal[nominal.index(f"{owner}.{key}")]))
     return np.asarray(ca.Function("wanted", [symbol], [wanted])(command)).ravel()
+
+
+def _refuse_moving_base(plant: Plant, log: Log) -> None:
+    """Refuse a log in which the base moves by more than its sensors err."""
+    for joint in plant.machine.base_joints:
+        sensor = plant.machine.sensor(f"{joint}.q")
+        moved, unit = np.nanstd(reading(plant.machine, log, f"{joint}.q")), plant.machine.channel_units[f"{joint}.q"]
+        if moved > REST * (sensor.std if sensor else 0.0) + ROUNDING:
+            raise LogError(f"the base moves: {joint}.q scatters by {moved:.3g} {unit}",
+                           where=log.path or log.name, remedy="give logs in which it stands still, at any slope: the "
+                           "ground's forces on it are not known to the valves' model")
 
 
 def _refuse_dead_band(plant: Plant, logs: Sequence[Log]) -> None:
