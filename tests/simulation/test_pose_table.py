@@ -80,7 +80,7 @@ def test_commands_plan_and_simulate_poses(tmp_path: Path) -> None:
 
 
 def test_the_survey_of_the_documentation_states_every_measurement() -> None:
-    machine = load_machine(Path(__file__).parents[2] / "docs" / "survey.toml")
+    machine = load_machine(Path(__file__).parents[2] / "docs" / "how-to" / "survey.toml")
     assert [each.name for each in KinematicModel(machine).measurements] == [
         *(f"station.{target}" for target in ("stick_prism", "bucket_prism", "mark_1", "mark_2", "mark_3")), "plate.tip",
         "rail.tip", "tape.length", "chassis_tilt.inclination", "stick_unit.accel"]
