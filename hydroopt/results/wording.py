@@ -160,6 +160,7 @@ class Kind(StrEnum):
     FIXTURE_MOVED = "fixture moved"
     BASE_MOVED = "base moved"
     TOOL_MOVED = "tool moved"
+    INSTRUMENT_MOVED = "instrument moved"
     SENSOR_ECCENTRIC = "sensor or gear eccentric"
     SENSOR_NONLINEAR = "sensor not linear"
     JOINT_SAGS = "joint gives way under gravity"
@@ -199,7 +200,8 @@ CONTRADICTIONS = OF_LOGS | frozenset({
     Kind.WORSE_THAN_ZERO, Kind.UNEXPLAINED_ACTUATOR,
     Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_CHANNEL, Kind.ERRORS_FAR_LARGER,
     Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED,
-    Kind.STAGE_CONTRADICTS, Kind.FIXTURE_MOVED, Kind.BASE_MOVED, Kind.TOOL_MOVED, Kind.SENSOR_OFFSET, Kind.SENSOR_SCALE,
+    Kind.STAGE_CONTRADICTS, Kind.FIXTURE_MOVED, Kind.BASE_MOVED, Kind.TOOL_MOVED, Kind.INSTRUMENT_MOVED,
+    Kind.SENSOR_OFFSET, Kind.SENSOR_SCALE,
     Kind.BACKLASH, Kind.SENSOR_ECCENTRIC, Kind.SENSOR_NONLINEAR, Kind.JOINT_SAGS, Kind.SUSPECTS_UNDECIDED,
     Kind.DISTANCE_CONTRADICTS, Kind.DISTANCE_OFF, Kind.OFF_OPTIMUM})
 """Kinds that make an answer suspect."""
@@ -402,6 +404,9 @@ WORDS: dict[Kind, Words] = {
     Kind.FIXTURE_MOVED: Words("The fixture '{subject}' moved by about {size:.1f} {unit} before {place}."),
     Kind.BASE_MOVED: Words("The base moved by about {size:.1f} {unit} before {place}."),
     Kind.TOOL_MOVED: Words("The tool moved on its link by about {size:.1f} {unit} before {place}."),
+    Kind.INSTRUMENT_MOVED: Words(
+        "The instrument '{subject}' moved by about {size:.1f} {unit} before {place}.",
+        "Name another set-up from there on, in the column 'setup'."),
     Kind.SUSPECTS_UNDECIDED: Words(
         "Something contradicts the poses, and the data do not decide between: {alternatives}."),
     Kind.NO_VALIDATION_POSES: Words(

@@ -32,6 +32,10 @@ TURNS = 1.0
 """Range of an angle [rad] from which on an eccentricity differs from an offset and a scale."""
 
 
+STANDS = ("x", "y", "z", "rx", "ry", "rz", "roll", "pitch", "yaw")
+"""Ends of the names of numbers that say where an instrument stands."""
+
+
 class Fault(NamedTuple):
     """A fault and what it adds to the whitened rows: `columns` (N, u, d), times the poses' `weight` (N,).
 
@@ -198,6 +202,7 @@ def _moves(problem: CalibrationProblem, q: Array, linearised: Linearised, starts
             if min(late.sum(), (there & ~late).sum()) >= SHORTEST:
                 yield Fault(SuspectKind.FIXTURE, name, late, linearised.jacobian[:, :, columns], late.astype(float),
                             least, unit="mm", there=there)
+    yield from _moved_instruments(problem, linearised, starts)
     by_tip, turn = model.over(model.moved_tip, problem.start[: len(model.parameters)], q,
                               problem.places(problem.start))
     by_tip = by_tip * layout.present[:, :, None]
@@ -218,6 +223,28 @@ def _moves(problem: CalibrationProblem, q: Array, linearised: Linearised, starts
         if (tracked or len(seen) > 1) and not model.oriented:
             yield Fault(SuspectKind.BASE, "base", late, base, late.astype(float), least, unit="mm", lengths=3,
                         there=everywhere)
+
+
+def _moved_instruments(problem: CalibrationProblem, linearised: Linearised,
+                       starts: NDArray[np.intp]) -> Iterator[Fault]:
+    """An instrument that stands elsewhere from some pose of a set-up on."""
+    layout, order, places = problem.layout, np.arange(len(linearised.rank)), problem.parameters.positions
+    setups = np.array([str(label) for label in problem.poses.setup])
+    for instrument in problem.model.machine.instruments:
+        read = [i for i, channel in enumerate(problem.model.channels) if channel.startswith(f"{instrument.name}.")]
+        seen = np.any(layout.present[:, read], axis=1)
+        for setup in dict.fromkeys(setups[seen].tolist()):
+            there = seen & (setups == setup)
+            owner = ".".join(filter(None, (instrument.name, "" if instrument.stands else setup)))
+            columns = [places[name] for name in (f"{owner}.{axis}" for axis in STANDS) if name in places]
+            if len(columns) < 6:
+                continue  # what is stated exactly has no columns
+            least = BEYOND * float(np.max(problem.row_sigma[there][:, read]))
+            for start in np.union1d(starts, _splits(np.flatnonzero(there))):
+                late = there & (order >= start)
+                if min(late.sum(), (there & ~late).sum()) >= SHORTEST:
+                    yield Fault(SuspectKind.INSTRUMENT, owner, late, linearised.jacobian[:, :, columns],
+                                late.astype(float), least, unit="mm", lengths=3, there=there)
 
 
 def stated_gap(problem: CalibrationProblem) -> float:

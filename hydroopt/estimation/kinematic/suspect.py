@@ -24,6 +24,7 @@ class SuspectKind(StrEnum):
     FIXTURE = "fixture"
     BASE = "base"
     TOOL = "tool"
+    INSTRUMENT = "instrument"
     OFFSET = "offset"
     SCALE = "scale"
     BACKLASH = "backlash"
@@ -42,6 +43,7 @@ class SuspectKind(StrEnum):
 DIAGNOSTICS = {SuspectKind.PLANE: Kind.POSES_IN_ONE_PLANE, SuspectKind.STAGE: Kind.STAGE_CONTRADICTS,
                SuspectKind.STRETCH: Kind.STRETCH_CONTRADICTS, SuspectKind.POSE: Kind.POSE_CONTRADICTS,
                SuspectKind.FIXTURE: Kind.FIXTURE_MOVED, SuspectKind.BASE: Kind.BASE_MOVED,
+               SuspectKind.INSTRUMENT: Kind.INSTRUMENT_MOVED,
                SuspectKind.TOOL: Kind.TOOL_MOVED, SuspectKind.OFFSET: Kind.SENSOR_OFFSET,
                SuspectKind.SCALE: Kind.SENSOR_SCALE, SuspectKind.BACKLASH: Kind.BACKLASH,
                SuspectKind.GEAR: Kind.SENSOR_ECCENTRIC, SuspectKind.SAG: Kind.JOINT_SAGS,
@@ -102,6 +104,8 @@ class Suspect:
                 return f"'{self.name}' giving way under gravity{size}"
             case SuspectKind.FIXTURE:
                 return f"fixture '{self.name}' moved{size} before {self.place}"
+            case SuspectKind.INSTRUMENT:
+                return f"instrument '{self.name}' moved{size} before {self.place}"
             case SuspectKind.BASE:
                 return f"the base moved{size} before {self.place}"
             case SuspectKind.TOOL:

@@ -19,6 +19,7 @@ from hydroopt.estimation.kinematic.problem import calibration_problem
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine_file import dump_machine, read_machine
 from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.results.wording import Kind
 from hydroopt.simulation import postures
 from tests.fixtures.surveyed import EVERYWHERE, STANDING, TEXT, measured, measured_and_true, surveyed, truth
 
@@ -294,3 +295,28 @@ def test_intervals_of_all_measurements_together_cover_the_truth() -> None:
         within.append(np.abs(error) < 1.959964 * std)
     assert 0.93 < np.mean(within) < 0.97
     assert np.min(np.mean(within, axis=0)) > 0.75
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_an_instrument_that_moves_within_a_set_up_is_named(moves: bool) -> None:
+    """By 15 mm and a turn of 2 mrad, in the middle of set-up A."""
+    machine, _ = surveyed()
+    poses = measured(truth(2), count=40, seed=4)
+    own = np.flatnonzero((poses.setup == "A") & np.isfinite(poses.channels["station.prism.x"]))
+    late = own[len(own) // 2 :]
+    channels = dict(poses.channels)
+    turned = Rotation.from_rotvec([0, 0, 2e-3])
+    for target in ("prism", "peg", "stone") if moves else ():
+        names = [f"station.{target}.{axis}" for axis in "xyz"]
+        seen = np.stack([channels[name] for name in names], axis=1)
+        seen[late] = turned.inv().apply(seen[late] - [0.012, -0.008, 0.004])
+        channels |= dict(zip(names, seen.T, strict=True))
+    found = calibrate(calibration_problem(machine, replace(poses, channels=channels)))
+    moved = [each for each in found.diagnostics if each.kind is Kind.INSTRUMENT_MOVED]
+    if not moves:
+        assert not moved
+        return
+    assert [each.subject for each in moved] == [("station.A",)]
+    assert moved[0].evidence["size"] == pytest.approx(15.0, abs=2.0)
+    assert moved[0].evidence["place"].startswith(f"row {poses.row[late[0]]}")
+    assert found.status == "suspect"
