@@ -75,12 +75,12 @@ def calibrate(
         problem = problem.fixing(**parameter_values(fix or (), problem.parameters))
         what = f"calibrating {described.name}, {int(problem.free.sum())} parameters from "
         with failure_saved(output, Job.CALIBRATION, described, method, lambda: inputs_of(problem)):
-            say(f"{what}{len(poses)} poses")
+            say(f"{what}{len(poses)} poses", 0.05)
             solved = solve_calibration(problem, method, starts=starts, seed=seed)
             if leave_out and np.any(solved.suspicious):
-                say(f"{what}the {np.sum(~solved.suspicious)} poses that agree")
+                say(f"{what}the {np.sum(~solved.suspicious)} poses that agree", 0.45)
                 solved = without_suspects(solved, starts=starts)
-        say("writing the report")
+        say("writing the report", 0.8)
         solved.save(output, pages={"report.html": report.render(solved)}, wall_s=time.perf_counter() - began)
     print_answer(solved, output, quiet=quiet, as_json=as_json)
 

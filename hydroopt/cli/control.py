@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -98,10 +99,13 @@ def control(
         variants = [*([before] if before else ()), *([reduced(complete)] if FEEDFORWARD in kinds else ()), complete]
         setting = Setting(plant, path, *truth(true, plant, seed=seed), plant.parameters.nominal,
                           rate_of(plant, rate, path), seed if noise else None, sensitivity, gain)
-        comparison = replace(compare(setting, variants, kinds, progress=say), source=origin.text, options={
+        steps = itertools.count()
+        total = 2 + len(kinds) + (FEEDFORWARD in kinds) * len(variants)
+        found = compare(setting, variants, kinds, progress=lambda text: say(text, next(steps) / total))
+        comparison = replace(found, source=origin.text, options={
             "motion": str(motion), "truth": true, "seed": seed, "noise": noise, "sensitivity": sensitivity,
             "gain": gain, "controllers": list(kinds)})
-        say("writing the report and the code")
+        say("writing the report and the code", 0.95)
         pages: dict[str, str | bytes | None] = {"report.html": report.render(comparison)}
         best = comparison.feedforward
         if best is not None:

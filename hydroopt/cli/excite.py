@@ -95,8 +95,8 @@ def excite(
         problem = excitation_problem(described, basis, criterion=criterion or "D", focus=focus or (), priors=priors,
                                      logs=logs, rate=rate, resting=resting)
         motion = solve(problem, starts=starts, seed=seed, seconds=seconds, processes=processes or os.cpu_count() or 1,
-                       progress=say)
-        say("computing the expected accuracy, writing the report and the code")
+                       progress=lambda text: say(text, 0.8 * min(1.0, (time.perf_counter() - began) / seconds)))
+        say("computing the expected accuracy, writing the report and the code", 0.8)
         code = Code(described, origin, routines=["excitation"],
                     designed_motion=DesignedMotion(motion.function, basis.duration))
         pages: dict[str, str | bytes | None] = {"report.html": report.render(motion)}

@@ -125,7 +125,7 @@ def identify(
             problem = problem.with_prior(statement, statement)
         return problem.free(*(word.strip() for word in free.split(","))) if free else problem
 
-    with progress(f"identifying {described.name}", quiet):
+    with progress(f"identifying {described.name}", quiet) as say:
         stated = partial(identification_problem, described, train, held_out, actuator_inertia=full, smoothing=way)
         with failure_saved(output, Job.IDENTIFICATION, described, method, lambda: inputs_of(stated())):
             if friction is None or len(sets) == 1:
@@ -136,6 +136,9 @@ def identify(
                 estimate = choose_friction(described, train, held_out, sets or None, smoothing=way,
                                            actuator_inertia=full, prepare=prepared, method=chosen, tolerance=tolerance,
                                            ridge=ridge, seed=seed)
+        say("testing the fit", 0.4)
+        _ = estimate.diagnostics  # computed here, and kept
+        say("writing the report", 0.7)
         pages = {"report.html": identification.render(estimate)}
         if force and estimate.refuted:
             pages[f"{estimate.machine_name}.toml"] = dump_machine(estimate.machine)

@@ -54,8 +54,9 @@ def identify_valves(
     began, described = time.perf_counter(), load_machine(machine, parameter_set=parameter_set)
     read = reading(read_log, described, map_file, treat)
     problem = hydraulic_problem(described, *parted(read(logs), read(validate or ()), holdout), bodies=bodies)
-    with (progress(f"identifying the valves of {described.name}", quiet),
+    with (progress(f"identifying the valves of {described.name}", quiet) as say,
           failure_saved(output, Job.HYDRAULICS, described, METHOD, lambda: problem.inputs)):
         estimate = solve(problem)
+        say("running free over all logs, writing the report", 0.7)
         estimate.save(output, pages={"report.html": valves.render(estimate)}, wall_s=time.perf_counter() - began)
     print_answer(estimate, output, quiet=quiet, as_json=as_json)

@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeVar
 
 import typer
 
@@ -76,13 +76,23 @@ Bandwidth = Annotated[float | None, typer.Option(
     help="Highest frequency of the motion [Hz], for spline; that of the machine file if not given.")]
 
 
+class Say(Protocol):
+    """Replaces the text of a progress display, and the part of the job that is done, if that is known."""
+
+    def __call__(self, text: str, part: float | None = None) -> None:
+        """Show it."""
+
+
 @contextmanager
-def progress(what: str, quiet: bool) -> Iterator[Callable[[str], None]]:
-    """Show a spinner with a text on a terminal's error stream; the function that is yielded replaces the text."""
+def progress(what: str, quiet: bool) -> Iterator[Say]:
+    """Show on a terminal's error stream what is being done, how much of it is done, and the time left."""
     from rich.console import Console
 
-    with Console(stderr=True, quiet=quiet).status(what) as status:
-        yield status.update
+    from hydroopt.cli.progress_line import progress_line
+
+    with progress_line(Console(stderr=True, quiet=quiet)) as shown:
+        task = shown.add_task(what, total=1.0)
+        yield lambda text, part=None: shown.update(task, description=text, completed=part)
 
 
 def distance_of(text: str, where: str) -> Distance:
