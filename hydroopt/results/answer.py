@@ -87,7 +87,12 @@ class Answer(Drawn, ABC):
         against = self.contradictions
         checks = tuple(NextStep(Action.CHECK, each.remedy) for each in against if each.remedy)
         return Verdict(json_file.title(self.machine_name, self.job, self.method), self.status,
-                       against[0].text if against else "", self.uses, (*checks, *self.next_steps))
+                       against[0].text if against else "", self.uses, (*checks, *self.next_steps), self.headline)
+
+    @property
+    def headline(self) -> str:
+        """The answer in a sentence, where the job asks a question; empty elsewhere."""
+        return ""
 
     @property
     @abstractmethod

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -187,6 +188,7 @@ class Verdict:
         title: machine and job.
         status: of the answer.
         cause: why it is not ok, in a sentence.
+        finding: the answer in a sentence, where the job asks a question, such as whether anything changed.
         uses: by purpose and part of the machine.
         next_steps: the most useful first.
 
@@ -204,6 +206,7 @@ class Verdict:
     cause: str = ""
     uses: tuple[Use, ...] = ()
     next_steps: tuple[NextStep, ...] = ()
+    finding: str = ""
 
     def __post_init__(self) -> None:
         if self.status is not Status.OK:
@@ -227,6 +230,8 @@ class Verdict:
     def _lines(self, most: int) -> list[str]:
         """The card with so many subjects a purpose, and half as many next steps, at most."""
         lines = _wrapped(f"{self.title}: {self.status}{f'. {self.cause}' if self.cause else ''}", "")
+        if self.finding:
+            lines += _wrapped(self.finding, "found")
         for usable in Usable:
             for purpose in Purpose:
                 if some := [use for use in self.uses if (use.purpose, use.usable) == (purpose, usable)]:
@@ -238,6 +243,7 @@ class Verdict:
     def as_dict(self) -> dict[str, Any]:
         """The entry of a JSON file; `from_dict` reads it."""
         return {"title": self.title, "status": str(self.status), "cause": self.cause,
+                "finding": self.finding,
                 "uses": [use.as_dict() for use in self.uses],
                 "next_steps": [{"action": str(step.action), "text": step.text} for step in self.next_steps],
                 "thresholds": {str(purpose): THRESHOLDS[purpose]._asdict()
@@ -253,7 +259,8 @@ class Verdict:
         uses = tuple(Use(**{**use, "purpose": Purpose(use["purpose"]), "usable": Usable(use["usable"])})
                      for use in entry["uses"])
         steps = tuple(NextStep(Action(step["action"]), str(step["text"])) for step in entry["next_steps"])
-        return cls(str(entry["title"]), Status(entry["status"]), str(entry["cause"]), uses, steps)
+        return cls(str(entry["title"]), Status(entry["status"]), str(entry["cause"]), uses, steps,
+                   str(entry.get("finding", "")))
 
 
 def _folded(uses: Sequence[Use], most: int) -> str:
@@ -268,7 +275,7 @@ def _folded(uses: Sequence[Use], most: int) -> str:
 def _wrapped(text: str, label: str) -> list[str]:
     """A text after a label, with its further lines below it."""
     first = f"  {label:<11} " if label else ""
-    whole = text.replace(" %", "\N{NO-BREAK SPACE}%")
+    whole = re.sub(r"(\d) (?=\S)", "\\1\N{NO-BREAK SPACE}", text)  # a number and its unit stay together
     lines = textwrap.wrap(whole, WIDTH, initial_indent=first, subsequent_indent=" " * (14 if label else 2),
                           break_on_hyphens=False)
     return [line.replace("\N{NO-BREAK SPACE}", " ") for line in lines] or [first.rstrip()]

@@ -39,7 +39,7 @@ from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.results.diagnostic import Diagnostic, probability
 from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable
-from hydroopt.results.tables import csv_text, number, with_limits
+from hydroopt.results.tables import csv_text, with_limits
 from hydroopt.results.verdict import Action, NextStep, Purpose, Usable, Use, judged
 from hydroopt.results.wording import Kind
 from hydroopt.spatial import inertia
@@ -119,7 +119,7 @@ class Payload(TwoSessionAnswer):
     def _use(self, one: Quantity, condition: str) -> Use:
         half = (one.ci95[1] - one.ci95[0]) / 2
         if self.p_value > NO_LOAD:
-            return Use(Purpose.LOAD, one.name, Usable.UNTESTED, number(half), one.unit, reason="no load was detected")
+            return Use(Purpose.LOAD, one.name, Usable.UNTESTED, reason="no load was detected")
         if not one.identifiable or not np.isfinite(half):
             return Use(Purpose.LOAD, one.name, Usable.NO, reason="these motions do not determine it")
         if one.name != self.mass.name:

@@ -89,6 +89,11 @@ class SessionAnswer(Answer):
         return {}
 
     @property
+    def headline(self) -> str:
+        """What the sessions say, in a sentence."""
+        return self.findings[0].text
+
+    @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:
         """The logs of all sessions."""
         return tuple({**log, "role": role} for role, session in self.sessions.items() for log in session.inputs)
