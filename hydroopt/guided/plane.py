@@ -10,15 +10,27 @@ class OpenError(Exception):
     """A triangle or linkage does not close; the text says which distance must lie between which limits."""
 
 
+ON_LINE = 0.01
+"""By how much [m] three distances may miss a triangle so that the point counts as on the line: a tape's errors."""
+
+
 def by_distances(near: float, far: float, length: float, side: float) -> complex:
     """The point at distances from 0 and from `length` on the x axis, above it for side 1 and below for −1.
+
+    Where the distances miss a triangle by no more than a tape's errors, it is the point on the line that fits best.
 
     Raises:
         OpenError: there is no such point.
 
     >>> by_distances(3.0, 4.0, 5.0, 1.0)
     (1.8+2.4j)
+    >>> by_distances(3.0, 1.996, 5.0, 1.0)
+    (3.002+0j)
     """
+    for gap, x in ((length - near - far, (length + near - far) / 2), (near - far - length, (near + far + length) / 2),
+                   (far - near - length, (length - near - far) / 2)):
+        if 0 <= gap <= ON_LINE:
+            return complex(x)
     _close(near, far, length)
     x = (near**2 - far**2 + length**2) / (2 * length)
     return complex(x, side * math.sqrt(max(near**2 - x**2, 0.0)))

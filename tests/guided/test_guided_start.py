@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 import pytest
@@ -14,7 +15,7 @@ from hydroopt.guided.plane import OpenError, by_distances, turned
 from hydroopt.guided.question import AnswerError, Question
 from hydroopt.guided.side_geometry import MARGIN, STOP
 from hydroopt.guided.sketch import Sketch
-from hydroopt.machine.machine_file import read_machine
+from hydroopt.machine.machine_file import load_machine, read_machine
 from hydroopt.model.model import Model
 
 
@@ -141,3 +142,48 @@ def test_triangles() -> None:
         assert (longer - angle) * sign > 0
     with pytest.raises(OpenError, match="between 1500 mm and 2500 mm"):
         by_distances(3.0, 0.5, 2.0, 1.0)
+
+
+def tape(pin: Sequence[float], length: float) -> dict[str, str]:
+    """What a tape reads of a pin on a link of this length."""
+    x, y = pin[:2]
+    return {"from_first": f"{1e3 * math.hypot(x, y):.2f} mm", "from_last": f"{1e3 * math.hypot(x - length, y):.2f} mm",
+            "side": "above" if y >= 0 else "below"}
+
+
+def test_a_published_excavator_measured_by_tape_moves_as_its_file_says() -> None:
+    """Distances between the pins of a bundled mini-excavator, none of whose numbers the guided start knows."""
+    known = load_machine("mini_excavator")
+    cylinders = {each.name: each for each in known.cylinders}
+    length = {name: known.link(name).joint.a for name in ("boom", "stick", "bucket", "rocker", "coupler", "boom_swing")}
+    (loop,) = known.loops
+    answers = {f"{name}.length": f"{1e3 * length[name]:.2f} mm" for name in length if name != "boom_swing"}
+    foot = cylinders["boom_cylinder"].barrel.pin
+    answers |= {"boom_cylinder.barrel_forward": f"{foot[0] - length['boom_swing']:.5f} m",
+                "boom_cylinder.barrel_up": f"{foot[2]:.5f} m"}
+    pins = {"boom_cylinder.rod_pin": (cylinders["boom_cylinder"].rod.pin, "boom"),
+            "stick_cylinder.barrel_pin": (cylinders["stick_cylinder"].barrel.pin, "boom"),
+            "stick_cylinder.rod_pin": (cylinders["stick_cylinder"].rod.pin, "stick"),
+            "bucket_cylinder.barrel_pin": (cylinders["bucket_cylinder"].barrel.pin, "stick"),
+            "rocker.pin": (known.link("rocker").pin or (), "stick"), "coupler.pin": (loop.to.pin, "bucket")}
+    for key, (pin, link) in pins.items():
+        answers |= {f"{key}.{what}": text for what, text in tape(pin, length[link]).items()}
+    for name in ("boom", "stick", "bucket"):
+        part = cylinders[f"{name}_cylinder"]
+        answers |= {f"{name}_stroke.retracted": f"{part.dead_length:.5f} m",
+                    f"{name}_stroke.extended": f"{part.dead_length + part.stroke:.5f} m"}
+    sketch = Sketch(KINDS["excavator"], {})
+    while (question := sketch.open) is not None:
+        sketch = sketch.answered(question, answers.get(question.key, ""))
+    made = read_machine(machine_text(sketch))
+    swept = []
+    for machine in (known, made):
+        model = Model(machine)
+        q = np.zeros((9, len(machine.joints)))
+        for name in ("boom", "stick", "bucket"):
+            low, high = known.link(name).joint.range
+            q[:, machine.joints.index(name)] = np.linspace(low + 0.05, high - 0.05, 9)
+        lengths = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)[0][:, :, 0]
+        names = [each.name for each in machine.pinned]
+        swept.append(lengths[:, [names.index(f"{name}_cylinder") for name in ("boom", "stick", "bucket")]])
+    assert swept[0] == pytest.approx(swept[1], abs=2e-4)
