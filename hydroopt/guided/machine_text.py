@@ -172,7 +172,7 @@ class _Writer:
                      for side in ("p_head", "p_rod")]
         lengths = [f"{member.cylinder.name}.length" for member in members if member.cylinder]
         torques = [f"{member.name}.tau" for member in members if member.cylinder is None]
-        yield from ("", "# Accuracy is the standard deviation of one reading; a log may hold fewer channels.")
+        yield from ("", "# Accuracy is the largest error of a reading, either way; a log may hold fewer channels.")
         for channels, accuracy in (([f"{joint}.q" for joint in joints], "0.1 deg"), (chambers, "2 bar"),
                                    (lengths, "2 mm"), (torques, "1 N*m")):
             if channels:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import re
 from dataclasses import dataclass
 
@@ -47,6 +48,8 @@ class Question:
             return self.typical
         if self.unit == "m":
             return f"{1e3 * self.typical:.0f} mm"
+        if self.unit == "rad":
+            return f"{math.degrees(self.typical):.0f} deg"
         return f"{self.typical:.0f}" if self.unit == "1" else f"{float(f'{self.typical:.3g}'):g} {self.unit}"
 
     def read(self, text: str) -> float | str:

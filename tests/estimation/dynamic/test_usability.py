@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,8 +14,10 @@ from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.estimation.inference.identifiability import random_states
 from hydroopt.logs.forces_from_pressures import force_noise
+from hydroopt.logs.log import Log
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
+from hydroopt.results.status import Status
 from hydroopt.results.verdict import Purpose, Usable
 from hydroopt.simulation.simulate import Trajectory, random_trajectory, random_truth, simulate
 from hydroopt.spatial.inertia import Array
@@ -141,3 +144,45 @@ def test_least_squares_predict_as_their_draws_say() -> None:
     drawn = usability._spread(estimate)
     assert drawn is not None
     assert np.std(drawn @ estimate.identifiability.grouping.T, axis=0) == pytest.approx(estimate.base_std, rel=0.15)
+
+
+def misread(kind: str, log: Log) -> Log:
+    """A log with a fault of its sensors."""
+    channels = dict(log.channels)
+    for name, values in log.channels.items():
+        if kind == "scale of pressures" and ".p_" in name:
+            channels[name] = 1.03 * values
+        elif kind == "pressures late" and ".p_" in name:
+            channels[name] = np.interp(log.t - 0.06, log.t, values)
+        elif kind == "zero of an angle" and name == "lift.q":
+            channels[name] = values + np.radians(1)
+        elif kind == "offset of pressures" and name.endswith(".p_head"):
+            channels[name] = values + 3e5
+        elif kind == "piston's area" and name == "lift_cylinder.p_head":
+            channels[name] = 1.05 * values
+    return replace(log, channels=channels)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["scale of pressures", "zero of an angle", "pressures late", "offset of pressures",
+                                  "piston's area"])
+def test_with_faults_of_sensors_forces_hold_or_nothing_is_usable(kind: str) -> None:
+    """Usable forces are those that the faulty sensors will read; masses assume that pressures are right in scale."""
+    model = Model(load_machine("patu655"))
+    for seed in range(3):
+        truth = random_truth(model, seed=seed)
+        logs = [misread(kind, simulate(model, random_trajectory(model, duration=duration, rate=RATE, seed=3 * seed + k),
+                                       truth, seed=10 * seed + k, noise=k < 2))
+                for k, duration in enumerate((30.0, 15.0, 15.0))]
+        estimate = identify(identification_problem(model, logs[:1], logs[1:2]), seed=seed)
+        usable = [use for use in estimate.verdict.uses if use.usable is Usable.YES]
+        assert bool(usable) == (estimate.status is Status.OK)
+        if kind in ("pressures late", "offset of pressures", "piston's area"):
+            assert not usable
+        fresh = identification_problem(model, logs[2:]).experiments[0].plotted
+        error = fresh.force - estimate.predict(fresh)
+        for use in usable:
+            if use.purpose is Purpose.FORCES and use.figure is not None:
+                k = [each.name for each in model.machine.balances].index(use.subject)
+                taken = fresh.inside & fresh.known[:, k]
+                assert np.sqrt(np.mean(error[taken, k] ** 2)) <= 1.1 * use.figure
