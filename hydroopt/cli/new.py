@@ -58,10 +58,10 @@ class Dialogue:
         if named not in KINDS:
             raise ProblemError(f"'{named}' is not a kind of machine", where="--kind",
                                remedy=f"use one of {', '.join(KINDS)}")
-        self.sketch = Sketch(KINDS[named], {})
-        for key, text in kept.items():
-            if key != "kind" and kept.get("kind") == named:
-                self.sketch = Sketch(KINDS[named], {**self.sketch.answers, key: text})
+        if kept and kept.get("kind") != named:
+            raise ProblemError(f"the answers kept there are those of another kind, {kept.get('kind', 'unknown')}",
+                               where=str(self.journal), remedy="leave out --kind, name another file, or remove it")
+        self.sketch = Sketch(KINDS[named], {key: text for key, text in kept.items() if key != "kind"})
         if self.sketch.answers:
             echo(f"{len(self.sketch.answers)} answers are taken from {self.journal}.")
         self.shown = ""

@@ -64,6 +64,15 @@ def test_a_wrong_answer_in_a_file_is_named(text: str, said: str, tmp_path: Path)
     assert not file.exists()
 
 
+def test_answers_of_another_kind_are_not_lost(tmp_path: Path) -> None:
+    file = tmp_path / "crane.toml"
+    run(str(file), "--kind", "crane", lines=["my_crane"])
+    kept = file.with_suffix(".answers.toml").read_text()
+    done = run(str(file), "--kind", "loader", lines=["my_loader"])
+    assert "those of another kind, crane" in str(done.exception)
+    assert file.with_suffix(".answers.toml").read_text() == kept
+
+
 def test_a_file_that_exists_is_kept(tmp_path: Path) -> None:
     file = tmp_path / "crane.toml"
     file.write_text("mine")
