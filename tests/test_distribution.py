@@ -38,8 +38,9 @@ def test_sdist_holds_what_its_tests_need(built: Path) -> None:
         names = {name.partition("/")[2] for name in file.getnames()}
     assert {"pyproject.toml", "README.md", "CHANGELOG.md", "LICENSE", "Makefile", "constraints.txt",
             "hydroopt/__init__.py", "models/cat215b.toml", "tests/test_distribution.py", "studies/__main__.py",
-            "data/kr300/map.toml", "conda/recipe.yaml"} <= names
-    assert not {name for name in names if "__pycache__" in name or name.startswith((".git/", "out/"))}
+            "data/kr300/map.toml", "conda/recipe.yaml", "docs/conf.py", "docs/index.md"} <= names
+    made = (".git/", "out/", "docs/generated/")
+    assert not {name for name in names if "__pycache__" in name or name.startswith(made)}
 
 
 def test_wheel_holds_the_package_and_the_machines_alone(built: Path) -> None:

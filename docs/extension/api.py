@@ -13,7 +13,8 @@ ROOMS = {"machine": "Machines", "model": "Models", "parameters": "Models", "logs
          "estimation.kinematic": "Geometry",
          "estimation.motion": "Sensors", "estimation.hydraulic": "Valves and oil",
          "excitation": "What to measure next", "solving": "Solve", "results": "Answers",
-         "viewing": "Pages", "estimation.inference": "Solvers", "errors": "Errors"}
+         "viewing": "Pages and figures", "plots": "Pages and figures",
+         "estimation.inference": "Solvers", "errors": "Errors"}
 """Headings, in the order of the page, by the modules of the names below them."""
 
 OTHERS = "Further names"
