@@ -7,7 +7,9 @@ HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE)]
 
 from extension.generate import generate  # noqa: E402
+from pygments.lexers.special import TextLexer  # noqa: E402
 from sphinx.application import Sphinx  # noqa: E402
+from sphinx.highlighting import lexers  # noqa: E402
 
 from hydroopt import versions  # noqa: E402
 
@@ -44,5 +46,6 @@ generate(HERE)
 
 
 def setup(app: Sphinx) -> None:
-    """Let Sphinx read signatures of classes whose defaults are made when they are called."""
+    """Show tables as plain text, and let Sphinx read signatures of classes whose defaults are made when called."""
+    lexers["csv"] = TextLexer()
     app.connect("autodoc-process-signature", lambda *args: (args[5] and args[5].replace("<factory>", "..."), args[6]))
