@@ -10,7 +10,7 @@ from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.simulation import postures
 from hydroopt.simulation.pose_table import simulate_poses
 
-MACHINE = Path(__file__).parents[2] / "docs" / "survey.toml"
+MACHINE = Path(__file__).parents[2] / "docs" / "how-to" / "survey.toml"
 DRAWS, EACH, CANDIDATES, POINTS = 40, 8, 150, 300
 """Machines drawn from the file's confidences; poses of each of six groups; postures to choose from; postures at which
 the edge is judged."""
