@@ -21,6 +21,10 @@ class Plots:
     >>> import hydroopt as ho
     >>> figure = ho.load_machine("patu655_lift").plot.machine()
     >>> figure.savefig("crane.png")
+    >>> log = ho.simulate("patu655_lift", ho.random_trajectory("patu655_lift", duration=10, rate=20, seed=1), seed=1)
+    >>> estimate = ho.solve(ho.identification_problem("patu655_lift", log), "wls")
+    >>> [len(figure.axes) > 0 for figure in (estimate.plot.forces(), estimate.plot.residuals())]
+    [True, True]
     """
 
     def __init__(self, shown: Any) -> None:

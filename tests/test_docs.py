@@ -1,5 +1,6 @@
 """The map of thesis equations in docs/architecture.md agrees with the docstrings, and these have examples."""
 
+import doctest
 import inspect
 import re
 from pathlib import Path
@@ -53,6 +54,37 @@ def test_every_file_exists(path: str) -> None:
 
 def test_it_fits_on_two_screens() -> None:
     assert len(DOCUMENT.splitlines()) <= 120
+
+
+def examples() -> str:
+    """What the examples of public names and their methods execute."""
+    classes = [each for name in hydroopt.__all__ if inspect.isclass(each := getattr(hydroopt, name))]
+    texts = [getattr(hydroopt, name).__doc__ or "" for name in hydroopt.__all__]
+    texts += [inspect.getdoc(each) or "" for one in classes for each in vars(one).values()]
+    return "\n".join(example.source for text in texts for example in doctest.DocTestParser().get_examples(text))
+
+
+INNER = {
+    "ExcitationProblem": {"coefficients", "hung", "objective", "constraints", "slopes", "jacobian",
+                          "directional_derivative", "weighted_gradient", "excess", "bounds"},
+    "HydraulicEstimate": {"run", "first_states"}, "HydraulicProblem": {"records"},
+    "IdentificationProblem": {"statements", "requirements", "with_experiments", "prior_misfit"},
+    "KinematicModel": {"scene_graph", "loop_sines", "tip_in_frame"}, "Log": {"loaded"}, "Model": {"refuse_seals"},
+    "ParameterTable": {"card_tables"}, "Plant": {"integrator"}, "PoseProblem": {"labels"}}
+"""Methods that solvers and pages call, not users."""
+
+
+def test_every_method_that_users_call_is_in_an_example() -> None:
+    used = set(re.findall(r"\.(\w+)", examples()))
+    lacking = {}
+    for name in hydroopt.__all__:
+        if inspect.isclass(one := getattr(hydroopt, name)):
+            methods = {method for method, value in vars(one).items() if not method.startswith("_")
+                       and (inspect.isfunction(value) or isinstance(value, classmethod | staticmethod))}
+            assert INNER.get(name, set()) <= methods, name
+            if missing := methods - used - INNER.get(name, set()):
+                lacking[name] = missing
+    assert not lacking
 
 
 def test_every_public_name_has_an_example() -> None:

@@ -56,6 +56,10 @@ class Log(Shown):
     >>> train, held_out = log.split(0.7)
     >>> train.size, held_out.size
     (70, 30)
+    >>> log.channel("boom_cylinder.p_head").max(), log.extremes("boom.q"), log.slice(10, -10).rows
+    (np.float64(10000000.0), (0.0, 0.0), (11, 90))
+    >>> list(log.without(["boom.q"], ()).channels), log.encoded().splitlines()[0]
+    (['boom_cylinder.p_head'], b't [s],boom.q [rad],boom_cylinder.p_head [Pa]')
     """
 
     name: str

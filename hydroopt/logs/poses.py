@@ -56,6 +56,9 @@ class Poses(Shown):
 
     >>> Poses("hole 1", stage=np.array(["low", "low"]), channels={"boom.q": np.array([0.1, 0.2])})
     Poses('hole 1': 2 poses, 1 stage, 1 channel)
+    >>> some = Poses("hole 1", channels={"boom.q": np.array([0.1, 0.2, 0.3])}).select([0, 2])
+    >>> some.encoded().decode().splitlines()[-1]
+    '"","","3",0.3'
     """
 
     name: str

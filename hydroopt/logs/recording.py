@@ -105,6 +105,8 @@ class Recording(Shown):
     Recording('run': 0.05 s, groups '/joints' (5 samples), '/can' (2 samples))
     >>> recording.log().channels["boom_cylinder.p_head"].tolist()
     [1000000.0, 1200000.0, 1400000.0, 1600000.0, 1800000.0]
+    >>> recording.group("boom.q").size
+    5
     """
 
     name: str

@@ -69,6 +69,9 @@ class Plant(Shown):
         ('lift_cylinder.u',)
         >>> plant.states[:2]
         ('lift.q', 'lift.qd')
+        >>> at_rest = plant.steady([0.3], [0.0], plant.model.parameters.nominal, plant.parameters.nominal)
+        >>> at_rest.x.shape == (len(plant.states),)
+        True
     """
 
     def __repr__(self) -> str:

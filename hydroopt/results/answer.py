@@ -38,6 +38,10 @@ class Answer(Drawn, ABC):
     >>> friction = answer["lift_cylinder.f_coulomb"]
     >>> friction.unit, friction.std < friction.value < friction.ci95[1]
     ('N', True)
+    >>> answer.fit_to_frame().index.names, sorted(answer.files())[:2]
+    (FrozenList(['data', 'channel']), ['base_parameters.csv', 'fit.csv'])
+    >>> answer.details()["active_constraints"], answer.content()["method"]
+    ([], 'wls')
     >>> answer.save("crane")
     >>> hydroopt.load("crane").parameters["lift_cylinder.f_coulomb"].unit
     'N'

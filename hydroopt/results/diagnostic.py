@@ -35,6 +35,8 @@ class Diagnostic:
         >>> d = Diagnostic(Kind.WORSE_THAN_ZERO, ("boom_cylinder",), {"relative": 1.31})
         >>> print(d.text)
         The forces of boom_cylinder in the validation logs are predicted worse than by zero (131 % error).
+        >>> Diagnostic.from_dict(d.as_dict()) == d
+        True
     """
 
     kind: Kind

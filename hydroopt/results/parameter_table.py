@@ -134,6 +134,10 @@ class ParameterTable(Shown, Mapping[str, ParameterRow]):
         1790.0
         >>> table
         ParameterTable of 1 parameter, 1 estimated
+        >>> ParameterTable.from_dicts([each.as_dict() for each in table.rows]) == table
+        True
+        >>> table.to_csv().splitlines()[1].split(",")[:3]
+        ['boom.m', 'mass', 'kg']
     """
 
     def __init__(self, rows: Sequence[ParameterRow]) -> None:

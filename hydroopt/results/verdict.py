@@ -199,6 +199,8 @@ class Verdict:
     crane: identification: ok
       usable      force prediction: lift_cylinder ±260 N (2.0 %); on 1 held-out log
       next        Write C with 'hydroopt codegen out'.
+    >>> verdict.usable(Purpose.FORCES), verdict.usable(Purpose.CONTROL)
+    (True, False)
     """
 
     title: str

@@ -178,6 +178,7 @@ def detect_change(machine: GivenMachine, before: Log | Sequence[Log] | str | Pat
         >>> change = ho.detect_change(model.machine, [before], [after], intervals=False)
         >>> change.findings[0].kind
         <Kind.NO_CHANGE_DETECTED: 'no change detected'>
+        >>> friction = change.difference("lift_cylinder.f_coulomb")
     """
     machine = machine_of(machine, "detect_change")
     refuse_level(level)

@@ -47,17 +47,20 @@ class IdentificationProblem(Shown):
     constraints; `nlp` and `cvxpy` export it to other tools.
 
     >>> import hydroopt as ho
-    >>> model = ho.Model(ho.load_machine("cat215b"))
-    >>> motion = ho.random_trajectory(model, duration=5.0, rate=20.0, seed=1)
-    >>> problem = identification_problem(model, [ho.simulate(model, motion, model.parameters.nominal)])
+    >>> log = ho.simulate("cat215b", ho.random_trajectory("cat215b", duration=5.0, rate=20.0, seed=1))
+    >>> problem = identification_problem("cat215b", log)
     >>> problem = problem.with_total_mass("scales", ["boom", "stick"], 2500.0, sigma=20.0).fix("swing.m")
     >>> print(str(problem).split("subject to")[0].splitlines()[-1].strip())
     prior scales: boom.m + stick.m = 2500 ± 20 kg
-    >>> program = problem.nlp()
-    >>> program.p_names
-    ('swing_motor.sigma', 'boom_cylinder.sigma', 'stick_cylinder.sigma')
-    >>> problem.cvxpy()
-    ConvexProgram(82 parameters, 16 constraints)
+    >>> problem = problem.with_prior("boom", "boom.m = 1800 +- 50 kg").with_loss("huber").symmetric("boom", "xy")
+    >>> problem.identical("rods", ["boom_cylinder.rod", "stick_cylinder.rod"]).stated_constraints[-4:]
+    ('rods', 'scales', 'boom', 'swing.m fixed')
+    >>> problem.with_distance("log-det").distance, problem.free("delay").freed, problem.by_data_alone().data_alone
+    ('log-det', ('delay',), True)
+    >>> problem.with_fitted_motion().fitted_motion, problem.with_correlated_channels().correlated
+    (True, True)
+    >>> len(problem.with_instruments([log]).instruments), problem.nlp().p_names[0], problem.cvxpy()
+    (1, 'swing_motor.sigma', ConvexProgram(82 parameters, 16 constraints))
 
     Attributes:
         model: what predicts the forces; its parameters carry nominal values, bounds and the file's confidences.
@@ -430,12 +433,8 @@ def identification_problem(machine: GivenMachine | Model, logs: AnyLog | Sequenc
         ProblemError: there is no log, or one is given twice.
 
     >>> import hydroopt as ho
-    >>> model = ho.Model(ho.load_machine("cat215b"))
-    >>> motion = ho.random_trajectory(model, duration=5.0, rate=20.0, seed=1)
-    >>> problem = identification_problem(model, [ho.simulate(model, motion, model.parameters.nominal)])
-    >>> problem.by_data_alone().stated_constraints
-    ()
-    >>> problem.subject_to("arm", "boom.m + stick.m <= 2600 kg").stated_constraints
+    >>> log = ho.simulate("cat215b", ho.random_trajectory("cat215b", duration=5.0, rate=20.0, seed=1))
+    >>> identification_problem("cat215b", log).subject_to("arm", "boom.m + stick.m <= 2600 kg").stated_constraints
     ('arm',)
     """
     logs, validation = (all_of(some, (Log, LogStream), "log", "identification") for some in (logs, validation))

@@ -27,7 +27,7 @@ from hydroopt.notebook_card import Shown
 class CalibrationProblem(PoseEquations, Shown):
     """What is to be calibrated from which poses, with the attributes of `PoseEquations`; solving never changes it.
 
-    >>> import hydroopt
+    >>> import hydroopt, numpy as np
     >>> machine = hydroopt.load_machine("panda_mukca")
     >>> plan = hydroopt.solve(hydroopt.pose_problem(machine, 20), candidates=50)
     >>> problem = hydroopt.calibration_problem(machine, plan.poses)
@@ -35,6 +35,9 @@ class CalibrationProblem(PoseEquations, Shown):
     calibration of panda_mukca: 40 poses of plan for panda_mukca
     >>> problem.nlp()
     NonlinearProgram(316 variables, 0 fixed numbers, 0 constraints)
+    >>> held = problem.fixing(**{"tip.x": 0.0}).with_loss("huber")
+    >>> held.loss, len(held.without(np.arange(40) < 5).poses)
+    ('huber', 35)
     """
 
     def nlp(self) -> NonlinearProgram:

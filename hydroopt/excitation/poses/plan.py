@@ -43,6 +43,8 @@ class PosePlan(Answer):
     <pose plan of cat215b by exchange, D criterion: ok, 40 parameters, 1 diagnostics>
     >>> plan.poses.stage[0], plan.poses.channels["boom.q"].shape
     (np.str_('stick_moves'), (15,))
+    >>> plan.sheet().splitlines()[0]
+    '15 poses for cat215b'
     """
 
     problem: PoseProblem

@@ -80,6 +80,8 @@ class PoseProblem(Shown):
     >>> problem = hydroopt.pose_problem(hydroopt.load_machine("cat215b"), 10, fixed={"ball.y": 0.0})
     >>> print(str(problem).splitlines()[0])
     pose plan of cat215b: 30 poses in 3 groups
+    >>> dict(problem.fixing(**{"ball.z": 0.0}).fixed)
+    {'ball.y': 0.0, 'ball.z': 0.0}
     >>> problem.nlp()
     Traceback (most recent call last):
     ...
