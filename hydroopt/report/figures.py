@@ -51,9 +51,8 @@ POINTS = 2000
 FEW = 600
 DOTS = 15000
 CLIP = 5.0
-COLUMNS = 3
 """Inches of a figure's width; points a line is thinned to, and one for comparison; dots of a cloud; changes beyond
-are drawn at the edge; panels side by side."""
+are drawn at the edge."""
 
 
 class Stretch(NamedTuple):
@@ -76,17 +75,6 @@ def svg(figure: Figure, name: str) -> str:
     text = re.sub(r"<metadata>.*?</metadata>", "", text[text.index("<svg") :], flags=re.DOTALL)
     text = re.sub(r'(\bid="|url\(#|href="#)', rf"\g<1>{name}-", text)
     return text.replace("<svg ", f'<svg class="figure" role="img" aria-label="{name}" ', 1)
-
-
-def panels(count: int, height: float) -> tuple[Figure, list[Axes]]:
-    """A figure of so many panels of one height [in], three side by side at most."""
-    columns = min(COLUMNS, count)
-    lines = -(-count // columns)
-    figure = Figure(figsize=(WIDTH, height * lines))
-    axes = list(np.asarray(figure.subplots(lines, columns, squeeze=False)).ravel())
-    for ax in axes[count:]:
-        ax.set_visible(False)
-    return figure, axes[:count]
 
 
 def thin(x: Array, y: Array, points: int = POINTS) -> tuple[Array, Array]:

@@ -36,6 +36,12 @@ const view = machine && (() => {
       .map((mark) => machine.place(first, mark)), [0, 0, 0]].filter((at) => at.every(Number.isFinite));
   const bounds = new THREE.Box3().setFromPoints(corners.map((at) => new THREE.Vector3(...at)));
   const size = Math.max(bounds.getSize(new THREE.Vector3()).length(), 0.1), thick = 0.013 * size;
+  // without a stated ground the grid lies below all of the motion, or below the limits of every joint
+  const some = scene.replayed.length ? [...Array(40).keys()].map((k) => machine.jointsAt(Math.round(k * clock.last / 39)))
+    : scene.joints.flatMap((joint, k) => [joint.lower, joint.upper].map((limit) => start.map((at, j) => j === k ? limit : at)));
+  const heights = some.filter(machine.closed).map(machine.poses).flatMap((poses) => scene.bodies.flatMap(
+    (body) => body.points.map((at) => machine.place(poses, { body: body.name, at })[2])));
+  const lowest = Math.min(bounds.min.z, ...heights);
 
   // --- materials, whose colours follow the look of the page ---
   const materials = {};
@@ -105,7 +111,7 @@ const view = machine && (() => {
   };
 
   // --- surroundings ---
-  const floor = scene.ground ?? bounds.min.z - thick;
+  const floor = scene.ground ?? lowest - thick;
   const grid = new THREE.GridHelper(Math.ceil(1.6 * size), Math.ceil(1.6 * size)).rotateX(Math.PI / 2);
   grid.material = groundMaterial;
   const onFloor = new THREE.Group();
