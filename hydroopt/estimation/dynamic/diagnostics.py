@@ -39,7 +39,7 @@ _EFFECTS = {ParameterKind.MASS: "gravity", ParameterKind.FIRST_MOMENT: "gravity"
 
 def diagnose(found: Identification) -> tuple[Diagnostic, ...]:
     """All diagnostics of an identification, the most severe first."""
-    return (*machine_diagnostics(found.problem.model), *_positions(found), *_prediction(found),
+    return (*machine_diagnostics(found.problem.model), *uncertain_positions(found), *_prediction(found),
             *_sampling(found), *_prior_conflict(found), *_consistency(found), *_findings(found), *_residuals(found),
             *_repeats(found),
             *_assumptions(found), *_active(found), *_identifiability(found),
@@ -79,7 +79,7 @@ def _unexplained(found: Identification) -> Iterator[Diagnostic]:
             yield Diagnostic(Kind.UNEXPLAINED_ACTUATOR, (balance.name,), {"relative": fit.relative, "data": data})
 
 
-def _positions(found: Identification) -> Iterator[Diagnostic]:
+def uncertain_positions(found: Identification) -> Iterator[Diagnostic]:
     """Joints whose positions are fitted, and known so little that forces depend on it."""
     model, told = found.problem.model, set[str]()
     for data in (*found.problem.experiments, *found.problem.validation):
@@ -88,10 +88,12 @@ def _positions(found: Identification) -> Iterator[Diagnostic]:
             continue
         rows = np.flatnonzero(each.inside)
         change = model.over(model.force_by_motion, *each.inputs(rows), found.psi)[0] * each.position_std
-        size = np.sqrt(np.nanmean(each.force[rows] ** 2, axis=0))
-        part = np.sqrt(np.mean(change**2, axis=0)) / size[:, None]  # (r, n)
+        force, read = each.force[rows], np.isfinite(each.force[rows])
+        size = np.sqrt(np.sum(np.where(read, force, 0.0) ** 2, axis=0) / np.maximum(np.sum(read, axis=0), 1))
+        # (r, n), none where no force is measured
+        part = np.sqrt(np.mean(change**2, axis=0)) / np.where(size > 0, size, np.inf)[:, None]
         for j, joint in enumerate(model.machine.joints):
-            k = int(np.nanargmax(part[:, j]))
+            k = int(np.argmax(part[:, j]))
             if part[k, j] > NOT_EXACT and joint not in told:
                 told.add(joint)
                 slides, std = model.machine.position_unit(joint) == "m", float(each.position_std[j])

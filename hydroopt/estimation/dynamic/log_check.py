@@ -10,9 +10,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from hydroopt.estimation.dynamic import usability
+from hydroopt.estimation.dynamic.diagnostics import uncertain_positions
 from hydroopt.estimation.dynamic.estimate import Estimate, inputs_of
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
+from hydroopt.estimation.dynamic.training_logs import forces_not_measured
 from hydroopt.estimation.inference.identifiability import COMBINATION, FULL, NONE, Identifiability
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.smoothing import Smoothing
@@ -86,9 +88,10 @@ class LogCheck(Answer):
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
         """What contradicts the machine file, what looks wrong in the logs, and what the motion does not excite."""
-        return (*self.rough.of_logs, *self._findings(), *self._not_excited())
+        return (*self.rough.of_logs, *uncertain_positions(self.rough), *self._findings(), *self._not_excited())
 
     def _findings(self) -> Iterator[Diagnostic]:
+        yield from forces_not_measured(self.problem.model, self.problem.experiments)
         for data in self.problem.experiments:
             for each in data.log.findings:
                 yield Diagnostic(Kind.FINDING, (data.log.path or data.log.name,), {"text": each.text})

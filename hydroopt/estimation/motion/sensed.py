@@ -3,8 +3,11 @@ differentiated angles."""
 
 from __future__ import annotations
 
+import json
+from collections import OrderedDict
 from dataclasses import replace
-from typing import NamedTuple
+from hashlib import sha256
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -19,8 +22,14 @@ from hydroopt.logs.log import Log
 from hydroopt.logs.recording import Recording
 from hydroopt.logs.smoothing import Motion, inside
 from hydroopt.machine.machine import Machine
+from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.spatial.inertia import Array
 
+KEPT = 4
+"""Fits that are kept, so that preparing the same logs again, as for each set of friction, does not repeat them."""
+FORCES = frozenset({"body", "friction", "circuit", "oil", "pump", "total_masses", "identical"})
+"""Keys of a machine file of which motion knows nothing."""
+_kept: OrderedDict[bytes, tuple[FittedPaths, Diagnostic | None]] = OrderedDict()
 POSITIONS = ("q", "length")
 """Endings of channels that tell positions, which alone call for no fit."""
 
@@ -50,7 +59,7 @@ def sensed(machine: Machine, log: Log) -> Sensed:
         SolverError: the fit does not converge.
     """
     recording = Recording.of(log)
-    found, cause = examined_fit(SensorProblem(machine, (recording,), geometry=False))
+    found, cause = _kept_fit(SensorProblem(machine, (recording,), geometry=False))
     if cause is not None:
         raise LogError(cause.text.rstrip("."), where=log.path or log.name, remedy=cause.remedy.rstrip("."))
     t = _taken(found, log, recording)
@@ -76,6 +85,39 @@ def sensed(machine: Machine, log: Log) -> Sensed:
     q, qd, qdd = made[:, kept]
     return Sensed(used, Motion(used.t, q, qd, qdd, used.segment, interior, bandwidth,
                                np.ones(len(machine.joints), dtype=int), (note,)), position_std)
+
+
+def _kept_fit(problem: SensorProblem) -> tuple[FittedPaths, Diagnostic | None]:
+    """As `examined_fit`, but once for the same recording and machine, whatever its bodies and friction."""
+    key = _key(problem)
+    if key not in _kept:
+        _kept[key] = examined_fit(problem)
+        while len(_kept) > KEPT:
+            _kept.popitem(last=False)
+    _kept.move_to_end(key)
+    return _kept[key]
+
+
+def _key(problem: SensorProblem) -> bytes:
+    """What a motion depends on: all that the machine file states beside forces, and all readings."""
+    machine, read = problem.machine, sha256()
+    notes = {path: note.model_dump() for path, note in machine.notes.items()
+             if not {"body", "friction"} & set(path.split("."))}
+    read.update(json.dumps([_without_forces(machine.model_dump(exclude={"notes"})), notes], sort_keys=True,
+                           default=repr).encode())
+    for recording in problem.logs:
+        names = [group.name for group in recording.groups]
+        read.update(repr((recording.name, sorted(recording.clocks.items()), names)).encode())
+        for group in recording.groups:
+            for name, values in {"t": group.t, "segment": group.segment, **group.channels}.items():
+                read.update(name.encode() + np.ascontiguousarray(values).tobytes())
+    return read.digest()
+
+
+def _without_forces(stated: Any) -> Any:
+    if isinstance(stated, dict):
+        return {key: _without_forces(value) for key, value in stated.items() if key not in FORCES}
+    return [_without_forces(each) for each in stated] if isinstance(stated, list | tuple) else stated
 
 
 def _taken(found: FittedPaths, log: Log, recording: Recording) -> Array:

@@ -8,8 +8,10 @@ import numpy as np
 import pytest
 
 import hydroopt as ho
+from hydroopt.estimation.dynamic.log_check import check_logs
 from hydroopt.estimation.dynamic.misfit.blocks import Data
 from hydroopt.estimation.dynamic.misfit.naming import examine_fit
+from hydroopt.estimation.motion import sensed as module
 from hydroopt.machine.machine_file import read_machine
 from hydroopt.results.diagnostic import of_kind
 from hydroopt.results.wording import Kind
@@ -66,3 +68,25 @@ def test_tests_of_fit_know_of_the_uncertain_position(uncertain: tuple[ho.Machine
     exact = replace(problem, experiments=tuple(replace(each, position_std=None) for each in problem.experiments))
     assert [cause.fault.words for cause in examine_fit(Data(exact, psi)).found] == ["stick.q reads too much"]
     assert not examine_fit(Data(problem, psi)).found
+
+
+def test_motion_is_fitted_once_whatever_bodies_and_friction_are(monkeypatch: pytest.MonkeyPatch) -> None:
+    """And again where the machine's geometry or the readings differ."""
+    machine = arm(stick_exact=True)
+    log, count = simulated(machine, 5, duration=6.0)[1], []
+    fit = module.examined_fit
+    monkeypatch.setattr(module, "examined_fit", lambda problem: count.append(problem) or fit(problem))
+    first, again = (module.sensed(each, log) for each in (machine, machine.with_values({"boom.m": 310.0})))
+    np.testing.assert_array_equal(first.motion.q, again.motion.q)
+    assert len(count) == 1
+    module.sensed(machine.with_values({"boom.a": 3.01}), log)
+    module.sensed(machine, replace(log, channels={name: x + 1e-6 for name, x in log.channels.items()}))
+    assert len(count) == 3
+
+
+def test_the_check_of_a_log_says_it_before(uncertain: tuple[ho.Machine, ho.Log]) -> None:
+    machine, log = uncertain
+    less = replace(log, channels={name: x for name, x in log.channels.items() if name != "boom.tau"})
+    found = check_logs(machine, [less])
+    assert of_kind(found.diagnostics, Kind.POSITION_ASSUMED)
+    assert [each.subject for each in of_kind(found.diagnostics, Kind.FORCE_NOT_MEASURED)] == [("boom_drive",)]
