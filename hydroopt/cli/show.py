@@ -70,7 +70,7 @@ def show(
                   f"individually and {counts['combination']} in combinations ({counts['rank']} base parameters); "
                   f"{counts['none']} have no effect on the actuator forces.")
     for each in facts["couplings"]:
-        console.print(f"{each['coupling']}: {each['relation']}", soft_wrap=True)
+        console.print(f"{each['coupling']}: {each['relation']}", soft_wrap=True, markup=False)
     for each in facts["spans"]:
         console.print(f"{each['cylinders']} together move {each['joints']}; least angle to a singular posture "
                       f"{each['margin_deg']:.1f} deg, at {each['margin_at']}", soft_wrap=True)
@@ -175,5 +175,5 @@ def _table(title: str, rows: list[dict[str, Any]], *, wrap: bool = False) -> Tab
     for key in rows[0]:
         table.add_column(escape(key), no_wrap=not wrap)
     for row in rows:
-        table.add_row(*[f"{v:.6g}" if isinstance(v, float) else str(v) for v in row.values()])
+        table.add_row(*[f"{v:.6g}" if isinstance(v, float) else escape(str(v)) for v in row.values()])
     return table

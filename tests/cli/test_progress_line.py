@@ -9,6 +9,7 @@ import pytest
 from rich.console import Console
 from rich.progress import Task
 
+from hydroopt.cli import show
 from hydroopt.cli.progress_line import Left, progress_line
 
 
@@ -46,6 +47,13 @@ def test_a_terminal_shows_units_in_brackets() -> None:
         line.refresh()
     plain = re.sub(r"\x1b\[[0-9;?]*[A-Za-z]", "", file.getvalue())
     assert "reading t [s] and boom.q [deg]" in plain
+
+
+def test_tables_of_show_keep_units_in_brackets() -> None:
+    file = io.StringIO()
+    Console(file=file, width=80).print(show._table("Speeds", [{"time [s]": 1.5, "what": "boom.qd [rad/s]"}]))
+    assert "time [s]" in file.getvalue()
+    assert "boom.qd [rad/s]" in file.getvalue()
 
 
 def test_nothing_is_shown_where_there_is_no_terminal() -> None:
