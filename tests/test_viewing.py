@@ -7,7 +7,7 @@ from typer.testing import CliRunner
 
 import hydroopt
 from fixtures.browser import SETTLED, browser, needs_browser, opened
-from fixtures.html import data_of, stands_alone
+from fixtures.pages import data_of, stands_alone
 from hydroopt.cli import app
 from hydroopt.errors import ProblemError
 

@@ -180,9 +180,9 @@ class Model(Drawn):
             ProblemError: names the cylinders.
         """
         if self.needs_pressure:
-            raise ProblemError(f"the friction of {', '.join(self.pressed)} depends on pressures, which are no input",
-                               where=where, remedy="remove 'seal' from the machine file, and own force terms "
-                               "with pressures")
+            raise ProblemError(f"the friction of {', '.join(self.pressed)} depends on pressures, which are not an "
+                               "input here", where=where, remedy="remove 'seal' from the machine file, and own force "
+                               "terms with pressures")
 
     @cached_property
     def _state(self) -> dict[str, ca.SX]:

@@ -105,10 +105,11 @@ def joined(recordings: Sequence[Recording], weight: Sequence[str] = (), most: in
 
 
 def kept(count: int, stride: int, worst: Array | None = None) -> NDArray[np.int64]:
-    """Which of `count` samples are kept: the first of every `2·stride`, and the one where `worst` (N,) is largest.
+    """Which of `count` samples are kept: the first of every `2·stride`, the one of these where `worst` (N,) is
+    largest, and the last.
 
     >>> kept(8, 2, np.array([0, 0, 0, 9, 0, 0, 8, 0])).tolist()
-    [0, 3, 4, 6]
+    [0, 3, 4, 6, 7]
     """
     if stride <= 1 or count < 4:
         return np.arange(count)

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 from fixtures.bad_control_cases import path
-from fixtures.html import data_of, stands_alone
+from fixtures.pages import data_of, stands_alone
 from hydroopt import cli, load_machine
 from hydroopt.logs.log_files import read_log
 from hydroopt.results.answer import load

@@ -17,7 +17,7 @@ import pytest
 from excitation.motion.test_basis import Fourier, Spline, series, spline
 from typer.testing import CliRunner
 
-from fixtures.html import stands_alone, text_of
+from fixtures.pages import stands_alone, text_of
 from fixtures.tiers import tiered
 from hydroopt import Model, load_machine, read_log
 from hydroopt.cli import app

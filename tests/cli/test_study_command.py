@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner
 
-from fixtures.html import data_of, stands_alone
+from fixtures.pages import data_of, stands_alone
 from hydroopt.cli import app
 from hydroopt.errors import StoppedError
 from hydroopt.study.montecarlo import VARIED

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fixtures.html import data_of, stands_alone
+from fixtures.pages import data_of, stands_alone
 from hydroopt.cli import app
 from hydroopt.machine.machine_file import load_machine
 

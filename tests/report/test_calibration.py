@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fixtures.html import data_of, stands_alone, text_of
+from fixtures.pages import data_of, stands_alone, text_of
 from hydroopt import cli
 from hydroopt.errors import MachineError, SolverError
 from hydroopt.estimation.kinematic.calibrate import calibrate

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from typer.testing import CliRunner
 
-from fixtures.html import stands_alone
+from fixtures.pages import stands_alone
 from hydroopt import cli, load_machine, read_log
 from hydroopt.cli import app
 from hydroopt.errors import SolverError

@@ -7,7 +7,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pytest
 
-from fixtures.html import stands_alone, text_of
+from fixtures.pages import stands_alone, text_of
 from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem

@@ -3,7 +3,7 @@
 import numpy as np
 from typer.testing import CliRunner
 
-from fixtures.html import data_of
+from fixtures.pages import data_of
 from hydroopt.cli import app
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model

@@ -262,7 +262,7 @@ def weighted_residuals(problem: Problem, tolerance: float, most_probable: MostPr
 
 def _triangle(R: Array, r: Array, rest: float) -> Array:
     """T (p+1, p+1) with ``‖T·[ψ; −1]‖² = ‖R·ψ − r‖² + rest``."""
-    return np.block([[R, r[:, None]], [np.zeros((1, len(r))), np.full((1, 1), np.sqrt(rest))]])
+    return np.block([[R, r[:, None]], [np.zeros((1, R.shape[1])), np.full((1, 1), np.sqrt(rest))]])
 
 
 def _stated_friction(problem: ResidualProblem, data: CompressedRegressor, holds: Holds) -> tuple[str, ...]:

@@ -57,7 +57,7 @@ def compared(sessions: Sequence[StoredInformation]) -> ChangeHistory:
 @pytest.mark.parametrize("session", [2, 3, 4, 5])
 def test_a_step_is_found_exactly_at_its_session(session):
     found = compared(over_sessions(0.9, Shape(session)))
-    assert found[NAME] == pytest.approx(0.9, abs=1e-8)
+    assert found[NAME].value == pytest.approx(0.9, abs=1e-8)
     one = found.history(NAME)
     assert (one.course, one.session) == (Course.STEP, session)
     assert [value.change for value in one.values] == pytest.approx(0.9 * Shape(session).course(SESSIONS), abs=1e-8)
@@ -70,7 +70,7 @@ def test_a_step_is_found_exactly_at_its_session(session):
 
 def test_a_drift_is_told_from_a_step():
     found = compared(over_sessions(-1.5, Shape(None)))
-    assert found[NAME] == pytest.approx(-1.5, abs=1e-8)
+    assert found[NAME].value == pytest.approx(-1.5, abs=1e-8)
     assert found.history(NAME).course is Course.DRIFT
     assert found.history(NAME).finding.text.startswith(f"{NAME} drifted: it fell by 1.50")
 
