@@ -76,6 +76,7 @@ class Kind(StrEnum):
 
     # identification of valves and oil
     UNEXPLAINED_CHANNEL = "channel not explained by the model"
+    BODIES_HELD_EXACT = "bodies held exact"
     NO_INFORMATION = "no information in the data"
     LITTLE_INFORMATION = "little information in the data"
     RATIO_OR_PRODUCT_ONLY = "only a ratio or product identifiable"
@@ -264,7 +265,7 @@ WORDS: dict[Kind, Words] = {
     Kind.NOT_IMPROVED: Words("{count} of {of} parameters will stay about as uncertain as they are: {subject}."),
     Kind.UNEXPLAINED_CHANNEL: Words(
         "The residuals of {subject} are {factor:.1f} times its sensor's standard deviation; the intervals are widened.",
-        "Check the accuracy of the sensor, and the parts that the machine file states or omits."),
+        "Check the sensor's accuracy, and what the machine file states or omits; identify bodies, too (--bodies)."),
     Kind.NO_INFORMATION: Words(
         "The logs carry no information on {subject}; {determined_by} determines it.",
         "Record a motion that excites it, or remove its sigma."),

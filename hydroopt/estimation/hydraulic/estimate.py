@@ -77,10 +77,13 @@ class HydraulicEstimate(Answer):
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Channels that the model does not explain, and parameters that the data do not determine."""
+        """What the logs lack, what counts as exact, channels that the model does not explain, and parameters that the
+        data do not determine."""
+        held = self.problem.held_bodies
+        exact = (Diagnostic(Kind.BODIES_HELD_EXACT, held, {}),) if held else ()
         lost = (Diagnostic(Kind.PRESSURE_NOT_MEASURED, channels, {"log": where})
                 for where, channels in self.problem.lost_pressures.items())
-        return (*lost, *unexplained_channels(self.problem.channels, self.misfit),
+        return (*lost, *exact, *unexplained_channels(self.problem.channels, self.misfit),
                 *parameter_diagnostics(self.shooting))
 
     @cached_property

@@ -163,6 +163,13 @@ class HydraulicProblem(Shown):
                    for log in (*self.logs, *self.validation)}
         return {where: channels for where, channels in lacking.items() if channels}
 
+    @property
+    def held_bodies(self) -> tuple[str, ...]:
+        """Bodies that count as exact although the machine file states confidences of their masses or inertias."""
+        known = self.plant.model.parameters
+        return () if self.bodies.shape[1] else tuple(
+            owner for owner, columns in known.bodies.items() if np.diag(known.information)[columns].any())
+
     @cached_property
     def shooting(self) -> ShootingProblem:
         """The problem as the solver takes it."""

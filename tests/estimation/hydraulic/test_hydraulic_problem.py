@@ -98,6 +98,7 @@ def test_bodies_are_found_as_far_as_forces_show_them(crane):
     heavy = driven(crane, swing(30, 5, 3), psi=psi, seed=1)
     problem = hydraulic_problem(_machine(text), [heavy], bodies=True)
     assert problem.bodies.shape[1] == 3  # two of gravity, one of inertia
+    assert problem.held_bodies == ()
     estimate = identify_hydraulics(problem)
     found = np.asarray(problem.split(estimate.shooting.theta)[0]).ravel()
     k = crane.model.parameters.index("lift.mc_x")
@@ -105,6 +106,11 @@ def test_bodies_are_found_as_far_as_forces_show_them(crane):
     assert np.all(estimate.misfit < 1.15)
     body = estimate.machine.link("lift").body
     assert body.phi[1] == pytest.approx(found[k])
+
+
+def test_bodies_that_are_held_exact_in_spite_of_their_confidences_are_named(crane, log):
+    assert hydraulic_problem(crane.machine, [log]).held_bodies == ("lift",)
+    assert hydraulic_problem(crane.machine, [log], bodies=True).held_bodies == ()
 
 
 def test_a_dead_band_that_is_never_left_is_refused(crane, log):
