@@ -147,3 +147,22 @@ def test_view_is_the_page_of_the_object(shown: dict[str, Any]) -> None:
         page = shown[name].view()
         assert page.page == ho.view(shown[name]).page
         assert page._repr_html_().startswith("<iframe srcdoc=")
+
+
+def test_long_arrays_do_not_fill_the_screen() -> None:
+    motion = ho.random_trajectory("cat215b", duration=5, rate=20, seed=1)
+    assert repr(motion) == "Trajectory(100 samples, 4.95 s, 3 joints)"
+    angles = {"swing": [0.0, 0.3], "boom": [-0.5, -0.3], "stick": [1.4, 1.2]}
+    assert repr(ho.path_difference("cat215b", "cat215b", angles, "stick")) == (
+        "PathDifference(of stick: RMS 0 mm at 2 places)")
+
+
+def test_load_takes_the_folder_or_its_file(shown: dict[str, Any], tmp_path: Any) -> None:
+    shown["estimate"].save(tmp_path / "out")
+    by_folder, by_file = ho.load(tmp_path / "out"), ho.load(tmp_path / "out/estimate.json")
+    assert by_folder.parameters == by_file.parameters == shown["estimate"].parameters
+    assert by_file.directory == tmp_path / "out"
+    for name in ("machine.toml", "run.csv", "other.json"):
+        (tmp_path / name).write_text("{}")
+        with pytest.raises(ho.ProblemError, match="this file is no answer of hydroopt; name the folder"):
+            ho.load(tmp_path / name)

@@ -27,6 +27,9 @@ class PathDifference(NamedTuple):
     first: Array
     second: Array
 
+    def __repr__(self) -> str:
+        return f"PathDifference(of {self.point}: RMS {1e3 * self.rms:.4g} mm at {len(self.first)} places)"
+
     @property
     def error(self) -> Array:
         """(N, 3) [m] second less first."""

@@ -8,6 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from hydroopt.errors import ProblemError
 from hydroopt.extras import needed
 from hydroopt.notebook_card import Card, CardTable, Drawn
 from hydroopt.results import json_file
@@ -313,7 +314,8 @@ def load(directory: str | Path) -> SavedAnswer:
     """The answer that a command or `Answer.save` wrote into a directory.
 
     Args:
-        directory: such as ``out/crane``, with ``estimate.json`` or the JSON file of another job.
+        directory: such as ``out/crane``, with ``estimate.json`` or the JSON file of another job; or that file. Machines
+            are read by `load_machine`, logs by `read_log`.
 
     Raises:
         ProblemError: there is no answer, or it is damaged or of another version.
@@ -326,6 +328,12 @@ def load(directory: str | Path) -> SavedAnswer:
     See `Answer` for one that is there.
     """
     folder = Path(directory)
+    if folder.is_file():
+        if folder.name not in json_file.FILES.values():
+            raise ProblemError("this file is no answer of hydroopt", where=str(folder),
+                               remedy="name the folder that a command wrote; read a machine by load_machine, a log by "
+                                      "read_log")
+        folder = folder.parent
     content = json_file.read(folder)
     try:
         return SavedAnswer(folder, content)

@@ -48,6 +48,10 @@ class Trajectory:
     wrench: Array | None = None
     calibrator: CalibratorMotion | None = None
 
+    def __repr__(self) -> str:
+        return (f"Trajectory({len(self.t)} samples, {self.t[-1] - self.t[0]:.4g} s, {self.q.shape[1]} joints"
+                f"{', with a wrench at the tip' * (self.wrench is not None)})")
+
 
 def random_trajectory(model: Model | GivenMachine, *, duration: float, rate: float, seed: int, harmonics: int = 5,
                       slowest: float = 0.02, fastest: float = 0.3) -> Trajectory:
