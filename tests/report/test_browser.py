@@ -84,6 +84,22 @@ def test_hovering_over_any_figure_moves_the_machine_and_all_others(page: Any) ->
     np.testing.assert_allclose(markers, time, atol=0.1)
 
 
+def test_the_present_sample_is_marked_among_the_dots(page: Any) -> None:
+    page.evaluate("hydroopt.clock.set(40)")
+    page.evaluate(SETTLED)
+    away = page.evaluate("""() => Array.from(document.querySelectorAll("figure.cloud"), (figure) => {
+        const chart = hydroopt.page.charts[+figure.dataset.chart];
+        const over = figure.querySelector(".u-over").getBoundingClientRect();
+        const plot = hydroopt.plots.find((each) => figure.contains(each.root));
+        const here = figure.querySelector(".here").getBoundingClientRect();
+        const [x, y] = [plot.posToVal((here.left + here.right) / 2 - over.left, "x"),
+            plot.posToVal((here.top + here.bottom) / 2 - over.top, "y")];
+        const span = (scale) => plot.scales[scale].max - plot.scales[scale].min;
+        return [(x - hydroopt.column(chart.x)[40]) / span("x"), (y - hydroopt.column(chart.y)[40]) / span("y")]; })""")
+    assert len(away) == 4
+    assert np.max(np.abs(away)) < 0.02
+
+
 def test_play_runs_and_zoom_is_shared(page: Any) -> None:
     page.evaluate("hydroopt.clock.set(0)")
     page.get_by_role("button", name="play").click()

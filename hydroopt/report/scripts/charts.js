@@ -143,6 +143,9 @@ function dot(u, x, y, size) {
 function cloud(figure, chart) {
   const x = column(chart.x), y = column(chart.y);
   const held = samples.spans.filter((s) => s.role !== "training");
+  if (held.length && held.length < samples.spans.length) {
+    keys(figure, [{ label: "training", look: "predicted", dots: true }, { label: held[0].role, look: "other", dots: true }]);
+  }
   const plot = field(figure, chart, x, y, chart.across, "", (u) => {
     if (chart.band) box(u, u.scales.x.min, u.scales.x.max, ...chart.band, look.colour("band"));
     const size = 1.4 * devicePixelRatio;
@@ -156,11 +159,13 @@ function cloud(figure, chart) {
   });
   const here = element("div", { class: "here" });
   plot.over.append(here);
-  clock.listen(() => {
+  const place = () => {
     const k = clock.nearest, known = Number.isFinite(x[k]) && Number.isFinite(y[k]);
     here.hidden = !known;
     if (known) here.style.transform = `translate(${plot.valToPos(x[k], "x")}px, ${plot.valToPos(y[k], "y")}px)`;
-  });
+  };
+  clock.listen(place);
+  plot.hooks.draw = [...(plot.hooks.draw || []), place];
   plot.over.addEventListener("click", (event) => {
     const area = plot.over.getBoundingClientRect();
     let best = -1, least = Infinity;

@@ -4,4 +4,4 @@ if (clock) {
   const full = samples.at.findIndex((_, k) => shown.every((values) => Number.isFinite(values[k])));
   clock.set(Math.max(full, 0));
 }
-window.hydroopt = { page, clock, machine, view, plots, timePlots, look };
+window.hydroopt = { page, clock, machine, view, plots, timePlots, look, column };
