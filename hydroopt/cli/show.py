@@ -29,7 +29,8 @@ def show(
     output: Annotated[Path | None, typer.Option("-o", "--output", help=(
         "Directory that receives everything: machine.html, or with --hydraulics hydraulics.html and .csv."))] = None,
     motion: Annotated[Path | None, typer.Option("--motion", metavar="LOG", help=(
-        "Motion of all joints, as excite writes it, for what IMUs tell; else a random one."))] = None,
+        "Log whose joint positions are followed, such as excite's trajectory.csv; what IMUs tell is that of this "
+        "motion, or of a random one if not given."))] = None,
     parameter_set: ParameterSetName = None,
     as_json: AsJson = False,
 ) -> None:
