@@ -79,7 +79,7 @@ def test_part_of_a_body_changes_and_the_rest_does_not():
     found = detect_change(SPATIAL.machine, [recorded(SPATIAL, moved(SPATIAL), s) for s in (1, 2)],
                           [recorded(SPATIAL, new, s) for s in (3, 4)], parts=["fore.m", "fore_drive"],
                           smoothing=PERIODIC)
-    assert found["fore.m"] == pytest.approx(0.5, abs=1e-8)
+    assert found["fore.m"].value == pytest.approx(0.5, abs=1e-8)
     assert {one.name for one in found.differences} == {"fore.m", "fore_drive.tau_offset", "fore_drive.tau_coulomb",
                                                       "fore_drive.tau_viscous"}
 

@@ -144,8 +144,8 @@ def test_samples_within_a_dead_zone_take_part_where_no_other_friction_is_dry() -
     # near the ends of the zone noise hides on which side the speed is
     noisy = experiment(Model(machine), logs_of(machine, seeds=(1,), noise=True)[0], PERIODIC)
     assert np.sum(noisy.known) < np.sum(data.known)
-    assert identify(identification_problem(machine, [log], smoothing=PERIODIC), "wls")["lift_cylinder.f_coulomb"] == (
-        pytest.approx(500.0, rel=1e-6))
+    found = identify(identification_problem(machine, [log], smoothing=PERIODIC), "wls")
+    assert found["lift_cylinder.f_coulomb"].value == pytest.approx(500.0, rel=1e-6)
 
 
 def test_pressures_are_inputs_where_seals_feel_them() -> None:
@@ -283,7 +283,7 @@ def test_stribeck_speeds_are_found_from_where_they_begin(speed: float) -> None:
     machine = crane(coulomb=500.0, viscous=3000.0, stribeck=2000.0, stribeck_speed=speed)
     logs = logs_of(machine)
     problem = friction_problem(crane(), logs[:2], logs[2:], "coulomb+viscous+stribeck", smoothing=PERIODIC)
-    assert identify(problem, intervals=False)["lift_cylinder.v_stribeck"] == pytest.approx(speed, rel=1e-4)
+    assert identify(problem, intervals=False)["lift_cylinder.v_stribeck"].value == pytest.approx(speed, rel=1e-4)
 
 
 def test_a_stated_stribeck_speed_stays() -> None:
