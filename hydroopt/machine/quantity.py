@@ -78,6 +78,18 @@ class Quantity:
         return value
 
 
+class Displacement(Quantity):
+    """Marks what a motor displaces per angle, which is also its torque per pressure."""
+
+    def __call__(self, value: Any, info: ValidationInfo) -> Any:
+        """As of any quantity; a volume alone, which has the dimension of torque per pressure, is refused."""
+        found = super().__call__(value, info)
+        if isinstance(value, str) and "/" not in value and "-1" not in value:
+            raise ImpossibleError(f"'{value.strip()}' is a volume without the angle in which the motor displaces it",
+                                  f"write it as \"{value.strip()}/rev\" or \"{value.strip()}/rad\"")
+        return found
+
+
 def keyed(quantity: Quantity, value: Any, info: ValidationInfo, key: str) -> Any:
     """A value whose unit depends on a neighbouring key; errors name its key."""
     try:
@@ -109,7 +121,8 @@ AngularViscosity = Annotated[float, *_quantity("N*m*s/rad", "N*s/m"), _finite]
 LinearStiffness = Annotated[float, *_quantity("N/m"), _finite]
 Stiffness = Annotated[float, *_quantity("N*m/rad", "N/m"), _finite]  # of a joint that turns or slides
 AngularCompliance = Annotated[float, *_quantity("rad/(N*m)", "m/N"), _finite]
-TorquePerPressure = Annotated[float, *_quantity("N*m/Pa", "m^3/rad"), _finite]  # or displacement
+_displacement = Displacement("N*m/Pa", "m^3/rad")
+TorquePerPressure = Annotated[float, _displacement, BeforeValidator(_displacement), _finite]
 Flow = Annotated[float, *_quantity("m^3/s"), _finite]
 Speed = Annotated[float, *_quantity("m/s"), _finite]
 AngularSpeed = Annotated[float, *_quantity("rad/s", "m/s"), _finite]

@@ -386,3 +386,6 @@ def test_a_motor_may_state_its_displacement_per_revolution() -> None:
     data["motors"][0]["torque_per_pressure"] = "81 cm^3/rev"
     found = Machine.model_validate(data).motors[0].torque_per_pressure
     assert found == pytest.approx(81e-6 / (2 * np.pi), rel=1e-12)
+    data["motors"][0]["torque_per_pressure"] = "81 cm^3"
+    with pytest.raises(ValueError, match=r'volume without the angle in which .* write it as "81 cm\^3/rev"'):
+        Machine.model_validate(data)
