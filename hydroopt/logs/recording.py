@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
+import scipy.sparse as sp
 from numpy.typing import NDArray
 
 from hydroopt.errors import LogError
@@ -219,6 +220,26 @@ class Recording(Shown):
         return Log(self.name, t, channels, base.sample[keep], segment, findings, self.path, self.sha256, units,
                    self if others else None)
 
+    def hidden_noise(self, channel: str, t: Array) -> float:
+        """White noise of a channel over what second differences show of it once it is interpolated at the times t (N,).
+
+        Interpolation takes fast noise away and leaves slow noise, which is what estimates feel.
+
+        >>> group = ChannelGroup("/can", np.arange(6) * 0.1, {"boom_cylinder.p_head": np.zeros(6)})
+        >>> recording = Recording("run", (group,))
+        >>> [round(recording.hidden_noise("boom_cylinder.p_head", group.t[:-1] + late), 3) for late in (0.0, 0.05)]
+        [1.0, 2.449]
+        """
+        group = self.group(channel)
+        group = group.corrected(self.clocks.get(group.name, Clock()))
+        behind, weight = _neighbours(t, group)
+        rows = np.arange(len(t))
+        made = sp.csr_array((np.concatenate([1 - weight, weight]), (np.tile(rows, 2), np.append(behind - 1, behind))),
+                            shape=(len(t), group.size))
+        second = made[:-2] - 2 * made[1:-1] + made[2:]
+        shown = float(second.power(2).sum()) / max(len(t) - 2, 1)
+        return float(np.sqrt(6 / shown * group.step / np.median(np.diff(t)))) if shown > 0 else 1.0
+
     @property
     def grid(self) -> ChannelGroup:
         """The group whose stamps `log` takes by default."""
@@ -277,10 +298,15 @@ def _in_gap(base: ChannelGroup, group: ChannelGroup) -> NDArray[np.bool_]:
     return np.asarray(wide[behind - 1] & ~on_stamp)
 
 
+def _neighbours(t: Array, group: ChannelGroup) -> tuple[NDArray[np.intp], Array]:
+    """Which sample of a group follows each time (N,), and its weight beside the one before in interpolation."""
+    behind = np.clip(np.searchsorted(group.t, t), 1, group.size - 1)
+    return behind, (t - group.t[behind - 1]) / (group.t[behind] - group.t[behind - 1])
+
+
 def _lost(base: ChannelGroup, group: ChannelGroup) -> int:
     """How many samples of `group` have no weight at any stamp of `base`."""
-    behind = np.clip(np.searchsorted(group.t, base.t), 1, group.size - 1)
-    weight = (base.t - group.t[behind - 1]) / (group.t[behind] - group.t[behind - 1])
+    behind, weight = _neighbours(base.t, group)
     within = (weight > -1e-6) & (weight < 1 + 1e-6)
     used = np.zeros(group.size, bool)
     used[behind[within & (weight > 1e-6)]] = True

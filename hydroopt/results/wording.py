@@ -52,6 +52,7 @@ class Kind(StrEnum):
     # motion by all sensors
     SENSOR_MISREAD = "sensor misread"
     BIAS_DRIFTS = "bias drifts"
+    STATED_CONTRADICTED = "stated numbers contradicted"
     MOTION_UNEXPLAINED = "readings not explained by the motion"
     SATURATED = "sensor saturated"
     NOT_BY_MOTION = "not determined by motion and poses"
@@ -196,7 +197,8 @@ OF_LOGS = REFUTATIONS | frozenset({
     Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE, Kind.OTHER_SAMPLING_RATE})
 """Kinds of what contradicts the machine file in a log as it is read, before any fit."""
 CONTRADICTIONS = OF_LOGS | frozenset({
-    Kind.STROKE_CONTRADICTS_POSES, Kind.BIAS_DRIFTS, Kind.MOTION_UNEXPLAINED, Kind.POSITION_ASSUMED,
+    Kind.STROKE_CONTRADICTS_POSES, Kind.BIAS_DRIFTS, Kind.STATED_CONTRADICTED, Kind.MOTION_UNEXPLAINED,
+    Kind.POSITION_ASSUMED,
     Kind.MISFIT_CAUSE, Kind.LACK_OF_FIT, Kind.BODIES_CONTRADICTED, Kind.PRIORS_CONTRADICTED,
     Kind.WORSE_THAN_ZERO, Kind.UNEXPLAINED_ACTUATOR,
     Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_CHANNEL, Kind.ERRORS_FAR_LARGER,
@@ -331,6 +333,10 @@ WORDS: dict[Kind, Words] = {
     Kind.DIFFERENT_LOGS: Words(
         "Friction and offsets differ from log to log by {part:.0f %} of the friction force (standard deviation): the "
         "intervals are those of their mean."),
+    Kind.STATED_CONTRADICTED: Words(
+        "The sensors contradict what is stated of {subject}: the {group} are {ratio:.1f} times as far off as their "
+        "sigmas say, in {directions} combinations together ({probability}).",
+        "Check these numbers, or widen the sigmas of all of their kind: what motion does not tell is known no better."),
     Kind.BODIES_CONTRADICTED: Words(
         "The logs contradict the nominal bodies of {subject}: a factor of {factor:.2f} ± {std:.2f} on all of their "
         "parameters together would agree ({probability}, corrected for {tests} tests).",

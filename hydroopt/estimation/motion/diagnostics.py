@@ -11,7 +11,8 @@ from hydroopt.estimation.motion.motion_fit import FittedPaths
 from hydroopt.estimation.motion.observations import Observations
 from hydroopt.estimation.motion.paths import Spline
 from hydroopt.estimation.motion.problem import SensorProblem
-from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.machine.parameter_kind import ParameterKind
+from hydroopt.results.diagnostic import Diagnostic, probability
 from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
@@ -23,6 +24,14 @@ FAR = 1.5
 """Residuals that are so many times the stated noise are worth a sentence."""
 COARSE_ANGLE, COARSE_LENGTH = float(np.radians(0.5)), 5e-3
 """Uncertainty of a joint's position [rad, m] that is worth a sentence."""
+CONTRADICTED = 1e-3
+"""Probability, over all groups of numbers, below which they contradict what is stated of them."""
+TOLD = 0.5
+"""Part of the stated variance that the data must take away from a combination of numbers to test it."""
+MOST = 4
+"""Numbers that a sentence names."""
+GROUPS = {ParameterKind.BIAS: "biases", ParameterKind.DELAY: "delays", ParameterKind.CLOCK_DRIFT: "drifts of clocks",
+          ParameterKind.LAG: "lags"}
 MANY = 0.001
 """Part of the readings at the end of a sensor's range that is worth a sentence."""
 
@@ -53,6 +62,7 @@ def diagnose(problem: SensorProblem, found: FittedPaths, unknown: Sequence[str])
         yield Diagnostic(Kind.MOTION_UNEXPLAINED, (channel,), {"log": data.name, "ratio": ratio})
     for share, channel, data in full:
         yield Diagnostic(Kind.SATURATED, (channel,), {"log": data.name, "share": share})
+    yield from _contradicted(problem, found)
     yield from _uncertain(problem, found)
     for log in problem.logs:
         for finding in log.findings:
@@ -75,6 +85,31 @@ def _uncertain(problem: SensorProblem, found: FittedPaths) -> Iterator[Diagnosti
                 yield Diagnostic(Kind.POSITION_UNCERTAIN, (joint,), {
                     "log": stretch.data[0].name, "std": 1e3 * value if slides else float(np.degrees(value)),
                     "unit": "mm" if slides else "deg"})
+
+
+def _contradicted(problem: SensorProblem, found: FittedPaths) -> Iterator[Diagnostic]:
+    """Groups of common numbers that are further from what is stated than their sigmas say.
+
+    In units of sigma, what is found is normal about what is stated, with the covariance 1 − C/σ², C that of the fit.
+    """
+    common = found.fit.common
+    off = (found.fit.value - [each.prior for each in common]) / found.fit.sigma
+    spread = np.eye(len(common)) - found.covariance / np.outer(found.fit.sigma, found.fit.sigma)
+    mounting = problem.machine.imu_numbers
+    names = ["places of the IMUs" if each.name in mounting else GROUPS.get(each.kind, "numbers of the geometry")
+             for each in common]
+    for group in dict.fromkeys(names):
+        own = np.array([k for k, name in enumerate(names) if name == group])
+        values, vectors = np.linalg.eigh(spread[np.ix_(own, own)])
+        told = values > TOLD
+        squares = (vectors[:, told].T @ off[own]) ** 2 / values[told]
+        p = float(chi2.sf(np.sum(squares), np.sum(told))) if told.any() else 1.0
+        if len(set(names)) * p < CONTRADICTED:
+            far = np.abs(off[own]) / np.sqrt(np.maximum(np.diag(spread)[own], TOLD))
+            most = [k for k in np.argsort(-far, kind="stable")[:MOST].tolist() if far[k] > 2.0]
+            yield Diagnostic(Kind.STATED_CONTRADICTED, tuple(common[own[k]].name for k in most), {
+                "group": group, "ratio": float(np.sqrt(np.mean(squares))), "directions": int(np.sum(told)),
+                "p_value": p, "probability": probability(p)})
 
 
 def _changes(data: Observations, left: Array, k: int) -> tuple[float, float, int] | None:

@@ -70,3 +70,38 @@ def test_sensors_are_calibrated_by_all_samples_of_a_merged_log():
     merged, whole = (sensor_problem(machine, [each]) for each in (made.log(), made))
     assert [group.size for group in merged.logs[0].groups] == [group.size for group in whole.logs[0].groups]
     assert merged.logs[0].clocks == whole.logs[0].clocks
+
+
+def other_clock(model: ho.Model, seed: int, duration: float) -> tuple[ho.Log, np.ndarray, np.ndarray]:
+    """Angles, and pressures by another clock; parameters; delay at the beginning, and growth to the end [s]."""
+    truth = ho.random_truth(model, seed)
+    course = ho.random_trajectory(model, duration=duration, rate=50.0, seed=seed)
+    log = ho.simulate(model, course, truth, seed=seed)
+    pressures, others = ({name: x for name, x in log.channels.items() if (".p_" in name) is kind}
+                         for kind in (True, False))
+    groups = (ChannelGroup("angles", log.t, others), ChannelGroup("can", log.t * (1 + FAST) + LATE, pressures))
+    merged = Recording("drive", groups).log()
+    late = merged.t - (merged.t - LATE) / (1 + FAST)
+    return merged, truth, np.array([late[0], late[-1] - late[0]])
+
+
+def test_forces_alone_tell_delay_and_drift_together():
+    model = ho.Model(ho.load_machine("cat215b"))
+    log, truth, true = other_clock(model, 2, 60.0)
+    estimate = ho.solve(ho.identification_problem(model, [log]).free("delay", "clock"), intervals=False)
+    std = np.sqrt(np.diag(estimate.freed.covariance))
+    assert np.all(np.abs(estimate.freed.size - true) < 3 * std)
+    assert np.all(std < 0.003)
+    off = model.over(model.inverse_dynamics, *estimate.problem.experiments[0].inputs(), estimate.psi)[0] - model.over(
+        model.inverse_dynamics, *estimate.problem.experiments[0].inputs(), truth)[0]
+    assert np.sqrt(np.mean(off**2)) < 0.01 * np.sqrt(np.mean(estimate.problem.experiments[0].force**2))
+
+
+@pytest.mark.slow
+def test_intervals_by_forces_hold_the_truth_though_channels_are_interpolated():
+    model, z = ho.Model(ho.load_machine("cat215b")), []
+    for seed in range(20):
+        log, _, true = other_clock(model, seed, 60.0)
+        freed = ho.solve(ho.identification_problem(model, [log]).free("delay", "clock"), intervals=False).freed
+        z.append((freed.size - true) / np.sqrt(np.diag(freed.covariance)))
+    assert np.mean(np.abs(z) < 1.96) > 0.85

@@ -66,6 +66,22 @@ def test_a_drifting_bias_is_named(drive):
     assert Kind.BIAS_DRIFTS not in {found.kind for found in ho.solve(sensor_problem(machine, [log])).diagnostics}
 
 
+def test_places_of_units_far_beyond_their_sigmas_are_named():
+    machine = arm('[[sensors]]\nchannels = ["boom.q", "stick.q"]\naccuracy = "0.1 deg"\n')
+    kinds = []
+    for factor in (0.5, 3.0):
+        rng = np.random.default_rng(3)
+        off = {number.name: number.value + factor * rng.choice((-1, 1)) * machine.notes[number.path].sigma
+               for number in machine.geometry_numbers if number.name in machine.imu_numbers}
+        answer = ho.solve(sensor_problem(machine, [simulated(machine.with_values(off), 2)[1]], geometry=False))
+        kinds.append({found.kind: found for found in answer.diagnostics})
+    assert Kind.STATED_CONTRADICTED not in kinds[0]
+    found = kinds[1][Kind.STATED_CONTRADICTED]
+    assert set(found.subject) <= machine.imu_numbers
+    assert found.evidence["group"] == "places of the IMUs"
+    assert answer.status is ho.Status.SUSPECT
+
+
 def test_the_end_of_a_range_does_not_count_and_is_named(drive):
     machine, log = drive
     limit = machine.imus[0].gyroscope.range

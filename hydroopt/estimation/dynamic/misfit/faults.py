@@ -139,14 +139,32 @@ class OfMotion(Fault):
 
 @dataclass(frozen=True)
 class ForcesLate(OfMotion):
-    """Readings of forces stand later in the log than those of angles, by the size [s]; `readings` are concerned."""
+    """Readings of forces stand later in the log than those of angles, by the size [s]; `readings` are concerned.
+
+    The effect is that beyond the faults `before`, of stated sizes, which make the same readings late already.
+    """
 
     drifts: bool = False
+    before: tuple[tuple[ForcesLate, float], ...] = ()
 
     def state(self, view: View, size: float) -> tuple[Array, Array, Array]:
         """An earlier motion; where clocks drift, the size is what they differ by at the end."""
+        return view.moved(-sum((fault.lateness(view, own) for fault, own in self.before), self.lateness(view, size)))
+
+    def lateness(self, view: View, size: float) -> Array:
+        """How late readings (N,) are by the fault alone [s]."""
         t = view.motion.t
-        return view.moved(-size * ((t - t[0]) / (t[-1] - t[0]) if self.drifts else np.ones(t.size)))
+        return size * ((t - t[0]) / (t[-1] - t[0]) if self.drifts else np.ones(t.size))
+
+    def effect(self, view: View, size: float) -> Array:
+        """Readings of that motion beyond those with the faults before."""
+        found = super().effect(view, size)
+        return found - super().effect(view, 0.0) if self.before else found
+
+    def by_parameters(self, view: View, size: float) -> Array:
+        """The regressor of that motion beyond that with the faults before."""
+        found = super().by_parameters(view, size)
+        return found - super().by_parameters(view, 0.0) if self.before else found
 
 
 @dataclass(frozen=True)
@@ -319,6 +337,22 @@ def _seal_pressure(view: View, reading: int) -> Array:
     assert isinstance(actuator, Cylinder)
     return np.asarray(sum((view.pressures[channel] for channel in actuator.chambers if channel in view.pressures),
                           np.zeros(len(view.predicted))))
+
+
+def one_after_another(faults: Sequence[Fault], sizes: Sequence[float]) -> tuple[Fault, ...]:
+    """The same faults, of which those that make readings late act on what the ones before them, of these sizes, left.
+
+    Delays add up in the argument of the motion, not in the forces.
+    """
+    found: list[Fault] = []
+    for k, fault in enumerate(faults):
+        if isinstance(fault, ForcesLate):
+            late = [(replace(other, before=()), size) for other, size in zip(faults[:k], sizes[:k], strict=True)
+                    if isinstance(other, ForcesLate) and set(other.readings) >= set(fault.readings)]
+            found.append(replace(fault, before=tuple(late)))
+        else:
+            found.append(fault)
+    return tuple(found)
 
 
 def listed(view: View) -> Iterator[Fault]:

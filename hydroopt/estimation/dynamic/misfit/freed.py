@@ -17,7 +17,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.folding import triangle
 from hydroopt.estimation.dynamic.misfit.blocks import Data
-from hydroopt.estimation.dynamic.misfit.faults import Fault, listed, stated_size
+from hydroopt.estimation.dynamic.misfit.faults import Fault, listed, one_after_another, stated_size
 from hydroopt.estimation.dynamic.misfit.naming import Search
 from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.estimation.dynamic.problem import IdentificationProblem
@@ -162,11 +162,13 @@ def free(problem: IdentificationProblem, psi: Array, last: Freed | None = None) 
     search, sizes = Search(data, faults), np.zeros(len(faults)) if last is None else last.size
     information = np.diag([1 / fault.scale**2 for fault in faults])
     for _ in range(ROUNDS if any(fault.motion for fault in faults) else 1):
+        faults = one_after_another(faults, sizes.tolist())
         search.chosen = list(zip(faults, sizes.tolist(), strict=True))
         step, covariance = _step(search, information, 1.0)
         sizes = sizes + step
         if np.all(np.abs(step) < 0.05 * np.sqrt(np.diag(covariance))):
             break
+    faults = one_after_another(faults, sizes.tolist())
     search.chosen = list(zip(faults, sizes.tolist(), strict=True))
     return Freed(faults, sizes, covariance, *_step(search, information, WEAKER), psi)
 

@@ -12,10 +12,11 @@ from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import median_filter
 
 from hydroopt.estimation.dynamic.experiment import Experiment
-from hydroopt.logs.forces_from_pressures import force_noise
+from hydroopt.logs.forces_from_pressures import force_channels, force_noise
 from hydroopt.logs.joint_angles import angle_noise, measured_angles
 from hydroopt.logs.lag import stretches
 from hydroopt.logs.readings import bridged
+from hydroopt.logs.recording import Recording
 from hydroopt.logs.smoothing import Motion
 from hydroopt.logs.spline import MIN_SAMPLES, Basis, Grid, wider
 from hydroopt.machine.actuators import Cylinder, Drive
@@ -162,11 +163,23 @@ class View:
             at = np.flatnonzero(use)
             r = self.residual[:, k]
             found[k] = np.sqrt(np.mean((r[at - 1] - 2 * r[at] + r[at + 1]) ** 2) / 6) if at.size > 20 else np.nan
+        found *= self._hidden_noise
         size = np.sqrt(np.mean(self.measured**2, axis=0))
         floor = np.fmax(1e-6 * size + 1e-12, 1e-2 * np.nan_to_num(self.stated_noise))
         for k in np.flatnonzero(~self.read & self.taken.any(axis=0)).tolist():
             floor[k] = max(floor[k], UNREAD * np.sqrt(np.mean(self.residual[self.taken[:, k], k] ** 2)))
         return np.asarray(np.fmax(np.where(np.isfinite(found), found, np.nan_to_num(self.stated_noise)), floor))
+
+    @property
+    def _hidden_noise(self) -> Array:
+        """White noise of the readings (c,) over what second differences show where channels were interpolated."""
+        log, n = self.experiment.log, len(self.model.machine.balances)
+        made = np.ones(len(self.names))
+        if isinstance(log.recording, Recording):
+            channels = force_channels(self.model, log) & set(log.recording.channels)
+            made[:n] = max((log.recording.hidden_noise(channel, log.t) for channel in channels), default=1.0)
+            made[n:] = [log.recording.hidden_noise(name, log.t) for name in self.names[n:]]
+        return made
 
     @cached_property
     def angle_noise(self) -> Array:
