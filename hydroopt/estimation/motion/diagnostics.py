@@ -103,7 +103,7 @@ def _contradicted(problem: SensorProblem, found: FittedPaths) -> Iterator[Diagno
         values, vectors = np.linalg.eigh(spread[np.ix_(own, own)])
         told = values > TOLD
         squares = (vectors[:, told].T @ off[own]) ** 2 / values[told]
-        p = float(chi2.sf(np.sum(squares), np.sum(told))) if told.any() else 1.0
+        p = float(chdtrc(np.sum(told), np.sum(squares))) if told.any() else 1.0
         if len(set(names)) * p < CONTRADICTED:
             far = np.abs(off[own]) / np.sqrt(np.maximum(np.diag(spread)[own], TOLD))
             most = [k for k in np.argsort(-far, kind="stable")[:MOST].tolist() if far[k] > 2.0]
