@@ -198,15 +198,12 @@ OF_LOGS = REFUTATIONS | frozenset({
 """Kinds of what contradicts the machine file in a log as it is read, before any fit."""
 CONTRADICTIONS = OF_LOGS | frozenset({
     Kind.STROKE_CONTRADICTS_POSES, Kind.BIAS_DRIFTS, Kind.STATED_CONTRADICTED, Kind.MOTION_UNEXPLAINED,
-    Kind.POSITION_ASSUMED,
-    Kind.MISFIT_CAUSE, Kind.LACK_OF_FIT, Kind.BODIES_CONTRADICTED, Kind.PRIORS_CONTRADICTED,
-    Kind.WORSE_THAN_ZERO, Kind.UNEXPLAINED_ACTUATOR,
-    Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_CHANNEL, Kind.ERRORS_FAR_LARGER,
-    Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED,
+    Kind.POSITION_ASSUMED, Kind.MISFIT_CAUSE, Kind.LACK_OF_FIT, Kind.BODIES_CONTRADICTED, Kind.PRIORS_CONTRADICTED,
+    Kind.WORSE_THAN_ZERO, Kind.UNEXPLAINED_ACTUATOR, Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_CHANNEL,
+    Kind.ERRORS_FAR_LARGER, Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED,
     Kind.STAGE_CONTRADICTS, Kind.FIXTURE_MOVED, Kind.BASE_MOVED, Kind.TOOL_MOVED, Kind.INSTRUMENT_MOVED,
-    Kind.SENSOR_OFFSET, Kind.SENSOR_SCALE,
-    Kind.BACKLASH, Kind.SENSOR_ECCENTRIC, Kind.SENSOR_NONLINEAR, Kind.JOINT_SAGS, Kind.SUSPECTS_UNDECIDED,
-    Kind.DISTANCE_CONTRADICTS, Kind.DISTANCE_OFF, Kind.OFF_OPTIMUM})
+    Kind.SENSOR_OFFSET, Kind.SENSOR_SCALE, Kind.BACKLASH, Kind.SENSOR_ECCENTRIC, Kind.SENSOR_NONLINEAR,
+    Kind.JOINT_SAGS, Kind.SUSPECTS_UNDECIDED, Kind.DISTANCE_CONTRADICTS, Kind.DISTANCE_OFF, Kind.OFF_OPTIMUM})
 """Kinds that make an answer suspect."""
 WORDS: dict[Kind, Words] = {
     Kind.JOINT_LIMITS_NARROWED: Words(
@@ -334,8 +331,7 @@ WORDS: dict[Kind, Words] = {
         "Friction and offsets differ from log to log by {part:.0f %} of the friction force (standard deviation): the "
         "intervals are those of their mean."),
     Kind.STATED_CONTRADICTED: Words(
-        "The sensors contradict what is stated of {subject}: the {group} are {ratio:.1f} times as far off as their "
-        "sigmas say, in {directions} combinations together ({probability}).",
+        "The sensors contradict {subject}: the {group} are {ratio:.1f} times as far off as stated ({probability}).",
         "Check these numbers, or widen the sigmas of all of their kind: what motion does not tell is known no better."),
     Kind.BODIES_CONTRADICTED: Words(
         "The logs contradict the nominal bodies of {subject}: a factor of {factor:.2f} ± {std:.2f} on all of their "

@@ -23,7 +23,7 @@ SHORT, RATE = 15.0, 10.0
 FAR = 3.0
 """Misfit from which on another reading is looked for."""
 BETTER = 4.0
-"""How many times smaller the misfit of another reading must be."""
+"""How many times smaller the misfit of another reading must be, unless all sensors agree with it."""
 SOUND = 2.0
 """Misfit of a reading with which all sensors agree."""
 TRIAL = 8
@@ -91,12 +91,12 @@ def misread(problem: SensorProblem, found: FittedPaths | None) -> Diagnostic | N
     for subject in (*([name] for name in names), *([names] if len(names) > 1 else [])):
         for reading in readings():
             after = _tried(replace(short, logs=tuple(_read(log, subject, reading) for log in short.logs)), functions)
-            if after * BETTER < before and (best is None or after < best[0]):
+            explains = after * BETTER < before or after < SOUND < FAR < before
+            if explains and (best is None or after < best[0]):
                 log = problem.logs[0]
                 best = after, Diagnostic(Kind.SENSOR_MISREAD, tuple(subject), {
                     "log": log.path or log.name, "reading": reading.words, "before": min(before, 1e6), "after": after})
-            if after < SOUND:
-                assert best is not None
+            if best is not None and best[0] < SOUND:
                 return best[1]
     return None if best is None else best[1]
 

@@ -13,7 +13,8 @@ from fixtures.tiers import tiered
 from hydroopt.estimation.dynamic.experiment import Experiment, experiment
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.misfit.blocks import Data
-from hydroopt.estimation.dynamic.misfit.faults import Scaled, listed
+from hydroopt.estimation.dynamic.misfit.faults import Scaled
+from hydroopt.estimation.dynamic.misfit.listed_faults import listed
 from hydroopt.estimation.dynamic.misfit.naming import examine_fit
 from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem

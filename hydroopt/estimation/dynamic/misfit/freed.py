@@ -17,7 +17,8 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.dynamic.folding import triangle
 from hydroopt.estimation.dynamic.misfit.blocks import Data
-from hydroopt.estimation.dynamic.misfit.faults import Fault, listed, one_after_another, stated_size
+from hydroopt.estimation.dynamic.misfit.faults import Fault, one_after_another
+from hydroopt.estimation.dynamic.misfit.listed_faults import listed, stated_size
 from hydroopt.estimation.dynamic.misfit.naming import Search
 from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.estimation.dynamic.problem import IdentificationProblem

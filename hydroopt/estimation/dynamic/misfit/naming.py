@@ -15,7 +15,8 @@ import numpy as np
 from scipy.special import gammaincc
 
 from hydroopt.estimation.dynamic.misfit.blocks import COURSES, Columns, Data
-from hydroopt.estimation.dynamic.misfit.faults import Fault, listed
+from hydroopt.estimation.dynamic.misfit.faults import Fault
+from hydroopt.estimation.dynamic.misfit.listed_faults import listed
 from hydroopt.estimation.dynamic.misfit.view import View
 from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
