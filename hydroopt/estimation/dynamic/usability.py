@@ -279,9 +279,12 @@ def next_steps(found: Identification, judged_uses: tuple[Use, ...]) -> tuple[Nex
     steps: list[NextStep] = []
     if "validation" not in found.fit:
         steps.append(NextStep(Action.CHECK, "Hold data out to test the prediction: --validate LOG, or --holdout 0.3."))
-    if weak := lacking(Purpose.FORCES, Usable.NO):
+    told = found.fit["train"]
+    if unread := [use.subject for use in lacking(Purpose.FORCES, Usable.NO) if use.subject not in told]:
+        steps.append(NextStep(Action.MEASURE, f"Record the force of {', '.join(unread)}, or its pressures."))
+    if weak := [use.subject for use in lacking(Purpose.FORCES, Usable.NO) if use.subject in told]:
         steps.append(NextStep(Action.CHECK, (
-            f"Check the accuracy of the force of {weak[0].subject}, and try other friction terms: --friction auto.")))
+            f"Check the accuracy of the force of {weak[0]}, and try other friction terms: --friction auto.")))
     names = found.problem.parameters.names
     possible = {names[k] for k, category in enumerate(found.structural.category) if category == FULL}
     if focus := [use.subject for use in lacking(Purpose.MASSES, Usable.NO) if use.subject in possible]:

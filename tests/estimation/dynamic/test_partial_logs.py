@@ -79,6 +79,7 @@ def test_a_missing_pressure_is_the_same_as_an_actuator_that_is_not_measured(logs
     assert lost.subject == ("boom_cylinder",)
     assert lost.evidence["channels"] == LOST
     assert found.machine.cylinders[0].measured
+    assert found.next_steps[0].text == "Record the force of boom_cylinder, or its pressures."
 
 
 def of_problem(change: Callable[[IdentificationProblem], IdentificationProblem]) -> Callable[[list[Log]], Estimate]:
