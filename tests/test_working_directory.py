@@ -68,7 +68,7 @@ def test_matplotlib_reads_no_settings_there(module: str, hostile: Path) -> None:
 def test_where_one_cannot_go_back_to_matplotlib_is_imported_from(tmp_path: Path) -> None:
     gone = tmp_path / "gone"
     gone.mkdir()
-    code = "import os, sys; os.rmdir(os.getcwd()); import hydroopt.report; print('matplotlib' in sys.modules)"
+    code = "import os, sys; os.rmdir(os.getcwd()); import hydroopt.report.figures; print('matplotlib' in sys.modules)"
     done = subprocess.run([sys.executable, "-P", "-c", code], cwd=gone, capture_output=True, text=True, check=True,
                           env={**os.environ, "PYTHONPATH": str(ROOT)})
     assert done.stdout == "True\n"

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hydroopt.report.with_matplotlib  # noqa: F401
+
+# isort: split
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import matplotlib

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import hydroopt.report.with_matplotlib  # noqa: F401
+
+# isort: split
 import io
 import re
 from collections.abc import Iterator, Mapping, Sequence
