@@ -12,7 +12,7 @@ from typer.testing import CliRunner
 
 from fixtures.bad_control_cases import path as motion_to_follow
 from fixtures.browser import SCREENSHOTS, SETTLED, browser, needs_browser, opened
-from fixtures.html import data_of, stands_alone
+from fixtures.pages import data_of, stands_alone
 from hydroopt.cli import app
 
 pytestmark = [pytest.mark.slow, needs_browser]
