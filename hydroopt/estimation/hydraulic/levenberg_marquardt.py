@@ -26,8 +26,8 @@ ROUGH = 2e-3
 """Part of the number of readings by which half the sum of squares falls in a step that makes windows longer."""
 CONVERGED, STALLED, SMALL = 1e-8, 0.05, 1e-3
 """Fall of half the sum of squares that the next step promises, and that of two damped steps in a row, also as a part
-of the squares, at which steps end. The second is a third of a standard deviation at most: dry friction's corners keep
-steps from doing as they promise."""
+of the squares, at which steps end. The second, times the mean square of the residuals if that is more than one, is a
+third of a standard deviation at most: dry friction's corners keep steps from doing as they promise."""
 STEPS, ROUGH_STEPS = 100, 8
 """Greatest number of steps over whole records, and over windows."""
 FIRST, LAST = 1e-6, 1e8
@@ -72,7 +72,7 @@ def least_squares(collocation: Collocation, z: Array, points: Sequence[Array], e
     Raises:
         SolverError: the dynamics cannot be simulated from the guess, or the steps do not converge.
     """
-    damping, slow = 0.0, 0
+    damping, slow, half = 0.0, 0, sum(int(present.sum()) for present in collocation.present) / 2
     points = collocation.run(z, [states[0] for states in points], points)
     here = Motion(z, points, collocation.cost(z, points))
     for _ in range(most):
@@ -86,7 +86,8 @@ def least_squares(collocation: Collocation, z: Array, points: Sequence[Array], e
             if there is None:
                 damping = max(FIRST, 100 * damping)
         fall, here = here.cost - there.cost, there
-        slow = slow + 1 if damping > 0 and fall < min(STALLED, SMALL * here.cost) else 0
+        slow = slow + 1 if damping > 0 and fall < min(
+            STALLED * max(1.0, here.cost / half), SMALL * here.cost) else 0
         if slow == 2 or fall < enough:
             return here
         if fall > promised / 2:
@@ -95,8 +96,7 @@ def least_squares(collocation: Collocation, z: Array, points: Sequence[Array], e
         return here
     raise SolverError(f"the squares still fall after {most} steps",
                       where=f"identification of {collocation.problem.name}", remedy=(
-                          "start from a better machine file: identify the bodies and their friction first, and "
-                          "correct the numbers of valves that are far off"))
+                          "identify bodies, too (--bodies), and correct numbers of the machine file that are far off"))
 
 
 @dataclass(frozen=True, eq=False)
