@@ -12,6 +12,7 @@ from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference import clarabel
 from hydroopt.estimation.inference.conditions import MARGIN, Condition, square
 from hydroopt.estimation.inference.constraints import Named, no_relation
+from hydroopt.estimation.inference.nearest_point import cones, nearest_point
 from hydroopt.estimation.inference.problem import InferenceProblem, names_of
 from hydroopt.estimation.inference.whitening import WIDEST, GaussianPosterior, gaussian_posterior
 from hydroopt.extras import Lazy
@@ -75,7 +76,7 @@ def most_probable(problem: InferenceProblem, unconstrained: GaussianPosterior, *
     if not _distant(problem) and all(np.all(c.violation() <= 0) for c in everything):
         return posterior.offset, frozenset()
     if not clarabel.solve_convex(cp.Problem(cp.Minimize(cost), everything), problem.where):
-        raise _contradiction(problem, unconstrained, consistent=consistent)
+        raise contradiction(problem, unconstrained, consistent=consistent)
     value = np.asarray(z.value, dtype=float)
     clarabel.certify_convex(z, _gradient(problem, posterior, value), everything).trust(problem.where)
     return (posterior.offset + posterior.slope @ value,
@@ -115,7 +116,7 @@ def _program(problem: InferenceProblem, unconstrained: GaussianPosterior, *,
     """
     posterior = unconstrained.conditioned_on(problem.requirements(consistent=consistent))
     if posterior is None:
-        raise _contradiction(problem, unconstrained, consistent=consistent)
+        raise contradiction(problem, unconstrained, consistent=consistent)
     z = cp.Variable(posterior.slope.shape[1], name="z")
     named = constraints_of(problem, posterior, z, consistent=consistent)
     cost = cp.sum_squares(z) if not _distant(problem) else (
@@ -153,7 +154,7 @@ def refuse_contradiction(problem: InferenceProblem, posterior: GaussianPosterior
         return
     convex = all(c.is_dcp() for _, group in named for c in group)
     if convex and not _compatible(problem, posterior, consistent=consistent):
-        raise _contradiction(problem, posterior, consistent=consistent)
+        raise contradiction(problem, posterior, consistent=consistent)
 
 
 def _constraint(condition: Condition, posterior: GaussianPosterior, z: cp.Variable) -> Any:
@@ -198,16 +199,19 @@ def _is_active(group: Sequence[Any]) -> bool:
 
 def _compatible(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool,
                 without: Collection[str] = ()) -> bool:
-    left = posterior.conditioned_on([c for c in problem.requirements(consistent=consistent) if c.name not in without])
+    conditions = [c for c in problem.requirements(consistent=consistent) if c.name not in without]
+    left = posterior.conditioned_on(conditions)
     if left is None:
         return False
+    if not problem.constraints:
+        return nearest_point(np.zeros(left.slope.shape[1]), cones(conditions, left), problem.where) is not None
     z = cp.Variable(left.slope.shape[1])
     named = constraints_of(problem, left, z, consistent=consistent, without=without)
     program = cp.Problem(cp.Minimize(cp.sum_squares(z)), [c for _, group in named for c in group])
     return clarabel.solve_convex(program, problem.where)
 
 
-def _contradiction(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool) -> ProblemError:
+def contradiction(problem: InferenceProblem, posterior: GaussianPosterior, *, consistent: bool) -> ProblemError:
     """A smallest set of contradicting constraints: each is left out that the contradiction does not need."""
     names, without = names_of(problem, consistent=consistent), set[str]()
     for name in names:

@@ -32,10 +32,12 @@ def semidefinite_program(problem: InferenceProblem, posterior: GaussianPosterior
         SolverError: the solver's answer is not to be trusted.
     """
     conditions = problem.requirements(consistent=consistent)
-    found = None if problem.constraints or problem.distance == "log-det" else _nearest(problem, posterior, conditions)
-    if found is None:  # cvxpy knows the user's own constraints, and names those that contradict each other
-        found = convex_program.most_probable(problem, posterior, consistent=consistent)
-    psi, held = found
+    if problem.constraints or problem.distance == "log-det":  # cvxpy knows these
+        psi, held = convex_program.most_probable(problem, posterior, consistent=consistent)
+    elif found := _nearest(problem, posterior, conditions):
+        psi, held = found
+    else:
+        raise convex_program.contradiction(problem, posterior, consistent=consistent)
     for body in problem.bodies if consistent else ():
         smallest = np.linalg.eigvalsh(body.pseudo_inertia(psi[body.columns]))[0]
         if smallest <= 0:
