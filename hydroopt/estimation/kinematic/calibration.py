@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from hydroopt.estimation.inference.identifiability import FULL
 from hydroopt.estimation.kinematic import calibrated_machine, diagnostics
 from hydroopt.estimation.kinematic.chain_sides import ChainSides, chain_sides, table_of
 from hydroopt.estimation.kinematic.prediction import coverage
@@ -115,7 +116,8 @@ class Calibration(KinematicSolution, Answer):
         steps = []
         if self.problem.validation is None:
             steps.append(NextStep(Action.MEASURE, "Measure ten more poses and give them as --validate: they test it."))
-        if weak := [use.subject for use in self.uses if use.usable is Usable.NO and use.purpose is Purpose.DIMENSIONS]:
+        if weak := [use.subject for use in self.uses if use.usable is Usable.NO and use.purpose is Purpose.DIMENSIONS
+                    and self.category(use.subject) == FULL]:  # of the others, more poses may tell nothing either
             steps.append(NextStep(Action.MEASURE, (
                 f"For {weak[0]}, measure the poses that 'hydroopt plan-poses MACHINE --focus {weak[0]}' "
                 "plans.")))
