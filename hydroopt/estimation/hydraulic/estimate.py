@@ -111,9 +111,13 @@ class HydraulicEstimate(Answer):
     @property
     def next_steps(self) -> tuple[NextStep, ...]:
         """What would test or improve it, or how to use it."""
-        if "validation" not in self.fit:
-            return (NextStep(Action.CHECK, "Hold data out to test the free run: --validate LOG, or --holdout 0.3."),)
-        return (NextStep(Action.USE, "Tune controllers with 'hydroopt control' and this folder's machine file."),)
+        steps = []
+        if self.problem.held_bodies:
+            steps.append(NextStep(Action.CHECK, "Identify bodies, too: --bodies. Intervals here count them as exact."))
+        steps.append(NextStep(Action.USE, "Tune controllers with 'hydroopt control' and this folder's machine file.")
+                     if "validation" in self.fit else
+                     NextStep(Action.CHECK, "Hold data out to test the free run: --validate LOG, or --holdout 0.3."))
+        return tuple(steps)
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:
