@@ -162,7 +162,7 @@ def static(chart: TimeChart | Curves, samples: Samples) -> Markup:
     stride = max(1, len(x) // STATIC_POINTS)
     flat, upright = chart.logarithmic if isinstance(chart, Curves) else (False, chart.logarithmic)
     x = np.log10(x) if flat else x
-    shown = [(np.log10(values[::stride]) if upright else values[::stride], look, dashed)
+    shown = [(np.log10(np.where(values > 0, values, np.nan))[::stride] if upright else values[::stride], look, dashed)
              for values, look, dashed in lines]
     low, high = _reach([values for values, _, _ in shown], None if isinstance(chart, Curves) else chart.span)
     first, last = (float(x[0]), float(x[-1])) if len(x) else (0.0, 1.0)

@@ -6,9 +6,9 @@ from hydroopt.results.wording import Kind, Words
 
 SENSOR_WORDS: dict[Kind, Words] = {
     Kind.SENSOR_MISREAD: Words(
-        "In {log}, {subject} contradicts the other sensors as it is read. It agrees with {reading}: the largest "
-        "misfit falls from {before:.3g} to {after:.3g} times what is stated.",
-        "Correct the unit, the axes or the mounting of {subject} in the file, its map or the machine file."),
+        "In {log}, {subject} contradicts the other sensors, and agrees with {reading}: the largest misfit falls from "
+        "{before:.3g} to {after:.3g} times what is stated.",
+        "Correct unit, axes or mounting in the log, its map or the machine file."),
     Kind.BIAS_DRIFTS: Words(
         "The bias of {subject} changes over {log}, by {size:.2g} {unit}: it counts as constant.",
         "Let the unit warm up, shorten the log, or state a larger noise."),

@@ -108,7 +108,7 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("kills", nargs="?", type=int, default=500)
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--jobs", default=",".join(COMMANDS))
+    parser.add_argument("--jobs", default=",".join(JOBS))
     parser.add_argument("-o", "--output", type=Path, default=OUT.parent / "kills.json")
     options = parser.parse_args()
     names = options.jobs.split(",")

@@ -53,7 +53,8 @@ def test_bad_input_is_refused_in_one_sentence(name, tmp_path, monkeypatch, capsy
     check(ended.value.code, caught.out, caught.err, case, tmp_path)
 
 
-@pytest.mark.parametrize("name", tiered(["machine: binary", "machine: pin of two numbers", "NaN", "unknown option",
+@pytest.mark.parametrize("name", tiered(["machine: binary", "machine: pin of two numbers",
+                                         "NaN that is not allowed", "unknown option",
                                          "output is a file"], lambda name: name == "machine: binary"))
 def test_the_command_itself_refuses_bad_input(name, tmp_path):
     case = CASES[name]

@@ -20,8 +20,8 @@ def plan_poses(*arguments: object) -> str:
 def test_poses_are_planned_by_a_criterion(tmp_path: Path) -> None:
     printed = plan_poses("cat215b", "-n", 4, "--criterion", "E", "--seed", 3, "-o", tmp_path)
     assert {file.name for file in tmp_path.iterdir()} == {"sheet.txt", "poses.csv", "postures.csv", "plan.json",
-                                                           "parameters.csv"}
-    assert printed.startswith((tmp_path / "sheet.txt").read_text("utf-8"))
+                                                           "parameters.csv", "report.html"}
+    assert (tmp_path / "sheet.txt").read_text("utf-8") in printed  # below the verdict
     content = json.loads((tmp_path / "plan.json").read_text("utf-8"))
     assert content["poses"] == 12, "four in each of three stages"
     assert (content["seed"], content["criterion"], content["job"]) == (3, "E", "pose plan")

@@ -69,8 +69,7 @@ def examined_fit(problem: SensorProblem) -> tuple[FittedPaths, Diagnostic | None
     except SolverError as error:
         if (cause := misread(problem, None)) is None:
             raise
-        raise SolverError(f"{error.what}. {cause.text.rstrip('.')}", where=error.where,
-                          remedy=cause.remedy.rstrip(".")) from None
+        raise SolverError(cause.text.rstrip("."), where=error.where, remedy=cause.remedy.rstrip(".")) from None
     return found, misread(problem, found)
 
 
