@@ -214,7 +214,7 @@ def _read(file: Path) -> dict[str, str]:
     """Answers by key.
 
     Raises:
-        ProblemError: the file is no table of texts.
+        ProblemError: the file is not a table of texts.
     """
     from hydroopt.input_file import read_text, toml
 
