@@ -4,7 +4,8 @@ Constraints that cut off most of a Gaussian move its mean and leave a small part
 maximum of the density times a power of the distance from each edge lies inside, and the curvature there tells the
 spread. For ``exp(−λ·s)`` cut off at s = 0, the power 1 gives mean and standard deviation exactly; for ``exp(−tr ΛW)``
 over positive definite matrices W of size m, the power (m + 1)/2 of their determinant does: W is Wishart with m + 1
-degrees of freedom.
+degrees of freedom. With the density ``exp(−tr ΛW)·det(W)^κ/2`` of a log-det distance W has κ more degrees of freedom,
+and the same power is exact again.
 """
 
 from __future__ import annotations
@@ -29,6 +30,21 @@ SYMMETRIC = np.array([square(entry).ravel() for entry in np.eye(10)]).T
 Slack = Callable[[Array], tuple[Array, Array]]
 
 
+class Matrices(NamedTuple):
+    """Matrices at z (k,): their upper triangles (b, 10), the slopes of these (b, 10, k), and the weights κ (b,) of
+    their log-det distances.
+    """
+
+    upper: Array
+    slopes: Array
+    weights: Array
+
+    @property
+    def square(self) -> Array:
+        """The matrices (b, 4, 4)."""
+        return np.asarray((self.upper @ SYMMETRIC.T).reshape(-1, 4, 4))
+
+
 class Interior(NamedTuple):
     """Coordinates y, of about unit spread and zero mean: ``z = centre + root·y`` with perpendicular columns of
     `root` (k, k).
@@ -37,31 +53,46 @@ class Interior(NamedTuple):
     centre: Array
     root: Array
 
+    @classmethod
+    def of(cls, k: int) -> Interior:
+        """The standard normal coordinates z themselves."""
+        return cls(np.zeros(k), np.eye(k))
+
+    def moved(self, origin: Array, width: Array) -> Interior:
+        """In coordinates x with ``y = origin + width·x``."""
+        return Interior(self.centre + self.root @ origin, self.root * width)
+
     def log_ratio(self, y: Array) -> Array:
         """Logarithm (c,) of the density of z (k, c), standard normal, over that of y, up to a constant."""
         width = np.sum(self.root**2, axis=0)
         return np.asarray(0.5 * (1 - width) @ y**2 - (self.centre @ self.root) @ y)
 
 
-def interior(start: Array, matrices: Slack, single: Slack) -> Interior:
-    """The Gaussian that stands in for a standard normal one within inequalities.
+def interior(start: Array, root: Array, right: Array, matrices: Callable[[Array], Matrices], single: Slack) -> Interior:
+    """The Gaussian that stands in for ``exp(−½‖root·z − right‖²)``, times log-det distances, within inequalities.
 
     Args:
         start: (k,) a point strictly inside.
-        matrices: upper triangles (b, 10) of the matrices at z that must be positive definite, and their slopes
-            (b, 10, k).
+        root: (m, k) and right (m,).
+        matrices: those at z that must be positive definite.
         single: functions (m,) of z that must be positive, and their slopes (m, k).
     """
     def objective(z: Array) -> float:
-        (upper, _), (slack, _) = matrices(z), single(z)
-        values = np.linalg.eigvalsh((upper @ SYMMETRIC.T).reshape(-1, 4, 4))
+        bodies, (slack, _), residual = matrices(z), single(z), root @ z - right
+        values = np.linalg.eigvalsh(bodies.square)
         if np.any(values <= 0) or np.any(slack <= 0):
             return np.inf
-        return float(0.5 * z @ z - POWER * np.sum(np.log(values)) - np.sum(np.log(slack)))
+        power = POWER + bodies.weights / 2
+        return float(0.5 * residual @ residual + bodies.weights @ values.sum(axis=1) / 2
+                     - power @ np.log(values).sum(axis=1) - np.sum(np.log(slack)))
+
+    def derivatives(z: Array) -> tuple[Array, Array]:
+        gradient, curvature = _derivatives(matrices(z), single(z))
+        return gradient + root.T @ (root @ z - right), curvature + root.T @ root
 
     z, lowest = start, objective(start)
     for _ in range(STEPS):
-        gradient, curvature = _derivatives(z, matrices(z), single(z))
+        gradient, curvature = derivatives(z)
         step = -np.linalg.solve(curvature, gradient)
         decrement, part = -float(gradient @ step), 1.0
         if decrement < DECREMENT:
@@ -71,17 +102,17 @@ def interior(start: Array, matrices: Slack, single: Slack) -> Interior:
         if part <= SMALLEST_STEP:
             break
         z, lowest = z + part * step, value
-    size, axes = np.linalg.eigh(_derivatives(z, matrices(z), single(z))[1])
+    size, axes = np.linalg.eigh(derivatives(z)[1])
     return Interior(z, axes / np.sqrt(size))
 
 
-def _derivatives(z: Array, matrices: tuple[Array, Array], single: tuple[Array, Array]) -> tuple[Array, Array]:
-    """Gradient (k,) and curvature (k, k); functions that are not linear count as such."""
-    upper, slopes = matrices
-    inverse = np.linalg.inv(np.linalg.cholesky((upper @ SYMMETRIC.T).reshape(-1, 4, 4)))
+def _derivatives(bodies: Matrices, single: tuple[Array, Array]) -> tuple[Array, Array]:
+    """Gradient (k,) and curvature (k, k) of distances and barriers; functions that are not linear count as such."""
+    inverse = np.linalg.inv(np.linalg.cholesky(bodies.square))
     onto = np.einsum("bij,bkl->bikjl", inverse, inverse).reshape(-1, 16, 16) @ SYMMETRIC  # L⁻¹·dW·L⁻ᵀ
-    along = (onto @ slopes).reshape(-1, len(z))
-    traces = np.tile(np.eye(4).ravel(), len(upper)) @ along
+    along = onto @ bodies.slopes
+    trace, power = np.eye(4).ravel(), POWER + bodies.weights / 2
     relative = single[1] / single[0][:, None]
-    return (z - POWER * traces - relative.sum(axis=0),
-            np.eye(len(z)) + POWER * along.T @ along + relative.T @ relative)
+    gradient = bodies.weights / 2 @ (trace @ SYMMETRIC @ bodies.slopes) - power @ (trace @ along)
+    rows = (np.sqrt(power)[:, None, None] * along).reshape(-1, along.shape[2])
+    return gradient - relative.sum(axis=0), rows.T @ rows + relative.T @ relative

@@ -2,9 +2,10 @@
 
 Residuals and priors make a Gaussian posterior; bounds, physical consistency, statements about bodies and the user's
 constraints truncate it, and a log-det distance makes it non-Gaussian. Its samples are drawn by elliptical slice
-sampling (Murray, Adams, MacKay 2010), many chains side by side, about a Gaussian that is like the truncated one
-(Nishihara, Murray, Adams 2014; `hydroopt.estimation.inference.barrier`): ellipses about a mean that constraints exclude
-would hardly ever meet possible places. Covariances of the unconstrained problem would be wrong at an active constraint,
+sampling (Murray, Adams, MacKay 2010), many chains side by side, about a Gaussian that is like the truncated one:
+ellipses about a mean that constraints exclude would hardly ever meet possible places. A barrier gives the first such
+Gaussian (`hydroopt.estimation.inference.barrier`), the chains' own mean and spread during the warm-up the next ones
+(Nishihara, Murray, Adams 2014). Covariances of the unconstrained problem would be wrong at an active constraint,
 and those of the active set alone too small.
 """
 
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference import conditions as physics
 from hydroopt.estimation.inference import sdp
-from hydroopt.estimation.inference.barrier import Interior, interior
+from hydroopt.estimation.inference.barrier import Interior, Matrices, interior
 from hydroopt.estimation.inference.conditions import MARGIN, UPPER, Condition
 from hydroopt.estimation.inference.constraints import Named, as_casadi
 from hydroopt.estimation.inference.problem import InferenceProblem
@@ -36,7 +37,9 @@ proposals of each move."""
 
 DRIFT, MEMORY, ROUNDS = 0.5, 0.5, 4
 """Chains have settled when, over half a warm-up, their mean moves by less than this many of its standard deviations and
-their places correlate by less than this, on the average of all coordinates; they are given this many warm-ups."""
+their places correlate by less than this, in every coordinate; they are given this many warm-ups."""
+WIDER = 1.2
+"""Width of the Gaussian that stands in, over that of the chains: one that is too narrow never leaves their tails."""
 NEARER = 0.8
 """Factor by which a chain's first place moves towards the centre until it is possible."""
 
@@ -78,7 +81,7 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
     gaussian = gaussian_posterior(problem, R, r).conditioned_on([*conditions, *user.equalities])
     if gaussian is None:
         return None
-    inequalities = _Inequalities(problem, gaussian, user, conditions)
+    inequalities = _Inequalities(problem, gaussian, user, conditions, Interior.of(len(gaussian.slope.T)))
     scale = problem.parameters.scale
     # the start in the Gaussian's coordinates; what leaves the equalities is dropped
     slope, target = gaussian.slope / scale[:, None], (psi - gaussian.offset) / scale
@@ -92,43 +95,72 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
             break
     else:
         return None
-    inside = interior(inner, inequalities.matrices, inequalities.single)
-    gaussian = gaussian.moved(inside.centre, inside.root)
-    inequalities = _Inequalities(problem, gaussian, user, conditions, inside)
+    inside = interior(inner, gaussian.root, gaussian.right, inequalities.matrices, inequalities.single)
     rng = np.random.default_rng(seed)
-    state = inequalities.first(rng.standard_normal((len(inside.centre), CHAINS)))
-    slack = inequalities.slack(state)
-    log_density = inequalities.log_density(slack, lambda: state)
-
-    def sweep() -> None:
-        order = rng.permutation(len(state))
-        for first in range(0, len(order), BLOCK):
-            block = order[first : first + BLOCK]
-            _elliptical_step(state, slack, log_density, block, inequalities, rng)
-
+    chains = _Chains.standing_in(inequalities.about(inside), rng)
     settled = False
     for _ in range(ROUNDS):
-        for _ in range(WARM_UP // 2):
-            sweep()
-        half_way = state.copy()
-        for _ in range(WARM_UP - WARM_UP // 2):
-            sweep()
-        settled = _settled(half_way, state)
+        for _ in range(2):
+            chains = chains.refitted()
+            before = chains.state.copy()
+            for _ in range(WARM_UP // 2):
+                chains.sweep(rng)
+        settled = _settled(before, chains.state)
         if settled:
             break
     kept = []
     for step in range(SWEEPS):
-        sweep()
+        chains.sweep(rng)
         if step % KEEP_EVERY == 0:
-            kept.append(gaussian.offset + (gaussian.slope @ state).T)
+            kept.append(chains.parameters)
     samples = np.concatenate(kept)
     mean = (samples.mean(axis=0) - gaussian.offset) / scale
-    centre = np.linalg.lstsq(gaussian.slope / scale[:, None], mean[:, None], rcond=None)[0]
+    centre = np.linalg.lstsq(slope, mean[:, None], rcond=None)[0]
     possible = inequalities.possible(centre[:, 0])
     bent = "Gaussian posterior" if problem.distance == "gaussian" else "posterior with log-det distances"
     note = (f"intervals from the {bent} cut off by bounds and constraints: {len(samples)} samples by "
             "elliptical slice sampling" + ("" if settled else ", which did not converge"))
     return Posterior(samples, samples.mean(axis=0) if possible else None, note, settled)
+
+
+@dataclass(frozen=True, eq=False)
+class _Chains:
+    """States (k, c) of all chains, with their slack (m, c) and log-density (c,), which each sweep changes in place."""
+
+    inequalities: _Inequalities
+    state: Array
+    slack: Array
+    log_density: Array
+
+    @classmethod
+    def at(cls, inequalities: _Inequalities, state: Array) -> _Chains:
+        """Chains at possible states (k, c)."""
+        slack = inequalities.slack(state)
+        return cls(inequalities, state, slack, inequalities.log_density(slack, lambda: state))
+
+    @classmethod
+    def standing_in(cls, inequalities: _Inequalities, rng: np.random.Generator) -> _Chains:
+        """Chains that begin as the Gaussian that stands in, moved towards its centre where that is not possible."""
+        return cls.at(inequalities, inequalities.first(rng.standard_normal((inequalities.slope.shape[1], CHAINS))))
+
+    @property
+    def parameters(self) -> Array:
+        """ψ (c, p)."""
+        gaussian = self.inequalities.gaussian
+        return np.asarray(gaussian.offset + (gaussian.slope @ self.state).T)
+
+    def refitted(self) -> _Chains:
+        """The same chains about a Gaussian with their mean, and wider where they are, so that they move far."""
+        mean, width = self.state.mean(axis=1), np.maximum(WIDER * self.state.std(axis=1), 1.0)
+        return _Chains.at(self.inequalities.about(self.inequalities.inside.moved(mean, width)),
+                          (self.state - mean[:, None]) / width[:, None])
+
+    def sweep(self, rng: np.random.Generator) -> None:
+        """Move every coordinate of every chain once."""
+        order = rng.permutation(len(self.state))
+        for first in range(0, len(order), BLOCK):
+            block = order[first : first + BLOCK]
+            _elliptical_step(self.state, self.slack, self.log_density, block, self.inequalities, rng)
 
 
 def _settled(before: Array, now: Array) -> bool:
@@ -138,7 +170,7 @@ def _settled(before: Array, now: Array) -> bool:
     drift = np.abs(mean - earlier.mean(axis=1)) / spread
     products = (watched - mean[:, None]) * (earlier - earlier.mean(axis=1)[:, None])
     memory = products.mean(axis=1) / spread / np.maximum(earlier.std(axis=1), 1e-12)
-    return bool(np.all(drift < DRIFT) and np.mean(memory) < MEMORY)
+    return bool(np.all(drift < DRIFT) and np.all(memory < MEMORY))
 
 
 class _Inequalities:
@@ -147,14 +179,16 @@ class _Inequalities:
     Their slack (m, c), of the linear ones and of the entries of matrices, is updated cheaply by each step.
     """
 
-    def __init__(self, problem: InferenceProblem, gaussian: GaussianPosterior, user: _UserConstraints,
-                 conditions: Sequence[Condition], inside: Interior | None = None) -> None:
+    def __init__(self, problem: InferenceProblem, whitened: GaussianPosterior, user: _UserConstraints,
+                 conditions: Sequence[Condition], inside: Interior) -> None:
+        gaussian = whitened.moved(*inside)
+        self._whitened, self._problem, self._conditions = whitened, problem, conditions
         matrices = [c for c in conditions if c.kind == "semidefinite"]
         linear = [c for c in conditions if c.kind == "nonnegative"]
         weights = {body.consistency: body.weight for body in problem.bodies}
-        all_weights = np.array([weights.get(c.name, 0.0) for c in matrices])
-        self._distant = np.flatnonzero(all_weights)
-        self._weights = all_weights[self._distant]
+        self._all_weights = np.array([weights.get(c.name, 0.0) for c in matrices])
+        self._distant = np.flatnonzero(self._all_weights)
+        self._weights = self._all_weights[self._distant]
         self._spread = np.array([body.spread for body in problem.bodies if body.weight])
         self._matrices = len(matrices)
         # first entries of all matrices, second entries, ..., then the linear ones
@@ -166,19 +200,23 @@ class _Inequalities:
         self.slope = gradient @ gaussian.slope
         self.start = gradient @ gaussian.offset - np.concatenate([right, *(c.right for c in linear)])
         self._user = user
-        self._gaussian = gaussian
-        self._inside = inside
+        self.gaussian = gaussian
+        self.inside = inside
 
-    def matrices(self, z: Array) -> tuple[Array, Array]:
-        """Upper triangles (b, 10) of all matrices at z (k,), and their slopes (b, 10, k)."""
+    def about(self, inside: Interior) -> _Inequalities:
+        """The same in the coordinates of a Gaussian that stands in for the posterior."""
+        return _Inequalities(self._problem, self._whitened, self._user, self._conditions, inside)
+
+    def matrices(self, z: Array) -> Matrices:
+        """All matrices at z (k,)."""
         rows = 10 * self._matrices
-        return (self.slack(z[:, None])[:rows].reshape(10, -1).T,
-                self.slope[:rows].reshape(10, self._matrices, len(z)).swapaxes(0, 1))
+        return Matrices(self.slack(z[:, None])[:rows].reshape(10, -1).T,
+                        self.slope[:rows].reshape(10, self._matrices, len(z)).swapaxes(0, 1), self._all_weights)
 
     def single(self, z: Array) -> tuple[Array, Array]:
         """All other inequalities (m,) at z (k,), and their slopes (m, k)."""
         rows = 10 * self._matrices
-        value, slope = self._user.slack(z, self._gaussian)
+        value, slope = self._user.slack(z, self.gaussian)
         return np.append(self.slack(z[:, None])[rows:, 0], value), np.vstack([self.slope[rows:], slope])
 
     def possible(self, z: Array) -> bool:
@@ -210,9 +248,8 @@ class _Inequalities:
                 correction[good] = self._log_det_correction(*(part[:, self._distant][..., good]
                                                               for part in (entries, pivots)))
         if self._user.inequality is not None:
-            good[good] = self._user.satisfied(self._gaussian.offset + (self._gaussian.slope @ state()[:, good]).T)
-        if self._inside is not None:
-            correction[good] += self._inside.log_ratio(state()[:, good])
+            good[good] = self._user.satisfied(self.gaussian.offset + (self.gaussian.slope @ state()[:, good]).T)
+        correction[good] += self.inside.log_ratio(state()[:, good])
         return np.where(good, correction, -np.inf)
 
     def _log_det_correction(self, entries: Array, pivots: Array) -> Array:

@@ -2,20 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 
-from hydroopt.estimation.inference.barrier import SYMMETRIC, interior
+from hydroopt.estimation.inference.barrier import SYMMETRIC, Interior, Matrices, Slack, interior
 from hydroopt.estimation.inference.posterior import _settled
 
 FAR = 1e3
 """Standard deviations from the mean to the edge: the density is then exponential."""
 
 
+def of_normal(start: np.ndarray, single: Slack, matrices: Callable[[np.ndarray], Matrices] | None = None) -> Interior:
+    """What stands in for a standard normal z."""
+    none = Matrices(np.zeros((0, 10)), np.zeros((0, 10, len(start))), np.zeros(0))
+    return interior(start, np.eye(len(start)), np.zeros(len(start)), matrices or (lambda _: none), single)
+
+
 def test_exponential_density_at_an_edge() -> None:
     """z > FAR of a standard normal z is exponential above FAR with rate FAR; the other coordinate stays as it is."""
-    found = interior(np.array([FAR + 1.0, 3.0]), lambda _: (np.zeros((0, 10)), np.zeros((0, 10, 2))),
-                     lambda z: (z[:1] - FAR, np.array([[1.0, 0.0]])))
+    found = of_normal(np.array([FAR + 1.0, 3.0]), lambda z: (z[:1] - FAR, np.array([[1.0, 0.0]])))
     covariance = found.root @ found.root.T
     assert found.centre[0] - FAR == pytest.approx(1 / FAR, rel=0.02)
     assert np.sqrt(covariance[0, 0]) == pytest.approx(1 / FAR, rel=0.02)
@@ -26,18 +33,28 @@ def test_exponential_density_at_an_edge() -> None:
 def test_wishart_density_at_the_corner_of_all_matrices() -> None:
     """W = FAR·1 + z has the density exp(−FAR·tr W): Wishart with five degrees of freedom and scale 1/(2·FAR)."""
     start = np.eye(4)[np.triu_indices(4)]
-    found = interior((1 + FAR) * start, lambda z: ((z - FAR * start)[None], np.eye(10)[None]),
-                     lambda _: (np.zeros(0), np.zeros((0, 10))))
+    found = of_normal((1 + FAR) * start, lambda _: (np.zeros(0), np.zeros((0, 10))),
+                      lambda z: Matrices((z - FAR * start)[None], np.eye(10)[None], np.zeros(1)))
     mean, covariance = found.centre - FAR * start, found.root @ found.root.T
     np.testing.assert_allclose((SYMMETRIC @ mean).reshape(4, 4), 2.5 / FAR * np.eye(4), atol=0.05 / FAR)
     # of Wishart(5, 1/(2·FAR)): 2·5/(2·FAR)² on the diagonal, half of it beside
     np.testing.assert_allclose(np.diag(covariance), np.where(start == 1, 10, 5) / (2 * FAR) ** 2, rtol=0.04)
 
 
+@pytest.mark.parametrize("weight", [2.0, 12.5])
+def test_density_of_a_distance_alone(weight: float) -> None:
+    """exp(−½κ·(tr W − log det W)) is Wishart with κ + 5 degrees of freedom and scale 1/κ, vague as it may be."""
+    one, none = np.eye(4)[np.triu_indices(4)], np.zeros((1, 10))
+    found = interior(one, none, np.zeros(1), lambda z: Matrices(z[None], np.eye(10)[None], np.array([weight])),
+                     lambda _: (np.zeros(0), np.zeros((0, 10))))
+    np.testing.assert_allclose(found.centre, (weight + 5) / weight * one, atol=0.01)
+    of_wishart = np.where(one == 1, 2, 1) * (weight + 5) / weight**2
+    np.testing.assert_allclose(np.diag(found.root @ found.root.T), of_wishart, rtol=0.02)
+
+
 def test_ratio_of_densities() -> None:
     rng = np.random.default_rng(0)
-    found = interior(np.array([2.0, 0.0]), lambda _: (np.zeros((0, 10)), np.zeros((0, 10, 2))),
-                     lambda z: (np.array([z[0] + z[1] - 1.0]), np.ones((1, 2))))
+    found = of_normal(np.array([2.0, 0.0]), lambda z: (np.array([z[0] + z[1] - 1.0]), np.ones((1, 2))))
     y = rng.standard_normal((2, 5))
     z = found.centre[:, None] + found.root @ y
     expected = 0.5 * np.sum(y**2, axis=0) - 0.5 * np.sum(z**2, axis=0)
@@ -50,3 +67,5 @@ def test_chains_that_stay_in_place_have_not_settled() -> None:
     assert _settled(before, now)
     assert not _settled(now, now)
     assert not _settled(before + 1, now)
+    now[3] = before[3]
+    assert not _settled(before, now)
