@@ -18,6 +18,7 @@ from fixtures.library import (
     OPEN_TRIANGLE,
     OUT_OF_RANGE,
     OUT_OF_STROKE,
+    STALE,
     Library,
     held,
     over,
@@ -99,7 +100,7 @@ def test_good_inputs_are_good(lib: Library) -> None:
 
 
 def test_null_pointers(lib: Library) -> None:
-    constants, params = lib.prepare(), lib.filled("params", lib.interface.values, 1)
+    constants, params = lib.prepare(), lib.params()
     blank = np.full(CONSTANTS, PATTERN, np.uint8)
     assert lib.routine("prepare", None, blank) == NULL_POINTER
     assert lib.routine("prepare", params, None) == NULL_POINTER
@@ -156,14 +157,37 @@ def test_inputs_of_absurd_size(lib: Library) -> None:
 
 
 def test_not_finite_parameters(lib: Library) -> None:
-    blank, params = np.full(CONSTANTS, PATTERN, np.uint8), lib.filled("params", lib.interface.values, 1)
-    for member, array, place in elements(params, params.dtype.names):
+    blank, params = np.full(CONSTANTS, PATTERN, np.uint8), lib.params()
+    for member, array, place in elements(params, tuple(lib.interface.values)):
         for bad in BAD:
             before, array[place] = array[place], bad
             assert lib.routine("prepare", params, blank) == NOT_FINITE, (member, place, bad)
             array[place] = before
     assert np.all(blank == PATTERN)
     assert lib.routine("prepare", params, blank) == OK
+
+
+def test_parameters_of_other_code_and_constants_not_prepared_are_stale(lib: Library) -> None:
+    blank, params = np.full(CONSTANTS, PATTERN, np.uint8), lib.params()
+    params["interface"] += 1
+    assert lib.routine("prepare", params, blank) == STALE
+    assert np.all(blank == PATTERN)
+    for constants in (blank, np.zeros(CONSTANTS, np.uint8)):
+        for name in plain(lib):
+            out = fresh(lib, lib.interface.routines[name].gives)
+            assert lib.routine(name, constants, good(lib, name), out) == STALE
+            assert untouched(out)
+
+
+def test_constants_of_parameters_that_were_rejected_are_stale(excavator: Library) -> None:
+    """Also where they were good before: a triangle without sides shows only in what is prepared."""
+    params = excavator.params()
+    params["geometry"][:] = 0.0
+    constants = excavator.prepare()
+    assert excavator.routine("prepare", params, constants) == OPEN_TRIANGLE
+    out = fresh(excavator, "efforts")
+    assert excavator.routine("inverse_dynamics", constants, good(excavator, "inverse_dynamics"), out) == STALE
+    assert untouched(out)
 
 
 def test_load_that_is_not_finite_or_out_of_range(lib: Library) -> None:
