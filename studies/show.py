@@ -7,7 +7,7 @@ from pathlib import Path
 import matplotlib
 from matplotlib.figure import Figure
 
-from hydroopt.report.figures import STYLE
+from hydroopt.plots.figures import STYLE
 
 OUT = Path(__file__).parents[1] / "out" / "studies"
 

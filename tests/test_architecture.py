@@ -45,7 +45,7 @@ QUARANTINE = {
     "control": ("control.python_control",),
     "cvxpy": ("estimation.inference",),
     "piqp": ("excitation.motion.sqp",),
-    "matplotlib": ("report", "plots"),
+    "matplotlib": ("plots",),
     "jinja2": ("kernels", "codegen", "report"),
     "pyarrow": ("logs",),
     "typer": ("cli",),

@@ -13,7 +13,7 @@ import pytest
 from matplotlib.figure import Figure
 
 from hydroopt.machine.machine_file import load_machine
-from hydroopt.report.figures import STYLE, svg
+from hydroopt.plots.figures import STYLE, svg
 
 ROOT = Path(__file__).parents[1]
 MODULES = ("ast", "casadi", "control", "cvxpy", "lazy_loader", "matplotlib", "numpy", "pickle", "selectors", "signal",
@@ -58,7 +58,7 @@ def test_a_study_and_its_processes_run_nothing_that_lies_there(hostile: Path, tm
 
 
 @pytest.mark.parametrize("module", [
-    "hydroopt.report.figures", pytest.param("hydroopt.control.python_control", marks=pytest.mark.slow)])
+    "hydroopt.plots.figures", pytest.param("hydroopt.control.python_control", marks=pytest.mark.slow)])
 @pytest.mark.slow
 def test_matplotlib_reads_no_settings_there(module: str, hostile: Path) -> None:
     code = f"import os, {module}, matplotlib as m; print(m.rcParams['text.usetex'], os.getcwd())"
@@ -68,7 +68,7 @@ def test_matplotlib_reads_no_settings_there(module: str, hostile: Path) -> None:
 def test_where_one_cannot_go_back_to_matplotlib_is_imported_from(tmp_path: Path) -> None:
     gone = tmp_path / "gone"
     gone.mkdir()
-    code = "import os, sys; os.rmdir(os.getcwd()); import hydroopt.report.figures; print('matplotlib' in sys.modules)"
+    code = "import os, sys; os.rmdir(os.getcwd()); import hydroopt.plots.figures; print('matplotlib' in sys.modules)"
     done = subprocess.run([sys.executable, "-P", "-c", code], cwd=gone, capture_output=True, text=True, check=True,
                           env={**os.environ, "PYTHONPATH": str(ROOT)})
     assert done.stdout == "True\n"

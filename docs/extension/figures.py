@@ -14,8 +14,8 @@ from matplotlib.patches import Patch
 
 import hydroopt as ho
 from hydroopt.estimation.inference import identifiability
-from hydroopt.model.scene import limit_scenes
-from hydroopt.report.side_view import side_view
+from hydroopt.model.vertical_plane import limit_postures
+from hydroopt.plots.side_view import side_view
 from hydroopt.spatial import inertia
 
 BLUE, ORANGE, GREY, INK = "#0072b2", "#d55e00", "#c9d2db", "#1f2933"
@@ -55,7 +55,8 @@ def pages(docs: Path) -> dict[str, str]:
 
 def _drawing(machine: ho.Machine) -> Figure:
     """The machine from the side, as ``show -o`` draws it."""
-    return side_view(machine, limit_scenes(ho.Model(machine)), "middle of all ranges", "limits of each joint")
+    model = ho.Model(machine)
+    return side_view(model, limit_postures(model), "middle of all ranges", "limits of each joint")
 
 
 def _svg(figure: Figure) -> str:

@@ -104,13 +104,14 @@ def _page(machine: Machine, facts: dict[str, Any], output: Path) -> None:
     from hydroopt.files import write_files
     from hydroopt.model.model import Model
     from hydroopt.model.over_range import lever_arms, transmission_ratios
-    from hydroopt.model.scene import limit_scenes
+    from hydroopt.model.vertical_plane import limit_postures
     from hydroopt.report import machine as report
 
     model = Model(machine)
     facts = facts | {"linkages": [each | {"ratios": _ratios(each)} for each in facts["linkages"]]}
-    drawn = report.render(model.scene_graph, facts, limit_scenes(model), lever_arms(model), transmission_ratios(model))
-    write_files(output, {"machine.html": drawn})
+    page = report.render(model.scene_graph, facts, limit_postures(model), lever_arms(model),
+                         transmission_ratios(model))
+    write_files(output, {"machine.html": page})
 
 
 def _ratios(linkage: dict[str, Any]) -> str:

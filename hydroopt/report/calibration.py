@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import hydroopt.report.with_matplotlib  # noqa: F401
-
-# isort: split
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import matplotlib
 import numpy as np
 from markupsafe import Markup
-from matplotlib.figure import Figure
 
-from hydroopt.report import chain_sides
-from hydroopt.report.charts import Chart, Field, Line, TimeChart
-from hydroopt.report.figures import INK, LIGHT, STYLE, WIDTH, svg
+from hydroopt.report.charts import Chart, Curves, Field, Line, TimeChart
+from hydroopt.report.correlation_map import correlation_map
 from hydroopt.report.intervals import interval
 from hydroopt.report.numbers import NONE, Row, plain, quantity, unit_text
 from hydroopt.report.page import document
@@ -36,6 +30,9 @@ METHODS = {
 PRINTED: dict[str, tuple[str, float]] = {"m": ("mm", 1e3), "rad": ("deg", 180 / np.pi)}
 """Units that a reader prefers, and what SI is multiplied by."""
 
+LOOKS = {("nominal", "machine"): "measured", ("nominal", "calibrator"): "fifth",
+         ("calibrated", "machine"): "predicted", ("calibrated", "calibrator"): "other"}
+"""Looks of both sides of the chain by geometry and side."""
 MOST = 40
 """Parameters that the map of correlations can name legibly."""
 FIXTURES = 12
@@ -63,10 +60,11 @@ def render(c: Calibration) -> str:
     groups = _groups(c)
     every = [p for _, rows in groups for p in rows]
     return document(
-        "calibration.html", samples=_samples(c), charts={"residuals": _residuals(c), "workspace": _workspace(c)},
+        "calibration.html", samples=_samples(c), charts={
+            "residuals": _residuals(c), "sides": _sides(c), "workspace": _workspace(c)},
         scene=_scene(c), verdict=c.verdict, machine=problem.model.machine, calibration=c, diagnostics=c.diagnostics,
         suspect=c.status is not Status.OK,
-        method=METHODS.get(c.method, ""), fit=_fit(c), groups=groups, figures=_drawings(c),
+        method=METHODS.get(c.method, ""), fit=_fit(c), groups=groups, correlations=_correlations(c),
         counts={kind: sum(p.identifiability == kind for p in every)
                 for kind in ("full", "combination", "none", "fixed")},
         tables=_tables(c), stages=len(set(problem.poses.stage)),
@@ -75,11 +73,6 @@ def render(c: Calibration) -> str:
         scale=plain(c.noise_scale, 3), accuracy=_accuracy(c),
         fixed=[f"{name} = {_printed(value, problem.parameters.units[problem.parameters.index(name)])}"
                for name, value in problem.fixed.items()])
-
-
-def _drawings(c: Calibration) -> dict[str, Markup]:
-    drawn = {"sides": chain_sides.distances(c.sides), "correlations": correlations(c)}
-    return {name: Markup(svg(figure, name)) for name, figure in drawn.items() if figure is not None}
 
 
 # --- tables ---
@@ -218,41 +211,31 @@ def _workspace(c: Calibration) -> list[Chart]:
             if min(np.ptp(across), np.ptp(up)) > FLAT * max(np.ptp(across), np.ptp(up))]  # a plane is a line from above
 
 
-# --- correlations ---
+def _sides(c: Calibration) -> list[Chart]:
+    """Distances from links to the fixture less those taped, or of the machine's side less the calibrator's (Figure 19).
+    """
+    made: list[Chart] = []
+    for role, link in dict.fromkeys((each.role, each.link) for each in c.sides):
+        own = [one for one in c.sides if (one.role, one.link) == (role, link)]
+        taped = any(np.isfinite(one.tape).any() for one in own)
+        lines = [(f"{one.geometry}, {side}'s side", LOOKS[one.geometry, side],
+                  1e3 * (getattr(one, side) - (one.tape if taped else one.calibrator)))
+                 for one in own for side in (("machine", "calibrator") if taped else ("machine",))]
+        poses = np.arange(1.0, len(own[0].tape) + 1)
+        made.append(Curves(f"{link} to the fixture, {role} poses: less {'tape' if taped else 'calibrator'} [mm]",
+                           "pose, in the order of the files", poses, tuple(lines), dots=True))
+    return made
 
 
-def correlations(c: Calibration) -> Figure | None:
-    """Heat map of the correlations of the geometry, with fixtures and locked angles if there is room."""
+def _correlations(c: Calibration) -> Markup:
+    """Map of the correlations of the geometry, with fixtures and locked angles if there is room; empty without any."""
     identified = np.isfinite(np.diag(c.observability.covariance)) & (np.array(c.observability.category) != "none")
     which = np.flatnonzero(identified)
     if which.size > MOST:
         geometry = c.problem.model.parameters.positions
         which = np.array([k for k in which if c.observability.names[k] in geometry], dtype=int)
     if which.size < 2:
-        return None
+        return Markup()
     covariance = c.observability.covariance[np.ix_(which, which)]
     std = np.sqrt(np.diag(covariance))
-    correlation = np.where(np.eye(len(which), dtype=bool), np.nan, covariance / np.outer(std, std))
-    names = [c.observability.names[k] for k in which]
-    size = len(names)
-    cell = min(0.3, 7.4 / size)
-    side, margin = cell * size, 0.053 * max(map(len, names)) + 0.12
-    height = side + margin + 0.1
-    with matplotlib.rc_context(STYLE):
-        figure = Figure(figsize=(WIDTH, height))
-
-        def room(left: float, width: float, tall: float) -> tuple[float, float, float, float]:
-            return left / WIDTH, margin / height, width / WIDTH, tall / height
-
-        ax = figure.add_axes(room(margin, side, side), facecolor=LIGHT)
-        picture = ax.imshow(correlation, cmap="RdBu_r", vmin=-1, vmax=1, interpolation="nearest")
-        ax.set_xticks(range(size), names, rotation=90, fontsize=7 if cell > 0.16 else 5.5)
-        ax.set_yticks(range(size), names, fontsize=7 if cell > 0.16 else 5.5)
-        ax.tick_params(length=0)
-        ax.grid(visible=False)
-        for i, j in np.argwhere(np.abs(np.nan_to_num(correlation)) > 0.3).tolist() if cell > 0.2 else ():
-            ax.text(j, i, f"{correlation[i, j]:.2f}".replace("0.", ".").replace("-", "−"), ha="center", va="center",
-                    fontsize=5.5, color="white" if abs(correlation[i, j]) > 0.7 else INK)
-        bar = figure.colorbar(picture, cax=figure.add_axes(room(margin + side + 0.2, 0.16, min(side, 3.0))))
-        bar.set_label("correlation [1]")
-    return figure
+    return correlation_map([c.observability.names[k] for k in which], covariance / np.outer(std, std))

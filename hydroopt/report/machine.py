@@ -6,11 +6,9 @@ from collections.abc import Mapping, Sequence
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
-from markupsafe import Markup
 
-from hydroopt.report import side_view
 from hydroopt.report.charts import Curves
-from hydroopt.report.figures import svg
+from hydroopt.report.drawing import View, drawn
 from hydroopt.report.page import document
 from hydroopt.report.scene import SceneView
 from hydroopt.results.diagnostic import Diagnostic
@@ -18,9 +16,10 @@ from hydroopt.results.diagnostic import Diagnostic
 if TYPE_CHECKING:
     from hydroopt.machine.machine import Machine
     from hydroopt.model.over_range import Curve
-    from hydroopt.model.scene import Scene
     from hydroopt.model.scene_graph import SceneGraph
+    from hydroopt.model.vertical_plane import SidePostures
 
+SIDE = "in the middle of its ranges, and faint at the limits of each joint"
 TABLES = {"joints": "Joints", "cylinders": "Cylinders", "spans": "Cylinders that move several joints together",
           "linkages": "Linkages", "couplings": "Couplings",
           "sensors": "Sensors", "parameters": "Parameters"}
@@ -44,21 +43,21 @@ def _arm_of(machine: Machine, curve: Curve) -> str:
     return f"{curve.subject}: {'lever arm [m]' if turns else 'length per travel'}"
 
 
-def render(scene: SceneGraph, facts: Mapping[str, Any], scenes: Sequence[Scene], arms: Sequence[Curve],
+def render(scene: SceneGraph, facts: Mapping[str, Any], side: SidePostures, arms: Sequence[Curve],
            ratios: Sequence[Curve]) -> str:
     """A page of its own that needs nothing else.
 
     Args:
         scene: the machine in space.
         facts: what `hydroopt show --json` prints.
-        scenes: the machine in the middle of its ranges, then at the limits of each joint.
+        side: the middle of its ranges, then the limits of each joint.
         arms, ratios: see `hydroopt.model.over_range`.
     """
     machine = scene.machine
-    side = side_view.side_view(machine, scenes, "middle of all ranges", "limits of each joint")
+    seen = drawn(scene, scene.tree_positions(side.q), View.side(side.plane))
     return document(
         "machine.html", scene=SceneView(scene), charts={"range": curves(machine, arms, ratios)}, machine=machine,
         diagnostics=[Diagnostic.from_dict(each) for each in facts["diagnostics"]],
         identifiability=facts["identifiability"],
-        side_view=Markup(svg(side, "side-view")), ratios=ratios,
+        side_view=seen.svg(seen.told(machine.name, SIDE), axes=True), ratios=ratios,
         tables=[(title, facts[key]) for key, title in TABLES.items() if facts[key]])

@@ -11,7 +11,7 @@ from hydroopt.estimation.kinematic.observability import linearise, observability
 from hydroopt.estimation.kinematic.residuals import loop_fit
 from hydroopt.estimation.kinematic.unsensed_angles import guess_unsensed
 from hydroopt.machine.links import Note
-from hydroopt.report.figures import BLUE, GREY, INK, ORANGE
+from hydroopt.plots.figures import BLUE, GREY, INK, ORANGE
 from hydroopt.results.tables import number
 from hydroopt.simulation import postures
 from studies import show

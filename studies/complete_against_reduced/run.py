@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from hydroopt import Model, load_machine, random_trajectory
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.machine.geometry import Geometry
-from hydroopt.report.figures import BLUE, GREY, INK, ORANGE
+from hydroopt.plots.figures import BLUE, GREY, INK, ORANGE
 from hydroopt.simulation.simulate import Trajectory, forces
 from studies import show
 

@@ -16,7 +16,7 @@ from hydroopt.estimation.inference.identifiability import (
     random_states,
     structural,
 )
-from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE
+from hydroopt.plots.figures import BLUE, GREEN, GREY, INK, ORANGE
 from hydroopt.spatial import inertia
 from studies import show, thesis
 

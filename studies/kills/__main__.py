@@ -114,7 +114,7 @@ def main() -> None:
     names = options.jobs.split(",")
     for name in COMMANDS:  # so that the processes that are forked need not
         import_module(f"hydroopt.cli.{name.replace('-', '_')}")
-    for module in ("hydroopt.solving", "hydroopt.codegen.folder", "hydroopt.report.figures", "hydroopt.report.study",
+    for module in ("hydroopt.solving", "hydroopt.codegen.folder", "hydroopt.report.page", "hydroopt.report.study",
                    "hydroopt.estimation.dynamic.change", "hydroopt.control.comparison"):
         import_module(module)
     rng = np.random.default_rng(options.seed)

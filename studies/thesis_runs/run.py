@@ -15,7 +15,7 @@ from hydroopt import (
     solve,
 )
 from hydroopt.logs.forces_from_pressures import force_noise
-from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE
+from hydroopt.plots.figures import BLUE, GREEN, GREY, INK, ORANGE
 from hydroopt.simulation.simulate import Trajectory, forces
 from studies import show, thesis
 

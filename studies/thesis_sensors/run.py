@@ -20,7 +20,7 @@ from hydroopt.estimation.dynamic.experiment import Experiment
 from hydroopt.estimation.inference.identifiability import RANK_TOLERANCE
 from hydroopt.estimation.inference.least_squares import truncated_svd
 from hydroopt.logs.forces_from_pressures import force_noise
-from hydroopt.report.figures import BLUE, GREEN, GREY, INK, ORANGE
+from hydroopt.plots.figures import BLUE, GREEN, GREY, INK, ORANGE
 from hydroopt.simulation.simulate import Trajectory, forces
 from studies import show, thesis
 

@@ -163,7 +163,9 @@ def test_page_stands_alone(left: Path, solved: Calibration) -> None:
         assert f"<h2>{section}</h2>" in text
     kinds = [chart["kind"] for chart in data_of(text)["charts"]]
     assert (kinds.count("time"), kinds.count("field")) == (len(solved.fit["train"]), 2)
-    assert 'aria-label="correlations"' in text
+    assert kinds.count("curves") == len({(each.role, each.link) for each in solved.sides})
+    (told,) = re.findall(r'aria-label="(Correlations of [^"]*)"', text)
+    assert all(name in told for pair in list(solved.correlated_pairs)[:1] for name in pair)
     assert stands_alone(text)
     assert re.search(r"\bnan\b", re.sub(r"<svg.*?</svg>", "", text_of(text), flags=re.DOTALL)) is None
 

@@ -19,6 +19,10 @@ pytestmark = [pytest.mark.slow, needs_browser]
 WIDTHS, SCHEMES = (400, 1280, 1920), ("light", "dark")
 LARGEST = 3e6
 """Bytes of a page."""
+PAPER = 695
+"""Width between the margins of a sheet of A4 [px]."""
+WIDER_THAN = """(width) => Array.from(document.querySelectorAll("main *")).filter((each) =>
+    each.getBoundingClientRect().right > width + 1).map((each) => each.outerHTML.slice(0, 150)).slice(0, 3)"""
 CRANE = str(Path(__file__).parents[2] / "studies/actuator_coverage/crane.toml")
 LIFT, LOADER, IMUS = "patu655_lift", "wheel_loader", "excavator_imu"
 
@@ -143,20 +147,32 @@ def _works(page: Any, data: dict[str, Any]) -> None:
         assert page.locator("th[aria-sort=ascending]").count() == 1
 
 
-@pytest.mark.parametrize("job", ["identify", "calibrate"])
+@pytest.mark.parametrize("job", JOBS)
 def test_a_page_prints(job: str, made: Callable[[str], Path], using: Any) -> None:
     with opened(using, made(job), scheme="dark") as page:
         page.emulate_media(media="print", color_scheme="dark")
         assert page.evaluate("getComputedStyle(document.body).backgroundColor") == "rgb(255, 255, 255)"
-        assert page.locator(".tools").first.is_hidden()
+        assert not page.locator(".look, .tools, .player").locator("visible=true").count()
+        page.set_viewport_size({"width": PAPER, "height": 1000})
+        page.evaluate(SETTLED)
+        wide = page.evaluate(WIDER_THAN, PAPER)
+        assert not wide, wide
         assert len(page.pdf()) > 20_000
 
 
-def test_lines_remain_where_no_script_runs(made: Callable[[str], Path], using: Any) -> None:
+@pytest.mark.parametrize("job", JOBS)
+def test_machine_and_lines_remain_where_no_script_runs(job: str, made: Callable[[str], Path], using: Any) -> None:
+    file = made(job)
+    data = data_of(file.read_text("utf-8"))
     context = using.new_context(java_script_enabled=False)
     page = context.new_page()
-    page.goto(made("identify").as_uri())
-    assert page.locator("noscript svg.static, svg.static").count() >= 4
-    assert page.locator("svg.static").first.is_visible()
-    assert "of the variance explained" in page.locator("noscript p").nth(1).inner_text()
+    page.goto(file.as_uri())
+    for figures, there in (("noscript svg.drawing", bool(data["scene"])),
+                           ("noscript svg.static", any(c["kind"] in ("time", "curves") for c in data["charts"]))):
+        assert (page.locator(figures).count() > 0) == there
+        assert not there or page.locator(figures).first.is_visible()
+    assert not page.locator(".canvas, .chart .plot").locator("visible=true").count()
+    if data["scene"]:
+        box = page.locator("noscript svg.drawing").first.bounding_box()
+        assert min(box["width"], box["height"]) > 50
     context.close()

@@ -81,7 +81,7 @@ def test_every_figure_says_what_it_shows_with_figures(page: str) -> None:
 
 
 def test_lines_remain_without_scripts(page: str) -> None:
-    kept = re.findall(r"<noscript><svg.*?</svg>", page, re.DOTALL)
+    kept = re.findall(r'<noscript><svg class="static".*?</svg>', page, re.DOTALL)
     assert len(kept) == 6  # forces and residuals over time
     assert all(len(re.findall(r"<path d=\"M[^\"]{500,}\"", figure)) >= 2 for figure in kept)
 

@@ -8,7 +8,7 @@ from hydroopt.cli import app
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
 from hydroopt.model.over_range import lever_arms, transmission_ratios
-from hydroopt.model.scene import limit_scenes
+from hydroopt.model.vertical_plane import limit_postures
 
 
 def test_show_draws_the_machine_with_its_linkage(tmp_path):
@@ -23,12 +23,15 @@ def test_show_draws_the_machine_with_its_linkage(tmp_path):
         assert text in page
 
 
-def test_loops_close_in_every_scene():
+def test_loops_close_in_every_posture():
     model = Model(load_machine("wheel_loader"))
-    scenes = limit_scenes(model)
-    assert len(scenes) == 1 + 2 * 2  # the middle, and both limits of lift and bucket
-    for scene in scenes:
-        np.testing.assert_allclose(scene.end["link"], scene.closing["z_bar"], atol=1e-9)
+    graph, side = model.scene_graph, limit_postures(model)
+    assert len(side.q) == 1 + 2 * 2  # the middle, and both limits of lift and bucket
+    (bar,) = (each for each in graph.closings if each.name == "z_bar")
+    for row in graph.tree_positions(side.q):
+        poses = graph.poses(dict(zip(graph.columns, row, strict=True)))
+        one, other = (poses[body] @ [*at, 1.0] for body, at in (bar.one, bar.other))
+        np.testing.assert_allclose(one, other, atol=1e-9)
 
 
 def test_lever_arms_are_the_slopes_of_lengths():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import hydroopt.report.with_matplotlib  # noqa: F401
+import hydroopt.plots.with_matplotlib  # noqa: F401
 
 # isort: split
 import io

@@ -1,15 +1,12 @@
-"""A machine's joints, pins and centres of mass as points of the vertical plane that it mainly moves in."""
+"""The vertical plane that a machine mainly moves in, and the postures that show it from the side."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from hydroopt.machine.machine import BASE
 from hydroopt.model.model import Model
-from hydroopt.spatial import inertia
 from hydroopt.spatial.inertia import Array
 from hydroopt.spatial.poses import Pose, roll_pitch_yaw
 
@@ -27,36 +24,31 @@ class Plane(NamedTuple):
     moving: tuple[int, ...]
 
 
-class Scene(NamedTuple):
-    """One pose, every point (2,) [m] in the plane: joints' start and end by link, pins by cylinder and by loop."""
+class SidePostures(NamedTuple):
+    """Joint positions (k, n) [rad or m] that show a machine from the side: the first as it mainly stands, then its
+    extremes."""
 
-    start: dict[str, Array]
-    axis: dict[str, Array]
-    end: dict[str, Array]
-    mass: dict[str, Array]
-    barrel: dict[str, Array]
-    rod: dict[str, Array]
-    length: dict[str, float]
-    closing: dict[str, Array]
+    plane: Plane
+    q: Array
 
 
-def range_scenes(model: Model, q: Array) -> list[Scene]:
-    """The machine at the mean of joint positions (N, n), then at the extremes that each joint reaches in the plane."""
+def range_postures(model: Model, q: Array) -> SidePostures:
+    """The mean of joint positions (N, n), then the extremes that each joint reaches in the plane."""
     plane = vertical_plane(model, np.mean(q, axis=0))
     extremes = [int(f(q[:, k])) for k in plane.moving for f in (np.argmin, np.argmax)]
-    poses = np.vstack([np.mean(q, axis=0), q[list(dict.fromkeys(extremes))]])
-    poses[:, list(plane.zeroed)] = 0.0
-    return scenes(model, poses, plane)
+    found = np.vstack([np.mean(q, axis=0), q[list(dict.fromkeys(extremes))]])
+    found[:, list(plane.zeroed)] = 0.0
+    return SidePostures(plane, found)
 
 
-def limit_scenes(model: Model) -> list[Scene]:
-    """The machine in the middle of all ranges, then at both limits of each joint that moves it in the plane."""
+def limit_postures(model: Model) -> SidePostures:
+    """The middle of all ranges, then both limits of each joint that moves the machine in the plane."""
     limits = np.array([model.machine.link(joint).joint.range for joint in model.machine.joints])
     middle = limits.mean(axis=1)
     q = np.tile(middle, (2 * len(middle), 1))
     for k, limit in enumerate(limits):
         q[2 * k : 2 * k + 2, k] = limit
-    return range_scenes(model, q)
+    return range_postures(model, q)
 
 
 def vertical_plane(model: Model, mean: Array) -> Plane:
@@ -104,32 +96,3 @@ def _matrix(pose: Pose) -> Array:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = np.asarray(pose.rotation), np.asarray(pose.origin).ravel()
     return matrix
-
-
-def scenes(model: Model, poses: Array, plane: Plane) -> list[Scene]:
-    """The machine in joint positions (k, n), projected on a plane."""
-    machine = model.machine
-    look = np.array([plane.across, UP])
-    frames, ends = _frames(model, poses), _ends(model, poses)
-    base = np.tile(np.eye(4), (len(poses), 1, 1))
-    base[:, :3, :3] = np.asarray(roll_pitch_yaw(machine.orientation))
-    frames[BASE] = ends[BASE] = base
-    found = []
-    for i in range(len(poses)):
-        def place(link: str, point: Sequence[float], i: int = i) -> Array:
-            return np.asarray(frames[link][i, :3, :3] @ np.asarray(point) + frames[link][i, :3, 3])
-        mass = {}
-        for link in machine.links:
-            centre = None if link.body is None else inertia.centre_of_mass(link.body.phi)
-            if centre is not None:
-                mass[link.name] = look @ place(link.name, centre.tolist())
-        pins = {one.name: [place(end.link, end.pin) for end in (one.barrel, one.rod)] for one in machine.pinned}
-        found.append(Scene(
-            {link.name: look @ (ends[link.parent][i, :3, 3] if link.pin is None else place(link.parent, link.pin))
-             for link in machine.links},
-            {link.name: look @ frames[link.name][i, :3, 3] for link in machine.links},
-            {link.name: look @ ends[link.name][i, :3, 3] for link in machine.links}, mass,
-            {name: look @ pin[0] for name, pin in pins.items()}, {name: look @ pin[1] for name, pin in pins.items()},
-            {name: float(np.linalg.norm(pin[1] - pin[0])) for name, pin in pins.items()},
-            {loop.name: look @ place(loop.to.link, loop.to.pin) for loop in machine.loops}))
-    return found

@@ -39,7 +39,7 @@ class Plots:
         Raises:
             ProblemError: this is no identification.
         """
-        from hydroopt.report.figures import forces  # noqa: PLC0415 (matplotlib takes long to load)
+        from hydroopt.plots.figures import forces  # noqa: PLC0415 (matplotlib takes long to load)
 
         return _notebook(forces(self._estimate("forces")), "forces")
 
@@ -49,7 +49,7 @@ class Plots:
         Raises:
             ProblemError: this is no identification.
         """
-        from hydroopt.report.figures import residuals  # noqa: PLC0415
+        from hydroopt.plots.figures import residuals  # noqa: PLC0415
 
         return _notebook(residuals(self._estimate("residuals")), "residuals")
 
@@ -59,7 +59,7 @@ class Plots:
         Raises:
             ProblemError: this has no parameters that differ from those of a machine file.
         """
-        from hydroopt.report.figures import changes, changes_of  # noqa: PLC0415
+        from hydroopt.plots.figures import changes, changes_of  # noqa: PLC0415
         from hydroopt.results.answer import Answer  # noqa: PLC0415
 
         figure = changes(changes_of(self._shown.parameters)) if isinstance(self._shown, Answer) else None
@@ -76,17 +76,17 @@ class Plots:
         from hydroopt.estimation.dynamic.estimate import Estimate  # noqa: PLC0415
         from hydroopt.machine.given_machine import machine_of  # noqa: PLC0415
         from hydroopt.model.model import Model  # noqa: PLC0415
-        from hydroopt.model.scene import limit_scenes, range_scenes  # noqa: PLC0415
-        from hydroopt.report.side_view import side_view  # noqa: PLC0415
+        from hydroopt.model.vertical_plane import limit_postures, range_postures  # noqa: PLC0415
+        from hydroopt.plots.side_view import side_view  # noqa: PLC0415
 
         if isinstance(self._shown, Estimate):
             problem = self._shown.problem
             moved = np.concatenate([each.plotted.motion.q for each in problem.experiments])
-            drawn = side_view(problem.model.machine, range_scenes(problem.model, moved), "mean of the training motion",
+            drawn = side_view(problem.model, range_postures(problem.model, moved), "mean of the training motion",
                               "its extremes")
         else:
-            found = machine_of(self._shown, "plot.machine")
-            drawn = side_view(found, limit_scenes(Model(found)), "middle of all ranges", "limits of each joint")
+            model = Model(machine_of(self._shown, "plot.machine"))
+            drawn = side_view(model, limit_postures(model), "middle of all ranges", "limits of each joint")
         return _notebook(drawn, "machine")
 
     def _estimate(self, what: str) -> Estimate:
@@ -103,7 +103,7 @@ class Plots:
 
 def _notebook(figure: Figure, name: str) -> Figure:
     """The figure with what notebooks ask for, in the look of the pages."""
-    from hydroopt.report.figures import svg  # noqa: PLC0415
+    from hydroopt.plots.figures import svg  # noqa: PLC0415
 
     setattr(figure, "_repr_svg_", partial(svg, figure, name))  # noqa: B010 (matplotlib's type does not know it)
     return figure
