@@ -13,7 +13,7 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "hydroopt"
 
 ROOMS = (
-    ("errors", "interrupt", "matplotlib_import"),
+    ("errors", "interrupt", "matplotlib_import", "progress"),
     ("extras",),
     ("input_file", "files", "units", "notebook_card", "versions"),
     ("spatial",),

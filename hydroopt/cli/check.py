@@ -52,9 +52,12 @@ def check(
 
     began = time.perf_counter()
     described = load_machine(machine, parameter_set=parameter_set)
-    with progress(f"checking {described.name}", quiet):
+    with progress(f"checking {described.name}", quiet) as say:
+        say("reading logs", 0.0)
         read = reading(open_log, described, map_file, treat)(logs)
+        say("smoothing and weighting", 0.2)
         found = check_logs(described, read, smoothing=smoothing_of(smoothing, bandwidth, described))
+        say("searching for faults", 0.6)
         content = found.content(wall_s=time.perf_counter() - began)
         if output is not None:
             found.save(output, wall_s=content["wall_s"])

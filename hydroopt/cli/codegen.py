@@ -32,10 +32,10 @@ def codegen(
     from hydroopt.results.machine_diagnostics import machine_diagnostics
 
     described, origin = codegen_origin.read(machine, parameter_set=parameter_set)
-    with progress(f"writing C for {described.name}", quiet):
+    with progress(f"writing C for {described.name}", quiet) as say:
         code = Code(described, origin, routines=functions or (), name=prefix, single=float32,
                     fold_geometry=fold_geometry)
-        files = code.write(output)
+        files = code.write(output, say)
     for diagnostic in machine_diagnostics(Model(described)):
         echo(f"! {diagnostic}", err=True)
     if not quiet:

@@ -67,16 +67,18 @@ def compare(
     described = load_machine(machine, parameter_set=parameter_set)
     way = smoothing_of(smoothing, bandwidth, described)
     names = None if parts is None else [part.strip() for part in parts.split(",")]
-    with progress(f"comparing {len(sessions)} sessions of {described.name}", quiet):
+    with progress(f"comparing {len(sessions)} sessions of {described.name}", quiet) as say:
         read = [session_of(described, [path], "compare", map_file, treat) for path in sessions]
         if len(read) == 2:
             with failure_saved(output, Job.CHANGE, described, two_session_answer.METHOD):
-                change = detect_change(described, *read, parts=names, level=level, smoothing=way, seed=seed)
+                change = detect_change(described, *read, parts=names, level=level, smoothing=way, seed=seed,
+                                       progress=say)
             answer: Answer = change
             page = render_change(change)
         else:
             with failure_saved(output, Job.CHANGE_HISTORY, described, change_history.METHOD):
-                history = detect_changes(described, read, parts=names, level=level, smoothing=way, seed=seed)
+                history = detect_changes(described, read, parts=names, level=level, smoothing=way, seed=seed,
+                                         progress=say)
             answer, page = history, render_history(history)
         answer.save(output, pages={"report.html": page}, wall_s=time.perf_counter() - began)
     print_answer(answer, output, quiet=quiet, as_json=as_json)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -99,9 +98,7 @@ def control(
         variants = [*([before] if before else ()), *([reduced(complete)] if FEEDFORWARD in kinds else ()), complete]
         setting = Setting(plant, path, *truth(true, plant, seed=seed), plant.parameters.nominal,
                           rate_of(plant, rate, path), seed if noise else None, sensitivity, gain)
-        steps = itertools.count()
-        total = 2 + len(kinds) + (FEEDFORWARD in kinds) * len(variants)
-        found = compare(setting, variants, kinds, progress=lambda text: say(text, next(steps) / total))
+        found = compare(setting, variants, kinds, progress=say)
         comparison = replace(found, source=origin.text, options={
             "motion": str(motion), "truth": true, "seed": seed, "noise": noise, "sensitivity": sensitivity,
             "gain": gain, "controllers": list(kinds)})

@@ -60,12 +60,12 @@ def identify_payload(
     began = time.perf_counter()
     described = load_machine(machine, parameter_set=parameter_set)
     way = smoothing_of(smoothing, bandwidth, described)
-    with progress(f"identifying the load of {described.name}", quiet):
+    with progress(f"identifying the load of {described.name}", quiet) as say:
         first, second = (session_of(described, paths, option, map_file, treat)
                          for paths, option in ((unloaded, "--unloaded"), (loaded, "--loaded")))
         with failure_saved(output, Job.PAYLOAD, described, METHOD):
             load = payload(described, first, second, link=link, friction_changes=friction_changes, gain=gain_error,
-                           smoothing=way, seed=seed)
+                           smoothing=way, seed=seed, progress=say)
         load.save(output, pages={"report.html": render_payload(load)}, wall_s=time.perf_counter() - began)
     print_answer(load, output, quiet=quiet, as_json=as_json)
     refuse_refuted(load, output)

@@ -6,13 +6,14 @@ import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Protocol, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
 from hydroopt.errors import ProblemError
 from hydroopt.input_file import is_directory
 from hydroopt.machine.bundled_files import bundled_files
+from hydroopt.progress import Progress
 
 if TYPE_CHECKING:
     from hydroopt.estimation.dynamic.weighted_residuals import Loss
@@ -76,15 +77,8 @@ Bandwidth = Annotated[float | None, typer.Option(
     help="Highest frequency of the motion [Hz], for spline; that of the machine file if not given.")]
 
 
-class Say(Protocol):
-    """Replaces the text of a progress display, and the part of the job that is done, if that is known."""
-
-    def __call__(self, text: str, part: float | None = None) -> None:
-        """Show it."""
-
-
 @contextmanager
-def progress(what: str, quiet: bool) -> Iterator[Say]:
+def progress(what: str, quiet: bool) -> Iterator[Progress]:
     """Show on a terminal's error stream what is being done, how much of it is done, and the time left."""
     from rich.console import Console
 

@@ -51,11 +51,11 @@ def plan_poses(
 
     began = time.perf_counter()
     described = load_machine(machine)
-    with progress(f"choosing poses for {described.name}", quiet):
+    with progress(f"choosing poses for {described.name}", quiet) as say:
         problem = pose_problem(described, poses, stages=stage or None, criterion=criterion, focus=focus or (),
                                priors=priors, setups=setup or ("",))
         if fix:
             problem = problem.fixing(**parameter_values(fix, problem.parameters))
-        plan = fedorov_exchange(problem, candidates=candidates, seed=seed)
+        plan = fedorov_exchange(problem, candidates=candidates, seed=seed, progress=say)
     plan.save(output, pages={"report.html": render(plan)}, wall_s=time.perf_counter() - began)
     print_answer(plan, output, plan.sheet(), quiet=quiet, as_json=as_json)

@@ -8,6 +8,8 @@ from rich.text import Text
 
 SHORT = 2.0
 """Seconds up to which a job shows neither percentage nor time."""
+LONG = 5400
+"""Seconds from which on time is told in hours."""
 
 
 class Left(ProgressColumn):
@@ -34,10 +36,12 @@ class Left(ProgressColumn):
 def spoken(seconds: float) -> str:
     """A duration in words.
 
-    >>> spoken(8.4), spoken(200)
-    ('8 s', '3 min 20 s')
+    >>> spoken(8.4), spoken(200), spoken(7200)
+    ('8 s', '3 min 20 s', '2.0 h')
     """
     whole = round(seconds)
+    if whole >= LONG:
+        return f"{whole / 3600:.1f} h"
     return f"{whole} s" if whole < 120 else f"{whole // 60} min {whole % 60} s"
 
 

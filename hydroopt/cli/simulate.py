@@ -102,7 +102,7 @@ def simulate(
         raise ProblemError("given commands determine the motion", where="--commands",
                            remedy="leave out --driven, --motion, --duration and --rate")
     draw, random = seed if truth_seed is None else truth_seed, truth == "random"
-    with progress("simulating", quiet):
+    with progress("choosing motion and truth", quiet) as say:
         psi = simulation.random_truth(model, draw) if random else model.parameters.nominal
         named = dict(zip(model.parameters.names, psi.tolist(), strict=True))
         if driven or commands is not None:
@@ -116,16 +116,19 @@ def simulate(
                         else reference_motion(described, read_log(motion, mapping=map_file)))
                 sizes = [0.5**k for k in range(1 if motion is not None else HALVINGS + 1)]
                 tries = [partial(_driving, plant, path, psi, theta, size) for size in sizes]
+            say("driving the valves", 0.2)
             log = _first_possible(tries, lambda given: drive_valves.drive(
                 plant, *given, psi=psi, theta=theta, noise=noise, seed=seed, name=described.name))
         else:
             path = (_random(model, duration, rate, seed) if motion is None
                     else reference_motion(described, read_log(motion, mapping=map_file)))
+            say("simulating", 0.4)
             log = simulation.simulate(model, path, psi, noise=noise, seed=seed, name=described.name)
-    name = "log.parquet" if parquet else "log.csv"
-    write_files(output, {name: log.encoded(parquet=parquet), "truth.json": json.dumps(
-        {"machine": described.name, "sha256": described.sha256, "seed": seed, "noise": noise, "parameters": named},
-        indent=1)})
+        say("writing", 0.8)
+        name = "log.parquet" if parquet else "log.csv"
+        write_files(output, {name: log.encoded(parquet=parquet), "truth.json": json.dumps(
+            {"machine": described.name, "sha256": described.sha256, "seed": seed, "noise": noise, "parameters": named},
+            indent=1)})
     if not quiet:
         echo(f"{output / name}: {len(log.t)} samples, channels {', '.join(log.channels)}")
 

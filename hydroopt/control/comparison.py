@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -28,6 +28,7 @@ from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.machine import Machine
 from hydroopt.model.plant import Plant
 from hydroopt.model.workspace import Sweep, workspace_sweeps
+from hydroopt.progress import Progress, silent
 from hydroopt.results.answer import Answer
 from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.fit import Fit
@@ -234,7 +235,7 @@ class Comparison(Answer):
 
 
 def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[str] = (PI, FEEDFORWARD, LQG), *,
-            progress: Callable[[str], None] = lambda _: None) -> Comparison:
+            progress: Progress = silent) -> Comparison:
     """Let every candidate follow the motion.
 
     Gains are tuned once, by the parameters that count as complete, and are the same for PI and all feedforwards.
@@ -243,7 +244,7 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
         setting: machine, motion and truth.
         variants: models to give to controllers, the complete one among them; the true one is added.
         kinds: of controllers.
-        progress: is called with a sentence on the progress.
+        progress: is told the steps, see `hydroopt.progress`.
 
     Raises:
         ProblemError: the motion demands more than pump or valves give, the base moves in it, or a loop
@@ -255,7 +256,7 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
     refuse_flow(setting.plant, setting.reference.at(setting.t))
     demand = demands.by(best.model, best.psi)
     refuse_opening(setting.plant, setting.t, demand, demands.valves)
-    progress("tuning")
+    progress("tuning", 0.0)
     on_motion, in_workspace = setting.points(best.psi, setting.theta)
     plants = setting.plants([*on_motion, *in_workspace], best.psi, setting.theta)
     gains = tuned(plants, [*on_motion, *in_workspace], demands.valves, setting.sensitivity)
@@ -277,8 +278,8 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
     true_plants = setting.plants([*on_motion, *in_workspace], setting.true.psi, setting.true_theta)
     path, outcomes = setting.reference.at(setting.t), []
     analysed: dict[type, tuple[tuple[Margin, ...], Bode]] = {}  # all cascades have the same loops
-    for name, kind, variant, controller in candidates:
-        progress(name)
+    for k, (name, kind, variant, controller) in enumerate(candidates):
+        progress(name, (1 + k) / (1 + len(candidates)))
         if type(controller) not in analysed:
             analysed[type(controller)] = _margins(true_plants, [*on_motion, *in_workspace], controller, demands)
         found, bode = analysed[type(controller)]

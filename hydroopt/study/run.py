@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import time
-from collections.abc import Callable, Generator, Sequence
+from collections.abc import Generator, Sequence
 from contextlib import closing
 from pathlib import Path
 
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.extras import needed
 from hydroopt.files import claimed, write_files
+from hydroopt.progress import Progress, silent
 from hydroopt.study import processes
 from hydroopt.study.directory import Directory
 from hydroopt.study.study import Outcome, Study
@@ -17,7 +17,7 @@ from hydroopt.study.table import Table
 
 
 def run(study: Study, directory: str | Path, *, scheduler: str | None = None, workers: int = 2,
-        say: Callable[[str], None] = lambda _: None) -> Table:
+        say: Progress = silent) -> Table:
     """Compute the cells of a study that its directory does not hold yet.
 
     A cell that fails is stored with its error, and so is one whose process dies repeatedly. However a run ends, the
@@ -32,7 +32,7 @@ def run(study: Study, directory: str | Path, *, scheduler: str | None = None, wo
             configuration. By default processes of this computer; then a script needs the usual
             ``if __name__ == "__main__"``.
         workers: number of processes, if there is no scheduler.
-        say: receives messages about progress.
+        say: is told the cells, see `hydroopt.progress`.
 
     Raises:
         ProblemError: the directory holds another study or cannot be written, or another process writes there; the
@@ -47,19 +47,17 @@ def run(study: Study, directory: str | Path, *, scheduler: str | None = None, wo
 
 
 def _run(study: Study, directory: str | Path, scheduler: str | None, workers: int,
-         say: Callable[[str], None]) -> Table:
+         say: Progress) -> Table:
     place = Directory(directory, study)
     outcomes = place.read()
     missing = [k for k in range(len(study.cells)) if k not in outcomes]
     if missing:
-        began, before = time.monotonic(), len(outcomes)
+        before = len(outcomes)
         say(f"{len(missing)} of {len(study.cells)} cells to compute, starting")
         with closing(_computed(study, missing, scheduler, workers, say)) as results:
             for index, outcome in results:
                 outcomes[index] = place.write(index, outcome)
-                each = (time.monotonic() - began) / (len(outcomes) - before)
-                say(f"{len(outcomes)} of {len(study.cells)} cells, "
-                    f"{span(each * (len(study.cells) - len(outcomes)))} left")
+                say(f"{len(outcomes)} of {len(study.cells)} cells", (len(outcomes) - before) / len(missing))
     table = Table(study.cells, tuple(outcomes[k] for k in range(len(study.cells))))
     write_files(directory, {"results.csv": table.csv()})
     if not table.results:
@@ -69,7 +67,7 @@ def _run(study: Study, directory: str | Path, scheduler: str | None, workers: in
 
 
 def _computed(study: Study, indices: Sequence[int], scheduler: str | None, workers: int,
-              say: Callable[[str], None]) -> Generator[tuple[int, Outcome]]:
+              say: Progress) -> Generator[tuple[int, Outcome]]:
     """Outcomes of cells as they finish."""
     if scheduler is None:
         return processes.computed(study, indices, workers)
@@ -77,14 +75,3 @@ def _computed(study: Study, indices: Sequence[int], scheduler: str | None, worke
     from hydroopt.study.scheduler import computed  # noqa: PLC0415 (Dask takes a second to import)
 
     return computed(study, indices, scheduler, say)
-
-
-def span(seconds: float) -> str:
-    """A duration in words.
-
-    >>> span(89), span(120), span(7200)
-    ('89 s', '2 min', '2.0 h')
-    """
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    return f"{seconds / 60:.0f} min" if seconds < 5400 else f"{seconds / 3600:.1f} h"

@@ -11,7 +11,7 @@ from __future__ import annotations
 import asyncio
 import logging
 import threading
-from collections.abc import Callable, Generator, Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from concurrent.futures import CancelledError
 from contextlib import contextmanager, suppress
 from queue import Empty, SimpleQueue
@@ -22,6 +22,7 @@ from distributed import Client, Future, KilledWorker, Security, Worker, WorkerPl
 
 from hydroopt.errors import ProblemError, SolverError
 from hydroopt.interrupt import deferred
+from hydroopt.progress import Progress
 from hydroopt.study.cell import outcome
 from hydroopt.study.study import Outcome, Study, Values
 from hydroopt.versions import versions
@@ -58,7 +59,7 @@ def _cell(name: str, values: Values) -> Outcome:
 
 
 def computed(study: Study, indices: Sequence[int], scheduler: str,
-             say: Callable[[str], None]) -> Generator[tuple[int, Outcome]]:
+             say: Progress) -> Generator[tuple[int, Outcome]]:
     """Outcomes of some cells, in the order in which they finish.
 
     Raises:
@@ -126,7 +127,7 @@ async def _answer(address: str, security: Security) -> None:
         raise ValueError(f"this is a {kind.lower()}")
 
 
-def _hand_out(client: Client, work: _Work, scheduler: str, say: Callable[[str], None]) -> None:
+def _hand_out(client: Client, work: _Work, scheduler: str, say: Progress) -> None:
     try:
         if not client.scheduler_info()["workers"]:
             say("waiting for workers")
@@ -142,7 +143,7 @@ def _hand_out(client: Client, work: _Work, scheduler: str, say: Callable[[str], 
 
 
 def _finished(client: Client, study: Study, name: str, indices: Sequence[int],
-              say: Callable[[str], None]) -> Iterator[tuple[int, Outcome | None]]:
+              say: Progress) -> Iterator[tuple[int, Outcome | None]]:
     """Indices of cells with their outcomes, None if the process that computed the cell died too often."""
     queue: SimpleQueue[Future] = SimpleQueue()
     keys = {f"{name}-{index}": index for index in indices}

@@ -15,7 +15,7 @@ from threadpoolctl import threadpool_limits
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.dynamic.comparison import TwoSessionProblem, Wald, solve_both, two_session_problem, wald
 from hydroopt.estimation.dynamic.session_answer import Quantity, decidable, rounded, session_steps
-from hydroopt.estimation.dynamic.stored_information import refuse_shared_samples, stored_information
+from hydroopt.estimation.dynamic.stored_information import PREPARED, all_prepared
 from hydroopt.estimation.dynamic.two_session_answer import TwoSessionAnswer
 from hydroopt.input_file import similar
 from hydroopt.logs.log import Log
@@ -23,6 +23,7 @@ from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.model.model import Model
 from hydroopt.parameters.parameter_set import GROUPS, ParameterSet
+from hydroopt.progress import Progress, silent
 from hydroopt.results.diagnostic import Diagnostic, probability
 from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable
@@ -143,7 +144,7 @@ class Change(TwoSessionAnswer):
 def detect_change(machine: GivenMachine, before: Log | Sequence[Log] | str | Path,
                   after: Log | Sequence[Log] | str | Path, *, parts: Iterable[str] | None = None,
                   level: float = 0.05, smoothing: Smoothing | None = None,
-                  intervals: bool = True, seed: int = 0) -> Change:
+                  intervals: bool = True, seed: int = 0, progress: Progress = silent) -> Change:
     """Which parameters changed between two sessions, by one least squares over both.
 
     All other parameters are equal in both and determined by the first session and the machine file's priors; bodies are
@@ -164,6 +165,7 @@ def detect_change(machine: GivenMachine, before: Log | Sequence[Log] | str | Pat
         intervals: whether to sample the posterior. Values are then its means, else its most probable point with the
             intervals of plain least squares.
         seed: of that sampling.
+        progress: is told the steps, see `hydroopt.progress`.
 
     Raises:
         LogError: a log cannot be used.
@@ -185,10 +187,10 @@ def detect_change(machine: GivenMachine, before: Log | Sequence[Log] | str | Pat
     model = Model(machine)
     names = named_parts(model.parameters, usual_parts(model.parameters) if parts is None else parts)
     with threadpool_limits(limits=1, user_api="blas"):
-        first, second = stored_information(model, before, smoothing), stored_information(model, after, smoothing)
-        refuse_shared_samples(first, second)
+        first, second = all_prepared(model, (before, after), smoothing, progress, PREPARED)
         problem = two_session_problem(model, names)
         both = problem.rows(first, second)
+        progress("testing which parameters changed", PREPARED)
         test = wald(problem, *both)
         found = solve_both(problem, *both, intervals=intervals, seed=seed)
     judged = test if first.steady and second.steady else test.over((first.split_half + second.split_half) / 2)

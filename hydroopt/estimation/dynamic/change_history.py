@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import itertools
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
@@ -21,14 +20,14 @@ from hydroopt.estimation.dynamic.session_answer import Quantity, SessionAnswer, 
 from hydroopt.estimation.dynamic.session_scan import SessionScan, session_scan
 from hydroopt.estimation.dynamic.stored_information import (
     StoredInformation,
-    refuse_shared_samples,
-    stored_information,
+    all_prepared,
 )
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
+from hydroopt.progress import Progress, silent
 from hydroopt.results.diagnostic import Diagnostic, probability
 from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable
@@ -292,7 +291,7 @@ METHOD = "scan over sessions"
 
 def detect_changes(machine: GivenMachine, sessions: Sequence[Sequence[Log] | Log | str | Path], *,
                    parts: Iterable[str] | None = None, level: float = 0.05, smoothing: Smoothing | None = None,
-                   seed: int = 0) -> ChangeHistory:
+                   seed: int = 0, progress: Progress = silent) -> ChangeHistory:
     """Which parameters agree over several sessions in time order, drifted, or changed at which session.
 
     One least squares over all sessions, in which parameters that may not have changed are shared. Tested are a step
@@ -317,6 +316,7 @@ def detect_changes(machine: GivenMachine, sessions: Sequence[Sequence[Log] | Log
         level: probability of a false alarm, over all parameters and sessions.
         smoothing: how angles are differentiated.
         seed: of the draws.
+        progress: is told the steps, see `hydroopt.progress`.
 
     Raises:
         LogError: a log cannot be used.
@@ -341,14 +341,14 @@ def detect_changes(machine: GivenMachine, sessions: Sequence[Sequence[Log] | Log
     model = Model(machine)
     names = named_parts(model.parameters, usual_parts(model.parameters) if parts is None else parts)
     with threadpool_limits(limits=1, user_api="blas"):
-        known = [stored_information(model, each, smoothing) for each in sessions]
-        for one, other in itertools.combinations(known, 2):
-            refuse_shared_samples(one, other)
+        done = len(sessions) / (len(sessions) + 1)
+        known = all_prepared(model, sessions, smoothing, progress, done)
+        progress("testing which parameters changed", done)
         return change_history(model, names, known, level, seed)
 
 
 def change_history(model: Model, names: Sequence[str], sessions: Sequence[StoredInformation], level: float,
-                   seed: int = 0) -> ChangeHistory:
+                   seed: int = 0, progress: Progress = silent) -> ChangeHistory:
     """What `detect_changes` answers, from the information of the sessions."""
     scan = session_scan(model, names, sessions, seed=seed)
     detected, best = scan.p_value < level, scan.likeliest

@@ -25,7 +25,7 @@ from hydroopt.estimation.dynamic.comparison import (
     wald,
 )
 from hydroopt.estimation.dynamic.session_answer import Quantity, rounded
-from hydroopt.estimation.dynamic.stored_information import StoredInformation, refuse_shared_samples, stored_information
+from hydroopt.estimation.dynamic.stored_information import PREPARED, StoredInformation, all_prepared
 from hydroopt.estimation.dynamic.training_logs import explained
 from hydroopt.estimation.dynamic.two_session_answer import TwoSessionAnswer
 from hydroopt.logs.log import Log
@@ -36,6 +36,7 @@ from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
 from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.progress import Progress, silent
 from hydroopt.results.diagnostic import Diagnostic, probability
 from hydroopt.results.json_file import Job
 from hydroopt.results.parameter_table import ParameterTable
@@ -155,7 +156,7 @@ class Payload(TwoSessionAnswer):
 def payload(machine: GivenMachine, unloaded: Log | Sequence[Log] | str | Path,
             loaded: Log | Sequence[Log] | str | Path, *, link: str | None = None,
             friction_changes: bool = False, gain: float = 0.0,
-            smoothing: Smoothing | None = None, seed: int = 0) -> Payload:
+            smoothing: Smoothing | None = None, seed: int = 0, progress: Progress = silent) -> Payload:
     """Mass and centre of mass of a load that one session carries and another does not.
 
     Both sessions share the machine's parameters; the load is a body of its own on a link. Its mass is not negative, and
@@ -172,6 +173,7 @@ def payload(machine: GivenMachine, unloaded: Log | Sequence[Log] | str | Path,
         gain: standard deviation of the relative error of each actuator's force reading, the same in both sessions.
         smoothing: how angles are differentiated.
         seed: of the sampling of intervals.
+        progress: is told the steps, see `hydroopt.progress`.
 
     Raises:
         LogError: a log cannot be used.
@@ -197,11 +199,11 @@ def payload(machine: GivenMachine, unloaded: Log | Sequence[Log] | str | Path,
     columns = _carried(model, carrier)
     names = named_parts(model.parameters, ["friction"]) if friction_changes else ()
     with threadpool_limits(limits=1, user_api="blas"):
-        first, second = stored_information(model, unloaded, smoothing), stored_information(model, loaded, smoothing)
-        refuse_shared_samples(first, second)
+        first, second = all_prepared(model, (unloaded, loaded), smoothing, progress, PREPARED)
         if gain and {len(first.triangles), len(second.triangles)} != {len(machine.balances)}:
             raise ProblemError("gains are not identifiable from residuals that were weighted jointly", where="gain",
                                remedy="identify without --fitted-motion, --instruments and --correlated")
+        progress("weighing the load", PREPARED)
         try:
             return _weighed(model, columns, names, gain, first, second, carrier, seed)
         except SolverError as error:

@@ -6,6 +6,7 @@ import csv
 import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,7 @@ from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
+from hydroopt.progress import Progress
 from hydroopt.results.answer import load
 from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.json_file import Job, not_an_answer
@@ -32,6 +34,8 @@ from hydroopt.spatial.inertia import Array
 
 INFORMATION = "information.csv"
 """File beside estimate.json that holds the triangles of an identification, so that its logs need not be read again."""
+PREPARED = 0.4
+"""Part of the work on two sessions that preparing them is; most of the rest is sampling."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,6 +103,22 @@ def stored_information(model: Model, source: Log | Sequence[Log] | str | Path,
                              not any(half.p_value < STEADY for half in halves), weighted.sigma,
                              weighted.correlation_time, weighted.samples, tuple(inputs),
                              (*contradictions(model, problem.experiments), *losses(model, problem.experiments)))
+
+
+def all_prepared(model: Model, sessions: Sequence[Log | Sequence[Log] | str | Path], smoothing: Smoothing | None,
+                 progress: Progress, until: float) -> list[StoredInformation]:
+    """The information of every session, no two of which share samples; `until` is the part of all work that this is.
+
+    Raises:
+        LogError, IdentifiabilityError, ProblemError: see `stored_information` and `refuse_shared_samples`.
+    """
+    found = []
+    for k, each in enumerate(sessions):
+        progress(f"preparing session {k + 1} of {len(sessions)}", until * k / len(sessions))
+        found.append(stored_information(model, each, smoothing))
+    for one, other in combinations(found, 2):
+        refuse_shared_samples(one, other)
+    return found
 
 
 def refuse_shared_samples(before: StoredInformation, after: StoredInformation) -> None:

@@ -19,6 +19,7 @@ from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.excitation.poses.plan import PosePlan
 from hydroopt.excitation.poses.problem import PoseGroup, PoseProblem, linearised
 from hydroopt.model.closed_chain import KinematicModel
+from hydroopt.progress import Progress, silent
 from hydroopt.simulation import postures
 from hydroopt.spatial.inertia import Array
 
@@ -30,11 +31,14 @@ PROMISING = 64
 """Candidates whose eigenvalues are computed."""
 TRIES = 30
 """Random postures of which at least one must close within all limits."""
+DRAWN, CHOSEN = 0.4, 0.6
+"""Parts of the work that are done once postures are drawn, and once the first poses are chosen."""
 BATCH = 500
 """Random postures tried at once, at least."""
 
 
-def fedorov_exchange(problem: PoseProblem, *, candidates: int = 2000, seed: int = 0) -> PosePlan:
+def fedorov_exchange(problem: PoseProblem, *, candidates: int = 2000, seed: int = 0,
+                     progress: Progress = silent) -> PosePlan:
     """Choose poses: a greedy start, then exchanges of single poses until none helps. No posture is chosen twice.
 
     The exchanges are those of Fedorov (1972), in the order of Cook and Nachtsheim (1980).
@@ -43,6 +47,7 @@ def fedorov_exchange(problem: PoseProblem, *, candidates: int = 2000, seed: int 
         problem: how many poses of which groups, by which criterion.
         candidates: random postures of each group to choose from.
         seed: of the random postures.
+        progress: is told the steps, see `hydroopt.progress`.
 
     Raises:
         ProblemError: no posture lies within the limits, a parameter in focus is not identifiable, or there are too few
@@ -53,10 +58,14 @@ def fedorov_exchange(problem: PoseProblem, *, candidates: int = 2000, seed: int 
         raise ProblemError(f"{count} poses cannot be chosen from {candidates} candidates", where="pose plan",
                            remedy="ask for fewer poses or more candidates")
     rng = np.random.default_rng(seed)
-    found = np.array([_candidates(problem, group, candidates, rng) for group in groups])
+    drawn = []
+    for k, group in enumerate(groups):
+        progress(f"drawing postures for {group}", DRAWN * k / len(groups))
+        drawn.append(_candidates(problem, group, candidates, rng))
+    found = np.array(drawn)
     design = _Design(*linearised(problem, np.concatenate(found), problem.labels(candidates)), problem.criterion,
                      problem.focus, len(groups))
-    chosen = design.best(count)
+    chosen = design.best(count, progress)
     q, labels = found[chosen], problem.labels(count)
     return PosePlan(problem, candidates, seed, labels, q, _lengths(model, q),
                     observability(*linearised(problem, q, labels)), design.log_det(chosen))
@@ -173,17 +182,19 @@ class _Design:
         score[promising] = -np.log(values[:, -1] / (values[:, 0] if self.criterion == "condition" else 1.0))
         return score
 
-    def best(self, count: int) -> NDArray[np.bool_]:
+    def best(self, count: int, progress: Progress) -> NDArray[np.bool_]:
         """The chosen candidates (G, C), `count` of each group."""
         if count * self.rank.sum() < self.open:
             raise ProblemError(f"{count} poses of each stage have {count * self.rank.sum()} rows for {self.open} "
                                "parameters", where="pose plan",
                                remedy=f"ask for {-(-self.open // self.rank.sum())} poses or more, or fix parameters")
         chosen = np.zeros(self.rows.shape[:2], dtype=bool)
-        for _ in range(count):
+        for k in range(count):
+            progress(f"choosing pose {k + 1} of {count}", DRAWN + (CHOSEN - DRAWN) * k / count)
             for group, taken in enumerate(chosen):
                 score = self.score(self.information(chosen), group)
                 taken[np.argmax(np.where(taken, -np.inf, score))] = True
+        progress("exchanging poses until none helps", CHOSEN)
         helped = True
         while helped:
             helped = False
