@@ -214,7 +214,7 @@ class Information:
 
     def value_and_slope(self, q: Array, qd: Array, qdd: Array, rate: float) -> tuple[float, Array]:
         """The criterion, and its derivative (N, 3n) by the states: q, then qd, then qdd."""
-        K = self.model.over(self.smooth, q, qd, qdd)[0]
+        K = np.ascontiguousarray(self.model.over(self.smooth, q, qd, qdd)[0])  # for products sample by sample
         value, by_matrix = self.of(self._factor(self.faint_root, K, rate))
         G = 2 * rate * (K @ by_matrix)
         columns = G.transpose(0, 2, 1).reshape(len(q), -1)  # CasADi's order, column by column

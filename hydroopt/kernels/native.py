@@ -10,7 +10,7 @@ import ctypes
 import hashlib
 import os
 import subprocess
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
@@ -31,6 +31,10 @@ FEW = 100
 """Number of samples below which compiling a kernel does not pay."""
 SHARE = 4096
 """Number of samples per thread."""
+LANES = 8
+"""Doubles in a cache line: as many samples as a kernel computes side by side at most."""
+CACHED, RECYCLED = 2**20, 2**25
+"""Bytes of results above which they are written past the caches, and above which memory is always fresh, thus zero."""
 
 
 Way = Callable[[list[Array], int, list[Array] | None], list[Array]]
@@ -47,8 +51,9 @@ class Runner:
     def over(self, function: ca.Function, *columns: Array, out: list[Array] | None = None) -> list[Array]:
         """Evaluate at N samples: each argument (N, k), or (k,) if it is the same for all; results (N, rows, columns).
 
-        `out` holds what an earlier call with as many samples gave, to be written over: fresh memory costs more than
-        most functions.
+        Results of many samples stand in memory entry by entry, samples side by side: a column over all samples is one
+        piece. `out` holds what an earlier call with as many samples gave, to be written over: fresh memory costs more
+        than most functions.
 
         Raises:
             ValueError: arguments or `out` have not the shapes that the function calls for.
@@ -61,8 +66,8 @@ class Runner:
                              f"{[values.shape for values in held]}")
         shapes = [(count, *function.size_out(i)) for i in range(function.n_out())]
         if out is not None and ([values.shape for values in out] != shapes or not all(
-                values.dtype == float and values.flags.c_contiguous and values.flags.writeable for values in out)):
-            raise ValueError(f"{function.name()} writes over arrays of float64 of the shapes {shapes}, row by row")
+                values.dtype == float and values.flags.writeable for values in out)):
+            raise ValueError(f"{function.name()} writes over arrays of float64 of the shapes {shapes}")
         if not count:
             return [np.zeros(shape) for shape in shapes]
         return self._way(function, count)(held, count, out)
@@ -101,40 +106,75 @@ def _mapped(function: ca.Function) -> Way:
         run()
         # CasADi writes column by column
         made = [np.ascontiguousarray(values.swapaxes(1, 2)) for values in results]
-        for old, new in zip(out or (), made, strict=False):
-            old[:] = new
-        return out or made
+        return made if out is None else _copied(made, out)
 
     return evaluate
 
 
 class Kernel:
-    """A compiled function. What is always zero in its outputs it leaves alone, as it is in fresh memory."""
+    """A compiled function."""
 
     def __init__(self, library: ctypes.CDLL, function: ca.Function) -> None:
         self._shapes = [function.size_out(i) for i in range(function.n_out())]
         self._run = library.over
-        self._run.argtypes = [ctypes.c_long, ctypes.c_void_p, ctypes.c_void_p, ctypes.c_void_p]
+        self._run.argtypes = [ctypes.c_long, *[ctypes.c_void_p] * 4, ctypes.c_long, ctypes.c_long]
         self._run.restype = None
 
     def __call__(self, columns: list[Array], count: int, out: list[Array] | None = None) -> list[Array]:
         """Results (N, rows, columns) of arguments (N, k) or (k,)."""
-        results = out or [np.zeros((count, *shape)) for shape in self._shapes]
+        if out is not None and all(map(_by_entry, out)):
+            results, whole = out, False
+        else:
+            made = [room(count, shape) for shape in self._shapes]
+            results, whole = [values for values, _ in made], not all(zero for _, zero in made)
         parts = min(threads(), -(-count // SHARE))
-        edges = [count * k // parts for k in range(parts + 1)]
+        edges = [LANES * (count * k // parts // LANES) for k in range(parts)] + [count]
         if parts == 1:
-            self._part(columns, results, 0, count)
+            self._part(columns, results, whole, 0, count)
         else:
             with ThreadPoolExecutor(parts) as pool:  # the library's call releases Python's lock
-                list(pool.map(partial(self._part, columns, results), edges[:-1], edges[1:]))
-        return results
+                list(pool.map(partial(self._part, columns, results, whole), edges[:-1], edges[1:]))
+        return results if out is None else _copied(results, out)
 
-    def _part(self, columns: list[Array], results: list[Array], first: int, last: int) -> None:
+    def _part(self, columns: list[Array], results: list[Array], whole: bool, first: int, last: int) -> None:
         strides = [c.shape[1] if c.ndim == 2 else 0 for c in columns]
         into = [c.ctypes.data + first * step * c.itemsize for c, step in zip(columns, strides, strict=True)]
-        out_of = [values.ctypes.data + first * values.strides[0] for values in results]
+        out_of = [values.ctypes.data + first * values.itemsize for values in results]
+        steps = [values.strides[2] // values.itemsize for values in results]
+        past = sum(values.nbytes for values in results) > CACHED
         self._run(last - first, (ctypes.c_void_p * len(into))(*into), (ctypes.c_long * len(strides))(*strides),
-                  (ctypes.c_void_p * len(out_of))(*out_of))
+                  (ctypes.c_void_p * len(out_of))(*out_of), (ctypes.c_long * len(steps))(*steps), past, whole)
+
+
+def room(count: int, shape: tuple[int, int]) -> tuple[Array, bool]:
+    """Memory for results (N, rows, columns), entry by entry, samples side by side; and whether it is zero.
+
+    Entries begin at multiples of a cache line, of which the number between them is odd: powers of two would map all
+    entries to a few places in the caches.
+    """
+    rows, columns = shape
+    step = (-(-count // LANES) | 1) * LANES
+    size = rows * columns * step + LANES
+    fresh = size * 8 > RECYCLED
+    flat = np.zeros(size) if fresh else np.empty(size)
+    first = -(flat.ctypes.data // flat.itemsize) % LANES
+    whole = flat[first : first + rows * columns * step].reshape(rows, columns, step)
+    return whole[:, :, :count].transpose(2, 0, 1), fresh
+
+
+def _by_entry(values: Array) -> bool:
+    """Whether results stand in memory as `room` has them."""
+    step, line = values.strides[2], LANES * values.itemsize
+    return (values.strides == (values.itemsize, values.shape[2] * step, step)
+            and step % line == 0 and values.ctypes.data % line == 0)
+
+
+def _copied(made: list[Array], out: list[Array]) -> list[Array]:
+    """What was made, in the memory of earlier results."""
+    for old, new in zip(out, made, strict=True):
+        if old is not new:
+            old[:] = new
+    return out
 
 
 def threads() -> int:
@@ -194,24 +234,26 @@ def _kept(folder: Path, key: str, function: ca.Function, by: Compiler) -> ctypes
 
 def source(made: Program) -> str:
     """The kernel's C: a few samples side by side in each value, as many as the processor's registers hold."""
-    place: dict[tuple[str, int], int] = {}
-    runs: list[list[list[int]]] = []
-    for out in made.outputs:
-        runs.append([])
-        for k, ref in enumerate(out.entries):
-            if made.number(ref) != 0.0:
-                place[out.name, k] = len(place)
-                if runs[-1] and runs[-1][-1][0] + runs[-1][-1][2] == k:
-                    runs[-1][-1][2] += 1
-                else:
-                    runs[-1].append([k, place[out.name, k], 1])
+    written = [[made.number(ref) != 0.0 for ref in out.entries] for out in made.outputs]
+    runs = [[(start, stop - start) for start, stop in _runs(mask, of=True)] for mask in written]
+    gaps = [[(start, stop - start) for start, stop in _runs(mask, of=False)] for mask in written]
     number = {given.name: k for k, given in enumerate(made.inputs)}
+    place = {out.name: k for k, out in enumerate(made.outputs)}
     lines = c_writer.statements(made, c_writer.Naming(
         source=lambda name, k: f"x{number[name]}[{k}]",
-        target=lambda name, k: f"y[{place[name, k]}] = {{}};" if (name, k) in place else None,
+        target=lambda name, k: (f"put(o[{place[name]}] + {k} * step[{place[name]}], {{}}, past);"
+                                if written[place[name]][k] else None),
         type="real", call=lambda op: f"each_{op}", lift=lambda text: f"((real){{0}} + {text})"))
+    sizes = [len(out.entries) for out in made.outputs]
     environment = Environment(loader=PackageLoader("hydroopt.kernels", "."), undefined=StrictUndefined,
                               trim_blocks=True, lstrip_blocks=True)
     return environment.get_template("kernel.c").render(
         unary=sorted({node.op for node in made.nodes} & straight.UNARY - {"inv", "sign"}), lines=lines,
-        inputs=made.inputs, outputs=made.outputs, runs=runs, entries=len(place))
+        inputs=made.inputs, outputs=made.outputs, runs=runs, gaps=gaps, entries=sum(sizes),
+        firsts=[sum(sizes[:k]) for k in range(len(sizes))])
+
+
+def _runs(mask: Sequence[bool], *, of: bool) -> Iterator[tuple[int, int]]:
+    """First and end of the places in a row where a mask is true, or false."""
+    edges = np.flatnonzero(np.diff(np.array(mask) == of, prepend=False, append=False)).tolist()
+    return zip(edges[::2], edges[1::2], strict=True)

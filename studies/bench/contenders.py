@@ -15,7 +15,7 @@ from hydroopt.codegen.folder import Code
 from hydroopt.codegen.parameter_source import read
 from hydroopt.kernels import compiler as system
 from hydroopt.kernels.expression_graph import program
-from hydroopt.kernels.native import Runner, source
+from hydroopt.kernels.native import CACHED, Runner, room, source
 
 KEPT = 512
 """Results that the loop in C keeps before it writes over them."""
@@ -31,12 +31,16 @@ class Contender(NamedTuple):
     run: Callable[..., None]
     rows: np.ndarray
     columns: np.ndarray
+    by_entry: bool = False
+    """Whether results stand in memory as the kernels' do, samples side by side."""
 
     def over(self, state: list[np.ndarray], out: np.ndarray, kept: int = KEPT) -> None:
         self.run(len(state[0]), kept, *(array.ctypes.data for array in (*state, out)))
 
     def room(self, kept: int = KEPT) -> np.ndarray:
-        return np.full((kept, len(self.rows)), np.nan)
+        made = room(kept, (1, len(self.rows)))[0][:, 0] if self.by_entry else np.empty((kept, len(self.rows)))
+        made[:] = np.nan
+        return made
 
 
 class Regressor:
@@ -77,8 +81,9 @@ class Regressor:
         """The kernel that serves whole logs, called for as many samples at once as are kept."""
         n = len(self.machine.joints)
         return self.built({"kernel.c": source(program(self.function))},
-                          "over(n - s < kept ? n - s : kept, in, stride, into);",
-                          f"const long stride[] = {{{n}, {n}, {n}}};", step="kept")
+                          f"over(n - s < kept ? n - s : kept, in, stride, into, step, 8 * SIZE * *step > {CACHED}, 0);",
+                          f"const long stride[] = {{{n}, {n}, {n}}}, step[] = {{((kept + 7) / 8 | 1) * 8}};",
+                          step="kept", by_entry=True)
 
     def exported(self, flags: tuple[str, ...], *, fold_geometry: bool) -> Contender:
         """The controller's C."""
@@ -93,7 +98,8 @@ class Regressor:
                           f"{name}_prepare(&{name}_values, &constants);", flags=flags)
 
     def built(self, files: Mapping[str, str], call: str, before: str = "", *, step: str = "1",
-              flags: tuple[str, ...] = FLAGS, places: tuple[list[int], list[int]] | None = None) -> Contender:
+              flags: tuple[str, ...] = FLAGS, places: tuple[list[int], list[int]] | None = None,
+              by_entry: bool = False) -> Contender:
         """Compile some files, the last with the loop added to it; what comes out must be what the library gives."""
         rows, columns = np.indices(self.expected.shape[1:]).reshape(2, -1) if places is None else np.array(places)
         words = {"STEP": step, "BEFORE": before, "CALL": call, "SIZE": len(rows), "JOINTS": len(self.machine.joints)}
@@ -106,7 +112,7 @@ class Regressor:
                         "-o", str(folder / "run.so"), *by.libraries], check=True)
         run = ctypes.CDLL(str(folder / "run.so")).run
         run.argtypes = [ctypes.c_long, ctypes.c_long, *[ctypes.c_void_p] * 4]
-        made = Contender(run, rows, columns)
+        made = Contender(run, rows, columns, by_entry)
         out = made.room(SAMPLES)
         made.over(self.state, out, SAMPLES)
         expected, left = self.expected[:, rows, columns], np.isnan(out[0])  # the kernel leaves constants alone

@@ -94,6 +94,24 @@ def test_a_kernel_is_compiled_once_and_nothing_else_is_left(folder: Path, compil
     assert not list((folder.parents[1] / "tmp").iterdir())
 
 
+@pytest.mark.parametrize("count", [FEW, 8 * FEW, 8 * FEW + 3])
+@pytest.mark.parametrize("wide", [3, 400])  # within the caches, and past them
+def test_results_do_not_depend_on_the_memory_that_takes_them(folder: Path, count: int, wide: int) -> None:
+    x = ca.SX.sym("x", 2)
+    entries = [(k + 1) * x[k % 2] + 1 if k % 3 else ca.SX(0) for k in range(2 * wide)]
+    function = ca.Function("two", [x], [ca.densify(ca.reshape(ca.vertcat(*entries), 2, wide)), x[1] * x[0]])
+    given, runner = np.random.default_rng(count).normal(size=(count, 2)), Runner()
+    expected = [np.array([np.array(function(row)[i]) for row in given]) for i in range(2)]
+    first = runner.over(function, given)
+    dirty = runner.over(function, 2 * given)
+    rows = [np.full(values.shape, np.nan) for values in first]
+    for out in (None, dirty, rows):
+        made = runner.over(function, given, out=out)
+        for i in range(2):
+            np.testing.assert_allclose(made[i], expected[i], rtol=1e-13, atol=1e-13)
+            assert out is None or made[i] is out[i]
+
+
 def test_what_this_user_put_there_is_loaded(folder: Path, compiled: list[Path]) -> None:
     """The other tests would pass with a library that cannot be loaded at all."""
     evaluated()
