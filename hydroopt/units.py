@@ -3,18 +3,15 @@
 import math
 import re
 from functools import cache
-from pathlib import Path
-from tokenize import TokenError
-
-import pint
 
 from hydroopt.errors import HydrooptError
+from hydroopt.unit_expressions import base, definitions, parsed, root
 
-_registry: "pint.UnitRegistry[float]" = pint.UnitRegistry(Path(__file__).with_name("units.txt"))
 _ANGLES = {"radian", "milliradian", "degree", "arcminute", "arcsecond", "grade", "turn", "revolution",
            "revolutions_per_minute", "revolutions_per_second"}
+_NO_DIMENSION = {"radian", "bit", "count"}
 _COEFFICIENT = {"N*m*s/rad"}  # a friction coefficient may be stated per radian or not
-_ABSURD = re.compile(r"\d{3}|(\^|\*\*)[^*/]*(\^|\*\*)")  # pint would compute m^9^9^9 for hours
+_ABSURD = re.compile(r"\d{3}")  # no unit has such a power
 
 SMALLEST = 1e-60
 """Smallest magnitude [SI] of a number that is not zero: powers of smaller ones underflow."""
@@ -24,10 +21,6 @@ LARGEST = {"m": 1e8, "rad": 1e6, "s": 1e10, "Hz": 1e6, "kg": 1e9, "N": 1e12, "N*
 computed from it stays finite."""
 LARGEST_OTHERS = 1e15
 """The same for all other units [SI]."""
-
-_TROUBLE = (pint.errors.PintError, AttributeError, TypeError, ValueError, AssertionError, TokenError, SyntaxError,
-            ArithmeticError, LookupError)
-"""What pint raises for a text that is not a unit."""
 
 
 class UnitError(HydrooptError):
@@ -44,15 +37,14 @@ def factor(unit: str, si: str, *, where: str = "unit") -> float:
     if len(unit) > 60 or _ABSURD.search(unit):
         raise _wrong(unit, si, where)
     try:
-        quantity = _registry.Quantity(1.0, unit)
-        value = float(quantity.to(si).magnitude)
-        is_angle = bool(_ANGLES & set(quantity.units._units))
-        wants_angle = bool(_ANGLES & set(_registry.Unit(si)._units))
-    except _TROUBLE as error:
+        own, other = parsed(unit), parsed(si)
+        left = root(own.times(other, -1))
+    except (ValueError, ArithmeticError) as error:
         raise _wrong(unit, si, where) from error
-    if is_angle != wants_angle and si not in _COEFFICIENT:
+    is_angle, wants_angle = (not _ANGLES.isdisjoint(each.powers) for each in (own, other))
+    if own.number != 1 or left.powers.keys() - _NO_DIMENSION or (is_angle != wants_angle and si not in _COEFFICIENT):
         raise _wrong(unit, si, where)
-    return value
+    return left.number
 
 
 def to_si(text: str, si: str, *, where: str) -> float:
@@ -115,7 +107,10 @@ def base_unit(unit: str, *, where: str) -> str:
         UnitError: the unit is unknown.
     """
     factor(unit, unit, where=where)
-    return f"{_registry.Quantity(1.0, unit).to_base_units().units:~C}" or "1"
+    symbols, powers = definitions().symbols | {"kilogram": "kg"}, base(unit).powers
+    parts = {sign: [symbols[name] + (f"**{sign * power:g}" if sign * power != 1 else "")
+                    for name, power in sorted(powers.items()) if sign * power > 0] for sign in (1, -1)}
+    return "/".join(["*".join(parts[1]) or "1", *parts[-1]])
 
 
 def _wrong(unit: str, si: str, where: str) -> UnitError:
@@ -129,7 +124,7 @@ def spread_to_si(text: str, like: str, *, where: str) -> float:
     if not same_kind(unit, unit):
         raise UnitError(f"the value's unit '{unit:.40}' is unknown", where=where, remedy="correct it")
     in_unit = to_si(text, unit, where=where)
-    value = float(_registry.Quantity(in_unit, unit).to_base_units().magnitude)
+    value = in_unit * base(unit).number
     if not plausible(value, ""):
         raise UnitError(implausible(value, "SI units"), where=where, remedy="correct it")
     return value

@@ -14,7 +14,7 @@ PACKAGE = Path(__file__).parents[1] / "hydroopt"
 
 ROOMS = (
     ("errors", "interrupt", "matplotlib_import", "progress"),
-    ("extras",),
+    ("extras", "unit_expressions", "bounded_minimum"),
     ("input_file", "files", "units", "notebook_card", "versions"),
     ("spatial",),
     ("kernels",),
@@ -52,7 +52,6 @@ QUARANTINE = {
     "rich": ("cli",),
     "plotext": ("guided.drawing",),
     "pandas": ("logs", "results"),
-    "pint": ("units",),
     "pydantic": ("machine", "logs.column_map"),
     "mujoco": ("machine.robot_formats.mjcf_in",),
     "tomlkit": ("machine.machine_file",),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
@@ -80,11 +81,14 @@ Bandwidth = Annotated[float | None, typer.Option(
 @contextmanager
 def progress(what: str, quiet: bool) -> Iterator[Progress]:
     """Show on a terminal's error stream what is being done, how much of it is done, and the time left."""
+    if quiet or not sys.stderr.isatty():  # rich takes longer to load than many a job
+        yield lambda text, part=None: None
+        return
     from rich.console import Console
 
     from hydroopt.cli.progress_line import progress_line
 
-    with progress_line(Console(stderr=True, quiet=quiet)) as shown:
+    with progress_line(Console(stderr=True)) as shown:
         task = shown.add_task(what, total=1.0)
         yield lambda text, part=None: shown.update(task, description=text, completed=part)
 

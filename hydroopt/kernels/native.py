@@ -19,7 +19,6 @@ from threading import Lock
 
 import casadi as ca
 import numpy as np
-from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from hydroopt.kernels import c_writer, cache
 from hydroopt.kernels import expression_graph as straight
@@ -245,6 +244,8 @@ def source(made: Program) -> str:
                                 if written[place[name]][k] else None),
         type="real", call=lambda op: f"each_{op}", lift=lambda text: f"((real){{0}} + {text})"))
     sizes = [len(out.entries) for out in made.outputs]
+    from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 — only where a kernel is compiled
+
     environment = Environment(loader=PackageLoader("hydroopt.kernels", "."), undefined=StrictUndefined,
                               trim_blocks=True, lstrip_blocks=True)
     return environment.get_template("kernel.c").render(

@@ -34,7 +34,7 @@ class ColumnMap(BaseModel):
     time `t` of dates needs no unit.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
 
     column: Key | None = None
     minus: Key | None = None
@@ -79,7 +79,7 @@ class ClockMap(BaseModel):
     `start` is the moment of t = 0 of times without a date; `delay` and `drift` are as `Clock` has them.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
 
     t: ColumnMap | None = None
     start: str | None = None
@@ -102,7 +102,7 @@ class ClockMap(BaseModel):
 class TextColumn(BaseModel):
     """A text column of a file."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
 
     column: Key
 
@@ -127,7 +127,7 @@ Label = Annotated[str | TextColumn, BeforeValidator(_label)]
 class Labels(BaseModel):
     """Texts that tell poses apart: constant, with {folder} and {file} of the file's path, or from a column."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
 
     stage: Label = ""
     fixture: Label = ""
@@ -152,7 +152,7 @@ class LogMap(BaseModel):
         columns: by channel; `labels`: texts of poses; `clocks`: by group of channels.
     """
 
-    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, defer_build=True)
 
     format: str | None = None
     header: bool = True

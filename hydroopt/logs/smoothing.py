@@ -5,7 +5,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import make_interp_spline
 
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.logs import spline, two_weights
@@ -256,6 +255,7 @@ def _butterworth(t: Array, q: Array, smoothing: Butterworth, where: str) -> Arra
         raise ProblemError(f"a cutoff of {smoothing.cutoff:g} Hz and order {smoothing.order} do not suit "
                            f"sampling at {rate:g} Hz", where=where,
                            remedy=f"choose a cutoff between 0 and {rate / 2:g} Hz and an order of 1 or more")
+    from scipy.interpolate import make_interp_spline  # noqa: PLC0415 (as below)
     from scipy.signal import butter, sosfiltfilt  # noqa: PLC0415 (its import takes longer than most identifications)
 
     sections = butter(smoothing.order, smoothing.cutoff, fs=rate, output="sos")

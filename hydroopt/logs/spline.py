@@ -21,7 +21,8 @@ import numpy as np
 import scipy.sparse as sp
 from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_solve_banded, cholesky_banded
-from scipy.optimize import minimize_scalar
+
+from hydroopt.bounded_minimum import bounded_minimum
 
 Array = NDArray[np.float64]
 MIN_SAMPLES = 12
@@ -144,7 +145,7 @@ def _best(bases: Sequence["Basis"], values: Sequence[Array], noise: float | None
     exponents = np.linspace(_LOWEST, _HIGHEST, 9)
     lowest = int(np.argmin([risk(g) for g in exponents]))
     around = (exponents[max(lowest - 1, 0)], exponents[min(lowest + 1, exponents.size - 1)])
-    return float(minimize_scalar(risk, bounds=around, method="bounded", options={"xatol": 0.03}).x)
+    return bounded_minimum(risk, *around, tolerance=0.03)[0]
 
 
 class Basis:

@@ -14,11 +14,11 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, PPoly
 
 from hydroopt.errors import SolverError
 from hydroopt.estimation.dynamic.experiment import Experiment
@@ -40,21 +40,23 @@ CONVERGED = 1e-4
 """The fit has converged when a step moves the parameters by less than this part of their standard deviations."""
 
 
+@cache
 def _cardinal() -> Array:
     """(6, 6): powers 1, u, …, u⁵ to the six quintic B-splines of evenly spaced knots that are not zero at 0 ≤ u < 1."""
+    from scipy.interpolate import BSpline, PPoly  # noqa: PLC0415 (its import takes longer than most identifications)
+
     spline = BSpline.basis_element(np.arange(ORDER + 1.0))
     pieces = PPoly.from_spline((spline.t, spline.c, DEGREE))
     at = [int(np.searchsorted(pieces.x, DEGREE - j, side="right")) - 1 for j in range(ORDER)]
     return np.column_stack([pieces.c[::-1, k] for k in at])  # the j-th of the six began DEGREE − j knots ago
 
 
-_POLYNOMIALS = _cardinal()
 _GAUSS = np.polynomial.legendre.leggauss(3)
 
 
 def _splines(u: Array, derivative: int, spacing: float) -> Array:
     """Values (N, 6) of the six splines' derivatives at places u (N,) in their knot interval."""
-    polynomials = _POLYNOMIALS
+    polynomials = _cardinal()
     for _ in range(derivative):
         polynomials = polynomials[1:] * np.arange(1, len(polynomials))[:, None]
     return (u[:, None] ** np.arange(len(polynomials))) @ polynomials / spacing**derivative

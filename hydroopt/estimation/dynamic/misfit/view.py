@@ -8,10 +8,10 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import BSpline, make_interp_spline
 from scipy.ndimage import median_filter
 
 from hydroopt.estimation.dynamic.experiment import Experiment
+from hydroopt.logs.cubic_spline import cubic_spline
 from hydroopt.logs.forces_from_pressures import force_channels, force_noise
 from hydroopt.logs.joint_angles import angle_noise, measured_angles
 from hydroopt.logs.lag import stretches
@@ -225,23 +225,16 @@ class View:
         t = self.motion.t
         shift = np.broadcast_to(shift if np.ndim(shift) == 2 else np.reshape(shift, (-1, 1)), self.motion.q.shape)
         out = np.stack([self.motion.q, self.motion.qd, self.motion.qdd])
-        for (a, b), curve in self._curves.items():
-            if not np.any(shift[a:b]):
+        state = np.stack([self.motion.q, self.motion.qd, self.motion.qdd], axis=1)
+        for a, b in stretches(self.motion.segment):
+            if b - a < 8 or not np.any(shift[a:b]):
                 continue
             same = np.ptp(shift[a:b], axis=1).max() == 0
             for j in range(1 if same else out.shape[2]):
                 chosen = slice(None) if same else slice(j, j + 1)
-                made = curve(np.clip(t[a:b] + shift[a:b, j], t[a], t[b - 1]))
-                out[:, a:b, chosen] = np.moveaxis(made, 0, 1)[:, :, chosen]
+                at = np.clip(t[a:b] + shift[a:b, j], t[a], t[b - 1])
+                out[:, a:b, chosen] = np.moveaxis(cubic_spline(t[a:b], state[a:b, :, chosen], at), 0, 1)
         return out[0], out[1], out[2]
-
-    @cached_property
-    def _curves(self) -> dict[tuple[int, int], BSpline]:
-        """Smoothed positions, speeds and accelerations (3, n) between the samples of each stretch (first, end)."""
-        motion = self.motion
-        state = np.stack([motion.q, motion.qd, motion.qdd], axis=1)
-        return {(a, b): make_interp_spline(motion.t[a:b], state[a:b], k=3) for a, b in stretches(motion.segment)
-                if b - a >= 8}
 
     def smoothed(self, course: Array, joint: int) -> Array:
         """What smoothing makes of a course (N,) in a joint's measured position: its part of q, qd and qdd (3, N)."""
