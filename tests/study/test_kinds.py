@@ -143,8 +143,16 @@ def test_block_length_is_that_of_politis_and_white() -> None:
 
 @pytest.mark.slow
 def test_scatter_of_the_bootstrap_is_that_of_new_measurements(crane: Model) -> None:
-    """Of the forces alone, whose noise is white here: what a new log's noise does, the bootstrap foretells from one."""
-    motion = random_trajectory(crane, duration=12.0, rate=50.0, seed=2)
+    """Of the forces alone, whose noise is white here: what a new log's noise does, the bootstrap foretells from one.
+
+    The angle is stated as exact as it is: smoothing it for 0.3 degrees leaves a slow error of the forces, which the
+    bootstrap takes for noise with a memory.
+    """
+    data = crane.machine.model_dump()
+    (angle,) = (sensor for sensor in data["sensors"] if "lift.q" in sensor["channels"])
+    data["bandwidth"], angle["accuracy"] = None, 1e-7
+    crane = Model(Machine.model_validate(data))
+    motion = random_trajectory(crane, duration=60.0, rate=50.0, seed=2)
     clean = simulate(crane, motion, random_truth(crane, 3), noise=False)
     rng = np.random.default_rng(5)
 
@@ -156,11 +164,13 @@ def test_scatter_of_the_bootstrap_is_that_of_new_measurements(crane: Model) -> N
     study = bootstrap(crane.machine, [measured()], cells=80, method="wls")
     summary = bootstrap_summary(study, table(study))
     assert summary["block_samples"]["lift_cylinder"] <= 6
-    again = np.array([solve(identification_problem(crane, [measured()]), "wls").base_value for _ in range(80)])
+    again = [solve(identification_problem(crane, [measured()]), "wls") for _ in range(80)]
+    scatter = np.std([estimate.base_value for estimate in again], axis=0, ddof=1)
     foretold = np.array([row["scatter"] for row in summary["base_parameters"]])
-    np.testing.assert_allclose(foretold / again.std(axis=0, ddof=1), 1.0, atol=0.25)
-    stated = [row["scatter_over_stated"] for row in summary["base_parameters"]]
-    np.testing.assert_allclose(stated, 1.0, atol=0.25)
+    np.testing.assert_allclose(foretold / scatter, 1.0, atol=0.25)
+    # what one log states varies by a sixth, since few frequencies tell the noise where the parameters act
+    stated = np.sqrt(np.mean([estimate.base_std**2 for estimate in again], axis=0))
+    np.testing.assert_allclose(stated / scatter, 1.0, atol=0.25)
 
 
 @pytest.mark.slow

@@ -46,7 +46,7 @@ BLIND = 0.02
 """Part of a fault's columns that must be left beside the free parameters for it to be seen: of less, errors of second
 order of the parameters' own change are larger."""
 MANY = 0.25
-"""Largest part of the poses that can be wrong one by one; more are wrong together."""
+"""Largest part of all poses, or of a stage or stretch, that can be wrong one by one; more are wrong together."""
 DIM = 0.1
 """Part of a fault's columns that must be left for the data to decide: of less, errors of the linearisation decide."""
 LINEAR = 0.06
@@ -72,7 +72,7 @@ def find_suspects(problem: CalibrationProblem, q: Array, linearised: Linearised,
         score = -np.inf if leading is None else leading.score(variance, len(q))
         loose, loose_score = _noisy(problem, misfit, variance)
         single, single_score = _wild(misfit, variance, LINEAR * explained)
-        if loose is not None and np.mean(single[loose.poses]) > 0.5:  # most poses of a stretch are one finding
+        if loose is not None and np.mean(single[loose.poses]) > MANY:
             loose_score = max(loose_score, single_score)
         if max(loose_score, single_score) > score:
             if loose is not None and loose_score >= single_score:
