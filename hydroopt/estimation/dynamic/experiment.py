@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Protocol
@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
+from hydroopt.estimation.dynamic.column_basis import ColumnBasis
 from hydroopt.estimation.dynamic.folding import ROWS, ActuatorTriangles
 from hydroopt.estimation.dynamic.frequency_bands import BLOCK, ActuatorBands
 from hydroopt.estimation.dynamic.friction_sign import (
@@ -26,6 +27,7 @@ from hydroopt.estimation.dynamic.lagging_forces import added_by_lags, known_in_s
 from hydroopt.estimation.dynamic.with_calibrator import attached_calibrator, calibrator_remark
 from hydroopt.estimation.motion.observations import motion_channels
 from hydroopt.estimation.motion.sensed import calls_for_fit, sensed
+from hydroopt.kernels.native import FEW
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.calibrator_angles import calibrator_channels
 from hydroopt.logs.forces_from_pressures import force_channels, force_lags, pressures
@@ -225,33 +227,37 @@ class Experiment:
         bands.fold(K, force, self.inside[block, None] & self.known[block], self.log.sample[block] >= middle, step)
         if self.calm is not None:
             held = self.inside[block, None] & self.calm[block]
-            for i in np.flatnonzero(held.any(axis=0)).tolist():
-                edges = np.flatnonzero(np.diff(held[:, i], prepend=False, append=False))
-                for first, last in zip(edges[::2].tolist(), (edges[1::2] - 1).tolist(), strict=True):
-                    bands.holds.append(i, self._hold(K, force, block.start, (first, last), i, psi), step)
+            edges = [np.flatnonzero(np.diff(column, prepend=False, append=False)).tolist() for column in held.T]
+            spans = [(i, first, end) for i, some in enumerate(edges)
+                     for first, end in zip(some[::2], some[1::2], strict=True)]
+            dry = np.isin(np.array(self.model.parameters.kinds), DRY)
+            for (i, first, end), lever in zip(spans, self._levers(block.start, spans, psi), strict=True):
+                own, rows = np.flatnonzero(self.pattern[i]), slice(first, end)
+                total = np.append(np.where(dry, 0.0, K[rows, i].sum(axis=0))[own], force[rows, i].sum())
+                at = [block.start + first, block.start + end - 1]
+                bands.holds.append(i, Hold(*self.log.sample[at].tolist(), *self.motion.t[at].tolist(), end - first,
+                                           total, lever * dry), step)
         return K, force
 
-    def _hold(self, K: Array, force: Array, origin: int, span: tuple[int, int], actuator: int,
-              psi: Array | None) -> Hold:
-        """The hold of an actuator in the samples `span`, first and last, of a block K, f that begins at `origin`."""
-        first, last = span
-        rows, own = slice(first, last + 1), np.flatnonzero(self.pattern[actuator])
-        row = slice(origin + first, origin + first + 1)
-        starts = np.zeros_like(self.motion.qd[row])
-        starts[0, self.model.dynamics.kept[actuator]] = STARTING
-        state = replace(self, motion=replace(self.motion, q=self.motion.q[row], qd=starts, qdd=0 * starts),
-                        force=self.force[row], added=None,
-                        pressure=None if self.pressure is None else self.pressure[row])
-        dry = np.isin(np.array(self.model.parameters.kinds), DRY)
-        lever = np.abs(state.equations(psi)[0][0][0, actuator]) * dry
-        at = [int(self.log.sample[origin + k]) for k in span]
-        total = np.append((K[rows, actuator] * ~dry)[:, own].sum(axis=0), force[rows, actuator].sum())
-        return Hold(at[0], at[1], float(self.motion.t[origin + first]), float(self.motion.t[origin + last]),
-                    last - first + 1, total, lever)
+    def _levers(self, origin: int, spans: Sequence[tuple[int, int, int]], psi: Array | None) -> Array:
+        """Sizes (h, p) of an actuator's columns just before its joint moves that rests in the spans (actuator, first
+        sample, end) of a block that begins at `origin`."""
+        if not spans:
+            return np.zeros((0, len(self.model.parameters)))
+        actuators, first, _ = np.array(spans).T
+        which = np.arange(max(len(spans), FEW)) % len(spans)  # as many as the compiled kernel takes
+        rows = origin + first[which]
+        starts = np.zeros_like(self.motion.qd[rows])
+        starts[np.arange(len(which)), np.array(self.model.dynamics.kept)[actuators[which]]] = STARTING
+        state = replace(self, motion=replace(self.motion, q=self.motion.q[rows], qd=starts, qdd=0 * starts),
+                        force=self.force[rows], added=None,
+                        pressure=None if self.pressure is None else self.pressure[rows])
+        return np.abs(state.equations(psi)[0][0][np.arange(len(spans)), actuators])
 
     def bands(self, psi: Array | None = None) -> ActuatorBands:
         """The equations, linearised at `psi` (p,), by frequency."""
-        bands, middle = ActuatorBands(self.model.parameters, self.pattern), float(np.mean(self.log.rows))
+        bases, middle = [ColumnBasis.whole(np.flatnonzero(row)) for row in self.pattern], float(np.mean(self.log.rows))
+        bands = ActuatorBands(self.model.parameters, bases)
         for block in self.blocks(self.log.rows[0], (0, len(self.force))):
             self.fold_block(bands, block, middle, psi)
         return bands

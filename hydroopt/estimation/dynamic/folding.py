@@ -3,84 +3,97 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from copy import copy
+from functools import cache
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import lapack
 
+from hydroopt.estimation.dynamic.column_basis import ColumnBasis
 from hydroopt.spatial.inertia import Array
 
-ROWS, PANEL = 1024, 8
-"""Rows of a block, and columns that LAPACK's recursive QR takes at a time: three times as fast as its plain QR."""
+ROWS, SLACK, PANEL = 1024, 512, 8
+"""Rows of a block, those that wait for a QR, and columns that LAPACK's recursive QR takes at a time: three times as
+fast as its plain QR."""
 
 
 class ActuatorTriangles:
     """Triangles T_i with ``‖T_i·[ψ; −1]‖² = Σ (K_i·ψ − f_i)²`` over the rows of actuator i.
 
-    `compact` are they in those `columns` that K_i has by the `pattern` (n, p) of K; `samples` (n,) counts the rows,
-    `sums` (n, p+1) adds them up.
+    `compact` are rows with the same sums of squares, in those columns of [K_i, f_i] that the `bases` keep; `samples`
+    (n,) counts the rows, `sums` (n, p+1) adds them up.
     """
 
-    def __init__(self, pattern: NDArray[np.bool_]) -> None:
-        n, p = pattern.shape
-        self.columns = [np.append(np.flatnonzero(row), p) for row in pattern]
-        self.compact = [np.zeros((len(columns), len(columns)), order="F") for columns in self.columns]
+    def __init__(self, bases: Sequence[ColumnBasis], parameters: int) -> None:
+        n = len(bases)
+        self.bases = bases
+        self.compact = [np.zeros((0, len(basis.kept) + 1)) for basis in bases]
         self.samples = np.zeros(n)
-        self.sums = np.zeros((n, p + 1))
+        self.sums = np.zeros((n, parameters + 1))
 
     @classmethod
-    def of_rows(cls, owners: Sequence[tuple[NDArray[np.intp], Array]], samples: Array,
+    def of_rows(cls, bases: Sequence[ColumnBasis], rows: Sequence[Array], samples: Array,
                 sums: Array) -> ActuatorTriangles:
-        """Those of rows (m, ·) in some columns of [K, f] for each actuator, with `samples` (n,) and `sums` (n, p+1)."""
-        made = object.__new__(cls)
-        made.columns = [np.asarray(columns) for columns, _ in owners]
-        made.compact = [_blocked_triangle(np.asfortranarray(np.vstack([np.zeros((len(columns),) * 2), rows])))
-                        for columns, rows in owners]
+        """Those of rows (m, ·) in the columns of [K, f] that bases keep, with `samples` (n,) and `sums` (n, p+1)."""
+        made = cls(bases, sums.shape[1] - 1)
+        made.compact = [compact(block) for block in rows]
         made.samples, made.sums = samples, sums
         return made
 
     def fold(self, K: Array, force: Array, used: NDArray[np.bool_]) -> None:
-        """Add rows K (N, n, p) with forces (N, n) where they are `taken` (N, n)."""
-        for i, columns in enumerate(self.columns):
+        """Add rows K (N, n, p) with forces (N, n) where they are `used` (N, n)."""
+        for i, basis in enumerate(self.bases):
             rows = np.flatnonzero(used[:, i])
             if not len(rows):
                 continue
-            size = len(columns)
-            block = np.empty((size + len(rows), size), order="F")
-            block[:size] = self.compact[i]
-            block[size:, :-1] = K[rows, i][:, columns[:-1]]
-            block[size:, -1] = force[rows, i]
-            self.sums[i, columns] += block[size:].sum(axis=0)
-            self.compact[i] = _blocked_triangle(block)
+            block = basis.rows(K, force, i)[:, rows]
+            self.sums[i, basis.columns] += block.sum(axis=1) @ basis.expander
+            self.compact[i] = folded_rows(self.compact[i], block.T)
             self.samples[i] += len(rows)
 
     def add(self, other: ActuatorTriangles) -> None:
-        """Add the triangles of another."""
-        for i, block in enumerate(other.compact):
-            self.compact[i] = _blocked_triangle(np.asfortranarray(np.vstack([self.compact[i], block])))
+        """Add the triangles of another with the same bases."""
+        self.compact = [folded_rows(one, more) for one, more in zip(self.compact, other.compact, strict=True)]
         self.samples += other.samples
         self.sums += other.sums
 
-    def only(self, actuators: NDArray[np.bool_]) -> ActuatorTriangles:
-        """The rows of some actuators (n,) only."""
-        part = copy(self)
-        part.compact = [block * here for block, here in zip(self.compact, actuators, strict=True)]
-        part.samples, part.sums = self.samples * actuators, self.sums * actuators[:, None]
-        return part
+    def expanded(self) -> ActuatorTriangles:
+        """The same in all columns of the actuators."""
+        return ActuatorTriangles.of_rows([ColumnBasis.whole(basis.own) for basis in self.bases],
+                                         [block @ basis.expander for basis, block in zip(self.bases, self.compact,
+                                                                                         strict=True)],
+                                         self.samples, self.sums)
 
     @property
     def full(self) -> Array:
         """Triangles (n, p+1, p+1) of all columns."""
-        out = np.zeros((len(self.columns), self.sums.shape[1], self.sums.shape[1]))
-        for i, columns in enumerate(self.columns):
-            out[i][np.ix_(columns, columns)] = self.compact[i]
+        p = self.sums.shape[1] - 1
+        out = np.zeros((len(self.bases), p + 1, p + 1))
+        for each, basis, block in zip(out, self.bases, self.compact, strict=True):
+            rows = triangle(block @ basis.expander)
+            each[np.ix_(basis.columns[: len(rows)], basis.columns)] = rows
         return out
 
     def squares(self, v: Array) -> Array:
         """Sums (n,) of the squares of rows times v (p+1,)."""
-        return np.array([np.sum((block @ v[columns]) ** 2)
-                         for block, columns in zip(self.compact, self.columns, strict=True)])
+        return np.array([np.sum((block @ (basis.expander @ v[basis.columns])) ** 2)
+                         for block, basis in zip(self.compact, self.bases, strict=True)])
+
+
+def folded_rows(rows: Array, more: Array, most: int = SLACK) -> Array:
+    """Rows with the sums of squares of both blocks (·, k): these, or a triangle where they have more than `most`."""
+    k = rows.shape[1]
+    for start in range(0, len(more), ROWS):
+        part = more[start : start + ROWS]
+        block = np.empty((len(rows) + len(part), k), order="F")
+        block[: len(rows)], block[len(rows) :] = rows, part
+        rows = _blocked_triangle(block) if len(block) > max(k, most) else block
+    return rows
+
+
+def compact(rows: Array) -> Array:
+    """At most as many rows as columns, with the same sums of squares."""
+    return folded_rows(rows[:0], rows, 0)
 
 
 def _blocked_triangle(block: Array) -> Array:
@@ -88,18 +101,12 @@ def _blocked_triangle(block: Array) -> Array:
     k = block.shape[1]
     factored, _, info = lapack.dgeqrt(min(PANEL, k), block, overwrite_a=True)
     assert info == 0
-    return np.asfortranarray(np.triu(factored[:k]))
+    return np.where(_upper(k), factored[:k], 0.0)
 
 
-def folded_rows(rows: Array, more: Array) -> Array:
-    """At most as many rows as columns, with the sums of squares of both blocks (·, k): a triangle where there are more.
-    """
-    k = more.shape[1]
-    for start in range(0, len(more), ROWS):
-        rows = np.vstack([rows, more[start : start + ROWS]])
-        if len(rows) > k:
-            rows = _blocked_triangle(np.asfortranarray(rows))
-    return rows
+@cache
+def _upper(size: int) -> NDArray[np.bool_]:
+    return np.triu(np.ones((size, size), dtype=bool))
 
 
 def triangle(*blocks: Array) -> Array:

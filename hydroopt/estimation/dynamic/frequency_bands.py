@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.fft import dct
 
-from hydroopt.estimation.dynamic.folding import ActuatorTriangles, folded_rows
+from hydroopt.estimation.dynamic.column_basis import ColumnBasis
+from hydroopt.estimation.dynamic.folding import ActuatorTriangles, compact, folded_rows
 from hydroopt.estimation.dynamic.holds import Holds
 from hydroopt.estimation.inference.band_variances import Channel
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
@@ -21,31 +22,32 @@ LOWEST, RATIO, BANDS = 0.02, 1.6, 24
 
 
 class ActuatorBands:
-    """Rows [K_i, C_i, f_i] of each actuator, one block of samples after the other, by the frequencies of a cosine
-    transform (DCT-II), which is orthonormal: sums of squares over all bands are those over all samples.
+    """Rows [K_i, C_i, f_i] of each actuator, K_i in the columns that its basis keeps, one block of samples after the
+    other, by the frequencies of a cosine transform (DCT-II), which is orthonormal: sums of squares over all bands are
+    those over all samples.
 
     C_i are the columns of the actuator's friction and offset, with the opposite sign in the first half of a log: how
     much they differ between the halves. Rows that do not take part are zero before the transform, and a coefficient
     counts by the share of samples that do.
 
     Attributes:
-        own, contrast: for each actuator the columns of K_i by its pattern (n, p), and those that C_i repeats.
+        bases, contrast: for each actuator the columns of K_i, and those that C_i repeats.
         counts: (n, B) residuals of each actuator in each band.
         samples, sums: (n,) number and (n, p+1) sums of the rows [K_i, f_i] over time.
         holds: equations of joints at rest, which these rows do not contain.
     """
 
-    def __init__(self, parameters: ParameterSet, pattern: NDArray[np.bool_]) -> None:
-        n, p = pattern.shape
+    def __init__(self, parameters: ParameterSet, bases: Sequence[ColumnBasis]) -> None:
+        n, p = len(bases), len(parameters)
         varying = np.array([kind.is_friction or kind is ParameterKind.FORCE_OFFSET for kind in parameters.kinds])
-        self.own = [np.flatnonzero(row) for row in pattern]
-        self.contrast = [columns[varying[columns]] for columns in self.own]
-        self.rows = [[np.zeros((0, len(own) + len(extra) + 1)) for _ in range(BANDS)]
-                     for own, extra in zip(self.own, self.contrast, strict=True)]
+        self.bases = bases
+        self.contrast = [basis.own[varying[basis.own]] for basis in bases]
+        self.rows = [[np.zeros((0, len(basis.kept) + len(extra) + 1)) for _ in range(BANDS)]
+                     for basis, extra in zip(bases, self.contrast, strict=True)]
         self.counts = np.zeros((n, BANDS))
         self.samples = np.zeros(n)
         self.sums = np.zeros((n, p + 1))
-        self.holds = Holds(self.own)
+        self.holds = Holds([basis.own for basis in bases])
 
     def fold(self, K: Array, force: Array, taken: NDArray[np.bool_], later: NDArray[np.bool_], step: float) -> None:
         """Add a block of samples in a row.
@@ -61,19 +63,17 @@ class ActuatorBands:
         band = np.clip(np.floor(np.log(frequency / LOWEST) / np.log(RATIO)), 0, BANDS - 1)
         edges = np.searchsorted(band, np.arange(BANDS + 1))
         sign = np.where(later, 1.0, -1.0)
-        for i, (own, contrast) in enumerate(zip(self.own, self.contrast, strict=True)):
+        for i, (basis, contrast) in enumerate(zip(self.bases, self.contrast, strict=True)):
             here = taken[:, i]
             if not np.any(here):
                 continue
-            block = np.empty((count, len(own) + len(contrast) + 1))
-            block[:, : len(own)] = K[:, i, own]
-            block[:, len(own) : -1] = K[:, i, contrast] * sign[:, None]
-            block[:, -1] = force[:, i]
-            block[~here] = 0.0
-            self.sums[i, own] += block[:, : len(own)].sum(axis=0)
-            self.sums[i, -1] += block[:, -1].sum()
+            kept = basis.rows(K, force, i)
+            kept[:, ~here] = 0.0
+            halves = K[:, i].T[contrast] * np.where(here, sign, 0.0)
+            halves[:, ~here] = 0.0
+            self.sums[i, basis.columns] += kept.sum(axis=1) @ basis.expander
             self.samples[i] += np.sum(here)
-            turned = dct(block, axis=0, norm="ortho", overwrite_x=True)
+            turned = dct(np.concatenate([kept[:-1], halves, kept[-1:]]), norm="ortho", overwrite_x=True).T
             self.counts[i] += np.diff(edges) * np.mean(here)
             for b in range(BANDS):
                 if edges[b] < edges[b + 1]:
@@ -91,12 +91,12 @@ class ActuatorBands:
 
     def copy(self) -> ActuatorBands:
         """The same, to which others can be added."""
-        return self.only(np.ones(len(self.own), dtype=bool))
+        return self.only(np.ones(len(self.bases), dtype=bool))
 
     def only(self, actuators: NDArray[np.bool_]) -> ActuatorBands:
         """Nothing but the rows of some actuators (n,), and all holds."""
         part = object.__new__(ActuatorBands)
-        part.own, part.contrast = self.own, self.contrast
+        part.bases, part.contrast = self.bases, self.contrast
         part.rows = [[block if here else block[:0] for block in blocks]
                      for blocks, here in zip(self.rows, actuators, strict=True)]
         part.counts, part.samples = self.counts * actuators[:, None], self.samples * actuators
@@ -109,15 +109,27 @@ class ActuatorBands:
 
     def _channels(self, contrasts: bool) -> Iterator[Channel]:
         first = self.sums.shape[1] - 1
-        for own, contrast, blocks, counts in zip(self.own, self.contrast, self.rows, self.counts, strict=True):
+        whole = self.expanded()
+        for basis, contrast, blocks, counts in zip(whole.bases, self.contrast, whole.rows, self.counts, strict=True):
             extra = np.arange(first, first + len(contrast)) if contrasts else np.zeros(0, dtype=np.intp)
             first += len(extra)
-            kept = np.r_[: len(own) + len(extra), len(own) + len(contrast)]
-            yield Channel(np.concatenate([own, extra]), tuple(block[:, kept] for block in blocks), counts)
+            c = len(basis.own)
+            kept = np.r_[: c + len(extra), c + len(contrast)]
+            yield Channel(np.concatenate([basis.own, extra]), tuple(block[:, kept] for block in blocks), counts)
+
+    def expanded(self) -> ActuatorBands:
+        """The same in all columns of the actuators, with at most as many rows as columns."""
+        made = self.copy()
+        made.bases = [ColumnBasis.whole(basis.own) for basis in self.bases]
+        made.rows = [[np.hstack([block[:, : len(basis.kept)] @ basis.mixing, block[:, len(basis.kept) :]])
+                      for block in map(compact, blocks)]
+                     for basis, blocks in zip(self.bases, self.rows, strict=True)]
+        return made
 
     @property
     def triangles(self) -> ActuatorTriangles:
         """The same rows whatever their frequency, without C_i."""
-        return ActuatorTriangles.of_rows([
-            (np.append(channel.columns, self.sums.shape[1] - 1), np.vstack(channel.rows))
-            for channel in self.channels()], self.samples, self.sums)
+        whole = self.expanded()
+        rows = [np.vstack([np.delete(block, np.s_[len(basis.own) : -1], axis=1) for block in blocks])
+                for basis, blocks in zip(whole.bases, whole.rows, strict=True)]
+        return ActuatorTriangles.of_rows(whole.bases, rows, self.samples, self.sums)

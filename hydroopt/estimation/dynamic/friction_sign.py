@@ -114,13 +114,17 @@ def _same_mean(angles: Array, places: NDArray[np.intp], sigma: Array) -> NDArray
 
     `places` (parts + 1, N) are the first samples of the parts, and one after the last.
     """
-    middle = angles.mean(axis=0)
-    total = np.concatenate([np.zeros((1, angles.shape[1])), np.cumsum(angles - middle, axis=0)])
-    count = np.diff(places, axis=0)[:, :, None]
-    means = np.where(count > 0, np.diff(total[places], axis=0) / np.maximum(count, 1), np.nan)
-    fewest = np.min(np.where(count > 0, count, np.inf), axis=0)
-    allowed = np.maximum(SAME * sigma * np.sqrt(2 / fewest), STANDSTILL * WINDOW)
-    return np.asarray(np.nanmax(means, axis=0) - np.nanmin(means, axis=0) <= allowed)
+    same = []
+    for x, std in zip((angles - angles.mean(axis=0)).T, sigma, strict=True):
+        sums = np.concatenate([[0.0], np.cumsum(x)])[places]
+        low, high, fewest = np.full((3, len(x)), [[np.inf], [-np.inf], [np.inf]])
+        for before, after, count in zip(sums, sums[1:], np.diff(places, axis=0), strict=False):
+            with np.errstate(invalid="ignore"):  # a part without samples has no mean
+                mean = (after - before) / count
+            low, high = np.fmin(low, mean), np.fmax(high, mean)
+            fewest = np.fmin(fewest, np.where(count > 0, count, np.inf))
+        same.append(high - low <= np.maximum(SAME * std * np.sqrt(2 / fewest), STANDSTILL * WINDOW))
+    return np.array(same).T
 
 
 def has_dry_friction(model: Model) -> NDArray[np.bool_]:

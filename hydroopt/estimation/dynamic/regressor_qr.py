@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.estimation.dynamic.column_basis import ColumnBasis
 from hydroopt.estimation.dynamic.experiment import AnyExperiment, Experiment
 from hydroopt.estimation.dynamic.folding import ActuatorTriangles, split, triangle
 from hydroopt.estimation.dynamic.frequency_bands import ActuatorBands
@@ -37,7 +38,8 @@ class CompressedRegressor:
 def compress(experiments: Sequence[AnyExperiment], weights: Sequence[Array] | None = None, *,
              psi: Array | None = None) -> CompressedRegressor:
     """Fold experiments, linearised at `psi`, into triangles; `weights` (N, n) for each multiply squared residuals."""
-    folded = ActuatorTriangles(experiments[0].pattern)
+    folded = ActuatorTriangles([ColumnBasis.whole(np.flatnonzero(row)) for row in experiments[0].pattern],
+                               len(experiments[0].model.parameters))
     for k, data in enumerate(experiments):
         data.fold_into(folded, psi, None if weights is None else weights[k])
     return CompressedRegressor(folded.full, folded.samples)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import cached_property, singledispatch
@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import LogError, ProblemError
+from hydroopt.estimation.dynamic.column_basis import ColumnBasis, column_bases
 from hydroopt.estimation.dynamic.experiment import (
     AnyExperiment,
     Experiment,
@@ -22,7 +23,7 @@ from hydroopt.estimation.dynamic.experiment import (
     remarks,
     standstill_note,
 )
-from hydroopt.estimation.dynamic.folding import ROWS, ActuatorTriangles
+from hydroopt.estimation.dynamic.folding import ActuatorTriangles
 from hydroopt.estimation.dynamic.frequency_bands import BLOCK, ActuatorBands
 from hydroopt.estimation.dynamic.friction_sign import (
     FEW_MOVING,
@@ -63,9 +64,9 @@ class Totals:
     each joint moves, numbers of samples and of samples used, and findings of data quality.
     """
 
-    def __init__(self, model: Model) -> None:
-        pattern = model.regressor_pattern
-        self.known, self.others = ActuatorBands(model.parameters, pattern), ActuatorTriangles(pattern)
+    def __init__(self, model: Model, bases: Sequence[ColumnBasis]) -> None:
+        parameters = model.parameters
+        self.known, self.others = ActuatorBands(parameters, bases), ActuatorTriangles(bases, len(parameters))
         self.moving = np.zeros(len(model.machine.balances))
         self.samples = self.sample_count = 0
         self.findings: tuple[Finding, ...] = ()
@@ -122,10 +123,16 @@ class StreamedExperiment:
             LogError: a piece cannot be used, with its rows.
         """
         margin = self._margin
-        totals = Totals(self.model)
+        totals = Totals(self.model, self._bases)
         for part in self._over(lambda window: self._folded(*window), self.stream.windows((margin, BLOCK + margin))):
             totals.add(part, self.stream.survey.step)
+        totals.known, totals.others = totals.known.expanded(), totals.others.expanded()
         return totals
+
+    @cached_property
+    def _bases(self) -> list[ColumnBasis]:
+        """Columns that are folded: half of them, and the others follow."""
+        return column_bases(self.model)
 
     @property
     def moves(self) -> np.ndarray:
@@ -207,7 +214,7 @@ class StreamedExperiment:
     def _over(self, work: Callable[[Given], Made], given: Iterable[Given]) -> Iterator[Made]:
         """Results of `work` on all inputs, in their order, computed in parallel with few results in memory."""
         # created before threads use them
-        _ = self._sample, self.model.regressor, self.model.inverse_dynamics, self.model.wrench_forces
+        _ = self._sample, self._bases, self.model.regressor, self.model.inverse_dynamics, self.model.wrench_forces
         waiting: deque[Future[Made]] = deque()
         with threadpool_limits(limits=1, user_api="blas"), ThreadPoolExecutor(self.workers) as pool:
             try:
@@ -232,7 +239,7 @@ class StreamedExperiment:
 
     def _folded(self, samples: Samples, core: Rows) -> Totals:
         """The totals of the blocks that begin in one piece, so that no border of pieces cuts a block."""
-        totals, origin = Totals(self.model), self.stream.rows[0]
+        totals, origin = Totals(self.model, self._bases), self.stream.rows[0]
         log = self.stream.treated(samples, core)
         totals.findings = log.findings
         first, last = (origin + -(-(row - origin) // BLOCK) * BLOCK for row in (core[0], core[1] + 1))
@@ -246,9 +253,7 @@ class StreamedExperiment:
         for block in data.blocks(origin, (int(a), int(b))):
             K, force = data.fold_block(totals.known, block, float(np.mean(self.stream.rows)))
             others = data.inside[block, None] & ~data.known[block] & np.isfinite(force)
-            for start in range(0, len(force) if np.any(others) else 0, ROWS):
-                rows = slice(start, start + ROWS)
-                totals.others.fold(K[rows], force[rows], others[rows])
+            totals.others.fold(K, force, others)
         return totals
 
 

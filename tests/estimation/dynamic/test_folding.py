@@ -1,19 +1,29 @@
 """Triangles against the sums of squares that they stand for."""
 
-import numpy as np
+from collections.abc import Callable
 
+import numpy as np
+import pytest
+
+from hydroopt.estimation.dynamic.column_basis import ColumnBasis, column_bases
 from hydroopt.estimation.dynamic.folding import ActuatorTriangles
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import random_trajectory
 
 
-def test_triangles_keep_sums_and_squares_of_all_rows(cat215b: Model) -> None:
+def every_column(model: Model) -> list[ColumnBasis]:
+    return [ColumnBasis.whole(np.flatnonzero(row)) for row in model.regressor_pattern]
+
+
+@pytest.mark.parametrize("bases", [every_column, column_bases])
+def test_triangles_keep_sums_and_squares_of_all_rows(cat215b: Model,
+                                                     bases: Callable[[Model], list[ColumnBasis]]) -> None:
     motion = random_trajectory(cat215b, duration=33.0, rate=20.0, seed=1)
     rng = np.random.default_rng(1)
     K = cat215b.over(cat215b.regressor, motion.q, motion.qd, motion.qdd)[0]
     force, taken = 1e4 * rng.standard_normal(K.shape[:2]), rng.random(K.shape[:2]) < 0.7
     taken[40:90, 1] = False
-    one, other = ActuatorTriangles(cat215b.regressor_pattern), ActuatorTriangles(cat215b.regressor_pattern)
+    one, other = (ActuatorTriangles(bases(cat215b), K.shape[2]) for _ in range(2))
     for some, rows in ((one, slice(0, 40)), (one, slice(40, 90)), (other, slice(90, 300)), (other, slice(300, None))):
         some.fold(K[rows], force[rows], taken[rows])
     one.add(other)
