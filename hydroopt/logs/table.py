@@ -127,8 +127,9 @@ def in_si(layout: LogMap, table: Table, where: str) -> tuple[dict[str, Array], d
         with np.errstate(over="ignore", invalid="ignore"):
             difference = raw[0] if len(raw) == 1 else raw[0] - raw[1]
             values[name] = column.factor * factor(column.unit, si) * difference + column.shift(si, where)
-        stated = np.all(np.isfinite(raw), axis=0)
-        beyond = stated & ~(np.abs(values[name]) <= largest(si))
+        beyond = ~(np.abs(values[name]) <= largest(si))
+        if np.any(beyond):
+            beyond &= np.all(np.isfinite(raw), axis=0)
         if name == "t" and table.stamps is not None and np.count_nonzero(beyond) > beyond.size // 2:
             raise LogError(f"the time is stated in {column.unit}, but its numbers are an epoch in {table.stamps.unit}",
                            where=where, remedy=f"state its unit as {table.stamps.unit}")

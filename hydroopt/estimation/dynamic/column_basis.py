@@ -40,10 +40,11 @@ class ColumnBasis:
         """Those of [K, f], where f comes last."""
         return np.append(self.own, -1)
 
-    def rows(self, K: Array, force: Array, actuator: int) -> Array:
-        """Kept columns of [K, f], as rows (k+1, N), of K (N, n, p) and forces (N, n)."""
-        made = np.empty((len(self.kept) + 1, len(force)))
-        for row, column in zip(made, self.kept.tolist(), strict=False):
+    def rows(self, K: Array, force: Array, actuator: int, more: NDArray[np.intp] | None = None) -> Array:
+        """Kept columns of K (N, n, p), those of `more`, and forces (N, n) of an actuator, as rows (k+m+1, N)."""
+        columns = self.kept if more is None else np.concatenate([self.kept, more])
+        made = np.empty((len(columns) + 1, len(force)))
+        for row, column in zip(made, columns.tolist(), strict=False):
             row[:] = K[:, actuator, column]
         made[-1] = force[:, actuator]
         return made
@@ -59,8 +60,9 @@ class ColumnBasis:
 def column_bases(model: Model) -> list[ColumnBasis]:
     """The basis of each actuator of a model that is linear, found at random states and confirmed at others.
 
-    >>> [len(each.kept) for each in column_bases(Model(load_machine("cat215b")))]
-    [33, 37, 21]
+    >>> from hydroopt.model.model import model_of
+    >>> [(len(each.own), len(each.kept)) for each in column_bases(model_of("patu655_lift", "the example"))]
+    [(21, 5)]
     """
     rng = np.random.default_rng(0)
     states: tuple[Array, ...] = random_states(model, 2 * STATES, rng)

@@ -234,9 +234,9 @@ class Experiment:
             for (i, first, end), lever in zip(spans, self._levers(block.start, spans, psi), strict=True):
                 own, rows = np.flatnonzero(self.pattern[i]), slice(first, end)
                 total = np.append(np.where(dry, 0.0, K[rows, i].sum(axis=0))[own], force[rows, i].sum())
-                at = [block.start + first, block.start + end - 1]
-                bands.holds.append(i, Hold(*self.log.sample[at].tolist(), *self.motion.t[at].tolist(), end - first,
-                                           total, lever * dry), step)
+                (begun, ended), (begin, finish) = (x[[block.start + first, block.start + end - 1]].tolist()
+                                                   for x in (self.log.sample, self.motion.t))
+                bands.holds.append(i, Hold(begun, ended, begin, finish, end - first, total, lever * dry), step)
         return K, force
 
     def _levers(self, origin: int, spans: Sequence[tuple[int, int, int]], psi: Array | None) -> Array:
@@ -252,7 +252,7 @@ class Experiment:
         state = replace(self, motion=replace(self.motion, q=self.motion.q[rows], qd=starts, qdd=0 * starts),
                         force=self.force[rows], added=None,
                         pressure=None if self.pressure is None else self.pressure[rows])
-        return np.abs(state.equations(psi)[0][0][np.arange(len(spans)), actuators])
+        return np.asarray(np.abs(state.equations(psi)[0][0][np.arange(len(spans)), actuators]))
 
     def bands(self, psi: Array | None = None) -> ActuatorBands:
         """The equations, linearised at `psi` (p,), by frequency."""

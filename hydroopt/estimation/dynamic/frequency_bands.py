@@ -67,13 +67,13 @@ class ActuatorBands:
             here = taken[:, i]
             if not np.any(here):
                 continue
-            kept = basis.rows(K, force, i)
-            kept[:, ~here] = 0.0
-            halves = K[:, i].T[contrast] * np.where(here, sign, 0.0)
-            halves[:, ~here] = 0.0
-            self.sums[i, basis.columns] += kept.sum(axis=1) @ basis.expander
+            block = basis.rows(K, force, i, contrast)
+            np.copyto(block, 0.0, where=~here)
+            k = len(basis.kept)
+            self.sums[i, basis.columns] += block.sum(axis=1)[np.r_[:k, -1]] @ basis.expander
             self.samples[i] += np.sum(here)
-            turned = dct(np.concatenate([kept[:-1], halves, kept[-1:]]), norm="ortho", overwrite_x=True).T
+            block[k:-1] *= sign
+            turned = dct(block, norm="ortho", overwrite_x=True).T
             self.counts[i] += np.diff(edges) * np.mean(here)
             for b in range(BANDS):
                 if edges[b] < edges[b + 1]:

@@ -97,7 +97,8 @@ class ParquetFile:
             parts = [[column[max(0, first - row) : last + 1 - row] for column in columns] for row, columns in held]
             columns = dict(zip(keys, map(np.concatenate, zip(*parts, strict=True)), strict=True))
             made = stamps.of_column(columns[time]) if time in columns else None
-            yield Table({key: x.astype(float) for key, x in columns.items()}, np.arange(first, last + 1), stamps=made)
+            yield Table({key: x.astype(float, copy=False) for key, x in columns.items()}, np.arange(first, last + 1),
+                        stamps=made)
             waiting.popleft()
 
     @staticmethod

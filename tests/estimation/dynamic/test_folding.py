@@ -7,6 +7,7 @@ import pytest
 
 from hydroopt.estimation.dynamic.column_basis import ColumnBasis, column_bases
 from hydroopt.estimation.dynamic.folding import ActuatorTriangles
+from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import random_trajectory
 
@@ -41,3 +42,16 @@ def test_the_pattern_misses_no_entry(cat215b: Model) -> None:
     motion = random_trajectory(cat215b, duration=33.0, rate=20.0, seed=2)
     K = cat215b.over(cat215b.regressor, motion.q, motion.qd, motion.qdd)[0]
     np.testing.assert_array_equal(np.any(K != 0, axis=0), cat215b.regressor_pattern)
+
+
+@pytest.mark.parametrize("scale", [1.0, 1e-3, 0.0])
+@pytest.mark.parametrize("name", ["cat215b", "ur10"])
+def test_left_out_columns_follow_from_those_kept_at_every_speed(name: str, scale: float) -> None:
+    model = Model(load_machine(name))
+    motion = random_trajectory(model, duration=33.0, rate=20.0, seed=3)
+    K = model.over(model.regressor, motion.q, scale * motion.qd, scale * motion.qdd)[0]
+    for i, basis in enumerate(column_bases(model)):
+        assert len(basis.kept) < len(basis.own)
+        size = np.linalg.norm(K[:, i], axis=0).max()
+        left = np.linalg.norm(K[:, i, basis.kept] @ basis.mixing - K[:, i, basis.own], axis=0)
+        assert np.all(left < 1e-11 * size)  # what is zero at rest, too
