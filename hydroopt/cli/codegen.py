@@ -19,6 +19,8 @@ def codegen(
     float32: Annotated[bool, typer.Option("--float32", help="Single precision throughout.")] = False,
     fold_geometry: Annotated[bool, typer.Option("--fold-geometry", help=(
         "Build the geometry into the code: fewer operations, but a calibration needs new code."))] = False,
+    sizes: Annotated[bool, typer.Option("--sizes", help=(
+        "Compile all routines, and state in README.md how much stack and flash each takes."))] = False,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
 ) -> None:
@@ -34,7 +36,7 @@ def codegen(
     described, origin = codegen_origin.read(machine, parameter_set=parameter_set)
     with progress(f"writing C for {described.name}", quiet) as say:
         code = Code(described, origin, routines=functions or (), name=prefix, single=float32,
-                    fold_geometry=fold_geometry)
+                    fold_geometry=fold_geometry, measured=sizes)
         files = code.write(output, say)
     for diagnostic in machine_diagnostics(Model(described)):
         echo(f"! {diagnostic}", err=True)

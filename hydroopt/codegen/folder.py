@@ -70,18 +70,18 @@ KINDS = {"joint": "moving joint", "link": "link", "actuator": "actuator", "cylin
 class Code:
     """Generated C of some routines of a machine.
 
-    The texts depend on machine, options and origin only, except for the sizes in the README, which are measured with
-    the installed compiler.
+    The texts depend on machine, options and origin only, except for stack and flash in the README, which are measured
+    with the installed compiler if `measured`.
     """
 
     def __init__(self, machine: Machine, origin: Origin, *, routines: Sequence[str] = (), name: str | None = None,
                  single: bool = False, fold_geometry: bool = False, designed_motion: DesignedMotion | None = None,
-                 psi: Array | None = None) -> None:
+                 psi: Array | None = None, measured: bool = False) -> None:
         self.interface = Interface(machine, fold_geometry=fold_geometry, designed_motion=designed_motion, psi=psi)
         self.name = (prefix(machine.name.lower(), where=machine.name) if name is None
                      else prefix(name, where="--prefix"))
         self.names = Names(self.name)
-        self.origin, self.single = origin, single
+        self.origin, self.single, self.measured = origin, single, measured
         self.type = "float" if single else "double"
         self.routines = self.interface.chosen(routines)
         self.missing = self._missing(routines)
@@ -118,9 +118,11 @@ class Code:
         """The program of `prepare`, and that of all routines, which take its result as ``constants``."""
         return program(self.function).hoisted(self.interface.values, "constants")
 
-    def program(self, routine: Routine) -> Program:
-        """The program of one routine, its checks first."""
-        return self.programs[1].only([f"out{k}" for k, (name, _) in enumerate(self.keys) if name == routine.name])
+    @cached_property
+    def programs_of_routines(self) -> dict[str, Program]:
+        """The program of each routine, its checks first."""
+        return {routine: self.programs[1].only([f"out{k}" for k, (name, _) in enumerate(self.keys) if name == routine])
+                for routine in self.routines}
 
     @cached_property
     def bodies(self) -> dict[str, list[str]]:
@@ -168,8 +170,8 @@ class Code:
                  f"{self.name}_params.h": self._render("params.h")}
         for file, names in parts.items():
             files[file] = self._render("source.c", names=names, prepares=file == f"{self.name}.c")
-        progress("measuring stack and flash", 0.6)
-        table, measured = self._table(files)
+        progress("measuring stack and flash" if self.measured else "counting operations", 0.6)
+        table, method = self._table(files)
         sources = sorted(parts)
         progress("computing the self-test", 0.8)
         return files | {
@@ -177,7 +179,7 @@ class Code:
                 self.interface, self.function, self.keys, single=self.single)),
             "CMakeLists.txt": self._render("CMakeLists.txt", sources=sources),
             "Makefile": self._render("Makefile", sources=sources),
-            "README.md": self._render("README.md", table=table, measured=measured)}
+            "README.md": self._render("README.md", table=table, method=method)}
 
     def write(self, directory: Path, progress: Progress = silent) -> tuple[str, ...]:
         """Write the folder; what an earlier run generated there and this one does not is removed.
@@ -207,15 +209,17 @@ class Code:
         return {name: None for name in routines if name not in files and _generated(directory / name)} | files
 
     def _table(self, files: Mapping[str, str]) -> tuple[list[list[str]], str]:
-        """Rows of the README, one a routine, and how stack and flash were measured."""
-        found, measured = sizes(files)
+        """Rows of the README, one a routine, and how stack and flash were measured, if they were."""
         table = [["`prepare`", "`params`", "`constants`", _operations(self.programs[0])]]
         for routine in self.routines.values():
             writes = "load" if routine.name == "payload_update" else routine.gives
             table.append([f"`{routine.name}`", f"`{routine.takes}`: {', '.join(routine.reads)}", f"`{writes}`",
-                          _operations(self.program(routine))])
+                          _operations(self.programs_of_routines[routine.name])])
+        if not self.measured:
+            return table, ""
+        found, method = sizes(files)
         taken = [found.get(f"{self.name}_{row[0].strip('`')}") for row in table]
-        return [[*row, *map(str, size or ("", ""))] for row, size in zip(table, taken, strict=True)], measured
+        return [[*row, *map(str, size or ("", ""))] for row, size in zip(table, taken, strict=True)], method
 
     def largest(self, name: str) -> float:
         """Absolute value beyond which an input is refused; smaller ones cannot overflow in single precision."""
@@ -240,7 +244,8 @@ class Code:
         def source(name: str, k: int) -> str:
             return f"constants->value[{k}]" if name == "constants" else f"in->{name}[{k}]"
 
-        return statements(self.program(routine), Naming(source, target, self.type, self.single, self.call))
+        naming = Naming(source, target, self.type, self.single, self.call)
+        return statements(self.programs_of_routines[routine.name], naming)
 
     def call(self, operation: str) -> str:
         """The C function of an operation."""

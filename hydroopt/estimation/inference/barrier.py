@@ -64,8 +64,13 @@ class Interior(NamedTuple):
 
     def log_ratio(self, y: Array) -> Array:
         """Logarithm (c,) of the density of z (k, c), standard normal, over that of y, up to a constant."""
-        width = np.sum(self.root**2, axis=0)
-        return np.asarray(0.5 * (1 - width) @ y**2 - (self.centre @ self.root) @ y)
+        square, linear = self.ratio
+        return np.asarray(square @ y**2 + linear @ y)
+
+    @property
+    def ratio(self) -> tuple[Array, Array]:
+        """Coefficients (k,) of each coordinate's square and of itself in `log_ratio`."""
+        return 0.5 * (1 - np.sum(self.root**2, axis=0)), -(self.centre @ self.root)
 
 
 def interior(start: Array, root: Array, right: Array, matrices: Callable[[Array], Matrices], single: Slack) -> Interior:

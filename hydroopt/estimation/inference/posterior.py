@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from itertools import pairwise
 
 import casadi as ca
 import numpy as np
@@ -31,11 +32,12 @@ from hydroopt.spatial.inertia import Array
 
 Mask = NDArray[np.bool_]
 
-CHAINS, WARM_UP, SWEEPS, KEEP_EVERY, BLOCK, TRIES = 128, 30, 16, 2, 8, 6
-"""Number of chains; sweeps of a warm-up and of sampling, of which every second is kept; coordinates moved together;
-proposals of each move."""
+CHAINS, WARM_UP, SWEEPS, BLOCK, TRIES = 128, 16, 20, 12, 6
+"""Number of chains; sweeps of a warm-up and of sampling; coordinates moved together; proposals of each move."""
+BATCHES = 0, 1, 3, TRIES
+"""Proposals are evaluated in these parts, the later ones for the chains that still wait."""
 
-DRIFT, MEMORY, ROUNDS = 0.5, 0.5, 4
+DRIFT, MEMORY, ROUNDS = 0.5, 0.5, 8
 """Chains have settled when, over half a warm-up, their mean moves by less than this many of its standard deviations and
 their places correlate by less than this, in every coordinate; they are given this many warm-ups."""
 WIDER = 1.2
@@ -109,10 +111,9 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
         if settled:
             break
     kept = []
-    for step in range(SWEEPS):
+    for _ in range(SWEEPS):
         chains.sweep(rng)
-        if step % KEEP_EVERY == 0:
-            kept.append(chains.parameters)
+        kept.append(chains.parameters)
     samples = np.concatenate(kept)
     mean = (samples.mean(axis=0) - gaussian.offset) / scale
     centre = np.linalg.lstsq(slope, mean[:, None], rcond=None)[0]
@@ -202,6 +203,7 @@ class _Inequalities:
         self._user = user
         self.gaussian = gaussian
         self.inside = inside
+        self._ratio = inside.ratio
 
     def about(self, inside: Interior) -> _Inequalities:
         """The same in the coordinates of a Gaussian that stands in for the posterior."""
@@ -238,6 +240,10 @@ class _Inequalities:
         """Logarithm (c,) of the posterior's density relative to that of standard normal states, −∞ where an inequality
         does not hold.
         """
+        return self.truncated(slack, state) + self.ratio(state())
+
+    def truncated(self, slack: Array, state: Callable[[], Array]) -> Array:
+        """The part (c,) of `log_density` that inequalities and log-det distances make."""
         good: Mask = np.all(slack[10 * self._matrices :] >= 0, axis=0)
         correction = np.zeros(len(good))
         if self._matrices:
@@ -249,8 +255,12 @@ class _Inequalities:
                                                               for part in (entries, pivots)))
         if self._user.inequality is not None:
             good[good] = self._user.satisfied(self.gaussian.offset + (self.gaussian.slope @ state()[:, good]).T)
-        correction[good] += self.inside.log_ratio(state()[:, good])
         return np.where(good, correction, -np.inf)
+
+    def ratio(self, state: Array, block: NDArray[np.intp] | slice = slice(None)) -> Array:
+        """The part (...) of `log_density` that the Gaussian which stands in makes of all states (k, ...) or a block."""
+        square, linear = (part[block] for part in self._ratio)
+        return np.asarray(np.tensordot(square, state**2, 1) + np.tensordot(linear, state, 1))
 
     def _log_det_correction(self, entries: Array, pivots: Array) -> Array:
         """What log-det distances of the matrices W (10, b, c) weigh beyond the Gaussian that stands in for them."""
@@ -282,15 +292,18 @@ def _elliptical_step(state: Array, slack: Array, log_density: Array, block: NDAr
         low, high = np.where(angles[k] < 0, angles[k], low), np.where(angles[k] < 0, high, angles[k])
     threshold = log_density - rng.exponential(size=chains)
     waiting, slope = np.arange(chains), inequalities.slope[:, block]
-    for tries in (angles[:1], angles[1:]):  # most chains are done after one
+    others = inequalities.ratio(state) - inequalities.ratio(state[block], block)  # of the coordinates that stay
+    for first, end in pairwise(BATCHES):  # most chains are done after one
         if not len(waiting):
             break
-        angle, current = tries[:, waiting], state[np.ix_(block, waiting)]
+        angle, current = angles[first:end, waiting], state[np.ix_(block, waiting)]
         step = current[:, None] * (np.cos(angle) - 1) + other[:, waiting][:, None] * np.sin(angle)
         flat = step.reshape(len(block), -1)
         linear = slope @ flat
-        linear.reshape(len(slack), len(tries), -1)[:] += slack[:, None, waiting]
-        new = inequalities.log_density(linear, partial(_stepped, state, np.tile(waiting, len(tries)), block, flat))
+        linear.reshape(len(slack), end - first, -1)[:] += slack[:, None, waiting]
+        ratio = others[waiting] + inequalities.ratio(current[:, None] + step, block)
+        new = inequalities.truncated(linear, partial(_stepped, state, np.tile(waiting, end - first), block, flat))
+        new += ratio.ravel()
         good = new.reshape(angle.shape) > threshold[waiting]
         found = np.flatnonzero(good.any(axis=0))
         pick = np.argmax(good[:, found], axis=0) * len(waiting) + found  # the first accepted one
