@@ -1,7 +1,9 @@
 """How Sphinx builds the site: ``make docs``. Nothing is loaded from the network, neither here nor by a reader."""
 
+import re
 import sys
 from pathlib import Path
+from typing import Any
 
 HERE = Path(__file__).parent
 sys.path[:0] = [str(HERE.parent), str(HERE)]
@@ -46,7 +48,17 @@ html_theme_options = {
 generate(HERE)
 
 
+def _parameters_as_lines(app: Sphinx, page: str, template: str, context: dict[str, Any], tree: object) -> None:
+    """Make lines of the parameters of long signatures, which Sphinx writes as a list of definitions without terms:
+    readers of screens stumble over it."""
+    if "body" in context:
+        context["body"] = re.sub(r"<dl>\s*((?:<dd>(?:(?!<dl|</dl).)*?</dd>\s*)+)</dl>", lambda found: re.sub(
+            r"<(/?)dd>", lambda end: "</span>" if end[1] else '<span class="sig-line">', found[1]),
+            context["body"], flags=re.DOTALL)
+
+
 def setup(app: Sphinx) -> None:
     """Show tables as plain text, and let Sphinx read signatures of classes whose defaults are made when called."""
+    app.connect("html-page-context", _parameters_as_lines)
     lexers["csv"] = TextLexer()
     app.connect("autodoc-process-signature", lambda *args: (args[5] and args[5].replace("<factory>", "..."), args[6]))

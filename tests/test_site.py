@@ -51,7 +51,22 @@ def test_every_key_of_a_machine_file_has_a_docstring(monkeypatch: pytest.MonkeyP
     assert "| `dead_zone` | m/s (\\> 0) | – | Speed below which there is no dry friction: neither" in text
     assert "| `type` | `\"revolute\"` or `\"prismatic\"` or `\"locked\"` | **required** |" in text
     assert "| `lower` | 3 × m | **required** |" in text
+    assert "| `rocker` | [table](#machine-file-bar) | **required** |" in text
     assert text.count("\n## ") > 40
+
+
+@pytest.mark.slow
+@needs_browser
+@pytest.mark.parametrize("page", ["index", "generated/api", "reference/machine_file", "tutorials/own_csv"])
+def test_readers_of_screens_find_no_barrier(page: str, site: Path) -> None:
+    from axe_playwright_python.sync_playwright import Axe
+
+    with browser() as opened:
+        shown = opened.new_context().new_page()
+        shown.goto((site / f"{page}.html").as_uri())
+        found = Axe().run(shown).response["violations"]
+    assert not [(each["id"], each["nodes"][0]["html"][:200]) for each in found
+                if each["impact"] in ("serious", "critical")]
 
 
 @pytest.mark.slow

@@ -15,8 +15,15 @@ from sphinx.pycode import ModuleAnalyzer
 
 from extension.text import cell
 from hydroopt.machine.description import MachineDescription
+from hydroopt.machine.free_links import FreeLink
+from hydroopt.machine.linkages import Linkage
+from hydroopt.machine.oil_links import OilLink
+from hydroopt.machine.parameter_sets import CylinderBodies
 from hydroopt.machine.quantity import Quantity
 
+SHORT: dict[type[BaseModel], str] = {Linkage: "[[linkages]]", FreeLink: "[links.free]", OilLink: "[[oil_links]]",
+                                     CylinderBodies: "[parameter_sets.NAME.CYLINDER]"}
+"""Tables that stand for several others, and where a file states them."""
 HIDDEN = {"parameter_set", "notes"}
 """Fields that no file states."""
 BY_JOINT = {"lower": "rad or m", "upper": "rad or m", "max_speed": "rad/s or m/s",
@@ -28,6 +35,8 @@ def pages() -> dict[str, str]:
     """Text of the page's part by its path below ``docs/generated``."""
     found: dict[type[BaseModel], str] = {}
     _collect(MachineDescription, "", found)
+    for kind, path in SHORT.items():
+        _collect(kind, path, found)
     return {"machine_file.md": "\n".join(_section(kind, path) for kind, path in found.items())}
 
 

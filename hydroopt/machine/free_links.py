@@ -5,13 +5,48 @@ First comes the position along x, y, z of the link's parent, then yaw about z, p
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 from hydroopt.errors import MachineError
+from hydroopt.machine.quantity import AngularSpeed, Noun, Position, Quantity
+
+
+class Coordinate(Noun):
+    """Limits of one coordinate of a free link, as of the joint that stands for it."""
+
+    lower: Position | None = None
+    """Lower limit; both are needed."""
+    upper: Position | None = None
+    """Upper limit."""
+    max_speed: AngularSpeed | None = None
+    """Greatest speed."""
+    max_acceleration: Annotated[float, Quantity("rad/s^2", "m/s^2")] | None = None
+    """Greatest acceleration."""
+
+
+class FreeLink(Noun):
+    """Coordinates by which a link moves that no joint holds; a chain of joints stands for those that are stated.
+
+    Of a link `platform` they are `platform_x` … `platform_roll`; of `[base_motion]`, which the ground moves, `base_x` …
+    `base_roll`, and the link `chassis` carries what the file puts on the base.
+    """
+
+    x: Coordinate | None = None
+    """Along x of the parent."""
+    y: Coordinate | None = None
+    """Along y."""
+    z: Coordinate | None = None
+    """Along z."""
+    yaw: Coordinate | None = None
+    """Turn about z, first."""
+    pitch: Coordinate | None = None
+    """Turn about y, second."""
+    roll: Coordinate | None = None
+    """Turn about x, third."""
+
 
 AXES = {"x": "x", "y": "y", "z": "z", "yaw": "z", "pitch": "y", "roll": "x"}
 """Coordinates in the order of their joints, and the axis of each."""
-_LIMITS = {"lower", "upper", "max_speed", "max_acceleration"}
 _TURN = {"x": ({"beta": "90 deg"}, {"beta": "-90 deg"}), "y": ({"alpha": "-90 deg"}, {"alpha": "90 deg"})}
 """How z turns to an axis, and back."""
 
@@ -61,9 +96,9 @@ def chain(name: str, parent: Any, limits: Any, where: str) -> list[dict[str, Any
     for key, own in limits.items():
         if key not in AXES:
             raise MachineError("this coordinate is unknown", where=f"{where}.{key}", remedy=f"use {', '.join(AXES)}")
-        if not isinstance(own, dict) or not set(own) <= _LIMITS:
+        if not isinstance(own, dict) or not set(own) <= set(Coordinate.model_fields):
             raise MachineError("must be a table of limits", where=f"{where}.{key}",
-                               remedy=f"state {', '.join(sorted(_LIMITS))}")
+                               remedy=f"state {', '.join(sorted(Coordinate.model_fields))}")
     made: list[dict[str, Any]] = []
 
     def add(own: str, joint: dict[str, Any]) -> None:

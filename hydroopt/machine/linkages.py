@@ -8,12 +8,47 @@ from __future__ import annotations
 
 from typing import Any
 
+from pydantic import Field
+
 from hydroopt.errors import MachineError
+from hydroopt.machine.links import Body, JointFriction
+from hydroopt.machine.quantity import Length, Lengths, Name, Noun, Position
 from hydroopt.machine.stated_tables import refuse_keys, tables
 
 _BARS = ("rocker", "coupler")
-_KEYS = {"name", "moves", "posture", *_BARS}
-_BAR_KEYS = {"name", "pin", "length", "friction", "body"}
+
+
+class Bar(Noun):
+    """A rocker or coupler of a linkage: a link that turns, as long as the distance between its pins."""
+
+    pin: Lengths
+    """Of the rocker, on the parent of the link that the linkage moves; of the coupler, on this link."""
+    length: Length
+    """Distance between its pins."""
+    name: Name | None = None
+    """Name of its link; `rocker` or `coupler` if not given."""
+    friction: JointFriction | None = None
+    """Friction of its joint: the rocker's at its pin, the coupler's at the rocker's far end."""
+    body: Body | None = None
+    """What it weighs, in its link's frame."""
+
+
+class Linkage(Noun):
+    """A rocker and a coupler between a link and the one that its joint moves; two links and a loop stand for them.
+
+    Excavator's bucket, tilt of a log crane, Z-bar of a wheel loader, dual link of a knuckle boom.
+    """
+
+    name: Name
+    """Name, also of the loop."""
+    moves: str
+    """The link that it moves."""
+    rocker: Bar
+    """The bar that turns about its pin on the parent of that link."""
+    coupler: Bar
+    """The bar between the rocker's far end and its pin on that link."""
+    posture: dict[str, Position] = Field(min_length=1)
+    """Positions of joints near a posture in which the loop is closed, which tells on which side it is."""
 
 
 def expand(data: dict[str, Any], where: str) -> dict[str, str]:
@@ -32,7 +67,7 @@ def expand(data: dict[str, Any], where: str) -> dict[str, str]:
     links: list[Any] = stated if isinstance(stated := data.get("links"), list) else []
     for k, linkage in enumerate(tables(data.pop("linkages", []), f"{where}: linkages")):
         at = f"{where}: linkages[{linkage.get('name', k) if isinstance(linkage, dict) else k}]"
-        refuse_keys(linkage, _KEYS, _KEYS, at)
+        refuse_keys(linkage, Linkage, at)
         there = next((i for i, link in enumerate(links) if isinstance(link, dict)
                       and link.get("name") == linkage["moves"]), None)
         if there is None:
@@ -42,7 +77,7 @@ def expand(data: dict[str, Any], where: str) -> dict[str, str]:
         made: list[dict[str, Any]] = []
         for role in _BARS:
             bar = linkage[role]
-            refuse_keys(bar, _BAR_KEYS, {"pin", "length"}, f"{at}.{role}")
+            refuse_keys(bar, Bar, f"{at}.{role}")
             name = bar.get("name", role)
             joint = {"type": "revolute", "dependent": True, "a": bar["length"]}
             joint |= {key: bar[key] for key in ("friction",) if key in bar}

@@ -19,7 +19,16 @@ from pydantic import BaseModel, ValidationError
 
 from hydroopt.errors import MachineError
 from hydroopt.input_file import read_text, toml
-from hydroopt.machine import base_motion, cylinder_checks, free_links, linkages, loop_checks, oil_links, prior_checks
+from hydroopt.machine import (
+    base_motion,
+    cylinder_checks,
+    free_links,
+    linkages,
+    loop_checks,
+    oil_links,
+    parameter_sets,
+    prior_checks,
+)
 from hydroopt.machine.actuators import Cylinder, TorqueFriction
 from hydroopt.machine.bundled_files import bundled_files
 from hydroopt.machine.couplings import Coupling
@@ -111,7 +120,7 @@ def build_machine(data: dict[str, Any], where: str, parameter_set: str | None = 
         raise MachineError("this key is unknown", where=f"{where}: notes", remedy="remove it")
     _default_parents(data)
     in_linkages = linkages.expand(data, where) | oil_links.expand(data, where)
-    moved = _choose_parameter_set(data, parameter_set, where) | in_linkages
+    moved = parameter_sets.expand(data, parameter_set, where) | in_linkages
     moved |= free_links.expand(data, where) | base_motion.expand(data, where)
     notes: dict[str, Note] = {}
     try:
@@ -175,50 +184,6 @@ def _merged(base: Any, own: Any, key: str = "") -> Any:
     more = [part for part in own if part["name"] not in known]
     same = [_merged(part, stated.get(part["name"], {})) for part in base]
     return more + same if key == "stages" else same + more
-
-
-def _choose_parameter_set(data: dict[str, Any], wanted: str | None, where: str) -> dict[str, str]:
-    """Put the chosen bodies in their places; returns which place of the machine stands where in the file."""
-    sets, default = data.pop("parameter_sets", {}), data.pop("default_parameter_set", None)
-    chosen = wanted or default
-    if chosen is None:
-        return {}
-    if not isinstance(sets, dict) or str(chosen) not in sets:
-        have = ", ".join(sets) if isinstance(sets, dict) and sets else "none"
-        raise MachineError(f"there is no parameter set '{chosen}'", where=where, remedy=f"the file has: {have}")
-    data["parameter_set"] = chosen
-    parts = [(kind, part) for kind in ("links", "cylinders") if isinstance(data.get(kind), list)
-             for part in data[kind] if isinstance(part, dict)]
-    moved = {}
-    for name, stated in _table(sets[chosen], f"{where}: parameter_sets.{chosen}").items():
-        there = f"parameter_sets.{chosen}.{name}"
-        found = [(kind, part) for kind, part in parts if part.get("name") == name]
-        if not found:
-            raise MachineError(f"parameter set '{chosen}' names '{name}', which does not exist", where=where,
-                               remedy="name a link or a cylinder")
-        if len(found) > 1:
-            raise MachineError(f"the name '{name}' is used {len(found)} times", where=where,
-                               remedy="give each part a name of its own")
-        kind, part = found[0]
-        _table(stated, f"{where}: {there}")
-        if kind == "links":
-            part["body"] = stated
-            moved[f"links[{name}].body"] = there
-            continue
-        for end, body in stated.items():
-            if end not in ("barrel", "rod"):
-                raise MachineError("this key is unknown", where=f"{where}: {there}.{end}",
-                                   remedy="give the bodies of 'barrel' and 'rod'")
-            if isinstance(part.get(end), dict):
-                part[end]["body"] = body
-                moved[f"cylinders[{name}].{end}.body"] = f"{there}.{end}"
-    return moved
-
-
-def _table(node: Any, where: str) -> dict[str, Any]:
-    if not isinstance(node, dict):
-        raise MachineError(f"must be a table, not {node!r:.60}", where=where, remedy="state it key by key")
-    return node
 
 
 def _at(where: str, place: str, moved: Mapping[str, str]) -> str:

@@ -11,14 +11,61 @@ from collections.abc import Mapping
 from typing import Any
 
 from hydroopt.errors import MachineError
+from hydroopt.machine.links import Body, JointFriction
+from hydroopt.machine.quantity import Length, Lengths, Name, Noun, Position
 from hydroopt.machine.stated_tables import refuse_keys, tables
 from hydroopt.units import UnitError, to_si
 
-_KEYS = {"name", "lines", "posture", "master", "slave"}
-_NEEDED = {"name", "barrel", "rod", "bore", "rod_diameter", "length"}
 _CHAMBERS = ("head", "rod")
 ALIKE = 0.01
 """Two lines between the same cylinders must displace alike but for this part."""
+
+
+class OilPin(Noun):
+    """An end of a cylinder that shares oil."""
+
+    link: str
+    """The link that it is pinned to, or `base`."""
+    pin: Lengths
+    """Place (3,) of the pin in that link's frame."""
+    body: Body | None = None
+    """What barrel or rod weighs; x of its frame points from barrel pin to rod pin."""
+
+
+class OilCylinder(Noun):
+    """A cylinder that shares oil with another one."""
+
+    name: Name
+    """Name; `NAME_barrel`, `NAME_length` and `NAME_rod` are its links."""
+    barrel: OilPin
+    """Where its barrel is pinned."""
+    rod: OilPin
+    """Where its rod is pinned."""
+    bore: Length
+    """Diameter of the piston."""
+    rod_diameter: Length
+    """Diameter of the rod."""
+    length: Length
+    """Length between its pins while the other cylinder has its stated length."""
+    friction: JointFriction | None = None
+    """Friction along it."""
+
+
+class OilLink(Noun):
+    """A slave cylinder that follows a master, since oil is shut in between chambers of the two; links, loops and a
+    coupling stand for them."""
+
+    name: Name
+    """Name, also of the coupling."""
+    lines: tuple[str, ...]
+    """Which chambers share oil, from the master's to the slave's: one or two of `head to head`, `head to rod`,
+    `rod to head`, `rod to rod`."""
+    master: OilCylinder
+    """The cylinder that drives."""
+    slave: OilCylinder
+    """The cylinder that follows; it moves a joint that the file states as dependent."""
+    posture: dict[str, Position]
+    """Positions of joints near a posture in which the loops are closed."""
 
 
 def expand(data: dict[str, Any], where: str) -> dict[str, str]:
@@ -37,15 +84,15 @@ def expand(data: dict[str, Any], where: str) -> dict[str, str]:
     for k, link in enumerate(tables(data.pop("oil_links", []), f"{where}: oil_links")):
         own = f"oil_links[{link.get('name', k) if isinstance(link, dict) else k}]"
         at = f"{where}: {own}"
-        refuse_keys(link, _KEYS, _KEYS, at)
+        refuse_keys(link, OilLink, at)
         if not isinstance(link["posture"], dict):
             raise MachineError("must be a table", where=f"{at}.posture", remedy="state positions of joints")
         names, loops = [], data.setdefault("loops", [])
         for role in ("master", "slave"):
             cylinder = link[role]
-            refuse_keys(cylinder, _NEEDED | {"friction"}, _NEEDED, f"{at}.{role}")
+            refuse_keys(cylinder, OilCylinder, f"{at}.{role}")
             for end in ("barrel", "rod"):
-                refuse_keys(cylinder[end], {"link", "pin", "body"}, {"link", "pin"}, f"{at}.{role}.{end}")
+                refuse_keys(cylinder[end], OilPin, f"{at}.{role}.{end}")
             name = str(cylinder["name"])
             between = _between(data, cylinder, f"{at}.{role}")
             posture = {joint: value for joint, value in link["posture"].items() if joint in between or role == "slave"}
