@@ -1,6 +1,7 @@
 """What the README and the site show runs as it stands, page by page, in an empty directory."""
 
 import re
+import runpy
 import shlex
 import shutil
 from pathlib import Path
@@ -14,6 +15,9 @@ from hydroopt.cli import app
 
 ROOT = Path(__file__).parents[1]
 PAGES = [ROOT / "README.md", *sorted(path for path in (ROOT / "docs").rglob("*.md") if "generated" not in path.parts)]
+PICTURES = runpy.run_path(str(ROOT / "docs/figures/pages.py"))["pictures"]()
+LARGEST = 1.5e6
+"""Bytes of all pictures of the site."""
 SHOWING = [page for page in PAGES if any(block.language in ("sh", "python") for block in documents.blocks(page))]
 
 
@@ -24,6 +28,20 @@ def test_a_page_can_be_followed(page: Path, tmp_path: Path) -> None:
     folder = tmp_path / "empty"
     folder.mkdir()
     documents.follow(page, folder)
+    missing = [each.page for each in PICTURES if each.document == page and not (folder / each.page).is_file()]
+    assert not missing, "docs/figures/pages.py pictures what is not there"
+
+
+def test_pictures_of_pages_are_there_small_and_shown() -> None:
+    """`test_a_page_can_be_followed` looks whether what they picture is still made."""
+    folder = ROOT / "docs/figures"
+    assert {each.name for each in PICTURES} == {file.stem for file in (folder / "pages").glob("*.webp")}
+    assert len({each.document for each in PICTURES}) >= 3
+    assert sum(file.stat().st_size for file in folder.rglob("*") if file.suffix in (".webp", ".png")) < LARGEST
+    for each in PICTURES:
+        assert each.name.split(".")[0] == each.document.stem
+        made = each.page.partition("/")[0]
+        assert any(re.search(rf"-o {made}\b", line) for line in documents.commands(each.document)), each.name
 
 
 @pytest.mark.parametrize("page", SHOWING, ids=lambda page: page.stem)

@@ -49,7 +49,8 @@ def pages(docs: Path) -> dict[str, str]:
                            (docs / "tutorials/crane_by_hand.md").read_text("utf-8"), re.DOTALL | re.MULTILINE)
     drawn = {"crane": _drawing(ho.read_machine(crane)), "excavator": _drawing(ho.load_machine("excavator_bucket"))}
     with matplotlib.rc_context(STYLE):
-        drawn |= {"two_booms": _two_booms(), "cat215b_parameters": _parameters(), "interval": _interval()}
+        drawn |= {"two_booms": _two_booms(), "cat215b_parameters": _parameters(), "interval": _interval(),
+                  "controller": _controller()}
         return {f"figures/{name}.svg": _svg(figure) for name, figure in drawn.items()}
 
 
@@ -108,6 +109,27 @@ def _parameters() -> Figure:
     handles = [Patch(color=colours[key], label=label) for key, label in
                (("full", "alone"), ("combination", "in combination"), ("none", "no effect"))]
     figure.legend(handles=handles, loc="upper center", ncols=3, frameon=False)
+    return figure
+
+
+def _controller() -> Figure:
+    """What generated C takes and gives, once and in each cycle."""
+    figure = Figure(figsize=(8.6, 2.7))
+    ax = figure.add_axes((0, 0, 1, 1))
+    ax.set(xlim=(0, 100), ylim=(0, 31))
+    ax.axis("off")
+    boxes = {(4, 17): "estimate\nor machine file", (36, 17): "cat215b_params.h\ncat215b_values",
+             (69, 17): "cat215b_prepare\nonce, at the start",
+             (36, 2): "cat215b_motion_t\nq, qd, qdd", (69, 2): "cat215b_inverse_dynamics\nin each cycle"}
+    for (x, y), text in boxes.items():
+        ax.add_patch(matplotlib.patches.FancyBboxPatch((x, y), 23, 8, boxstyle="round,pad=0.6", fc="#eef3f7", ec=GREY))
+        ax.annotate(text, (x + 11.5, y + 4), ha="center", va="center", color=BLUE if x == 69 else INK)
+    for start, end, text in (((28, 21), (35, 21), "codegen"), ((60, 21), (68, 21), ""), ((60, 6), (68, 6), ""),
+                             ((80.5, 16), (80.5, 11), "constants"), ((93, 6), (99, 6), "")):
+        ax.annotate("", end, start, arrowprops={"arrowstyle": "-|>", "color": ORANGE, "lw": 1.6})
+        ax.annotate(text, ((start[0] + end[0]) / 2 + (5 if start[0] == end[0] else 0), (start[1] + end[1]) / 2 + 1.4),
+                    ha="center", va="center", fontsize=8, color=ORANGE)
+    ax.annotate("forces", (97, 8.5), ha="center", fontsize=8, color=ORANGE)
     return figure
 
 

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 import io
-import shutil
 import tempfile
 from pathlib import Path
 
+from pages import window
 from PIL import Image
-from playwright.sync_api import sync_playwright
 
 import hydroopt as ho
 from hydroopt.report import identification
@@ -35,16 +34,11 @@ def report() -> str:
 
 def picture(page: Path) -> bytes:
     """What a browser shows of the machine in space and of the forces beside it."""
-    with sync_playwright() as playwright:
-        browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=[
-            "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"])
-        tab = browser.new_page(viewport={"width": 1280, "height": 900}, device_scale_factor=1.5)
+    with window(width=1280, height=900, scale=1.5) as tab:
         tab.goto(page.as_uri())
         tab.wait_for_timeout(3000)
         tab.evaluate(SHORTEN)
-        made = tab.locator(".first").screenshot()
-        browser.close()
-    return made
+        return bytes(tab.locator(".first").screenshot())
 
 
 if __name__ == "__main__":

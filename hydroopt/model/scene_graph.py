@@ -31,7 +31,8 @@ class SceneBody(NamedTuple):
     """A link: `seat` (4, 4) is its frame P_i where its joint stands at zero, in its parent's frame.
 
     The joint moves it about or along the z axis of P_i by the entry `column` of the tree's joints, None if locked.
-    `points` (k, 3) [m] are what the link joins, in P_i; `com` (3,) is its centre of mass, None without a body.
+    `points` (k, 3) [m] are what the link joins, in P_i; `com` (3,) is its centre of mass, None without a body, and
+    among the points of a link that joins nothing else.
     """
 
     name: str
@@ -126,11 +127,14 @@ class SceneGraph:
             joined[link.parent] += [seats[link.name][:3, 3].tolist(),
                                     _point(self.geometry.seat(link.name).origin)]
         self._on_base = np.array(joined[BASE]).reshape(-1, 3)
+        centres = {link.name: inertia.centre_of_mass(link.body.phi) for link in self._links if link.body is not None}
+        for name, centre in centres.items():
+            if centre is not None and not np.any(joined[name]):  # as a robot's last link
+                joined[name].append(centre.tolist())
         return tuple(SceneBody(
             link.name, link.parent, seats[link.name], link.joint.type,
             self.columns.index(link.name) if link.joint.moving else None,
-            np.unique(np.round(joined[link.name], 9), axis=0),
-            None if link.body is None else inertia.centre_of_mass(link.body.phi)) for link in self._links)
+            np.unique(np.round(joined[link.name], 9), axis=0), centres.get(link.name)) for link in self._links)
 
     @property
     def tip(self) -> Point:

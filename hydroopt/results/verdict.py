@@ -199,8 +199,8 @@ class Verdict:
     crane: identification: ok
       usable      force prediction: lift_cylinder ±260 N (2.0 %); on 1 held-out log
       next        Write C with 'hydroopt codegen out'.
-    >>> verdict.usable(Purpose.FORCES), verdict.usable(Purpose.CONTROL)
-    (True, False)
+    >>> verdict.usable(Purpose.FORCES), verdict.usable(Purpose.CONTROL), verdict.serves
+    (True, False, True)
     """
 
     title: str
@@ -215,6 +215,11 @@ class Verdict:
             why = f"the answer is {self.status}"
             object.__setattr__(self, "uses", tuple(
                 replace(use, usable=Usable.NO, reason=why) if use.usable is Usable.YES else use for use in self.uses))
+
+    @property
+    def serves(self) -> bool:
+        """Whether it is usable for anything, or names no use at all."""
+        return not self.uses or any(use.usable is Usable.YES for use in self.uses)
 
     def usable(self, purpose: Purpose, subject: str | None = None) -> bool:
         """Whether the answer is usable for a purpose: for one part of the machine, or for all that it is about."""

@@ -7,11 +7,14 @@ from pathlib import Path
 import pytest
 from typer.testing import CliRunner, Result
 
+from fixtures.terminal import Terminal
 from hydroopt.cli import app
 from hydroopt.errors import ProblemError, StoppedError
 from hydroopt.guided.kinds import KINDS
 from hydroopt.guided.sketch import Sketch
 from hydroopt.machine.machine_file import load_machine
+
+PROMPT = "\n> "
 
 
 def run(*arguments: str, lines: list[str] | None = None) -> Result:
@@ -79,3 +82,25 @@ def test_a_file_that_exists_is_kept(tmp_path: Path) -> None:
     done = run(str(file), "--kind", "crane", lines=[])
     assert isinstance(done.exception, ProblemError)
     assert file.read_text() == "mine"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", [kind for kind in KINDS if kind != "excavator"])
+def test_typical_answers_at_a_terminal_make_a_machine(kind: str, tmp_path: Path) -> None:
+    """In a terminal of its own, question by question; the README's tutorial does so for the excavator."""
+    file = tmp_path / "mine.toml"
+    terminal = Terminal("new", str(file), "--kind", kind)
+    try:
+        asked = 0
+        while not file.exists():
+            terminal.until(lambda before=asked: terminal.shown.count(PROMPT) > before
+                           or terminal.command.poll() is not None)
+            if terminal.command.poll() is not None:
+                break
+            asked += 1
+            terminal.type("\n")
+        assert terminal.ended() == 0, terminal.last
+    finally:
+        terminal.close()
+    assert asked >= 8
+    assert load_machine(file).name == f"my_{kind}"

@@ -291,9 +291,11 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
     Raises:
         LogError: a channel is missing or in a unit that does not suit its joint, or a length at which a triangle is
             open.
-        ProblemError: the attached calibrator cannot have moved as the log says.
+        ProblemError: the machine has no parameters that forces depend on, or the attached calibrator cannot have moved
+            as the log says.
     """
     machine, given, position_std = model.machine, log, None
+    refuse_nothing_to_determine(model)
     if calls_for_fit(machine, log):
         log, motion, position_std = sensed(machine, log)
         angles = motion.q
@@ -314,6 +316,17 @@ def experiment(model: Model, log: Log, smoothing: Smoothing | None = None) -> Ex
                       (*remarks(model, given, angles), *calibrator_remark(attached)), pressures(model, log), added,
                       phases.calm[:, kept] & ~known & told, position_std)
     return made._lagging(lags) if np.any(lags) else made
+
+
+def refuse_nothing_to_determine(model: Model) -> None:
+    """Refuse a machine whose forces depend on no parameters.
+
+    Raises:
+        ProblemError: it has neither bodies nor friction.
+    """
+    if not len(model.parameters):
+        raise ProblemError("the machine file states neither bodies nor friction, so that no log determines anything",
+                           where=model.machine.name, remedy="state a body or friction in it")
 
 
 def channels_used(model: Model, log: AnyLog) -> set[str]:

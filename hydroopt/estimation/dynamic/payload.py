@@ -242,7 +242,7 @@ def _carried(model: Model, link: str) -> Array:
     if holder not in stated:
         able = [name for name in known if name in stated]
         raise ProblemError(f"the link '{holder}' has no body in the machine file, to which a load could be added",
-                           where="link", remedy=f"state one, or use one of {', '.join(able)}")
+                           where="link", remedy=f"state one{', or use one of ' * bool(able)}{', '.join(able)}")
     at = np.eye(4)
     if holder != link:
         pose = model.geometry.far_end(holder) @ model.geometry.relative_pose(holder, link, {})

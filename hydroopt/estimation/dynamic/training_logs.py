@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 from hydroopt.checks.plausibility import examine, misread_error
 from hydroopt.errors import HydrooptError, ProblemError, SolverError
 from hydroopt.estimation.dynamic import streamed_experiment
-from hydroopt.estimation.dynamic.experiment import AnyExperiment
+from hydroopt.estimation.dynamic.experiment import AnyExperiment, refuse_nothing_to_determine
 from hydroopt.estimation.dynamic.lagging_forces import refuse_lags
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.calibrator_angles import calibrator_channels
@@ -23,8 +23,10 @@ def prepared(log: AnyLog, model: Model, smoothing: Smoothing | None) -> AnyExper
     """A log as an experiment.
 
     Raises:
+        ProblemError: there is nothing to determine.
         LogError, ProblemError: it cannot be used; the mistake in it that explains this is named, if there is one.
     """
+    refuse_nothing_to_determine(model)
     try:
         return streamed_experiment.prepared(without_dead_channels(model.machine, log), model, smoothing)
     except HydrooptError as error:

@@ -16,14 +16,15 @@ const view = machine && (() => {
   const sky = new THREE.HemisphereLight(0xffffff, 0x8899aa, 1.9), sun = new THREE.DirectionalLight(0xffffff, 1.6);
   world.add(sky, sun);
   let wanted = false;
+  const render = () => {
+    wanted = false;
+    sun.position.copy(camera.position).add(new THREE.Vector3(0, 0, 6));
+    renderer.render(world, camera);
+  };
   const draw = () => {
     if (wanted) return;
     wanted = true;
-    requestAnimationFrame(() => {
-      wanted = false;
-      sun.position.copy(camera.position).add(new THREE.Vector3(0, 0, 6));
-      renderer.render(world, camera);
-    });
+    requestAnimationFrame(render);
   };
   controls.addEventListener("change", draw);
 
@@ -261,6 +262,7 @@ const view = machine && (() => {
     draw();
   };
   look.listen(dress);
+  addEventListener("beforeprint", render); // after the look has changed to that of paper, before the sheet is drawn
   let sized = false;
   new ResizeObserver(() => {
     const { clientWidth: width, clientHeight: height } = canvas;

@@ -7,12 +7,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from hydroopt.errors import LogError
+from hydroopt.errors import LogError, ProblemError
 from hydroopt.estimation.dynamic.experiment import experiment
+from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.logs.forces_from_pressures import force_noise
 from hydroopt.logs.joint_angles import angle_noise
 from hydroopt.logs.log import Log
 from hydroopt.machine.machine import Machine
+from hydroopt.machine.machine_file import read_machine
 from hydroopt.model.model import Model
 from hydroopt.simulation.simulate import random_trajectory, simulate
 
@@ -124,3 +126,14 @@ def test_noise_of_a_force_is_that_of_the_sensor_that_the_log_has(cat215b: Model,
     np.testing.assert_array_equal(force_noise(model, log), by_pressure)
     np.testing.assert_array_equal(force_noise(model, direct), [by_pressure[0], 300.0, by_pressure[2]])
     assert np.isnan(force_noise(cat215b, direct)[1])
+
+
+def test_a_machine_without_bodies_and_friction_is_refused_in_a_sentence() -> None:
+    machine = read_machine(
+        'name = "arm"\n[[links]]\nname = "lift"\n'
+        'joint = { type = "revolute", a = "1 m", lower = "0 deg", upper = "60 deg" }\n'
+        '[[drives]]\nname = "drive"\njoint = "lift"\n')
+    log = simulate(Model(machine), random_trajectory(Model(machine), duration=5, rate=20, seed=1), seed=1)
+    for refused in (lambda: experiment(Model(machine), log), lambda: identification_problem(machine, [log])):
+        with pytest.raises(ProblemError, match="arm: the machine file states neither bodies nor friction"):
+            refused()
