@@ -37,7 +37,7 @@ INTERFACE_VERSION = (1, 0)
 """Of the conventions of generated C: the first number grows when what callers wrote may no longer compile or mean the
 same, the second when routines, members or statuses are added."""
 LARGEST = dict.fromkeys(("psi", "reading", "force", "std", "force_rate", "pressure_a", "pressure_b", "supply",
-                         "wrench"), 1e9)
+                         "wrench", "actuator_force"), 1e9)
 """Absolute value beyond which an input is refused, by the member's name; 1e5 for all others."""
 LARGE = 1200
 """Number of statements from which each routine gets its own file."""

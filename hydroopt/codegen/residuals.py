@@ -28,10 +28,11 @@ def _measurement(api: Symbols) -> str:
                       Field("q", ("joint",), "rad or m", "position of each joint"),
                       Field("qd", ("joint",), "rad/s or m/s", "its speed"),
                       Field("qdd", ("joint",), "rad/s^2 or m/s^2", "its acceleration"),
-                      Field("reading", ("reading",), "Pa or N*m", "reading of each transducer"), _wrench(api))
+                      Field("reading", ("reading",), "Pa or N*m", "reading of each transducer"), wrench_member(api))
 
 
-def _wrench(api: Symbols) -> Field:
+def wrench_member(api: Symbols) -> Field:
+    """The member with a wrench at the tip."""
     return Field("wrench", (6,), "N, N*m", "force x, y, z and moment x, y, z that the surroundings exert on the "
                  f"machine at the far end of {api.machine.tip}, in the base frame; 0 without contact")
 
@@ -131,7 +132,7 @@ def wrench_forces(api: Symbols) -> Routine:
     """What a wrench at the tip adds to the forces of a motion."""
     wrench = api.symbol("wrench", 6)
     takes = api.struct("contact", "A wrench at the tip.",
-                       Field("q", ("joint",), "rad or m", "position of each joint"), _wrench(api))
+                       Field("q", ("joint",), "rad or m", "position of each joint"), wrench_member(api))
     return Routine("wrench_forces", "What a wrench at the tip adds to the forces of `inverse_dynamics`, by virtual "
                    "work.", takes, ("q", "wrench"), api.efforts(),
                    {"force": api.dynamics.wrench_forces(wrench)}, api.guards(levers=True), api.lengths)
@@ -149,14 +150,3 @@ def tip_wrench(api: Symbols) -> Routine:
     return Routine("tip_wrench", "The wrench at the tip that explains the measured forces of a motion.",
                    _measurement(api), ("q", "qd", "qdd", "reading"), gives, {"wrench": wrench},
                    (*api.guards(levers=True, gas=True), Guard(determined, ">", DETERMINED, "SINGULAR")), api.lengths)
-
-
-def mass_matrix(api: Symbols) -> Routine:
-    """Mass matrix and gravity."""
-    psi = api.inputs["psi"]
-    gives = api.struct("inertia", "Inertia and gravity of the bodies at the joints.",
-                       Field("mass_matrix", ("joint", "joint"), "kg*m^2, kg*m or kg", "torque per acceleration"),
-                       Field("gravity", ("joint",), "N*m or N", "torque that holds the bodies at each joint"))
-    return Routine("mass_matrix", "Mass matrix and gravity of all bodies and rotors, at the joints.", api.motion(),
-                   ("q",), gives, {"mass_matrix": api.dynamics.mass_matrix(psi),
-                                   "gravity": api.dynamics.gravity_torques(psi)}, api.guards(), api.lengths)

@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from hydroopt.codegen import residuals
+from hydroopt.codegen import dynamics, residuals
 from hydroopt.codegen.inverse_kinematics import inverse_kinematics, no_arm
 from hydroopt.codegen.joint_state import joint_state, no_lengths
 from hydroopt.codegen.symbols import Field, Guard, Routine, Symbols
@@ -263,7 +263,8 @@ ROUTINES: Mapping[str, Callable[[Symbols], Routine]] = {
     "forward_kinematics": _forward_kinematics, "inverse_kinematics": inverse_kinematics, "cylinder_state":
     _cylinder_state, "joint_state": joint_state, "actuator_forces": _actuator_forces, "inverse_dynamics":
     _inverse_dynamics, "gravity_forces": _gravity_forces, "regressor": _regressor, "reduced_regressor":
-    _reduced_regressor, "mass_matrix": residuals.mass_matrix, "wrench_forces": residuals.wrench_forces,
+    _reduced_regressor, "mass_matrix": dynamics.mass_matrix, "force_parts": dynamics.force_parts,
+    "forward_dynamics": dynamics.forward_dynamics, "wrench_forces": residuals.wrench_forces,
     "tip_wrench": residuals.tip_wrench, "residual": residuals.residual, "residual_by_motion":
     residuals.residual_by_motion, "residual_by_parameters": residuals.residual_by_parameters,
     "residual_by_geometry": residuals.residual_by_geometry, "closure": residuals.closure, "payload_update":

@@ -99,6 +99,8 @@ def states(interface: Interface, count: int = STATES, seed: int = 0, *, single: 
                                      for each in q])
     if "wrench" in interface.inputs:
         inputs["wrench"] = rng.uniform(-1e4, 1e4, (count, 6))
+    if "forward_dynamics" in interface.routines:
+        inputs["actuator_force"] = rng.uniform(-1e5, 1e5, (count, len(machine.actuators)))
     if "valve_feedforward" in interface.routines:
         valves = (count, len(machine.powered))
         inputs |= {"speed_added": rng.uniform(-0.1, 0.1, valves), "force_rate": rng.uniform(-1e5, 1e5, valves),
