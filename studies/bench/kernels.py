@@ -124,15 +124,18 @@ def first() -> None:
 
 
 def in_turns(runs: Mapping[Any, Callable[[], object]], repeats: int = REPEATS,
-             clock: Callable[[], float] = time.perf_counter) -> dict[Any, float]:
-    """Median time [s] of each run; they take turns, so that what else the machine does meets them all."""
+             clock: Callable[[], float] = time.perf_counter,
+             of: Callable[[list[float]], float] = statistics.median) -> dict[Any, float]:
+    """Median time [s] of each run, or another `of` its times; they take turns, so that what else the machine does meets
+    them all.
+    """
     taken: dict[Any, list[float]] = {name: [] for name in runs}
     for _ in range(repeats + 1):
         for name, run in runs.items():
             began = clock()
             run()
             taken[name].append(clock() - began)
-    return {name: statistics.median(times[1:]) for name, times in taken.items()}  # the first time warms up
+    return {name: of(times[1:]) for name, times in taken.items()}  # the first time warms up
 
 
 def race(regressor: Regressor, groups: Mapping[str, Mapping[str, Contender]]) -> None:
