@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from hydroopt.machine import stroke_checks
 from hydroopt.machine.actuators import Cylinder, GasCylinder
+from hydroopt.machine.closures import closures
 from hydroopt.machine.geometry import Geometry
 from hydroopt.machine.loop_checks import FLAT
 from hydroopt.machine.machine import Machine
@@ -16,7 +18,7 @@ from hydroopt.machine.mechanism import Mechanism
 from hydroopt.machine.posture import said_posture
 from hydroopt.machine.quantity import ImpossibleError
 from hydroopt.machine.springs import Pinned, Spring
-from hydroopt.spatial.cylinder_triangle import Triangle
+from hydroopt.machine.stroke_checks import ShortStroke
 from hydroopt.spatial.evenly_spread import sobol
 from hydroopt.spatial.inertia import Array
 
@@ -29,27 +31,30 @@ DRAWN = 12
 def check(machine: Machine) -> None:
     """Check every cylinder over the range of the joints it moves.
 
-    The triangle must close, the stroke must cover the range, and the lever arm must keep its sign; of several actuators
-    that are there to move one joint each may pass a dead point, but not all at once. Cylinders that only together move
-    several joints, as those of a platform, must do so. For a cylinder on one revolute joint this is exact; any other is
-    checked on a grid of its joints, or at samples of them where they are more than `FEW`. The volume of a gas cylinder
-    must stay positive and its pins and those of a spring apart, also checked on a grid.
+    The triangle must close, the stroke must cover the range, also of cylinders that share oil, and the lever arm must
+    keep its sign; of several actuators that are there to move one joint each may pass a dead point, but not all at
+    once. Cylinders that only together move several joints, as those of a platform, must do so. For a cylinder on one
+    revolute joint this is exact; any other is checked on a grid of its joints, or at samples of them where they are
+    more than `FEW`. The volume of a gas cylinder must stay positive and its pins and those of a spring apart, also
+    checked on a grid.
 
     Raises:
         ImpossibleError: names the cylinder, the place and the remedy.
     """
     geometry = Geometry(machine)
     drivers = machine.drivers
+    short = list(_slides(geometry))
     for cylinder in machine.cylinders:
         found, main = geometry.triangle(cylinder), machine.main_joint(cylinder)
         alone = len(drivers[main]) == 1 and not any(main in group for group in machine.entangled)
         if found is None or found[0] not in machine.joints:
-            _check_on_grid(geometry, cylinder, alone=alone)
+            short.append(_check_on_grid(geometry, cylinder, alone=alone))
             continue
         joint, sides = found
         if alone:
             _lever_arm_keeps_sign(cylinder, joint, float(sides.offset), *machine.link(joint).joint.range)
-        _stroke_suffices(cylinder, joint, sides, *machine.link(joint).joint.range)
+        short.append(stroke_checks.by_triangle(cylinder, joint, sides, *machine.link(joint).joint.range))
+    stroke_checks.refuse([one for one in short if one])
     for joint, several in drivers.items():
         cylinders = [each for each in several if isinstance(each, Cylinder) and machine.moved_by(each) == (joint,)]
         if len(several) == len(cylinders) > 1:
@@ -141,20 +146,24 @@ class _Grid(NamedTuple):
 
 def _on_grid(geometry: Geometry, cylinder: Pinned) -> _Grid:
     machine = geometry.machine
-    joints = machine.moved_by(cylinder)
-    q = ca.SX.sym("q", len(joints))
-    at = Mechanism(machine).positions(geometry, {joint: q[k] for k, joint in enumerate(joints)})
-    length = _length(geometry, cylinder, at)
-    function = ca.Function("length", [q], [length, ca.jacobian(length, q)[-1]])
-    states = _samples(machine, joints)
+    q, states, place = _range_of(machine, machine.moved_by(cylinder))
+    length = _length(geometry, cylinder, Mechanism(machine).positions(geometry, q))
+    symbols = ca.vertcat(*q.values())
+    function = ca.Function("length", [symbols], [length, ca.jacobian(length, symbols)[-1]])
     lengths, arms = (np.asarray(values).ravel() for values in function(states))
+    return _Grid(lengths, arms, place)
+
+
+def _range_of(machine: Machine, joints: Sequence[str]) -> tuple[dict[str, ca.SX], Array, Callable[[int], str]]:
+    """Symbols of joints by name, their positions (n, N) over their ranges, and the words for a sample's place."""
+    states = _samples(machine, joints)
 
     def place(sample: int) -> str:
         slides = [machine.link(joint).joint.type == "prismatic" for joint in joints]
         return ", ".join(f"{joint} = {value:.3f} m" if slide else f"{joint} = {np.degrees(value):.1f} deg"
                          for joint, value, slide in zip(joints, states[:, sample], slides, strict=True))
 
-    return _Grid(lengths, arms, place)
+    return {joint: ca.SX.sym(joint) for joint in joints}, states, place
 
 
 def _apart(geometry: Geometry, part: GasCylinder | Spring) -> tuple[Array, Callable[[int], str]]:
@@ -188,21 +197,30 @@ def _not_dead_at_once(geometry: Geometry, joint: str, cylinders: Sequence[Cylind
                               "correct their pins or narrow the joint's limits")
 
 
-def _check_on_grid(geometry: Geometry, cylinder: Cylinder, *, alone: bool) -> None:
+def _check_on_grid(geometry: Geometry, cylinder: Cylinder, *, alone: bool) -> ShortStroke | None:
+    """What its stroke lacks; refuses a dead point."""
     lengths, arms, place = _on_grid(geometry, cylinder)
-    beyond = np.flatnonzero((lengths < cylinder.dead_length - 1e-9)
-                            | (lengths > cylinder.dead_length + cylinder.stroke + 1e-9))
-    if beyond.size:
-        raise ImpossibleError(
-            f"'{cylinder.name}' would be {lengths[beyond[0]]:.3f} m long at {place(int(beyond[0]))} but can only be "
-            f"{cylinder.dead_length:.3f} to {cylinder.dead_length + cylinder.stroke:.3f} m",
-            f"correct dead length and stroke (the whole range takes {lengths.min():.3f} to {lengths.max():.3f} m), "
-            "pins or the joints' limits")
+    if (short := stroke_checks.by_samples(cylinder.name, lengths, place, stroke_checks.possible(cylinder))):
+        return short
     turned = np.flatnonzero(arms * arms[0] <= 0)
     if turned.size and alone:
         raise ImpossibleError(
             f"'{cylinder.name}' has a dead point near {place(int(turned[0]))}, where its lever arm on "
             f"{geometry.machine.main_joint(cylinder)} changes sign", "correct its pins or narrow the joints' limits")
+    return None
+
+
+def _slides(geometry: Geometry) -> Iterator[ShortStroke | None]:
+    """What joints lack that slide as others make them, and state how far they can."""
+    machine = geometry.machine
+    for closure in closures(machine.links, machine.loops, machine.couplings):
+        for joint in closure.joints:
+            if machine.link(joint).joint.lower is None:
+                continue
+            q, states, place = _range_of(machine, closure.follows)
+            at = Mechanism(machine).positions(geometry, q)[joint]
+            lengths = np.asarray(ca.Function("slide", [ca.vertcat(*q.values())], [at])(states)).ravel()
+            yield stroke_checks.by_samples(joint, lengths, place, machine.link(joint).joint.range)
 
 
 def _lever_arm_keeps_sign(cylinder: Cylinder, joint: str, offset: float, lower: float, upper: float) -> None:
@@ -214,26 +232,3 @@ def _lever_arm_keeps_sign(cylinder: Cylinder, joint: str, offset: float, lower: 
         raise ImpossibleError(
             f"'{cylinder.name}' has a dead point at {joint} = {np.degrees(dead):.2f} deg, inside the joint's range "
             f"{np.degrees(lower):.1f} to {np.degrees(upper):.1f} deg", "correct its pins or narrow the joint's limits")
-
-
-def _stroke_suffices(cylinder: Cylinder, joint: str, sides: Triangle, lower: float, upper: float) -> None:
-    fixed, moving, offset, lateral = (float(v) for v in sides)
-    shortest, longest = (np.hypot(fixed + sign * moving, lateral) for sign in (-1, 1))
-    retracted, extended = cylinder.dead_length, cylinder.dead_length + cylinder.stroke
-    if retracted > longest or extended < shortest:
-        raise ImpossibleError(
-            f"the triangle of '{cylinder.name}' is open at every {joint}: its pins can be {shortest:.3f} to "
-            f"{longest:.3f} m apart, the cylinder {retracted:.3f} to {extended:.3f} m long",
-            "correct its pins, dead length or stroke")
-    # in between, a length is longest or shortest at the dead points
-    first = np.ceil((lower + offset) / np.pi)
-    angles = (lower, upper, *(np.arange(first, (upper + offset) / np.pi) * np.pi - offset))
-    lengths = {angle: float(np.sqrt(fixed**2 + moving**2 + lateral**2 - 2 * fixed * moving * np.cos(angle + offset)))
-               for angle in angles}
-    for angle, length in lengths.items():
-        if not retracted - 1e-9 <= length <= extended + 1e-9:
-            raise ImpossibleError(
-                f"'{cylinder.name}' would be {length:.3f} m long at {joint} = {np.degrees(angle):.1f} deg but can only "
-                f"be {retracted:.3f} to {extended:.3f} m",
-                f"correct dead length and stroke (the whole range takes {min(lengths.values()):.3f} to "
-                f"{max(lengths.values()):.3f} m), pins or the joint's limits")

@@ -156,7 +156,7 @@ class Joint(Noun):
     beta: Angle = 0.0
     """Turn about y behind that; needed between nearly parallel axes."""
     lower: float | None = Field(None, allow_inf_nan=False)
-    """Lower limit; a joint that moves by itself needs both."""
+    """Lower limit; a joint that moves by itself needs both, of a dependent one that slides they are its stroke."""
     upper: float | None = Field(None, allow_inf_nan=False)
     """Upper limit."""
     max_speed: float | None = Field(None, gt=0, allow_inf_nan=False)
@@ -198,11 +198,13 @@ class Joint(Noun):
         if self.dependent:
             if self.type == "locked":
                 raise ImpossibleError("a locked joint cannot be dependent", "let it turn or slide", "dependent")
-            for key in ("lower", "upper", "max_speed", "max_acceleration", "compliance"):
+            stroke = () if self.type == "prismatic" else ("lower", "upper")
+            for key in (*stroke, "max_speed", "max_acceleration", "compliance"):
                 if getattr(self, key) is not None:
                     raise ImpossibleError(f"a dependent joint states '{key}'",
                                           "remove it: the joints that it follows have limits", key)
-            return self
+            if self.lower is None and self.upper is None:
+                return self
         if self.type == "locked":
             return self
         if self.lower is None or self.upper is None:
@@ -225,7 +227,7 @@ class Joint(Noun):
 
     @property
     def range(self) -> tuple[float, float]:
-        """Lower and upper limit [rad or m] of an independent joint."""
+        """Lower and upper limit [rad or m] of an independent joint, or one that states its stroke."""
         assert self.lower is not None
         assert self.upper is not None
         return self.lower, self.upper

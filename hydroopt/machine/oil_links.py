@@ -47,6 +47,10 @@ class OilCylinder(Noun):
     """Diameter of the rod."""
     length: Length
     """Length between its pins while the other cylinder has its stated length."""
+    dead_length: Length | None = None
+    """Length when retracted."""
+    stroke: Length | None = None
+    """How much longer it can be; checked over the whole range, with `dead_length`."""
     friction: JointFriction | None = None
     """Friction along it."""
 
@@ -98,7 +102,7 @@ def expand(data: dict[str, Any], where: str) -> dict[str, str]:
             posture = {joint: value for joint, value in link["posture"].items() if joint in between or role == "slave"}
             if role == "master":
                 posture[f"{name}_length"] = cylinder["length"]
-            data["links"] += _links(data, cylinder, name, between)
+            data["links"] += _links(data, cylinder, name, between, _limits(cylinder, f"{at}.{role}"))
             loops.append({"name": name, "link": f"{name}_rod", "posture": posture,
                           "to": {"link": cylinder["rod"]["link"], "pin": cylinder["rod"]["pin"]}})
             moved |= {f"loops[{name}].to.pin": f"{own}.{role}.rod.pin", f"loops[{name}].posture": f"{own}.posture",
@@ -114,7 +118,8 @@ def expand(data: dict[str, Any], where: str) -> dict[str, str]:
     return moved
 
 
-def _links(data: Mapping[str, Any], cylinder: Mapping[str, Any], name: str, between: list[str]) -> list[dict[str, Any]]:
+def _links(data: Mapping[str, Any], cylinder: Mapping[str, Any], name: str, between: list[str],
+           limits: Mapping[str, str]) -> list[dict[str, Any]]:
     """Barrel, slide and rod; the frames of barrel and rod have x along the centre line from barrel pin to rod pin."""
     barrel, rod = cylinder["barrel"], cylinder["rod"]
     carrier: dict[str, Any] = next((link for link in data["links"] if link.get("name") == barrel["link"]), {})
@@ -131,8 +136,19 @@ def _links(data: Mapping[str, Any], cylinder: Mapping[str, Any], name: str, betw
             {"name": f"{name}_barrel", "parent": f"{name}_seat", **own,
              "joint": {"type": "revolute", "dependent": True, "beta": "90 deg"}},
             {"name": f"{name}_length", "parent": f"{name}_barrel",
-             "joint": {"type": "prismatic", "dependent": True, "beta": "-90 deg", **rubs}},
+             "joint": {"type": "prismatic", "dependent": True, "beta": "-90 deg", **limits, **rubs}},
             {"name": f"{name}_rod", "parent": f"{name}_length", "joint": {"type": "locked"}, **end}]
+
+
+def _limits(cylinder: Mapping[str, Any], at: str) -> dict[str, str]:
+    """Shortest and longest that a cylinder can be, where it states its stroke."""
+    missing = [key for key in ("dead_length", "stroke") if key not in cylinder]
+    if len(missing) == 2:
+        return {}
+    if missing:
+        raise MachineError(f"'{missing[0]}' is missing", where=at, remedy="state dead_length and stroke, or neither")
+    dead, stroke = (_number(cylinder, key, at) for key in ("dead_length", "stroke"))
+    return {"lower": f"{dead!r} m", "upper": f"{dead + stroke!r} m"}
 
 
 def _between(data: Mapping[str, Any], cylinder: Mapping[str, Any], where: str) -> list[str]:

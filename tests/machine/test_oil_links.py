@@ -102,3 +102,21 @@ def test_bad_oil_links(old: str, new: str, words: str) -> None:
 def test_oil_links_that_are_no_tables(stated: str, words: str) -> None:
     with pytest.raises(MachineError, match=words):
         read_machine(f'name = "lift"\noil_links = {stated}\n')
+
+
+def test_strokes_that_are_too_short_are_all_named_at_once() -> None:
+    """The lengths that both need by the positions of their pins alone."""
+    boom = np.linspace(*load_machine("level_keeping_lift").link("boom").joint.range, 99)
+    needed = [np.linalg.norm(turned(angle, MASTER[1]) - MASTER[0]) for angle in boom]
+    short = FILE.replace('"0.67 m"', '"0.75 m"').replace('"1.01 m"', '"1.2 m"').replace('"1.12 m"', '"0.9 m"')
+    with pytest.raises(MachineError) as refusal:
+        read_machine(short)
+    said = str(refusal.value)
+    assert f"'compensator_length' is {1e3 * (0.75 - min(needed)):.0f} mm too long retracted" in said
+    assert f"'leveller_length' is {1e3 * (1.2 - OIL + max(needed)):.0f} mm too long retracted" in said
+    assert "'boom_cylinder' is 208 mm too short extended" in said
+
+
+def test_half_a_stroke_is_refused() -> None:
+    with pytest.raises(MachineError, match=r"master: 'dead_length' is missing"):
+        read_machine(FILE.replace('dead_length = { value = "0.67 m"', '#'))

@@ -16,7 +16,7 @@ _FRICTION = ("coulomb", "viscous")
 def sidecar_text(machine: Machine, file: str, *, motors: bool = True) -> str:
     """Text of the sidecar of a robot `file` that describes a machine.
 
-    Bodies, limits, places of joints, friction, gears and what mimics what stand in the robot file alone. What is known
+    Bodies, limits but of joints that follow others, places of joints, friction, gears and what mimics what stand in the robot file alone. What is known
     of such a number beside its value, its confidence and source, stands here without the value.
 
     Args:
@@ -34,8 +34,8 @@ def sidecar_text(machine: Machine, file: str, *, motors: bool = True) -> str:
         if link.body and link.body.phi.any():
             _said(table, "body", _BODY)
         joint = table["joint"]
-        locked = joint["type"] == "locked"
-        for key in ("type",) * (not locked) + ("theta", "d", "lower", "upper") + ("max_speed",) * motors:
+        locked, limits = joint["type"] == "locked", ("lower", "upper") * (not link.joint.dependent)
+        for key in ("type",) * (not locked) + ("theta", "d", *limits) + ("max_speed",) * motors:
             _drop(joint, key)
         if not drives & {link.name} and not _rotary(machine, link.name):
             _said(joint, "friction", _FRICTION)
