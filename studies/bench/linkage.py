@@ -65,5 +65,5 @@ def show(nanoseconds: Mapping[tuple[str, str], float], counts: Mapping[str, int]
     for (way, name), taken in nanoseconds.items():
         each, before = taken / counts[name], nanoseconds[way, BEFORE] / counts[BEFORE]
         print(f"  {f'{name}: {way}':60} {taken:18.0f} {each:18.3f} {each / before:18.2f}")
-    print("CPU time, the least of all runs. Target: an operation takes about as long as without loops while results stay")
-    print("in the cache; a linkage has twice the columns, and writing them costs more where they do not")
+    print("CPU time, the least of all runs. Target: an operation takes about as long as without loops while results")
+    print("stay in the cache; a linkage has twice the columns, and writing them costs more where they do not")

@@ -16,8 +16,9 @@ _FRICTION = ("coulomb", "viscous")
 def sidecar_text(machine: Machine, file: str, *, motors: bool = True) -> str:
     """Text of the sidecar of a robot `file` that describes a machine.
 
-    Bodies, limits but of joints that follow others, places of joints, friction, gears and what mimics what stand in the robot file alone. What is known
-    of such a number beside its value, its confidence and source, stands here without the value.
+    Bodies, limits but of joints that follow others, places of joints, friction, gears and what mimics what stand in the
+    robot file alone. What is known of such a number beside its value, its confidence and source, stands here without
+    the value.
 
     Args:
         machine: the machine.
