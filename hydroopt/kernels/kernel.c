@@ -28,28 +28,42 @@ static inline real each_atan2(real x, real z) { real y; for (int l = 0; l < LANE
 static inline real each_fmin(real x, real z) { real y; for (int l = 0; l < LANES; l++) y[l] = fmin(x[l], z[l]); return y; }
 static inline real each_fmax(real x, real z) { real y; for (int l = 0; l < LANES; l++) y[l] = fmax(x[l], z[l]); return y; }
 
-/* `past` the caches go results that do not fit there: a store then fetches no line, which is as much work as writing it. */
-static inline void put(double *at, real value, long past)
+/* Entries of an output from `first` on, up to `end`. */
+typedef struct { long first, end; } run;
+{% for output in outputs %}
+{% set number = loop.index0 %}
+static const run written{{ number }}[] = { {%- for start, stop in runs[number] %}{ {{- start }}, {{ stop -}} }, {% endfor %}{0, 0}};
+static const run zero{{ number }}[] = { {%- for start, stop in gaps[number] %}{ {{- start }}, {{ stop -}} }, {% endfor %}{0, 0}};
+{% endfor %}
+
+/* Entry k of sample s of an output is at out[k * step + s]; results `past` the caches fetch no line that they overwrite. */
+static void keep(const run *some, const real *y, double *out, long step, long left, long past)
 {
-    if (past) PAST(at, value);
-    else *(slot *)at = value;
+    for (; some->end; some++)
+        for (long k = some->first; k < some->end; k++, y++) {
+            double *const at = out + k * step;
+            if (left >= LANES && past) PAST(at, *y);
+            else if (left >= LANES) *(slot *)at = *y;
+            else for (long l = 0; l < left; l++) at[l] = (*y)[l];
+        }
 }
 
-static void blank(double *at, long n, long past)
+static void blank(const run *some, double *out, long step, long n, long past)
 {
-    long s = 0;
-    for (; s + LANES <= n; s += LANES) put(at + s, (real){0}, past);
-    for (; s < n; s++) at[s] = 0.0;
+    const real nothing = {0};
+    for (; some->end; some++)
+        for (long k = some->first; k < some->end; k++)
+            for (long s = 0; s < n; s += LANES) keep((const run[]){ {0, 1}, {0, 0} }, &nothing, out + k * step + s, step, n - s, past);
 }
 
-static void kernel({% for given in inputs %}const real *restrict x{{ loop.index0 }}, {% endfor %}double *const *restrict o, const long *restrict step, long past)
+static void kernel({% for given in inputs %}const real *restrict x{{ loop.index0 }}, {% endfor %}real *restrict y)
 {
 {% for line in lines %}
     {{ line }}
 {% endfor %}
 }
 
-/* Entry k of sample s of an output is at out[k * step + s]; entries that are always zero are written if `whole`. */
+/* What is always zero is written only if `whole`. */
 #ifdef _WIN32
 __declspec(dllexport)
 #endif
@@ -59,34 +73,20 @@ void over(long n, const double *const *in, const long *stride, double *const *ou
 {% for given in inputs %}
         real x{{ loop.index0 }}[{{ given.size or 1 }}];
 {% endfor %}
+        real y[{{ entries or 1 }}];
         for (int l = 0; l < LANES; l++) {
             const long at = s + l < n ? s + l : n - 1;
 {% for given in inputs %}
             for (int k = 0; k < {{ given.size }}; k++) x{{ loop.index0 }}[k][l] = in[{{ loop.index0 }}][at * stride[{{ loop.index0 }}] + k];
 {% endfor %}
         }
-        if (s + LANES <= n) {
-            double *const o[] = { {%- for output in outputs %}out[{{ loop.index0 }}] + s, {% endfor -%} };
-            kernel({% for given in inputs %}x{{ loop.index0 }}, {% endfor %}o, step, past);
-            continue;
-        }
-        real last[{{ entries or 1 }}];
-        double *const o[] = { {%- for first in firsts %}(double *)(last + {{ first }}), {% endfor -%} };
-        const long lanes[] = { {%- for output in outputs %}LANES, {% endfor -%} };
-        kernel({% for given in inputs %}x{{ loop.index0 }}, {% endfor %}o, lanes, 0);
+        kernel({% for given in inputs %}x{{ loop.index0 }}, {% endfor %}y);
 {% for output in outputs %}
-{% set number = loop.index0 %}
-{% for start, length in runs[number] %}
-        for (int k = {{ start }}; k < {{ start + length }}; k++)
-            for (long l = 0; s + l < n; l++) out[{{ number }}][k * step[{{ number }}] + s + l] = o[{{ number }}][k * LANES + l];
-{% endfor %}
+        keep(written{{ loop.index0 }}, y + {{ firsts[loop.index0] }}, out[{{ loop.index0 }}] + s, step[{{ loop.index0 }}], n - s, past);
 {% endfor %}
     }
 {% for output in outputs %}
-{% set number = loop.index0 %}
-{% for start, length in gaps[number] %}
-    for (int k = {{ start }}; whole && k < {{ start + length }}; k++) blank(out[{{ number }}] + k * step[{{ number }}], n, past);
-{% endfor %}
+    if (whole) blank(zero{{ loop.index0 }}, out[{{ loop.index0 }}], step[{{ loop.index0 }}], n, past);
 {% endfor %}
 #ifdef __AVX__
     if (past) _mm_sfence();

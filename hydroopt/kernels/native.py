@@ -10,7 +10,7 @@ import ctypes
 import hashlib
 import os
 import subprocess
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from functools import partial
@@ -234,27 +234,27 @@ def _kept(folder: Path, key: str, function: ca.Function, by: Compiler) -> ctypes
 def source(made: Program) -> str:
     """The kernel's C: a few samples side by side in each value, as many as the processor's registers hold."""
     written = [[made.number(ref) != 0.0 for ref in out.entries] for out in made.outputs]
-    runs = [[(start, stop - start) for start, stop in _runs(mask, of=True)] for mask in written]
-    gaps = [[(start, stop - start) for start, stop in _runs(mask, of=False)] for mask in written]
+    place: dict[tuple[str, int], int] = {}
+    firsts = []
+    for out, mask in zip(made.outputs, written, strict=True):
+        firsts.append(len(place))
+        place |= {(out.name, k): len(place) + n for n, k in enumerate(np.flatnonzero(mask).tolist())}
     number = {given.name: k for k, given in enumerate(made.inputs)}
-    place = {out.name: k for k, out in enumerate(made.outputs)}
     lines = c_writer.statements(made, c_writer.Naming(
         source=lambda name, k: f"x{number[name]}[{k}]",
-        target=lambda name, k: (f"put(o[{place[name]}] + {k} * step[{place[name]}], {{}}, past);"
-                                if written[place[name]][k] else None),
+        target=lambda name, k: f"y[{place[name, k]}] = {{}};" if (name, k) in place else None,
         type="real", call=lambda op: f"each_{op}", lift=lambda text: f"((real){{0}} + {text})"))
-    sizes = [len(out.entries) for out in made.outputs]
     from jinja2 import Environment, PackageLoader, StrictUndefined  # noqa: PLC0415 — only where a kernel is compiled
 
     environment = Environment(loader=PackageLoader("hydroopt.kernels", "."), undefined=StrictUndefined,
                               trim_blocks=True, lstrip_blocks=True)
     return environment.get_template("kernel.c").render(
         unary=sorted({node.op for node in made.nodes} & straight.UNARY - {"inv", "sign"}), lines=lines,
-        inputs=made.inputs, outputs=made.outputs, runs=runs, gaps=gaps, entries=sum(sizes),
-        firsts=[sum(sizes[:k]) for k in range(len(sizes))])
+        inputs=made.inputs, outputs=made.outputs, runs=[_runs(mask, of=True) for mask in written],
+        gaps=[_runs(mask, of=False) for mask in written], entries=len(place), firsts=firsts)
 
 
-def _runs(mask: Sequence[bool], *, of: bool) -> Iterator[tuple[int, int]]:
+def _runs(mask: Sequence[bool], *, of: bool) -> list[tuple[int, int]]:
     """First and end of the places in a row where a mask is true, or false."""
     edges = np.flatnonzero(np.diff(np.array(mask) == of, prepend=False, append=False)).tolist()
-    return zip(edges[::2], edges[1::2], strict=True)
+    return list(zip(edges[::2], edges[1::2], strict=True))
