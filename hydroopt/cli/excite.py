@@ -58,7 +58,9 @@ def excite(
     priors: Priors = False,
     starts: Starts = 16,
     processes: Processes = None,
-    seconds: Annotated[float, typer.Option(help="After which the best motion so far is taken.", min=1.0)] = 50.0,
+    seconds: Annotated[float | None, typer.Option(
+        help="After which the best motion so far is taken; the result then depends on the computer's speed.",
+        min=1.0)] = None,
     seed: Seed = 0,
     parquet: AsParquet = False,
     parameter_set: ParameterSetName = None,
@@ -95,7 +97,7 @@ def excite(
         problem = excitation_problem(described, basis, criterion=criterion or "D", focus=focus or (), priors=priors,
                                      logs=logs, rate=rate, resting=resting)
         motion = solve(problem, starts=starts, seed=seed, seconds=seconds, processes=processes or os.cpu_count() or 1,
-                       progress=lambda text: say(text, 0.8 * min(1.0, (time.perf_counter() - began) / seconds)))
+                       progress=lambda text, part=None: say(text, None if part is None else 0.8 * part))
         say("computing the expected accuracy, writing the report and the code", 0.8)
         code = Code(described, origin, routines=["excitation"],
                     designed_motion=DesignedMotion(motion.function, basis.duration))

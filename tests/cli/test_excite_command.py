@@ -305,7 +305,7 @@ def test_c_moves_as_the_trajectory_says(kind: str, written: Callable[..., Path],
     if kind == "resting":
         assert np.all(found[:, 0, 0] == said[0, 0, 0])
         assert np.all(found[:, 1:, 0] == 0)
-    assert moved(ctypes.c_double(np.nan), buffer) == 3  # NOT_FINITE
+    assert moved(ctypes.c_double(np.nan), buffer) == 4  # NOT_FINITE
 
 
 # options

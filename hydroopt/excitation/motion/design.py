@@ -1,22 +1,26 @@
 """The motion with the most information on a machine's parameters within all of its limits (Gautier and Khalil 1992).
 
 Coefficients of the motion are the variables of a nonlinear problem with exact first derivatives, which is solved from
-many starts, in parallel processes. What it returns is checked at the controller's rate and, if a limit
-is violated in between, scaled towards a posture at rest until none is: a returned motion satisfies all limits. Passive
-joints are designed as variables that nearly balance themselves; at last they are simulated as they swing.
+many starts, in parallel processes: all take some steps, and the best of them go on. What it returns is checked at the
+controller's rate and, if a limit is violated in between, scaled towards a posture at rest until none is: a returned
+motion satisfies all limits. Passive joints are designed as variables that nearly balance themselves; at last they are
+simulated as they swing.
 """
 
 from __future__ import annotations
 
 import pickle
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
-from dataclasses import replace
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from functools import partial
 from multiprocessing import get_context
 from multiprocessing.queues import Queue
 from multiprocessing.synchronize import Event
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 from threadpoolctl import threadpool_limits
@@ -29,14 +33,19 @@ from hydroopt.excitation.motion.expected_accuracy import measured_information
 from hydroopt.excitation.motion.limits import Limits, margins
 from hydroopt.excitation.motion.problem import ExcitationProblem
 from hydroopt.excitation.motion.random_motion import random_motion, resting_posture, shrunk
-from hydroopt.excitation.motion.sqp import sequential_quadratic_programming
+from hydroopt.excitation.motion.sqp import Search, sequential_quadratic_programming
 from hydroopt.interrupt import blocked, deferred, end_with_parent, ignore
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.machine.given_machine import GivenMachine, machine_of
 from hydroopt.model.model import Model
+from hydroopt.progress import Progress, silent
 from hydroopt.simulation.simulate import sampling_rate
 from hydroopt.spatial.inertia import Array
 
+FIRST_STEPS = 30
+"""Steps that each start takes before the best go on."""
+PART, FEWEST = 4, 4
+"""One start in so many goes on, and so many at least."""
 RANDOM_MOTIONS = 4
 """Random motions, of which the best is an initial guess."""
 BACK_OFF, ROUNDS = 0.001, 4
@@ -45,7 +54,9 @@ STILL = 1e-6
 """Speed [rad/s, m/s] below which a motion counts as standstill."""
 SMALLEST, TRIES = 0.1, 10
 """Size of the smallest of so many copies of a motion that are tried with passive joints that swing."""
-Report = Callable[[int, float], None]
+Report = Callable[[int, float | None], None]
+"""Is told a start, and a better value or that its search has ended."""
+T = TypeVar("T")
 
 
 def excitation_problem(machine: GivenMachine, basis: Basis, *, criterion: str = "D", focus: Sequence[str] = (),
@@ -91,45 +102,47 @@ def excitation_problem(machine: GivenMachine, basis: Basis, *, criterion: str = 
                                "role": "measured before"} for log in logs])
 
 
-def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, seconds: float = 60.0, processes: int = 1,
-           progress: Callable[[str], None] = lambda _: None) -> Excitation:
+def design(problem: ExcitationProblem, *, starts: int = 16, seed: int = 0, seconds: float | None = None,
+           processes: int = 1, progress: Progress = silent) -> Excitation:
     """The best motion found from several starts; Ctrl-C ends the search and keeps it.
+
+    Without a time limit the motion depends on problem, starts and seed alone.
 
     Args:
         problem: see `excitation_problem`.
         starts: random motions from which the search starts.
         seed: of the random motions.
-        seconds: time limit, after which the best motion so far is returned; at least one start is begun.
+        seconds: time limit, if any, after which the best motion so far is returned; at least one start is begun.
         processes: how many starts run at the same time; with more than one, a script that calls this needs the usual
             ``if __name__ == "__main__"``.
-        progress: is called with a sentence on the progress.
+        progress: is told how far the search is.
 
     Raises:
         ProblemError: no posture at rest, or no motion, satisfies all limits; the limits in conflict are named.
         SolverError: a process ended without an answer.
         KeyboardInterrupt: Ctrl-C was pressed before a motion was found.
     """
-    if not (starts >= 1 and processes >= 1 and seconds > 0):
+    if not (starts >= 1 and processes >= 1 and (seconds is None or seconds > 0)):
         raise ProblemError("the search has no start, process or time", where="excitation",
                            remedy="give at least one start, one process and some seconds")
     at_rest = resting_posture(problem, np.random.default_rng(seed))
-    found: list[tuple[Array, float]] = []
-    criterion, best = problem.information.criterion, np.inf
+    kept = min(max(-(-starts // PART), FEWEST), starts)
+    end = np.inf if seconds is None else time.time() + seconds
+    criterion, best, done = problem.information.criterion, np.inf, 0.0
 
-    def report(start: int, value: float) -> None:
-        nonlocal best
-        best = min(best, value)
-        progress(f"start {start + 1} of {starts}: {criterion} = {value:.4g}, best {best:.4g}")
-
-    processes, end = min(processes, starts), time.time() + seconds
-    with deferred() as interrupted:
-        if processes == 1:
-            for start in range(starts):
-                found.append(_attempt(problem, at_rest, (seed, start), end, interrupted, report))
-                if interrupted():
-                    break
+    def report(start: int, value: float | None) -> None:
+        nonlocal best, done
+        if value is None:  # a search has ended
+            done += 1.0 / (starts + kept)
         else:
-            found += _in_parallel(problem, at_rest, seed, starts, processes, end, interrupted, report)
+            best = min(best, value)
+            progress(f"start {start + 1} of {starts}: {criterion} = {value:.4g}, best {best:.4g}", min(done, 1.0))
+
+    with (deferred() as interrupted,
+          _workers(problem, at_rest, min(processes, starts), end, interrupted, report) as run):
+        begun = [each for each in run(_begun, [(seed, start) for start in range(starts)]) if each is not None]
+        begun.sort(key=lambda each: each.search.value)
+        found = run(_ended, begun[:kept])
         stopped = interrupted()
     moving = [each for each in found if np.max(np.abs(problem.states(each[0], problem.fine).qd)) > STILL]
     if moving:
@@ -162,27 +175,57 @@ def _as_it_swings(found: Excitation, rest: Array) -> Excitation:
                        remedy="give a slower motion: fewer harmonics, or a longer period")
 
 
-def _attempt(problem: ExcitationProblem, rest: Array, seed: tuple[int, int], end: float,
-             interrupted: Callable[[], bool],
-             report: Report) -> tuple[Array, float]:
-    """The best motion found from a start, and its value; the posture at rest if ``time.time()`` is beyond `end`."""
-    end += time.monotonic() - time.time()
-    if interrupted() or (time.monotonic() > end and seed[1] > 0):  # the first start always yields a random motion
-        return rest, np.inf
-    # the matrices are too small for threads
-    with threadpool_limits(limits=1, user_api="blas"):
-        rng = np.random.default_rng(seed)
-        best = min((random_motion(problem, rest, rng) for _ in range(RANDOM_MOTIONS)), key=problem.value)
-        x, back_off = best, BACK_OFF
-        for _ in range(ROUNDS):
-            x = sequential_quadratic_programming(problem, x, back_off, end, interrupted,
-                                                 lambda value: report(seed[1], value))
-            over = problem.excess(x, problem.fine)
-            if over <= 0:
-                break
-            back_off += BACK_OFF / 4 + 1.5 * over  # violated between the times of the grid
-        best = min(best, shrunk(problem, x, rest), key=problem.value)
-        return best, problem.value(best)
+@dataclass(frozen=True)
+class _Stop:
+    """When a search ends early: Ctrl-C, and a value of ``time.monotonic()``."""
+
+    interrupted: Callable[[], bool]
+    end: float
+
+    @classmethod
+    def at(cls, interrupted: Callable[[], bool], end: float) -> _Stop:
+        """At a value of ``time.time()``, which processes share."""
+        return cls(interrupted, end - time.time() + time.monotonic())
+
+    def __call__(self) -> bool:
+        return self.interrupted() or time.monotonic() > self.end
+
+
+class _Begun(NamedTuple):
+    """A search after its first steps, and the random motion from which it started."""
+
+    start: int
+    random: Array
+    search: Search
+
+
+def _begun(problem: ExcitationProblem, rest: Array, seed: tuple[int, int], stop: _Stop,
+           report: Report) -> _Begun | None:
+    """The first steps from a start; None if no time is left, but for the first start."""
+    start = seed[1]
+    if stop.interrupted() or (stop() and start > 0):
+        return None
+    rng = np.random.default_rng(seed)
+    random = min((random_motion(problem, rest, rng) for _ in range(RANDOM_MOTIONS)), key=problem.value)
+    search = sequential_quadratic_programming(problem, Search.at(random), BACK_OFF, stop, partial(report, start),
+                                              FIRST_STEPS)
+    report(start, None)
+    return _Begun(start, random, search)
+
+
+def _ended(problem: ExcitationProblem, rest: Array, begun: _Begun, stop: _Stop, report: Report) -> tuple[Array, float]:
+    """The best motion found from a start, and its value."""
+    search, back_off = begun.search, BACK_OFF
+    for _ in range(ROUNDS):
+        search = sequential_quadratic_programming(problem, search, back_off, stop, partial(report, begun.start))
+        over = problem.excess(search.best, problem.fine)
+        if over <= 0:
+            break
+        back_off += BACK_OFF / 4 + 1.5 * over  # violated between the times of the grid
+        search = search.again()
+    best = min(begun.random, shrunk(problem, search.best, rest), key=problem.value)
+    report(begun.start, None)
+    return best, problem.value(best)
 
 
 class _Worker:
@@ -190,38 +233,50 @@ class _Worker:
 
     problem: ExcitationProblem
     rest: Array
-    stop: Event
-    values: Queue[tuple[int, float]]
+    stop: _Stop
+    values: Queue[tuple[int, float | None]]
 
     @classmethod
-    def start(cls, problem: ExcitationProblem, rest: Array, stop: Event, values: Queue[tuple[int, float]]) -> None:
+    def start(cls, problem: ExcitationProblem, rest: Array, end: float, stop: Event,
+              values: Queue[tuple[int, float | None]]) -> None:
         ignore()
-        cls.problem, cls.rest, cls.stop, cls.values = problem, rest, stop, values
+        cls.problem, cls.rest, cls.stop, cls.values = problem, rest, _Stop.at(stop.is_set, end), values
 
     @classmethod
-    def attempt(cls, seed: tuple[int, int], end: float) -> tuple[Array, float]:
-        return _attempt(cls.problem, cls.rest, seed, end, cls.stop.is_set, lambda *reported: cls.values.put(reported))
+    def do(cls, work: Callable[..., T], given: object) -> T:
+        with threadpool_limits(limits=1, user_api="blas"):
+            return work(cls.problem, cls.rest, given, cls.stop, lambda *reported: cls.values.put(reported))
 
 
-def _in_parallel(problem: ExcitationProblem, rest: Array, seed: int, starts: int, processes: int, end: float,
-                 interrupted: Callable[[], bool], report: Report) -> list[tuple[Array, float]]:
+@contextmanager
+def _workers(problem: ExcitationProblem, rest: Array, processes: int, end: float,
+             interrupted: Callable[[], bool], report: Report) -> Iterator[Callable[..., list[Any]]]:
+    """A function that does some work with each of some things, here or in so many processes; results in their order."""
+    if processes == 1:
+        stop = _Stop.at(interrupted, end)
+        # the matrices are too small for threads
+        with threadpool_limits(limits=1, user_api="blas"):
+            yield lambda work, things: [work(problem, rest, each, stop, report) for each in things]
+        return
     context = get_context("spawn")
-    stop, values = context.Event(), context.Queue()
+    told, values = context.Event(), context.Queue()
+
+    def run(work: Callable[..., T], things: Sequence[object]) -> list[T]:
+        with blocked():
+            tasks = [pool.submit(_Worker.do, work, each) for each in things]
+        running = set(tasks)
+        while running:
+            _, running = wait(running, timeout=0.2)
+            while not values.empty():
+                report(*values.get())
+            if interrupted():
+                told.set()
+        return [task.result() for task in tasks]
+
     try:
         with ProcessPoolExecutor(processes, context, end_with_parent, (
-                pickle.dumps((_Worker.start, (problem, rest))), stop, values)) as pool:
-            with blocked():
-                attempts = [pool.submit(_Worker.attempt, (seed, start), end) for start in range(starts)]
-            running = set(attempts)
-            while running:
-                _, running = wait(running, timeout=0.2)
-                while not values.empty():
-                    report(*values.get())
-                if interrupted() and not stop.is_set():
-                    stop.set()
-                    for attempt in running:  # starts that have not begun
-                        attempt.cancel()
-            return [attempt.result() for attempt in attempts if not attempt.cancelled()]
+                pickle.dumps((_Worker.start, (problem, rest, end))), told, values)) as pool:
+            yield run
     except BrokenProcessPool:
         raise SolverError("a process ended without an answer", where="excitation",
                           remedy="use fewer processes, so that memory suffices") from None

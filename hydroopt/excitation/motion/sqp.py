@@ -7,7 +7,6 @@ the limits that the step violates are added. A step therefore takes some ten mil
 
 from __future__ import annotations
 
-import time
 from collections.abc import Callable
 from typing import NamedTuple
 
@@ -20,6 +19,8 @@ from hydroopt.spatial.inertia import Array
 
 ALLOWED, FEASIBLE = 0.02, 1e-3
 """Violation of a limit, as a part of its scale, that an iterate may have, and that a solution may have."""
+OVERLOOKED, EXACT = 1e-4, 1e-7
+"""Violation that a quadratic program's solution may have of limits that are not in its active set, and its accuracy."""
 NEAR = 0.03
 """Distance to a bound below which a limit belongs to the first active set."""
 MAX_STEPS, MAX_QPS = 400, 12
@@ -45,24 +46,55 @@ class Point(NamedTuple):
         return max(0.0, -float(np.min(self.below)), -float(np.min(self.above)))
 
 
-def sequential_quadratic_programming(problem: ExcitationProblem, x: Array, back_off: float, end: float,
-                                     interrupted: Callable[[], bool],
-                                     report: Callable[[float], None]) -> Array:
+class Search(NamedTuple):
+    """Where a search stands: its iterate (k,), what approximates the Hessian (k, k) there, the radius of the trust
+    region, the active set (N, m), the best iterate (k,) so far and its criterion, infinite where it violates limits.
+    """
+
+    x: Array
+    hessian: Array
+    radius: float
+    active: NDArray[np.bool_] | None
+    best: Array
+    value: float
+    ended: bool
+
+    @classmethod
+    def at(cls, x: Array) -> Search:
+        """A search that begins at a motion (k,)."""
+        return cls(x, np.eye(len(x)), FIRST_RADIUS, None, x, np.inf, False)
+
+    def again(self) -> Search:
+        """A search that begins at the best motion, with what is known of the Hessian, for other bounds."""
+        return Search(self.best, self.hessian, FIRST_RADIUS, None, self.best, np.inf, False)
+
+
+def sequential_quadratic_programming(problem: ExcitationProblem, search: Search, back_off: float,
+                                     stopped: Callable[[], bool], report: Callable[[float], None],
+                                     steps: int = MAX_STEPS) -> Search:
     """The best motion near a start.
 
     Args:
         problem: the design.
-        x: initial guess (k,).
+        search: where to go on.
         back_off: part of every limit's range by which bounds are tightened.
-        end: value of ``time.monotonic()`` at which to stop.
-        interrupted: whether to stop at once.
+        stopped: whether to stop at once.
         report: is called with every better value.
+        steps: that are tried at most.
     """
-    current, radius = _point(problem, x, back_off), FIRST_RADIUS
-    slopes, hessian, best = problem.slopes(x), np.eye(len(x)), current
-    active = _tightest(np.minimum(current.below, current.above), NEAR)
-    for _ in range(MAX_STEPS):
-        if time.monotonic() > end or interrupted() or radius < SMALLEST_RADIUS:
+    if search.ended:
+        return search
+    current, hessian, radius, ended = _point(problem, search.x, back_off), search.hessian, search.radius, True
+    slopes = problem.slopes(search.x)
+    active = _tightest(np.minimum(current.below, current.above), NEAR) if search.active is None else search.active
+    best, value = search.best, search.value
+    if current.violation <= FEASIBLE and current.value < value:
+        best, value = current.x, current.value
+    for tried in range(MAX_STEPS):
+        if stopped() or radius < SMALLEST_RADIUS:
+            break
+        if tried == steps:
+            ended = False
             break
         step, multipliers, active = _step(problem, current, slopes, hessian, radius, active)
         if step is None:
@@ -87,12 +119,12 @@ def sequential_quadratic_programming(problem: ExcitationProblem, x: Array, back_
         done = abs(decrease) < CONVERGED and predicted < 10 * CONVERGED and trial.violation <= FEASIBLE
         active = (multipliers != 0) | _tightest(np.minimum(trial.below, trial.above), NEAR)
         current, slopes = trial, new
-        if current.violation <= FEASIBLE and (current.value < best.value or best.violation > FEASIBLE):
-            best = current
-            report(current.value)
+        if current.violation <= FEASIBLE and current.value < value:
+            best, value = current.x, current.value
+            report(value)
         if done:
             break
-    return best.x
+    return Search(current.x, hessian, radius, active, best, value, ended)
 
 
 def _point(problem: ExcitationProblem, x: Array, back_off: float) -> Point:
@@ -115,14 +147,14 @@ def _step(problem: ExcitationProblem, current: Point, slopes: tuple[Array, Array
             low, high = np.minimum(low, 0), np.maximum(high, 0)
         for _ in range(MAX_QPS):
             solver = piqp.DenseSolver()
-            solver.settings.eps_abs = solver.settings.eps_rel = 1e-9
+            solver.settings.eps_abs = solver.settings.eps_rel = EXACT
             rows = (problem.jacobian(slopes, active), np.maximum(low[active], -1e30), np.minimum(high[active], 1e30))
             solver.setup(hessian, current.gradient, None, None, *(rows if np.any(active) else (None, None, None)), *box)
             if solver.solve() != piqp.PIQP_SOLVED:
                 break
             step = np.array(solver.result.x)
             change = problem.directional_derivative(slopes, step)
-            broken = _tightest(np.minimum(high - change, change - low), -1e-9) & ~active
+            broken = _tightest(np.minimum(high - change, change - low), -OVERLOOKED) & ~active
             if not np.any(broken):
                 if np.any(active):
                     multipliers[active] = solver.result.z_u - solver.result.z_l
