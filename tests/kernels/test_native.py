@@ -12,6 +12,7 @@ import time
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from types import SimpleNamespace
 
 import casadi as ca
 import numpy as np
@@ -217,6 +218,37 @@ def script(folder: Path, compiling: str) -> str:
     command.write_text(f'#!/bin/sh\ncase "$*" in *-dM*) exec cc "$@";; esac\n{compiling}\n')
     command.chmod(0o755)
     return str(command)
+
+
+@pytest.mark.parametrize(("named", "processor", "given", "not_given"), [
+    ("Windows", "AMD64", ["-march=native"], ["-fPIC", "-lm", "-lmvec"]),
+    ("Darwin", "arm64", ["-mcpu=native", "-fPIC", "-lm"], ["-march=native", "-lmvec"]),
+    ("Darwin", "x86_64", ["-march=native", "-fPIC", "-lm"], ["-lmvec"])])
+@pytest.mark.parametrize("refuses", [False, True])
+def test_other_systems_as_far_as_they_can_be_faked(
+        named: str, processor: str, given: list[str], not_given: list[str], refuses: bool, folder: Path,
+        compiled: list[Path], monkeypatch: pytest.MonkeyPatch, caplog: pytest.LogCaptureFixture) -> None:
+    """A stub stands for the compiler of that system: it notes its options and builds with those of this system.
+
+    Neither the linker of that system nor the loading of its libraries is tried.
+    """
+    told = folder.parents[1] / "options"
+    macros = "#define _MSC_VER 1930" if named == "Windows" else "#define __APPLE__ 1"
+    folder.mkdir(parents=True)
+    command = folder.parents[1] / "theircc"
+    command.write_text(f'#!/bin/sh\ncase "$*" in *-dM*) echo "{macros}"; exit;; esac\necho "$*" >{told}\n'
+                       f'{"exit 1" if refuses else "exec cc -O2 -fPIC -shared -w -x c - -o kernel.so -lm"}\n')
+    command.chmod(0o755)
+    monkeypatch.setenv("CC", str(command))
+    monkeypatch.setattr(system, "FLAGS", system.flags(named, processor))
+    if named == "Windows":  # processes without groups, and no shell to end them
+        monkeypatch.setattr(system, "os", SimpleNamespace(name="nt", environ=os.environ, path=os.path))
+    assert evaluated() == RIGHT
+    assert len(compiled) == 1
+    options = told.read_text().split()
+    assert set(given) <= set(options)
+    assert not set(not_given) & set(options)
+    assert ("kernels cannot be" in caplog.text or "slowly" in caplog.text) == refuses
 
 
 @pytest.mark.slow
