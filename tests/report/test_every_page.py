@@ -21,6 +21,9 @@ LARGEST = 3e6
 """Bytes of a page."""
 PAPER = 695
 """Width between the margins of a sheet of A4 [px]."""
+CORNER = """() => Array.from(
+    document.querySelector(".scene canvas.paper").getContext("2d").getImageData(5, 5, 1, 1).data)"""
+"""Colour of a corner of the machine's picture."""
 WIDER_THAN = """(width) => Array.from(document.querySelectorAll("main *")).filter((each) =>
     each.getBoundingClientRect().right > width + 1).map((each) => each.outerHTML.slice(0, 150)).slice(0, 3)"""
 CRANE = str(Path(__file__).parents[2] / "studies/actuator_coverage/crane.toml")
@@ -155,6 +158,9 @@ def test_a_page_prints(job: str, made: Callable[[str], Path], using: Any) -> Non
         assert not page.locator(".look, .tools, .player").locator("visible=true").count()
         page.set_viewport_size({"width": PAPER, "height": 1000})
         page.evaluate(SETTLED)
+        page.evaluate("dispatchEvent(new Event('beforeprint'))")
+        if page.locator(".scene").count():
+            assert min(page.evaluate(CORNER)) > 200, "the machine is printed dark"
         wide = page.evaluate(WIDER_THAN, PAPER)
         assert not wide, wide
         assert len(page.pdf()) > 20_000

@@ -262,7 +262,14 @@ const view = machine && (() => {
     draw();
   };
   look.listen(dress);
-  addEventListener("beforeprint", render); // after the look has changed to that of paper, before the sheet is drawn
+  // printers get what the screen showed last of 3-D graphics, but a flat copy as it is: of the look of paper
+  const paper = element("canvas", { class: "paper", "aria-hidden": "true" });
+  canvas.after(paper);
+  addEventListener("beforeprint", () => {
+    render();
+    [paper.width, paper.height] = [renderer.domElement.width, renderer.domElement.height];
+    paper.getContext("2d").drawImage(renderer.domElement, 0, 0);
+  });
   let sized = false;
   new ResizeObserver(() => {
     const { clientWidth: width, clientHeight: height } = canvas;
