@@ -1,11 +1,8 @@
-"""`hydroopt identify-valves`: valves, oil and friction from commands, motion and pressures."""
+"""`hydroopt identify-valves`: valves and oil from commands, motion and pressures."""
 
 from __future__ import annotations
 
 import time
-from typing import Annotated
-
-import typer
 
 from hydroopt.cli.answers import failure_saved, print_answer
 from hydroopt.cli.options import (
@@ -33,13 +30,11 @@ def identify_valves(
     holdout: Holdout = 0.0,
     map_file: MapFile = None,
     treat: Treat = None,
-    bodies: Annotated[bool, typer.Option("--bodies", help=(
-        "Masses and inertias, too, as far as the forces identify them."))] = False,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
     as_json: AsJson = False,
 ) -> None:
-    """Identify valves, oil and friction: DIR gets estimate.json, report.html, free runs and the calibrated machine.
+    """Identify valves and oil: DIR gets estimate.json, report.html, free runs and the calibrated machine.
 
     Example: hydroopt identify-valves patu655_lift driven.csv --holdout 0.3 -o out/valves
     """
@@ -53,7 +48,7 @@ def identify_valves(
 
     began, described = time.perf_counter(), load_machine(machine, parameter_set=parameter_set)
     read = reading(read_log, described, map_file, treat)
-    problem = hydraulic_problem(described, *parted(read(logs), read(validate or ()), holdout), bodies=bodies)
+    problem = hydraulic_problem(described, *parted(read(logs), read(validate or ()), holdout))
     with (progress(f"identifying the valves of {described.name}", quiet) as say,
           failure_saved(output, Job.HYDRAULICS, described, METHOD, lambda: problem.inputs)):
         estimate = solve(problem)

@@ -55,7 +55,6 @@ class ParameterKind(StrEnum):
     VOLUME = "volume"
     LEAKAGE = "leakage"
 
-    BODY_DIRECTION = "direction of the bodies' parameters"
     COEFFICIENT = "coefficient"
     """Of a model that a user states in CasADi: no machine file knows it."""
 

@@ -169,23 +169,26 @@ class ActuatorHydraulics:
                 into[port] += full * hinge((tank - pressure) / CHECK_VALVE_SUCTION, RELIEF_ROUNDING)
         return Flows(into["a"], into["b"], pa + pb)
 
-    def pressure_rates(self, flows: Flows, p_a: ca.SX, p_b: ca.SX, length: ca.SX, speed: ca.SX,
-                       value: Value) -> tuple[ca.SX, ca.SX]:
-        """Rates [Pa/s] of both chambers' pressures: net flow by capacity (Merritt 1967).
+    def capacities(self, p_a: ca.SX, p_b: ca.SX, length: ca.SX, value: Value) -> tuple[ca.SX, ca.SX]:
+        """Oil [m³/Pa] that raises each chamber's pressure by one pascal (Merritt 1967).
 
         The walls of hoses yield too: the volume of a hose is divided by the modulus of its walls.
         """
-        rates = []
-        for port, pressure, into, volume, swept in zip(
-                "ab", (p_a, p_b), (flows.into_a, flows.into_b), self.volumes(length),
-                chamber_flows(self.actuator, speed), strict=True):
+        found = []
+        for port, pressure, volume in zip("ab", (p_a, p_b), self.volumes(length), strict=True):
             hose = value(f"volume_{port}")
             air = "oil.air" if getattr(self.circuit, f"air_{port}") is None else f"air_{port}"
             capacity = (volume + hose) * compressibility(self.oil, pressure, value, air)
             if self.circuit.hose_modulus is not None:
                 capacity += hose / value("hose_modulus")
-            rates.append((into - swept) / capacity)
-        return rates[0], rates[1]
+            found.append(capacity)
+        return found[0], found[1]
+
+    def pressure_rates(self, flows: Flows, p_a: ca.SX, p_b: ca.SX, length: ca.SX, speed: ca.SX,
+                       value: Value) -> tuple[ca.SX, ca.SX]:
+        """Rates [Pa/s] of both chambers' pressures: net flow by capacity."""
+        swept, capacity = chamber_flows(self.actuator, speed), self.capacities(p_a, p_b, length, value)
+        return (flows.into_a - swept[0]) / capacity[0], (flows.into_b - swept[1]) / capacity[1]
 
     def opening_for(self, force: ca.SX, speed: ca.SX, supply: ca.SX, value: Value) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Spool position and both chambers' pressures in steady motion at a force and a speed.

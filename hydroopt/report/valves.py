@@ -34,7 +34,7 @@ class Parameter(NamedTuple):
 
 def render(estimate: HydraulicEstimate) -> str:
     """The report as one HTML page that needs nothing else."""
-    problem, found = estimate.problem, estimate.shooting
+    problem, found = estimate.problem, estimate.adjustment
     lines = [Parameter(name, unit_text(each.unit), quantity(
         _or_nan(each.value), _or_nan(each.std), each.ci95 or (np.nan, np.nan), _or_nan(each.nominal)),
         each.identifiability, each.bound or "", interval(each)) for name, each in estimate.parameters.items()]
@@ -45,12 +45,10 @@ def render(estimate: HydraulicEstimate) -> str:
         machine=machine,
         estimate=estimate, diagnostics=estimate.diagnostics,
         hydraulics=hydraulics.rows(problem.plant, estimate.sweeps) if estimate.sweeps else None, fit=_fit(estimate),
-        bodies=problem.bodies.shape[1],
         groups=[(owner, list(rows)) for owner, rows in groupby(lines, lambda p: p.name.rpartition(".")[0])],
         counts={kind: sum(p.identifiability == kind for p in lines) for kind in ("full", "combination", "none")},
-        weights=[(channel, *_in_print(sigma, unit), plain(misfit, 3)) for channel, sigma, unit, misfit in zip(
-            problem.channels, found.problem.sigma, (problem.plant.machine.channel_units[c] for c in problem.channels),
-            estimate.misfit, strict=True)],
+        balances=[(name, plain(misfit, 3), plain(6e4 * density, 3)) for name, misfit, density in zip(
+            estimate.actuators, found.misfit, found.density, strict=True)],
         logs=[(role, log.path or log.name, log.size, plain(log.duration), log.sha256, [f.text for f in log.findings])
               for role, logs in (("training", problem.logs), ("validation", problem.validation)) for log in logs])
 
@@ -93,13 +91,13 @@ def _recordings(estimate: HydraulicEstimate) -> list[Recording]:
     for role, runs in estimate.runs.items():
         for run in runs:
             columns = {f"{joint}.q": run.states[:, states.index(f"{joint}.q")] for joint in machine.joints}
-            columns |= {f"{name} command": run.record.u[:, k] for k, name in enumerate(_commands(estimate))}
+            columns |= {f"{name} command": run.u[:, k] for k, name in enumerate(_commands(estimate))}
             for k, channel in enumerate(problem.channels):
                 factor = SMALL.get(machine.channel_units[channel], ("", 1.0))[1]
-                columns |= {f"{channel} measured": factor * run.record.y[:, k],
+                columns |= {f"{channel} measured": factor * run.y[:, k],
                             f"{channel} free": factor * run.outputs[:, k]}
-            found.append(Recording("training" if role == "train" else role, role, run.record.t,
-                                   np.zeros(len(run.record.t), dtype=np.int64), columns))
+            found.append(Recording("training" if role == "train" else role, role, run.t,
+                                   np.zeros(len(run.t), dtype=np.int64), columns))
     return found
 
 

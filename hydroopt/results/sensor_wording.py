@@ -30,11 +30,8 @@ SENSOR_WORDS: dict[Kind, Words] = {
         "In {log}, the position of {subject} is known to {std:.2g} {unit} only (standard deviation): it changes the "
         "forces of {actuator} by {part:.1f %}, which masses and intervals leave out.",
         "Survey three points of the tip, or twelve postures at rest, and calibrate the sensors with them (--at-rest)."),
-    Kind.BODIES_HELD_EXACT: Words(
-        "Masses and inertias count as exact, although the machine file states confidences of {subject}: the intervals "
-        "leave these out.", "Identify bodies, too (--bodies)."),
     Kind.PRESSURE_NOT_MEASURED: Words(
-        "{log} lacks {subject}: commands, motion and the other pressures alone tell what happens there."),
+        "{log} lacks {subject}: only the other chamber of the actuator tells of its valve and oil."),
     Kind.FORCE_NOT_MEASURED: Words(
         "{log} lacks {channels}: the equations of {subject} are not used there, those of other actuators are.",
         "Record or map what is missing; state measured = false of an actuator that is never measured."),

@@ -76,8 +76,7 @@ class Kind(StrEnum):
     NOT_IMPROVED = "parameters not improved"
 
     # identification of valves and oil
-    UNEXPLAINED_CHANNEL = "channel not explained by the model"
-    BODIES_HELD_EXACT = "bodies held exact"
+    UNEXPLAINED_FLOW = "flow not explained by the model"
     NO_INFORMATION = "no information in the data"
     LITTLE_INFORMATION = "little information in the data"
     RATIO_OR_PRODUCT_ONLY = "only a ratio or product identifiable"
@@ -199,7 +198,7 @@ OF_LOGS = REFUTATIONS | frozenset({
 CONTRADICTIONS = OF_LOGS | frozenset({
     Kind.STROKE_CONTRADICTS_POSES, Kind.BIAS_DRIFTS, Kind.STATED_CONTRADICTED, Kind.MOTION_UNEXPLAINED,
     Kind.POSITION_ASSUMED, Kind.MISFIT_CAUSE, Kind.LACK_OF_FIT, Kind.BODIES_CONTRADICTED, Kind.PRIORS_CONTRADICTED,
-    Kind.WORSE_THAN_ZERO, Kind.UNEXPLAINED_ACTUATOR, Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_CHANNEL,
+    Kind.WORSE_THAN_ZERO, Kind.UNEXPLAINED_ACTUATOR, Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_FLOW,
     Kind.ERRORS_FAR_LARGER, Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED,
     Kind.STAGE_CONTRADICTS, Kind.FIXTURE_MOVED, Kind.BASE_MOVED, Kind.TOOL_MOVED, Kind.INSTRUMENT_MOVED,
     Kind.SENSOR_OFFSET, Kind.SENSOR_SCALE, Kind.BACKLASH, Kind.SENSOR_ECCENTRIC, Kind.SENSOR_NONLINEAR,
@@ -262,9 +261,11 @@ WORDS: dict[Kind, Words] = {
         "Smoothing noisy angles will bias {biased} of {of} base parameters by more than their σ.",
         "Drive slower, or measure the angles more accurately."),
     Kind.NOT_IMPROVED: Words("{count} of {of} parameters will stay about as uncertain as they are: {subject}."),
-    Kind.UNEXPLAINED_CHANNEL: Words(
-        "The residuals of {subject} are {factor:.1f} times its sensor's standard deviation; the intervals are widened.",
-        "Check the sensor's accuracy, and what the machine file states or omits; identify bodies, too (--bodies)."),
+    Kind.UNEXPLAINED_FLOW: Words(
+        "The flow of {subject} differs from the model by {factor:.1f} times what its sensors' errors leave; the "
+        "intervals are widened.",
+        "Check the sensors' accuracy and the signs of commands, and whether edges and directions differ (flow_pa, "
+        "dead_band_reverse)."),
     Kind.NO_INFORMATION: Words(
         "The logs carry no information on {subject}; {determined_by} determines it.",
         "Record a motion that excites it, or remove its sigma."),

@@ -141,9 +141,12 @@ def _refuse_far(plant: Plant, t: Array, states: Array, name: str) -> None:
                                where=name, remedy="give others, for a shorter time, or start elsewhere")
 
 
-def arrived(t: Array, command: Array, delay: float) -> Array:
-    """The command (N,) that acts at each time (N,) when it is late by `delay` [s]; at first the first one."""
-    return command[np.maximum(np.searchsorted(t, t - delay + 1e-9, side="right") - 1, 0)]
+def arrived(t: Array, command: Array, delay: float, at: Array | None = None) -> Array:
+    """The commands of the times t (N,) that act `at` other times (…), those themselves if None, late by `delay` [s].
+
+    At first the first one.
+    """
+    return command[np.maximum(np.searchsorted(t, (t if at is None else at) - delay + 1e-9, side="right") - 1, 0)]
 
 
 def _numbers(plant: Plant, psi: Array | None, theta: Array | None) -> tuple[Array, Array]:

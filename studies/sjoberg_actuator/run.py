@@ -1,15 +1,17 @@
 """Sjöberg's hydraulic crane: valve, oil and a flexible arm fitted to 512 samples, the next 512 run freely."""
 
+from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 
 import casadi as ca
 import numpy as np
 from matplotlib.figure import Figure
 from scipy.io import loadmat
+from scipy.optimize import least_squares
 
+from hydroopt.estimation.hydraulic.bounded_gaussian import BoundedGaussian
 from hydroopt.estimation.hydraulic.diagnostics import parameter_diagnostics
-from hydroopt.estimation.hydraulic.dynamics import Dynamics, Record, ShootingProblem
-from hydroopt.estimation.hydraulic.shooting import ShootingEstimate, multiple_shooting
 from hydroopt.estimation.inference.correlation import correlation_time
 from hydroopt.model.hydraulics import hinge, orifice
 from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet
@@ -52,17 +54,22 @@ NUMBERS = {  # unit, start, lower, upper
     "arm.stiffness": ("[p]/[x]", 50.0, 0.1, 500.0),
     "arm.damping": ("[p]*sample/[x]", 1.0, 0.0, 100.0)}
 
+PARTS = 8
+"""Steps of integration in a sample."""
+FIRST, FAR = 1e-3, 1e3
+"""Standard deviation of the first states about rest; what a residual that is no number counts as."""
+
 STATES = {"spool": 1.0, "spool_rate": 0.1, "p": 1.0, "drive_speed": 0.02, "x": 1.0, "arm_speed": 0.02, "arm_load": 1.0}
 """With their typical sizes."""
 
 
-def actuator() -> Dynamics:
-    """Valve, oil, drive and arm in the data's own units; flows are the drive's speeds that they would cause.
+def rates() -> ca.Function:
+    """(x, u, θ) → ẋ: valve, oil, drive and arm in the data's own units; flows are the drive's speeds that they cause.
 
     p is the load's pressure, the difference between both chambers. A negative u opens the valve towards greater x.
     """
     x, u, theta = ca.SX.sym("x", len(STATES)), ca.SX.sym("u"), ca.SX.sym("theta", len(NUMBERS))
-    spool, spool_rate, p, drive_speed, place, arm_speed, arm_load = ca.vertsplit(x)
+    spool, spool_rate, p, drive_speed, _, arm_speed, arm_load = ca.vertsplit(x)
     value = dict(zip(NUMBERS, ca.vertsplit(theta), strict=True))
 
     def flow(side: ca.SX, load: ca.SX, suffix: str) -> ca.SX:
@@ -77,36 +84,75 @@ def actuator() -> Dynamics:
                 - value["drive.viscous_reverse"] * hinge(-drive_speed, 1e-3)
                 + value["drive.quadratic"] * drive_speed * ca.sqrt(drive_speed**2 + 1e-8))
     arm = arm_load + value["arm.damping"] * (drive_speed - arm_speed)
-    rates = ca.vertcat(
+    return ca.Function("rates", [x, u, theta], [ca.vertcat(
         spool_rate, omega**2 * (-u - spool) - 2 * omega * spool_rate, value["oil.stiffness"] * net,
         (p - friction - arm) / value["drive.inertia"], arm_speed, arm / value["arm.inertia"],
-        value["arm.stiffness"] * (drive_speed - arm_speed))
-    return Dynamics(ca.Function("rates", [x, u, theta], [rates]),
-                    ca.Function("seen", [x, u, theta], [ca.vertcat(p, place)]), tuple(STATES), ("u",), ("p", "x"),
-                    np.array(list(STATES.values())), np.array([False]))
+        value["arm.stiffness"] * (drive_speed - arm_speed))])
 
 
-def record(u: np.ndarray, p: np.ndarray, x: np.ndarray) -> Record:
-    """All that was read, a sample being the unit of time, from rest; with a guess of the states."""
+@cache
+def runs(count: int) -> ca.Function:
+    """(first states, u, θ) → p and x (2, count): Runge and Kutta's steps of a fraction of a sample, u straight between.
+    """
+    rate, x, theta = rates(), ca.SX.sym("x", len(STATES)), ca.SX.sym("theta", len(NUMBERS))
+    begin, end, after = ca.SX.sym("begin"), ca.SX.sym("end"), x
+    for k in range(PARTS):
+        u = [begin + (end - begin) * (k + part) / PARTS for part in (0, 0.5, 1)]
+        one = rate(after, u[0], theta) / PARTS
+        two = rate(after + one / 2, u[1], theta) / PARTS
+        three = rate(after + two / 2, u[1], theta) / PARTS
+        after += (one + 2 * two + 2 * three + rate(after + three, u[2], theta) / PARTS) / 6
+    step = ca.Function("step", [x, ca.vertcat(begin, end), theta], [after]).mapaccum(count - 1)
+    first, u, theta = ca.MX.sym("first", len(STATES)), ca.MX.sym("u", count), ca.MX.sym("theta", len(NUMBERS))
+    states = ca.horzcat(first, step(first, ca.horzcat(u[:-1], u[1:]).T, ca.repmat(theta, 1, count - 1)))
+    return ca.Function("runs", [first, u, theta], [states[[2, 4], :]])
+
+
+@dataclass(frozen=True)
+class Fitted:
+    """The most probable numbers and first states."""
+
+    posterior: BoundedGaussian
+    first: np.ndarray
+
+    def free_run(self, u: np.ndarray) -> np.ndarray:
+        """p and x (2, N), from the first states on by u (N,) alone."""
+        return np.asarray(runs(len(u))(self.first, late(u), self.posterior.theta))
+
+
+def late(u: np.ndarray) -> np.ndarray:
+    """u as it arrives."""
     sample = np.arange(float(len(u)))
-    late = np.interp(sample - DELAY, sample, u)
-    speed = np.gradient(x)
-    guess = np.column_stack([-u, -np.gradient(u), p, speed, x - x[0], speed, p])
-    guess[0] = 0.0
-    return Record(sample, late[:, None], np.column_stack([p, x - x[0]]), guess, np.full(len(STATES), 1e-3))
+    return np.interp(sample - DELAY, sample, u)
 
 
-def identified(samples: Record, starts: int = 1) -> ShootingEstimate:
+def identified(u: np.ndarray, p: np.ndarray, x: np.ndarray, starts: int = 1) -> Fitted:
     """The numbers most probable for readings of p and x, by the best of several starts a factor of about 1.3 apart."""
     units, *columns = zip(*NUMBERS.values(), strict=True)
     start, lower, upper = np.array(columns)
     parameters = ParameterSet(tuple(NUMBERS), (ParameterKind.COEFFICIENT,) * len(start), units, start, lower, upper,
                               start, np.zeros((len(start),) * 2))
-    problem = ShootingProblem(actuator(), parameters, SIGMA, (samples,), "hydraulic crane")
-    factors = np.exp(0.3 * np.random.default_rng(0).standard_normal((starts, len(start))))
+    rest = np.zeros(len(STATES))
+    rest[[0, 2]], size, n = (-late(u)[0], p[0]), np.array(list(STATES.values())), len(start)
+    z = ca.MX.sym("z", n + len(STATES))
+    theta, first = start * z[:n], rest + FIRST * z[n:]
+    rows = ca.vertcat(ca.vec((runs(len(u))(first, late(u), theta) - np.vstack([p, x - x[0]])) / SIGMA), z[n:])
+    value, slope = ca.Function("value", [z], [rows]), ca.Function("slope", [z], [ca.jacobian(rows, z)])
+    factors = np.exp(0.3 * np.random.default_rng(0).standard_normal((starts, n)))
     factors[0] = 1.0
-    return min((multiple_shooting(problem, start * factor) for factor in factors),
-               key=lambda found: found.residual_scale)
+    free = np.full(len(size), np.inf)
+    bounds = np.append(lower / start, -free), np.append(upper / start, free)
+
+    def residuals(at: np.ndarray) -> np.ndarray:
+        return np.nan_to_num(np.asarray(value(at)).ravel(), nan=FAR, posinf=FAR, neginf=-FAR)
+
+    begins = [np.append(np.clip(factor, *(bound[:n] for bound in bounds)), 0 * size) for factor in factors]
+    best = min((least_squares(residuals, begin, lambda at: np.asarray(slope(at)), bounds, x_scale="jac", ftol=1e-12,
+                              xtol=1e-12, gtol=1e-12, max_nfev=500) for begin in begins), key=lambda one: one.cost)
+    inner = np.linalg.qr(best.jac[:, ::-1], mode="r")[len(size):, len(size):][:, ::-1] / start
+    scale = np.sqrt(2 * best.cost / (len(best.fun) - 2 * len(size) - n))
+    return Fitted(BoundedGaussian(parameters, start * best.x[:n], inner.T @ inner, best.grad[:n] / start, scale),
+                  rest + FIRST * best.x[n:])
 
 
 def arx(u: np.ndarray, p: np.ndarray) -> np.ndarray:
@@ -129,12 +175,10 @@ def run() -> dict:
     content = loadmat(DATA)
     u, p, x = (content[name].ravel() for name in "upx")
     first = [values[:TRAIN] for values in (u, p, x)]
-    choice = identified(record(*(values[:CHOICE] for values in first)))
-    chosen = choice.free_run(record(*first), choice.solution.points[0][0])[1][:, 0]
+    chosen = identified(*(values[:CHOICE] for values in first)).free_run(first[0])[0]
 
-    estimate = identified(record(*first), STARTS)
-    blind = np.zeros(len(u))
-    simulated = estimate.free_run(record(u, blind, blind), estimate.solution.points[0][0])[1]
+    fitted = identified(*first, STARTS)
+    estimate, simulated = fitted.posterior, fitted.free_run(u).T
     error = simulated[:, 0] - p
     table("Parameters", ["", "value", "95 % from", "to", "unit"],
           [[name, float(value), *(["at its bound"] * 2 if held else map(float, interval)), NUMBERS[name][0]]

@@ -76,7 +76,7 @@ def test_the_machine_file_holds_the_answer(left: Path) -> None:
 @pytest.mark.slow
 def test_the_page_shows_free_runs_and_diagnostics(left: Path) -> None:
     page = (left / "out" / "report.html").read_text()
-    for title in ("Diagnostics", "Free run", "Parameters", "Weights", "Data"):
+    for title in ("Diagnostics", "Free run", "Parameters", "Balances", "Data"):
         assert f"<h2>{title}</h2>" in page
     lines = [[line["label"] for line in chart["lines"]] for chart in data_of(page)["charts"]]
     assert lines.count(["measured", "free run"]) >= 3

@@ -1,4 +1,4 @@
-"""Diagnostics of identified valves, oil and friction."""
+"""Diagnostics of identified valves and oil."""
 
 from __future__ import annotations
 
@@ -6,33 +6,33 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from hydroopt.estimation.hydraulic.shooting import SHARE, ShootingEstimate, WeakDirection
+from hydroopt.estimation.hydraulic.bounded_gaussian import SHARE, BoundedGaussian, WeakDirection
 from hydroopt.results.diagnostic import Diagnostic
 from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
 MISFIT = 1.5
-"""Ratio of residuals and sensor noise from which on the model does not explain a channel."""
+"""Ratio of residuals and what sensors' errors leave, from which on the model does not explain an actuator."""
 NOTHING = 1e-6
 """Part of the prior's information below which the data carry none."""
 
 
-def unexplained_channels(channels: Sequence[str], misfit: Array) -> Iterator[Diagnostic]:
-    """Channels whose residuals, in units (ny,) of their sensors' σ, the model does not explain."""
-    for channel, factor in zip(channels, misfit, strict=True):
+def unexplained_actuators(actuators: Sequence[str], misfit: Array) -> Iterator[Diagnostic]:
+    """Actuators whose residuals, in units (a,) of what sensors' errors leave, the model does not explain."""
+    for actuator, factor in zip(actuators, misfit, strict=True):
         if factor > MISFIT:
-            yield Diagnostic(Kind.UNEXPLAINED_CHANNEL, (channel,), {"factor": float(factor)})
+            yield Diagnostic(Kind.UNEXPLAINED_FLOW, (actuator,), {"factor": float(factor)})
 
 
-def parameter_diagnostics(estimate: ShootingEstimate) -> tuple[Diagnostic, ...]:
+def parameter_diagnostics(estimate: BoundedGaussian) -> tuple[Diagnostic, ...]:
     """Parameters that the data do not determine, and those at a bound."""
     return (*(_weak(estimate, each) for each in estimate.weak_directions),
             *(_at_bound(estimate, int(k)) for k in np.flatnonzero(estimate.at_bound)))
 
 
-def _weak(estimate: ShootingEstimate, weak: WeakDirection) -> Diagnostic:
+def _weak(estimate: BoundedGaussian, weak: WeakDirection) -> Diagnostic:
     """A direction on which the data carry little information."""
-    parameters, theta, members = estimate.problem.parameters, estimate.theta, weak.members
+    parameters, theta, members = estimate.parameters, estimate.theta, weak.members
     names = tuple(parameters.names[k] for k in members)
     informed = all(parameters.information[k, k] > 0 for k in members)
     evidence = {"information": weak.information, "determined_by": "the prior" if informed else "nothing"}
@@ -52,9 +52,9 @@ def _weak(estimate: ShootingEstimate, weak: WeakDirection) -> Diagnostic:
     return Diagnostic(Kind.COMBINATION_ONLY, names, evidence)
 
 
-def _at_bound(estimate: ShootingEstimate, k: int) -> Diagnostic:
+def _at_bound(estimate: BoundedGaussian, k: int) -> Diagnostic:
     """A parameter that a bound holds, with the other end of its interval."""
-    parameters, (low, high) = estimate.problem.parameters, estimate.ci95[k]
+    parameters, (low, high) = estimate.parameters, estimate.ci95[k]
     lower = bool(estimate.gradient[k] > 0)
     return Diagnostic(Kind.PARAMETER_AT_BOUND, (parameters.names[k],), {
         "side": "lower" if lower else "upper", "bound": float((parameters.lower if lower else parameters.upper)[k]),

@@ -1,19 +1,19 @@
-"""The answer of an identification of valves, oil and friction: parameters, free runs, the calibrated machine."""
+"""The answer of an identification of valves and oil: parameters, free runs, the calibrated machine."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any
 
 import numpy as np
 
-from hydroopt.estimation.hydraulic import shooting
-from hydroopt.estimation.hydraulic.diagnostics import parameter_diagnostics, unexplained_channels
-from hydroopt.estimation.hydraulic.dynamics import Record
-from hydroopt.estimation.hydraulic.problem import HydraulicProblem
-from hydroopt.estimation.hydraulic.shooting import ShootingEstimate
+from hydroopt.estimation.hydraulic.adjustment import Adjustment, adjust
+from hydroopt.estimation.hydraulic.bounded_gaussian import BoundedGaussian
+from hydroopt.estimation.hydraulic.diagnostics import parameter_diagnostics, unexplained_actuators
+from hydroopt.estimation.hydraulic.free_run import Run, free_runs
+from hydroopt.estimation.hydraulic.problem import SUPPLY, HydraulicProblem
 from hydroopt.machine.links import Note
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine
@@ -26,29 +26,17 @@ from hydroopt.results.parameter_table import ParameterTable, row
 from hydroopt.results.tables import csv_text, number
 from hydroopt.results.verdict import Action, NextStep, Purpose, Use, judged
 from hydroopt.results.wording import Kind
-from hydroopt.spatial.inertia import Array
 
-METHOD = "multiple shooting"
-SETTLED = 1.0
-"""Seconds at the beginning of a validation log from which its first states are estimated."""
-
-
-@dataclass(frozen=True, eq=False)
-class Run:
-    """One stretch of a log beside its free run: states (N, nx) and outputs (N, ny)."""
-
-    record: Record
-    states: Array
-    outputs: Array
+METHOD = "adjustment of volume balances"
 
 
 @dataclass(frozen=True, eq=False, repr=False)
 class HydraulicEstimate(Answer):
-    """Valves, oil and friction identified from logs.
+    """Valves and oil identified from logs.
 
     Attributes:
         problem: what was solved.
-        shooting: the solution with its intervals; each channel's σ is raised to what the residuals show.
+        adjustment: the solution, with what the model leaves of the balances.
 
     Example:
         >>> import hydroopt as ho
@@ -63,7 +51,7 @@ class HydraulicEstimate(Answer):
     job = Job.HYDRAULICS
 
     problem: HydraulicProblem
-    shooting: ShootingEstimate
+    adjustment: Adjustment
 
     @property
     def machine_id(self) -> MachineId:
@@ -77,19 +65,28 @@ class HydraulicEstimate(Answer):
 
     @cached_property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """What the logs lack, what counts as exact, channels that the model does not explain, and parameters that the
-        data do not determine."""
-        held = self.problem.held_bodies
-        exact = (Diagnostic(Kind.BODIES_HELD_EXACT, held, {}),) if held else ()
+        """What the logs lack, actuators that the model does not explain, and parameters that the data do not determine.
+        """
         lost = (Diagnostic(Kind.PRESSURE_NOT_MEASURED, channels, {"log": where})
                 for where, channels in self.problem.lost_pressures.items())
-        return (*lost, *exact, *unexplained_channels(self.problem.channels, self.misfit),
-                *parameter_diagnostics(self.shooting))
+        return (*lost, *unexplained_actuators(self.actuators, self.adjustment.misfit),
+                *parameter_diagnostics(self.posterior))
+
+    @property
+    def actuators(self) -> tuple[str, ...]:
+        """Names (a,) of the actuators."""
+        return tuple(each.actuator.name for each in self.problem.plant.actuators)
+
+    @cached_property
+    def posterior(self) -> BoundedGaussian:
+        """The identified numbers with their covariance and intervals."""
+        found = self.adjustment
+        return BoundedGaussian(self.problem.parameters, found.theta, found.data, found.gradient, found.residual_scale)
 
     @cached_property
     def parameters(self) -> ParameterTable:
         """The parameters by name, with priors, values, intervals and identifiability."""
-        found, stated = self.shooting, self.problem.parameters
+        found, stated = self.posterior, self.problem.parameters
         variance = np.diag(stated.information)
         prior_std = np.where(variance > 0, 1 / np.sqrt(np.where(variance > 0, variance, 1.0)), np.nan)
         return ParameterTable([
@@ -111,13 +108,9 @@ class HydraulicEstimate(Answer):
     @property
     def next_steps(self) -> tuple[NextStep, ...]:
         """What would test or improve it, or how to use it."""
-        steps = []
-        if self.problem.held_bodies:
-            steps.append(NextStep(Action.CHECK, "Identify bodies, too: --bodies. Intervals here count them as exact."))
-        steps.append(NextStep(Action.USE, "Tune controllers with 'hydroopt control' and this folder's machine file.")
-                     if "validation" in self.fit else
-                     NextStep(Action.CHECK, "Hold data out to test the free run: --validate LOG, or --holdout 0.3."))
-        return tuple(steps)
+        return (NextStep(Action.USE, "Tune controllers with 'hydroopt control' and this folder's machine file.")
+                if "validation" in self.fit else
+                NextStep(Action.CHECK, "Hold data out to test the free run: --validate LOG, or --holdout 0.3."),)
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:
@@ -125,9 +118,8 @@ class HydraulicEstimate(Answer):
         return self.problem.inputs
 
     def details(self) -> Mapping[str, Any]:
-        """Conditioning, and the σ by which each channel was weighted."""
-        problem, found, parameters = self.problem, self.shooting, self.problem.parameters
-        units = problem.plant.machine.channel_units
+        """Conditioning, and for each actuator the misfit and the random flow that the model leaves."""
+        found, parameters = self.posterior, self.problem.parameters
         sizes = np.linalg.eigvalsh(found.data * np.outer(parameters.scale, parameters.scale))
         return {"base_parameters": [],
                 "conditioning": {
@@ -135,9 +127,9 @@ class HydraulicEstimate(Answer):
                     "condition_number": number(np.sqrt(sizes[-1] / sizes[0]) if sizes[0] > 0 else np.inf),
                     "residual_scale": number(found.residual_scale)},
                 "physical_consistency": {},
-                "weights": {channel: {"sigma": float(sigma), "sensor_sigma": float(sensor), "unit": units[channel]}
-                            for channel, sigma, sensor in zip(problem.channels, found.problem.sigma, problem.sigma,
-                                                              strict=True)}}
+                "balances": {name: {"misfit": number(misfit), "random_flow": float(density), "unit": "m^3/sqrt(s)"}
+                             for name, misfit, density in zip(self.actuators, self.adjustment.misfit,
+                                                              self.adjustment.density, strict=True)}}
 
     def files(self) -> Mapping[str, str]:
         """The calibrated machine, tables of parameters and fit, and the free runs, in SI.
@@ -152,47 +144,26 @@ class HydraulicEstimate(Answer):
 
     def _samples(self) -> Iterator[dict[str, Any]]:
         """Every sample of all logs: commands, readings, and the free run."""
-        inputs = self.shooting.problem.dynamics.inputs
+        inputs = (*self.problem.plant.inputs, *SUPPLY)
         for data, runs in self.runs.items():
             for k, run in enumerate(runs):
-                for i, t in enumerate(run.record.t):
+                for i, t in enumerate(run.t):
                     sample: dict[str, Any] = {"data": data, "stretch": k + 1, "t [s]": float(t)}
-                    sample |= {name: float(u) for name, u in zip(inputs, run.record.u[i], strict=True)}
-                    for channel, read, value in zip(self.problem.channels, run.record.y[i], run.outputs[i],
-                                                    strict=True):
+                    sample |= {name: float(u) for name, u in zip(inputs, run.u[i], strict=True)}
+                    for channel, read, value in zip(self.problem.channels, run.y[i], run.outputs[i], strict=True):
                         sample |= {channel: number(read), f"{channel} free": float(value)}
                     yield sample
 
     @cached_property
     def runs(self) -> Mapping[str, tuple[Run, ...]]:
-        """Free runs over what was fitted, ``train``, and what was held out, ``validation``."""
-        records = self.shooting.problem.records
-        found = {"train": tuple(self.run(r, points[0]) for r, points in zip(records, self.shooting.solution.points,
-                                                                            strict=True))}
-        held_out = [record for log in self.problem.validation for record in self.problem.records(log)]
-        return found | {"validation": tuple(self.run(r, self.first_states(r)) for r in held_out)}
-
-    def run(self, record: Record, first: Array) -> Run:
-        """The machine from first states (nx,) on, driven by a record's commands and supply.
+        """Free runs over what was fitted, ``train``, and what was held out, ``validation``.
 
         Raises:
             SolverError: the states diverge.
         """
-        return Run(record, *self.shooting.free_run(record, first))
-
-    def first_states(self, record: Record) -> Array:
-        """States (nx,) at the beginning of a record, estimated from its first second with the identified parameters.
-
-        Raises:
-            SolverError: none fits.
-        """
-        count = max(2, int(np.searchsorted(record.t, record.t[0] + SETTLED)))
-        short = replace(record, t=record.t[:count], u=record.u[:count], y=record.y[:count], guess=record.guess[:count])
-        theta, known = self.shooting.theta, self.shooting.problem
-        held = replace(known.parameters, nominal=theta, lower=theta, upper=theta)
-        found = shooting.multiple_shooting(replace(known, parameters=held, records=(short,)))
-        first: Array = found.solution.points[0][0]
-        return first
+        problem = self.problem
+        return {data: tuple(run for log in logs for run in free_runs(problem, log, self.adjustment.theta))
+                for data, logs in (("train", problem.logs), ("validation", problem.validation))}
 
     @cached_property
     def fit(self) -> Mapping[str, Mapping[str, Fit]]:
@@ -200,49 +171,33 @@ class HydraulicEstimate(Answer):
         return {name: free_run_fit(self.problem, runs) for name, runs in self.runs.items() if runs}
 
     @property
-    def misfit(self) -> Array:
-        """(ny,) RMS of each channel's residuals in units of its sensor's σ."""
-        left = np.concatenate(self.shooting.residuals) * self.shooting.problem.sigma / self.problem.sigma
-        return np.asarray(np.sqrt(np.nanmean(left**2, axis=0)))
-
-    @property
     def machine(self) -> Machine:
-        """The machine with the identified values and their confidences; a prior for other logs.
-
-        Of bodies, which forces identify only in combinations, the confidences stay what they were.
-        """
+        """The machine with the identified values and their confidences; a prior for other logs."""
         return _calibrated(self)
 
     @cached_property
     def sweeps(self) -> tuple[Sweep, ...]:
         """Frequency, damping and gain of every joint over the workspace; empty without a stated supply pressure."""
-        psi, theta = (np.asarray(part).ravel() for part in self.problem.split(self.shooting.theta))
-        return workspace_sweeps(self.problem.plant, psi, theta)
+        plant = self.problem.plant
+        return workspace_sweeps(plant, plant.model.parameters.nominal, self.problem.whole(self.adjustment.theta))
 
 
-def identify_hydraulics(problem: HydraulicProblem, start: Array | None = None) -> HydraulicEstimate:
-    """Identify valves, oil and friction by multiple shooting.
-
-    The problem is solved twice: the second time each channel's σ is raised to what the residuals of the first show,
-    their correlation included, so that unmodelled dynamics do not make the intervals too narrow.
-
-    Args:
-        problem: see `hydraulic_problem`.
-        start: parameters (p,) of the initial guess; nominal if None.
+def identify_hydraulics(problem: HydraulicProblem) -> HydraulicEstimate:
+    """Identify valves and oil by adjusting volume balances.
 
     Raises:
-        SolverError: IPOPT failed, or its answer failed the check.
+        SolverError: the steps do not converge.
+        LogError, ProblemError: see `HydraulicProblem.stretches`.
 
     Example:
         See `HydraulicEstimate`.
     """
-    first = shooting.multiple_shooting(problem.shooting, start)
-    return HydraulicEstimate(problem, shooting.multiple_shooting(first.reweighted, first))
+    return HydraulicEstimate(problem, adjust(problem.balanced, problem.parameters, len(problem.plant.actuators)))
 
 
 def free_run_fit(problem: HydraulicProblem, runs: Sequence[Run]) -> dict[str, Fit]:
     """Figures of free runs by channel."""
-    read = np.concatenate([run.record.y for run in runs])
+    read = np.concatenate([run.y for run in runs])
     error = np.concatenate([run.outputs for run in runs]) - read
     units = problem.plant.machine.channel_units
     table = {}
@@ -255,25 +210,12 @@ def free_run_fit(problem: HydraulicProblem, runs: Sequence[Run]) -> dict[str, Fi
 
 
 def _calibrated(estimate: HydraulicEstimate) -> Machine:
-    problem, machine = estimate.problem, estimate.problem.plant.machine
+    problem, machine, found = estimate.problem, estimate.problem.plant.machine, estimate.posterior
     source = f"identified from {', '.join(log.path or log.name for log in problem.logs)}"
-    numbers, values, notes = machine.numbers, {}, {}
-    theta = np.clip(estimate.shooting.theta, problem.parameters.lower, problem.parameters.upper)  # a solver's rounding
-    for name, value, std in zip(problem.parameters.names, theta.tolist(), estimate.shooting.std.tolist(), strict=True):
-        if name in numbers:  # directions of the bodies' parameters have no address
-            values[name] = value
-            sigma = {"sigma": std, "relative": False} if np.isfinite(std) else {}
-            notes[name] = machine.notes.get(numbers[name].path, Note()).model_copy(update=sigma | {"source": source})
-    if problem.bodies.shape[1]:
-        parameters = problem.plant.model.parameters
-        psi = np.asarray(problem.split(estimate.shooting.theta)[0]).ravel()
-        for owner, columns in parameters.bodies.items():
-            values |= dict(zip(parameters.names[columns], psi[columns].tolist(), strict=True))
-            for element, was in (("m", "m"), ("mc_x", "com"), ("I_xx", "inertia_com")):
-                name = f"{owner}.{element}"
-                note = machine.notes.get(numbers[name].path)
-                if note is None and (of_com := machine.notes.get(f"{owner}.body.{was}")) and of_com.relative:
-                    note = of_com  # an absolute confidence of a centre of mass is none of a first moment
-                if note is not None:
-                    notes[name] = note.model_copy(update={"source": source})
+    values, notes = {}, {}
+    for name, value, std in zip(problem.parameters.names, found.theta.tolist(), found.std.tolist(), strict=True):
+        values[name] = value
+        sigma = {"sigma": std, "relative": False} if np.isfinite(std) else {}
+        known = machine.notes.get(machine.numbers[name].path, Note())
+        notes[name] = known.model_copy(update=sigma | {"source": source})
     return machine.with_values(values, notes)

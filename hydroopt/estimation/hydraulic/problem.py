@@ -1,68 +1,72 @@
-"""Valves, oil and friction from commands, pressures and motion: the plant's numbers as a shooting problem."""
+"""Valves and oil from commands, pressures and motion: what is identified, and the readings that tell of it."""
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from itertools import pairwise
 from typing import Any, NoReturn
 
-import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.errors import IdentifiabilityError, LogError, ProblemError
-from hydroopt.estimation.hydraulic.collocated_program import nonlinear_program
-from hydroopt.estimation.hydraulic.dynamics import Dynamics, Record, ShootingProblem
-from hydroopt.estimation.hydraulic.shooting import measured_states
-from hydroopt.estimation.inference.identifiability import PREDICTED_TOLERANCE, significant
+from hydroopt.estimation.hydraulic.adjustment import Balanced
+from hydroopt.estimation.hydraulic.balance_program import nonlinear_program
+from hydroopt.estimation.hydraulic.motion_readings import MotionReadings
+from hydroopt.estimation.hydraulic.readings import Readings, pieces
+from hydroopt.estimation.hydraulic.volume_balance import VolumeBalance
 from hydroopt.estimation.inference.program import NonlinearProgram
 from hydroopt.logs.frames import all_of
-from hydroopt.logs.joint_angles import measured_angles
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import bridged, reading
-from hydroopt.logs.smoothing import Motion, SmoothingSpline, condition
 from hydroopt.logs.tip_wrench import wrench_channels
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.given_machine import GivenMachine, machine_of
-from hydroopt.model.hydraulics import spool_position
+from hydroopt.model.hydraulics import ActuatorHydraulics
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.notebook_card import Card, Shown
-from hydroopt.parameters.parameter_set import ParameterKind, ParameterSet, parameter_table
+from hydroopt.parameters.parameter_set import ParameterSet, parameter_table
 from hydroopt.simulation.drive_valves import arrived
 from hydroopt.spatial.inertia import Array
 
 SUPPLY = ("pump.p_supply", "pump.p_tank")
 """Channels of the pressures that feed and drain the valves."""
-LONGEST = 0.01
-"""Collocated interval [s] that follows spools and dry friction well enough: twice as long ones bend spools' numbers by
-a standard deviation."""
-RANDOM = 200
-"""States at which forces are evaluated to find the identifiable directions of bodies."""
+UNREAD = 1e7
+"""Standard deviation [Pa] of a pressure in a sample that holds no number."""
+FORGOTTEN = 6.0
+"""Time constants of its spool after which an actuator's first command is forgotten."""
 REST, ROUNDING = 3.0, 1e-6
 """Scatter of a base at rest, in standard deviations of its sensor, and what is added for rounding [rad or m]."""
 AT_WORST = 3.0
 """How many of its σ a dead band may be smaller than stated, before a command counts as never leaving it."""
 
 
+@dataclass(frozen=True, eq=False)
+class Stretch:
+    """Samples of a log without a gap; `log` holds these samples alone."""
+
+    log: Log
+    actuators: tuple[Readings, ...]
+
+
 @dataclass(frozen=True, eq=False, repr=False)
 class HydraulicProblem(Shown):
-    """The identification of valves, oil and friction from logs; solving does not change it.
+    """The identification of valves and oil from logs; solving does not change it.
+
+    Volume balances of each chamber tell of them: what flows in moves the piston or compresses oil. Motion and pressures
+    are read, so that neither masses nor friction have a part in it; these are identified from forces (`identify`).
 
     It is a nonlinear program: `print` shows its variables, objective and constraints, `nlp` hands it on.
 
     Attributes:
         plant: the machine with its valves.
         logs: training logs; `validation` those held out.
-        parameters: friction and hydraulic parameters that state a `sigma`, then, on request, the identifiable
-            directions of the bodies, in standard deviations of the machine file.
-        psi, theta: positions of the first two among the plant's dynamic and hydraulic parameters.
-        bodies: (p, b) how the plant's dynamic parameters change with the last b.
+        parameters: hydraulic parameters that state a `sigma`.
+        theta: (p,) their positions among the plant's.
         channels: measured channels that the logs hold; `sigma` (ny,) of their readings, in SI.
-        steps: collocated intervals between two samples; as many as keep them below `LONGEST` if None.
 
     Example:
         >>> import hydroopt as ho
@@ -70,90 +74,82 @@ class HydraulicProblem(Shown):
         >>> t = np.arange(160) / 50
         >>> log = ho.drive(plant, t, 5.7 + np.cos(2 * t)[:, None], np.array([0.2]), seed=1)
         >>> ho.hydraulic_problem(plant.machine, [log])
-        HydraulicProblem(patu655_lift: 9 parameters, 160 samples, 4 channels)
+        HydraulicProblem(patu655_lift: 6 parameters, 160 samples, 4 channels)
     """
 
     plant: Plant
     logs: tuple[Log, ...]
     validation: tuple[Log, ...]
     parameters: ParameterSet
-    psi: NDArray[np.intp]
     theta: NDArray[np.intp]
-    bodies: Array
     channels: tuple[str, ...]
     sigma: Array
-    steps: int | None = None
 
-    def split(self, values: Any) -> tuple[Any, Any]:
-        """Dynamic and hydraulic parameters of the plant (p,), (h,) from those identified: numbers or symbols."""
-        model, friction, last = self.plant.model, len(self.psi), len(self.psi) + len(self.theta)
-        given = values if isinstance(values, ca.SX) else ca.DM(values)
-        made = []
-        for nominal, at, part in (
-                (ca.DM(model.parameters.nominal) + ca.DM(self.bodies) @ given[last:, :], self.psi, given[:friction, :]),
-                (ca.DM(self.plant.parameters.nominal), self.theta, given[friction:last, :])):
-            whole = type(given)(nominal)
-            whole[at.tolist()] = part
-            made.append(whole)
-        return made[0], made[1]
+    def whole(self, values: Array) -> Array:
+        """All hydraulic parameters of the plant (h,) from those identified (p,)."""
+        found = self.plant.parameters.nominal.copy()
+        found[self.theta] = values
+        return found
 
     @cached_property
-    def dynamics(self) -> Dynamics:
-        """The plant as a function of what is identified."""
-        plant, n = self.plant, len(self.plant.inputs)
-        x, u, free = ca.SX.sym("x", len(plant.states)), ca.SX.sym("u", n + 2), ca.SX.sym("p", len(self.parameters))
-        given = (x, u[:n], u[n:], *self.split(free))
-        outputs = dict(zip(plant.outputs.name_out(), plant.outputs(*given), strict=True))
-        values = [_channel(plant, outputs, channel) for channel in self.channels]
-        return Dynamics(ca.Function("rates", [x, u, free], [plant.rates(*given)]),
-                        ca.Function("outputs", [x, u, free], [ca.vertcat(*values)]), plant.states,
-                        (*plant.inputs, *SUPPLY), self.channels, plant.scale, np.array([True] * n + [False] * 2))
-
-    def records(self, log: Log) -> tuple[Record, ...]:
-        """One for each uninterrupted stretch of a log.
+    def stretches(self) -> tuple[Stretch, ...]:
+        """Readings of all actuators, one stretch for each part of a training log without a gap.
 
         Raises:
-            LogError: a channel that is needed is missing.
-            ProblemError: the supply's pressure is neither logged nor stated.
+            LogError: a channel is missing, or no stretch is long enough.
+            ProblemError: the supply's pressure is neither logged nor stated, or a sensor's accuracy is not.
         """
-        plant, machine = self.plant, self.plant.machine
-        angles = measured_angles(plant.model, log)
-        motion = condition(log.t, angles, log.segment, SmoothingSpline(bandwidth=machine.bandwidth),
-                           names=machine.joints, where=log.path or log.name)
-        u = np.column_stack([*(arrived(log.t, reading(machine, log, name), each.valve.delay)
-                               for name, each in zip(plant.inputs, plant.actuators, strict=True)),
-                             *_supply(plant, log)])
-        y = np.column_stack([log.channels[channel] if channel in log.channels else np.full(log.size, np.nan)
-                             for channel in self.channels])
-        guess = {f"{joint}.{key}": values[:, k] for k, joint in enumerate(machine.joints)
-                 for key, values in (("q", motion.q), ("qd", motion.qd))}
-        for k, each in enumerate(plant.actuators):
-            owner = each.actuator.name
-            guess |= {f"{owner}.spool": _placed(plant, k, u[:, k]), f"{owner}.spool_rate": np.zeros(log.size)}
-            guess |= self._pressures(log, k, motion)
-        guess[SUPPLY[0]] = log.channels.get(SUPPLY[0], u[:, -2])
-        states = np.column_stack([guess[name] for name in plant.states])
-        edges = np.flatnonzero(np.diff(log.segment, prepend=log.segment[0] - 1, append=log.segment[-1] + 1))
-        spans = [slice(a, b) for a, b in pairwise(edges.tolist()) if b - a > 1]
-        steps = self.steps or max(1, math.ceil(float(np.median(np.diff(log.t))) / LONGEST - 1e-3))
-        return tuple(Record(log.t[at], u[at], y[at], states[at], steps=steps, name=log.path or log.name)
-                     for at in spans)
+        found = tuple(stretch for log in self.logs for stretch in self.stretches_of(log))
+        if not any(each.used > 0 for stretch in found for each in stretch.actuators):
+            raise LogError("no part without a gap is longer than the spools' own motion",
+                           where=", ".join(log.path or log.name for log in self.logs),
+                           remedy="give a log of some seconds")
+        return found
 
-    def _pressures(self, log: Log, k: int, motion: Motion) -> dict[str, Array]:
-        """Initial guess of both pressures (N,) of an actuator: as read, or what the nominal force leaves for one that
-        the log lacks."""
-        plant, each = self.plant, self.plant.actuators[k]
-        read = {channel: bridged(reading(plant.machine, log, channel)) for channel in each.chambers
-                if channel in log.channels}
-        for channel in each.chambers:
-            if channel not in read:
-                model, place = plant.model, plant.machine.actuators.index(each.actuator)
-                extra = [np.zeros((log.size, len(plant.machine.actuators)))] if model.needs_pressure else []
-                force = model.over(model.inverse_dynamics, motion.q, motion.qd, motion.qdd, *extra,
-                                   model.parameters.nominal)[0][:, place, 0]
-                (known, pressure), factors = next(iter(read.items())), each.actuator.effort_factors
-                read[channel] = np.maximum((force - factors[known] * pressure) / factors[channel], 0.0)
-        return read
+    def stretches_of(self, log: Log) -> Iterator[Stretch]:
+        """The stretches of one log."""
+        edges = np.flatnonzero(np.diff(log.segment, prepend=log.segment[0] - 1, append=log.segment[-1] + 1))
+        for a, b in pairwise(edges.tolist()):
+            if b - a > 1:
+                part = log.slice(a, b)
+                motion = MotionReadings(self.plant, part)
+                yield Stretch(part, tuple(self._readings(part, motion, k, each)
+                                          for k, each in enumerate(self.plant.actuators)))
+
+    @cached_property
+    def balanced(self) -> tuple[Balanced, ...]:
+        """What is solved: the balances of every actuator in every stretch that is long enough."""
+        functions: dict[tuple[int, int], VolumeBalance] = {}
+        found = []
+        for stretch in self.stretches:
+            for k, readings in enumerate(stretch.actuators):
+                key = k, readings.command.shape[1]
+                if key not in functions:
+                    functions[key] = VolumeBalance(self.plant, k, self.theta.tolist(), key[1])
+                if readings.used > 0:
+                    found.append(Balanced(k, functions[key], readings))
+        return tuple(found)
+
+    def _readings(self, log: Log, motion: MotionReadings, k: int, each: ActuatorHydraulics) -> Readings:
+        machine, name = self.plant.machine, each.actuator.name
+        length, length_variance, lever = motion.length(k)
+        values, variance = [length], [length_variance]
+        for place, channel in enumerate((*each.chambers, *SUPPLY)):
+            sensor, stated = machine.sensor(channel), np.full(log.size, self.plant.supply[place - 2]
+                                                              if place >= 2 and channel not in log.channels else 0.0)
+            read = reading(machine, log, channel) if channel in log.channels else (
+                stated if place >= 2 else motion.pressure(k, channel))
+            std = sensor.std if sensor and channel in log.channels else 0.0
+            values.append(bridged(read))
+            variance.append(np.where(np.isfinite(read), std, UNREAD) ** 2)
+        times, frequency = pieces(log.t), each.valve.natural_frequency
+        late = each.valve.delay
+        if frequency:
+            late += FORGOTTEN / (2 * np.pi * frequency * min(each.valve.damping or 1.0, 1.0))
+        return Readings(log.t, times, arrived(log.t, reading(machine, log, f"{name}.u"), each.valve.delay, times),
+                        np.column_stack(values), np.column_stack(variance),
+                        tuple(side for side, channel in enumerate(each.chambers) if channel in log.channels),
+                        int(np.searchsorted(log.t, log.t[0] + late)), lever)
 
     @property
     def lost_pressures(self) -> dict[str, tuple[str, ...]]:
@@ -164,19 +160,6 @@ class HydraulicProblem(Shown):
         return {where: channels for where, channels in lacking.items() if channels}
 
     @property
-    def held_bodies(self) -> tuple[str, ...]:
-        """Bodies that count as exact although the machine file states confidences of their masses or inertias."""
-        known = self.plant.model.parameters
-        return () if self.bodies.shape[1] else tuple(
-            owner for owner, columns in known.bodies.items() if np.diag(known.information)[columns].any())
-
-    @cached_property
-    def shooting(self) -> ShootingProblem:
-        """The problem as the solver takes it."""
-        records = tuple(record for log in self.logs for record in self.records(log))
-        return ShootingProblem(self.dynamics, self.parameters, self.sigma, records, self.plant.machine.name)
-
-    @property
     def inputs(self) -> tuple[dict[str, Any], ...]:
         """The logs it is from: path, sha256, samples, role, rows and findings."""
         return tuple({"path": log.path or log.name, "sha256": log.sha256 or None, "samples": log.size, "role": role,
@@ -184,19 +167,14 @@ class HydraulicProblem(Shown):
                       "findings": [finding.text for finding in log.findings]}
                      for role, logs in (("train", self.logs), ("validation", self.validation)) for log in logs)
 
-    def nlp(self, sigma: Array | None = None) -> NonlinearProgram:
-        """The nonlinear program that is solved: maximum a posteriori, the dynamics as constraints (collocation).
+    def nlp(self) -> NonlinearProgram:
+        """The nonlinear program that is solved first: the least corrections of readings that close all balances.
 
-        Variables are the parameters and the states of all records at all points, in units of their scales, the
-        parameters from their nominal values; that guess is the initial one. `solve` computes it twice: first with the
-        sensors' σ, then with each channel's σ raised to what the residuals of the first show, correlation included
-        (``estimate.shooting.problem.sigma``).
-
-        Args:
-            sigma: (ny,) standard deviation of each channel's readings, in SI; by default the sensors'.
+        Variables are the parameters, from their nominal values in units of their scales, and the corrections of all
+        readings that err, in units of their σ. `solve` then adds a random flow to each balance, as large as what is
+        left shows.
         """
-        problem = self.shooting if sigma is None else replace(self.shooting, sigma=sigma)
-        return nonlinear_program(problem, measured_states(problem))
+        return nonlinear_program(self.balanced, self.parameters)
 
     def cvxpy(self) -> NoReturn:
         """Refuse: the problem is not convex.
@@ -220,22 +198,18 @@ class HydraulicProblem(Shown):
         return Card(repr(self), tables=[parameter_table(self.parameters)])
 
 
-def hydraulic_problem(machine: GivenMachine, logs: Log | Sequence[Log], validation: Log | Sequence[Log] = (), *,
-                     bodies: bool = False, steps: int | None = None) -> HydraulicProblem:
-    """The identification of valves, oil and friction from logs, with the machine file's confidences as priors.
+def hydraulic_problem(machine: GivenMachine, logs: Log | Sequence[Log],
+                      validation: Log | Sequence[Log] = ()) -> HydraulicProblem:
+    """The identification of valves and oil from logs, with the machine file's confidences as priors.
 
-    Every number of the hydraulics that states a `sigma` is identified, and every friction that does; all others are
-    exact.
+    Every number of the hydraulics that states a `sigma` is identified; all others are exact. Bodies and friction have
+    no part in it.
 
     Args:
         machine: with a circuit for every actuator, and sensors.
         logs: training logs: commands, motion and pressures of all actuators. One chamber of each may be unmeasured; a
             pressure without a number in some samples does not count in these.
         validation: validation logs.
-        bodies: whether masses and inertias are identified, too, as far as forces identify them; else they are exact,
-            as after an identification of their own.
-        steps: collocated intervals between two samples; as many as keep them below `LONGEST` if None. More follow dry
-            friction and the edges of valves more exactly.
 
     Raises:
         ProblemError: the file states no circuit, no confidence or no sensors, or a supply pressure is neither logged
@@ -259,60 +233,20 @@ def hydraulic_problem(machine: GivenMachine, logs: Log | Sequence[Log], validati
                            remedy="give logs without contact, or leave these columns out if nothing acted")
         _refuse_moving_base(plant, log)
     _refuse_dead_band(plant, logs)
-    psi, theta = _identified(plant)
-    if not len(psi) + len(theta):
+    free = np.flatnonzero(np.diag(plant.parameters.information) > 0)
+    if not free.size:
         raise ProblemError("no hydraulic parameter states a confidence, so that nothing is identified",
                            where=f"machine '{machine.name}'",
                            remedy="state a 'sigma' for the uncertain flows, dead bands, volumes and moduli")
-    identifiable = _identifiable(plant.model) if bodies else np.zeros((len(plant.model.parameters), 0))
     channels, sigma = _sensed(plant, logs)
-    parameters = _joined(plant, psi, theta, identifiable.shape[1])
-    return HydraulicProblem(plant, tuple(logs), tuple(validation), parameters, psi, theta, identifiable, channels,
-                            sigma, steps)
+    return HydraulicProblem(plant, tuple(logs), tuple(validation), _of(plant.parameters, free), free, channels, sigma)
 
 
-def _identified(plant: Plant) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
-    """Positions of what states a confidence: friction, gas and springs among ψ, and the hydraulics' numbers."""
-    dynamic, hydraulic = plant.model.parameters, plant.parameters
-    free = [k for k, kind in enumerate(dynamic.kinds) if dynamic.information[k, k] > 0
-            and (kind.is_friction or kind.is_elastic)]
-    return np.array(free, dtype=np.intp), np.flatnonzero(np.diag(hydraulic.information) > 0)
-
-
-def _identifiable(model: Model) -> Array:
-    """(p, b) the directions of the bodies' parameters that forces identify, each one standard deviation long.
-
-    In units of the priors' standard deviations they span the row space of the regressor.
-    """
-    parameters, machine = model.parameters, model.machine
-    bodies = np.flatnonzero([kind.is_inertial for kind in parameters.kinds])
-    information = parameters.information[np.ix_(bodies, bodies)]
-    unknown = np.diag(information) == 0
-    values, vectors = np.linalg.eigh(information + np.diag(unknown * 1.0))
-    root = vectors / np.sqrt(values) * ~unknown[:, None]
-    rng = np.random.default_rng(0)
-    lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
-    states = [rng.uniform(lower, upper, (RANDOM, len(lower))), *rng.standard_normal((2, RANDOM, len(lower)))]
-    extra = [np.zeros((RANDOM, len(lower)))] if model.needs_pressure else []
-    K = model.over(model.regressor, *states, *extra)[0].reshape(-1, len(parameters))[:, bodies]
-    _, size, directions = np.linalg.svd(K @ root, full_matrices=False)
-    slope = np.zeros((len(parameters), int(np.sum(significant(size, PREDICTED_TOLERANCE)))))
-    slope[bodies] = root @ directions[: slope.shape[1]].T
-    return slope
-
-
-def _joined(plant: Plant, psi: NDArray[np.intp], theta: NDArray[np.intp], bodies: int) -> ParameterSet:
-    parts = [(plant.model.parameters, psi), (plant.parameters, theta)]
-    names = [one.names[k] for one, at in parts for k in at] + [f"bodies.{k + 1}" for k in range(bodies)]
-    kinds = [one.kinds[k] for one, at in parts for k in at] + [ParameterKind.BODY_DIRECTION] * bodies
-    units = [one.units[k] for one, at in parts for k in at] + ["1"] * bodies
-
-    def numbers(key: str, rest: float) -> Array:
-        return np.concatenate([*(getattr(one, key)[at] for one, at in parts), np.full(bodies, rest)])
-
-    information = np.concatenate([*(np.diag(one.information)[at] for one, at in parts), np.ones(bodies)])
-    return ParameterSet(tuple(names), tuple(kinds), tuple(units), numbers("nominal", 0.0), numbers("lower", -np.inf),
-                        numbers("upper", np.inf), numbers("scale", 1.0), np.diag(information))
+def _of(known: ParameterSet, at: NDArray[np.intp]) -> ParameterSet:
+    """Some of a set's parameters."""
+    names, kinds, units = ([values[k] for k in at] for values in (known.names, known.kinds, known.units))
+    return ParameterSet(tuple(names), tuple(kinds), tuple(units), known.nominal[at], known.lower[at], known.upper[at],
+                        known.scale[at], known.information[np.ix_(at, at)])
 
 
 def _sensed(plant: Plant, logs: Sequence[Log]) -> tuple[tuple[str, ...], Array]:
@@ -347,39 +281,6 @@ def _measurable(plant: Plant) -> Iterator[str]:
         yield from each.chambers
     if plant.states[-1] == SUPPLY[0]:
         yield SUPPLY[0]
-
-
-def _channel(plant: Plant, outputs: dict[str, ca.SX], channel: str) -> ca.SX:
-    """The plant's output that a channel measures."""
-    owner, _, key = channel.rpartition(".")
-    if key == "q":
-        return outputs["q"][plant.machine.joints.index(owner)]
-    if channel == SUPPLY[0]:
-        return outputs["p_supply"]
-    k = [each.actuator.name for each in plant.actuators].index(owner)
-    if key == "length":
-        return outputs["length"][k]
-    return outputs["pressure"][k, plant.actuators[k].chambers.index(channel)]
-
-
-def _supply(plant: Plant, log: Log) -> list[Array]:
-    """Pressures of supply and tank (N,): as logged, or as stated; what the pump is set to where it feeds a volume."""
-    found = []
-    for k, channel in enumerate(SUPPLY):
-        if channel in log.channels and channel not in plant.states:
-            found.append(reading(plant.machine, log, channel))
-        else:
-            found.append(np.full(log.size, plant.supply[k]))
-    return found
-
-
-def _placed(plant: Plant, k: int, command: Array) -> Array:
-    """Where a command (N,) wants the spool, by the nominal dead bands."""
-    owner, nominal = plant.actuators[k].actuator.name, plant.parameters
-    symbol = ca.SX.sym("u")
-    wanted = spool_position(plant.actuators[k].valve, symbol,
-                       lambda key: float(nominal.nominal[nominal.index(f"{owner}.{key}")]))
-    return np.asarray(ca.Function("wanted", [symbol], [wanted])(command)).ravel()
 
 
 def _refuse_moving_base(plant: Plant, log: Log) -> None:

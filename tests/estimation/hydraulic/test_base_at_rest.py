@@ -58,7 +58,7 @@ def test_a_flow_is_found_on_a_slope(plant: Plant, log: Log) -> None:
     found = estimate.parameters[FLOW]
     assert found.value == pytest.approx(1.1 * plant.machine.numbers[FLOW].value, abs=4 * found.std)
     assert found.std < 0.02 * found.value
-    assert np.all(estimate.misfit < 1.2)
+    assert np.all(estimate.adjustment.misfit < 1.2)
 
 
 def test_a_log_in_which_the_base_moves_is_refused(plant: Plant, log: Log) -> None:

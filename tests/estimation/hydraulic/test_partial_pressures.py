@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hydroopt.errors import LogError
-from hydroopt.estimation.hydraulic.problem import hydraulic_problem
+from hydroopt.estimation.hydraulic.problem import UNREAD, hydraulic_problem
 from hydroopt.logs.log import Log
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
@@ -32,7 +32,7 @@ def lacking(log: Log, *channels: str) -> Log:
     return replace(log, channels={name: x for name, x in log.channels.items() if name not in channels})
 
 
-def test_the_other_pressure_and_the_motion_tell_what_one_pressure_would(log: Log) -> None:
+def test_one_chamber_alone_tells_of_the_valve(log: Log) -> None:
     whole, partly = (solve(hydraulic_problem(PLANT.machine, [each])) for each in (log, lacking(log, PRESSURES[1])))
     for name, one in whole.parameters.items():
         other = partly.parameters[name]
@@ -46,9 +46,10 @@ def test_the_other_pressure_and_the_motion_tell_what_one_pressure_would(log: Log
 def test_samples_without_a_pressure_do_not_count(log: Log) -> None:
     holes = np.where(np.arange(log.size) < 40, np.nan, log.channels[PRESSURES[0]])
     problem = hydraulic_problem(PLANT.machine, [replace(log, channels={**log.channels, PRESSURES[0]: holes})])
-    (record,) = problem.shooting.records
-    assert np.isnan(record.y[:, problem.channels.index(PRESSURES[0])]).sum() == 40
-    assert np.all(np.isfinite(record.guess))
+    (each,) = problem.balanced
+    assert np.all(np.isfinite(each.readings.values))
+    assert np.sum(each.readings.variance[:, 1] == UNREAD**2) == 40
+    assert np.all(np.abs(solve(problem).adjustment.correction[0][:40, 1]) < UNREAD)
 
 
 def test_an_actuator_without_any_pressure_is_refused(log: Log) -> None:

@@ -1,0 +1,283 @@
+"""Valves and oil from volume balances whose readings all err: the Gauss-Helmert adjustment.
+
+The most probable numbers are those for which the smallest corrections of readings, in units of their σ, close all
+balances (Mikhail and Ackermann 1976, conditions with parameters). Derivatives are taken at the corrected readings: at
+the raw ones, noise in the pressures makes the spring of the oil look softer than it is. A reading belongs to two
+intervals, so that the balances' covariance is a band. What the model misses is a random flow beside the readings'
+errors, whose density is the one with the greatest likelihood.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.linalg import cho_solve_banded, cholesky_banded, solve_banded
+from scipy.optimize import lsq_linear, minimize_scalar
+
+from hydroopt.errors import SolverError
+from hydroopt.estimation.hydraulic.readings import Readings
+from hydroopt.estimation.hydraulic.volume_balance import Misclosure, VolumeBalance
+from hydroopt.parameters.parameter_set import ParameterSet
+from hydroopt.spatial.inertia import Array
+
+CONVERGED = 1e-3
+"""Fall of half the sum of squares that the next step promises, at which steps end."""
+CORRECTIONS, SMALL = 4, 0.03
+"""How often corrections are computed anew, until none changes by this part of its σ."""
+STEPS = 60
+"""Greatest number of steps."""
+DAMPING, STUCK = 1e-3, 1e6
+"""First damping after a step that hardly lowered the squares, as a part of the squares of the derivatives; and the one
+at which rounding, or a corner of the model, keeps any step from it."""
+LEAST, MOST = 0.01, 10.0
+"""Densities of the random flow: what adds this part of a reading's error over a whole stretch, and in an interval."""
+POOR, GOOD = 0.25, 0.75
+"""Parts of a promised fall, below and above which the next step is damped more and less (Marquardt)."""
+ROUNDS, AGREED = 10, 0.3
+"""How often that density is found again, until it changes by less than this part."""
+
+
+@dataclass(frozen=True, eq=False)
+class Balanced:
+    """Readings of a stretch with the balances that they should close; `actuator` is the place of theirs."""
+
+    actuator: int
+    balance: VolumeBalance
+    readings: Readings
+
+
+@dataclass(frozen=True, eq=False)
+class Linear:
+    """The balances of one stretch at corrected readings.
+
+    Attributes:
+        missed: (I, c) misclosures of the raw readings [m³], linear from the corrected ones.
+        at: misclosures at the corrected readings, with their derivatives.
+        correction: (N, 5) of the readings.
+        residuals, slope: (I·c,), (I·c, p + g) independent residuals of unit variance, and their derivatives.
+    """
+
+    missed: Array
+    at: Misclosure
+    correction: Array
+    residuals: Array
+    slope: Array
+
+    def covariance(self, readings: Readings, density: float) -> Array:
+        """Lower band (2c, I·c) of the covariance of what is missed [m⁶].
+
+        `density` [m³/√s] is the standard deviation of the random flow, integrated over a second.
+        """
+        first, last, (count, c) = self.at.by_first, self.at.by_last, self.missed.shape
+        before, after = readings.variance[readings.begin : -1, None], readings.variance[readings.begin + 1 :, None]
+        own = (first * before) @ first.swapaxes(1, 2) + (last * after) @ last.swapaxes(1, 2)
+        own[:, range(c), range(c)] += density**2 * readings.dt[readings.begin :, None]
+        next_one = (first[1:] * before[1:]) @ last[:-1].swapaxes(1, 2)
+        band = np.zeros((2 * c, count * c))
+        for i in range(c):
+            for k in range(c):
+                band[c + i - k, k : (count - 1) * c : c] = next_one[:, i, k]
+                if i >= k:
+                    band[i - k, k::c] = own[:, i, k]
+        return band
+
+
+@dataclass(frozen=True, eq=False)
+class Adjustment:
+    """The solution.
+
+    Attributes:
+        theta: (p,) identified numbers.
+        data: (p, p) information of the readings on them, the geometry being unknown but for its prior.
+        gradient: (p,) of half the squared errors.
+        residual_scale: root of the squared errors over the degrees of freedom; 1 where the stated σ are right.
+        density: (a,) of the random flow of each actuator [m³/√s].
+        misfit: (a,) RMS of each actuator's residuals, in units of the sensors' errors alone; NaN without readings.
+        correction: for each stretch (N, 5) corrections of its readings.
+    """
+
+    theta: Array
+    data: Array
+    gradient: Array
+    residual_scale: float
+    density: Array
+    misfit: Array
+    correction: tuple[Array, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class _State:
+    """Numbers x (p + g,): of what is identified in standard scores from nominal, then of the geometry; and all rows."""
+
+    x: Array
+    linear: list[Linear]
+    residuals: Array
+    slope: Array
+
+    @property
+    def cost(self) -> float:
+        return float(self.residuals @ self.residuals) / 2
+
+
+class _Solver:
+    """All stretches with one set of densities."""
+
+    def __init__(self, stretches: Sequence[Balanced], parameters: ParameterSet, density: Array) -> None:
+        self.stretches, self.parameters, self.density = stretches, parameters, density
+        self.p, self.g = len(parameters), stretches[0].readings.lever.shape[1]
+        values, vectors = np.linalg.eigh(parameters.information * np.outer(parameters.scale, parameters.scale))
+        self.prior = np.zeros((self.p + self.g,) * 2)
+        self.prior[: self.p, : self.p] = np.sqrt(np.maximum(values, 0))[:, None] * vectors.T
+        self.prior[self.p :, self.p :] = np.eye(self.g)
+        self.lower = np.append((parameters.lower - parameters.nominal) / parameters.scale, np.full(self.g, -np.inf))
+        self.upper = np.append((parameters.upper - parameters.nominal) / parameters.scale, np.full(self.g, np.inf))
+
+    def theta(self, x: Array) -> Array:
+        """(p,) within their bounds, but for rounding."""
+        known = self.parameters
+        return np.clip(known.nominal + known.scale * x[: self.p], known.lower, known.upper)
+
+    def at(self, x: Array, corrections: Sequence[Array]) -> _State:
+        """All rows at x, with readings corrected anew from `corrections` nearby."""
+        linear = [self.corrected(each, x, near) for each, near in zip(self.stretches, corrections, strict=True)]
+        return _State(x, linear, np.concatenate([self.prior @ x, *(each.residuals for each in linear)]),
+                      np.vstack([self.prior, *(each.slope for each in linear)]))
+
+    def corrected(self, each: Balanced, x: Array, near: Array) -> Linear:
+        """The balances of a stretch around the corrections that close them best, sought from those nearby."""
+        std = np.sqrt(np.where(each.readings.variance > 0, each.readings.variance, np.inf))
+        for _ in range(CORRECTIONS):
+            found = self.linear(each, x, near)
+            if np.max(np.abs(found.correction - near) / std) < SMALL:
+                break
+            near = found.correction
+        return found
+
+    def linear(self, each: Balanced, x: Array, correction: Array) -> Linear:
+        """The balances of a stretch around corrected readings, and the corrections that follow."""
+        readings, begin = each.readings, each.readings.begin
+        values = readings.values + correction
+        values[:, 0] += readings.lever @ x[self.p :]
+        at = each.balance.misclosure(readings, values, self.theta(x))
+        missed = at.value - np.einsum("nic,nc->ni", at.by_first, correction[begin:-1]) - np.einsum(
+            "nic,nc->ni", at.by_last, correction[begin + 1 :])
+        found = Linear(missed, at, correction, np.zeros(0), np.zeros(0))
+        factor = cholesky_banded(found.covariance(readings, self.density[each.actuator]), lower=True)
+        slope = np.concatenate([at.by_theta * self.parameters.scale,
+                                at.by_first[:, :, :1] * readings.lever[begin:-1, None]
+                                + at.by_last[:, :, :1] * readings.lever[begin + 1 :, None]], axis=2)
+        both = solve_banded((len(factor) - 1, 0), factor, np.column_stack([
+            missed.ravel(), slope.reshape(missed.size, -1)]))
+        force = cho_solve_banded((factor, True), missed.ravel()).reshape(missed.shape)
+        new = np.zeros_like(correction)
+        new[begin:-1] -= np.einsum("nic,ni->nc", at.by_first, force)
+        new[begin + 1 :] -= np.einsum("nic,ni->nc", at.by_last, force)
+        return replace(found, correction=new * readings.variance, residuals=both[:, 0], slope=both[:, 1:])
+
+    def solve(self, x: Array, corrections: Sequence[Array]) -> _State:
+        """Damped steps of Gauss and Newton from x on.
+
+        Raises:
+            SolverError: they do not converge.
+        """
+        here, damping = self.at(x, corrections), 0.0
+        for _ in range(STEPS):
+            step, promised = self._step(here, damping)
+            if promised <= CONVERGED or damping > STUCK:
+                return here
+            there = self.at(here.x + step, [each.correction for each in here.linear])
+            kept = (here.cost - there.cost) / promised
+            if kept < POOR:
+                damping = max(DAMPING, 10 * damping)
+            elif kept > GOOD:
+                damping = damping / 10 if damping > DAMPING else 0.0
+            if kept > 0:
+                here = there
+        raise SolverError(f"the squares still fall after {STEPS} steps", where="identification of valves and oil",
+                          remedy="correct numbers of the machine file that are far off")
+
+    def _step(self, here: _State, damping: float) -> tuple[Array, float]:
+        """A bounded step, and by how much half the squares should fall."""
+        held = np.diag(np.sqrt(damping) * np.linalg.norm(here.slope, axis=0))
+        triangle = np.asarray(np.linalg.qr(np.vstack([np.column_stack([here.slope, -here.residuals]),
+                                                      np.column_stack([held, np.zeros(len(held))])]), mode="r"))
+        lower, upper = np.minimum(self.lower - here.x, 0.0), np.maximum(self.upper - here.x, 0.0)
+        free, step = np.flatnonzero(upper > lower), np.zeros(len(here.x))
+        if free.size:
+            step[free] = lsq_linear(triangle[:, free], triangle[:, -1], (lower[free], upper[free]), method="bvls").x
+        return step, here.cost - float(np.sum((here.residuals + here.slope @ step) ** 2)) / 2
+
+    def likeliest(self, here: _State) -> Array:
+        """(a,) the density of each actuator's random flow with the greatest likelihood, at given corrections."""
+        density = self.density.copy()
+        for k in {each.actuator for each in self.stretches}:
+            own = [(each.readings, linear) for each, linear in zip(self.stretches, here.linear, strict=True)
+                   if each.actuator == k]
+            low, high = _limits(*own[0])
+
+            def surprise(log_density: float, own: list[tuple[Readings, Linear]] = own) -> float:
+                return sum(_surprise(readings, linear, np.exp(log_density)) for readings, linear in own)
+
+            density[k] = np.exp(minimize_scalar(surprise, bounds=(np.log(low), np.log(high)), method="bounded",
+                                                options={"xatol": AGREED / 3}).x)
+        return density
+
+
+def adjust(stretches: Sequence[Balanced], parameters: ParameterSet, actuators: int) -> Adjustment:
+    """The most probable numbers, from the nominal ones.
+
+    Args:
+        stretches: the readings of all actuators and logs.
+        parameters: what is identified, with its prior and bounds.
+        actuators: number of actuators.
+
+    Raises:
+        SolverError: the steps do not converge.
+    """
+    solver = _Solver(stretches, parameters, np.zeros(actuators))
+    raw = [np.zeros_like(each.readings.values) for each in stretches]
+    here = _State(np.zeros(solver.p + solver.g), [solver.linear(each, np.zeros(solver.p + solver.g), zero)
+                                                  for each, zero in zip(stretches, raw, strict=True)],
+                  np.zeros(0), np.zeros(0))
+    for _ in range(ROUNDS):
+        density, before = solver.likeliest(here), solver.density
+        solver = _Solver(stretches, parameters, density)
+        here = solver.solve(here.x, raw if not np.any(before) else [each.correction for each in here.linear])
+        if np.all(np.abs(density - before) <= AGREED * density):
+            break
+    return _answer(solver, here)
+
+
+def _limits(readings: Readings, linear: Linear) -> tuple[float, float]:
+    error = float(np.sqrt(np.median(linear.covariance(readings, 0.0)[0])))
+    return LEAST * error / np.sqrt(np.sum(readings.dt)), MOST * error / np.sqrt(float(np.median(readings.dt)))
+
+
+def _surprise(readings: Readings, linear: Linear, density: float) -> float:
+    """Twice the negative logarithm of the likelihood of what is missed, but for a constant."""
+    factor = cholesky_banded(linear.covariance(readings, density), lower=True)
+    independent = solve_banded((len(factor) - 1, 0), factor, linear.missed.ravel())
+    return float(independent @ independent + 2 * np.sum(np.log(factor[0])))
+
+
+def _answer(solver: _Solver, here: _State) -> Adjustment:
+    p, g, scale = solver.p, solver.g, solver.parameters.scale
+    prior = p + g
+    # the geometry's columns come first, so that the triangle's last rows are what is left without them
+    rows = np.vstack([solver.prior[p:], here.slope[prior:]])
+    triangle = np.asarray(np.linalg.qr(np.column_stack([rows[:, p:], rows[:, :p]]), mode="r"))[g:, g:]
+    readings = here.residuals[prior:]
+    freedom = len(readings) - np.linalg.matrix_rank(here.slope[prior:])
+    actuators, squares = [each.actuator for each in solver.stretches], []
+    for each, linear in zip(solver.stretches, here.linear, strict=True):
+        factor = cholesky_banded(linear.covariance(each.readings, 0.0), lower=True)
+        squares.append(np.sum(solve_banded((len(factor) - 1, 0), factor, linear.missed.ravel()) ** 2))
+    count = np.bincount(actuators, [each.readings.balances for each in solver.stretches], len(solver.density))
+    total = np.bincount(actuators, squares, len(solver.density))
+    return Adjustment(
+        solver.theta(here.x), triangle.T @ triangle / np.outer(scale, scale),
+        (here.slope.T @ here.residuals)[:p] / scale,
+        float(np.sqrt(readings @ readings / freedom)) if freedom > 0 else float("nan"), solver.density,
+        np.sqrt(total / np.where(count > 0, count, np.nan)), tuple(each.correction for each in here.linear))

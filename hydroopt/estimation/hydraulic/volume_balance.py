@@ -1,0 +1,158 @@
+"""The volume balance of an actuator's chambers between two samples: what valve, leaks and spring of the oil must yield.
+
+The equations of both pressures, integrated over an interval (Merritt 1967), need neither masses nor friction:
+
+    A_a·ΔL = ∫q_a dt − C_a·Δp_a  and  −A_b·ΔL = ∫q_b dt − C_b·Δp_b,
+
+with the flows q into the chambers and the oil C that raises their pressures by one pascal. Pressures are straight
+between samples, the spool follows its commands exactly, and Simpson's rule integrates the flows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import cache
+
+import casadi as ca
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.estimation.hydraulic.readings import QUANTITIES, Readings
+from hydroopt.model.flow_demand import chamber_flows
+from hydroopt.model.hydraulics import ActuatorHydraulics, spool_position
+from hydroopt.model.plant import Plant
+from hydroopt.spatial.inertia import Array
+
+
+@dataclass(frozen=True, eq=False)
+class Misclosure:
+    """By how much I intervals miss the balances of c chambers [m³], and the derivatives of that.
+
+    Attributes:
+        value: (I, c).
+        by_theta: (I, c, p).
+        by_first, by_last: (I, c, 5) by the readings at both ends of an interval.
+    """
+
+    value: Array
+    by_theta: Array
+    by_first: Array
+    by_last: Array
+
+
+class VolumeBalance:
+    """The balances of one actuator as a function of the identified numbers.
+
+    Args:
+        plant: the machine.
+        actuator: the place of the actuator in `Plant.actuators`.
+        free: (p,) positions of the identified numbers among the plant's parameters.
+        parts: pieces of an interval.
+    """
+
+    def __init__(self, plant: Plant, actuator: int, free: Sequence[int], parts: int) -> None:
+        each, names = plant.actuators[actuator], plant.parameters.names
+        owned = [k for k, at in enumerate(free) if names[at].partition(".")[0] in (each.actuator.name, "oil")]
+        self.own: NDArray[np.intp] = np.array(owned, dtype=np.intp)
+        """Positions of the numbers on which the balances depend among the identified ones."""
+        self.owner, self.parts = each.actuator.name, parts
+        theta = ca.SX.sym("theta", len(owned))
+        whole = ca.SX(ca.DM(plant.parameters.nominal))
+        whole[[free[k] for k in owned]] = theta
+        value = plant.value(each, whole)
+        self.begin, piece = _spool(each, theta, value)
+        interval = _interval(each, theta, value, parts)
+        self.pieces, self.intervals = cache(piece.mapaccum), cache(interval.map)  # making them takes longer than a run
+
+    def misclosure(self, readings: Readings, values: Array, theta: Array) -> Misclosure:
+        """The balances of all intervals that count, with `values` (N, 5) for the readings and identified θ (p,)."""
+        own, count, parts, first = theta[self.own], len(readings.dt), self.parts, readings.begin
+        spool, by_own = self.spools(readings, own)
+        at = np.arange(count)[:, None] * parts + np.arange(parts + 1)
+        value, *slopes = _called(self.intervals(count), spool[at].T, values[:-1].T, values[1:].T, readings.dt[None],
+                                 np.tile(own[:, None], count))
+        by_theta, by_spool, by_first, by_last = (each.reshape(2, count, -1).swapaxes(0, 1) for each in slopes)
+        rows = list(readings.chambers)
+        whole = np.zeros((count - first, len(rows), len(theta)))
+        whole[:, :, self.own] = (by_theta + by_spool @ by_own[at])[first:, rows]
+        return Misclosure(value.T[first:, rows], whole, by_first[first:, rows], by_last[first:, rows])
+
+    def symbolic(self, readings: Readings, values: ca.MX, theta: ca.MX) -> ca.MX:
+        """The balances (2, N - 1) of both chambers in all intervals as an expression in readings (5, N) and θ (p,)."""
+        own, count, parts = theta[self.own.tolist()], len(readings.dt), self.parts
+        inputs = self._inputs(readings)
+        start = self.begin(inputs[0, 0], own)
+        states = ca.horzcat(start, self.pieces(inputs.shape[1])(start, inputs, ca.repmat(own, 1, inputs.shape[1])))
+        spool = ca.vertcat(*(states[0, k : k + 1 + (count - 1) * parts : parts] for k in range(parts + 1)))
+        return self.intervals(count)(spool, values[:, :-1], values[:, 1:], readings.dt[None],
+                                     ca.repmat(own, 1, count))[0]
+
+    def spools(self, readings: Readings, own: Array) -> tuple[Array, Array]:
+        """Places (M + 1,) of the spool at the ends of all pieces, and their derivatives (M + 1, p) by own numbers."""
+        inputs = self._inputs(readings)
+        (start,) = _called(self.begin, inputs[:1, :1], own[:, None])
+        (after,) = _called(self.pieces(inputs.shape[1]), start, inputs, np.tile(own[:, None], inputs.shape[1]))
+        states = np.hstack([start, after])
+        return states[0], states[2::2].T
+
+    def _inputs(self, readings: Readings) -> Array:
+        """(2, M) command and duration of all pieces."""
+        return np.vstack([readings.command.ravel(), np.repeat(readings.dt / self.parts, self.parts)])
+
+
+def _called(function: ca.Function, *arguments: Array) -> list[Array]:
+    """Results of a function of matrices, without the lists of numbers that CasADi makes of its own matrices."""
+    buffer, run = function.buffer()
+    results = [np.empty(function.size_out(i), order="F") for i in range(function.n_out())]
+    held = [np.asfortranarray(each, dtype=float) for each in arguments]
+    for give, matrices in ((buffer.set_arg, held), (buffer.set_res, results)):
+        for i, each in enumerate(matrices):
+            if each.size:
+                give(i, memoryview(each.T.data).cast("B").cast("d"))
+    run()
+    return results
+
+
+def _spool(each: ActuatorHydraulics, theta: ca.SX, value: ca.SX) -> tuple[ca.Function, ca.Function]:
+    """At rest where a command wants it, and after a piece of constant command: place, speed, derivatives by θ.
+
+    A system of second order, stepped by the Padé approximant (2, 2) of its exponential, stable for any duration.
+    """
+    state, slope = ca.SX.sym("spool", 2), ca.SX.sym("slope", 2, theta.numel())
+    command, duration = ca.SX.sym("command"), ca.SX.sym("duration")
+    wanted = ca.vertcat(spool_position(each.valve, command, value), 0)
+    after = wanted
+    if each.spool_states:
+        rates = ca.vertcat(*each.spool_rates(state[0], state[1], ca.SX(0), value))
+        step = ca.jacobian(rates, state) * duration
+        even, odd, one = step @ step / 12, step / 2, ca.SX.eye(2)
+        top, (a, b, c, d) = one + odd + even, ca.vertsplit(ca.vec((one - odd + even).T))
+        inverse = ca.vertcat(ca.horzcat(d, -b), ca.horzcat(-c, a)) / (a * d - b * c)
+        after += inverse @ (top @ (state - wanted))
+
+    def whole(place: ca.SX, derivative: ca.SX) -> ca.SX:
+        return ca.vertcat(place, ca.vec(ca.densify(derivative)))
+
+    return (ca.Function("begin", [command, theta], [whole(wanted, ca.jacobian(wanted, theta))]),
+            ca.Function("piece", [whole(state, slope), ca.vertcat(command, duration), theta],
+                        [whole(after, ca.jacobian(after, state) @ slope + ca.jacobian(after, theta))]))
+
+
+def _interval(each: ActuatorHydraulics, theta: ca.SX, value: ca.SX, parts: int) -> ca.Function:
+    """(spool, first, last, dt, θ) → misclosures (2,) [m³] and their derivatives by θ, spool and both readings."""
+    spool, dt = ca.SX.sym("spool", parts + 1), ca.SX.sym("dt")
+    first, last = (ca.SX.sym(name, len(QUANTITIES)) for name in ("first", "last"))
+    weight = np.ones(parts + 1)
+    weight[1:-1:2], weight[2:-1:2] = 4, 2
+    into = ca.SX.zeros(2)
+    for k in range(parts + 1):
+        _, p_a, p_b, p_supply, p_tank = ca.vertsplit(first + (last - first) * (k / parts))
+        flows = each.flows(spool[k], p_a, p_b, ca.vertcat(p_supply, p_tank), value)
+        into += weight[k] / (3 * parts) * ca.vertcat(flows.into_a, flows.into_b)
+    length, p_a, p_b = ca.vertsplit((first + last) / 2)[:3]
+    change = last - first
+    missed = (ca.vertcat(*chamber_flows(each.actuator, change[0]))
+              + ca.vertcat(*each.capacities(p_a, p_b, length, value)) * change[1:3] - dt * into)
+    return ca.Function("interval", [spool, first, last, dt, theta], [missed, *(
+        ca.densify(ca.jacobian(missed, by)) for by in (theta, spool, first, last))])
