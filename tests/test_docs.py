@@ -67,7 +67,7 @@ def examples() -> str:
 INNER = {
     "ExcitationProblem": {"coefficients", "hung", "objective", "constraints", "slopes", "jacobian",
                           "directional_derivative", "weighted_gradient", "excess", "bounds"},
-    "HydraulicEstimate": {"run", "first_states"}, "HydraulicProblem": {"records"},
+    "HydraulicProblem": {"stretches_of"},
     "IdentificationProblem": {"statements", "requirements", "with_experiments", "prior_misfit"},
     "KinematicModel": {"scene_graph", "loop_sines", "tip_in_frame"}, "Log": {"loaded"}, "Model": {"refuse_seals"},
     "ParameterTable": {"card_tables"}, "Plant": {"integrator"}, "PoseProblem": {"labels"}}

@@ -209,24 +209,40 @@ class _Solver:
             step[free] = lsq_linear(triangle[:, free], triangle[:, -1], (lower[free], upper[free]), method="bvls").x
         return step, here.cost - float(np.sum((here.residuals + here.slope @ step) ** 2)) / 2
 
-    def likeliest(self, here: _State) -> Array:
+    def least(self, linear: Sequence[Linear]) -> Array:
+        """(a,) densities of a random flow that is next to none."""
+        density = self.density.copy()
+        for each, one in zip(self.stretches, linear, strict=True):
+            density[each.actuator] = _limits(each.readings, one)[0]
+        return density
+
+    def likeliest(self, linear: Sequence[Linear]) -> Array:
         """(a,) the density of each actuator's random flow with the greatest likelihood, at given corrections."""
         density = self.density.copy()
         for k in {each.actuator for each in self.stretches}:
-            own = [(each.readings, linear) for each, linear in zip(self.stretches, here.linear, strict=True)
-                   if each.actuator == k]
+            own = [(each.readings, one) for each, one in zip(self.stretches, linear, strict=True) if each.actuator == k]
             low, high = _limits(*own[0])
 
             def surprise(log_density: float, own: list[tuple[Readings, Linear]] = own) -> float:
-                return sum(_surprise(readings, linear, np.exp(log_density)) for readings, linear in own)
+                return sum(_surprise(readings, one, np.exp(log_density)) for readings, one in own)
 
             density[k] = np.exp(minimize_scalar(surprise, bounds=(np.log(low), np.log(high)), method="bounded",
                                                 options={"xatol": AGREED / 3}).x)
         return density
 
+    def squares(self, linear: Sequence[Linear]) -> list[float]:
+        """Of what each stretch misses, in units of its sensors' errors alone."""
+        found = []
+        for each, one in zip(self.stretches, linear, strict=True):
+            factor = cholesky_banded(one.covariance(each.readings, 0.0), lower=True)
+            found.append(float(np.sum(solve_banded((len(factor) - 1, 0), factor, one.missed.ravel()) ** 2)))
+        return found
+
 
 def adjust(stretches: Sequence[Balanced], parameters: ParameterSet, actuators: int) -> Adjustment:
-    """The most probable numbers, from the nominal ones.
+    """The most probable numbers, from the nominal ones, by the one of two ways that misses less.
+
+    From next to no random flow, and from the one that the nominal numbers leave: a large one lets wrong numbers stand.
 
     Args:
         stretches: the readings of all actuators and logs.
@@ -237,17 +253,31 @@ def adjust(stretches: Sequence[Balanced], parameters: ParameterSet, actuators: i
         SolverError: the steps do not converge.
     """
     solver = _Solver(stretches, parameters, np.zeros(actuators))
-    raw = [np.zeros_like(each.readings.values) for each in stretches]
-    here = _State(np.zeros(solver.p + solver.g), [solver.linear(each, np.zeros(solver.p + solver.g), zero)
-                                                  for each, zero in zip(stretches, raw, strict=True)],
-                  np.zeros(0), np.zeros(0))
+    start: Array = np.zeros(solver.p + solver.g)
+    raw = [solver.linear(each, start, np.zeros_like(each.readings.values)) for each in stretches]
+    found, failure = [], None
+    for density in (solver.least(raw), solver.likeliest(raw)):
+        try:
+            found.append(_with_likeliest_density(stretches, parameters, density))
+        except SolverError as error:
+            failure = error
+    if failure and not found:
+        raise failure
+    return _answer(*min(found, key=lambda each: sum(each[0].squares(each[1].linear))))
+
+
+def _with_likeliest_density(stretches: Sequence[Balanced], parameters: ParameterSet,
+                            density: Array) -> tuple[_Solver, _State]:
+    """Numbers and densities in turn, until the densities stay."""
+    solver = _Solver(stretches, parameters, density)
+    here = solver.solve(np.zeros(solver.p + solver.g), [np.zeros_like(each.readings.values) for each in stretches])
     for _ in range(ROUNDS):
-        density, before = solver.likeliest(here), solver.density
-        solver = _Solver(stretches, parameters, density)
-        here = solver.solve(here.x, raw if not np.any(before) else [each.correction for each in here.linear])
-        if np.all(np.abs(density - before) <= AGREED * density):
+        density = solver.likeliest(here.linear)
+        if np.all(np.abs(density - solver.density) <= AGREED * density):
             break
-    return _answer(solver, here)
+        solver = _Solver(stretches, parameters, density)
+        here = solver.solve(here.x, [each.correction for each in here.linear])
+    return solver, here
 
 
 def _limits(readings: Readings, linear: Linear) -> tuple[float, float]:
@@ -270,12 +300,9 @@ def _answer(solver: _Solver, here: _State) -> Adjustment:
     triangle = np.asarray(np.linalg.qr(np.column_stack([rows[:, p:], rows[:, :p]]), mode="r"))[g:, g:]
     readings = here.residuals[prior:]
     freedom = len(readings) - np.linalg.matrix_rank(here.slope[prior:])
-    actuators, squares = [each.actuator for each in solver.stretches], []
-    for each, linear in zip(solver.stretches, here.linear, strict=True):
-        factor = cholesky_banded(linear.covariance(each.readings, 0.0), lower=True)
-        squares.append(np.sum(solve_banded((len(factor) - 1, 0), factor, linear.missed.ravel()) ** 2))
+    actuators = [each.actuator for each in solver.stretches]
     count = np.bincount(actuators, [each.readings.balances for each in solver.stretches], len(solver.density))
-    total = np.bincount(actuators, squares, len(solver.density))
+    total = np.bincount(actuators, solver.squares(here.linear), len(solver.density))
     return Adjustment(
         solver.theta(here.x), triangle.T @ triangle / np.outer(scale, scale),
         (here.slope.T @ here.residuals)[:p] / scale,

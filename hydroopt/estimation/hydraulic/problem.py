@@ -74,7 +74,10 @@ class HydraulicProblem(Shown):
         >>> t = np.arange(160) / 50
         >>> log = ho.drive(plant, t, 5.7 + np.cos(2 * t)[:, None], np.array([0.2]), seed=1)
         >>> ho.hydraulic_problem(plant.machine, [log])
-        HydraulicProblem(patu655_lift: 6 parameters, 160 samples, 4 channels)
+        HydraulicProblem(patu655_lift: 7 parameters, 160 samples, 4 channels)
+        >>> problem = ho.hydraulic_problem(plant.machine, [log])
+        >>> problem.whole(problem.parameters.nominal).shape == plant.parameters.nominal.shape
+        True
     """
 
     plant: Plant
