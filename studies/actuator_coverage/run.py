@@ -1,4 +1,4 @@
-"""Machines drawn from their files, bodies, friction, valves and oil, driven by their valves: intervals of the valves."""
+"""Machines drawn from their files, all but the geometry, and driven by their valves: intervals of valves and oil."""
 
 from contextlib import suppress
 from pathlib import Path

@@ -10,11 +10,13 @@ from studies.bench.montecarlo import montecarlo
 from studies.bench.plant import plant
 from studies.bench.start import start
 from studies.bench.streaming import streaming
+from studies.bench.valves import valves
 
 # memory first: the most that this process has ever held counts as the peak of those that it starts
 PARTS = {"streaming": streaming, "identify": jobs.identify, "calibration": calibration,
          "excavator": kernels.excavator, "arm": kernels.arm, "linkage": linkage, "batch": kernels.batch,
-         "first": kernels.first, "excitation": excitation, "plant": plant, "start": start, "montecarlo": montecarlo}
+         "first": kernels.first, "excitation": excitation, "plant": plant, "start": start, "valves": valves,
+         "montecarlo": montecarlo}
 
 
 def main(names: list[str]) -> None:
