@@ -126,7 +126,7 @@ def test_other_machines_keep_their_functions() -> None:
     assert sealed.regressor.name_in() == ["q", "qd", "qdd", "pressure"]
     assert sealed.linearised.name_in() == ["q", "qd", "qdd", "pressure", "psi"]
     assert sealed.residual.name_in() == ["q", "qd", "qdd", "pressure", "force", "psi"]
-    with pytest.raises(ProblemError, match=r"seals of lift depends on pressures.*remove 'seal'"):
+    with pytest.raises(ProblemError, match=r"friction of lift depends on pressures.*remove 'seal'"):
         sealed.refuse_seals("a test")
 
 
