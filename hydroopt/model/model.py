@@ -409,6 +409,31 @@ def _fitting(terms: Sequence[ForceTerm], machine: Machine) -> tuple[ForceTerm, .
     return tuple(terms)
 
 
+_recent: list[Model] = []
+"""Models that `recent_model` made, the last used one first."""
+KEPT = 4
+"""How many of them are kept."""
+
+
+def recent_model(machine: Machine, *, actuator_inertia: bool = True, calibrator: bool = False) -> Model:
+    """The model of a machine: one that was made before where all that the machine file states is the same.
+
+    Stating and simplifying the expressions takes longer than identification from a log of a minute.
+
+    >>> from hydroopt.machine.machine_file import load_machine
+    >>> recent_model(load_machine("patu655_lift")) is recent_model(load_machine("patu655_lift"))
+    True
+    """
+    asked = actuator_inertia, calibrator
+    for model in list(_recent):
+        if (model.actuator_inertia, model.calibrator) == asked and model.machine == machine:
+            break
+    else:
+        model = Model(machine, actuator_inertia=actuator_inertia, calibrator=calibrator)
+    _recent[:] = [model, *(other for other in _recent if other is not model)][:KEPT]
+    return model
+
+
 def model_of(given: Model | GivenMachine, where: str) -> Model:
     """A model, or that of a machine, name or file.
 

@@ -13,7 +13,7 @@ from studies.bench.streaming import streaming
 from studies.bench.valves import valves
 
 # memory first: the most that this process has ever held counts as the peak of those that it starts
-PARTS = {"streaming": streaming, "identify": jobs.identify, "calibration": calibration,
+PARTS = {"streaming": streaming, "identify": jobs.identify, "codegen": jobs.codegen, "calibration": calibration,
          "excavator": kernels.excavator, "arm": kernels.arm, "linkage": linkage, "batch": kernels.batch,
          "first": kernels.first, "excitation": excitation, "plant": plant, "start": start, "valves": valves,
          "montecarlo": montecarlo}

@@ -33,7 +33,7 @@ from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Motion, Smoothing
 from hydroopt.logs.stream import LogStream
 from hydroopt.machine.given_machine import GivenMachine, machine_of
-from hydroopt.model.model import Model
+from hydroopt.model.model import Model, recent_model
 from hydroopt.notebook_card import Shown
 from hydroopt.parameters.parameter_set import ParameterSet
 from hydroopt.spatial.inertia import Array
@@ -442,7 +442,7 @@ def identification_problem(machine: GivenMachine | Model, logs: AnyLog | Sequenc
     refuse_repetition([*logs, *validation])
     if not logs:
         raise ProblemError("there is no training log", where="identification", remedy="give at least one")
-    model = machine if isinstance(machine, Model) else Model(
+    model = machine if isinstance(machine, Model) else recent_model(
         machine, actuator_inertia=actuator_inertia, calibrator=any(
             calibrator_channels(machine, log) for log in (*logs, *validation)))
     train, held_out = ([prepared(log, model, smoothing) for log in some] for some in (logs, validation))

@@ -16,7 +16,7 @@ from hydroopt.estimation.inference.conditions import Condition
 from hydroopt.estimation.inference.priors import Prior
 from hydroopt.estimation.inference.sdp import Optimum
 from hydroopt.estimation.inference.whitening import gaussian_posterior
-from hydroopt.model.model import Model
+from hydroopt.model.model import Model, recent_model
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.spatial.inertia import Array
 
@@ -49,7 +49,8 @@ def reduced_parameters(weighted: WeightedResiduals[IdentificationProblem], metho
     if not model.linear or parameters.bodies.keys() == bodies(model.machine, actuator_inertia=False,
                                                               calibrator=model.calibrator).keys():
         return None
-    small = Model(model.machine, actuator_inertia=False, calibrator=model.calibrator, terms=model.terms)
+    small = (Model(model.machine, actuator_inertia=False, calibrator=model.calibrator, terms=model.terms) if model.terms
+             else recent_model(model.machine, actuator_inertia=False, calibrator=model.calibrator))
     kept = parameters.select(small.parameters.names)
     psi = np.zeros(len(parameters))
     try:
