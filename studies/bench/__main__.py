@@ -5,6 +5,7 @@ import sys
 from studies.bench import jobs, kernels
 from studies.bench.calibration import calibration
 from studies.bench.excitation import excitation
+from studies.bench.growth import growth
 from studies.bench.linkage import linkage
 from studies.bench.montecarlo import montecarlo
 from studies.bench.plant import plant
@@ -14,8 +15,9 @@ from studies.bench.valves import valves
 
 # memory first: the most that this process has ever held counts as the peak of those that it starts
 PARTS = {"streaming": streaming, "identify": jobs.identify, "codegen": jobs.codegen, "calibration": calibration,
-         "excavator": kernels.excavator, "arm": kernels.arm, "linkage": linkage, "batch": kernels.batch,
-         "first": kernels.first, "excitation": excitation, "plant": plant, "start": start, "valves": valves,
+         "excavator": kernels.excavator, "arm": kernels.arm, "linkage": linkage, "growth": growth,
+         "batch": kernels.batch, "first": kernels.first, "excitation": excitation, "plant": plant, "start": start,
+         "valves": valves,
          "montecarlo": montecarlo}
 
 

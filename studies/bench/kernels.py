@@ -11,16 +11,16 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 
-from hydroopt import Machine, Model, load_machine
+from hydroopt import Model, load_machine
 from hydroopt.kernels.native import Runner
+from studies.bench import robot_libraries
 from studies.bench.contenders import CONTROLLER, FLAGS, KEPT, SAMPLES, Contender, Regressor, motions, toolchain
 from studies.bench.jobs import HYDROOPT
 
 REPEATS = 15
-MILLION, ROOM = 1_000_000, 8e9
-"""Samples of the batch, and the free memory [bytes] from which it takes them all."""
+FEW, MILLION, ROOM = 1664, 1_000_000, 8e9
+"""Samples of a usual log and of the batch, and the free memory [bytes] from which it takes them all."""
 KERNEL = "hydroopt's kernel"
 
 
@@ -38,7 +38,7 @@ def excavator() -> None:
                 "CasADi, as written": regressor.parametric(flags),
                 "exported": regressor.exported(flags, fold_geometry=False)}
         race(regressor, groups)
-    print("targets for the kernel: 250 ns/sample, 1.5 times as fast as CasADi's own C")
+    print("targets: 40 ns for the kernel; one sample in exported C 110 ns, 1.5 times as fast as CasADi's own C")
 
 
 def arm() -> None:
@@ -47,26 +47,39 @@ def arm() -> None:
     with tempfile.TemporaryDirectory() as folder:
         regressor = Regressor("ur10", folder)
         race(regressor, {" ".join(FLAGS): {**regressor.casadi(), KERNEL: regressor.kernel()}})
-    tree, runner = pinocchio(regressor.machine), Runner()
-    each = partial(pin.computeJointTorqueRegressor, tree, tree.createData())
-    rows = list(zip(*regressor.state, strict=True))
-    first = [regressor.model.parameters.names.index(f"{link.name}.m") for link in regressor.machine.links]
-    bodies = np.add.outer(first, [0, 1, 2, 3, 4, 5, 7, 6, 8, 9]).ravel()  # Pinocchio has I_yy before I_xz
-    assert np.allclose(each(*rows[0]), regressor.expected[0][:, bodies])
-
-    def in_parts(size: int) -> Callable[[], object]:
-        parts = [[array[k:k + size] for array in regressor.state] for k in range(0, SAMPLES, size)]
-        held = runner.over(regressor.function, *parts[0])
-        return lambda: [runner.over(regressor.function, *part, out=held) for part in parts]
-
-    with environment(OMP_NUM_THREADS="1"):
-        walls = in_turns({"Pinocchio, one by one": lambda: [each(*row) for row in rows],
-                          f"{KERNEL}, {KEPT} at once": in_parts(KEPT), f"{KERNEL}, all at once": in_parts(SAMPLES)},
-                         clock=time.thread_time)
-    print(f"{f'from Python, Pinocchio {pin.__version__}':50} {'ns/sample':>18} {'x Pinocchio':>21}")
+        first = [regressor.model.parameters.names.index(f"{link.name}.m") for link in regressor.machine.links]
+        bodies = np.add.outer(first, [0, 1, 2, 3, 4, 5, 7, 6, 8, 9]).ravel()  # Pinocchio has I_yy before I_xz
+        others = robot_libraries.contenders(regressor.machine, [x[:FEW] for x in regressor.state],
+                                            regressor.expected[0][:, bodies], folder)
+        with environment(OMP_NUM_THREADS="1"):
+            walls = {name: 1e9 * wall / FEW for name, wall in in_turns(others, clock=time.thread_time).items()}
+            for count, repeats in ((FEW, 3 * REPEATS), (portion(regressor), 3)):
+                walls |= from_python(regressor, count, repeats)
+    base = next(wall for name, wall in walls.items() if "from Python" in name)
+    print(f"{'UR10, one thread':64} {'ns/sample':>10} {'x Pinocchio from Python':>24}")
     for name, wall in walls.items():
-        print(f"  {name:48} {1e9 * wall / SAMPLES:18.0f} {walls['Pinocchio, one by one'] / wall:21.2f}")
-    print("targets: 1.5 times as fast as CasADi's own C, 10 times as Pinocchio")
+        print(f"  {name:62} {wall:10.0f} {base / wall:24.2f}")
+    print("targets: 1.5 times as fast as CasADi's own C, 10 times as Pinocchio; from Python 200 ns, 1.3 times a copy")
+
+
+def portion(regressor: Regressor) -> int:
+    """A million samples, or as many as memory takes twice over."""
+    free = os.sysconf("SC_AVPHYS_PAGES") * os.sysconf("SC_PAGE_SIZE")
+    return int(min(MILLION, free / (4 * regressor.expected[0].nbytes)))
+
+
+def from_python(regressor: Regressor, count: int, repeats: int) -> dict[str, float]:
+    """Nanoseconds a sample of the regressor at so many samples, and of NumPy's copy of as many bytes."""
+    runner, state = Runner(), motions(regressor.machine, count)
+    held = runner.over(regressor.function, *state)
+    plain = np.ones(held[0].shape)
+    copied = np.empty_like(plain)
+    walls = in_turns({
+        f"{KERNEL}, {count} samples, memory written before": lambda: runner.over(regressor.function, *state, out=held),
+        f"{KERNEL}, {count} samples, fresh memory": lambda: runner.over(regressor.function, *state),
+        f"NumPy's copy of these bytes, {count} samples, written before": lambda: np.copyto(copied, plain),
+        f"NumPy's copy of these bytes, {count} samples, fresh memory": plain.copy}, repeats, time.thread_time)
+    return {name: 1e9 * wall / count for name, wall in walls.items()}
 
 
 def batch() -> None:
@@ -164,16 +177,3 @@ def environment(**variables: str) -> Iterator[None]:
     finally:
         os.environ.clear()
         os.environ.update(before)
-
-
-def pinocchio(machine: Machine) -> pin.Model:
-    """A serial arm of revolute joints; a regressor needs no masses."""
-    tree = pin.Model()
-    tree.gravity.linear = np.array([0.0, 0.0, -machine.gravity])
-    joint, end = 0, pin.SE3.Identity()
-    for link in machine.links:
-        own = link.joint
-        start = end * pin.SE3(pin.rpy.rpyToMatrix(0.0, 0.0, own.theta), np.array([0.0, 0.0, own.d]))
-        joint = tree.addJoint(joint, pin.JointModelRZ(), start, link.name)
-        end = pin.SE3(pin.rpy.rpyToMatrix(own.alpha, 0.0, 0.0), np.array([own.a, 0.0, 0.0]))
-    return tree
