@@ -29,15 +29,15 @@ static inline real each_fmin(real x, real z) { real y; for (int l = 0; l < LANES
 static inline real each_fmax(real x, real z) { real y; for (int l = 0; l < LANES; l++) y[l] = fmax(x[l], z[l]); return y; }
 
 /* Entries of an output from `first` on, up to `end`. */
-typedef struct { long first, end; } run;
+typedef struct { long first, end; } span;
 {% for output in outputs %}
 {% set number = loop.index0 %}
-static const run written{{ number }}[] = { {%- for start, stop in runs[number] %}{ {{- start }}, {{ stop -}} }, {% endfor %}{0, 0}};
-static const run zero{{ number }}[] = { {%- for start, stop in gaps[number] %}{ {{- start }}, {{ stop -}} }, {% endfor %}{0, 0}};
+static const span written{{ number }}[] = { {%- for start, stop in runs[number] %}{ {{- start }}, {{ stop -}} }, {% endfor %}{0, 0}};
+static const span zero{{ number }}[] = { {%- for start, stop in gaps[number] %}{ {{- start }}, {{ stop -}} }, {% endfor %}{0, 0}};
 {% endfor %}
 
 /* Entry k of sample s of an output is at out[k * step + s]; results `past` the caches fetch no line that they overwrite. */
-static void keep(const run *some, const real *y, double *out, long step, long left, long past)
+static void keep(const span *some, const real *y, double *out, long step, long left, long past)
 {
     for (; some->end; some++)
         for (long k = some->first; k < some->end; k++, y++) {
@@ -48,12 +48,12 @@ static void keep(const run *some, const real *y, double *out, long step, long le
         }
 }
 
-static void blank(const run *some, double *out, long step, long n, long past)
+static void blank(const span *some, double *out, long step, long n, long past)
 {
     const real nothing = {0};
     for (; some->end; some++)
         for (long k = some->first; k < some->end; k++)
-            for (long s = 0; s < n; s += LANES) keep((const run[]){ {0, 1}, {0, 0} }, &nothing, out + k * step + s, step, n - s, past);
+            for (long s = 0; s < n; s += LANES) keep((const span[]){ {0, 1}, {0, 0} }, &nothing, out + k * step + s, step, n - s, past);
 }
 
 static void kernel({% for given in inputs %}const real *restrict x{{ loop.index0 }}, {% endfor %}real *restrict y)
