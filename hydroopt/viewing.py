@@ -24,6 +24,7 @@ PAGES = {"Estimate": ("hydroopt.report.identification", "render"),
          "PosePlan": ("hydroopt.report.pose_plan", "render"),
          "Change": ("hydroopt.report.comparison", "render_change"),
          "Payload": ("hydroopt.report.comparison", "render_payload"),
+         "Weighing": ("hydroopt.report.weighing", "render"),
          "ChangeHistory": ("hydroopt.report.change_history", "render_history")}
 """Module and name of what writes the page of each answer."""
 VIEW = "view.html"

@@ -23,6 +23,7 @@ JOBS = {"Describe a machine": ("new", "models", "show", "view", "convert"),
         "Measure": ("excite", "plan-poses", "simulate", "map", "check"),
         "Identify and calibrate": ("identify", "identify-valves", "identify-payload", "compare", "calibrate",
                                    "calibrate-sensors"),
+        "Weigh": ("weigh",),
         "Control": ("control", "codegen"),
         "Repeat": ("study",)}
 """Commands by job. A command is the function of its name in the module of its name; the docstring of that function is

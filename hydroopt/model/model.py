@@ -295,6 +295,13 @@ class Model(Drawn):
         return _dense("gravity_forces", [self.coordinates.q, psi], [force], ["q", "psi"], ["force"])
 
     @cached_property
+    def gravity_regressor(self) -> ca.Function:
+        """q → (3·r, p): derivatives of `gravity_forces` by ψ, those along x first, then y and z."""
+        psi = ca.SX.sym("psi", len(self.parameters))
+        force = ca.vec(self.gravity_forces(self.coordinates.q, psi))
+        return _dense("gravity_regressor", [self.coordinates.q], [ca.jacobian(force, psi)], ["q"], ["G"])
+
+    @cached_property
     def tip_jacobian(self) -> ca.Function:
         """q (n,) → J (6, n): velocity x, y, z [m/s] and rate of rotation x, y, z [rad/s] of the tip, the far end of the
         machine's last link, in the base frame, per speed of each joint."""

@@ -41,6 +41,7 @@ class Job(StrEnum):
     CHANGE = "comparison of two sessions"
     CHANGE_HISTORY = "comparison of several sessions"
     PAYLOAD = "identification of a payload"
+    WEIGHING = "weighing of loads"
     CONTROL = "comparison of controllers"
     CHECK = "check of logs"
 
@@ -49,7 +50,8 @@ FILES = {Job.IDENTIFICATION: "estimate.json", Job.CALIBRATION: "estimate.json", 
          Job.HYDRAULICS: "estimate.json",
          Job.EXCITATION: "excitation.json", Job.POSE_PLAN: "plan.json",
          Job.CHANGE: "comparison.json", Job.CHANGE_HISTORY: "comparison.json",
-         Job.PAYLOAD: "payload.json", Job.CONTROL: "control.json", Job.CHECK: "check.json"}
+         Job.PAYLOAD: "payload.json", Job.WEIGHING: "weighing.json", Job.CONTROL: "control.json",
+         Job.CHECK: "check.json"}
 """The JSON file of each job."""
 COMMON = ("schema", "job", "machine", "created", "inputs", "method", "versions", "status", "verdict", "findings",
           "diagnostics", "parameters", "fit", "wall_s", "files")

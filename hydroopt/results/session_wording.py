@@ -66,6 +66,14 @@ SESSION_WORDS: dict[Kind, Words] = {
         "Vary speed and range of the motion with the load."),
     Kind.LOAD_PARTLY_IDENTIFIABLE: Words(
         "These motions do not identify {subject} of the load.", "Move the load about more axes."),
+    Kind.LOAD_WEIGHED: Words("{subject} weighs {mass} kg (95 %), carried from {begin:.1f} to {end:.1f} s."),
+    Kind.LOAD_NOT_WEIGHABLE: Words(
+        "{subject}, carried from {begin:.1f} to {end:.1f} s, cannot be weighed: {why}.",
+        "Move boom and stick for some seconds with it."),
+    Kind.SCALE_CONTRADICTED: Words(
+        "Readings contradict the calibrated model: residuals are {misfit:.1f} times as large as expected.",
+        "Check signs and channels of pressures, that the machine was empty during the tare, the tool, and the "
+        "calibration."),
     Kind.FORCE_SCALE_ASSUMED: Words(
         "Force readings are assumed to be right in scale: a common relative error of all of them is that of the mass.",
         "State with --gain-error how large their relative errors may be."),

@@ -138,6 +138,9 @@ class Kind(StrEnum):
     LOAD_MASS_NOT_IDENTIFIABLE = "mass of the payload not identifiable"
     LOAD_MASS_CONFOUNDED = "mass of the payload not separable"
     LOAD_PARTLY_IDENTIFIABLE = "payload partly identifiable"
+    LOAD_WEIGHED = "load weighed"
+    LOAD_NOT_WEIGHABLE = "load not weighable"
+    SCALE_CONTRADICTED = "readings contradict the scale's model"
     FORCE_SCALE_ASSUMED = "scale of force readings assumed exact"
     NO_INTERIOR = "intervals of least squares"
 
@@ -192,17 +195,16 @@ class Kind(StrEnum):
 
 REFUTATIONS = frozenset({Kind.LOG_MISREAD, Kind.SENSOR_MISREAD})
 """Kinds that refute an answer's data: no machine is made of it unless that is forced."""
-OF_LOGS = REFUTATIONS | frozenset({
-    Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE, Kind.OTHER_SAMPLING_RATE})
+OF_LOGS = REFUTATIONS | {Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE, Kind.OTHER_SAMPLING_RATE}
 """Kinds of what contradicts the machine file in a log as it is read, before any fit."""
-CONTRADICTIONS = OF_LOGS | frozenset({
-    Kind.STROKE_CONTRADICTS_POSES, Kind.BIAS_DRIFTS, Kind.STATED_CONTRADICTED, Kind.MOTION_UNEXPLAINED,
-    Kind.POSITION_ASSUMED, Kind.MISFIT_CAUSE, Kind.LACK_OF_FIT, Kind.BODIES_CONTRADICTED, Kind.PRIORS_CONTRADICTED,
-    Kind.WORSE_THAN_ZERO, Kind.UNEXPLAINED_ACTUATOR, Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_FLOW,
-    Kind.ERRORS_FAR_LARGER, Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED,
+CONTRADICTIONS = OF_LOGS | {Kind.STROKE_CONTRADICTS_POSES, Kind.BIAS_DRIFTS, Kind.STATED_CONTRADICTED,
+    Kind.MOTION_UNEXPLAINED, Kind.POSITION_ASSUMED, Kind.MISFIT_CAUSE, Kind.LACK_OF_FIT, Kind.BODIES_CONTRADICTED,
+    Kind.PRIORS_CONTRADICTED, Kind.WORSE_THAN_ZERO, Kind.UNEXPLAINED_ACTUATOR, Kind.SAMPLING_NOT_CONVERGED,
+    Kind.UNEXPLAINED_FLOW, Kind.ERRORS_FAR_LARGER, Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED,
     Kind.STAGE_CONTRADICTS, Kind.FIXTURE_MOVED, Kind.BASE_MOVED, Kind.TOOL_MOVED, Kind.INSTRUMENT_MOVED,
     Kind.SENSOR_OFFSET, Kind.SENSOR_SCALE, Kind.BACKLASH, Kind.SENSOR_ECCENTRIC, Kind.SENSOR_NONLINEAR,
-    Kind.JOINT_SAGS, Kind.SUSPECTS_UNDECIDED, Kind.DISTANCE_CONTRADICTS, Kind.DISTANCE_OFF, Kind.OFF_OPTIMUM})
+    Kind.JOINT_SAGS, Kind.SUSPECTS_UNDECIDED, Kind.DISTANCE_CONTRADICTS, Kind.DISTANCE_OFF, Kind.OFF_OPTIMUM,
+    Kind.SCALE_CONTRADICTED}
 """Kinds that make an answer suspect."""
 WORDS: dict[Kind, Words] = {
     Kind.JOINT_LIMITS_NARROWED: Words(
@@ -302,8 +304,7 @@ WORDS: dict[Kind, Words] = {
         "The bodies {subject} are not physically consistent. Together their parameters predict the forces, but no "
         "single one is meaningful, and no calibrated machine is written.",
         "Use the method 'sdp', which keeps bodies physically consistent."),
-    Kind.NO_CALIBRATED_MACHINE: Words(
-        "No calibrated machine is written: {reason}.", "{remedy}."),
+    Kind.NO_CALIBRATED_MACHINE: Words("No calibrated machine is written: {reason}.", "{remedy}."),
     Kind.RESIDUALS_ABOVE_NOISE: Words(
         "The residuals of {subject} are {ratio:.1f} times its sensors' noise of {noise:.3g} {unit}.",
         "Angles are noisy, or the model lacks an effect: see the figure of the residuals."),

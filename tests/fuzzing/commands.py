@@ -24,7 +24,8 @@ GOOD = {"show": ["MACHINE"], "codegen": ["MACHINE"], "simulate": ["ARM", "--dura
         "plan-poses": ["ARM", "-n", "2"], "excite": ["ARM", "--log", "LOG", "--seconds", "1", "--duration", "9"],
         "control": ["ARM", "--motion", "PATH", "--truth", "TRUTH"],
         "compare": ["ARM", "ANSWER", "ANSWER", "ANSWER"],
-        "identify-payload": ["ARM", "--unloaded", "ANSWER", "--loaded", "LOG"], "identify-valves": ["ARM", "LOG"]}
+        "identify-payload": ["ARM", "--unloaded", "ANSWER", "--loaded", "LOG"], "identify-valves": ["ARM", "LOG"],
+        "weigh": ["ARM", "LOG", "--calibration", "ANSWER", "--full-scale", "90 kg", "--tare", "1 s"]}
 """Good arguments by command; words in capitals stand for files."""
 OPTIONS = ("--map", "--treat", "--smoothing", "--bandwidth", "--method", "--loss", "--tolerance", "--ridge", "--seed",
            "--duration", "--rate", "--set", "--friction", "--holdout", "--fix", "--criterion", "--focus", "--rest",

@@ -61,6 +61,9 @@ def made(tmp_path_factory: pytest.TempPathFactory) -> Callable[[str], Path]:
                 return [job, CRANE, log(CRANE, 3, "--driven"), "--holdout", "0.3"]
             case "identify-payload":
                 return [job, LIFT, "--unloaded", log(LIFT, 1), "--loaded", log(LIFT, 2)]
+            case "weigh":
+                return [job, LIFT, log(LIFT, 1), "--calibration", log(LIFT, 2), "--full-scale", "1000 kg", "--tare",
+                        "5 s"]
             case "compare":
                 return [job, LIFT, log(LIFT, 1), log(LIFT, 2)]
             case "compare several":
@@ -101,8 +104,8 @@ def using() -> Iterator[Any]:
         yield found
 
 
-JOBS = ("identify", "identify-valves", "identify-payload", "compare", "compare several", "plan-poses", "calibrate",
-        "calibrate-sensors", "excite", "control", "study", "show", "show hydraulics", "view")
+JOBS = ("identify", "identify-valves", "identify-payload", "weigh", "compare", "compare several", "plan-poses",
+        "calibrate", "calibrate-sensors", "excite", "control", "study", "show", "show hydraulics", "view")
 
 
 @pytest.mark.parametrize("job", JOBS)

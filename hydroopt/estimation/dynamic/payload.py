@@ -8,7 +8,6 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any
 
-import casadi as ca
 import numpy as np
 from threadpoolctl import threadpool_limits
 
@@ -31,8 +30,9 @@ from hydroopt.estimation.dynamic.two_session_answer import TwoSessionAnswer
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Smoothing
 from hydroopt.machine.given_machine import GivenMachine, machine_of
-from hydroopt.machine.machine import BASE, Machine
+from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import INERTIAL_KINDS, ParameterKind
+from hydroopt.model.carried_load import carried_load
 from hydroopt.model.model import Model
 from hydroopt.parameters.dynamic import bodies
 from hydroopt.parameters.parameter_set import ParameterSet
@@ -196,7 +196,7 @@ def payload(machine: GivenMachine, unloaded: Log | Sequence[Log] | str | Path,
                            remedy="give a part of one, such as 0.05")
     model = Model(machine)
     carrier = machine.links[-1].name if link is None else link
-    columns = _carried(model, carrier)
+    columns = carried_load(model, carrier)
     names = named_parts(model.parameters, ["friction"]) if friction_changes else ()
     with threadpool_limits(limits=1, user_api="blas"):
         first, second = all_prepared(model, (unloaded, loaded), smoothing, progress, PREPARED)
@@ -224,33 +224,6 @@ def _weighed(model: Model, columns: Array, names: Sequence[str], gain: float, fi
     # far from it, and intervals would not hold. Every mass and centre of mass has a consistent body.
     found = solve_both(replace(problem, unconstrained=(LOAD,)), *both, intervals=True, seed=seed)
     return _payload(problem, carrier, test, found, possible, first, second)
-
-
-def _carried(model: Model, link: str) -> Array:
-    """(p, 10): what a body in the frame of a link adds to ψ. A locked link's load is one of the link it is fixed to.
-
-    Raises:
-        ProblemError: there is no such link, or no body stands in for it.
-    """
-    machine, stated = model.machine, bodies(model.machine)
-    known = [one.name for one in machine.links]
-    if link not in known:
-        raise ProblemError(f"there is no link '{link}'", where="link", remedy=f"use one of {', '.join(known)}")
-    holder = link
-    while holder not in stated and holder != BASE and machine.link(holder).joint.type == "locked":
-        holder = machine.link(holder).parent
-    if holder not in stated:
-        able = [name for name in known if name in stated]
-        raise ProblemError(f"the link '{holder}' has no body in the machine file, to which a load could be added",
-                           where="link", remedy=f"state one{', or use one of ' * bool(able)}{', '.join(able)}")
-    at = np.eye(4)
-    if holder != link:
-        pose = model.geometry.far_end(holder) @ model.geometry.relative_pose(holder, link, {})
-        at[:3, :3], at[:3, 3] = ca.evalf(ca.SX(pose.rotation)).full(), ca.evalf(ca.SX(pose.origin)).full().ravel()
-    columns = np.zeros((len(model.parameters), 10))
-    columns[model.parameters.bodies[holder]] = np.stack([inertia.from_pseudo_inertia(at @ one @ at.T)
-                                            for one in inertia.PSEUDO_BASIS]).T
-    return columns
 
 
 def _problem(model: Model, columns: Array, names: Sequence[str], gain: float, *, mass: float) -> TwoSessionProblem:

@@ -1,0 +1,138 @@
+"""`hydroopt weigh`: the loads that a machine carries while it moves."""
+
+from __future__ import annotations
+
+import math
+import time
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from hydroopt.cli.answers import print_answer
+from hydroopt.cli.options import (
+    AsJson,
+    Directory,
+    MachineName,
+    MapFile,
+    ParameterSetName,
+    Quiet,
+    Treat,
+    progress,
+    reading,
+    session_of,
+)
+
+if TYPE_CHECKING:
+    from hydroopt.model.model import Model
+
+
+def weigh(
+    machine: MachineName,
+    log: Annotated[Path, typer.Argument(metavar="LOG", help=(
+        "Log of joint angles and pressures that begins with the empty machine in motion."))],
+    output: Directory,
+    calibration: Annotated[list[Path], typer.Option(metavar="LOG|DIR", help=(
+        "Directory that identify wrote from logs without load; or such a log, repeatable."))],
+    full_scale: Annotated[str, typer.Option(help="Largest load, e.g. '2500 kg'.")],
+    link: Annotated[str | None, typer.Option(help="Link that carries the load; by default the last one.")] = None,
+    centre: Annotated[str | None, typer.Option(help=(
+        "Where its centre of mass is expected in the frame of the link, 'x, y, z' in m; by default the link's end."
+        ))] = None,
+    centre_sigma: Annotated[str, typer.Option(help="Standard deviation of that place.")] = "5 cm",
+    tare: Annotated[str, typer.Option(help=(
+        "How long the machine is empty at the beginning of the log; '0 s' weighs without a tare."))] = "10 s",
+    roll: Annotated[str | None, typer.Option(help="Roll of the base as measured, e.g. '2 deg'.")] = None,
+    pitch: Annotated[str | None, typer.Option(help="Pitch of the base as measured.")] = None,
+    slope_sigma: Annotated[str, typer.Option(help=(
+        "Standard deviation of roll and pitch; the tare tells them where they are not measured."))] = "3 deg",
+    zero_drift: Annotated[str, typer.Option(help=(
+        "Standard deviation of each pressure's zero since the calibration."))] = "0.35 bar",
+    load_friction: Annotated[float, typer.Option(help=(
+        "Standard deviation of the friction that grows with the force, as a part of it."))] = 0.01,
+    known: Annotated[list[str] | None, typer.Option(metavar="MASS:LOG", help=(
+        "Log with a load of known mass, e.g. '1200 kg:weight.csv', which calibrates the scale; repeatable."))] = None,
+    known_sigma: Annotated[str, typer.Option(help="Standard deviation of known masses.")] = "2 kg",
+    needed: Annotated[str | None, typer.Option(help=(
+        "Half of the 95 % interval above which a mass is too uncertain; 2 % of the full scale if not given."))] = None,
+    map_file: MapFile = None,
+    treat: Treat = None,
+    parameter_set: ParameterSetName = None,
+    quiet: Quiet = False,
+    as_json: AsJson = False,
+) -> None:
+    """Weigh loads while the machine moves: DIR gets weighing.json, report.html and the masses over time.
+
+    Example: hydroopt weigh cat215b work.csv --calibration out/crane --full-scale '2500 kg' -o out/loads
+    """
+    from hydroopt.logs.log_files import read_log
+    from hydroopt.machine.machine_file import load_machine
+    from hydroopt.model.model import Model
+    from hydroopt.report.weighing import render
+    from hydroopt.units import to_si
+    from hydroopt.weighing import weighing
+    from hydroopt.weighing.scale import CarriedLoad, Uncertain, scale
+
+    began = time.perf_counter()
+    described = load_machine(machine, parameter_set=parameter_set)
+    model = Model(described)
+    read = reading(read_log, described, map_file, treat)
+
+    def size(text: str, unit: str, option: str) -> float:
+        return to_si(text, unit, where=option)
+
+    carrier = described.links[-1].name if link is None else link
+    spread = size(centre_sigma, "m", "--centre-sigma")
+    load = CarriedLoad(carrier, _place(model, carrier, centre), (spread, spread, spread),
+                       size(full_scale, "kg", "--full-scale"))
+    uncertain = Uncertain(size(slope_sigma, "rad", "--slope-sigma"), load_friction,
+                          size(zero_drift, "Pa", "--zero-drift"))
+    tilt = [size(text, "rad", option) if text else 0.0 for text, option in ((roll, "--roll"), (pitch, "--pitch"))]
+    with progress(f"weighing with {described.name}", quiet):
+        made = scale(model, session_of(described, calibration, "--calibration", map_file, treat), load,
+                     uncertain=uncertain)
+        for text in known or ():
+            mass, file = _known(text)
+            made = weighing.learned(made, read([file])[0], size(mass, "kg", "--known"),
+                                    size(known_sigma, "kg", "--known-sigma"))
+        made = made.on_slope(*tilt)
+        found = weighing.weigh(made, read([log])[0], tare=size(tare, "s", "--tare"),
+                               needed=None if needed is None else size(needed, "kg", "--needed"))
+        found.save(output, pages={"report.html": render(found)}, wall_s=time.perf_counter() - began)
+    print_answer(found, output, quiet=quiet, as_json=as_json)
+
+
+def _place(model: Model, link: str, text: str | None) -> tuple[float, float, float]:
+    """Where a load is expected (3,) [m]: as stated, or at the end of the link.
+
+    Raises:
+        ProblemError: the text is not three finite numbers, or there is no such link.
+    """
+    from hydroopt.errors import ProblemError
+
+    if text is None:
+        known = [each.name for each in model.machine.links]
+        if link not in known:
+            raise ProblemError(f"there is no link '{link}'", where="--link", remedy=f"use one of {', '.join(known)}")
+        return (model.machine.link(link).joint.a, 0.0, 0.0)
+    try:
+        x, y, z = (float(part) for part in text.split(","))
+        if all(math.isfinite(each) for each in (x, y, z)):
+            return (x, y, z)
+    except ValueError:
+        pass
+    raise ProblemError(f"'{text}' is no place", where="--centre", remedy="give three numbers in m, e.g. '1.8, 0, 0'")
+
+
+def _known(text: str) -> tuple[str, Path]:
+    """Mass and log of a known load.
+
+    Raises:
+        ProblemError: the text has another form.
+    """
+    from hydroopt.errors import ProblemError
+
+    mass, found, file = text.partition(":")
+    if not found:
+        raise ProblemError(f"'{text}' is not MASS:LOG", where="--known", remedy="write e.g. '1200 kg:weight.csv'")
+    return mass, Path(file)

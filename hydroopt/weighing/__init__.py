@@ -1,0 +1,1 @@
+"""Weighing: the load that a machine carries while it moves."""

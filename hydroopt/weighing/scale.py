@@ -1,0 +1,249 @@
+"""A scale: an identified machine with what is uncertain of it, and the load that it is to weigh."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from hydroopt.errors import ProblemError
+from hydroopt.estimation.dynamic.problem import IdentificationProblem
+from hydroopt.estimation.dynamic.stored_information import StoredInformation, stored_information
+from hydroopt.estimation.inference.whitening import GaussianPosterior, gaussian_posterior
+from hydroopt.logs.forces_from_pressures import force_noise
+from hydroopt.logs.frames import all_of
+from hydroopt.logs.log import Log
+from hydroopt.machine.actuators import Cylinder, Motor
+from hydroopt.machine.given_machine import GivenMachine
+from hydroopt.machine.parameter_kind import ParameterKind
+from hydroopt.model.carried_load import carried_load
+from hydroopt.model.kinematics import gravity_in_base
+from hydroopt.model.model import Model, model_of
+from hydroopt.simulation.simulate import Trajectory, random_trajectory
+from hydroopt.spatial.inertia import Array
+from hydroopt.weighing.gaussian import Gaussian
+from hydroopt.weighing.smoothed_log import smoothed_log
+
+NEGLIGIBLE = 1e-3
+"""RMS force, per σ of a sensor, below which a direction of the model's uncertainty is left out."""
+STEEP = np.radians(5.0)
+"""Slope of the base at which it is measured [rad]."""
+TRIALS, TRIAL_DURATION, TRIAL_RATE = 8, 60.0, 5.0
+"""How many random motions stand for a calibration's where its logs are not there, their duration [s] and rate [Hz]."""
+
+
+@dataclass(frozen=True)
+class CarriedLoad:
+    """What a scale weighs, in the frame of the link that carries it.
+
+    Attributes:
+        link: the name of the link.
+        centre: where the centre of mass is expected [m].
+        centre_std: standard deviation of its place, each coordinate's or one for all [m].
+        full_scale: the largest mass [kg].
+        radius: of gyration about the expected centre, about [m].
+
+    See `weigh` for an example.
+    """
+
+    link: str
+    centre: tuple[float, float, float]
+    centre_std: tuple[float, float, float]
+    full_scale: float
+    radius: float = 0.5
+
+    def __post_init__(self) -> None:
+        numbers = (*self.centre, *self.centre_std, self.full_scale, self.radius)
+        if not np.all(np.isfinite(numbers)) or min(*self.centre_std, self.full_scale, self.radius) <= 0:
+            raise ProblemError("a load needs finite numbers, and standard deviations, full scale and radius above 0",
+                               where="load", remedy="state its centre in m, its sigma in m, the full scale in kg")
+
+
+@dataclass(frozen=True)
+class Uncertain:
+    """Standard deviations of what no calibration tells.
+
+    Attributes:
+        slope: of the base's inclination, in each direction [rad].
+        load_friction: of the friction that grows with the force, as a part of it.
+        zero_drift: of each pressure's zero since the calibration [Pa].
+
+    See `weigh` for an example of a scale, which takes them as `uncertain`.
+    """
+
+    slope: float = np.radians(3.0)
+    load_friction: float = 0.01
+    zero_drift: float = 35e3
+
+
+@dataclass(frozen=True, eq=False)
+class Scale:
+    """An identified machine that weighs; `scale` makes one, `learned` refines it.
+
+    Its own unknowns are, in this order: k numbers of the model, in directions that are independent and standard normal
+    after the calibration; the friction of r balances per force; two components of gravity [m/s²] along the base's x
+    and y.
+
+    Attributes:
+        model: of the machine.
+        psi: (p,) identified parameters.
+        directions: (p, k) of what is uncertain of them.
+        taken: (p, r) what the calibration took for parameters, per friction that grows with the force, of each balance.
+        load: what it weighs.
+        own: what is known of its own unknowns.
+        uncertain: what no calibration tells.
+        angle_std: (n,) noise of the joints' positions; force_std: (r,) of forces.
+        tilt: roll and pitch of the base as stated, and their standard deviation [rad].
+
+    See `weigh` for an example.
+    """
+
+    model: Model
+    psi: Array
+    directions: Array
+    taken: Array
+    load: CarriedLoad
+    own: Gaussian
+    uncertain: Uncertain
+    angle_std: Array
+    force_std: Array
+    tilt: tuple[float, float, float]
+
+    @cached_property
+    def carried(self) -> Array:
+        """(p, 10): what the load adds to ψ; its ten numbers stand about its expected centre."""
+        return carried_load(self.model, self.load.link, self.load.centre)
+
+    @cached_property
+    def gravity(self) -> Array:
+        """(3,) that of the machine file in the base frame [m/s²]."""
+        return np.asarray(gravity_in_base(self.model.machine)).ravel()
+
+    @property
+    def count(self) -> int:
+        """Number of its own unknowns."""
+        return len(self.own.right)
+
+    def on_slope(self, roll: float, pitch: float, std: float | None = None) -> Scale:
+        """The same scale on another slope: roll and pitch of the base [rad] as an inclinometer reads them.
+
+        Friction and bodies stay as they were learned; what was learned of the former slope goes.
+        """
+        std = self.uncertain.slope if std is None else std
+        size = float(np.linalg.norm(self.gravity))
+        mean = size * np.array([np.sin(pitch), -np.sin(roll) * np.cos(pitch)])
+        tilt = slice(self.count - 2, self.count)
+        return replace(self, tilt=(roll, pitch, std),
+                       own=self.own.without(tilt).and_independent(mean, np.full(2, size * std)))
+
+
+def scale(machine: Model | GivenMachine, calibration: Log | Sequence[Log] | str | Path, load: CarriedLoad, *,
+          uncertain: Uncertain = Uncertain()) -> Scale:
+    """A scale of a calibrated machine.
+
+    Args:
+        machine: nominal description without load, or its model.
+        calibration: logs without load, or the folder that `hydroopt identify` wrote from them. Logs weigh better: they
+            tell what friction that grows with the force has done to the parameters.
+        load: what is to be weighed.
+        uncertain: standard deviations of what the calibration does not tell.
+
+    Raises:
+        LogError: a log cannot be used.
+        ProblemError: the machine cannot weigh: no link of that name, friction that depends on pressures or is not
+            linear, or sensors without a stated accuracy.
+
+    See `weigh` for an example.
+    """
+    model = model_of(machine, "scale")
+    machine = model.machine
+    model.refuse_seals("scale")
+    with threadpool_limits(limits=1, user_api="blas"):
+        given = None if isinstance(calibration, str | Path) else all_of(calibration, (Log,), "log", machine.name)
+        known = stored_information(model, calibration if given is None else given)
+        logs = None if given is None else [smoothed_log(model, each) for each in given]
+        p = len(model.parameters)
+        rows = known.triangles.reshape(-1, p + 1)
+        found = gaussian_posterior(IdentificationProblem(model, ()), rows[:, :p], rows[:, p])
+    angle_std = np.array([sensor.std if (sensor := machine.sensor(f"{joint}.q")) else np.nan
+                          for joint in machine.joints])
+    force_std = force_noise(model)
+    if not np.all(np.isfinite(angle_std)) or not np.all(force_std > 0):
+        raise ProblemError("a scale needs the accuracy of all sensors", where=machine.name,
+                           remedy="state [[sensors]] with 'accuracy' for angles and pressures")
+    trials = [random_trajectory(model, duration=TRIAL_DURATION, rate=TRIAL_RATE, seed=seed) for seed in range(TRIALS)]
+    K = model.over(model.linearised, trials[0].q, trials[0].qd, trials[0].qdd, found.offset)[0]
+    G = model.over(model.gravity_regressor, trials[0].q)[0].reshape(len(K), 3, *K.shape[1:])[:, :2]
+    driven = trials if logs is None else [Trajectory(
+        np.concatenate([each.t for each in logs]), np.concatenate([each.q for each in logs]),
+        np.concatenate([each.qd for each in logs]), np.concatenate([each.qdd for each in logs]))]
+    taken = np.array([_taken_for_friction(model, known, found, motion) for motion in driven])
+    scatter = uncertain.load_friction * np.concatenate([*(taken - taken.mean(axis=0))], axis=1) / np.sqrt(len(taken))
+    slope = np.hstack([found.slope, _drifts(model, uncertain.zero_drift), scatter])
+    tilted = machine.gravity * STEEP * np.moveaxis(G, 1, 0)
+    directions = _reduced(np.concatenate([K, *tilted]), slope, force_std)
+    r, size = len(machine.balances), machine.gravity
+    own = Gaussian.independent(
+        np.concatenate([np.zeros(directions.shape[1] + r), np.asarray(gravity_in_base(machine)).ravel()[:2]]),
+        np.concatenate([np.ones(directions.shape[1]), np.full(r, uncertain.load_friction),
+                        np.full(2, size * uncertain.slope)]))
+    return Scale(model, found.offset, directions, taken.mean(axis=0), load, own, uncertain, angle_std, force_std,
+                 (*machine.orientation[:2], uncertain.slope))
+
+
+def acting(model: Model, q: Array, sign: Array) -> Array:
+    """Direction (N, r) of each balance's actuator from that of its joint: a cylinder may shorten as the angle grows."""
+    machine, made = model.machine, np.array(sign)
+    arms = model.over(model.transmission, q)[0]
+    for k, (balance, joint) in enumerate(zip(machine.balances, model.dynamics.kept, strict=True)):
+        if balance.alone is not None:
+            made[:, k] *= np.sign(arms[:, machine.actuators.index(balance.alone), joint])
+    return made
+
+
+def _drifts(model: Model, std: float) -> Array:
+    """(p, a): what drifts of the pressures' zeros do to the forces' offsets."""
+    machine, names, columns = model.machine, model.parameters.names, []
+    for actuator in machine.measured_actuators:
+        if not isinstance(actuator, Cylinder | Motor):
+            continue
+        size = std * float(np.linalg.norm([*actuator.effort_factors.values()]))
+        offsets = [k for k, (name, kind) in enumerate(zip(names, model.parameters.kinds, strict=True))
+                   if kind is ParameterKind.FORCE_OFFSET and model.parameters.owner(name) in
+                   (actuator.name, getattr(actuator, "joint", ""))]
+        column = np.zeros(len(names))
+        column[offsets] = size
+        columns.append(column)
+    return np.column_stack(columns) if columns else np.zeros((len(names), 0))
+
+
+def _reduced(K: Array, slope: Array, force_std: Array) -> Array:
+    """The directions (p, k) of ``slope·z`` that forces show, z standard normal, in coordinates as independent.
+
+    What predicts the same forces within `NEGLIGIBLE` in a motion with the regressors K (N, r, p) is left out.
+    """
+    seen = (K @ slope / force_std[:, None]).reshape(-1, slope.shape[1]) / np.sqrt(len(K))
+    squares, axes = np.linalg.eigh(seen.T @ seen)
+    return np.asarray(slope @ axes[:, squares > NEGLIGIBLE**2])
+
+
+def _taken_for_friction(model: Model, known: StoredInformation, found: GaussianPosterior,
+                        motion: Trajectory) -> Array:
+    """(p, r): by how much the calibrated ψ are too large per unit of a friction that grows with the force.
+
+    The calibration's model has no such friction; the parameters that imitate it best in the calibration's motion are
+    found as far as the calibration's information lets them.
+    """
+    K, force = model.over(model.linearised, motion.q, motion.qd, motion.qdd, found.offset)
+    friction = np.abs(force[:, :, 0]) * acting(model, motion.q, np.sign(motion.qd[:, model.dynamics.kept]))
+    size, p, made = np.max(np.abs(K), axis=(0, 1)), K.shape[2], []
+    scale = np.where(size > 0, 1 / np.maximum(size, 1e-300), 0.0)
+    for k, (column, triangle) in enumerate(zip(friction.T, known.triangles, strict=True)):
+        imitated = scale * np.linalg.lstsq(K[:, k] * scale, column, rcond=1e-6)[0]
+        rows = triangle[:, :p]
+        made.append(found.slope @ (found.slope.T @ (rows.T @ (rows @ imitated))))
+    return np.column_stack(made)

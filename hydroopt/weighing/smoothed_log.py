@@ -1,0 +1,89 @@
+"""What a scale makes of a log: smoothed samples, and how their forces depend on a load and on what is uncertain."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from hydroopt.errors import LogError
+from hydroopt.logs.forces_from_pressures import forces
+from hydroopt.logs.joint_angles import measured_angles
+from hydroopt.logs.log import Log
+from hydroopt.model.model import Model
+from hydroopt.spatial.inertia import Array
+from hydroopt.weighing.smoothing_kernel import SmoothingKernel
+
+MOVING = 0.03
+"""Speed [rad/s or m/s] above which a joint moves: dry friction then has a sign."""
+CREEPING = 0.01
+"""Speed [rad/s or m/s] below which a joint stands."""
+UNEVEN = 0.1
+"""Part of the sampling step by which steps may differ."""
+
+
+@dataclass(frozen=True, eq=False)
+class SmoothedLog:
+    """Smoothed samples of a log, M of them, of n joints and r balances.
+
+    Attributes:
+        t: (M,) times [s]; each is known `kernel.half` samples later.
+        stretch: (M,) index of the uninterrupted stretch.
+        q, qd, qdd: (M, n) motion.
+        force: (M, r) measured forces.
+        sign: (M, r) 1 or −1 where the joint of a balance moves in one direction throughout, 0 where it stands
+            throughout, NaN where neither holds and nothing is known of dry friction.
+        kernel: of the smoothing.
+    """
+
+    t: Array
+    stretch: NDArray[np.int64]
+    q: Array
+    qd: Array
+    qdd: Array
+    force: Array
+    sign: Array
+    kernel: SmoothingKernel
+
+    def __len__(self) -> int:
+        return len(self.t)
+
+
+def smoothed_log(model: Model, log: Log) -> SmoothedLog:
+    """Smooth the motion and the forces of a log alike.
+
+    Raises:
+        LogError: sampling is irregular, or the log is too short.
+    """
+    where, steps = log.path or log.name, np.diff(log.t)[np.diff(log.segment) == 0]
+    step = float(np.median(steps)) if steps.size else 0.0
+    if not step > 0 or np.any(np.abs(steps - step) > UNEVEN * step):
+        raise LogError("a scale needs regular sampling", where=where,
+                       remedy="resample the log, or cut it at the gaps with --treat gap=split")
+    kernel, q = SmoothingKernel.of_step(step), measured_angles(model, log)
+    force = forces(model, log, q)
+    found: list[tuple[Any, ...]] = []
+    for number in np.unique(log.segment):
+        rows = np.flatnonzero(log.segment == number)
+        at = kernel.middles(len(rows))
+        if not at.size:
+            continue
+        motion = kernel.smoothed(q[rows], at)
+        found.append((log.t[rows][at], np.full(at.size, number), *motion, kernel.smoothed(force[rows], at)[0],
+                      _signs(model, kernel, q[rows], at)))
+    if not found:
+        raise LogError(f"a scale needs stretches of {(2 * kernel.margin + 1) * step:.2g} s", where=where,
+                       remedy="give a longer log")
+    t, stretch, *rest = (np.concatenate(each) for each in zip(*found, strict=True))
+    return SmoothedLog(t, stretch, rest[0], rest[1], rest[2], rest[3], rest[4], kernel)
+
+
+def _signs(model: Model, kernel: SmoothingKernel, q: Array, at: NDArray[np.intp]) -> Array:
+    """Direction (M, r) of each balance's joint as far as the kernel has weight."""
+    reach = kernel.outlook
+    speeds = np.stack([kernel.smoothed(q, places)[1] for places in (at - reach, at, at + reach)])
+    slowest, fastest = (end(speeds[:, :, model.dynamics.kept], axis=0) for end in (np.min, np.max))
+    sign = np.where(slowest > MOVING, 1.0, np.where(fastest < -MOVING, -1.0, np.nan))
+    return np.where((slowest > -CREEPING) & (fastest < CREEPING), 0.0, sign)

@@ -1,0 +1,278 @@
+"""The loads that a machine carried in a log, weighed while it moved."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from threadpoolctl import threadpool_limits
+
+from hydroopt.errors import LogError, ProblemError
+from hydroopt.logs.log import Log
+from hydroopt.machine.parameter_kind import ParameterKind
+from hydroopt.results.answer import Answer
+from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.fit import Fit
+from hydroopt.results.json_file import Job, MachineId
+from hydroopt.results.parameter_table import ParameterRow, ParameterTable, row
+from hydroopt.results.readable import readable
+from hydroopt.results.tables import csv_text, number
+from hydroopt.results.verdict import NORMAL, Action, NextStep, Purpose, Usable, Use, judged
+from hydroopt.results.wording import Kind
+from hydroopt.spatial.inertia import Array
+from hydroopt.weighing.course import CONTRADICTED, Reading, Weighable, course
+from hydroopt.weighing.equations import Equations, equations
+from hydroopt.weighing.least_squares import Weighed, weighed
+from hydroopt.weighing.scale import Scale
+from hydroopt.weighing.smoothed_log import smoothed_log
+
+METHOD = "moving scale"
+NEEDED = 0.02
+"""Half of a mass's 95 % interval, as a part of the full scale, above which it is too uncertain by default."""
+
+
+@dataclass(frozen=True)
+class LoadWeighed:
+    """One load of a log.
+
+    Attributes:
+        number: from 1.
+        begin, end: when it was carried [s].
+        reading: the last one that can be believed, or else the last one.
+    """
+
+    number: int
+    begin: float
+    end: float
+    reading: Reading
+
+    @property
+    def name(self) -> str:
+        """``load_1`` and so on."""
+        return f"load_{self.number}"
+
+    @property
+    def ok(self) -> bool:
+        """Whether it was weighed."""
+        return self.reading.status is Weighable.OK
+
+    @property
+    def mass(self) -> float:
+        """[kg]."""
+        return self.reading.weighed.mass
+
+    @property
+    def mass_std(self) -> float:
+        """[kg]."""
+        return self.reading.weighed.mass_std
+
+
+@dataclass(frozen=True, eq=False, repr=False)
+class Weighing(Answer):
+    """What a scale showed over a log; `weigh` returns it.
+
+    Attributes:
+        scale: that weighed.
+        log: that it weighed.
+        equations: of the smoothed log.
+        readings: what it showed at each smoothed sample.
+
+    Example:
+        See `weigh`.
+    """
+
+    scale: Scale
+    log: Log
+    equations: Equations
+    readings: tuple[Reading, ...]
+    job = Job.WEIGHING
+
+    @property
+    def machine_id(self) -> MachineId:
+        """Which machine it is about."""
+        return MachineId.of(self.scale.model.machine)
+
+    @property
+    def method(self) -> str:
+        """How it was computed."""
+        return METHOD
+
+    @cached_property
+    def loads(self) -> tuple[LoadWeighed, ...]:
+        """The loads one after the other, without the empty machine at the beginning."""
+        found: list[LoadWeighed] = []
+        t = self.equations.t
+        for k in range(1, self.readings[-1].load + 1):
+            some = [each for each in self.readings if each.load == k]
+            good = [each for each in some if each.status is Weighable.OK]
+            found.append(LoadWeighed(k, float(t[some[0].sample]), float(t[some[-1].sample]),
+                                     (good or some)[-1]))
+        return tuple(found)
+
+    def centre(self, weighed: Weighed) -> tuple[Array, Array]:
+        """Centre of mass (3,) of a load in the frame of its link [m], and standard deviations."""
+        phi, covariance = weighed.phi, weighed.covariance
+        if not phi[0] > 0:
+            return np.full(3, np.nan), np.full(3, np.nan)
+        offset = phi[1:4] / phi[0]
+        J = np.column_stack([-offset, np.eye(3)]) / phi[0]
+        return (np.array(self.scale.load.centre) + offset,
+                np.sqrt(np.einsum("ij,jk,ik->i", J, covariance[:4, :4], J)))
+
+    @cached_property
+    def table(self) -> Mapping[str, Array]:
+        """Columns over time: time [s], number of the load, mass, its standard deviation and 95 % interval [kg], centre
+        [m], misfit."""
+        masses = np.array([each.weighed.mass for each in self.readings])
+        stds = np.array([each.weighed.mass_std for each in self.readings])
+        centres = np.array([np.concatenate(self.centre(each.weighed)) for each in self.readings])
+        return {"t [s]": self.equations.t[[each.sample for each in self.readings]],
+                "load": np.array([each.load for each in self.readings]),
+                "mass [kg]": masses, "std [kg]": stds, "low [kg]": masses - NORMAL * stds,
+                "high [kg]": masses + NORMAL * stds,
+                **{f"com_{axis} [m]": centres[:, k] for k, axis in enumerate("xyz")},
+                **{f"com_{axis}_std [m]": centres[:, 3 + k] for k, axis in enumerate("xyz")},
+                "misfit": np.array([each.weighed.misfit for each in self.readings])}
+
+    @cached_property
+    def findings(self) -> tuple[Diagnostic, ...]:
+        """Each load in a sentence."""
+        return tuple(Diagnostic(Kind.LOAD_WEIGHED, (each.name,), {
+            "mass": f"{each.mass:.0f} ± {NORMAL * each.mass_std:.0f}", "begin": each.begin, "end": each.end})
+            if each.ok else Diagnostic(Kind.LOAD_NOT_WEIGHABLE, (each.name,), {
+                "why": str(each.reading.status), "begin": each.begin, "end": each.end}) for each in self.loads)
+
+    @cached_property
+    def diagnostics(self) -> tuple[Diagnostic, ...]:
+        """Whether readings contradict the calibrated model."""
+        worst = max((each.weighed.misfit for each in self.readings if each.status in (
+            Weighable.CONTRADICTED, Weighable.TARING)), default=0.0)
+        return (Diagnostic(Kind.SCALE_CONTRADICTED, (), {"misfit": worst}),) if worst > CONTRADICTED else ()
+
+    @cached_property
+    def uses(self) -> tuple[Use, ...]:
+        """How well each load is weighed."""
+        full = self.scale.load.full_scale
+        return tuple(
+            judged(Purpose.WEIGHING, each.name, NORMAL * each.mass_std, "kg", NORMAL * each.mass_std / full,
+                   condition=f"95 % interval, as a part of the full scale of {readable(full, 'kg')}") if each.ok else
+            Use(Purpose.WEIGHING, each.name, Usable.NO, reason=str(each.reading.status)) for each in self.loads)
+
+    @property
+    def next_steps(self) -> tuple[NextStep, ...]:
+        """What would weigh better."""
+        if all(each.ok for each in self.loads):
+            return ()
+        return (NextStep(Action.DRIVE, "Move boom and stick for some seconds with each load, or state its centre of "
+                                       "mass more closely."),)
+
+    @cached_property
+    def parameters(self) -> ParameterTable:
+        """Mass and centre of mass of each load."""
+        rows: list[ParameterRow] = []
+        for each in self.loads:
+            known = "full" if each.ok else "not excited"
+            rows.append(_row(f"{each.name}.m", ParameterKind.MASS, "kg", each.mass, each.mass_std, known))
+            centre, spread = self.centre(each.reading.weighed)
+            rows += [_row(f"{each.name}.com_{axis}", ParameterKind.POSITION, "m", value, std, known)
+                     for axis, value, std in zip("xyz", centre.tolist(), spread.tolist(), strict=True)]
+        return ParameterTable(rows)
+
+    @property
+    def fit(self) -> Mapping[str, Mapping[str, Fit]]:
+        """Empty: the misfit stands beside each reading."""
+        return {}
+
+    @property
+    def inputs(self) -> tuple[Mapping[str, Any], ...]:
+        """The log."""
+        return ({"path": self.log.path or self.log.name, "sha256": self.log.sha256 or None, "samples": self.log.size,
+                 "role": "weighed"},)
+
+    def details(self) -> Mapping[str, Any]:
+        """The loads with their times and statuses, and what the scale assumes."""
+        load, uncertain = self.scale.load, self.scale.uncertain
+        return {"loads": [{"name": each.name, "begin": each.begin, "end": each.end,
+                           "status": str(each.reading.status), "misfit": number(each.reading.weighed.misfit)}
+                          for each in self.loads],
+                "assumed": {"link": load.link, "centre": list(load.centre), "centre_std": list(load.centre_std),
+                            "full_scale": load.full_scale, "radius": load.radius, "slope_std": uncertain.slope,
+                            "load_friction": uncertain.load_friction, "zero_drift": uncertain.zero_drift}}
+
+    def files(self) -> Mapping[str, str]:
+        """What the scale showed over time, as CSV."""
+        columns = {**{key: values.tolist() for key, values in self.table.items()},
+                   "status": [str(each.status) for each in self.readings]}
+        return {"weighing.csv": csv_text([dict(zip(columns, values, strict=True))
+                                          for values in zip(*columns.values(), strict=True)])}
+
+
+def _row(name: str, kind: ParameterKind, unit: str, value: float, std: float, known: str) -> ParameterRow:
+    if known != "full" or not np.isfinite(value):
+        return row(name, kind, unit, identifiability="not excited")
+    return row(name, kind, unit, value=value, std=std, ci95=(value - NORMAL * std, value + NORMAL * std),
+               identifiability=known)
+
+
+def weigh(scale: Scale, log: Log, *, tare: float = 10.0, needed: float | None = None) -> Weighing:
+    """Weigh the loads of a log while the machine moves.
+
+    The log begins with the empty machine in motion. It tells slope, friction and what has drifted since the
+    calibration; each change of the load begins a new one.
+
+    Args:
+        scale: of the machine, on the log's slope.
+        log: joint angles and pressures at a regular rate.
+        tare: how long the machine is empty at the beginning [s]; 0 weighs without a tare.
+        needed: half of the 95 % interval [kg] above which a mass is too uncertain; 2 % of the full scale by default.
+
+    Raises:
+        LogError: the log lacks a channel, is too short, or sampled irregularly.
+        ProblemError: the tare is negative, or no interval is small enough.
+
+    >>> import hydroopt as ho
+    >>> model = ho.Model("patu655_lift")
+    >>> motions = [ho.random_trajectory(model, duration=30, rate=50, seed=k) for k in (1, 2)]
+    >>> known, empty = (ho.simulate(model, motion, seed=k) for k, motion in enumerate(motions))
+    >>> load = ho.CarriedLoad("lift", (3.0, 0.0, 0.0), (0.05, 0.05, 0.05), full_scale=1000.0)
+    >>> scale = ho.scale(model, known, load).on_slope(0.0, 0.0)
+    >>> found = ho.weigh(scale, empty, tare=10.0)
+    >>> found.loads, found.centre(found.readings[-1].weighed)[0].shape
+    ((), (3,))
+    """
+    if not (tare >= 0 and (needed is None or needed > 0)):
+        raise ProblemError("a tare is not negative, and an interval positive", where="weigh",
+                           remedy="give the tare in s and the interval in kg")
+    made = equations(scale, smoothed_log(scale.model, log))
+    if not np.all(np.isfinite(made.rest)):
+        raise LogError("a scale needs the pressures of all actuators", where=log.path or log.name,
+                       remedy="record them, or leave out samples that are not numbers with --treat nan=drop")
+    with threadpool_limits(limits=1, user_api="blas"):
+        shown = tuple(course(made, tare=tare, needed=NEEDED * scale.load.full_scale if needed is None else needed))
+    return Weighing(scale, log, made, shown)
+
+
+def learned(scale: Scale, log: Log, mass: float, std: float) -> Scale:
+    """The scale after a log with a load of known mass [kg], with its standard deviation: its calibration.
+
+    What the log tells of bodies, friction and drifts stays; what it tells of its slope does not.
+
+    Raises:
+        LogError: see `weigh`.
+        ProblemError: the standard deviation is not positive, or the log contradicts the model.
+
+    See `weigh` for an example of the other steps.
+    """
+    if not (np.isfinite(mass) and np.isfinite(std) and std > 0):
+        raise ProblemError("a known load has a finite mass and a positive standard deviation", where="learned",
+                           remedy="give both in kg")
+    made = equations(scale, smoothed_log(scale.model, log))
+    with threadpool_limits(limits=1, user_api="blas"):
+        found = weighed(made, np.arange(len(made.t)), known=(mass, std))
+    if found.misfit > CONTRADICTED:
+        raise ProblemError(f"the log contradicts the scale's model ({found.misfit:.1f} times the expected residuals)",
+                           where=log.path or log.name, remedy="check the mass, the load's centre and the slope")
+    return replace(scale, own=found.own).on_slope(*scale.tilt)

@@ -1,0 +1,185 @@
+"""A scale that weighs in motion: its equations by independent ways, its statuses where readings cannot be believed."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import hydroopt as ho
+from hydroopt.simulation.simulate import Trajectory
+from hydroopt.weighing.course import Weighable
+from hydroopt.weighing.equations import Equations, equations
+from hydroopt.weighing.gaussian import Gaussian
+from hydroopt.weighing.least_squares import linearised
+from hydroopt.weighing.scale import CarriedLoad, Scale, scale
+from hydroopt.weighing.smoothed_log import smoothed_log
+from hydroopt.weighing.smoothing_kernel import SmoothingKernel
+from hydroopt.weighing.weighing import Weighing, learned, weigh
+from studies.weighing.machines import Session, SimulatedMachine, pick_up
+
+MASS, FULL_SCALE = 900.0, 2500.0
+CENTRE = np.array([0.03, -0.02, 0.04])
+LOAD = CarriedLoad("stick", (1.8, 0.0, 0.0), (0.05, 0.05, 0.05), FULL_SCALE)
+
+
+@pytest.fixture(scope="module")
+def machine() -> SimulatedMachine:
+    return SimulatedMachine.drawn(ho.Model("cat215b"), 5)
+
+
+@pytest.fixture(scope="module")
+def made(machine: SimulatedMachine) -> Scale:
+    return scale(machine.model, machine.calibration(5), LOAD)
+
+
+@pytest.fixture(scope="module")
+def log(machine: SimulatedMachine) -> ho.Log:
+    motion = ho.random_trajectory(machine.model, duration=22.0, rate=50.0, seed=6)
+    return machine.log(Session(motion, pick_up(motion.t, MASS, 12.0, 1.5), CENTRE, (0.04, -0.06), 35e3), 6)
+
+
+@pytest.fixture(scope="module")
+def weighing(made: Scale, log: ho.Log) -> Weighing:
+    return weigh(made, log)
+
+
+@pytest.fixture(scope="module")
+def lines(made: Scale, log: ho.Log) -> Equations:
+    return equations(made, smoothed_log(made.model, log))
+
+
+def changed(log: ho.Log, **channels: np.ndarray) -> ho.Log:
+    return ho.Log(log.name, log.t, {name: channels.get(name.replace(".", "_"), log.channel(name))
+                                    for name in log.channels}, units=log.units)
+
+
+def test_covariances_of_smoothed_samples_are_those_of_many_draws() -> None:
+    kernel = SmoothingKernel.of_step(0.02)
+    noise = np.random.default_rng(1).standard_normal((200, 4000))
+    first, second = (kernel.smoothed(noise, np.array([100 + shift * kernel.stride])) for shift in (0, 2))
+    expected = kernel.covariance[2]
+    found = np.einsum("amn,bmn->ab", first, second) / noise.shape[1]
+    size = np.sqrt(np.outer(np.diag(kernel.covariance[0]), np.diag(kernel.covariance[0])))
+    assert np.max(np.abs(found - expected) / size) < 5 / np.sqrt(noise.shape[1])
+    assert np.all(kernel.covariance[0] @ np.eye(3) == kernel.covariance[0].T)
+
+
+def test_what_is_left_of_a_gaussian_has_its_mean_and_covariance() -> None:
+    rng = np.random.default_rng(2)
+    root = np.triu(rng.standard_normal((5, 5))) + 3 * np.eye(5)
+    whole = Gaussian(root, rng.standard_normal(5))
+    rest = whole.without(slice(3, 5))
+    assert np.allclose(rest.mean, whole.mean[:3])
+    assert np.allclose(rest.covariance, whole.covariance[:3, :3])
+    both = rest.and_independent(np.array([2.0]), np.array([0.5]))
+    assert np.allclose(both.mean, [*whole.mean[:3], 2.0])
+    assert np.isclose(both.covariance[3, 3], 0.25)
+
+
+def test_equations_predict_what_inverse_dynamics_does_on_a_slope(made: Scale, lines: Equations) -> None:
+    """With a load and another ψ the force is that of the machine whose stick has the load, on tilted ground."""
+    rng = np.random.default_rng(3)
+    k = made.directions.shape[1]
+    own = np.concatenate([rng.standard_normal(k), np.zeros(3), made.gravity[:2] + np.array([0.5, -0.7])])
+    phi = np.array([400.0, 30.0, -20.0, 10.0, 60.0, 1.0, 2.0, 70.0, 3.0, 80.0])
+    at = tuple(np.nonzero(lines.moving()))
+    rest, J = linearised(lines, at, own, phi)
+    psi = made.psi + made.directions @ own[:k] + made.carried @ phi
+    roll_pitch = np.array([np.arcsin(-own[-1] / 9.81 / np.cos(np.arcsin(own[-2] / 9.81))), np.arcsin(own[-2] / 9.81)])
+    tilted = ho.Model(made.model.machine.model_copy(update={"orientation": (*roll_pitch, 0.0)}))
+    smoothed = lines.smoothed
+    force = tilted.over(tilted.inverse_dynamics, smoothed.q, smoothed.qd, smoothed.qdd, psi)[0][:, :, 0]
+    scatter = np.std(force, axis=0)[at[1]]
+    assert np.max(np.abs((smoothed.force - force)[at] - rest) / scatter) < 1e-9
+    step = 1e-5 * np.concatenate([np.full(10, 100.0), np.ones(len(own))])
+    for j in (0, 1, 9, 10, 10 + k, 10 + len(own) - 1):
+        ends = []
+        for sign in (1, -1):
+            moved = np.concatenate([phi, own])
+            moved[j] += sign * step[j]
+            ends.append(linearised(lines, at, moved[10:], moved[:10])[0])
+        assert np.allclose(-(ends[0] - ends[1]) / (2 * step[j]), J[:, j], rtol=1e-5, atol=1e-5 * np.abs(J[:, j]).max())
+
+
+def test_a_picked_up_load_is_weighed_on_a_slope(weighing: Weighing) -> None:
+    assert [each.ok for each in weighing.loads] == [True]
+    load = weighing.loads[0]
+    assert abs(load.mass - MASS) < min(0.01 * FULL_SCALE, 3 * load.mass_std)
+    centre, std = weighing.centre(load.reading.weighed)
+    assert np.all(np.abs(centre - [1.8, 0, 0] - CENTRE) < 3.5 * std)
+    assert np.all(std < 0.06)
+    t = weighing.equations.t
+    wrong = [each for each in weighing.readings if each.status is Weighable.OK and t[each.sample] > 14
+             and abs(each.weighed.mass - MASS) > 0.015 * FULL_SCALE]
+    assert not wrong
+
+
+def test_it_is_saved_and_shown(weighing: Weighing, tmp_path_factory: pytest.TempPathFactory) -> None:
+    from hydroopt.report.weighing import render
+
+    folder = tmp_path_factory.mktemp("loads")
+    weighing.save(folder, pages={"report.html": render(weighing)})
+    found = ho.load(folder)
+    assert found.parameters["load_1.m"].value == pytest.approx(weighing.loads[0].mass)
+    assert found.details()["loads"][0]["status"] == "ok"
+    assert "weighing.csv" in found.files()
+
+
+def test_a_known_load_makes_the_scale_surer(made: Scale, log: ho.Log, machine: SimulatedMachine) -> None:
+    motion = ho.random_trajectory(machine.model, duration=12.0, rate=50.0, seed=9)
+    weight = machine.log(Session(motion, np.full(len(motion.t), 1500.0), CENTRE, (0.0, 0.0), 35e3), 9)
+    taught = learned(made, weight, 1500.0, 2.0)
+    before, after = (weigh(each, log, tare=0.0).readings[-1].weighed for each in (made, taught))
+    assert after.mass_std < 0.9 * before.mass_std
+    assert abs(after.mass - MASS) < 4 * after.mass_std
+    with pytest.raises(ho.ProblemError, match="contradicts the scale's model"):
+        learned(made, weight, 900.0, 2.0)
+
+
+def test_still_machines_do_not_weigh(made: Scale, machine: SimulatedMachine) -> None:
+    motion = ho.random_trajectory(machine.model, duration=24.0, rate=50.0, seed=6)
+    still = motion.t > 11.0
+    at = int(np.argmax(still))
+    q, qd, qdd = motion.q.copy(), np.where(still[:, None], 0.0, motion.qd), np.where(still[:, None], 0.0, motion.qdd)
+    q[still] = motion.q[at]
+    log = machine.log(Session(Trajectory(motion.t, q, qd, qdd), pick_up(motion.t, MASS, 16.0, 1.0), CENTRE), 6)
+    late = [each for each in weigh(made, log).readings if each.sample * 0.2 > 12.5]
+    assert len(late) > 40
+    assert all(each.status in (Weighable.STANDSTILL, Weighable.UNCERTAIN, Weighable.CHANGING) for each in late)
+
+
+@pytest.mark.parametrize("fault", ["swapped", "sign", "stale", "psi"])
+def test_wrong_readings_never_count_as_weights(fault: str, made: Scale, log: ho.Log) -> None:
+    head, rod = log.channel("boom_cylinder.p_head"), log.channel("boom_cylinder.p_rod")
+    stick = made.model.parameters.index("stick.m")
+    match fault:
+        case "swapped":
+            log = changed(log, boom_cylinder_p_head=rod, boom_cylinder_p_rod=head)
+        case "sign":
+            log = changed(log, stick_q=-log.channel("stick.q"))
+        case "stale":
+            psi = made.psi.copy()
+            psi[stick] += 600.0
+            psi[stick + 1] += 600.0 * 1.8
+            made = replace(made, psi=psi)
+        case "psi":  # bars taken for psi
+            log = changed(log, boom_cylinder_p_head=head / 14.5, boom_cylinder_p_rod=rod / 14.5)
+    found = weigh(made, log)
+    assert not any(each.status is Weighable.OK for each in found.readings)
+    assert found.status == "suspect"
+
+
+def test_numbers_that_are_none_are_refused(made: Scale, log: ho.Log) -> None:
+    head = log.channel("boom_cylinder.p_head").copy()
+    head[600] = np.nan
+    with pytest.raises(ho.LogError, match="pressures"):
+        weigh(made, changed(log, boom_cylinder_p_head=head))
+
+
+@pytest.mark.parametrize(("centre", "std", "full"), [((0, 0, np.nan), (1, 1, 1), 1), ((0, 0, 0), (1, 0, 1), 1),
+                                                     ((0, 0, 0), (1, 1, 1), -5)])
+def test_impossible_loads_are_refused(centre: tuple, std: tuple, full: float) -> None:
+    with pytest.raises(ho.ProblemError, match="a load needs finite numbers"):
+        CarriedLoad("stick", centre, std, full)
