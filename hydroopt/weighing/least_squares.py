@@ -58,8 +58,8 @@ class Weighed:
     def covariance(self) -> Array:
         """(10, 10) of φ, with the misfit."""
         size = len(self.both.right) - self.count
-        found = self.both.covariance[:size, :size] * max(1.0, self.misfit) ** 2
-        return np.asarray(found) if size else np.zeros((10, 10))
+        found = np.asarray(self.both.covariance[:size, :size] * max(1.0, self.misfit) ** 2)
+        return found if size else np.zeros((10, 10))
 
     @property
     def mass(self) -> float:
@@ -80,7 +80,7 @@ def load_prior(equations: Equations, mass: float, known: tuple[float, float] | N
     rows[[4, 7, 9], 0] = -second
     rows[10, 0] = 0.0 if known is None else 1 / known[1]
     std = [WIDEST * load.full_scale, *(size * np.array(load.centre_std)), *np.full(6, size * second), 1.0]
-    return rows / np.array(std)[:, None]
+    return np.asarray(rows / np.array(std)[:, None])
 
 
 def gravity(equations: Equations, own: Array) -> tuple[Array, Array]:
