@@ -275,8 +275,7 @@ WORDS: dict[Kind, Words] = {
         "The logs alone admit {subject} from {low:.3g} to {high:.3g} {unit}; {determined_by} determines it within."),
     Kind.RATIO_OR_PRODUCT_ONLY: Words(
         "The logs determine only the {form} of {subject}; {determined_by} determines each."),
-    Kind.COMBINATION_ONLY: Words(
-        "The logs determine {subject} only in combination; {determined_by} determines each."),
+    Kind.COMBINATION_ONLY: Words("The logs determine {subject} only in combination; {determined_by} determines each."),
     Kind.PARAMETER_AT_BOUND: Words(
         "{subject} is at its {side} bound, {bound:.3g} {unit}; 95 % of its probability lies {beyond} {limit:.3g} "
         "{unit}."),
