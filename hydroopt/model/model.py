@@ -144,8 +144,7 @@ class Model(Drawn):
             if found is None:
                 continue
             angle, length = ca.SX.sym("angle"), ca.SX.sym("length")
-            pairs[cylinder.name] = (
-                _dense("triangle_length", [angle], [found.length(angle)], ["angle"], ["length"]),
+            pairs[cylinder.name] = (_dense("triangle_length", [angle], [found.length(angle)], ["angle"], ["length"]),
                 _dense("triangle_angle", [length], [found.angle(length)], ["length"], ["angle"]))
         return pairs
 
@@ -297,9 +296,8 @@ class Model(Drawn):
     @cached_property
     def gravity_regressor(self) -> ca.Function:
         """q → (3·r, p): derivatives of `gravity_forces` by ψ, those along x first, then y and z."""
-        psi = ca.SX.sym("psi", len(self.parameters))
-        force = ca.vec(self.gravity_forces(self.coordinates.q, psi))
-        return _dense("gravity_regressor", [self.coordinates.q], [ca.jacobian(force, psi)], ["q"], ["G"])
+        q, psi = self.coordinates.q, ca.SX.sym("psi", len(self.parameters))
+        return _dense("gravity_regressor", [q], [ca.jacobian(ca.vec(self.gravity_forces(q, psi)), psi)], ["q"], ["G"])
 
     @cached_property
     def tip_jacobian(self) -> ca.Function:
@@ -309,8 +307,7 @@ class Model(Drawn):
 
     @cached_property
     def mass_matrix(self) -> ca.Function:
-        """(q, psi) → M (n, n) at the joints [kg·m², kg·m, kg]: q̇ᵀ·M·q̇/2 is the kinetic energy of all bodies and rotors.
-        """
+        """(q, psi) → M (n, n) at the joints [kg·m², kg·m, kg]: q̇ᵀ·M·q̇/2 is the kinetic energy of bodies and rotors."""
         psi = ca.SX.sym("psi", len(self.parameters))
         M = self.dynamics.mass_matrix(psi, actuator_inertia=self.actuator_inertia)
         return _dense("mass_matrix", [self.coordinates.q, psi], [M], ["q", "psi"], ["M"])
