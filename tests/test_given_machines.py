@@ -44,6 +44,7 @@ TAKING: dict[str, Taking] = {
     "with_friction": lambda m, logs: ho.with_friction(m, "viscous"),
     "choose_friction": lambda m, logs: ho.choose_friction(m, logs[:1], logs[1:2], ["none", "coulomb"], method="wls"),
     "check_logs": lambda m, logs: ho.check_logs(m, logs[0]),
+    "scale": lambda m, logs: ho.scale(m, logs[:1], ho.CarriedLoad("lift", (0.5, 0.0, 0.0), (0.1,) * 3, 500.0)).psi,
     "payload": lambda m, logs: ho.payload(m, logs[0], logs[1], link="lift"),
     "detect_change": lambda m, logs: ho.detect_change(m, logs[0], logs[1], intervals=False),
     "detect_changes": lambda m, logs: ho.detect_changes(m, list(logs)),

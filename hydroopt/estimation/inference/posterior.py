@@ -32,7 +32,7 @@ from hydroopt.spatial.inertia import Array
 
 Mask = NDArray[np.bool_]
 
-CHAINS, WARM_UP, SWEEPS, BLOCK, TRIES = 128, 16, 20, 12, 6
+CHAINS, WARM_UP, SWEEPS, BLOCK, TRIES = 128, 30, 20, 12, 6
 """Number of chains; sweeps of a warm-up and of sampling; coordinates moved together; proposals of each move."""
 BATCHES = 0, 1, 3, TRIES
 """Proposals are evaluated in these parts, the later ones for the chains that still wait."""
