@@ -38,6 +38,9 @@ class Axes:
         self.of = np.array([next(i for i, places in enumerate(self.actuators) if k in places)
                             for k in range(len(plant.actuators))])
         self._joints = [plant.machine.joints.index(joint) for joint in plant.drivers]
+        # among those of the joints and the lengths of the actuators behind them
+        self._positions = np.array([joint if len(places) > 1 else len(plant.machine.joints) + places[0]
+                                    for joint, places in zip(self._joints, self.actuators, strict=True)])
 
     @property
     def one_each(self) -> bool:
@@ -50,8 +53,7 @@ class Axes:
 
     def positions(self, q: Array, length: Array) -> Array:
         """Positions (..., m) of the axes from those of joints (..., n) and the lengths of actuators (..., a)."""
-        return np.stack([q[..., self._joints[i]] if len(places) > 1 else length[..., places[0]]
-                         for i, places in enumerate(self.actuators)], axis=-1)
+        return np.concatenate([q, length], axis=-1)[..., self._positions]
 
     def slopes(self, lever_arm: Array) -> Array:
         """Speeds (m, n) of the axes per speed of each joint, at lever arms (a, n)."""
@@ -73,7 +75,9 @@ class Axes:
 
     def open(self, opening: Array) -> NDArray[np.bool_]:
         """Whether no valve (a,) of an axis (m,) is fully open."""
-        return np.array([np.all(np.abs(opening[list(places)]) < 1) for places in self.actuators])
+        found = np.ones(len(self.names), dtype=bool)
+        found[self.of[np.abs(opening) >= 1]] = False
+        return found
 
     @cached_property
     def measured(self) -> NDArray[np.bool_]:

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from hydroopt.control.axes import Axes
-from hydroopt.control.python_control import control
+from hydroopt.control.linear_system import LinearSystem
 from hydroopt.control.reference import Demand
 from hydroopt.control.sampled_plant import Point, Reading
 from hydroopt.control.valve_inversion import Valves
@@ -79,7 +79,7 @@ class Cascade:
         """Demanded speeds (a,) of the actuators."""
         return np.asarray(self.demand.preview.speed[k] + self._filtered)
 
-    def linear(self, point: Point) -> control.StateSpace:
+    def linear(self, point: Point) -> LinearSystem:
         """The linearised controller: from q, forces and supply pressure to commands.
 
         It has two kinds of states: the integral of each axis, and the filter of each actuator.
@@ -93,7 +93,7 @@ class Cascade:
         to_integral = np.hstack([-np.diag(self.period / gains.integral_time) @ along, np.zeros((m, a + 1))])
         by_integral = rest @ regulated
         supply = np.hstack([np.zeros((a, n + a)), slopes.supply[:, None]])
-        return control.StateSpace(
+        return LinearSystem(
             np.block([[np.eye(m), np.zeros((m, a))], [by_integral, pole]]),
             np.vstack([to_integral, rest @ to_feedback]),
             by_speed @ np.hstack([by_integral, pole]), by_speed @ rest @ to_feedback + supply, self.period)

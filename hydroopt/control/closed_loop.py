@@ -10,7 +10,9 @@ import numpy as np
 from hydroopt.control.reference import Demands, offset
 from hydroopt.control.sampled_plant import Reading
 from hydroopt.errors import SolverError
-from hydroopt.logs.sensors import measure
+from hydroopt.kernels.integrator import IntegrationError
+from hydroopt.kernels.one_sample import OneSample
+from hydroopt.logs.sensors import quantised
 from hydroopt.model.plant import Plant
 from hydroopt.spatial.inertia import Array
 
@@ -69,29 +71,40 @@ class Sensors:
         for each in plant.actuators:
             names += each.chambers
         self.channels = [*names, "pump.p_supply"]
-        self.sensors = [machine.sensor(name) for name in self.channels]
+        sensors = [machine.sensor(name) for name in self.channels]
         # a sensor slower than the controller holds its last reading in between
-        self.every = [max(1, round(1 / (sensor.rate * period))) if sensor and sensor.rate else 1
-                      for sensor in self.sensors]
+        self.every = np.array([max(1, round(1 / (sensor.rate * period))) if sensor and sensor.rate else 1
+                               for sensor in sensors])
         self.areas = np.array([each.areas for each in plant.actuators])
         self.added = np.zeros(len(self.channels))
         # the offset of the measured force is added to the pressure of chamber a
         self.added[len(machine.joints):-1:2] = offsets / self.areas[:, 0]
         self.rng = None if seed is None else np.random.default_rng(seed)
+        stated = {} if seed is None else {k: sensor for k, sensor in enumerate(sensors) if sensor is not None}
+        self.uniform, self.gaussian = (
+            np.array([k for k, sensor in stated.items() if sensor.distribution == kind], dtype=np.intp)
+            for kind in ("uniform", "gaussian"))
+        self.accuracy = np.array([stated[k].accuracy if k in stated else 0.0 for k in range(len(self.channels))])
+        self.resolution = np.array([stated[k].resolution or 0.0 if k in stated else 0.0
+                                    for k in range(len(self.channels))])
         self.held = np.zeros(len(self.channels))
         lags = np.array([machine.lag(name).value for name in self.channels])
         self.follows = -np.expm1(-period / np.maximum(lags, 1e-12))
-        self.behind = np.full(len(self.channels), np.nan)
+        self.behind: Array | None = None
 
-    def read(self, k: int, q: Array, pressure: Array, p_supply: float) -> Array:
+    def read(self, k: int, q: Array, pressure: Array, p_supply: Array | float) -> Array:
         """Readings (m,) at sample k."""
-        true = np.array([*q, *pressure.ravel(), p_supply]) + self.added
-        before = np.where(np.isnan(self.behind), true, self.behind)
+        true = np.concatenate([q, pressure.ravel(), [p_supply]]) + self.added
+        before = true if self.behind is None else self.behind
         true = self.behind = before + self.follows * (true - before)
-        for i, sensor in enumerate(self.sensors):
-            if k % self.every[i] == 0:
-                self.held[i] = true[i] if sensor is None or self.rng is None else float(measure(
-                    true[i], sensor.accuracy, sensor.resolution, self.rng, sensor.distribution))
+        read = true
+        if self.rng is not None:
+            read = true.copy()
+            read[self.uniform] += self.accuracy[self.uniform] * (2 * self.rng.random(len(self.uniform)) - 1)
+            if self.gaussian.size:
+                read[self.gaussian] += self.accuracy[self.gaussian] * self.rng.standard_normal(len(self.gaussian))
+            read = quantised(read, self.resolution)
+        self.held = np.where(k % self.every == 0, read, self.held)
         return self.held
 
 
@@ -111,41 +124,41 @@ def simulate(demands: Demands, controller: Controller, psi: Array, theta: Array,
         SolverError: the plant could not be integrated.
     """
     plant, t = demands.plant, demands.t
-    machine, n, period = plant.machine, len(plant.machine.joints), float(t[1] - t[0])
+    machine, n, period, supply = plant.machine, len(plant.machine.joints), float(t[1] - t[0]), plant.supply
     first = demands.reference.at(t[:1])
     steady = plant.steady(first.q[0], first.qd[0], psi, theta)
     sensors = Sensors(plant, offset(plant, plant.model, psi), period, seed)
     delay = CommandDelay(np.array([each.valve.delay for each in plant.actuators]), period, steady.u)
-    steps = {seconds: plant.integrator(seconds, psi, theta) for seconds in delay.pieces}
+    integrator, motion = plant.integrator(psi, theta), OneSample(plant.actuator_motion)
     lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
-    overrun = OVERRUN * (upper - lower)
-    x, tank, stopped = steady.x, plant.supply[1], ""
-    rows: list[tuple[Array, ...]] = []
+    overrun, (least, most) = OVERRUN * (upper - lower), demands.valves.limits
+    x, stopped = steady.x, ""
+    states, acting, commands = [], [], []
     controller.reset()
     for k in range(len(t)):
-        outputs = plant.outputs.call({"x": x, "u": delay.current, "supply": plant.supply, "psi": psi, "theta": theta})
-        q, flow = (np.asarray(outputs[key]).ravel() for key in ("q", "flow"))
-        pressure, p_supply = np.asarray(outputs["pressure"]), float(outputs["p_supply"])
-        contact = np.asarray(outputs["contact"]).ravel()
+        q = x[:n]
         if np.any((q < lower - overrun) | (q > upper + overrun)):
             stopped = f"the machine hits its stops at {t[k]:.2f} s"
             break
-        readings = sensors.read(k, q, pressure, p_supply)
-        p = readings[n:-1].reshape(-1, 2)
-        angles = readings[:n].copy()
-        length = np.asarray(plant.actuator_motion(angles, angles)[0]).ravel()
+        readings = sensors.read(k, q, plant.chamber_pressures(x), plant.supply_pressure(x))
+        p, angles = readings[n:-1].reshape(-1, 2), readings[:n].copy()
         force = sensors.areas[:, 0] * p[:, 0] - sensors.areas[:, 1] * p[:, 1]
-        reading = Reading(angles, length, force, np.array([readings[-1], tank]))
-        u = np.clip(controller.command(k, reading), *demands.valves.limits)
-        rows.append((q, u, pressure, flow, np.array(p_supply), contact))
+        reading = Reading(angles, motion(angles, angles)[0], force, np.array([readings[-1], supply[1]]))
+        u = np.minimum(np.maximum(controller.command(k, reading), least), most)
+        states.append(x)
+        acting.append(delay.current)
+        commands.append(u)
         try:
             for seconds, command in delay.push(u):
-                x = np.asarray(steps[seconds](x, command, plant.supply)).ravel()
-        except RuntimeError:
+                x = integrator(x, seconds, command, supply)
+        except IntegrationError:
             raise SolverError(f"the plant cannot be integrated beyond {t[k]:.2f} s", where="control",
                               remedy="check the numbers of its circuits, or lower the gains") from None
-    q, u, pressure, flow, supply, pushed = (np.array(column) for column in zip(*rows, strict=True))
-    return Run(t[:len(rows)], q, u, pressure, flow, supply, pushed, stopped)
+    x, done = np.array(states), len(states)
+    pushed = [plant.flow_and_contact(*each, psi, theta) for each in zip(states, acting, strict=True)]
+    flow, contact = (np.array(column) for column in zip(*pushed, strict=True))
+    return Run(t[:done], x[:, :n], np.array(commands), plant.chamber_pressures(x), flow,
+               np.broadcast_to(plant.supply_pressure(x), done), contact, stopped)
 
 
 class CommandDelay:

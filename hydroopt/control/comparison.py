@@ -14,11 +14,11 @@ from hydroopt.control.cascade import Cascade, Gains
 from hydroopt.control.closed_loop import simulate
 from hydroopt.control.diagnostics import control_diagnostics
 from hydroopt.control.feasibility import refuse_flow, refuse_opening, refuse_unstable
+from hydroopt.control.linear_system import LinearSystem
 from hydroopt.control.loop_margins import Margin, margins
 from hydroopt.control.lqg import Lqg, design, reading_noise
 from hydroopt.control.model_variants import COMPLETE, TRUE, ModelVariant
 from hydroopt.control.outcome import FEEDFORWARD, LQG, PI, Bode, Outcome
-from hydroopt.control.python_control import control
 from hydroopt.control.reference import Demands
 from hydroopt.control.sampled_plant import Linear, Point
 from hydroopt.control.setting import Setting
@@ -297,7 +297,7 @@ def tip(plant: Plant, q: Array) -> Array:
     return np.asarray(model.over(model.forward_kinematics, q)[-1][:, :3, 3])
 
 
-def _margins(plants: Sequence[control.StateSpace], points: Sequence[Point], controller: Linear,
+def _margins(plants: Sequence[LinearSystem], points: Sequence[Point], controller: Linear,
              demands: Demands) -> tuple[tuple[Margin, ...], Bode]:
     names = [each.actuator.name for each in demands.plant.actuators]
     found: list[Margin] = []

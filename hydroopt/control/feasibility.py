@@ -77,9 +77,8 @@ def refuse_opening(plant: Plant, t: Array, demand: Demand, valves: Valves) -> No
 def openings(demand: Demand, valves: Valves, supply: Array) -> Array:
     """Openings (N, a) of the valves along a motion, −1 to 1, saturated at fully open."""
     preview = demand.preview
-    return np.array([np.asarray(valves.function(preview.speed[k], preview.force_rate[k], preview.length[k],
-                                                preview.pressure[k], supply)[1]).ravel()
-                     for k in range(len(preview.speed))])
+    return np.array([valves.command(preview.speed[k], preview.force_rate[k], preview.length[k], preview.pressure[k],
+                                    supply)[1] for k in range(len(preview.speed))])
 
 
 def refuse_unstable(name: str, margins: Sequence[Margin]) -> None:

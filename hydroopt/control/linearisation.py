@@ -3,17 +3,22 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from hydroopt.control.python_control import control
+from hydroopt.control.linear_system import LinearSystem
 from hydroopt.model.plant import Plant, Steady
 from hydroopt.spatial.inertia import Array
+
+if TYPE_CHECKING:
+    import control
 
 
 def state_space(plant: Plant, steady: Steady, psi: Array, theta: Array, *, supply: Array | None = None,
                 outputs: Sequence[str] | None = None) -> control.StateSpace:
-    """The machine near a state as δẋ = A·δx + B·δu, y = C·δx, with named states, inputs and outputs, see `signal`.
+    """The machine near a state as δẋ = A·δx + B·δu, y = C·δx, with named states, inputs and outputs, see
+    `linear_system.signal`.
 
     Positions change in a steady motion: the linear model holds while the posture has hardly changed.
 
@@ -26,17 +31,11 @@ def state_space(plant: Plant, steady: Steady, psi: Array, theta: Array, *, suppl
         outputs: names of the states that are outputs; the joints' positions if None.
 
     Raises:
-        ProblemError: the machine file states no supply pressure.
+        ProblemError: the machine file states no supply pressure, or python-control is not installed.
     """
     A, B = plant.jacobians(steady.x, steady.u, plant.supply if supply is None else supply, psi, theta)
-    names = list(plant.states)
-    chosen = list(outputs or names[:len(plant.machine.joints)])
+    names = plant.states
+    chosen = tuple(outputs or names[:len(plant.machine.joints)])
     C = np.eye(len(names))[[names.index(name) for name in chosen]]
-    labels = [[signal(name) for name in group] for group in (names, plant.inputs, chosen)]
-    return control.ss(np.asarray(A), np.asarray(B), C, 0, states=labels[0], inputs=labels[1], outputs=labels[2],
-                      name=plant.machine.name)
-
-
-def signal(name: str) -> str:
-    """Name of a state, command or output in python-control, which allows no dots."""
-    return name.replace(".", "_")
+    return LinearSystem(np.asarray(A), np.asarray(B), C, np.zeros((len(C), len(plant.inputs))), 0.0, names,
+                        plant.inputs, chosen).python_control(plant.machine.name)

@@ -6,8 +6,9 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
-from hydroopt.control.python_control import control
+from hydroopt.control.linear_system import LinearSystem, poles
 from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 
@@ -54,11 +55,10 @@ def frequencies(period: float) -> Array:
     return np.geomspace(2 * np.pi * SLOWEST, np.pi, FREQUENCIES) / period
 
 
-def responses(plant: control.StateSpace, feedback: control.StateSpace, omega: Array) -> Array:
+def responses(plant: LinearSystem, feedback: LinearSystem, omega: Array) -> Array:
     """L(jω) (n, ω) of each loop, cut at its command while all others are closed; negative feedback."""
-    both = control.series(plant, feedback)
-    G = np.moveaxis(np.asarray(control.frequency_response(both, omega, squeeze=False).complex), 2, 0)
-    return one_by_one(G)
+    z = np.exp(1j * omega * plant.period)
+    return one_by_one(feedback.response(z) @ plant.response(z))
 
 
 def one_by_one(G: Array, which: Sequence[int] = ()) -> Array:
@@ -74,28 +74,38 @@ def one_by_one(G: Array, which: Sequence[int] = ()) -> Array:
     return np.array(loops)
 
 
-def poles(plant: control.StateSpace, feedback: control.StateSpace) -> Array:
-    """Poles of the closed loop, in the z plane."""
-    return np.asarray(control.feedback(plant, feedback, sign=1).poles())
-
-
-def margins(plant: control.StateSpace, feedback: control.StateSpace, names: Sequence[str],
+def margins(plant: LinearSystem, feedback: LinearSystem, names: Sequence[str],
             where: str) -> tuple[list[Margin], Array, Array]:
     """Margins of all loops, with the frequencies [rad/s] and L(jω) (n, ω) that they were read from."""
-    period = float(plant.dt)
-    omega = frequencies(period)
+    omega = frequencies(plant.period)
     L = responses(plant, feedback, omega)
     roots = np.log(poles(plant, feedback).astype(complex) + 1e-300)
     damping = float(np.min(-roots.real / np.maximum(np.abs(roots), 1e-12)))
-    found = []
-    for name, loop in zip(names, L, strict=True):
-        gains, phases, distances, gain_at, phase_at, _ = control.stability_margins(
-            control.FrequencyResponseData(loop, omega, smooth=True), returnall=True)
-        # for an unstable loop the factor that would stabilise it
-        crossings = [(g, w) for g, w in zip(gains, gain_at, strict=True) if (g > 1) == (damping >= 0)]
-        gain, frequency = min(crossings, key=lambda pair: abs(np.log(pair[0])), default=(np.inf, np.nan))
-        phase, crossing = min(((abs((p + 180) % 360 - 180), w) for p, w in zip(phases, phase_at, strict=True)),
-                              default=(np.inf, np.nan))
-        found.append(Margin(where, name, float(gain), float(frequency), float(np.radians(phase)), float(crossing),
-                            float(min(distances, default=np.inf)), damping))
-    return found, omega, L
+    return [_margin(where, name, omega, loop, damping) for name, loop in zip(names, L, strict=True)], omega, L
+
+
+def _margin(where: str, name: str, omega: Array, loop: Array, damping: float) -> Margin:
+    """The margins of a loop L(jω) (ω,), by cubic splines over the logarithm of the frequency."""
+    x = np.log(omega)
+    real, imaginary, size, distance = (CubicSpline(x, values) for values in (
+        loop.real, loop.imag, np.log(np.maximum(np.abs(loop), 1e-300)), np.abs(1 + loop)))
+    at_180 = imaginary.roots(extrapolate=False)
+    at_180 = at_180[real(at_180) < 0]
+    gains = -1 / real(at_180)
+    # for an unstable loop the factor that would stabilise it
+    own = (gains > 1) == (damping >= 0)
+    gain, gain_at = _nearest(gains[own], at_180[own], np.abs(np.log(gains[own])))
+    at_one = size.roots(extrapolate=False)
+    phases = np.abs(np.angle(-real(at_one) - 1j * imaginary(at_one)))
+    phase, phase_at = _nearest(phases, at_one, phases)
+    turning = distance.derivative().roots(extrapolate=False)
+    least = float(np.min(np.concatenate([distance(turning), np.abs(1 + loop)])))
+    return Margin(where, name, gain, gain_at, phase, phase_at, least, damping)
+
+
+def _nearest(margin: Array, at: Array, measure: Array) -> tuple[float, float]:
+    """The margin with the least measure, and its frequency; infinite where there is none."""
+    if not len(measure):
+        return np.inf, np.nan
+    k = int(np.argmin(measure))
+    return float(margin[k]), float(np.exp(at[k]))

@@ -6,9 +6,10 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from scipy.linalg import solve_discrete_are
 
 from hydroopt.control.axes import Axes
-from hydroopt.control.python_control import control
+from hydroopt.control.linear_system import LinearSystem
 from hydroopt.control.reference import Demand
 from hydroopt.control.sampled_plant import Point, Reading
 from hydroopt.control.tuning import INTEGRAL_RATIO
@@ -43,7 +44,7 @@ class Design(NamedTuple):
     filter: Array
 
 
-def design(plant: control.StateSpace, point: Point, valves: Valves, bandwidth: Array, noise: Array) -> Design:
+def design(plant: LinearSystem, point: Point, valves: Valves, bandwidth: Array, noise: Array) -> Design:
     """Regulator and Kalman filter by their Riccati equations (Åström and Wittenmark 1997).
 
     The weights are those with which an axis that is a pure integrator gets the position gain
@@ -56,7 +57,7 @@ def design(plant: control.StateSpace, point: Point, valves: Valves, bandwidth: A
         bandwidth: of the axes (m,) [1/s].
         noise: (n + a + 1,) standard deviations of the readings of q, forces and supply pressure.
     """
-    axes, n, m, period = Axes(valves.plant), len(point.q), len(bandwidth), float(plant.dt)
+    axes, n, m, period = Axes(valves.plant), len(point.q), len(bandwidth), plant.period
     A, C, size = plant.A, plant.C, len(plant.A)
     slopes = valves.slopes(point.speed, point.length, point.pressure, point.supply)
     # the feedback of the supply pressure to the commands is part of the plant
@@ -69,11 +70,17 @@ def design(plant: control.StateSpace, point: Point, valves: Valves, bandwidth: A
     moved, wanted = np.linalg.norm(axes.shares(point.lever_arm), axis=0), BANDWIDTH_SHARE * bandwidth
     weights = np.vstack([np.hstack([(moved * wanted)[:, None] * to_axes, np.zeros((m, m))]),
                          np.hstack([np.zeros((m, size)), np.diag(moved * wanted**2 / INTEGRAL_RATIO)])])
-    K, _, _ = control.dlqr(both, driven, weights.T @ weights, np.eye(B.shape[1]))
+    K = regulator(both, driven, weights.T @ weights)
     disturbed = np.hstack([B * np.abs(point.speed), PROCESS_NOISE * np.eye(size)])
     # outputs are scaled by the standard deviations of their noise
-    L, _, _ = control.dlqe(A, disturbed, C / noise[:, None], np.eye(disturbed.shape[1]), np.eye(len(noise)))
-    return Design(point, A, B, C, np.asarray(K), np.asarray(L) / noise)
+    L = regulator(A.T, (C / noise[:, None]).T, disturbed @ disturbed.T).T
+    return Design(point, A, B, C, K, L / noise)
+
+
+def regulator(A: Array, B: Array, Q: Array) -> Array:
+    """Feedback K (m, n) of x⁺ = A·x + B·u for which the sum of x'·Q·x + u'·u is least."""
+    P = solve_discrete_are(A, B, Q, np.eye(B.shape[1]))
+    return np.asarray(np.linalg.solve(np.eye(B.shape[1]) + B.T @ P @ B, B.T @ P @ A))
 
 
 def reading_noise(plant: Plant) -> Array:
@@ -128,7 +135,7 @@ class Lqg:
         self._integral += np.where(self.axes.open(opening), self.period * error, 0.0)
         return command
 
-    def linear(self, point: Point) -> control.StateSpace:
+    def linear(self, point: Point) -> LinearSystem:
         """The linearised controller: from q, forces and supply pressure to commands.
 
         The gains are those of the point with the same directions of motion, if there is one, that is nearest in
@@ -145,4 +152,4 @@ class Lqg:
         along = self.period * self.axes.slopes(point.lever_arm)
         B = np.vstack([active.filter, np.hstack([along, np.zeros((m, a + 1))])])
         D = np.hstack([np.zeros((a, n + a)), slopes.supply[:, None]])
-        return control.StateSpace(A, B, -by_speed @ active.feedback, D, self.period)
+        return LinearSystem(A, B, -by_speed @ active.feedback, D, self.period)

@@ -6,11 +6,11 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from scipy.integrate import solve_ivp
 from scipy.interpolate import BPoly
 
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError, SolverError
+from hydroopt.kernels.integrator import IntegrationError
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
@@ -133,19 +133,12 @@ class Demands:
         supply, (a, b) = self.plant.supply, np.array([each.areas for each in self.plant.actuators]).T
         start = np.asarray(self.valves.steady(speed[0], force[0], supply)).ravel()
 
-        def rates(t: float, p_a: Array) -> Array:
-            k = min(int((t - times[0]) / (times[1] - times[0])), len(times) - 2)
-            part = (t - times[k]) / (times[1] - times[0])
-            length_now, speed_now, force_now = (values[k] + part * (values[k + 1] - values[k])
-                                                for values in (length, speed, force))
-            both = np.column_stack([p_a, (a * p_a - force_now) / b])
-            return np.asarray(self.valves.function(speed_now, rate[k], length_now, both, supply)[2]).ravel()
-
-        found = solve_ivp(rates, (times[0], times[-1]), start, "LSODA", times, rtol=1e-5, atol=1e3)
-        if not found.success:
-            raise SolverError(f"the pressures of the motion cannot be integrated beyond {found.t[-1]:.2f} s",
-                              where="control", remedy="check the numbers of the machine's circuits")
-        p_a = found.y.T
+        try:
+            later = self.valves.pressures(start, np.diff(times), (speed, length, force), rate[:-1], supply)
+        except IntegrationError as error:
+            raise SolverError(f"the pressures of the motion cannot be integrated beyond {times[error.pieces]:.2f} s",
+                              where="control", remedy="check the numbers of the machine's circuits") from None
+        p_a = np.vstack([start, later])
         return p_a, (a * p_a - force) / b
 
     def _refuse_force(self, times: Array, force: Array) -> None:

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 from typing import NamedTuple, Protocol
 
 import numpy as np
+from scipy.linalg import expm
 
-from hydroopt.control.linearisation import signal, state_space
-from hydroopt.control.python_control import control
+from hydroopt.control.linear_system import LinearSystem
 from hydroopt.model.plant import Plant, Steady
 from hydroopt.spatial.inertia import Array
 
@@ -57,7 +57,7 @@ class Point:
 class Linear(Protocol):
     """A controller that can be linearised."""
 
-    def linear(self, point: Point) -> control.StateSpace:
+    def linear(self, point: Point) -> LinearSystem:
         """The linear system from q, forces and supply pressure to commands."""
 
 
@@ -74,15 +74,14 @@ def point(plant: Plant, name: str, q: Array, qd: Array, psi: Array, theta: Array
     return Point(name, q, qd, length, speed, np.asarray(outputs["pressure"]), lever_arm, plant.supply, steady)
 
 
-def linearised(plant: Plant, operating_point: Point, psi: Array, theta: Array) -> control.StateSpace:
+def linearised(plant: Plant, operating_point: Point, psi: Array, theta: Array) -> LinearSystem:
     """From commands to q, forces of the actuators and the supply's pressure; states are divided by `plant.scale`.
 
     States are deviations from the motion. The change of lever arms along the motion is left out: it only changes the
     ratio between errors of lengths and of angles and amplifies none. A base does not move, and has no states.
     """
-    n, scale, names = len(plant.machine.joints), plant.scale, plant.states
-    system = state_space(plant, operating_point.steady, psi, theta, supply=operating_point.supply)
-    A = system.A.copy()
+    n, scale, names, at = len(plant.machine.joints), plant.scale, plant.states, operating_point.steady
+    A, B = (np.asarray(part) for part in plant.jacobians(at.x, at.u, operating_point.supply, psi, theta))
     A[[".p_" in name for name in names], :n] = 0.0
     C = np.zeros((n + len(plant.actuators) + 1, len(names)))
     C[:n, :n] = np.eye(n)
@@ -92,13 +91,12 @@ def linearised(plant: Plant, operating_point: Point, psi: Array, theta: Array) -
     outputs = [*names[:n], *(f"{each.actuator.name}.force" for each in plant.actuators), "pump.p_supply"]
     base = {f"{joint}.{kind}" for joint in plant.machine.base_joints for kind in ("q", "qd")}
     kept = [k for k, name in enumerate(names) if name not in base]
-    A, B, C = A * scale / scale[:, None], system.B / scale[:, None], C * scale
-    return control.StateSpace(A[np.ix_(kept, kept)], B[kept], C[:, kept], 0,
-                              states=[system.state_labels[k] for k in kept], inputs=system.input_labels,
-                              outputs=[f"{signal(name)}_measured" for name in outputs])
+    A, B, C = A * scale / scale[:, None], B / scale[:, None], C * scale
+    return LinearSystem(A[np.ix_(kept, kept)], B[kept], C[:, kept], np.zeros((len(C), B.shape[1])), 0.0,
+                        tuple(names[k] for k in kept), plant.inputs, tuple(f"{name}_measured" for name in outputs))
 
 
-def sampled(system: control.StateSpace, delays: Array, period: float) -> control.StateSpace:
+def sampled(system: LinearSystem, delays: Array, period: float) -> LinearSystem:
     """A system whose commands are held from sample to sample and arrive later by `delays` (n,) [s].
 
     Commands that do not act yet are additional states (Åström and Wittenmark 1997).
@@ -111,8 +109,8 @@ def sampled(system: control.StateSpace, delays: Array, period: float) -> control
     def over(seconds: float) -> tuple[Array, Array]:
         if seconds <= 0:
             return np.eye(size), np.zeros_like(B)
-        step = control.sample_system(control.StateSpace(A, B, np.eye(size), np.zeros((size, n))), seconds, "zoh")
-        return step.A, step.B
+        both = expm(seconds * np.block([[A, B], [np.zeros((n, size + n))]]))
+        return both[:size, :size], both[:size, size:]
 
     count = whole + (part > 0)
     waiting = [(k, j) for k in range(n) for j in range(count[k], 0, -1)]
@@ -136,7 +134,7 @@ def sampled(system: control.StateSpace, delays: Array, period: float) -> control
                 new_B[place[k, j], k] = 1.0
             else:
                 new_A[place[k, j], place[k, j - 1]] = 1.0
-    names = [f"{system.input_labels[k]}_{j}_samples_ago" for k, j in waiting]
-    return control.StateSpace(
+    names = [f"{system.inputs[k]}_{j}_samples_ago" for k, j in waiting] if system.inputs else []
+    return LinearSystem(
         new_A, new_B, np.hstack([system.C, np.zeros((len(system.C), len(waiting)))]), system.D, period,
-        states=[*system.state_labels, *names], inputs=system.input_labels, outputs=system.output_labels)
+        (*system.states, *names), system.inputs, system.outputs)

@@ -9,8 +9,8 @@ from functools import cached_property
 import numpy as np
 
 from hydroopt.control.feasibility import steady_speeds
+from hydroopt.control.linear_system import LinearSystem
 from hydroopt.control.model_variants import ModelVariant
-from hydroopt.control.python_control import control
 from hydroopt.control.reference import Demands, Reference
 from hydroopt.control.sampled_plant import Point, linearised, point, sampled
 from hydroopt.control.tuning import SENSITIVITY
@@ -117,7 +117,7 @@ class Setting:
                 continue
         return on_motion, in_workspace
 
-    def plants(self, points: Sequence[Point], psi: Array, theta: Array) -> list[control.StateSpace]:
+    def plants(self, points: Sequence[Point], psi: Array, theta: Array) -> list[LinearSystem]:
         """The sampled plant with the valves' delays about each point."""
         return [sampled(linearised(self.plant, each, psi, theta), self.delays, 1 / self.rate) for each in points]
 

@@ -9,8 +9,8 @@ import numpy as np
 
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Gains
+from hydroopt.control.linear_system import LinearSystem
 from hydroopt.control.loop_margins import frequencies
-from hydroopt.control.python_control import control
 from hydroopt.control.sampled_plant import Point
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
@@ -33,13 +33,12 @@ STEP = 0.15
 class _Loops:
     """Responses of the plant at all points, and of all loops with given gains."""
 
-    def __init__(self, plants: Sequence[control.StateSpace], points: Sequence[Point], valves: Valves) -> None:
-        self.period = float(plants[0].dt)
+    def __init__(self, plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valves) -> None:
+        self.period = plants[0].period
         omega = frequencies(self.period)
         self.z = np.exp(1j * omega * self.period)
         n, self.axes = len(points[0].q), Axes(valves.plant)
-        response = np.array([np.asarray(control.frequency_response(plant, omega, squeeze=False).complex)
-                             for plant in plants]).transpose(0, 3, 1, 2)
+        response = np.array([plant.response(self.z) for plant in plants])
         slopes = [valves.slopes(point.speed, point.length, point.pressure, point.supply) for point in points]
         to_speed = np.array([slope.speed for slope in slopes])[:, None, :, None]
         self.shares = to_speed * np.array([self.axes.shares(point.lever_arm) for point in points])[:, None]
@@ -110,7 +109,7 @@ def _least_singular_value(matrix: Array) -> Array:
             return np.asarray(np.linalg.svd(matrix, compute_uv=False)[..., -1])
 
 
-def tuned(plants: Sequence[control.StateSpace], points: Sequence[Point], valves: Valves,
+def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valves,
           largest: float = SENSITIVITY) -> Gains:
     """Position and force gains with the fastest position loops whose sensitivity stays below `largest`.
 

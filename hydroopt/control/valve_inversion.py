@@ -2,21 +2,27 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from functools import cached_property
 from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
 
+from hydroopt.kernels.integrator import Integrator
+from hydroopt.kernels.one_sample import OneSample
 from hydroopt.machine.valves import EDGES, Valve
 from hydroopt.model.hydraulics import ActuatorHydraulics, Flows, Value, conductance, orifice
-from hydroopt.model.plant import Plant
+from hydroopt.model.plant import PRESSURE, Plant
 from hydroopt.spatial.inertia import Array
 
 RAMP = 0.003
 """Opening below which the command crosses the dead band linearly instead of in a jump."""
 DROP = 1e5
 """Least pressure drop [Pa] across an edge that the inversion assumes; feedback corrects what is missing below it."""
+
+ACCURACY = 1e-6
+"""Relative error of a step of the pressures that a motion demands."""
 
 
 def command(valve: Valve, opening: ca.SX, value: Value) -> ca.SX:
@@ -94,13 +100,13 @@ class Valves:
 
     @cached_property
     def function(self) -> ca.Function:
-        """(speed, force_rate, length (n,), pressure (n, 2), supply (2,)) → command and opening (n,), p_a' (n,)."""
-        n = len(self.plant.actuators)
+        """(speed, force_rate, length (n,), pressure (n, 2), supply (2,), θ) → command and opening (n,), p_a' (n,)."""
+        n, theta = len(self.plant.actuators), ca.SX.sym("theta", len(self.theta))
         speed, rate, length = (ca.SX.sym(name, n) for name in ("speed", "force_rate", "length"))
         pressure, supply = ca.SX.sym("pressure", n, 2), ca.SX.sym("supply", 2)
         commands, openings, rates = [], [], []
         for k, each in enumerate(self.plant.actuators):
-            value, p = self.plant.value(each, ca.SX(ca.DM(self.theta))), pressure[k, :].T
+            value, p = self.plant.value(each, theta), pressure[k, :].T
             saturated = ca.fmin(ca.fmax(opening(each, speed[k], rate[k], length[k], p, supply, value), -1.0), 1.0)
             openings.append(saturated)
             commands.append(command(each.valve, saturated, value))
@@ -109,15 +115,56 @@ class Valves:
             spool = ca.sign(saturated) * ca.fmin(1.0, size / RAMP) * (value("overlap") + size * (1 - value("overlap")))
             rates.append(each.pressure_rates(each.flows(spool, p[0], p[1], supply, value), p[0], p[1], length[k],
                                              speed[k], value)[0])
-        return ca.Function("valves", [speed, rate, length, pressure, supply],
+        return ca.Function("valves", [speed, rate, length, pressure, supply, theta],
                            [ca.vertcat(*commands), ca.vertcat(*openings), ca.vertcat(*rates)],
-                           ["speed", "force_rate", "length", "pressure", "supply"], ["command", "opening", "p_a_rate"])
+                           ["speed", "force_rate", "length", "pressure", "supply", "theta"],
+                           ["command", "opening", "p_a_rate"])
+
+    @cached_property
+    def _commands(self) -> OneSample:
+        given = self.function.sx_in()
+        return OneSample(ca.Function("commands", given, self.function(*given)[:2]))
+
+    def pressures(self, start: Array, seconds: Array, motion: Sequence[Array], force_rate: Array,
+                  supply: Array) -> Array:
+        """Pressures p_a (M, a) [Pa] behind each piece of a motion in which speed, length and force are linear in time.
+
+        p_a' follows from the flow through the valve, p_b from force and p_a.
+
+        Args:
+            start: p_a (a,) at the start.
+            seconds: (M,) length of each piece.
+            motion: speed, length and force (M + 1, a) at its ends.
+            force_rate: (M, a) in each piece.
+            supply: pressures (2,) of supply and tank.
+
+        Raises:
+            IntegrationError: no step succeeds.
+        """
+        pieces = len(seconds)
+        slopes = [np.diff(values, axis=0) / seconds[:, None] for values in motion]
+        rest = [force_rate, np.tile(supply, (pieces, 1))]
+        integrator = Integrator(self._pressure_rates, [self.theta], np.full(len(start), PRESSURE), tolerance=ACCURACY)
+        return integrator.along(start, seconds, *(values[:-1] for values in motion), *rest,
+                                slopes=[*slopes, *(0 * values for values in rest)])
+
+    @cached_property
+    def _pressure_rates(self) -> ca.Function:
+        """(p_a, speed, length, force, force_rate (a,), supply (2,), θ) → p_a'."""
+        count, (a, b) = len(self.plant.actuators), np.array([each.areas for each in self.plant.actuators]).T
+        names = ("p_a", "speed", "length", "force", "force_rate")
+        p_a, speed, length, force, rate = parts = [ca.SX.sym(name, count) for name in names]
+        supply, theta = ca.SX.sym("supply", 2), ca.SX.sym("theta", len(self.theta))
+        both = ca.horzcat(p_a, (a * p_a - force) / b)
+        return ca.Function("demanded_pressures", [*parts, supply, theta],
+                           [self.function(speed, rate, length, both, supply, theta)[2]],
+                           [*names, "supply", "theta"], ["p_a_rate"])
 
     def command(self, speed: Array, force_rate: Array, length: Array, pressure: Array,
                 supply: Array) -> tuple[Array, Array]:
         """Commands and openings (n,)."""
-        commands, openings, _ = self.function(speed, force_rate, length, pressure, supply)
-        return np.asarray(commands).ravel(), np.asarray(openings).ravel()
+        commands, openings = self._commands(speed, force_rate, length, pressure, supply, self.theta)
+        return commands, openings
 
     @property
     def speed_per_force(self) -> Array:
@@ -148,5 +195,6 @@ class Valves:
     def slopes(self, speed: Array, length: Array, pressure: Array, supply: Array) -> Slopes:
         """Derivatives of the commands, at speeds that open the valves beyond the ramp and constant forces."""
         still = np.zeros_like(speed)
-        by_speed, by_supply = (np.asarray(part) for part in self._derivatives(speed, still, length, pressure, supply))
+        by_speed, by_supply = (np.asarray(part) for part in self._derivatives(speed, still, length, pressure, supply,
+                                                                               self.theta))
         return Slopes(np.diag(by_speed).copy(), by_supply[:, 0].copy())

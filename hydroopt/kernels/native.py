@@ -190,30 +190,47 @@ def kernel(function: ca.Function) -> Kernel | None:
     if found is None or found.hangs or not function.is_a("SXFunction"):
         return None
     try:
-        return Kernel(_library(function, found), function)
+        return Kernel(library(function, found, source, ("native.py", "kernel.c")), function)
     except (OSError, subprocess.SubprocessError, NotImplementedError) as error:
         notice(f"the kernel '{function.name()}' cannot be compiled ({reason(error)})")
         return None
 
 
-def _library(function: ca.Function, by: Compiler) -> ctypes.CDLL:
-    """The shared library from the cache, or compiled now and kept there, or compiled for this process alone."""
+def library(function: ca.Function, by: Compiler, write: Callable[[Program], str], own: Sequence[str],
+            options: str = "") -> ctypes.CDLL:
+    """The shared library from the cache, or compiled now and kept there, or compiled for this process alone.
+
+    Args:
+        function: what is compiled.
+        by: the compiler.
+        write: writes the C; what it depends on are the program of `function`, `options` and the files `own`.
+        own: names of files in this folder.
+        options: of `write`.
+
+    Raises:
+        OSError, subprocess.SubprocessError: it cannot be compiled or loaded.
+        NotImplementedError: the function has no C counterpart.
+    """
     key = hashlib.sha256()
     here = Path(__file__).parent
-    own = [(here / name).read_bytes()
-           for name in ("expression_graph.py", "c_writer.py", "native.py", "compiler.py", "kernel.c")]
-    for part in (function.serialize().encode(), *own, " ".join((*by.command, *FLAGS)).encode(), by.macros):
+    read = [(here / name).read_bytes() for name in ("expression_graph.py", "c_writer.py", "compiler.py", *own)]
+    for part in (function.serialize().encode(), *read, options.encode(), " ".join((*by.command, *FLAGS)).encode(),
+                 by.macros):
         key.update(hashlib.sha256(part).digest())
+
+    def compiled(place: Path) -> Path:
+        return by.compile(write(program(function)), place)
+
     try:
-        return _kept(cache.folder(), key.hexdigest()[:32], function, by)
+        return _kept(cache.folder(), key.hexdigest()[:32], compiled)
     except OSError as error:
         notice(f"kernels cannot be kept ({reason(error)})", "they are compiled at each start; set HYDROOPT_CACHE to a "
                "folder to which you alone can write")
     with cache.scratch() as place:
-        return ctypes.CDLL(str(by.compile(source(program(function)), place)))
+        return ctypes.CDLL(str(compiled(place)))
 
 
-def _kept(folder: Path, key: str, function: ca.Function, by: Compiler) -> ctypes.CDLL:
+def _kept(folder: Path, key: str, compiled: Callable[[Path], Path]) -> ctypes.CDLL:
     """The library of this key in a folder that nobody else can write; what is there but not whole is made anew.
 
     The name is a hash of the content: a library is whole or is not used, however many processes make it at once.
@@ -225,7 +242,7 @@ def _kept(folder: Path, key: str, function: ca.Function, by: Compiler) -> ctypes
         with suppress(FileNotFoundError):  # another process found it first
             entry.unlink()
     with cache.scratch(folder) as place:
-        built = by.compile(source(program(function)), place)
+        built = compiled(place)
         built.chmod(0o700)  # whatever the umask: nobody else may write it
         digest = hashlib.sha256(built.read_bytes()).hexdigest()[:32]
         return ctypes.CDLL(str(built.rename(folder / f"{key}-{digest}.so")))

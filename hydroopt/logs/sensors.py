@@ -35,7 +35,13 @@ def measure(
         reading = true + rng.uniform(-accuracy, accuracy, true.shape)
     else:
         reading = true + rng.normal(0.0, accuracy, true.shape)
-    return np.round(reading / step) * step if step > 0 else reading
+    return quantised(reading, step)
+
+
+def quantised(values: ArrayLike, step: ArrayLike) -> NDArray[np.float64]:
+    """Values at the nearest multiple of a step of their unit, or as they are where the step is 0."""
+    size = np.where(np.asarray(step) > 0, step, 1.0)
+    return np.where(np.asarray(step) > 0, np.round(np.asarray(values) / size) * size, values)
 
 
 def _step(accuracy: float, resolution: float | None, distribution: str) -> float:

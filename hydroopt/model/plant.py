@@ -7,10 +7,13 @@ from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import brentq, root
 
 from hydroopt.errors import ProblemError
 from hydroopt.kernels.expression_graph import program
+from hydroopt.kernels.integrator import Integrator
+from hydroopt.kernels.one_sample import OneSample
 from hydroopt.machine.actuators import Cylinder, Drive
 from hydroopt.machine.given_machine import GivenMachine
 from hydroopt.model.contact import Wall
@@ -139,6 +142,19 @@ class Plant(Shown):
         """Volume of the supply's line and the greatest flow into it, where its pressure is a state."""
         pump = self.machine.pump
         return (pump.volume, pump.max_flow) if pump and pump.volume and pump.max_flow else None
+
+    @cached_property
+    def _chambers(self) -> NDArray[np.intp]:
+        """Places (a, 2) of both chambers' pressures among the states."""
+        return np.array([[self.states.index(name) for name in each.chambers] for each in self.actuators])
+
+    def chamber_pressures(self, x: Array) -> Array:
+        """Pressures (..., a, 2) [Pa] of both chambers in states (..., nx)."""
+        return np.asarray(x[..., self._chambers])
+
+    def supply_pressure(self, x: Array) -> Array:
+        """The supply's pressure (...,) [Pa] in states (..., nx): a state, or what the pump is set to."""
+        return np.asarray(x[..., -1] if self._line else self.supply[0])
 
     @property
     def inputs(self) -> tuple[str, ...]:
@@ -290,6 +306,15 @@ class Plant(Shown):
         """
         return self._function("outputs", *(key for key in self._parts if key != "rates"))
 
+    def flow_and_contact(self, x: Array, u: Array, psi: Array, theta: Array) -> tuple[Array, Array]:
+        """Flow (a,) [m³/s] of the actuators from the supply, and force (3,) [N] of the wall on the tip, in a state."""
+        flow, contact = self._flow_and_contact(x, u, self.supply, psi, theta)
+        return flow, contact
+
+    @cached_property
+    def _flow_and_contact(self) -> OneSample:
+        return OneSample(self._function("flow_and_contact", "flow", "contact"))
+
     @cached_property
     def jacobians(self) -> ca.Function:
         """(x, u, supply, psi, theta) → A (nx, nx) and B (nx, a) of δẋ = A·δx + B·δu."""
@@ -297,18 +322,12 @@ class Plant(Shown):
         return ca.Function("jacobians", given, [ca.densify(ca.jacobian(rates, by)) for by in given[:2]],
                            list(self._symbols), ["A", "B"])
 
-    def integrator(self, step: float, psi: Array, theta: Array, *, tolerance: float = 1e-7) -> ca.Function:
-        """(x, u, supply) → x after `step` seconds of constant commands, by CVODES (backward differences).
+    def integrator(self, psi: Array, theta: Array, *, tolerance: float = 1e-7) -> Integrator:
+        """(x, seconds, u, supply) → x after as many seconds of constant commands; see `Integrator`.
 
         `tolerance` is the relative error tolerance of its steps.
         """
-        z, u, supply = ca.SX.sym("z", len(self.states)), ca.SX.sym("u", len(self.inputs)), ca.SX.sym("supply", 2)
-        rates = self.rates(z * self.scale, u, supply, psi, theta) / self.scale
-        solver = ca.integrator("plant", "cvodes", {"x": z, "p": ca.vertcat(u, supply), "ode": rates}, 0.0, step,
-                               {"reltol": tolerance, "abstol": tolerance / 100, "max_num_steps": 100000})
-        x, u, supply = ca.MX.sym("x", len(self.states)), ca.MX.sym("u", len(self.inputs)), ca.MX.sym("supply", 2)
-        after = solver(x0=x / self.scale, p=ca.vertcat(u, supply))["xf"] * self.scale
-        return ca.Function("step", [x, u, supply], [after], ["x", "u", "supply"], ["after"])
+        return Integrator(self.rates, (psi, theta), self.scale, tolerance=tolerance)
 
     def steady(self, q: Array, qd: Array, psi: Array, theta: Array, supply: Array | None = None) -> Steady:
         """State and commands at which the machine moves through a posture with constant joint speeds.

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from hydroopt.errors import ProblemError
+from hydroopt.kernels.integrator import IntegrationError
 from hydroopt.logs import sensors
 from hydroopt.logs.lag import lagged
 from hydroopt.logs.log import Log
@@ -87,13 +88,13 @@ def drive(plant: Plant | Model | GivenMachine, t: Array, commands: Array, start:
     if len(start) == n:
         start = plant.steady(start, np.zeros(n), psi, theta, given[0]).x
     late = np.column_stack([arrived(t, commands[:, k], each.valve.delay) for k, each in enumerate(plant.actuators)])
-    along = plant.integrator(step, psi, theta, tolerance=ACCURACY).mapaccum(len(t) - 1)
+    integrator = plant.integrator(psi, theta, tolerance=ACCURACY)
     try:
-        after = along(start, late[:-1].T, given[:-1].T)
-    except RuntimeError:
+        after = integrator.along(start, np.full(len(t) - 1, step), late[:-1], given[:-1])
+    except IntegrationError:
         raise ProblemError("the simulation did not converge", where=name,
                            remedy="give commands that keep the machine within its range") from None
-    states = np.vstack([start, np.asarray(after).T])
+    states = np.vstack([start, after])
     _refuse_far(plant, t, states, name)
     channels = _channels(plant, states, late, given, psi, theta)
     rng, machine = np.random.default_rng(seed), plant.machine

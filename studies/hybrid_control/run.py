@@ -22,7 +22,6 @@ from hydroopt.control.cascade import Cascade, Gains
 from hydroopt.control.comparison import tip
 from hydroopt.control.hybrid import ForceGains, Hybrid, Pressing
 from hydroopt.control.model_variants import COMPLETE, NOMINAL, TRUE, ModelVariant
-from hydroopt.control.python_control import control
 from hydroopt.control.reference import Demands, Reference
 from hydroopt.control.sampled_plant import linearised, point, sampled
 from hydroopt.control.setting import Setting
@@ -192,13 +191,11 @@ def gain_margin(plant: Plant, motion: Trajectory) -> float:
             here = np.asarray(model.forward_kinematics(q)[-1])[2, 3]
             touching = Plant(model, floor(here + FORCE / stiffness - SURFACE, stiffness))
             at = point(touching, "sliding", q, speed, psi, theta)
-            response = np.asarray(control.frequency_response(
-                sampled(linearised(touching, at, psi, theta), delays, 1 / RATE), np.angle(z) * RATE,
-                squeeze=False).complex)[3:6]
+            response = sampled(linearised(touching, at, psi, theta), delays, 1 / RATE).response(z)[:, 3:6]
             slopes = Valves(touching, theta).slopes(at.speed, at.length, at.pressure, at.supply)
             to_tip = np.asarray(model.tip_jacobian(q))[:3] @ np.linalg.inv(at.lever_arm)
             across = np.linalg.solve(to_tip, -NORMAL)
-            L = feedback * np.einsum("i,ijw,j->w", np.linalg.solve(to_tip.T, np.eye(3)).T @ -NORMAL, response,
+            L = feedback * np.einsum("i,wij,j->w", np.linalg.solve(to_tip.T, np.eye(3)).T @ -NORMAL, response,
                                      slopes.speed * across)
             turns = np.flatnonzero((np.diff(np.sign(L.imag)) != 0) & (L.real[:-1] < 0))
             largest = max([largest, *np.abs(L[turns])])

@@ -4,7 +4,8 @@ import control
 import numpy as np
 
 from hydroopt import Model, load_machine
-from hydroopt.control.linearisation import signal, state_space
+from hydroopt.control.linear_system import signal
+from hydroopt.control.linearisation import state_space
 from hydroopt.model.plant import Plant
 
 MACHINES = ("cat215b", "patu655_lift")
@@ -43,26 +44,24 @@ def postures(plant, seed):
     return ranges[:, 0] + rng.uniform(0.05, 0.95, (POSTURES, len(ranges))) * (ranges[:, 1] - ranges[:, 0])
 
 
-def simulated(step, x, commands, supply):
-    states = [x]
-    for u in commands:
-        states.append(np.asarray(step(states[-1], u, supply)).ravel())
-    return np.array(states)
+def simulated(integrator, x, step, commands, supply):
+    count = len(commands)
+    return np.vstack([x, integrator.along(x, np.full(count, step), commands, np.tile(supply, (count, 1)))])
 
 
 def steps(plant, speed, span):
     """Speeds and pressures of the joint whose valve steps, less those of the machine that goes on undisturbed."""
     psi, theta, n = plant.model.parameters.nominal, plant.parameters.nominal, len(plant.machine.joints)
-    step, count, worst = plant.integrator(STEP, psi, theta, tolerance=FINE), round(span / STEP), 0.0
+    integrator, count, worst = plant.integrator(psi, theta, tolerance=FINE), round(span / STEP), 0.0
     rng = np.random.default_rng(1)
     for q in postures(plant, 1):
         at = plant.steady(q, rng.choice([-speed, speed], n), psi, theta)
-        undisturbed = simulated(step, at.x, [at.u] * count, plant.supply)
+        undisturbed = simulated(integrator, at.x, STEP, [at.u] * count, plant.supply)
         linear = state_space(plant, at, psi, theta, outputs=plant.states)
         for k, joint in enumerate(plant.machine.joints):
             u = np.zeros(n)
             u[k] = SMALL * abs(plant.actuators[k].valve.span)
-            answer = simulated(step, at.x, [at.u + u] * count, plant.supply) - undisturbed
+            answer = simulated(integrator, at.x, STEP, [at.u + u] * count, plant.supply) - undisturbed
             said = np.asarray(control.forced_response(linear, STEP * np.arange(count + 1),
                                                       np.outer(u, np.ones(count + 1))).outputs)
             for i, name in enumerate(plant.states):
@@ -75,13 +74,13 @@ def steps(plant, speed, span):
 def frequencies(plant):
     """Gain and phase from each valve to the speed of its joint, of several sines at once after they have settled."""
     psi, theta, n = plant.model.parameters.nominal, plant.parameters.nominal, len(plant.machine.joints)
-    step, worst = plant.integrator(SAMPLE, psi, theta, tolerance=FINE), 0.0
+    integrator, worst = plant.integrator(psi, theta, tolerance=FINE), 0.0
     t = SAMPLE * np.arange(round((SETTLE + 2.0) / SAMPLE))
     last = slice(round(SETTLE / SAMPLE), len(t))
     rng = np.random.default_rng(2)
     for q in postures(plant, 2)[:4]:
         at = plant.steady(q, np.zeros(n), psi, theta)
-        still = simulated(step, at.x, [at.u] * len(t), plant.supply)[:-1]
+        still = simulated(integrator, at.x, SAMPLE, [at.u] * len(t), plant.supply)[:-1]
         linear = state_space(plant, at, psi, theta, outputs=[f"{joint}.qd" for joint in plant.machine.joints])
         sampled = control.sample_system(linear, SAMPLE, method="zoh")
         phases = rng.uniform(0, 2 * np.pi, len(HERTZ))
@@ -89,7 +88,8 @@ def frequencies(plant):
         for k, joint in enumerate(plant.machine.joints):
             u = np.tile(at.u, (len(t), 1))
             u[:, k] += SMALL * abs(plant.actuators[k].valve.span) * wave
-            speed = (simulated(step, at.x, u, plant.supply)[:-1] - still)[last, plant.states.index(f"{joint}.qd")]
+            moved = simulated(integrator, at.x, SAMPLE, u, plant.supply)[:-1] - still
+            speed = moved[last, plant.states.index(f"{joint}.qd")]
             for f in HERTZ:
                 carrier = np.exp(-2j * np.pi * f * t[last])
                 gain = (speed @ carrier) / ((u[last, k] - at.u[k]) @ carrier)

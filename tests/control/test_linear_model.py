@@ -7,7 +7,8 @@ from typer.testing import CliRunner
 
 import hydroopt as ho
 from hydroopt.cli import app
-from hydroopt.control.linearisation import signal, state_space
+from hydroopt.control.linear_system import signal
+from hydroopt.control.linearisation import state_space
 from hydroopt.machine.machine_file import dump_machine
 from hydroopt.model.plant import Plant
 from hydroopt.model.workspace import mode, sweeps, top_speed
@@ -34,12 +35,12 @@ def test_signals_have_names(crane):
 def test_small_steps_of_the_nonlinear_machine(crane, place, speed):
     plant, psi, theta = crane
     at = plant.steady(np.array([place]), np.array([speed]), psi, theta)
-    step, u = plant.integrator(0.005, psi, theta), np.array([2e-4])
+    integrator, u = plant.integrator(psi, theta), np.array([2e-4])
     still, moved = at.x, at.x
     answer = [np.zeros_like(at.x)]
     for _ in range(60):
-        still = np.asarray(step(still, at.u, plant.supply)).ravel()
-        moved = np.asarray(step(moved, at.u + u, plant.supply)).ravel()
+        still = integrator(still, 0.005, at.u, plant.supply)
+        moved = integrator(moved, 0.005, at.u + u, plant.supply)
         answer.append(moved - still)
     linear = state_space(plant, at, psi, theta, outputs=plant.states)
     said = control.forced_response(linear, 0.005 * np.arange(61), np.full(61, u[0])).outputs

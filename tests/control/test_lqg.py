@@ -1,4 +1,4 @@
-"""Regulator and filter against SciPy's Riccati equations, and against what any other gains would cost."""
+"""Regulator and filter against python-control, and against what any other gains would cost."""
 
 from __future__ import annotations
 
@@ -6,9 +6,9 @@ import control
 import numpy as np
 import pytest
 from numpy.testing import assert_allclose
-from scipy.linalg import solve_discrete_are, solve_discrete_lyapunov
+from scipy.linalg import solve_discrete_lyapunov
 
-from hydroopt.control.loop_margins import poles
+from hydroopt.control.linear_system import LinearSystem, poles
 from hydroopt.control.lqg import BANDWIDTH_SHARE, PROCESS_NOISE, Design, Lqg, design, reading_noise
 from hydroopt.control.reference import Demand, Preview
 from hydroopt.control.sampled_plant import Point, linearised, sampled
@@ -23,7 +23,7 @@ PERIOD, BANDWIDTH = 0.01, np.array([2.0])
 
 
 @pytest.fixture(scope="module")
-def made() -> tuple[Design, control.StateSpace, Valves, np.ndarray, Point]:
+def made() -> tuple[Design, LinearSystem, Valves, np.ndarray, Point]:
     plant = Plant(Model(load_machine("patu655_lift")))
     psi, theta = plant.model.parameters.nominal, plant.parameters.nominal
     lower, upper = plant.machine.link("lift").joint.range
@@ -48,9 +48,8 @@ def weights(one: Design, at: Point) -> tuple[np.ndarray, np.ndarray, np.ndarray]
 def test_regulator_solves_the_riccati_equation(made) -> None:
     one, _, _, _, at = made
     A, B, Q = weights(one, at)
-    P = solve_discrete_are(A, B, Q, np.eye(1))
-    assert_allclose(one.feedback, np.linalg.solve(np.eye(1) + B.T @ P @ B, B.T @ P @ A),
-                    rtol=1e-5, atol=1e-6 * np.abs(one.feedback).max())
+    K, _, _ = control.dlqr(A, B, Q, np.eye(1))
+    assert_allclose(one.feedback, K, rtol=1e-5, atol=1e-6 * np.abs(one.feedback).max())
 
 
 def test_no_other_feedback_costs_less(made) -> None:
@@ -72,8 +71,7 @@ def test_filter_solves_the_riccati_equation(made) -> None:
     one, _, _, noise, at = made
     disturbed = np.hstack([one.B * np.abs(at.speed), PROCESS_NOISE * np.eye(len(one.A))])
     scaled = one.C / noise[:, None]
-    P = solve_discrete_are(one.A.T, scaled.T, disturbed @ disturbed.T, np.eye(len(noise)))
-    gain = np.linalg.solve(np.eye(len(noise)) + scaled @ P @ scaled.T, scaled @ P @ one.A.T).T / noise
+    gain = control.dlqe(one.A, disturbed, scaled, np.eye(disturbed.shape[1]), np.eye(len(noise)))[0] / noise
     assert_allclose(one.filter * noise, gain * noise, rtol=1e-5, atol=1e-6 * np.abs(gain * noise).max())
 
 

@@ -7,16 +7,18 @@ import numpy as np
 import pytest
 from numpy.testing import assert_allclose
 
-from hydroopt.control.loop_margins import margins, poles
+from hydroopt.control.linear_system import LinearSystem, poles
+from hydroopt.control.loop_margins import margins
 from hydroopt.control.sampled_plant import sampled
 
 PERIOD = 0.02
-INTEGRATOR = control.StateSpace([[0.0]], [[1.0]], [[1.0]], [[0.0]], inputs=["u"], outputs=["y"], states=["x"])
+ONE = np.ones((1, 1))
+INTEGRATOR = LinearSystem(0 * ONE, ONE, ONE, 0 * ONE, 0.0)
 
 
-def proportional(gain: float) -> control.StateSpace:
+def proportional(gain: float) -> LinearSystem:
     """u = −gain·y."""
-    return control.StateSpace(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), [[-gain]], PERIOD)
+    return LinearSystem(np.zeros((0, 0)), np.zeros((0, 1)), np.zeros((1, 0)), -gain * ONE, PERIOD)
 
 
 @pytest.mark.parametrize("delay", [0.0, 0.008, 0.02, 0.034])
@@ -63,12 +65,56 @@ def test_stability_ends_where_the_characteristic_polynomial_says(gain: float, st
 
 def test_a_loop_is_cut_while_the_others_stay_closed() -> None:
     """Two integrators, the second of which also feels the first: closing one loop leaves a first-order lag."""
-    plant = control.StateSpace(np.zeros((2, 2)), [[1.0, 0.5], [0.3, 1.0]], np.eye(2), np.zeros((2, 2)),
-                               inputs=["u1", "u2"], outputs=["y1", "y2"], states=["x1", "x2"])
+    plant = LinearSystem(np.zeros((2, 2)), np.array([[1.0, 0.5], [0.3, 1.0]]), np.eye(2), np.zeros((2, 2)), 0.0)
     gains = np.array([3.0, 7.0])
-    feedback = control.StateSpace(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), -np.diag(gains), PERIOD)
+    feedback = LinearSystem(np.zeros((0, 0)), np.zeros((0, 2)), np.zeros((2, 0)), -np.diag(gains), PERIOD)
     _, omega, L = margins(sampled(plant, np.zeros(2), PERIOD), feedback, ["a", "b"], "here")
     # x1+ = x1 + h·(u1 + u2/2), x2+ = x2 + h·(0.3·u1 + u2), u2 = −7·x2: solved for x1 by u1
     z = np.exp(1j * omega * PERIOD)
     second = 0.3 * PERIOD / (z - 1 + 7 * PERIOD)
     assert_allclose(L[0], 3 * PERIOD * (1 - 3.5 * second) / (z - 1), rtol=1e-9)
+
+
+@pytest.fixture(scope="module", params=range(3))
+def loop(request: pytest.FixtureRequest) -> tuple[LinearSystem, LinearSystem]:
+    """A resonant plant of two commands and three outputs, held and delayed, and a stable feedback with states."""
+    rng = np.random.default_rng(request.param)
+    A = rng.standard_normal((5, 5))
+    A -= (np.max(np.linalg.eigvals(A).real) + 0.3) * np.eye(5)
+    plant = LinearSystem(A, rng.standard_normal((5, 2)), rng.standard_normal((3, 5)), np.zeros((3, 2)), 0.0)
+    feedback = LinearSystem(np.diag([1.0, 0.6]), 0.02 * rng.standard_normal((2, 3)), np.eye(2),
+                            0.2 * rng.standard_normal((2, 3)), 0.1)
+    return sampled(plant, np.array([0.13, 0.05]), 0.1), feedback
+
+
+def test_responses_are_those_of_python_control(loop: tuple[LinearSystem, LinearSystem]) -> None:
+    z = np.exp(1j * np.geomspace(1e-3, np.pi, 50))
+    for system in loop:
+        expected = np.moveaxis(system.python_control()(z, squeeze=False), 2, 0)
+        assert_allclose(system.response(z), expected, rtol=1e-9, atol=1e-9 * np.abs(expected).max())
+
+
+def test_a_held_system_is_that_of_python_control(loop: tuple[LinearSystem, LinearSystem]) -> None:
+    rng = np.random.default_rng(3)
+    system = LinearSystem(*(rng.standard_normal(size) for size in ((4, 4), (4, 2), (1, 4))), np.zeros((1, 2)), 0.0,
+                          ("a.q", "b", "c", "d"), ("u.1", "u.2"), ("y",))
+    held, expected = sampled(system, np.zeros(2), 0.1), control.sample_system(system.python_control(), 0.1, "zoh")
+    assert_allclose(held.A, expected.A, atol=1e-12)
+    assert_allclose(held.B, expected.B, atol=1e-12)
+    assert (expected.state_labels, expected.input_labels) == (["a_q", "b", "c", "d"], ["u_1", "u_2"])
+
+
+def test_margins_and_poles_are_those_of_python_control(loop: tuple[LinearSystem, LinearSystem]) -> None:
+    plant, feedback = loop
+    found, omega, L = margins(plant, feedback, ["a", "b"], "here")
+    closed = control.feedback(plant.python_control(), feedback.python_control(), sign=1).poles()
+    assert_allclose(np.sort_complex(poles(plant, feedback)), np.sort_complex(closed), atol=1e-6)
+    for margin, curve in zip(found, L, strict=True):
+        gains, phases, distances, *_ = control.stability_margins(
+            control.FrequencyResponseData(curve, omega, smooth=True), returnall=True)
+        own = [g for g in gains if (g > 1) == (margin.damping >= 0)]
+        assert margin.gain == pytest.approx(min(own, key=lambda g: abs(np.log(g)), default=np.inf), rel=1e-3)
+        assert np.degrees(margin.phase) == pytest.approx(min(abs((p + 180) % 360 - 180) for p in phases)
+                                                         if len(phases) else np.inf, rel=1e-3)
+        assert margin.distance <= min(distances) * (1 + 1e-3)
+        assert margin.distance == pytest.approx(min(*distances, *np.abs(1 + curve)), rel=1e-3)

@@ -20,7 +20,8 @@ import pytest
 
 from hydroopt.kernels import cache
 from hydroopt.kernels import compiler as system
-from hydroopt.kernels.native import FEW, Kernel, Runner, _kept
+from hydroopt.kernels.expression_graph import program
+from hydroopt.kernels.native import FEW, Kernel, Runner, _kept, source
 
 pytestmark = [pytest.mark.skipif(shutil.which("cc") is None, reason="no C compiler"),
               pytest.mark.skipif(sys.platform == "win32", reason="commands and modes of POSIX")]
@@ -176,8 +177,12 @@ def test_one_empty_cache_is_filled_by_many_at_once(folder: Path, compiled: list[
     square, by = ca.Function("square", [x], [x * x + 1]), system.compiler()
     assert by is not None
     place = cache.folder()
+
+    def compiled_there(scratch: Path) -> Path:
+        return by.compile(source(program(square)), scratch)
+
     with ThreadPoolExecutor(4) as pool:
-        libraries = list(pool.map(lambda _: _kept(place, "key", square, by), range(4)))
+        libraries = list(pool.map(lambda _: _kept(place, "key", compiled_there), range(4)))
     kernels = [Kernel(library, square) for library in libraries]
     assert [list(kernel([X], len(X))[0].ravel()) for kernel in kernels] == [RIGHT] * 4
     assert {file.suffix for file in folder.iterdir()} == {".so"}

@@ -81,9 +81,9 @@ def test_oil_that_is_pulled_on_tears_and_closes_again():
     subject = plant()
     psi, theta = subject.model.parameters.nominal, subject.parameters.nominal
     at = subject.steady(np.array([0.5]), np.zeros(1), psi, theta)
-    step, x = subject.integrator(0.005, psi, theta), [at.x]
+    integrator, x = subject.integrator(psi, theta), [at.x]
     for u in np.repeat([7.5, 5.7, 4.8], [40, 40, 160]):
-        x.append(np.asarray(step(x[-1], [u], subject.supply)).ravel())
+        x.append(integrator(x[-1], 0.005, [u], subject.supply))
     rod = np.array(x)[:, -1] + AMBIENT
     assert 0 < np.min(rod) < 5e3
     assert rod[-1] == pytest.approx(subject.steady(x[-1][:1], x[-1][1:2], psi, theta).x[-1] + AMBIENT, rel=0.1)
@@ -104,9 +104,9 @@ def test_steady_motion_keeps_its_speed_by_the_integrator(name):
     q = np.array([sum(machine.link(joint).joint.range) / 2 for joint in machine.joints])
     qd = np.full(n, 0.03)
     at = subject.steady(q, qd, psi, theta)
-    step, x = subject.integrator(0.02, psi, theta), at.x
+    integrator, x = subject.integrator(psi, theta), at.x
     for _ in range(5):
-        x = np.asarray(step(x, at.u, subject.supply)).ravel()
+        x = integrator(x, 0.02, at.u, subject.supply)
     assert np.allclose(x[:n], q + 0.1 * qd, atol=2e-5)
     assert np.allclose(x[n:2 * n], qd, atol=1e-3)
     rates = np.asarray(subject.rates(at.x, at.u, subject.supply, psi, theta)).ravel()[n:]

@@ -55,11 +55,11 @@ def test_what_pressures_put_in_swings_and_lifts_and_is_lost_in_the_free_joint() 
     plant = Plant(Model(Machine.model_validate(data | {"orientation": (0.1, -0.15, 0.0)})))
     psi, theta, n = plant.model.parameters.nominal, plant.parameters.nominal, 4
     friction = psi[plant.model.parameters.index("grapple.tau_viscous")]
-    step = plant.integrator(STEP, psi, theta)
+    integrator = plant.integrator(psi, theta)
     at = plant.steady(np.array([0.2, 0.3, -1.2, 0.4]), np.zeros(n), psi, theta)
     x = [at.x]
     for _ in range(600):
-        x.append(np.asarray(step(x[-1], at.u + np.array([0.3, -0.3, 0.25, 0.3, -0.3]), plant.supply)).ravel())
+        x.append(integrator(x[-1], STEP, at.u + np.array([0.3, -0.3, 0.25, 0.3, -0.3]), plant.supply))
     found = [plant.outputs(one, at.u, plant.supply, psi, theta) for one in x]
     force, speed = (np.array([np.asarray(each[plant.outputs.name_out().index(key)]).ravel() for each in found])
                     for key in ("force", "speed"))

@@ -50,11 +50,11 @@ def motion():
         if name.endswith("_offset"):
             psi[k] = 1e4  # of transducers: must not act
     theta = plant.parameters.nominal
-    step = plant.integrator(STEP, psi, theta)
+    integrator = plant.integrator(psi, theta)
     at = plant.steady(np.array([0.2, -0.5, 1.4]), np.zeros(3), psi, theta)
     u, x = np.array([0.3, 0.35, -0.3]), [at.x]
     for _ in range(600):
-        x.append(np.asarray(step(x[-1], u, plant.supply)).ravel())
+        x.append(integrator(x[-1], STEP, u, plant.supply))
     keys = plant.outputs.name_out()
     seen = dict(zip(keys, zip(*(map(np.asarray, plant.outputs(one, u, plant.supply, psi, theta)) for one in x),
                                 strict=True), strict=True))
@@ -160,12 +160,12 @@ def test_two_cylinders_side_by_side_move_as_one_of_both_areas(one_and_two):
     for machine in one_and_two:
         plant = Plant(Model(machine))
         psi, theta = plant.model.parameters.nominal, plant.parameters.nominal
-        step = plant.integrator(0.01, psi, theta, tolerance=1e-9)
+        integrator = plant.integrator(psi, theta, tolerance=1e-9)
         at = plant.steady(np.array([0.3]), np.zeros(1), psi, theta)
         course = [at.x]
         for k in range(60):
             opened = at.u + 0.8 * np.sin(0.1 * k)
-            course.append(np.asarray(step(course[-1], opened, plant.supply)).ravel())
+            course.append(integrator(course[-1], 0.01, opened, plant.supply))
         found.append(np.array(course))
     assert np.ptp(found[0][:, 0]) > 0.01
     np.testing.assert_allclose(found[1][:, :2], found[0][:, :2], rtol=1e-6, atol=1e-7)

@@ -1,0 +1,69 @@
+"""Linear systems as matrices with names, their frequency responses, and the closed loop of two of them."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, NamedTuple
+
+import numpy as np
+from scipy.linalg import schur
+
+from hydroopt.spatial.inertia import Array
+
+if TYPE_CHECKING:
+    import control
+
+
+class LinearSystem(NamedTuple):
+    """x' = A·x + B·u, y = C·x + D·u; x' is the rate, or the state a period later.
+
+    Attributes:
+        A, B, C, D: (n, n), (n, m), (p, n) and (p, m).
+        period: of the samples [s]; 0 for continuous time.
+        states, inputs, outputs: their names; empty if they have none.
+    """
+
+    A: Array
+    B: Array
+    C: Array
+    D: Array
+    period: float
+    states: tuple[str, ...] = ()
+    inputs: tuple[str, ...] = ()
+    outputs: tuple[str, ...] = ()
+
+    def response(self, z: Array) -> Array:
+        """Transfer matrices C·(z − A)⁻¹·B + D (ω, p, m) at points (ω,) of the z plane, or of the s plane.
+
+        The complex Schur form of A is triangular, so that all points share one decomposition (Laub 1981, with a
+        triangle in place of Hessenberg's form).
+        """
+        T, U = schur(self.A, output="complex") if len(self.A) else (np.zeros((0, 0)), np.zeros((0, 0)))
+        B, C = U.conj().T @ self.B, self.C @ U
+        X = np.zeros((len(T), len(z), B.shape[1]), dtype=complex)
+        for i in reversed(range(len(T))):
+            X[i] = (B[i] + np.tensordot(T[i, i + 1:], X[i + 1:], 1)) / (z - T[i, i])[:, None]
+        return np.asarray(np.moveaxis(np.tensordot(C, X, 1), 0, 1) + self.D)
+
+    def python_control(self, name: str | None = None) -> control.StateSpace:
+        """The same as python-control knows it; dots in names become underscores, as it demands.
+
+        Raises:
+            ProblemError: python-control is not installed.
+        """
+        from hydroopt.control.python_control import control  # noqa: PLC0415 — it takes seconds to load
+
+        labels = {key: [signal(each) for each in names] for key, names in
+                  (("states", self.states), ("inputs", self.inputs), ("outputs", self.outputs)) if names}
+        return control.ss(self.A, self.B, self.C, self.D, *([self.period] if self.period else []), name=name, **labels)
+
+
+def signal(name: str) -> str:
+    """Name of a state, command or output in python-control, which allows no dots."""
+    return name.replace(".", "_")
+
+
+def poles(plant: LinearSystem, feedback: LinearSystem) -> Array:
+    """Poles of a plant without direct feedthrough whose inputs are the outputs of a feedback of its outputs."""
+    A = np.block([[plant.A + plant.B @ feedback.D @ plant.C, plant.B @ feedback.C],
+                  [feedback.B @ plant.C, feedback.A]])
+    return np.asarray(np.linalg.eigvals(A))

@@ -1,0 +1,40 @@
+"""A casadi.Function at one sample at a time, without the conversions that CasADi's own call makes."""
+
+from __future__ import annotations
+
+import casadi as ca
+import numpy as np
+
+from hydroopt.spatial.inertia import Array
+
+
+class OneSample:
+    """A function of SX on CasADi's virtual machine, its arguments and results in memory of its own; not for threads.
+
+    >>> x = ca.SX.sym("x", 2)
+    >>> OneSample(ca.Function("twice", [x], [2 * x]))([1.0, 2.0])[0]
+    array([2., 4.])
+    """
+
+    def __init__(self, function: ca.Function) -> None:
+        given = function.sx_in()
+        dense = ca.Function(function.name(), given, [ca.densify(out) for out in function.call(given)])
+        self._buffer, self._run = dense.buffer()
+        # CasADi writes column by column
+        self._arguments = [_room(dense.size_in(i)) for i in range(dense.n_in())]
+        self._results = [_room(dense.size_out(i)) for i in range(dense.n_out())]
+        for place, arrays in ((self._buffer.set_arg, self._arguments), (self._buffer.set_res, self._results)):
+            for i, values in enumerate(arrays):
+                if values.size:
+                    place(i, memoryview(values.T.reshape(-1).data))
+
+    def __call__(self, *arguments: Array) -> list[Array]:
+        """Results, (n,) or (n, m), at arguments of these shapes."""
+        for place, values in zip(self._arguments, arguments, strict=True):
+            place[...] = values
+        self._run()
+        return [values.copy() for values in self._results]
+
+
+def _room(size: tuple[int, int]) -> Array:
+    return np.zeros(size[0]) if size[1] == 1 else np.zeros(size, order="F")
