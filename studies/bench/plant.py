@@ -34,7 +34,8 @@ def _compare(name: str, subject: Plant) -> None:
     cvodes = subject.integrator(psi, theta).cvodes
 
     def by_cvodes(x: Array, u: Array) -> Array:
-        return np.asarray(cvodes(x / scale, np.array([*u, *supply, *np.zeros(len(u) + 2), STEP]))).ravel() * scale
+        p = np.array([*u, *supply, *np.zeros(len(u) + 2), STEP])
+        return np.asarray(cvodes(x0=x / scale, p=p)["xf"]).ravel() * scale
 
     def by_scipy(x: Array, u: Array) -> Array:
         def rates(_: float, z: Array) -> Array:
