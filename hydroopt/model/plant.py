@@ -345,16 +345,15 @@ class Plant(Shown):
         """
         supply = self.supply if supply is None else supply
         names = [each.actuator.name for each in self.actuators]
-        opening, p_a, p_b = (np.asarray(part).ravel() for part in self._ideal(q, qd, supply, psi, theta))
+        opening, p_a, p_b = self._ideal(q, qd, supply, psi, theta)
         for name, part in zip(names, opening, strict=True):
             if not abs(part) < 1:
                 raise ProblemError(f"a supply of {supply[0] / 1e5:.0f} bar cannot move '{name}' at this speed against "
                                    "its load", where=self.machine.name,
                                    remedy="ask for a slower motion, or state a higher pressure or larger valve")
 
-        def balance(z: Array) -> tuple[Array, Array]:
-            gap, slope = self._balance(z, q, qd, supply, psi, theta)
-            return np.asarray(gap).ravel(), np.asarray(slope)
+        def balance(z: Array) -> list[Array]:
+            return self._balance(z, q, qd, supply, psi, theta)
 
         start = np.concatenate([opening, *(p / PRESSURE for p in (p_a, p_b, supply[:1]))])
         found = root(balance, start, jac=True)
@@ -380,7 +379,7 @@ class Plant(Shown):
         return Steady(np.array(list(x.values())), u)
 
     @cached_property
-    def _ideal(self) -> ca.Function:
+    def _ideal(self) -> OneSample:
         """(q, qd, supply, psi, theta) → spools and pressures of both chambers by sharp edges without leaks."""
         _, _, supply, psi, theta = self._symbols.values()
         n, none = len(self.machine.joints), ca.SX.zeros(len(self.actuators), 2)
@@ -393,11 +392,11 @@ class Plant(Shown):
             overlap = value("overlap")
             spool = ca.sign(opening) * ca.fmax(0.0, overlap + (1 - overlap) * ca.fabs(opening))
             found.append([spool, *pressures])
-        return ca.Function("ideal", [q, qd, supply, psi, theta],
-                           [ca.vertcat(*(one[k] for one in found)) for k in range(3)])
+        return OneSample(ca.Function("ideal", [q, qd, supply, psi, theta],
+                                     [ca.vertcat(*(one[k] for one in found)) for k in range(3)]))
 
     @cached_property
-    def _balance(self) -> ca.Function:
+    def _balance(self) -> OneSample:
         """(z, q, qd, supply, psi, theta) → residuals of flows and forces, and their Jacobian.
 
         z are the openings, the pressures of chambers a and b, and the supply's.
@@ -418,15 +417,24 @@ class Plant(Shown):
         gaps.append(pump_flow(1.0, given[0], p_supply) - drawn / self._line[1] if self._line
                     else (p_supply - given[0]) / PRESSURE)
         gap = ca.vertcat(*gaps)
-        return ca.Function("balance", [z, q, qd, given, psi, theta], [gap, ca.jacobian(gap, z)])
+        return OneSample(ca.Function("balance", [z, q, qd, given, psi, theta], [gap, ca.jacobian(gap, z)]))
 
     def _command_for(self, k: int, opening: float, theta: Array) -> float:
         """Command that holds a spool at a position, −1 to 1."""
-        each = self.actuators[k]
-        command, valve = ca.SX.sym("command"), each.valve
-        wanted = ca.Function("wanted", [command], [spool_position(valve, command, self.value(each, ca.DM(theta)))])
+        each, valve = self.actuators[k], self.actuators[k].valve
+
+        def excess(u: float) -> float:
+            return float(self._spool_positions[k](np.array([u]), theta)[0][0]) - opening
+
         ends = valve.neutral - valve.span, valve.full
-        if not float(wanted(ends[0])) <= opening <= float(wanted(ends[1])):
+        if not excess(ends[0]) <= 0 <= excess(ends[1]):
             raise ProblemError(f"no command moves the spool of '{each.actuator.name}' to {100 * opening:.0f} %",
                                where=self.machine.name, remedy="ask for a slower motion, or correct its dead bands")
-        return float(brentq(lambda u: float(wanted(u)) - opening, *ends, xtol=1e-12, rtol=1e-14))
+        return float(brentq(excess, *ends, xtol=1e-12, rtol=1e-14))
+
+    @cached_property
+    def _spool_positions(self) -> list[OneSample]:
+        """Of each actuator (command, θ) → the position that its valve's spool is to take."""
+        command, theta = ca.SX.sym("command"), self._symbols["theta"]
+        return [OneSample(ca.Function("spool_position", [command, theta], [
+            spool_position(each.valve, command, self.value(each, theta))])) for each in self.actuators]
