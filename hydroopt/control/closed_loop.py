@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt.control.reference import Demands, offset
 from hydroopt.control.sampled_plant import Reading
@@ -75,37 +76,41 @@ class Sensors:
         # a sensor slower than the controller holds its last reading in between
         self.every = np.array([max(1, round(1 / (sensor.rate * period))) if sensor and sensor.rate else 1
                                for sensor in sensors])
+        self.always = bool(np.all(self.every == 1))
         self.areas = np.array([each.areas for each in plant.actuators])
         self.added = np.zeros(len(self.channels))
         # the offset of the measured force is added to the pressure of chamber a
         self.added[len(machine.joints):-1:2] = offsets / self.areas[:, 0]
         self.rng = None if seed is None else np.random.default_rng(seed)
         stated = {} if seed is None else {k: sensor for k, sensor in enumerate(sensors) if sensor is not None}
-        self.uniform, self.gaussian = (
-            np.array([k for k, sensor in stated.items() if sensor.distribution == kind], dtype=np.intp)
-            for kind in ("uniform", "gaussian"))
-        self.accuracy = np.array([stated[k].accuracy if k in stated else 0.0 for k in range(len(self.channels))])
-        self.resolution = np.array([stated[k].resolution or 0.0 if k in stated else 0.0
-                                    for k in range(len(self.channels))])
+        # places of those that err in each way, or have steps, with by how much
+        self.uniform, self.gaussian = (_entries({k: sensor.accuracy for k, sensor in stated.items()
+                                                 if sensor.distribution == kind}) for kind in ("uniform", "gaussian"))
+        self.steps = _entries({k: sensor.resolution for k, sensor in stated.items() if sensor.resolution})
         self.held = np.zeros(len(self.channels))
         lags = np.array([machine.lag(name).value for name in self.channels])
-        self.follows = -np.expm1(-period / np.maximum(lags, 1e-12))
+        self.follows = -np.expm1(-period / np.maximum(lags, 1e-12)) if np.any(lags > 0) else None
         self.behind: Array | None = None
 
     def read(self, k: int, q: Array, pressure: Array, p_supply: Array | float) -> Array:
         """Readings (m,) at sample k."""
         true = np.concatenate([q, pressure.ravel(), [p_supply]]) + self.added
-        before = true if self.behind is None else self.behind
-        true = self.behind = before + self.follows * (true - before)
-        read = true
+        if self.follows is not None:
+            before = true if self.behind is None else self.behind
+            true = self.behind = before + self.follows * (true - before)
+        read = true.copy()
         if self.rng is not None:
-            read = true.copy()
-            read[self.uniform] += self.accuracy[self.uniform] * (2 * self.rng.random(len(self.uniform)) - 1)
-            if self.gaussian.size:
-                read[self.gaussian] += self.accuracy[self.gaussian] * self.rng.standard_normal(len(self.gaussian))
-            read = quantised(read, self.resolution)
-        self.held = np.where(k % self.every == 0, read, self.held)
+            (places, accuracy), (others, std), (stepped, size) = self.uniform, self.gaussian, self.steps
+            read[places] += accuracy * (2 * self.rng.random(len(places)) - 1)
+            if len(others):
+                read[others] += std * self.rng.standard_normal(len(others))
+            read[stepped] = quantised(read[stepped], size)
+        self.held = read if self.always else np.where(k % self.every == 0, read, self.held)
         return self.held
+
+
+def _entries(values: dict[int, float]) -> tuple[NDArray[np.intp], Array]:
+    return np.array(list(values), dtype=np.intp), np.array(list(values.values()))
 
 
 def simulate(demands: Demands, controller: Controller, psi: Array, theta: Array, *,
@@ -131,13 +136,14 @@ def simulate(demands: Demands, controller: Controller, psi: Array, theta: Array,
     delay = CommandDelay(np.array([each.valve.delay for each in plant.actuators]), period, steady.u)
     integrator, motion = plant.integrator(psi, theta), OneSample(plant.actuator_motion)
     lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
-    overrun, (least, most) = OVERRUN * (upper - lower), demands.valves.limits
+    middle, reach = (lower + upper) / 2, (0.5 + OVERRUN) * (upper - lower)
+    least, most = demands.valves.limits
     x, stopped = steady.x, ""
     states, acting, commands = [], [], []
     controller.reset()
     for k in range(len(t)):
         q = x[:n]
-        if np.any((q < lower - overrun) | (q > upper + overrun)):
+        if np.any(np.abs(q - middle) > reach):
             stopped = f"the machine hits its stops at {t[k]:.2f} s"
             break
         readings = sensors.read(k, q, plant.chamber_pressures(x), plant.supply_pressure(x))
@@ -168,18 +174,17 @@ class CommandDelay:
         self.whole = np.floor(delays / period * (1 + 1e-12)).astype(int)
         part = np.round(np.maximum(delays - self.whole * period, 0.0), 12)
         edges = np.unique([0.0, *part, period])
-        self.starts, self.lengths = edges[:-1], np.diff(edges)
-        self.pieces = set(self.lengths.tolist())
-        self.part = part
+        self.starts, self.lengths = edges[:-1], np.diff(edges).tolist()
         self.history = np.tile(u, (int(np.max(self.whole)) + 2, 1))  # newest first
+        self.each = np.arange(len(u))
+        self.ago = [self.whole + (part > start) for start in self.starts]
         self.current = u
 
     def push(self, u: Array) -> list[tuple[float, Array]]:
         """Enter new commands; returns the pieces of the next period, each with its length [s] and the commands acting
         in it."""
-        self.history = np.vstack([u, self.history[:-1]])
-        each = np.arange(len(u))
-        pieces = [(float(length), self.history[self.whole + (self.part > start), each])
-                  for start, length in zip(self.starts, self.lengths, strict=True)]
+        self.history[1:] = self.history[:-1].copy()
+        self.history[0] = u
+        pieces = [(length, self.history[ago, self.each]) for length, ago in zip(self.lengths, self.ago, strict=True)]
         self.current = pieces[-1][1]
         return pieces

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.interpolate import CubicSpline
+from scipy.interpolate import CubicSpline, PPoly
 
 from hydroopt.control.linear_system import LinearSystem, poles
 from hydroopt.results.tables import number
@@ -81,14 +81,18 @@ def margins(plant: LinearSystem, feedback: LinearSystem, names: Sequence[str],
     L = responses(plant, feedback, omega)
     roots = np.log(poles(plant, feedback).astype(complex) + 1e-300)
     damping = float(np.min(-roots.real / np.maximum(np.abs(roots), 1e-12)))
-    return [_margin(where, name, omega, loop, damping) for name, loop in zip(names, L, strict=True)], omega, L
+    # cubic splines over the logarithm of the frequency
+    curves = CubicSpline(np.log(omega), np.stack([
+        L.real, L.imag, np.log(np.maximum(np.abs(L), 1e-300)), np.abs(1 + L)]), axis=-1)
+    nearest = np.min(np.abs(1 + L), axis=1)
+    return [_margin(where, name, [PPoly.construct_fast(curves.c[..., k, i], curves.x) for k in range(4)],
+                    float(nearest[i]), damping) for i, name in enumerate(names)], omega, L
 
 
-def _margin(where: str, name: str, omega: Array, loop: Array, damping: float) -> Margin:
-    """The margins of a loop L(jω) (ω,), by cubic splines over the logarithm of the frequency."""
-    x = np.log(omega)
-    real, imaginary, size, distance = (CubicSpline(x, values) for values in (
-        loop.real, loop.imag, np.log(np.maximum(np.abs(loop), 1e-300)), np.abs(1 + loop)))
+def _margin(where: str, name: str, curves: Sequence[PPoly], nearest: float, damping: float) -> Margin:
+    """The margins of a loop L(jω) by curves of its real and imaginary parts, log |L| and |1 + L|, the least of which at
+    the frequencies themselves is `nearest`."""
+    real, imaginary, size, distance = curves
     at_180 = imaginary.roots(extrapolate=False)
     at_180 = at_180[real(at_180) < 0]
     gains = -1 / real(at_180)
@@ -99,7 +103,7 @@ def _margin(where: str, name: str, omega: Array, loop: Array, damping: float) ->
     phases = np.abs(np.angle(-real(at_one) - 1j * imaginary(at_one)))
     phase, phase_at = _nearest(phases, at_one, phases)
     turning = distance.derivative().roots(extrapolate=False)
-    least = float(np.min(np.concatenate([distance(turning), np.abs(1 + loop)])))
+    least = float(np.min(distance(turning), initial=nearest))
     return Margin(where, name, gain, gain_at, phase, phase_at, least, damping)
 
 

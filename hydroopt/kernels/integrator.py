@@ -64,9 +64,12 @@ class Integrator:
             IntegrationError: no step succeeds.
         """
         np.concatenate(inputs, out=self._w)
-        self._seconds[0] = seconds
-        x, = self._along(x, self._seconds, self._w[None], None)
-        return x
+        self._seconds[0], self._x[:] = seconds, x
+        if self._compiled is None:
+            return self._by_cvodes(x, self._seconds, self._w[None], None)[0]  # type: ignore[no-any-return]
+        if not self._once():
+            raise IntegrationError(0)
+        return self._x.copy()
 
     def along(self, x: Array, seconds: Array, *inputs: Array, slopes: Sequence[Array] = ()) -> Array:
         """x (M, nx) behind each of M pieces of time.
@@ -123,7 +126,11 @@ class Integrator:
         run.argtypes = [ctypes.c_void_p, ctypes.c_long, *[ctypes.c_void_p] * 5, ctypes.c_double, ctypes.c_double,
                         ctypes.c_void_p, ctypes.c_void_p]
         run.restype = ctypes.c_long
-        return partial(run, ctypes.byref(self._memory))
+        compiled = partial(run, ctypes.byref(self._memory))
+        self._after = np.zeros(len(self._x))
+        self._once = partial(compiled, 1, self._seconds.ctypes.data, self._w.ctypes.data, None, *self._fixed,
+                             self._x.ctypes.data, self._after.ctypes.data)
+        return compiled
 
     @cached_property
     def cvodes(self) -> ca.Function:

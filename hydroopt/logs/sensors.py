@@ -35,13 +35,12 @@ def measure(
         reading = true + rng.uniform(-accuracy, accuracy, true.shape)
     else:
         reading = true + rng.normal(0.0, accuracy, true.shape)
-    return quantised(reading, step)
+    return quantised(reading, step) if step > 0 else reading
 
 
-def quantised(values: ArrayLike, step: ArrayLike) -> NDArray[np.float64]:
-    """Values at the nearest multiple of a step of their unit, or as they are where the step is 0."""
-    size = np.where(np.asarray(step) > 0, step, 1.0)
-    return np.where(np.asarray(step) > 0, np.round(np.asarray(values) / size) * size, values)
+def quantised(values: NDArray[np.float64], step: ArrayLike) -> NDArray[np.float64]:
+    """Values at the nearest multiple of a step, in their unit, that is not 0."""
+    return np.asarray(np.round(values / step) * step)
 
 
 def _step(accuracy: float, resolution: float | None, distribution: str) -> float:

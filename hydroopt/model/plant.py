@@ -352,8 +352,9 @@ class Plant(Shown):
                                    "its load", where=self.machine.name,
                                    remedy="ask for a slower motion, or state a higher pressure or larger valve")
 
-        def balance(z: Array) -> list[Array]:
-            return self._balance(z, q, qd, supply, psi, theta)
+        def balance(z: Array) -> tuple[Array, Array]:
+            gap, slope = self._balance(z, q, qd, supply, psi, theta)
+            return gap, slope
 
         start = np.concatenate([opening, *(p / PRESSURE for p in (p_a, p_b, supply[:1]))])
         found = root(balance, start, jac=True)

@@ -4,6 +4,7 @@ import sys
 
 from studies.bench import jobs, kernels
 from studies.bench.calibration import calibration
+from studies.bench.closed_loop import control
 from studies.bench.excitation import excitation
 from studies.bench.growth import growth
 from studies.bench.linkage import linkage
@@ -15,6 +16,7 @@ from studies.bench.valves import valves
 
 # memory first: the most that this process has ever held counts as the peak of those that it starts
 PARTS = {"streaming": streaming, "identify": jobs.identify, "codegen": jobs.codegen, "calibration": calibration,
+         "control": control,
          "excavator": kernels.excavator, "arm": kernels.arm, "linkage": linkage, "growth": growth,
          "batch": kernels.batch, "first": kernels.first, "excitation": excitation, "plant": plant, "start": start,
          "valves": valves,
