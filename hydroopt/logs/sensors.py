@@ -38,7 +38,7 @@ def measure(
     return quantised(reading, step) if step > 0 else reading
 
 
-def quantised(values: NDArray[np.float64], step: ArrayLike) -> NDArray[np.float64]:
+def quantised(values: NDArray[np.float64], step: NDArray[np.float64] | float) -> NDArray[np.float64]:
     """Values at the nearest multiple of a step, in their unit, that is not 0."""
     return np.asarray(np.round(values / step) * step)
 
