@@ -10,7 +10,7 @@ from scipy.linalg import schur
 from hydroopt.spatial.inertia import Array
 
 if TYPE_CHECKING:
-    import control
+    from hydroopt.control.python_control import control
 
 
 class LinearSystem(NamedTuple):

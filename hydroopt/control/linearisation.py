@@ -12,7 +12,7 @@ from hydroopt.model.plant import Plant, Steady
 from hydroopt.spatial.inertia import Array
 
 if TYPE_CHECKING:
-    import control
+    from hydroopt.control.python_control import control
 
 
 def state_space(plant: Plant, steady: Steady, psi: Array, theta: Array, *, supply: Array | None = None,
