@@ -75,7 +75,7 @@ class Uncertain:
     See `weigh` for an example of a scale, which takes them as `uncertain`.
     """
 
-    slope: float = np.radians(3.0)
+    slope: float = float(np.radians(3.0))
     load_friction: float = 0.01
     zero_drift: float = 35e3
 
