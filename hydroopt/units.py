@@ -34,6 +34,9 @@ def factor(unit: str, si: str, *, where: str = "unit") -> float:
     Raises:
         UnitError: the unit is unknown or measures something else than `si`.
     """
+    if unit.startswith("Grad"):
+        raise UnitError(f"'{unit:.40}' would be a gigaradian here", where=where,
+                        remedy=f"write '{unit.replace('Grad', 'deg'):.40}' for degrees, or 'gon'")
     if len(unit) > 60 or _ABSURD.search(unit):
         raise _wrong(unit, si, where)
     try:

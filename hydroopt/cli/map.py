@@ -41,13 +41,15 @@ def map(
         write_file(to, found.toml().encode())
     if as_json:
         echo(json.dumps({"proposals": [_row(each) for each in found.proposals], "missing": found.missing,
-                         "unused": found.unused}, indent=1))
+                         "unused": found.unused, "possible": found.possible}, indent=1))
         return
     if to is None:
         echo(found.toml())
     else:
         for each in found.proposals:
             echo(f"{each.sureness:6}  {each.channel} = '{each.column.header}' [{each.unit or 'date'}]: {each.reason}")
+        for header, names in found.possible.items():
+            echo(f"unsaid  '{header}': {' or '.join(names)}? Write the line of the right one into {to}")
     _next(found, log, machine, to)
 
 

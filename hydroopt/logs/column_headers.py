@@ -3,6 +3,8 @@
 from hydroopt.errors import LogError
 from hydroopt.logs.channels import si_unit
 from hydroopt.logs.column_map import ColumnMap, Labels, LogMap, TextColumn
+from hydroopt.logs.unit_words import of_kind, units_of
+from hydroopt.machine.quantity import CHANNEL_UNITS
 from hydroopt.units import UnitError
 
 
@@ -55,12 +57,17 @@ def map_of_header(header: list[str], where: str, *, poses: bool = False,
             if not unit or not unit.strip():
                 raise LogError("the column has no unit", where=here,
                                remedy=f"write its header as '{name} [{usual}]'")
-            si_unit(name, unit.strip())
+            meant = of_kind(units_of(unit), *CHANNEL_UNITS.get(name.rpartition(".")[2], ("s",)))
+            if len(meant) > 1:
+                raise LogError(f"the unit '{unit.strip()}' may be {' or '.join(meant)}", where=here,
+                               remedy=f"write its header as '{name} [{meant[0]}]' or '{name} [{meant[1]}]'")
+            unit = meant[0] if meant else unit.strip()
+            si_unit(name, unit)
         except LogError as error:
             raise LogError(error.what, where=here, remedy=error.remedy) from None
         except UnitError as error:
             raise LogError(error.what, where=here, remedy=error.remedy) from None
-        columns[name] = ColumnMap(column=index, unit=unit.strip())
+        columns[name] = ColumnMap(column=index, unit=unit)
     if "t" not in columns and not (poses or timed):
         shown = ", ".join(f"'{name.strip()[:40]}'" for name in header[:12])
         raise LogError(f"there is no column 't [s]' among {shown}", where=where,

@@ -1,25 +1,33 @@
-"""What the name of a column says: the part of a machine, the quantity and the unit, in English or German."""
+"""What the name of a column says: the part of a machine, the quantity and the unit.
+
+Parts are known in English and German, quantities in some more languages, units in those of `unit_words`.
+"""
 
 from __future__ import annotations
 
 import re
+import unicodedata
+from collections.abc import Collection
 from dataclasses import dataclass
 
-from hydroopt.logs.column_headers import parts_of
-from hydroopt.units import same_kind
+from hydroopt.logs.unit_words import header_of
 
 WORDS = {
-    "time": ("t", "time", "zeit", "timestamp", "zeitstempel", "sec", "seconds", "clock", "uhrzeit", "datetime"),
+    "time": ("t", "time", "zeit", "timestamp", "zeitstempel", "sec", "seconds", "clock", "uhrzeit", "datetime",
+             "elapsed", "runtime", "laufzeit", "messzeit", "temps", "tiempo", "aika", "tid", "jikan"),
     "boom": ("ausleger", "hubarm", "mainboom"), "stick": ("arm", "dipper", "stiel", "loeffelstiel", "dipperstick"),
     "bucket": ("loeffel", "schaufel", "attachment"),
     "swing": ("slew", "drehwerk", "oberwagen", "schwenk", "house", "cab"),
     "lift": ("hub", "heben"), "tilt": ("kipp", "kippen"), "extension": ("ausschub", "teleskop", "telescope"),
     "cylinder": ("cyl", "zylinder", "zyl"), "motor": ("drive", "antrieb"), "pump": ("pumpe",),
-    "angle": ("winkel", "ang", "q", "pos", "position", "enc", "encoder", "resolver", "theta", "phi"),
+    "angle": ("winkel", "ang", "q", "pos", "position", "enc", "encoder", "resolver", "theta", "phi",
+              "neigung", "angulo", "kulma", "vinkel", "kakudo"),
     "velocity": ("rate", "speed", "vel", "qd", "gyro", "geschwindigkeit", "drehrate", "omega"),
     "acceleration": ("acc", "accel", "qdd", "beschleunigung"),
-    "length": ("laenge", "len", "stroke", "weg", "travel", "ext", "displacement", "kolbenweg"),
-    "pressure": ("druck", "p", "press"), "force": ("kraft", "load", "f"),
+    "length": ("laenge", "len", "stroke", "weg", "travel", "ext", "displacement", "kolbenweg",
+               "longueur", "longitud", "pituus", "laengd"),
+    "pressure": ("druck", "p", "press", "pression", "presion", "paine", "tryck", "atsuryoku"),
+    "force": ("kraft", "load", "f"),
     "torque": ("moment", "drehmoment", "tau", "effort"), "command": ("u", "cmd", "joystick", "valve", "ventil", "pwm"),
     "head": ("bore", "cap", "boden", "bodenseite", "kolbenseite", "base", "pistonside", "blind", "bottom"),
     "rod": ("ring", "stange", "stangenseite", "ringseite", "annulus", "rodside"),
@@ -34,7 +42,7 @@ ASIDE = {"linear", "angular", "sensor", "log", "data", "daten",
          "raw", "actual", "ist", "value", "wert", "signal", "measured", "mess", "side", "seite", "in", "of",
          "deg", "rad", "bar", "pa", "kpa", "mpa", "psi", "m", "mm", "cm", "s", "ms", "us", "ns", "n", "kn", "grad",
          "nm"}
-"""Words that say nothing of part or quantity; units are read on their own."""
+"""Words that say nothing of part or quantity; a unit before other words is no statement of it."""
 QUANTITIES = {"q": {"angle"}, "qd": {"velocity"}, "qdd": {"acceleration"}, "length": {"length"}, "force": {"force"},
               "tau": {"torque"}, "u": {"command"}, "p_head": {"head"}, "p_rod": {"rod"}, "p_a": {"a"}, "p_b": {"b"},
               "p_supply": {"supply"}, "p_tank": {"tank"}}
@@ -43,7 +51,6 @@ IMPLIED = {"rad": "angle", "m": "length", "Pa": "pressure", "rad/s": "velocity",
 SHORTEST = 3
 """Letters of the shortest part of a compound word."""
 _FOLDED = str.maketrans(dict(zip("äöüÄÖÜß", ("ae", "oe", "ue", "Ae", "Oe", "Ue", "ss"), strict=True)))
-_UNITS = {"°": "deg", "degree": "deg", "degrees": "deg", "°/s": "deg/s", "m/s²": "m/s^2", "µs": "us"}
 
 
 @dataclass(frozen=True)
@@ -51,31 +58,31 @@ class Naming:
     """What a header says.
 
     Attributes:
-        bare: the name without its unit; `words`: of the name, by their meaning; `unit`: stated, or empty.
+        bare: the name without its unit; `words`: of the name, by their meaning.
+        units: that it states, several where the word for it has several meanings; `text`: that word as it stands.
         of_sheet: words of the sheet or topic, which may name the part.
     """
 
     bare: str
     words: frozenset[str]
-    unit: str
+    units: tuple[str, ...]
+    text: str = ""
     of_sheet: frozenset[str] = frozenset()
 
 
-def naming(header: str) -> Naming:
+def naming(header: str, names: Collection[str] = ()) -> Naming:
     """The naming of a header such as ``Ausleger Winkel (°)``, ``boom_angle_deg`` or ``boom.q [rad]``.
 
-    >>> found = naming("Ausleger Winkel (°)")
-    >>> sorted(found.words), found.unit
-    (['angle', 'boom'], 'deg')
+    Args:
+        names: words of a machine's parts, which no unit stands for without brackets.
+
+    >>> found = naming("Ausleger Winkel (Grad)")
+    >>> sorted(found.words), found.units
+    (['angle', 'boom'], ('deg',))
     """
-    bare, unit = parts_of(header)
-    if unit is None:
-        for pattern in (r"(.+?)\s*\(([^()]+)\)\s*", r"(.+?)\s*/\s*(\S+)", r"(.+?)\s+in\s+(\S+)", r"(.+)_([A-Za-z°]+)"):
-            match = re.fullmatch(pattern, header.strip())
-            if match and _unit(match[2]):
-                bare, unit = match[1], match[2]
-                break
-    return Naming(bare, words_of(bare), _unit(unit or ""))
+    found = header_of(header, names)
+    words = frozenset({"time"}) if found.name == found.text and found.units else words_of(found.name)
+    return Naming(found.name, words, found.units, found.text)
 
 
 def words_of(name: str) -> frozenset[str]:
@@ -84,7 +91,8 @@ def words_of(name: str) -> frozenset[str]:
     >>> sorted(words_of("BoomCyl_pRod2")), sorted(words_of("Löffelzylinder"))
     (['2', 'boom', 'cylinder', 'pressure', 'rod'], ['bucket', 'cylinder'])
     """
-    folded = name.translate(_FOLDED)
+    folded = "".join(each for each in unicodedata.normalize("NFD", name.translate(_FOLDED))
+                     if not unicodedata.combining(each))
     parts = re.findall(r"[A-Z]+(?![a-z])|[A-Z]?[a-z]+|\d+", folded)
     return frozenset(MEANING.get(word, word) for part in parts for word in _parted(part.lower())) - ASIDE
 
@@ -96,6 +104,17 @@ def _parted(word: str) -> list[str]:
             if word[:cut] in MEANING and (rest := _parted(word[cut:])) and all(part in MEANING for part in rest):
                 return [word[:cut], *rest]
     return [word]
+
+
+def may_be(channel: str, named: Naming) -> bool:
+    """Whether a header names a channel's part and no other quantity, but not which of the part's channels it is.
+
+    >>> may_be("boom_cylinder.p_head", naming("Druck Boom bar")), may_be("boom_cylinder.p_head", naming("boom max bar"))
+    (True, False)
+    """
+    own = words_of(channel.rpartition(".")[0])
+    words = named.words | named.of_sheet
+    return (own - GENERIC or own) <= words and not named.words - own - GENERIC - {"pressure"}
 
 
 def matched(channel: str, named: Naming, kind: str) -> int:
@@ -117,9 +136,5 @@ def matched(channel: str, named: Naming, kind: str) -> int:
         return 0
     if asked <= words:
         return 2
-    return 1 if suffix in ("q", "length", "force", "tau", "qd") and named.unit and not words - own - GENERIC else 0
+    return 1 if suffix in ("q", "length", "force", "tau", "qd") and named.units and not words - own - GENERIC else 0
 
-
-def _unit(text: str) -> str:
-    unit = _UNITS.get(text.strip(), text.strip())
-    return unit if unit and same_kind(unit, unit) else ""

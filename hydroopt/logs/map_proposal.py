@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, replace
+import re
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -12,13 +13,14 @@ import numpy as np
 
 from hydroopt.errors import HydrooptError, LogError
 from hydroopt.logs import stamps
-from hydroopt.logs.column_words import Naming, matched, naming, words_of
+from hydroopt.logs.column_words import Naming, matched, may_be, naming, words_of
 from hydroopt.logs.formats.files import open_files
 from hydroopt.logs.sheets import Sheet
 from hydroopt.logs.table import Array
+from hydroopt.logs.unit_words import of_kind
 from hydroopt.machine.machine import Machine
 from hydroopt.model.model import Model
-from hydroopt.units import factor, same_kind
+from hydroopt.units import factor
 
 Sureness = Literal["sure", "likely", "guess"]
 TRIED = {"rad": ("rad", "deg"), "m": ("m", "mm", "cm"), "Pa": ("Pa", "kPa", "bar", "psi", "MPa")}
@@ -71,6 +73,7 @@ class MapProposal:
     Attributes:
         path: of the file; `machine`: its name.
         proposals: by channel and, of the time, by sheet; `missing`: channels without a column; `unused`: headers.
+        possible: channels of the part that an unused column names without saying which, by header.
         own_stamps: whether the rows of all sheets have stamps of their own; `several`: whether there are several.
     """
 
@@ -81,6 +84,7 @@ class MapProposal:
     unused: tuple[str, ...]
     own_stamps: bool
     several: bool
+    possible: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     def toml(self) -> str:
         """The map as a TOML file; guesses are comments.
@@ -110,11 +114,16 @@ class MapProposal:
             lines += ["", "# no column was found for:", *(f"# {_key(name)}" for name in self.missing)]
         if self.unused:
             lines += ["", "# no channel was found for the columns:",
-                      *(f"# {json.dumps(name, ensure_ascii=False)}" for name in self.unused)]
+                      *(self._unused_line(name) for name in self.unused)]
         for each in clocks:
             lines += ["", f"[clocks.{json.dumps(each.column.sheet.name, ensure_ascii=False)}]", self._line("t", each),
                       '# delay = "0 ms ± 50 ms"  # if its clock is not that of the others: it is estimated with these']
         return "\n".join(lines) + "\n"
+
+    def _unused_line(self, header: str) -> str:
+        line = f"# {json.dumps(header, ensure_ascii=False)}"
+        names = self.possible.get(header, ())
+        return f"{line}  # {' or '.join(names)}? Its name does not say: write the line" if names else line
 
     def _line(self, key: str, each: Proposal) -> str:
         same = [header for header in each.column.sheet.content.header if header == each.column.header]
@@ -130,39 +139,45 @@ def propose_map(path: str | Path, machine: Machine) -> MapProposal:
     """A column map of a log for a machine, of names, units and values of its columns.
 
     A column counts for a channel if its name says so (English or German) and its unit and values allow it: angles
-    within joint limits, lengths within strokes, pressures below relief. A unit that the file does not state is taken
-    if one alone allows the values. Angles and lengths that agree through a cylinder's triangle are sure, and guesses if
-    they contradict each other there.
+    within joint limits, lengths within strokes, pressures below relief. Its unit stands in brackets or is the last
+    word of its header, see `unit_words`. A unit that the file does not state, or states by a word with several
+    meanings, is taken if one alone allows the values. Angles and lengths that agree through a cylinder's triangle are
+    sure, and guesses if they contradict each other there.
 
     Raises:
         LogError: the file is damaged or of an unknown kind.
     """
+    wanted = {name: si for name, si in machine.channel_units.items() if name.rpartition(".")[2] not in LEFT_OUT}
+    names = {word.lower() for channel in wanted for word in re.findall(r"[^\W\d_]+", channel.rpartition(".")[0])}
     with open_files([str(path)], None, listed=True) as source:
-        columns = [column for sheet in source.sheets for column in _columns(sheet)]
+        columns = [column for sheet in source.sheets for column in _columns(sheet, names)]
         own = all(sheet.content.own_stamps for sheet in source.sheets)
         several = len(source.sheets) > 1
         times = [] if own else [each for sheet in source.sheets if not sheet.content.own_stamps
                                 for each in _time(sheet, columns)]
     rest = [column for column in columns if column not in [each.column for each in times]]
-    wanted = {name: si for name, si in machine.channel_units.items() if name.rpartition(".")[2] not in LEFT_OUT}
     found = _by_triangles(Model(machine), _by_name(machine, wanted, rest))
     taken = {(each.column.sheet.name, each.column.index) for each in found.values()}
     usual = {*(f"{joint}.q" for joint in machine.joints),
              *(chamber for each in machine.hydraulic_actuators for chamber in each.chambers)}
+    unused = [column for column in rest if (column.sheet.name, column.index) not in taken]
+    possible = {column.header: some for column in unused if (some := tuple(
+        name for name, si in wanted.items() if name not in found and of_kind(column.named.units, si)
+        and may_be(name, column.named)))}
     return MapProposal(
         str(path), machine.name, (*times, *(found[name] for name in wanted if name in found)),
         tuple(name for name in wanted if name in usual and name not in found),
-        tuple(column.header for column in rest if (column.sheet.name, column.index) not in taken), own, several)
+        tuple(column.header for column in unused), own, several, possible)
 
 
 def _key(channel: str) -> str:
     return channel if channel == "t" else f'"{channel}"'
 
 
-def _columns(sheet: Sheet) -> Iterator[ColumnOf]:
+def _columns(sheet: Sheet, names: Collection[str]) -> Iterator[ColumnOf]:
     """The columns of a sheet that hold numbers or dates."""
     for index, header in enumerate(sheet.content.header):
-        named = naming(header)
+        named = naming(header, names)
         if sheet.name and not any(part.isspace() for part in sheet.name):
             named = replace(named, of_sheet=words_of(sheet.name))
         try:
@@ -176,24 +191,31 @@ def _columns(sheet: Sheet) -> Iterator[ColumnOf]:
 
 
 def _time(sheet: Sheet, columns: Sequence[ColumnOf]) -> list[Proposal]:
-    """The time of a sheet: the column that is named so and increases."""
+    """The time of a sheet: the column that is named so, or alone has a unit of time, and increases."""
     held = [column for column in columns if column.sheet == sheet]
     named = [column for column in held if column.dated or column.named.words == {"time"} or column.named.bare == "t"]
-    increasing = [c for c in named if np.all(np.diff(c.values[np.isfinite(c.values)]) >= 0)] or named
+    increasing = [each for each in named if _increases(each)] or named
     if not increasing:
-        return []
+        clocks = [each for each in held if of_kind(each.named.units, "s") and _increases(each)]
+        return [Proposal("t", each, each.named.units[0], "likely", f"the only column in a unit of time, "
+                         f"{_shown(each, each.named.units[0])}, that increases") for each in clocks[:len(clocks) == 1]]
     column = increasing[0]
     if column.dated:
         return [Proposal("t", column, "", "sure", "holds dates or times of day")]
     several: Sureness = "sure" if len(increasing) == 1 else "likely"
-    if same_kind(column.named.unit, "s"):
-        return [Proposal("t", column, column.named.unit, several, f"named as the time in {column.named.unit}, and "
+    if stated := of_kind(column.named.units, "s"):
+        return [Proposal("t", column, stated[0], several, f"named as the time in {_shown(column, stated[0])}, and "
                          "increases")]
     if (unit := stamps.epoch_unit(column.values)) is not None:
         return [Proposal("t", column, unit, "likely", f"an epoch in {unit}: another unit would be no date of this age")]
     step = float(np.median(np.diff(column.values)))
     unit = "s" if step < 1 else "ms"
     return [Proposal("t", column, unit, "guess", f"named as a time without a unit; its step is {step:.4g}")]
+
+
+def _increases(column: ColumnOf) -> bool:
+    values = column.values[np.isfinite(column.values)]
+    return bool(np.all(np.diff(values) >= 0) and values[0] < values[-1])
 
 
 def _by_name(machine: Machine, wanted: Mapping[str, str], columns: Sequence[ColumnOf]) -> dict[str, Proposal]:
@@ -226,27 +248,37 @@ def _by_name(machine: Machine, wanted: Mapping[str, str], columns: Sequence[Colu
 
 def _judged(machine: Machine, channel: str, si: str, column: ColumnOf, score: int) -> Proposal | None:
     """The proposal of a column that is named as a channel; None where its unit is of another kind."""
-    unit, low_high = column.named.unit, _range(machine, channel)
-    if unit and not same_kind(unit, si):
+    stated, low_high = of_kind(column.named.units, si), _range(machine, channel)
+    if column.named.units and not stated:
         return None
     said = {3: "named as the channel", 2: "part and quantity in its name", 1: "part in its name"}[score]
-    if unit:
+    if len(stated) == 1:
+        unit = stated[0]
+        sureness: Sureness = "sure" if score > 1 else "likely"
+        said = f"{said}, in {_shown(column, unit)}"
         if low_high is None:
-            return Proposal(channel, column, unit, "sure" if score > 1 else "likely", f"{said}, in {unit}")
+            return Proposal(channel, column, unit, sureness, said)
         if _within(column.values * factor(unit, si), low_high):
-            return Proposal(channel, column, unit, "sure" if score > 1 else "likely",
-                            f"{said}, in {unit}, values within its range")
-        outside = _outside(column, unit, si, low_high)
-        return Proposal(channel, column, unit, "guess", f"{said}, in {unit}, but {outside}")
+            return Proposal(channel, column, unit, sureness, f"{said}, values within its range")
+        return Proposal(channel, column, unit, "guess", f"{said}, but {_outside(column, unit, si, low_high)}")
     highest = float(np.nanmax(column.values))
-    fitting = [each for each in TRIED.get(si, (si,))
+    fitting = [each for each in stated or TRIED.get(si, (si,))
                if low_high is not None and _within(column.values * factor(each, si), low_high)
                and (si != "Pa" or highest * factor(each, si) >= LEAST_PRESSURE)]
+    if stated:
+        said += f", '{column.named.text}' may be {' or '.join(stated)}"
     if len(fitting) == 1 and score > 1:
-        return Proposal(channel, column, fitting[0], "likely", f"{said}; of the usual units its values allow "
-                        f"{fitting[0]} alone")
+        return Proposal(channel, column, fitting[0], "likely", f"{said}; of {'these' if stated else 'the usual units'} "
+                        f"its values allow {fitting[0]} alone")
+    if stated:
+        return Proposal(channel, column, (fitting or stated)[0], "guess", f"{said}: write the right unit")
     choice = " or ".join(fitting) if fitting else "none of the usual ones fits"
     return Proposal(channel, column, (fitting or [si])[0], "guess", f"{said}, without a unit ({choice})")
+
+
+def _shown(column: ColumnOf, unit: str) -> str:
+    """A unit, with the word that was read as it."""
+    return unit if column.named.text == unit else f"{unit} ('{column.named.text}')"
 
 
 def _range(machine: Machine, channel: str) -> tuple[float, float] | None:

@@ -13,7 +13,7 @@ from hydroopt.errors import LogError
 from hydroopt.logs.column_headers import parts_of
 from hydroopt.logs.column_map import LogMap
 from hydroopt.logs.stamps import looks_dated
-from hydroopt.units import same_kind
+from hydroopt.logs.unit_words import units_of
 
 DELIMITERS = (";", "\t", "|", ",", "whitespace")
 """Between columns, in the order in which they are tried: those that no number contains come first."""
@@ -215,7 +215,7 @@ def _are_units(cells: Sequence[str]) -> bool:
     bare = [cell.strip().strip("[]()").strip() for cell in cells]
     full = [cell for cell in bare if cell not in ("", "-", "—")]
     return any(cell != "1" for cell in full) and all(
-        cell in ("1", "%") or (not _is_number(cell) and same_kind(cell, cell)) for cell in full)
+        cell in ("1", "%") or (not _is_number(cell) and units_of(cell)) for cell in full)
 
 
 def _marks(lines: Sequence[str], delimiter: str, layout: LogMap, where: str) -> tuple[str, str]:

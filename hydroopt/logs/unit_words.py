@@ -1,0 +1,166 @@
+"""Units as loggers write them: words of several languages, in any case, in brackets or behind a name."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+from collections.abc import Collection, Iterable
+from functools import cache
+from itertools import product
+from typing import NamedTuple
+
+from hydroopt.units import same_kind
+
+WORDS = {
+    "deg": ("deg", "degs", "degree", "degrees", "°", "º", "˚", "gradi", "grado", "grados", "degre", "degres", "aste",
+            "astetta", "asteet", "grader", "度"),
+    "rad": ("rad", "rads", "radian", "radians", "radiant", "radianes", "radiaani", "radiaania", "radianer", "rajian"),
+    "mrad": ("mrad",), "gon": ("gon",),
+    "s": ("s", "sec", "secs", "second", "seconds", "sek", "sekunde", "sekunden", "seconde", "secondes", "seg",
+          "segundo", "segundos", "sekunti", "sekuntia", "sekunder", "byo", "byou", "秒"),
+    "ms": ("ms", "msec", "msecs", "msek", "mseg", "millis", "millisec", "millisecs", "millisecond", "milliseconds",
+           "millisekunde", "millisekunden", "milliseconde", "millisecondes", "milisegundo", "milisegundos",
+           "millisekunti", "millisekuntia", "millisekunder", "miribyo", "miribyou", "ミリ秒"),
+    "us": ("us", "usec", "usecs", "micros", "microsecond", "microseconds", "mikrosekunde", "mikrosekunden",
+           "microseconde", "microsecondes", "microsegundos"),
+    "ns": ("ns", "nsec", "nanos", "nanosecond", "nanoseconds", "nanosekunden"),
+    "m": ("m", "meter", "meters", "metre", "metres", "metro", "metros", "metri", "metria"),
+    "cm": ("cm", "centimeter", "centimeters", "centimetre", "centimetres", "zentimeter", "centimetro", "centimetros",
+           "senttimetri"),
+    "mm": ("mm", "millimeter", "millimeters", "millimetre", "millimetres", "milimetro", "milimetros", "millimetri"),
+    "inch": ("inch", "inches"), "ft": ("ft", "feet"),
+    "bar": ("bar", "bars", "barg", "baari", "baaria"), "mbar": ("mbar", "millibar"), "psi": ("psi", "psig"),
+    "Pa": ("pa", "pascal", "pascals"), "hPa": ("hpa", "hectopascal"),
+    "kPa": ("kpa", "kilopascal", "kilopascals", "kiropasukaru"),
+    "MPa": ("mpa", "megapascal", "megapascals", "megapasukaru"),
+    "kgf/cm^2": ("kg/cm2", "kp/cm2", "kgf/cm2"), "N/mm^2": ("n/mm2",),
+    "N": ("newton", "newtons"), "kN": ("kn", "kilonewton"), "daN": ("dan",), "kgf": ("kgf", "kp"),
+    "lbf": ("lbf",), "N*m": ("newtonmeter",), "kN*m": ("knm", "kilonewtonmeter"),
+    "deg/s": ("dps",), "m/s": ("mps",), "rpm": ("rpm", "u/min", "tr/min", "upm"),
+    "V": ("volt", "volts"), "mV": ("mv", "millivolt", "millivolts"), "A": ("amp", "amps", "ampere"),
+    "mA": ("ma", "milliamp", "milliamps", "milliampere"), "%": ("%", "percent", "prozent", "pct"),
+}
+"""Words for each unit, without accents and in lower case: what counts as a unit behind a name, too."""
+SEVERAL: dict[str, tuple[str, ...]] = {"grad": ("deg", "gon"), "nm": ("N*m", "nm"), "g": ("g_0", "g")}
+"""Units of words that have several: degrees in German and Swedish, gon elsewhere; newton metres and nanometres; the
+acceleration of gravity and grams."""
+SPELLED = {"Grad": "deg", "mPa": "mPa", "Nm": "N*m", "N": "N", "V": "V"}
+"""Units of words that their case tells: the German noun, symbols of one letter, a prefix. An "A" may be a chamber."""
+GERMAN = re.compile("winkel|neigung|stellung|drehung|schwenk|lage")
+"""Behind these, "grad" stands for degrees."""
+TIMES = ("ms", "us", "ns")
+"""Units that name a column of the time by themselves, beside words for the second of three letters and more."""
+_PLAIN = str.maketrans({"²": "2", "³": "3", "μ": "u", "µ": "u", "·": "*", "\u202f": " ", "\xa0": " "})
+_BRACKETS = re.compile(r"(.*?\S)\s*[\[({]([^\[\](){}]*)[\])}]")
+_GAUGE = re.compile(r"\b(bar|psi)\s*\(g\)", re.IGNORECASE)
+_OPERATOR = re.compile(r"\s*(/|\*|\bper\b|\bpro\b)\s*", re.IGNORECASE)
+_POWER = re.compile(r"(.+?)(?:\^|\*\*)?([23])")
+_RATE = re.compile(r"(.*\S)_(?!per_)([^\W_]+)_(?:per_)?(s|s2|sec)", re.IGNORECASE)
+_HUMP = re.compile(r"(.*[a-z\d])([A-Z][a-z]+)")
+
+
+class Header(NamedTuple):
+    """A header in its parts: the name, the text of its unit, and what that may stand for; both empty of none."""
+
+    name: str
+    text: str
+    units: tuple[str, ...]
+
+
+def header_of(header: str, names: Collection[str] = ()) -> Header:
+    """The parts of a header whose unit stands in brackets, behind "/" or "in", or is its last word.
+
+    In brackets any unit counts, else those of `WORDS`. A last word that is among `names`, the words of a machine's
+    parts, stays one. A word for a unit of time alone, such as ``ms``, is name and unit.
+
+    >>> header_of("Druck Boom bar"), header_of("Winkel (Grad)").units, header_of("boom angle [grad]").units
+    (Header(name='Druck Boom', text='bar', units=('bar',)), ('deg',), ('deg', 'gon'))
+    >>> header_of("boom_max"), header_of("tow_bar", names={"tow", "bar"}).units
+    (Header(name='boom_max', text='', units=()), ())
+    """
+    header = _GAUGE.sub(r"\1", header.strip())
+    if found := _BRACKETS.fullmatch(header):
+        if units := units_of(found[2], found[1]):
+            return Header(_bare(found[1]), found[2].strip(), units)
+        return Header(header, "", ())
+    for name, text in _behind(header):
+        units = units_of(text, name, listed=True)
+        if units and _folded(text) not in names and any(each.isalnum() for each in name):
+            return Header(_bare(name), text, units)
+    if (units := units_of(header, listed=True)) and (units[0] in TIMES or (units == ("s",) and len(header) > 2)):
+        return Header(header, header, units)
+    return Header(header, "", ())
+
+
+@cache
+def units_of(text: str, name: str = "", *, listed: bool = False) -> tuple[str, ...]:
+    """What the text of a unit may stand for, in a header of this name: nothing if it is none.
+
+    >>> units_of("Grad/s"), units_of("grad"), units_of("grad", "Neigung"), units_of("kWh"), units_of("KPA")
+    (('deg/s',), ('deg', 'gon'), ('deg',), ('kWh',), ('kPa',))
+
+    Args:
+        listed: whether only units of `WORDS` and powers, products and quotients of them count.
+    """
+    plain = text.strip().rstrip(".").translate(_PLAIN)
+    parts = [part for part in _OPERATOR.split(plain) if part] if _words().get(_folded(plain)) is None else [plain]
+    meant = [("/" if part.lower() in ("per", "pro", "/") else "*",) if k % 2 else _atom(part, name, listed)
+             for k, part in enumerate(parts)]
+    found = (("".join(each)) for each in product(*meant))
+    return tuple(unit for unit in found if unit and same_kind(unit, unit))
+
+
+def of_kind(units: Iterable[str], *kinds: str) -> tuple[str, ...]:
+    """Those of the units that measure one of the kinds.
+
+    >>> of_kind(units_of("nm"), "m"), of_kind(units_of("nm"), "N*m", "N")
+    (('nm',), ('N*m',))
+    """
+    return tuple(each for each in units if any(same_kind(each, kind) for kind in kinds))
+
+
+@cache
+def _words() -> dict[str, tuple[str, ...]]:
+    found: dict[str, tuple[str, ...]] = {word: (unit,) for unit, words in WORDS.items() for word in words}
+    return found | SEVERAL
+
+
+def _atom(text: str, name: str, listed: bool) -> tuple[str, ...]:
+    """What one word means, or a power of it; in degrees per second the words are two."""
+    if text in SPELLED:
+        return (SPELLED[text],)
+    folded = _folded(text)
+    if folded == "grad" and GERMAN.search(_folded(name)):
+        return ("deg",)
+    if folded in _words():
+        return _words()[folded]
+    if (power := _POWER.fullmatch(text)) and (base := _atom(power[1], name, listed)):
+        return tuple(f"{each}^{power[2]}" for each in base)
+    return () if listed or not same_kind(text, text) else (text,)
+
+
+def _behind(header: str) -> Iterable[tuple[str, str]]:
+    """The ways in which a header may end in a unit without brackets, the longest unit first."""
+    for pattern in (r"(.*?\S)\s+(\S+\s+(?:per|pro|/)\s+\S+)", r"(.*\S)[\s,;:]+(\S+)"):
+        if found := re.fullmatch(pattern, header):
+            yield found[1], found[2]
+    if found := _RATE.fullmatch(header):
+        yield found[1], f"{found[2]}/{found[3]}"
+    for pattern in (r"(.*[^\W_])_+([^\W_][^_]*|[°º˚%])", r"([^/]*?\S)\s*/\s*(\S.*)"):
+        if found := re.fullmatch(pattern, header):
+            yield found[1], found[2]
+    if found := re.fullmatch(r"(.*[^\W_])(°|º|˚|°/s|%)", header):
+        yield found[1], found[2]
+    if (found := _HUMP.fullmatch(header)) and len(found[2]) > 1:
+        yield found[1], found[2]
+
+
+def _bare(name: str) -> str:
+    """A name without what joins it to its unit."""
+    return re.sub(r"(?:\s+in|\s*[/,;:_-])\s*$", "", name).strip() or name.strip()
+
+
+def _folded(text: str) -> str:
+    """Without accents and in lower case."""
+    parts = unicodedata.normalize("NFD", text.strip().rstrip(".")) if not text.isascii() else text.strip().rstrip(".")
+    return "".join(each for each in parts if not unicodedata.combining(each)).lower()
