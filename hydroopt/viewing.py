@@ -34,9 +34,10 @@ TALL = 900
 
 @dataclass(frozen=True, repr=False)
 class View:
-    """A page that needs nothing else; notebooks show it below the cell."""
+    """A page that needs nothing else, and the name of its machine; notebooks show it below the cell."""
 
     page: str
+    machine_name: str
 
     def __repr__(self) -> str:
         return f"View({len(self.page.encode()) / 1e6:.1f} MB of HTML)"
@@ -86,7 +87,7 @@ def view(shown: Any) -> View:
     if isinstance(shown, Answer):
         for kind in type(shown).__mro__:
             if place := PAGES.get(kind.__name__):
-                return View(getattr(import_module(place[0]), place[1])(shown))
+                return View(getattr(import_module(place[0]), place[1])(shown), shown.machine_name)
     machine = getattr(shown, "machine", shown)
     if type(machine).__name__ != "Machine":
         raise ProblemError(f"a {type(shown).__name__} has no page", where="view",
@@ -110,4 +111,4 @@ def _of_machine(machine: Machine, answer: SavedAnswer | None = None) -> View:
     from hydroopt.model.scene_graph import SceneGraph  # noqa: PLC0415
     from hydroopt.report.machine_view import render  # noqa: PLC0415
 
-    return View(render(SceneGraph(machine), answer))
+    return View(render(SceneGraph(machine), answer), machine.name)

@@ -98,7 +98,8 @@ def control(
         variants = [*([before] if before else ()), *([reduced(complete)] if FEEDFORWARD in kinds else ()), complete]
         setting = Setting(plant, path, *truth(true, plant, seed=seed), plant.parameters.nominal,
                           rate_of(plant, rate, path), seed if noise else None, sensitivity, gain)
-        found = compare(setting, variants, kinds, progress=say)
+        found = compare(setting, variants, kinds,
+                        progress=lambda text, part=None: say(text, None if part is None else 0.95 * part))
         comparison = replace(found, source=origin.text, options={
             "motion": str(motion), "truth": true, "seed": seed, "noise": noise, "sensitivity": sensitivity,
             "gain": gain, "controllers": list(kinds)})

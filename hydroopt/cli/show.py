@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
+from hydroopt.cli import machine_summary as summary
 from hydroopt.cli.options import AsJson, MachineName, ParameterSetName, progress
 from hydroopt.cli.terminal import echo
 from hydroopt.errors import visible
@@ -31,10 +32,12 @@ def show(
     motion: Annotated[Path | None, typer.Option("--motion", metavar="LOG", help=(
         "Log whose joint positions are followed, such as excite's trajectory.csv; what IMUs tell is that of this "
         "motion, or of a random one if not given."))] = None,
+    everything: Annotated[bool, typer.Option("--all", help=(
+        "Show every channel and parameter, and what each stage of the calibration identifies."))] = False,
     parameter_set: ParameterSetName = None,
     as_json: AsJson = False,
 ) -> None:
-    """Show a machine: joints, cylinders and their geometry, sensors, and which parameters are identifiable.
+    """Show a machine on one page: joints, cylinders and their geometry, sensors, what motion identifies.
 
     Example: hydroopt show cat215b -o out
     """
@@ -60,35 +63,56 @@ def show(
     console.print(f"[bold]{described.name}[/bold] {escape(visible(described.description, keep=chr(10)))}")
     for diagnostic in facts["diagnostics"]:
         console.print(f"! {escape(diagnostic['text'])} {escape(diagnostic['remedy'])}", soft_wrap=True)
-    tables = {"Joints": facts["joints"], "Cylinders": [_cylinder_row(cylinder) for cylinder in facts["cylinders"]],
-              "Sensors (standard deviation of a reading)": facts["sensors"], "Parameters": facts["parameters"],
-              "Hydraulic parameters": facts["hydraulic_parameters"]}
-    for title, rows in tables.items():
-        if rows:
-            console.print(_table(title, rows))
-    counts = facts["identifiability"]
-    console.print(f"Of {len(facts['parameters'])} parameters a motion without noise identifies {counts['full']} "
-                  f"individually and {counts['combination']} in combinations ({counts['rank']} base parameters); "
-                  f"{counts['none']} have no effect on the actuator forces.")
-    for each in facts["couplings"]:
-        console.print(f"{each['coupling']}: {each['relation']}", soft_wrap=True, markup=False)
-    for each in facts["spans"]:
-        console.print(f"{each['cylinders']} together move {each['joints']}; least angle to a singular posture "
-                      f"{each['margin_deg']:.1f} deg, at {each['margin_at']}", soft_wrap=True)
-    for each in facts["linkages"]:
-        console.print(f"{each['linkage']}: {each['dependent']} follow {each['follows']}, {_ratios(each)}; least angle "
-                      f"to a dead point {each['margin_deg']:.1f} deg, at {each['margin_at']}", soft_wrap=True)
-    if facts["imus"]:
-        console.print(_table(f"IMUs: what {facts['imus']['motion']} tells (standard deviations)",
-                             facts["imus"]["numbers"]))
-        console.print("Positions of joints by that motion: " + ", ".join(map(_position, facts["imus"]["joints"]))
-                      + ".", soft_wrap=True)
-    if lines := facts["calibration"]["lines"]:
-        console.print("[bold]Kinematic calibration[/bold]")
-        for line in lines:
-            console.print(escape(line), soft_wrap=True)
+    for title, rows in _tables(facts, everything=everything).items():
+        shown, more = (rows, "") if everything else summary.shortened(rows)
+        if shown:
+            console.print(_table(title, [*shown], short=not everything))
+        if more:
+            console.print(f"  {more}", markup=False)
+    for line in _lines(facts, everything=everything):
+        console.print(line, soft_wrap=everything, markup=False, highlight=False)
     if output is not None:
         echo(f"{output / 'machine.html'}")
+
+
+def _tables(facts: dict[str, Any], *, everything: bool) -> dict[str, list[dict[str, Any]]]:
+    """The tables of the screen by their titles."""
+    cylinders = [_cylinder_row(cylinder) for cylinder in facts["cylinders"]]
+    if not everything:
+        return {"Joints": facts["joints"], "Cylinders": cylinders,
+                "Sensors (standard deviation of a reading)": summary.sensors(facts["sensors"]),
+                "Parameters that motion identifies (alone; combined with others; not at all)":
+                summary.parts(facts["parameters"])}
+    tables = {"Joints": facts["joints"], "Cylinders": cylinders,
+              "Sensors (standard deviation of a reading)": facts["sensors"], "Parameters": facts["parameters"],
+              "Hydraulic parameters": facts["hydraulic_parameters"]}
+    if facts["imus"]:
+        tables[f"IMUs: what {facts['imus']['motion']} tells (standard deviations)"] = facts["imus"]["numbers"]
+    return tables
+
+
+def _lines(facts: dict[str, Any], *, everything: bool) -> list[str]:
+    """The sentences below the tables."""
+    counts, imus, hydraulic = facts["identifiability"], facts["imus"], facts["hydraulic_parameters"]
+    relations = [f"{each['coupling']}: {each['relation']}" for each in facts["couplings"]]
+    relations += [f"{each['cylinders']} together move {each['joints']}; least angle to a singular posture "
+                  f"{each['margin_deg']:.1f} deg, at {each['margin_at']}" for each in facts["spans"]]
+    relations += [f"{each['linkage']}: {each['dependent']} follow {each['follows']}, {_ratios(each)}; least angle "
+                  f"to a dead point {each['margin_deg']:.1f} deg, at {each['margin_at']}" for each in facts["linkages"]]
+    lines = [f"Of {len(facts['parameters'])} parameters a motion without noise identifies {counts['full']} "
+             f"individually and {counts['combination']} in combinations ({counts['rank']} base parameters); "
+             f"{counts['none']} have no effect on the actuator forces.", *relations]
+    if imus:
+        motion = imus["motion"]
+        lines.append(f"Positions of joints by {motion}: " + ", ".join(map(_position, imus["joints"])) + ".")
+    calibration = facts["calibration"]["lines"]
+    if everything:
+        return [*lines, *(["Kinematic calibration"] if calibration else []), *calibration]
+    if imus:
+        told = sum(each["told"] == "yes" for each in imus["numbers"])
+        lines.append(f"That motion tells {told} of {len(imus['numbers'])} numbers of the IMUs.")
+    lines += [line for line in (summary.hydraulics(hydraulic), summary.calibration(calibration)) if line]
+    return [*lines, "Each parameter and channel: --all. A drawing: -o DIR."]
 
 
 def _position(each: dict[str, Any]) -> str:
@@ -141,7 +165,7 @@ def _hydraulics(machine: Machine, output: Path | None, *, as_json: bool) -> None
         echo(json.dumps(rows, indent=1))
         return
     Console().print(_table("Joints on their oil, each moving at a tenth of its greatest speed",
-                           [_mode_row(row) for row in rows], wrap=True))
+                           [_mode_row(row) for row in rows]))
     for row in rows:
         if row["unreachable"]:
             echo(f"{row['joint']} at {row['speed']:.3g} {row['speed_unit']}: no steady motion in "
@@ -169,13 +193,16 @@ def _cylinder_row(facts: dict[str, Any]) -> dict[str, Any]:
             "lever arm [m]": f"{facts['lever_arm_min_m']:.3f} … {facts['lever_arm_max_m']:.3f}"}
 
 
-def _table(title: str, rows: list[dict[str, Any]], *, wrap: bool = False) -> Table:
+def _table(title: str, rows: list[dict[str, Any]], *, short: bool = False) -> Table:
+    from rich import box
     from rich.markup import escape
     from rich.table import Table
 
-    table = Table(title=title, title_justify="left", header_style="bold")
+    table = Table(title=title, title_justify="left", header_style="bold",
+                  box=box.SIMPLE_HEAD if short else box.HEAVY_HEAD, show_edge=not short)
     for key in rows[0]:
-        table.add_column(escape(key), no_wrap=not wrap)
+        table.add_column(escape(key), no_wrap=short and key not in summary.WRAPPED,
+                         overflow="ellipsis" if short else "fold")
     for row in rows:
         table.add_row(*[f"{v:.6g}" if isinstance(v, float) else escape(str(v)) for v in row.values()])
     return table

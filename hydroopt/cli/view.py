@@ -24,6 +24,6 @@ def view(
     from hydroopt.viewing import view as page_of
 
     page = page_of(shown)
-    folder = output or (Path(shown) if Path(shown).is_dir() else Path("out") / Path(shown).stem)
+    folder = output or (Path(shown) if Path(shown).is_dir() else Path("out") / page.machine_name)
     file = page.open(folder) if show_now else page.save(folder)
     echo(str(file))

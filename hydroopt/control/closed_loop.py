@@ -15,8 +15,11 @@ from hydroopt.kernels.integrator import IntegrationError
 from hydroopt.kernels.one_sample import OneSample
 from hydroopt.logs.sensors import quantised
 from hydroopt.model.plant import Plant
+from hydroopt.progress import Progress, silent
 from hydroopt.spatial.inertia import Array
 
+TOLD = 200
+"""Samples after which progress is told."""
 OVERRUN = 0.2
 """Part of a joint's range by which it may exceed its limits; beyond that the machine hits its stops and the run
 ends."""
@@ -114,7 +117,7 @@ def _entries(values: dict[int, float]) -> tuple[NDArray[np.intp], Array]:
 
 
 def simulate(demands: Demands, controller: Controller, psi: Array, theta: Array, *,
-             seed: int | None = 0) -> Run:
+             seed: int | None = 0, progress: Progress = silent) -> Run:
     """Simulate a controller that drives the machine along a motion and starts on it.
 
     Args:
@@ -123,6 +126,7 @@ def simulate(demands: Demands, controller: Controller, psi: Array, theta: Array,
         psi: true dynamic parameters (p,).
         theta: true hydraulic ones.
         seed: of the sensors' errors; None for sensors without any.
+        progress: is told the part of the motion that is done.
 
     Raises:
         ProblemError: the motion's start cannot be held.
@@ -142,6 +146,8 @@ def simulate(demands: Demands, controller: Controller, psi: Array, theta: Array,
     states, acting, commands = [], [], []
     controller.reset()
     for k in range(len(t)):
+        if k % TOLD == 0:
+            progress("", k / len(t))
         q = x[:n]
         if np.any(np.abs(q - middle) > reach):
             stopped = f"the machine hits its stops at {t[k]:.2f} s"

@@ -256,10 +256,16 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
     refuse_flow(setting.plant, setting.reference.at(setting.t))
     demand = demands.by(best.model, best.psi)
     refuse_opening(setting.plant, setting.t, demand, demands.valves)
-    progress("tuning", 0.0)
+    wanted = (PI in kinds) + (FEEDFORWARD in kinds) * (len(variants) + 1) + (LQG in kinds)
+
+    def told(first: int, name: str = "") -> Progress:
+        """Of a step among all: tuning, then each candidate."""
+        return lambda text, part=None: progress(name or text, (first + (part or 0.0)) / (1 + wanted))
+
+    told(0)("linearising")
     on_motion, in_workspace = setting.points(best.psi, setting.theta)
     plants = setting.plants([*on_motion, *in_workspace], best.psi, setting.theta)
-    gains = tuned(plants, [*on_motion, *in_workspace], demands.valves, setting.sensitivity)
+    gains = tuned(plants, [*on_motion, *in_workspace], demands.valves, setting.sensitivity, told(0))
     gains = replace(gains, position=setting.gain * gains.position)
     candidates: list[tuple[str, str, ModelVariant, Cascade | Lqg]] = []
     if PI in kinds:
@@ -279,12 +285,13 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
     path, outcomes = setting.reference.at(setting.t), []
     analysed: dict[type, tuple[tuple[Margin, ...], Bode]] = {}  # all cascades have the same loops
     for k, (name, kind, variant, controller) in enumerate(candidates):
-        progress(name, (1 + k) / (1 + len(candidates)))
+        at = told(1 + k, name)
+        at(name)
         if type(controller) not in analysed:
             analysed[type(controller)] = _margins(true_plants, [*on_motion, *in_workspace], controller, demands)
         found, bode = analysed[type(controller)]
         refuse_unstable(name, [m for m in found if m.point in {each.name for each in on_motion}])
-        run = simulate(demands, controller, setting.true.psi, setting.true_theta, seed=setting.seed)
+        run = simulate(demands, controller, setting.true.psi, setting.true_theta, seed=setting.seed, progress=at)
         reference = path.q[:len(run.t)]
         tip_error = np.linalg.norm(tip(setting.plant, run.q) - tip(setting.plant, reference), axis=1)
         outcomes.append(Outcome(name, kind, variant, run, run.q - reference, tip_error, found, bode))

@@ -56,11 +56,15 @@ def refuse_flow(plant: Plant, motion: Trajectory) -> None:
         raise ProblemError(
             f"at {t[k]:.2f} s the motion demands {total[k] * 6e4:.0f} L/min of a pump that gives "
             f"{most * 6e4:.0f} L/min", where="--motion",
-            remedy=f"let it take {np.ceil(100 * (total[k] / most - 1)):.0f} % longer, or move fewer joints at a time")
+            remedy=f"let it take {np.ceil(100 * (total[k] / most - 1)):.0f} % longer, with a longer --duration of "
+                   "excite or simulate, or move fewer joints at a time")
 
 
 def refuse_opening(plant: Plant, t: Array, demand: Demand, valves: Valves) -> None:
-    """Refuse a motion for which a valve is too small.
+    """Refuse a motion for whose speeds a valve is too small.
+
+    What a change of force takes besides counts only where it saturates a valve in a run: at reversals friction jumps,
+    and asks for a moment more than any valve gives.
 
     Raises:
         ProblemError: a valve would be fully open; the sentence states time and valve.
@@ -71,14 +75,15 @@ def refuse_opening(plant: Plant, t: Array, demand: Demand, valves: Valves) -> No
         raise ProblemError(
             f"at {t[k]:.2f} s the motion demands more of '{plant.actuators[i].actuator.name}' than its valve gives "
             "when fully open", where="--motion",
-            remedy="drive it slower, or correct the valve's flow or the pump's pressure")
+            remedy="drive it slower, with a longer --duration of excite or simulate, or correct the valve's flow "
+                   "or the pump's pressure in the machine file")
 
 
 def openings(demand: Demand, valves: Valves, supply: Array) -> Array:
-    """Openings (N, a) of the valves along a motion, −1 to 1, saturated at fully open."""
+    """Openings (N, a) of the valves for the speeds of a motion, −1 to 1, saturated at fully open."""
     preview = demand.preview
-    return np.array([valves.command(preview.speed[k], preview.force_rate[k], preview.length[k], preview.pressure[k],
-                                    supply)[1] for k in range(len(preview.speed))])
+    return np.array([valves.command(speed, 0 * speed, length, pressure, supply)[1] for speed, length, pressure
+                     in zip(preview.speed, preview.length, preview.pressure, strict=True)])
 
 
 def refuse_unstable(name: str, margins: Sequence[Margin]) -> None:

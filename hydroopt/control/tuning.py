@@ -14,6 +14,7 @@ from hydroopt.control.loop_margins import frequencies
 from hydroopt.control.sampled_plant import Point
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.errors import ProblemError
+from hydroopt.progress import Progress, silent
 from hydroopt.spatial.inertia import Array
 
 SENSITIVITY = 1.3
@@ -110,7 +111,7 @@ def _least_singular_value(matrix: Array) -> Array:
 
 
 def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valves,
-          largest: float = SENSITIVITY) -> Gains:
+          largest: float = SENSITIVITY, progress: Progress = silent) -> Gains:
     """Position and force gains with the fastest position loops whose sensitivity stays below `largest`.
 
     Each axis in turn, with all other loops closed, gets the force gain that admits the highest position gain. Several
@@ -123,6 +124,7 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
         points: at which the robustness has to hold.
         valves: with the parameters that the controller uses.
         largest: sensitivity that is allowed.
+        progress: is told the axes, and the part of them that is done.
 
     Raises:
         ProblemError: an axis has no gains that are robust enough.
@@ -139,8 +141,9 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
         by_position, by_force = loops.feedback(gains)
         return loop.sensitivity(by_position[:, k], by_force[:, own]) <= largest
 
-    for _ in range(SWEEPS):
+    for sweep in range(SWEEPS):
         for k, name in enumerate(axes.names):
+            progress(f"tuning {name}", (sweep + k / m) / SWEEPS)
             loop, best = loops.cut(gains, k), (0.0, 0.0, 0.0)
             parts = FORCE_GAINS if np.any(full[list(axes.actuators[k])]) else FORCE_GAINS[:1]
             for filter_time in FILTER_TIMES:
@@ -154,6 +157,6 @@ def tuned(plants: Sequence[LinearSystem], points: Sequence[Point], valves: Valve
                         position *= 1 + STEP
             if best[0] <= 0:
                 raise ProblemError(f"no gains make the loop of '{name}' robust enough",
-                                   where="control", remedy="raise the rate, or allow a higher --sensitivity")
+                                   where="control", remedy="raise --rate, or allow a higher --sensitivity")
             robust(k, *best)
     return gains

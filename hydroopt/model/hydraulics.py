@@ -190,6 +190,14 @@ class ActuatorHydraulics:
         swept, capacity = chamber_flows(self.actuator, speed), self.capacities(p_a, p_b, length, value)
         return (flows.into_a - swept[0]) / capacity[0], (flows.into_b - swept[1]) / capacity[1]
 
+    def resistances(self, value: Value) -> tuple[ca.SX, ca.SX]:
+        """Force per square of the speed [N·s²/m² or N·m·s²/rad²] that the fully open valve takes: extending,
+        retracting."""
+        a, b = self.areas
+        k_pa, k_at, k_pb, k_bt = (conductance(self.valve, edge, value)
+                                  for edge in ("flow_pa", "flow_at", "flow_pb", "flow_bt"))
+        return a**3 / k_pa**2 + b**3 / k_bt**2, b**3 / k_pb**2 + a**3 / k_at**2
+
     def opening_for(self, force: ca.SX, speed: ca.SX, supply: ca.SX, value: Value) -> tuple[ca.SX, ca.SX, ca.SX]:
         """Spool position and both chambers' pressures in steady motion at a force and a speed.
 
@@ -199,10 +207,8 @@ class ActuatorHydraulics:
         """
         a, b = self.areas
         pump, tank = supply[0], supply[1]
-        k_pa, k_at, k_pb, k_bt = (conductance(self.valve, edge, value)
-                                  for edge in ("flow_pa", "flow_at", "flow_pb", "flow_bt"))
-        out = a**3 / k_pa**2 + b**3 / k_bt**2
-        back = b**3 / k_pb**2 + a**3 / k_at**2
+        k_pa, k_at = (conductance(self.valve, edge, value) for edge in ("flow_pa", "flow_at"))
+        out, back = self.resistances(value)
         left_out, left_back = a * pump - b * tank - force, b * pump - a * tank + force
         extends = (1 + ca.sign(ca.sign(speed) + 0.5)) / 2  # 1 or 0, since generated C has no branches
         retracts = 1 - extends

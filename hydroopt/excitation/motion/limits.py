@@ -1,8 +1,8 @@
 """The limits of a machine as bounded functions of the joints' state, each with a name for messages.
 
-Joint positions, speeds and accelerations; cylinder strokes and speeds; the pump's flow; chamber pressures or torques by
-the nominal dynamics with a margin for its uncertainty; what passive joints leave without balance; workspace, ground
-and obstacles; tipping over.
+Joint positions, speeds and accelerations; cylinder strokes and speeds; the pump's flow; what fully open valves give at
+the supply's pressure; chamber pressures or torques by the nominal dynamics with a margin for its uncertainty; what
+passive joints leave without balance; workspace, ground and obstacles; tipping over.
 """
 
 from __future__ import annotations
@@ -18,12 +18,18 @@ from hydroopt.machine.actuators import Cylinder, Drive, Motor
 from hydroopt.machine.machine import BASE
 from hydroopt.model.flow_demand import chamber_flows
 from hydroopt.model.hanging import Hanging
+from hydroopt.model.hydraulics import ActuatorHydraulics
 from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.model.model import Model
 from hydroopt.model.regressor import body_regressor
 from hydroopt.parameters.dynamic import bodies
+from hydroopt.parameters.hydraulic import parameter_set
 from hydroopt.simulation.simulate import BACK_PRESSURE
 from hydroopt.spatial.inertia import Array
+
+USED = 0.9
+"""Part of a valve's opening, and of the pump's flow, that a designed motion uses in steady flow: the rest is for leaks,
+for the oil's compression and for a controller that catches up."""
 
 
 class Row(NamedTuple):
@@ -67,6 +73,7 @@ class Limits:
         self._cylinders()
         self._pump()
         self._efforts()
+        self._valves()
         self._positions()
         self._tipping()
         self._passive()
@@ -132,7 +139,8 @@ class Limits:
         demands = [chamber_flows(actuator, self.model.dynamics.rates[k])
                    for k, actuator in enumerate(machine.actuators) if isinstance(actuator, Cylinder | Motor)]
         for chosen in itertools.product(*demands) if demands else ():
-            self._add("pump flow", "m^3/s", sum(chosen[1:], chosen[0]), upper=machine.pump.max_flow)
+            self._add("pump flow", "m^3/s", sum(chosen[1:], chosen[0]), upper=USED * machine.pump.max_flow,
+                      scale=machine.pump.max_flow)
 
     def _efforts(self) -> None:
         model = self.model
@@ -153,6 +161,29 @@ class Limits:
                 self._add(" ".join(chamber.split(".")), "Pa", (sign * force[k] + other * self.back_pressure) / area,
                           upper=most if most >= self.back_pressure else -np.inf,  # cannot be satisfied
                           scale=actuator.relief_pressure, floor=self.back_pressure)
+
+    def _valves(self) -> None:
+        """Forces that valves still give at a speed, since the flow through them takes force of what the supply gives:
+        f ± R·v² ≤ A·p_supply − A'·p_tank in both directions (see `ActuatorHydraulics.opening_for`)."""
+        machine = self.model.machine
+        if machine.pump is None or machine.pump.pressure is None or machine.oil is None:
+            return
+        force = _actuator_forces(self.model, ca.DM(self.model.parameters.nominal))
+        theta = parameter_set(machine)
+        numbers = dict(zip(theta.names, theta.nominal.tolist(), strict=True))
+        supply, tank = machine.pump.pressure, machine.pump.tank_pressure
+        for k, actuator in enumerate(machine.actuators):
+            if isinstance(actuator, Drive) or actuator.circuit is None:
+                continue
+            each = ActuatorHydraulics(actuator, actuator.circuit, machine.oil)
+            (a, b), squared = each.areas, self.model.dynamics.rates[k] * ca.fabs(self.model.dynamics.rates[k])
+            own = {key.removeprefix(f"{actuator.name}."): value for key, value in numbers.items()}
+            taken = each.resistances(own.__getitem__)
+            for sign, resistance, most in ((1, taken[0], a * supply - b * tank), (-1, taken[1], b * supply - a * tank)):
+                self._add(f"{actuator.name} valve {'forwards' if sign > 0 else 'backwards'}",
+                          "N" if isinstance(actuator, Cylinder) else "N*m",
+                          sign * (force[k] + resistance / USED**2 * squared), upper=most - float(self.margin[k]),
+                          scale=most)
 
     def _passive(self) -> None:
         hanging = self.hanging
