@@ -6,7 +6,7 @@ import cmath
 import math
 from collections.abc import Iterator
 
-from hydroopt.guided.kinds import CylinderPart, LinkagePart, Member
+from hydroopt.guided.kinds import CylinderPart, LinkagePart, Member, Telescope
 from hydroopt.guided.plane import OpenError
 from hydroopt.guided.question import AnswerError, Question
 from hydroopt.guided.side_geometry import SideGeometry
@@ -40,11 +40,14 @@ class _Interview:
                            0.0, "0 mm if you cannot tell; behind counts negative", least=-5, most=5)
         for k, member in enumerate(self.sketch.members):
             yield from self._member(k, member)
+        if kind.telescope is not None:
+            yield from self._telescope(kind.telescope)
 
     def _member(self, k: int, member: Member) -> Iterator[Question]:
+        slides = self.sketch.kind.telescope is not None and k + 1 == len(self.sketch.members)
         yield Question(f"{member.name}.length", f"{member.name}: from the {member.first} to the {member.last}?", "m",
-                       member.length * (self.sketch.scale(k - 1) if k else 1.0),
-                       "tape from pin centre to pin centre", least=0.02, most=60)
+                       member.length * (self.sketch.scale(k - 1) if k else 1.0), "tape from pin centre to pin centre"
+                       + ", a telescope fully retracted" * slides, least=0.02, most=60)
         if member.cylinder is None:
             yield from self._axis(k, member)
         else:
@@ -71,7 +74,8 @@ class _Interview:
         rocker, coupler = part.rocker_name, part.coupler_name
         yield from self._pin(f"{rocker}.pin", f"{rocker}: its pivot on the {before.name}", k - 1, part.pin)
         yield Question(f"{rocker}.length", f"{rocker}: from its pivot to its pin with the {coupler}?", "m",
-                       scale * part.rocker, "pin centre to pin centre", least=0.01, most=20)
+                       scale * part.rocker, "pin centre to pin centre; where the rod is pinned to the "
+                       f"{member.name} itself there is none: begin with --kind empty", least=0.01, most=20)
         if part.rod != part.rocker:
             yield Question(f"{rocker}.rod_from_pivot", f"{rocker}: from its pivot to its pin with the cylinder?", "m",
                            scale * abs(part.rod), least=0.01, most=20)
@@ -112,6 +116,36 @@ class _Interview:
                        least=0.1 * bore, most=0.98 * bore)
         yield Question(f"{name}.jacks", f"{name}: how many equal cylinders side by side?", "1", float(part.jacks),
                        least=1, most=8)
+
+    def _telescope(self, part: Telescope) -> Iterator[Question]:
+        """Sections that slide out of the last link, the first by a cylinder, the second as the first takes it along."""
+        link, length, name = self.sketch.members[-1], self.sketch.length(len(self.sketch.members) - 1), part.name
+        yield Question(f"{name}.sections", f"{name}: how many sections slide out of the {link.name}?", "1", 0.0,
+                       "0 without a telescope; 2 where a chain or a rope takes a second one along with the first",
+                       least=0, most=2)
+        if not self.sketch.sections:
+            return
+        travel = part.travel * length
+        yield Question(f"{name}.travel", f"{name}: how far does the first section slide out?", "m", travel,
+                       f"from fully retracted to fully extended, measured at the {link.last}", least=0.02, most=30)
+        travel = self.sketch.tentative(f"{name}.travel", travel)
+        if self.sketch.sections == 2:
+            yield Question(f"{name}_second.travel", f"{name}_second: how far does it slide out of the first one "
+                           "meanwhile?", "m", travel, "a chain takes it just as far", least=0.02, most=30)
+        cylinder = f"{name}_cylinder"
+        text = f"{cylinder}: its pin on the {link.name}"
+        yield Question(f"{cylinder}.barrel_forward", f"{text}: how far in front of the {link.first}?", "m",
+                       length * part.barrel.real, f"along the {link.name}; behind counts negative", least=-30, most=30)
+        yield Question(f"{cylinder}.barrel_up", f"{text}: how far above its line?", "m", length * part.barrel.imag,
+                       f"from the {link.first} to the {link.last}; below counts negative", least=-10, most=10)
+        yield Question(f"{name}_stroke.retracted", f"{cylinder}: pin to pin, fully retracted?", "m",
+                       max(length * part.retracted, 1.15 * travel), "longer than its stroke", least=travel, most=40)
+        for size, word, typical in ((part.bore, "bore", "bore"), (part.rod, "rod", "diameter of the rod")):
+            yield Question(f"{cylinder}.{word}", f"{cylinder}: {typical}?", "m", _round(length * size), least=0.005,
+                           most=2)
+        for section in [name, f"{name}_second"][:self.sketch.sections]:
+            yield Question(f"{section}.mass", f"{section}: mass without its cylinder?", "kg",
+                           part.mass * (length / 2) ** 3, "from the maker's sheet or a scale", least=0.01, most=2e5)
 
     def _pin(self, key: str, text: str, k: int, typical: complex) -> Iterator[Question]:
         """A pin on member k by its distances to that link's two ends, and on which side of the line it lies."""

@@ -56,6 +56,19 @@ class Member(NamedTuple):
     torque: float = 0.0
 
 
+class Telescope(NamedTuple):
+    """Typical sections that slide out of the last link, for a link of one metre: how far each slides, where the
+    cylinder's barrel is pinned to that link, its length retracted, bore and rod, and the mass of a section."""
+
+    name: str
+    travel: float
+    barrel: complex
+    retracted: float
+    bore: float
+    rod: float
+    mass: float
+
+
 class Kind(NamedTuple):
     """A kind of machine; `slew` is the name of the body that turns about the vertical, if there is one."""
 
@@ -66,6 +79,7 @@ class Kind(NamedTuple):
     slew_height: float = 0.0
     slew_mass: float = 0.0
     counted: bool = False
+    telescope: Telescope | None = None
 
 
 _BOOM = Member("boom", 6.2354, "boom foot pin", "stick pin", 2900.0, (-35, 45), CylinderPart(
@@ -90,7 +104,8 @@ _AXIS = Member("axis", 0.4, "axis", "next axis", 8.0, (-120, 120), None, torque=
 KINDS = {kind.name: kind for kind in (
     Kind("excavator", "excavator_bucket", (_BOOM, _STICK, _BUCKET), "swing", 0.7, 17000.0),
     Kind("loader", "wheel_loader", (_LIFT, _LOADER_BUCKET)),
-    Kind("crane", "tampere_manipulator, on a slewing column", (_MAIN, _OUTER), "slew", 1.5, 250.0),
+    Kind("crane", "tampere_manipulator, on a slewing column", (_MAIN, _OUTER), "slew", 1.5, 250.0,
+         telescope=Telescope("telescope", 0.5, 0.14 + 0.14j, 0.61, 0.027, 0.018, 50.0)),
     Kind("arm", "a small arm with a drive on each axis", (_AXIS,), counted=True),
     Kind("empty", "tampere_manipulator", (_MAIN._replace(name="link1", first="first pivot", last="next pivot"),
                                           _OUTER._replace(name="link2", first="pivot", last="end")), counted=True))}

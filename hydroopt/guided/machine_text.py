@@ -5,13 +5,15 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from hydroopt.guided.kinds import CylinderPart, LinkagePart, Member
+from hydroopt.guided.kinds import CylinderPart, LinkagePart, Member, Telescope
 from hydroopt.guided.sketch import Sketch
 
 TAPE = 0.005
 """Standard deviation [m] of a distance between pin centres by a tape."""
 GUESS = 0.05
 """Standard deviation of a typical length, as a part of it."""
+PLAY = 0.002
+"""Length [m] by which the limits of a telescope stay within the stroke of its cylinder."""
 STEEL = 7850.0
 """Density [kg/m³]."""
 
@@ -52,6 +54,9 @@ class _Writer:
             yield from self._slew()
         for k, member in enumerate(self.sketch.members):
             yield from self._link(k, member)
+        telescope = self.kind.telescope if self.sketch.sections else None
+        if telescope is not None:
+            yield from self._sections(telescope)
         for k, member in enumerate(self.sketch.members):
             if member.linkage is not None:
                 yield from self._linkage(k, member, member.linkage)
@@ -59,6 +64,8 @@ class _Writer:
             yield from self._motor()
         for k, member in enumerate(self.sketch.members):
             yield from (self._drive(member) if member.cylinder is None else self._cylinder(k, member, member.cylinder))
+        if telescope is not None:
+            yield from self._telescope_cylinder(telescope)
         yield from self._sensors()
 
     def _slew(self) -> Iterator[str]:
@@ -80,8 +87,12 @@ class _Writer:
         yield from ("", f"# {member.name}: from the {member.first} to the {member.last}; limits are {by}.", "[[links]]",
                     f'name = "{member.name}"')
         column = self.column and k == 0
-        far = (f"d = {self._length(f'{member.name}.length')}, alpha = \"90 deg\"" if column else
-               f"a = {self._length(f'{member.name}.length')}")
+        if self.sketch.sections and k + 1 == len(self.sketch.members):
+            yield "# Its telescope slides along the z of its own frame, which lies along this link."
+            far = 'alpha = "90 deg", beta = "90 deg"'
+        else:
+            far = (f"d = {self._length(f'{member.name}.length')}, alpha = \"90 deg\"" if column else
+                   f"a = {self._length(f'{member.name}.length')}")
         yield (f'joint = {{ type = "revolute", {far}, lower = "{low:.2f} deg", upper = "{high:.2f} deg", '
                f"{self._pace(25, 40)} }}")
         mass, along = self.sketch.number(f"{member.name}.mass"), 0.45 * length
@@ -91,6 +102,52 @@ class _Writer:
         yield from self._body("links.body", mass, com, (slender, slender, thick) if column else (
             thick, slender, slender), 0.05 if self.sketch.measured(f"{member.name}.mass") else 0.3, 0.1 * length,
             measured=self.sketch.measured(f"{member.name}.mass"))
+
+    def _sections(self, part: Telescope) -> Iterator[str]:
+        """The sections of a telescope: z along the last link, x to what is y of it; each frame lies at its far end."""
+        last, sketch = self.sketch.members[-1], self.sketch
+        length = sketch.number(f"{last.name}.length")
+        travel = sketch.number(f"{part.name}.travel")
+        names = [part.name, f"{part.name}_second"][:sketch.sections]
+        for name in names:
+            first = name == part.name
+            yield from ("", f"# {name}: slides out of the {last.name if first else part.name}; its frame lies where "
+                        f"the {last.last} is with all retracted.", "[[links]]", f'name = "{name}"')
+            far, pace = self._length(f"{last.name}.length"), [
+                f'{what} = {{ value = "{most}", source = "assumed" }}'
+                for what, most in (("max_speed", "0.3 m/s"), ("max_acceleration", "0.6 m/s^2"))]
+            yield (f'joint = {{ type = "prismatic", d = {far}, lower = "{PLAY:.4f} m", '
+                   f'upper = "{travel - PLAY:.4f} m", {", ".join(pace)} }}' if first else
+                   'joint = { type = "prismatic", dependent = true }')
+            stated = sketch.measured(f"{name}.mass")
+            mass = sketch.number(f"{name}.mass")
+            slender, thick = mass * length**2 / 12, mass * (0.15 * length) ** 2 / 6
+            yield from self._body("links.body", mass, (0.0, 0.0, -0.5 * length), (slender, slender, thick),
+                                  0.05 if stated else 0.3, 0.1 * length, measured=stated)
+        if len(names) == 2:
+            ratio = sketch.number(f"{names[1]}.travel") / travel
+            yield from ("", "# A chain or a rope takes the second section along.", "[[couplings]]",
+                        f'name = "{part.name}_chain"', f'joint = "{names[1]}"',
+                        f"ratios = {{ {part.name} = {ratio:.6g} }}")
+
+    def _telescope_cylinder(self, part: Telescope) -> Iterator[str]:
+        """Along the last link: on it at its barrel, on the first section at its rod."""
+        name, last, sketch = f"{part.name}_cylinder", self.sketch.members[-1], self.sketch
+        travel, short = sketch.number(f"{part.name}.travel"), sketch.number(f"{part.name}_stroke.retracted")
+        forward, up = (sketch.number(f"{name}.barrel_{way}") for way in ("forward", "up"))
+        yield from self._piston(name, part.name, short, short + travel, 1, f"{part.name}.travel")
+        measured = sketch.measured(f"{name}.barrel_forward", f"{name}.barrel_up")
+        sigma = 2 * TAPE if measured else max(2 * TAPE, GUESS * math.hypot(forward, up))
+        source = "tape measure" if measured else self.assumed
+        yield from ("[cylinders.barrel]", f'link = "{last.name}"',
+                    f"pin = {self._vector(complex(forward, up), sigma, source)}")
+        bore, rod = sketch.number(f"{name}.bore"), sketch.number(f"{name}.rod")
+        yield from self._barrel_body(bore, short, 1)
+        along = forward + short - sketch.number(f"{last.name}.length")
+        yield from ("[cylinders.rod]", f'link = "{part.name}"',
+                    f'pin = {{ value = ["{up:.4f} m", "0 m", "{along:.4f} m"], sigma = "{1e3 * sigma:.0f} mm", '
+                    f'source = "{source}: parallel to the {last.name}" }}')
+        yield from self._rod_body(rod, travel, 1)
 
     def _linkage(self, k: int, member: Member, part: LinkagePart) -> Iterator[str]:
         stroke = self.sketch.stroke(k)
@@ -121,40 +178,51 @@ class _Writer:
                f'viscous = {self._guess(2000 * ratio, "N*m*s/rad", 2)} }}')
 
     def _cylinder(self, k: int, member: Member, part: CylinderPart) -> Iterator[str]:
-        name, stroke_key, sketch = part.name, f"{member.name}_stroke", self.sketch
+        name, sketch = part.name, self.sketch
         short, long = sketch.stroke(k)
         bore, rod = sketch.number(f"{name}.bore"), sketch.number(f"{name}.rod")
         jacks = int(sketch.number(f"{name}.jacks"))
-        head = jacks * math.pi / 4 * bore**2
-        yield from ("", "[[cylinders]]", f'name = "{name}"')
-        if jacks > 1:
-            yield f"jacks = {jacks}"
-        for key, size in (("bore", bore), ("rod_diameter", rod)):
-            source = "measured" if sketch.measured(f"{name}.{key.removesuffix('_diameter')}") else self.assumed
-            yield f'{key} = {{ value = "{1e3 * size:.1f} mm", source = "{source}" }}'
-        yield "# pin to pin, fully retracted"
-        yield f"dead_length = {self._length(f'{stroke_key}.retracted')}"
-        source = "tape measure" if sketch.measured(f"{stroke_key}.extended") else self.assumed
-        yield f'stroke = {{ value = "{long - short:.4f} m", source = "{source}" }}'
-        yield f'relief_pressure = {{ value = "300 bar", source = "{self.assumed}" }}'
-        yield (f'friction = {{ offset = {self._guess(0.0, "N", 1, 1.5e5 * head)}, '
-               f'coulomb = {self._guess(2e5 * head, "N", 1)}, viscous = {self._guess(5e5 * head, "N*s/m", 2)} }}')
+        yield from self._piston(name, member.name, short, long, jacks, f"{member.name}_stroke.extended")
         if part.on_ground:
             yield from ("[cylinders.barrel]", f'link = "{self.kind.slew or "base"}"',
                         f"pin = {self._ground_pin(name)}")
         else:
             yield from ("[cylinders.barrel]", f'link = "{sketch.members[k - 1].name}"',
                         f"pin = {self._pin(f'{name}.barrel_pin')}")
-        barrel = 1.3 * STEEL * jacks * math.pi / 4 * (1.2**2 - 1) * bore**2 * short
-        yield from self._rod_like("cylinders.barrel.body", barrel, 0.45 * short, short, bore)
+        yield from self._barrel_body(bore, short, jacks)
         if member.linkage is None:
             yield from ("[cylinders.rod]", f'link = "{member.name}"', f"pin = {self._pin(f'{name}.rod_pin')}")
         else:
             at = sketch.rocker_rod(member.linkage)
             yield from ("[cylinders.rod]", f'link = "{member.linkage.rocker_name}"',
                         f"pin = {self._vector(at, 2 * TAPE, self.assumed)}")
-        yield from self._rod_like("cylinders.rod.body", 1.2 * STEEL * jacks * math.pi / 4 * rod**2 * 1.1 * (
-            long - short), -0.5 * (long - short), 1.1 * (long - short), rod)
+        yield from self._rod_body(rod, long - short, jacks)
+
+    def _piston(self, name: str, moved: str, short: float, long: float, jacks: int, known: str) -> Iterator[str]:
+        """A cylinder without its pins and bodies; its stroke is measured where the answer `known` is."""
+        sketch = self.sketch
+        head = jacks * math.pi / 4 * sketch.number(f"{name}.bore") ** 2
+        yield from ("", "[[cylinders]]", f'name = "{name}"')
+        if jacks > 1:
+            yield f"jacks = {jacks}"
+        for key, size in (("bore", "bore"), ("rod_diameter", "rod")):
+            source = "measured" if sketch.measured(f"{name}.{size}") else self.assumed
+            yield f'{key} = {{ value = "{1e3 * sketch.number(f"{name}.{size}"):.1f} mm", source = "{source}" }}'
+        yield "# pin to pin, fully retracted"
+        yield f"dead_length = {self._length(f'{moved}_stroke.retracted')}"
+        source = "tape measure" if sketch.measured(known) else self.assumed
+        yield f'stroke = {{ value = "{long - short:.4f} m", source = "{source}" }}'
+        yield f'relief_pressure = {{ value = "300 bar", source = "{self.assumed}" }}'
+        yield (f'friction = {{ offset = {self._guess(0.0, "N", 1, 1.5e5 * head)}, '
+               f'coulomb = {self._guess(2e5 * head, "N", 1)}, viscous = {self._guess(5e5 * head, "N*s/m", 2)} }}')
+
+    def _barrel_body(self, bore: float, short: float, jacks: int) -> Iterator[str]:
+        mass = 1.3 * STEEL * jacks * math.pi / 4 * (1.2**2 - 1) * bore**2 * short
+        yield from self._rod_like("cylinders.barrel.body", mass, 0.45 * short, short, bore)
+
+    def _rod_body(self, rod: float, stroke: float, jacks: int) -> Iterator[str]:
+        mass = 1.2 * STEEL * jacks * math.pi / 4 * rod**2 * 1.1 * stroke
+        yield from self._rod_like("cylinders.rod.body", mass, -0.5 * stroke, 1.1 * stroke, rod)
 
     def _drive(self, member: Member) -> Iterator[str]:
         torque = self.sketch.number(f"{member.name}.torque")
@@ -172,9 +240,14 @@ class _Writer:
                      for side in ("p_head", "p_rod")]
         lengths = [f"{member.cylinder.name}.length" for member in members if member.cylinder]
         torques = [f"{member.name}.tau" for member in members if member.cylinder is None]
+        part = self.kind.telescope
+        slides = [f"{part.name}.q"] if part is not None and self.sketch.sections else []
+        if part is not None and slides:
+            chambers += [f"{part.name}_cylinder.{side}" for side in ("p_head", "p_rod")]
+            lengths.append(f"{part.name}_cylinder.length")
         yield from ("", "# Accuracy is the largest error of a reading, either way; a log may hold fewer channels.")
         for channels, accuracy in (([f"{joint}.q" for joint in joints], "0.1 deg"), (chambers, "2 bar"),
-                                   (lengths, "2 mm"), (torques, "1 N*m")):
+                                   (slides, "2 mm"), (lengths, "2 mm"), (torques, "1 N*m")):
             if channels:
                 yield from ("", "[[sensors]]", f"channels = [{', '.join(f'{chr(34)}{c}{chr(34)}' for c in channels)}]",
                             f'accuracy = {{ value = "{accuracy}", source = "assumed" }}', 'rate = "100 Hz"')

@@ -67,6 +67,12 @@ class SideGeometry:
         first = self.members[0]
         return first.cylinder is None and self.word(f"{first.name}.axis") == "swing"
 
+    @property
+    def sections(self) -> int:
+        """How many sections slide out of the last link."""
+        part = self.kind.telescope
+        return 0 if part is None else int(self.number(f"{part.name}.sections"))
+
     def tentative(self, key: str, typical: float) -> float:
         """An answered number that is a length, or its typical value."""
         text = self.answers.get(key, TYPICAL)

@@ -113,11 +113,25 @@ class Sketch(SideGeometry):
                     outlines[k - 1].append(foot)
                 others.append(Part(part.name, done, (foot, rod), cylinder=True))
             at += self.length(k) * link
+        telescope = self.kind.telescope
+        if telescope is not None and self.sections:
+            others += self._sections(telescope.name, at, link)
         for member, outline in zip(self.members, outlines, strict=True):
             centre = sum(outline) / len(outline)
             around = sorted(outline, key=lambda point, centre=centre: cmath.phase(point - centre))  # type: ignore[misc]
             yield Part(member.name, f"{member.name}.length" in self.answers, (*around, around[0]))
         yield from others
+
+    def _sections(self, name: str, at: complex, link: complex) -> Iterator[Part]:
+        """The sections of a telescope, half extended, and their cylinder; `at` is the far end when it is retracted."""
+        cylinder, end = f"{name}_cylinder", at
+        for section in [name, f"{name}_second"][:self.sections]:
+            begin, end = end, end + self.number(f"{section}.travel") / 2 * link
+            yield Part(section, f"{section}.travel" in self.answers, (begin, end))
+        pivot = at - self.length(len(self.members) - 1) * link
+        foot = pivot + complex(*(self.number(f"{cylinder}.barrel_{way}") for way in ("forward", "up"))) * link
+        extended = self.number(f"{name}_stroke.retracted") + self.number(f"{name}.travel") / 2
+        yield Part(cylinder, f"{cylinder}.bore" in self.answers, (foot, foot + extended * link), cylinder=True)
 
     def _mid(self, k: int, heading: float) -> tuple[float, float]:
         """Angles of member k and its rocker in the middle; that of the rocker is NaN where something does not close."""

@@ -16,8 +16,10 @@ ROUNDING = 1e-9
 """Length [m] that a stroke may lack."""
 
 
-MOST = 4
+MOST = 3
 """How many a sentence names."""
+WIDE = np.radians(120)
+"""Range of a joint beyond which a cylinder pinned to the link itself is rare: a rocker and a coupler stand between."""
 
 
 class ShortStroke(NamedTuple):
@@ -29,6 +31,7 @@ class ShortStroke(NamedTuple):
         place: where it would have it.
         possible: shortest and longest that it can be [m].
         needed: shortest and longest in the whole range of the joints [m].
+        hint: what else may be wrong, or empty.
     """
 
     name: str
@@ -36,6 +39,7 @@ class ShortStroke(NamedTuple):
     place: str
     possible: tuple[float, float]
     needed: tuple[float, float]
+    hint: str = ""
 
     @property
     def lacks(self) -> str:
@@ -54,17 +58,20 @@ def by_triangle(cylinder: Cylinder, joint: str, sides: Triangle, lower: float, u
     fixed, moving, offset, lateral = (float(v) for v in sides)
     shortest, longest = (np.hypot(fixed + sign * moving, lateral) for sign in (-1, 1))
     retracted, extended = possible(cylinder)
-    if retracted > longest or extended < shortest:
-        raise ImpossibleError(
-            f"the triangle of '{cylinder.name}' is open at every {joint}: its pins can be {shortest:.3f} to "
-            f"{longest:.3f} m apart, the cylinder {retracted:.3f} to {extended:.3f} m long",
-            "correct its pins, dead length or stroke")
+    hint = "; or state a rocker between rod and link by [[linkages]]" if upper - lower > WIDE else ""
     # in between, a length is longest or shortest at the dead points
     first = np.ceil((lower + offset) / np.pi)
     angles = np.array([lower, upper, *(np.arange(first, (upper + offset) / np.pi) * np.pi - offset)])
     lengths = np.sqrt(fixed**2 + moving**2 + lateral**2 - 2 * fixed * moving * np.cos(angles + offset))
-    return by_samples(cylinder.name, lengths, lambda k: f"{joint} = {np.degrees(angles[k]):.1f} deg",
-                      (retracted, extended))
+    if retracted > longest or extended < shortest:
+        raise ImpossibleError(
+            f"the triangle of '{cylinder.name}' is open at every {joint}: its pins can be {shortest:.3f} to "
+            f"{longest:.3f} m apart, the cylinder {retracted:.3f} to {extended:.3f} m long",
+            f"correct its pins, dead length or stroke (the joint's range takes {lengths.min():.3f} to "
+            f"{lengths.max():.3f} m pin to pin){hint}")
+    short = by_samples(cylinder.name, lengths, lambda k: f"{joint} = {np.degrees(angles[k]):.1f} deg",
+                       (retracted, extended))
+    return short and short._replace(hint=hint)
 
 
 def by_samples(name: str, lengths: Array, place: Callable[[int], str],
@@ -96,8 +103,8 @@ def refuse(short: Sequence[ShortStroke]) -> None:
             f"'{one.name}' would be {one.length:.3f} m long at {one.place} but can only be {one.possible[0]:.3f} to "
             f"{one.possible[1]:.3f} m",
             f"correct dead length and stroke (the whole range takes {one.needed[0]:.3f} to {one.needed[1]:.3f} m), "
-            "pins or the joints' limits")
-    each = [f"'{one.name}' is {one.lacks}" for one in short]
+            f"pins or the joints' limits{one.hint}")
+    each = [f"'{one.name}' is {one.lacks} for {one.needed[0]:.3f} to {one.needed[1]:.3f} m" for one in short]
     more = f" and {len(each) - MOST} more" if len(each) > MOST else ""
     raise ImpossibleError(f"strokes do not cover the joints' ranges: {', '.join(each[:MOST])}{more}",
-                          "correct dead lengths, strokes, pins or the joints' limits")
+                          "correct lengths, strokes, pins or limits")

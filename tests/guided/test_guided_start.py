@@ -63,6 +63,44 @@ def test_lengths_of_cylinders_in_space_are_those_of_the_tape(kind: str) -> None:
             assert long - high < lever
 
 
+@pytest.mark.parametrize("sections", [1, 2])
+def test_a_telescope_slides_along_its_boom_as_its_cylinder_says(sections: int) -> None:
+    """The model in space is the witness: the hook moves along the boom, the second section as far as its chain says."""
+    given = {"telescope__sections": str(sections), "telescope__travel": "1.3 m", "outer_boom__length": "2.4 m",
+             "telescope_stroke__retracted": "1.6 m", "telescope_cylinder__barrel_forward": "0.2 m",
+             "telescope_cylinder__barrel_up": "0.25 m", "telescope_second__travel": "0.65 m"}
+    sketch = answered("crane", **given)
+    machine = read_machine(machine_text(sketch))
+    model = Model(machine)
+    assert machine.joints == ("slew", "main_boom", "outer_boom", "telescope")
+    low, high = machine.link("telescope").joint.range
+    assert (low, high) == pytest.approx((0.002, 1.298))
+    q = np.zeros((5, 4))
+    q[:, 1:3], q[:, 3] = (0.3, -0.8), np.linspace(low, high, 5)
+    pivot, *_, tip = (pose[:, :3, 3] for pose in model.over(model.forward_kinematics, q)[1:])
+    direction = np.array([math.cos(0.3 - 0.8), 0.0, math.sin(0.3 - 0.8)])
+    out = 2.4 + (1.5 if sections == 2 else 1.0) * q[:, 3]
+    np.testing.assert_allclose(tip - pivot, out[:, None] * direction, atol=1e-12)
+    lengths = model.over(model.cylinder_kinematics, q, 0 * q, 0 * q)[0][:, -1, 0]
+    np.testing.assert_allclose(lengths, 1.6 + q[:, 3], atol=1e-9)
+    note = machine.notes["telescope_cylinder.barrel.pin"]
+    assert note.source == "tape measure"
+    names = [part.name for part in sketch.parts()]
+    assert [name for name in names if name.startswith("telescope")] == [
+        *["telescope", "telescope_second"][:sections], "telescope_cylinder"]
+    assert all(part.known for part in sketch.parts())
+
+
+def test_a_telescope_whose_cylinder_cannot_hold_its_stroke_is_refused() -> None:
+    sketch = Sketch(KINDS["crane"], {})
+    given = {"telescope.sections": "1", "telescope.travel": "1.5 m"}
+    while (question := sketch.open) is not None and question.key != "telescope_stroke.retracted":
+        sketch = sketch.answered(question, given.get(question.key, ""))
+    assert question is not None
+    with pytest.raises(AnswerError, match=r"outside what is possible here: 1\.50 m"):
+        sketch.answered(question, "1.2 m")
+
+
 def test_an_excavator_from_tape_measurements() -> None:
     """A pin by its two distances, with the accuracy of the tape; limits from the stroke."""
     sketch = answered("excavator", boom__length="5.2 m", boom_cylinder__rod_pin__from_first="2.7 m",
