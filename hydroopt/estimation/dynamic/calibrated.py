@@ -13,8 +13,8 @@ from hydroopt.machine.machine import Machine
 from hydroopt.parameters import dynamic as dynamic_parameters
 from hydroopt.spatial.inertia import Array
 
-ROUNDING = 1e-9
-"""How far beyond a bound a solver may end, relative to numbers larger than one."""
+ROUNDING = 1e-6
+"""How far beyond a bound or a statement a solver may end, in the scale of the numbers concerned: it works in that."""
 
 
 def calibrated_machine(estimate: Identification) -> Machine:
@@ -36,13 +36,13 @@ def calibrated_machine(estimate: Identification) -> Machine:
                            remedy="keep the parameters with the model, or identify without the terms")
     impossible = [owner for owner, smallest in estimate.consistency.items() if smallest < 0]
     bounded = np.clip(estimate.psi, problem.parameters.lower, problem.parameters.upper)
-    rounded = abs(bounded - estimate.psi) <= ROUNDING * np.maximum(1.0, abs(bounded))
+    rounded = abs(bounded - estimate.psi) <= ROUNDING * problem.parameters.scale
     psi = np.where(rounded, bounded, estimate.psi)
     below = [name for name, value, low in zip(names, psi, problem.parameters.lower, strict=True) if value < low]
     if impossible or below:
         raise ProblemError(f"{', '.join([*impossible, *below])} cannot exist",
                            where=where, remedy="identify with method 'sdp'")
-    broken = [condition.name for condition in problem.conditions if condition.margin(estimate.psi) < -1e-6]
+    broken = [condition.name for condition in problem.conditions if condition.margin(estimate.psi) < -ROUNDING]
     if broken:
         raise ProblemError(f"{'; '.join(dict.fromkeys(broken))}: this does not hold",
                            where=where, remedy="identify with method 'sdp'")

@@ -51,6 +51,22 @@ def test_confidences_are_those_found_and_keep_their_source(calibrated: Machine, 
     assert calibrated.notes["boom.joint.a"] == noisy_estimate.problem.model.machine.notes["boom.joint.a"]
 
 
+@pytest.mark.parametrize("name", ["stick_cylinder.f_coulomb", "boom_cylinder.f_coulomb"])
+def test_a_friction_beyond_its_bound_by_a_solver_s_rounding_stands_at_the_bound(noisy_estimate: Estimate,
+                                                                               name: str) -> None:
+    parameters = noisy_estimate.problem.parameters
+    k = parameters.index(name)
+
+    def beyond(part: float) -> Estimate:
+        psi = noisy_estimate.psi.copy()
+        psi[k] = -part * parameters.scale[k]
+        return replace(noisy_estimate, psi=psi)
+
+    assert parameter_set(calibrated_machine(beyond(1e-7))).nominal[k] == 0.0
+    with pytest.raises(ProblemError, match=f"{name} cannot exist"):
+        calibrated_machine(beyond(1e-4))
+
+
 def test_geometry_sensors_and_limits_stay(calibrated: Machine, noisy_estimate: Estimate) -> None:
     nominal = noisy_estimate.problem.model.machine
     assert calibrated.sensors == nominal.sensors
