@@ -21,6 +21,8 @@ def codegen(
         "Build the geometry into the code: fewer operations, but a calibration needs new code."))] = False,
     sizes: Annotated[bool, typer.Option("--sizes", help=(
         "Compile all routines, and state in README.md how much stack and flash each takes."))] = False,
+    hosts: Annotated[list[str] | None, typer.Option("--for", metavar="HOST", help=(
+        "Also write what a host needs that calls the C: cpp; repeatable."))] = None,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
 ) -> None:
@@ -36,7 +38,7 @@ def codegen(
     described, origin = codegen_origin.read(machine, parameter_set=parameter_set)
     with progress(f"writing C for {described.name}", quiet) as say:
         code = Code(described, origin, routines=functions or (), name=prefix, single=float32,
-                    fold_geometry=fold_geometry, measured=sizes)
+                    fold_geometry=fold_geometry, measured=sizes, hosts=hosts or ())
         files = code.write(output, say)
     for diagnostic in machine_diagnostics(Model(described)):
         echo(f"! {diagnostic}", err=True)

@@ -14,7 +14,7 @@ _OTHERS = ("alignas alignof asm bool catch class constexpr decltype delete expli
            "namespace new noexcept nullptr operator private protected public template this throw true try typename "
            "using virtual aux con nul prn assert complex ctype errno fenv float iso646 limits locale math setjmp "
            "signal features stdarg stddef stdint stdio stdlib string tgmath time wchar wctype inttypes "
-           "all clean help install test")
+           "all clean help install test std")
 KEYWORDS = frozenset(f"{_C} {_OTHERS}".split())
 """Reserved prefixes: keywords of C and C++, and names of file systems, C headers and CMake."""
 

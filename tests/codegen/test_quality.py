@@ -8,7 +8,7 @@ import re
 import shutil
 import sys
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
@@ -19,6 +19,7 @@ from fixtures import library
 from fixtures.fuzz import INPUTS, MODES, driver
 from fixtures.library import OK, OUT_OF_STROKE, run, sources, write
 from fixtures.tiers import tiered
+from fixtures.tools import must, tool
 from hydroopt.codegen.folder import STATUSES, Code
 from hydroopt.codegen.parameter_source import read
 from hydroopt.codegen.routines import ROUTINES
@@ -39,20 +40,6 @@ SANITIZE = ("-g", "-fsanitize=address,undefined,float-cast-overflow", "-fno-sani
 FUZZED = (("cat215b", "double"), ("patu655_lift", "float"), ("kr300", "float"))
 QUICK = {("patu655_lift", "float"), ("patu655_lift", "double")}
 """Machines and precisions whose code is generated and compiled in a second; the others are slow."""
-
-
-def tool(name: str) -> str:
-    """A tool, or the test is skipped."""
-    if shutil.which(name) is None:
-        pytest.skip(f"there is no {name} here")
-    return name
-
-
-def must(command: Sequence[str | Path], directory: Path, **options: dict[str, str]) -> str:
-    """What a command prints that must succeed."""
-    done = run(command, directory, **options)
-    assert done.returncode == 0, f"{' '.join(map(str, command))}\n{done.stdout[-3000:]}{done.stderr[-6000:]}"
-    return done.stdout + done.stderr
 
 
 @pytest.fixture(scope="session")
