@@ -69,7 +69,7 @@ class Sensors:
     """Readings of angles, chamber pressures and supply pressure, with the errors, lags and rates that the machine file
     states."""
 
-    def __init__(self, plant: Plant, offsets: Array, period: float, seed: int | None) -> None:
+    def __init__(self, plant: Plant, offsets: Array, bias: Array | None, period: float, seed: int | None) -> None:
         machine = plant.machine
         names = [f"{joint}.q" for joint in machine.joints]
         for each in plant.actuators:
@@ -84,6 +84,8 @@ class Sensors:
         self.added = np.zeros(len(self.channels))
         # the offset of the measured force is added to the pressure of chamber a
         self.added[len(machine.joints):-1:2] = offsets / self.areas[:, 0]
+        if bias is not None:
+            self.added[:len(machine.joints)] = bias
         self.rng = None if seed is None else np.random.default_rng(seed)
         stated = {} if seed is None else {k: sensor for k, sensor in enumerate(sensors) if sensor is not None}
         # places of those that err in each way, or have steps, with by how much
@@ -116,29 +118,31 @@ def _entries(values: dict[int, float]) -> tuple[NDArray[np.intp], Array]:
     return np.array(list(values), dtype=np.intp), np.array(list(values.values()))
 
 
-def simulate(demands: Demands, controller: Controller, psi: Array, theta: Array, *,
-             seed: int | None = 0, progress: Progress = silent) -> Run:
+def simulate(demands: Demands, controller: Controller, plant: Plant, psi: Array, theta: Array, *,
+             seed: int | None = 0, bias: Array | None = None, progress: Progress = silent) -> Run:
     """Simulate a controller that drives the machine along a motion and starts on it.
 
     Args:
-        demands: plant, motion and samples.
+        demands: motion and samples, by the plant as the controller knows it.
         controller: what drives it.
-        psi: true dynamic parameters (p,).
-        theta: true hydraulic ones.
+        plant: the true one.
+        psi: its dynamic parameters (p,).
+        theta: its hydraulic ones.
         seed: of the sensors' errors; None for sensors without any.
+        bias: by which the readings of the joints' angles are off (n,) [rad or m]; None for no bias.
         progress: is told the part of the motion that is done.
 
     Raises:
         ProblemError: the motion's start cannot be held.
         SolverError: the plant could not be integrated.
     """
-    plant, t = demands.plant, demands.t
+    t = demands.t
     machine, n, period, supply = plant.machine, len(plant.machine.joints), float(t[1] - t[0]), plant.supply
     first = demands.reference.at(t[:1])
     steady = plant.steady(first.q[0], first.qd[0], psi, theta)
-    sensors = Sensors(plant, offset(plant, plant.model, psi), period, seed)
-    delay = CommandDelay(np.array([each.valve.delay for each in plant.actuators]), period, steady.u)
-    integrator, motion = plant.integrator(psi, theta), OneSample(plant.actuator_motion)
+    sensors = Sensors(plant, offset(plant, plant.model, psi), bias, period, seed)
+    delay = CommandDelay(plant.delays, period, steady.u)
+    integrator, motion = plant.integrator(psi, theta), OneSample(demands.plant.actuator_motion)
     lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
     middle, reach = (lower + upper) / 2, (0.5 + OVERRUN) * (upper - lower)
     least, most = demands.valves.limits

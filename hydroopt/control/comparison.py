@@ -256,21 +256,22 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
     refuse_flow(setting.plant, setting.reference.at(setting.t))
     demand = demands.by(best.model, best.psi)
     refuse_opening(setting.plant, setting.t, demand, demands.valves)
-    wanted = (PI in kinds) + (FEEDFORWARD in kinds) * (len(variants) + 1) + (LQG in kinds)
+    wanted = 2 * (PI in kinds) + (FEEDFORWARD in kinds) * (len(variants) + 1) + (LQG in kinds)
 
     def told(first: int, name: str = "") -> Progress:
         """Of a step among all: tuning, then each candidate."""
         return lambda text, part=None: progress(name or text, (first + (part or 0.0)) / (1 + wanted))
 
     told(0)("linearising")
-    on_motion, in_workspace = setting.points(best.psi, setting.theta)
-    plants = setting.plants([*on_motion, *in_workspace], best.psi, setting.theta)
+    on_motion, in_workspace = setting.points(setting.plant, best.psi, setting.theta)
+    plants = setting.plants(setting.plant, [*on_motion, *in_workspace], best.psi, setting.theta)
     gains = tuned(plants, [*on_motion, *in_workspace], demands.valves, setting.sensitivity, told(0))
     gains = replace(gains, position=setting.gain * gains.position)
     candidates: list[tuple[str, str, ModelVariant, Cascade | Lqg]] = []
     if PI in kinds:
-        static = demands.by(best.model, best.psi, gravity_only=True)
-        candidates.append(("PI with gravity compensation", PI, best, Cascade(demands.valves, static, gains, period)))
+        for name, still in (("PI with gravity compensation", True), ("PI with gravity and speeds", False)):
+            static = demands.by(best.model, best.psi, static_forces=True, still=still)
+            candidates.append((name, PI, best, Cascade(demands.valves, static, gains, period)))
     if FEEDFORWARD in kinds:
         candidates += [(f"feedforward {each.name}", FEEDFORWARD, each, Cascade(
             demands.valves, demands.by(each.model, each.psi), gains, period)) for each in (*variants, setting.true)]
@@ -278,10 +279,10 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
         noise = reading_noise(setting.plant)
         designs = [design(plant, each, demands.valves, gains.position, noise)
                    for plant, each in zip(plants, on_motion, strict=False)]
-        nearest = np.minimum(np.arange(len(setting.t)) * len(on_motion) // len(setting.t), len(on_motion) - 1)
-        candidates.append(("LQG", LQG, best, Lqg(demands.valves, demand, designs, nearest.tolist(), period)))
-    on_motion, in_workspace = setting.points(setting.true.psi, setting.true_theta)
-    true_plants = setting.plants([*on_motion, *in_workspace], setting.true.psi, setting.true_theta)
+        candidates.append(("LQG", LQG, best, Lqg(demands.valves, demand, designs, period)))
+    true = setting.true_plant
+    on_motion, in_workspace = setting.points(true, setting.true.psi, setting.true_theta)
+    true_plants = setting.plants(true, [*on_motion, *in_workspace], setting.true.psi, setting.true_theta)
     path, outcomes = setting.reference.at(setting.t), []
     analysed: dict[type, tuple[tuple[Margin, ...], Bode]] = {}  # all cascades have the same loops
     for k, (name, kind, variant, controller) in enumerate(candidates):
@@ -291,9 +292,10 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
             analysed[type(controller)] = _margins(true_plants, [*on_motion, *in_workspace], controller, demands)
         found, bode = analysed[type(controller)]
         refuse_unstable(name, [m for m in found if m.point in {each.name for each in on_motion}])
-        run = simulate(demands, controller, setting.true.psi, setting.true_theta, seed=setting.seed, progress=at)
+        run = simulate(demands, controller, true, setting.true.psi, setting.true_theta, seed=setting.seed,
+                       bias=setting.bias, progress=at)
         reference = path.q[:len(run.t)]
-        tip_error = np.linalg.norm(tip(setting.plant, run.q) - tip(setting.plant, reference), axis=1)
+        tip_error = np.linalg.norm(tip(true, run.q) - tip(setting.plant, reference), axis=1)
         outcomes.append(Outcome(name, kind, variant, run, run.q - reference, tip_error, found, bode))
     return Comparison(setting, gains, (*on_motion, *in_workspace), tuple(outcomes), path.q)
 

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
-from scipy.linalg import solve_discrete_are
+from scipy.linalg import block_diag, solve_discrete_are
 
 from hydroopt.control.axes import Axes
 from hydroopt.control.linear_system import LinearSystem
@@ -15,33 +15,72 @@ from hydroopt.control.sampled_plant import Point, Reading
 from hydroopt.control.tuning import INTEGRAL_RATIO
 from hydroopt.control.valve_inversion import Valves
 from hydroopt.machine.machine import Machine
-from hydroopt.model.plant import Plant
+from hydroopt.model.plant import PRESSURE, Plant
 from hydroopt.spatial.inertia import Array
 
 BANDWIDTH_SHARE = 0.7
 """Bandwidth of the regulator as a part of the cascade's position gain, since resonances change with the posture."""
 PROCESS_NOISE = 1e-2
 """Standard deviation of the process noise of every state per sample, as a part of its typical size."""
+FORCE_DRIFT = 1e-2
+"""Standard deviation of the change per sample of an error of the demanded force, as a part of an actuator's force at
+`PRESSURE`."""
 DEFAULT_NOISE = 1e-4
 """Standard deviation of the measurement noise where no sensor is stated, as a part of the typical size."""
+NEAR = 0.3
+"""Part of the designs' spread of postures over which their gains pass into each other."""
+OTHER_WAY = 0.5
+"""Difference of direction over which the gains of two designs pass into each other; opposite directions differ by 2."""
+LEAST_SPAN = 1e-3
+"""Spread of postures [rad or m] that counts at least."""
 
 
-class Design(NamedTuple):
-    """Gains for deviations from a point of the motion.
+class Matrices(NamedTuple):
+    """Model, regulator and filter for deviations from a motion.
 
     Attributes:
-        point: the operating point.
-        A, B, C: of the sampled plant, its inputs being the demanded speeds.
+        A, B, C: of the sampled plant, its inputs being the demanded speeds; its last states are the errors of the
+            demanded forces, which the readings show and no command changes.
         feedback: speeds per state and per integral of the axes' errors.
         filter: states per innovation, Kalman's gain for the state at the next sample.
     """
 
-    point: Point
     A: Array
     B: Array
     C: Array
     feedback: Array
     filter: Array
+
+
+class Design(NamedTuple):
+    """Matrices for deviations from an operating point."""
+
+    point: Point
+    matrices: Matrices
+
+
+class Schedule:
+    """Designs blended by posture and direction of motion.
+
+    Each counts by exp(−d²/2), with d² the sum over the joints of the squared distance from its posture, in units of
+    `NEAR` times the designs' spread, and over the actuators of the squared difference of direction, in units of
+    `OTHER_WAY`. A direction is the speed by that of the design's point, between −1 and 1.
+    """
+
+    def __init__(self, designs: Sequence[Design]) -> None:
+        postures = np.array([each.point.q for each in designs])
+        self._postures, self._span = postures, NEAR * np.maximum(np.ptp(postures, axis=0), LEAST_SPAN)
+        speeds = np.array([each.point.speed for each in designs])
+        self._ways, self._least = np.sign(speeds), np.min(np.abs(speeds), axis=0)
+        self._parts = tuple(np.array(part) for part in zip(*(each.matrices for each in designs), strict=True))
+
+    def at(self, q: Array, speed: Array) -> Matrices:
+        """The matrices in a posture (n,) at speeds (a,) of the actuators."""
+        way = np.clip(speed / self._least, -1.0, 1.0)
+        far = (np.sum(((q - self._postures) / self._span) ** 2, axis=1)
+               + np.sum(((way - self._ways) / OTHER_WAY) ** 2, axis=1))
+        weight = np.exp(-(far - far.min()) / 2)
+        return Matrices(*(np.tensordot(weight / weight.sum(), part, axes=1) for part in self._parts))
 
 
 def design(plant: LinearSystem, point: Point, valves: Valves, bandwidth: Array, noise: Array) -> Design:
@@ -55,7 +94,8 @@ def design(plant: LinearSystem, point: Point, valves: Valves, bandwidth: Array, 
         point: of the motion.
         valves: as the controller knows them.
         bandwidth: of the axes (m,) [1/s].
-        noise: (n + a + 1,) standard deviations of the readings of q, forces and supply pressure.
+        noise: (n + a + 1,) standard deviations of the readings of q, forces and supply pressure; infinite for what
+            the filter does not read.
     """
     axes, n, m, period = Axes(valves.plant), len(point.q), len(bandwidth), plant.period
     A, C, size = plant.A, plant.C, len(plant.A)
@@ -71,10 +111,18 @@ def design(plant: LinearSystem, point: Point, valves: Valves, bandwidth: Array, 
     weights = np.vstack([np.hstack([(moved * wanted)[:, None] * to_axes, np.zeros((m, m))]),
                          np.hstack([np.zeros((m, size)), np.diag(moved * wanted**2 / INTEGRAL_RATIO)])])
     K = regulator(both, driven, weights.T @ weights)
-    disturbed = np.hstack([B * np.abs(point.speed), PROCESS_NOISE * np.eye(size)])
-    # outputs are scaled by the standard deviations of their noise
-    L = regulator(A.T, (C / noise[:, None]).T, disturbed @ disturbed.T).T
-    return Design(point, A, B, C, K, L / noise)
+    # the errors of the demanded forces drift; readings show them, commands do not answer to them
+    a = B.shape[1]
+    A, C = block_diag(A, np.eye(a)), np.hstack([C, np.vstack([np.zeros((n, a)), np.eye(a), np.zeros((1, a))])])
+    B, K = np.vstack([B, np.zeros((a, a))]), np.hstack([K[:, :size], np.zeros((a, a)), K[:, size:]])
+    drift = FORCE_DRIFT * PRESSURE * np.array([each.areas[0] for each in valves.plant.actuators])
+    disturbed = np.hstack([B * np.abs(point.speed), np.diag([*np.full(size, PROCESS_NOISE), *drift])])
+    # outputs are scaled by the standard deviations of their noise; what is not measured is left out
+    measured = np.isfinite(noise)
+    L = np.zeros((size + a, len(noise)))
+    scaled = C[measured] / noise[measured, None]
+    L[:, measured] = regulator(A.T, scaled.T, disturbed @ disturbed.T).T / noise[measured]
+    return Design(point, Matrices(A, B, C, K, L))
 
 
 def regulator(A: Array, B: Array, Q: Array) -> Array:
@@ -85,7 +133,11 @@ def regulator(A: Array, B: Array, Q: Array) -> Array:
 
 def reading_noise(plant: Plant) -> Array:
     """Standard deviations (n + a + 1,) of the readings of q, forces and supply pressure; infinite for what is not
-    measured."""
+    read.
+
+    The supply's pressure is not: a motion draws it down by more than deviations from the motion do, and the inversion
+    of the valves answers to it.
+    """
     machine, found = plant.machine, []
     for joint in machine.joints:
         found.append(_std(machine, f"{joint}.q", DEFAULT_NOISE))
@@ -93,7 +145,7 @@ def reading_noise(plant: Plant) -> Array:
         found.append(float(np.linalg.norm([area * _std(machine, name, 1e7 * DEFAULT_NOISE) for area, name in
                                            zip(each.areas, each.chambers, strict=True)]))
                      if each.actuator.measured else np.inf)
-    return np.array([*found, _std(machine, "pump.p_supply", 1e7 * DEFAULT_NOISE)])
+    return np.array([*found, np.inf])
 
 
 def _std(machine: Machine, channel: str, without: float) -> float:
@@ -106,50 +158,46 @@ def _std(machine: Machine, channel: str, without: float) -> float:
 class Lqg:
     """LQG control: speeds v = v_r − K·x̂ − K_i·∫e, with x̂ the Kalman filter's estimate of the deviations of all states.
 
-    The gains are those of the nearest point in time; commands are computed from speeds as in the cascade.
+    The gains are those of `Schedule` at the reference's posture and speeds; commands are computed from speeds as in the
+    cascade.
     """
 
-    def __init__(self, valves: Valves, demand: Demand, designs: Sequence[Design], nearest: Sequence[int],
-                 period: float) -> None:
-        self.valves, self.demand, self.designs, self.nearest, self.period = valves, demand, designs, nearest, period
+    def __init__(self, valves: Valves, demand: Demand, designs: Sequence[Design], period: float) -> None:
+        self.valves, self.demand, self.schedule, self.period = valves, demand, Schedule(designs), period
         self.axes = Axes(valves.plant)
         self._position = self.axes.positions(demand.q, demand.length)
+        self._size = len(designs[0].matrices.A)
         self.reset()
 
     def reset(self) -> None:
         """Return to the initial state."""
-        self._state = np.zeros(len(self.designs[0].A))
+        self._state = np.zeros(self._size)
         self._integral = np.zeros(len(self.axes.names))
 
     def command(self, k: int, reading: Reading) -> Array:
         """Commands (a,) at sample k from the readings."""
-        preview, active = self.demand.preview, self.designs[self.nearest[k]]
-        size = len(self._state)
-        speed = -active.feedback[:, :size] @ self._state - active.feedback[:, size:] @ self._integral
+        preview, size = self.demand.preview, self._size
+        A, B, C, feedback, gain = self.schedule.at(self.demand.q[k], preview.speed[k])
+        speed = -feedback[:, :size] @ self._state - feedback[:, size:] @ self._integral
         command, opening = self.valves.command(preview.speed[k] + speed, preview.force_rate[k], preview.length[k],
                                                preview.pressure[k], reading.supply)
-        readings = np.array([*(reading.q - self.demand.q[k]), *(reading.force - self.demand.measured_force[k]),
-                         reading.supply[0] - active.point.supply[0]])
-        self._state = active.A @ self._state + active.B @ speed + active.filter @ (readings - active.C @ self._state)
+        readings = np.array([*(reading.q - self.demand.q[k]), *(reading.force - self.demand.measured_force[k]), 0.0])
+        self._state = A @ self._state + B @ speed + gain @ (readings - C @ self._state)
         error = self.axes.positions(reading.q, reading.length) - self._position[k]
         self._integral += np.where(self.axes.open(opening), self.period * error, 0.0)
         return command
 
     def linear(self, point: Point) -> LinearSystem:
-        """The linearised controller: from q, forces and supply pressure to commands.
-
-        The gains are those of the point with the same directions of motion, if there is one, that is nearest in
-        posture.
-        """
-        active = min(self.designs, key=lambda d: (int(np.sum(np.sign(d.point.speed) != np.sign(point.speed))),
-                                               float(np.linalg.norm(d.point.q - point.q))))
-        (a, m), n, size = self.axes.shares(point.lever_arm).shape, len(point.q), len(active.A)
+        """The linearised controller, with the gains that it has at the point: from q, forces and supply pressure to
+        commands."""
+        matrices, size = self.schedule.at(point.q, point.speed), self._size
+        (a, m), n = self.axes.shares(point.lever_arm).shape, len(point.q)
         slopes = self.valves.slopes(point.speed, point.length, point.pressure, point.supply)
-        by_speed = np.diag(slopes.speed)
-        A = np.block([[active.A - active.filter @ active.C - active.B @ active.feedback[:, :size],
-                       -active.B @ active.feedback[:, size:]],
+        by_speed, feedback = np.diag(slopes.speed), matrices.feedback
+        A = np.block([[matrices.A - matrices.filter @ matrices.C - matrices.B @ feedback[:, :size],
+                       -matrices.B @ feedback[:, size:]],
                       [np.zeros((m, size)), np.eye(m)]])
         along = self.period * self.axes.slopes(point.lever_arm)
-        B = np.vstack([active.filter, np.hstack([along, np.zeros((m, a + 1))])])
+        B = np.vstack([matrices.filter, np.hstack([along, np.zeros((m, a + 1))])])
         D = np.hstack([np.zeros((a, n + a)), slopes.supply[:, None]])
-        return LinearSystem(A, B, -by_speed @ active.feedback, D, self.period)
+        return LinearSystem(A, B, -by_speed @ feedback, D, self.period)

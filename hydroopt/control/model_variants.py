@@ -14,6 +14,7 @@ from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.results.answer import load
 from hydroopt.simulation import simulate
+from hydroopt.simulation.drive_valves import random_numbers
 from hydroopt.spatial.inertia import Array
 
 NOMINAL, REDUCED, COMPLETE, TRUE = "nominal", "reduced", "complete", "true"
@@ -90,7 +91,7 @@ def nominal_of(estimate: Path, complete: Model) -> ModelVariant | None:
 def truth(source: str, plant: Plant, *, seed: int) -> Truth:
     """The true parameters of a simulated machine.
 
-    Valves and oil are those of the machine file, unless a truth.json of driven valves says otherwise.
+    A truth.json that states no valves and oil leaves them as in the machine file.
 
     Args:
         source: 'nominal', 'random' within the file's confidences, or a truth.json that `simulate` wrote.
@@ -106,7 +107,7 @@ def truth(source: str, plant: Plant, *, seed: int) -> Truth:
         return Truth(ModelVariant(TRUE, "the machine file itself", model, model.parameters.nominal), theta)
     if source == "random":
         return Truth(ModelVariant(TRUE, "drawn from the confidences of the machine file", model,
-                               simulate.random_truth(model, seed)), theta)
+                                  simulate.random_truth(model, seed)), random_numbers(plant, seed))
     if not os.path.isfile(source):
         raise ProblemError(f"'{source}' is not a truth", where="--truth",
                            remedy="use nominal, random, or the truth.json that simulate wrote")

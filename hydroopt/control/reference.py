@@ -93,12 +93,17 @@ class Demands:
     def __init__(self, valves: Valves, reference: Reference, t: Array) -> None:
         self.plant, self.valves, self.reference, self.t = valves.plant, valves, reference, t
 
-    def by(self, model: Model, psi: Array, *, gravity_only: bool = False) -> Demand:
+    def by(self, model: Model, psi: Array, *, static_forces: bool = False, still: bool = False) -> Demand:
         """The reference with forces by a complete or reduced model with parameters ψ (p,).
 
-        Actuators of one joint share its load as `shared_load` states. With `gravity_only` speeds are zero and forces
-        are static. Pressures are integrated for these forces: p_a'
+        Actuators of one joint share its load as `shared_load` states. Pressures are integrated for these forces: p_a'
         follows from the flow through the valve, p_b from force and p_a.
+
+        Args:
+            model: complete or reduced.
+            psi: its parameters (p,).
+            static_forces: forces are those of a machine that stands in every posture.
+            still: speeds are zero as well.
 
         Raises:
             ProblemError: the supply's pressure does not suffice for a force.
@@ -108,10 +113,12 @@ class Demands:
         # half a period resolves a jump of dry friction
         times = np.arange(self.t[0], self.t[-1] + np.max(leads) + period, period / 2)
         path = self.reference.at(times)
-        if gravity_only:
+        moving = path.qd * (not still)
+        if static_forces:
             path = Trajectory(times, path.q, 0 * path.q, 0 * path.q, path.wrench)
-        length, speed = (part[:, :, 0] for part in self.plant.model.over(self.plant.actuator_motion, path.q, path.qd))
-        own = [model.machine.actuators.index(each.actuator) for each in self.plant.actuators]
+        length, speed = (part[:, :, 0] for part in self.plant.model.over(self.plant.actuator_motion, path.q, moving))
+        names = [each.name for each in model.machine.actuators]
+        own = [names.index(each.actuator.name) for each in self.plant.actuators]
         measured = forces(model, path, psi)[:, own]
         force = measured - offset(self.plant, model, psi)
         self._refuse_force(times, force)

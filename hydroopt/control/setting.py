@@ -38,15 +38,16 @@ class Setting:
     """A machine, a motion to follow and its true parameters.
 
     Attributes:
-        plant: the machine.
+        plant: the machine as its controllers know it.
         motion: to follow.
-        true: the machine's true model and dynamic parameters.
+        true: the machine's true model and dynamic parameters; its geometry and delays may differ from the plant's.
         true_theta: its hydraulic parameters.
         theta: hydraulic parameters that all controllers use.
         rate: of the controller [Hz].
         seed: of the sensors' errors; None for none.
         sensitivity: largest sensitivity for which gains are tuned.
         gain: factor on the tuned position gains.
+        bias: by which the readings of the joints' angles are off (n,) [rad or m]; None for no bias.
     """
 
     plant: Plant
@@ -58,6 +59,7 @@ class Setting:
     seed: int | None = 0
     sensitivity: float = SENSITIVITY
     gain: float = 1.0
+    bias: Array | None = None
 
     @cached_property
     def t(self) -> Array:
@@ -84,42 +86,42 @@ class Setting:
         return Demands(Valves(self.plant, self.theta), self.reference, self.t)
 
     @cached_property
-    def delays(self) -> Array:
-        """Of the valves (a,) [s]."""
-        return np.array([each.valve.delay for each in self.plant.actuators])
+    def true_plant(self) -> Plant:
+        """The true machine."""
+        return self.plant if self.true.model is self.plant.model else Plant(self.true.model)
 
-    def points(self, psi: Array, theta: Array) -> tuple[list[Point], list[Point]]:
-        """Operating points of the motion and over the workspace, of a machine with parameters ψ and θ.
+    def points(self, plant: Plant, psi: Array, theta: Array) -> tuple[list[Point], list[Point]]:
+        """Operating points of the motion and over the workspace, of a plant with parameters ψ and θ.
 
         Joints move at least at the part `SHARE` of their greatest speeds, see `steady_speeds`; passive ones hang.
 
         Raises:
             ProblemError: the supply cannot move the machine at a point of the motion.
         """
-        machine = self.plant.machine
-        hanging = Hanging(self.plant.model)
-        least = SHARE * np.array([top_speed(self.plant, joint) if joint in self.plant.drivers else 0.0
+        machine = plant.machine
+        hanging = Hanging(plant.model)
+        least = SHARE * np.array([top_speed(plant, joint) if joint in plant.drivers else 0.0
                                   for joint in machine.joints])
         lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
         moments = self.t[0] + (np.arange(MOTION_POINTS) + 0.5) / MOTION_POINTS * (self.t[-1] - self.t[0])
         path = self.reference.at(moments)
         on_motion = []
         for t, q, qd in zip(moments, hanging.postures(path.q), np.where(least > 0, path.qd, 0.0), strict=True):
-            speeds = steady_speeds(self.plant, q, qd, least)
-            on_motion.append(point(self.plant, f"motion at {t:.1f} s", q, speeds, psi, theta))
+            speeds = steady_speeds(plant, q, qd, least)
+            on_motion.append(point(plant, f"motion at {t:.1f} s", q, speeds, psi, theta))
         n, in_workspace = len(least), list[Point]()
         for k, share in enumerate(halton(2 * n, WORKSPACE_POINTS)):
             direction = np.where(share[n:] < 0.5, -1.0, 1.0)
             q = hanging.postures((lower + (upper - lower) * (EDGE + (1 - 2 * EDGE) * share[:n]))[None])[0]
             try:
-                in_workspace.append(point(self.plant, f"workspace {k + 1}", q, direction * least, psi, theta))
+                in_workspace.append(point(plant, f"workspace {k + 1}", q, direction * least, psi, theta))
             except ProblemError:  # the supply may be too weak for some postures
                 continue
         return on_motion, in_workspace
 
-    def plants(self, points: Sequence[Point], psi: Array, theta: Array) -> list[LinearSystem]:
-        """The sampled plant with the valves' delays about each point."""
-        return [sampled(linearised(self.plant, each, psi, theta), self.delays, 1 / self.rate) for each in points]
+    def plants(self, plant: Plant, points: Sequence[Point], psi: Array, theta: Array) -> list[LinearSystem]:
+        """A sampled plant with its valves' delays about each point."""
+        return [sampled(linearised(plant, each, psi, theta), plant.delays, 1 / self.rate) for each in points]
 
 
 def rate_of(plant: Plant, rate: float | None, motion: Trajectory) -> float:

@@ -156,6 +156,11 @@ class Plant(Shown):
         """The supply's pressure (...,) [Pa] in states (..., nx): a state, or what the pump is set to."""
         return np.asarray(x[..., -1] if self._line else self.supply[0])
 
+    @cached_property
+    def delays(self) -> Array:
+        """Of the valves (a,) [s]."""
+        return np.array([each.valve.delay for each in self.actuators])
+
     @property
     def inputs(self) -> tuple[str, ...]:
         """Names of the commands."""

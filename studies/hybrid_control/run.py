@@ -167,9 +167,9 @@ def gains_of(plant: Plant, motion: Trajectory) -> Gains:
     """Gains of the position loops, tuned on the nominal machine in free space."""
     psi, theta = plant.model.parameters.nominal, plant.parameters.nominal
     setting = Setting(plant, motion, ModelVariant(TRUE, "nominal", plant.model, psi), theta, theta, RATE)
-    on_motion, in_workspace = setting.points(psi, theta)
+    on_motion, in_workspace = setting.points(plant, psi, theta)
     points = [*on_motion, *in_workspace]
-    return tuned(setting.plants(points, psi, theta), points, setting.demands.valves, setting.sensitivity)
+    return tuned(setting.plants(plant, points, psi, theta), points, setting.demands.valves, setting.sensitivity)
 
 
 def gain_margin(plant: Plant, motion: Trajectory) -> float:
@@ -211,7 +211,7 @@ def pressed(plant: Plant, motion: Trajectory, gains: Gains, one: Case, name: str
     assert motion.wrench is not None
     controller = Hybrid(*given, variant=variant, pressing=Pressing(motion, NORMAL, motion.wrench[:, 2]),
                         force_gains=GAINS) if hybrid else Cascade(*given)
-    done = closed_loop.simulate(demands, controller, one.psi, one.theta, seed=seed)
+    done = closed_loop.simulate(demands, controller, demands.plant, one.psi, one.theta, seed=seed)
     sliding = done.t >= SLIDE[0]
     error = (done.contact[:, 2] - motion.wrench[:len(done.t), 2])[sliding] / 1e3
     off = np.linalg.norm((tip(plant, done.q) - tip(plant, motion.q[:len(done.t)]))[sliding, :2], axis=1)

@@ -83,7 +83,7 @@ def test_the_tip_comes_to_the_wall_wherever_it_is_and_presses() -> None:
     for height in (-0.99, -1.02):
         plant = Plant(MODEL, Wall((0.0, 0.0, height), (0.0, 0.0, 1.0), 1e6, 0.5, 0.2))
         demands = demands_of(plant, motion)
-        done = simulate(demands, hybrid(demands, motion, psi), psi, plant.parameters.nominal, seed=None)
+        done = simulate(demands, hybrid(demands, motion, psi), plant, psi, plant.parameters.nominal, seed=None)
         pushed = done.contact[:, 2]
         assert not done.stopped
         assert pushed[0] == 0

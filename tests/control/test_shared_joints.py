@@ -53,7 +53,7 @@ def followed(asked: Setting) -> tuple[Demand, Run]:
     demand = asked.demands.by(asked.true.model, asked.true.psi)
     gains = Gains(np.array([1.2]), np.full(2, 3e-8), np.array([4.0]), np.array([0.1]))
     controller = Cascade(asked.demands.valves, demand, gains, 1 / RATE)
-    return demand, simulate(asked.demands, controller, asked.true.psi, asked.true_theta, seed=None)
+    return demand, simulate(asked.demands, controller, asked.plant, asked.true.psi, asked.true_theta, seed=None)
 
 
 def test_the_joint_is_the_axis_of_both_cylinders(asked: Setting) -> None:
@@ -125,7 +125,7 @@ def test_a_base_that_moves_is_refused() -> None:
         _ = asked.reference
     still = np.where([joint in plant.machine.base_joints for joint in plant.machine.joints], 0.0, 1.0)
     standing = replace(asked, motion=Trajectory(motion.t, motion.q * still, motion.qd * still, motion.qdd * still))
-    on_motion, _ = standing.points(plant.model.parameters.nominal, plant.parameters.nominal)
+    on_motion, _ = standing.points(plant, plant.model.parameters.nominal, plant.parameters.nominal)
     assert all(not point.qd[:2].any() for point in on_motion)
-    assert all(len(system.A) for system in standing.plants(on_motion[:1], plant.model.parameters.nominal,
+    assert all(len(system.A) for system in standing.plants(plant, on_motion[:1], plant.model.parameters.nominal,
                                                            plant.parameters.nominal))
