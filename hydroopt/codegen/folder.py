@@ -13,7 +13,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from hydroopt.codegen import self_test
-from hydroopt.codegen.hosts import HOSTS, templates
+from hydroopt.codegen.hosts import HOSTS, VALUES, templates
 from hydroopt.codegen.names import Names, prefix
 from hydroopt.codegen.parameter_source import Origin
 from hydroopt.codegen.routines import ROUTINES, DesignedMotion, Interface
@@ -84,6 +84,7 @@ class Code:
         self.names = Names(self.name)
         self.origin, self.single, self.measured = origin, single, measured
         self.type = "float" if single else "double"
+        self.hosts = tuple(hosts)
         self.host_files = templates(hosts, self.name)
         self.routines = self.interface.chosen(routines)
         self.missing = self._missing(routines)
@@ -174,7 +175,7 @@ class Code:
             files[file] = self._render("source.c", names=names, prepares=file == f"{self.name}.c")
         progress("measuring stack and flash" if self.measured else "counting operations", 0.6)
         table, method = self._table(files)
-        sources = sorted(parts)
+        sources = sorted((*parts, *(name for name in self.host_files if name == VALUES.format(p=self.name))))
         headers = (f"{self.name}.h", f"{self.name}_params.h",
                    *(name for name in self.host_files if name.endswith(".hpp")))
         progress("computing the self-test", 0.8)
@@ -281,6 +282,11 @@ class Code:
         """A member's declaration, or that of a whole struct's array."""
         return f"{self.type} {field.name}{''.join(f'[{n}]' for n in self._counts(field))};"
 
+    @staticmethod
+    def python_arguments(routine: Routine) -> str:
+        """Members that a routine reads, each given by the variable of its name."""
+        return ", ".join(f"{name}={name}" for name in routine.reads)
+
     def array(self, field: Field) -> str:
         """A member's type in C++."""
         made = self.type
@@ -302,7 +308,7 @@ class Code:
             code=self, p=self.name, P=self.upper, kinds=KINDS, type=self.type, f="f" if self.single else "",
             gravity=[round(float(g), 6) + 0.0 for g in np.asarray(gravity_in_base(self.interface.machine)).ravel()],
             statuses=STATUSES, version=version(), licence=LICENCE, conventions=INTERFACE_VERSION,
-            digest=f"0x{self.digest}UL", estimate=f"0x{self.origin.sha256[:8]}UL", **more)
+            hosts=HOSTS, digest=f"0x{self.digest}UL", estimate=f"0x{self.origin.sha256[:8]}UL", **more)
 
 
 @cache

@@ -20,8 +20,11 @@ class Host(NamedTuple):
     files: Mapping[str, str]
 
 
+VALUES = "{p}_values.c"
+"""Part of the library for hosts that include no header of C."""
 HOSTS: Mapping[str, Host] = {
-    "cpp": Host("C++17 header", {"{p}.hpp": "host.hpp"})}
+    "cpp": Host("C++17 header", {"{p}.hpp": "host.hpp"}),
+    "python": Host("Python module by ctypes and numpy", {"{p}.py": "host.py.jinja", VALUES: "values.c"})}
 
 
 def templates(hosts: Sequence[str], prefix: str) -> dict[str, str]:
