@@ -100,22 +100,28 @@ def equations(scale: Scale, smoothed: SmoothedLog) -> Equations:
     model, psi, M = scale.model, scale.psi, len(smoothed)
     n, r = smoothed.q.shape[1], smoothed.force.shape[1]
     kept = model.dynamics.kept
-    qd = smoothed.qd.copy()
-    qd[:, kept] = np.where(smoothed.sign == 0, 0.0, qd[:, kept])  # dry friction of what stands is unknown, not signed
-    motion = (smoothed.q, qd, smoothed.qdd)
-    K, predicted = model.over(model.linearised, *motion, psi)
+
+    def motion(tau: float) -> tuple[Array, Array, Array]:
+        q, qd, qdd = smoothed.motion(tau)
+        qd[:, kept] = np.where(smoothed.sign == 0, 0.0, qd[:, kept])  # dry friction of what stands is unknown
+        return q, qd, qdd
+
+    parts = [(share, motion(tau)) for tau, share in smoothed.kernel.nodes]
+    K, predicted = (sum(share * each for (share, _), each in zip(parts, some, strict=True)) for some in zip(*(
+        model.over(model.linearised, *at, psi) for _, at in parts), strict=True))
     size, numbers = np.abs(smoothed.force), np.column_stack([psi, scale.directions, -scale.taken, scale.carried])
     k = scale.directions.shape[1]
     seen = K @ numbers
     seen[:, :, 0] = 0.0
     rubbing = size * acting(model, smoothed.q, np.nan_to_num(smoothed.sign))
     seen[:, :, 1 + k : 1 + k + r] += np.eye(r) * rubbing[:, :, None]
-    G = (model.over(model.gravity_regressor, smoothed.q)[0] @ numbers).reshape(M, 3, r, -1).transpose(0, 2, 3, 1)
+    heavy = sum(share * model.over(model.gravity_regressor, at[0])[0] for share, at in parts)
+    G = (heavy @ numbers).reshape(M, 3, r, -1).transpose(0, 2, 3, 1)
     speeds = np.zeros((2, M, n))
     speeds[0, :, kept], speeds[1, :, kept] = MOVING, -MOVING
-    ends = [model.over(model.inverse_dynamics, smoothed.q, each, 0 * qd, psi)[0][:, :, 0] for each in speeds]
+    ends = [model.over(model.inverse_dynamics, smoothed.q, each, 0 * each, psi)[0][:, :, 0] for each in speeds]
     held = np.abs(ends[0] - ends[1]) / 2
-    by_motion = np.stack([np.concatenate(model.over(model.force_by_motion, *motion, column), axis=2)
+    by_motion = np.stack([np.concatenate(model.over(model.force_by_motion, *motion(0.0), column), axis=2)
                           for column in (psi, *scale.carried.T)], axis=3)
     still = STILL_PART * (held**2 + (scale.uncertain.load_friction * size) ** 2)
     return Equations(

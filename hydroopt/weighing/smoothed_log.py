@@ -31,7 +31,7 @@ class SmoothedLog:
     Attributes:
         t: (M,) times [s]; each is known `kernel.half` samples later.
         stretch: (M,) index of the uninterrupted stretch.
-        q, qd, qdd: (M, n) motion.
+        q, qd, qdd, jerk: (M, n) motion.
         force: (M, r) measured forces.
         sign: (M, r) 1 or −1 where the joint of a balance moves in one direction throughout, 0 where it stands
             throughout, NaN where neither holds and nothing is known of dry friction.
@@ -43,12 +43,19 @@ class SmoothedLog:
     q: Array
     qd: Array
     qdd: Array
+    jerk: Array
     force: Array
     sign: Array
     kernel: SmoothingKernel
 
     def __len__(self) -> int:
         return len(self.t)
+
+    def motion(self, tau: float) -> tuple[Array, Array, Array]:
+        """The cubic motion (M, n) at a time from each middle [s], whose mean under the kernel is q, qd, qdd."""
+        rest = (tau**2 - self.kernel.spread) / 2
+        return (self.q + self.qd * tau + self.qdd * rest + self.jerk * (tau**3 / 6 - self.kernel.spread * tau / 2),
+                self.qd + self.qdd * tau + self.jerk * rest, self.qdd + self.jerk * tau)
 
 
 def smoothed_log(model: Model, log: Log) -> SmoothedLog:
@@ -77,7 +84,8 @@ def smoothed_log(model: Model, log: Log) -> SmoothedLog:
         raise LogError(f"a scale needs stretches of {(2 * kernel.margin + 1) * step:.2g} s", where=where,
                        remedy="give a longer log")
     t, stretch, *rest = (np.concatenate(each) for each in zip(*found, strict=True))
-    return SmoothedLog(t, stretch, rest[0], rest[1], rest[2], rest[3], rest[4], kernel)
+    q, qd, qdd, jerk, force, sign = rest
+    return SmoothedLog(t, stretch, q, qd, qdd, jerk, force, sign, kernel)
 
 
 def _signs(model: Model, kernel: SmoothingKernel, q: Array, at: NDArray[np.intp]) -> Array:
