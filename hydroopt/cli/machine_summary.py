@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from typing import Any
 
+from hydroopt.results.readable import readable
+
 ROWS = 12
 """Rows of a table, or lines of a list, that are shown; what is left out is counted."""
-WRAPPED = ("channels", "alone")
+WRAPPED = ("channels", "alone", "joint")
 """Columns that may take several lines."""
 
 
@@ -15,12 +17,12 @@ def sensors(rows: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
     """One row for all channels of a kind with the same accuracy and rate.
 
     >>> sensors([{"channel": f"{joint}.q", "unit": "rad", "std": 0.001, "rate_hz": None} for joint in ("boom", "arm")])
-    [{'channels': 'boom.q, arm.q', 'std': '0.001 rad', 'rate': 'any'}]
+    [{'channels': 'boom.q, arm.q', 'std': '0.057 deg', 'rate': 'any'}]
     """
     alike: dict[tuple[str, str], list[str]] = {}
     for row in rows:
         rate = "any" if row["rate_hz"] is None else f"{row['rate_hz']:g} Hz"
-        alike.setdefault((f"{row['std']:.3g} {row['unit']}", rate), []).append(row["channel"])
+        alike.setdefault((readable(row["std"], row["unit"]), rate), []).append(row["channel"])
     return [{"channels": _listed(channels, 3), "std": std, "rate": rate} for (std, rate), channels in alike.items()]
 
 

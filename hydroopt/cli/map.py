@@ -48,8 +48,8 @@ def map(
     else:
         for each in found.proposals:
             echo(f"{each.sureness:6}  {each.channel} = '{each.column.header}' [{each.unit or 'date'}]: {each.reason}")
-        for header, names in found.possible.items():
-            echo(f"unsaid  '{header}': {' or '.join(names)}? Write the line of the right one into {to}")
+        for header in found.possible:
+            echo(f"unsaid  '{header}': {found.question(header)}")
     _next(found, log, machine, to)
 
 
@@ -66,9 +66,13 @@ def _next(found: MapProposal, log: Path, machine: str, to: Path | None) -> None:
     path = str(to) if to is not None else "map.toml"
     command = f"hydroopt identify {shlex.quote(machine)} {shlex.quote(str(log))} --map {shlex.quote(path)} -o out"
     again = f"hydroopt map {shlex.quote(str(log))} {shlex.quote(machine)} --to map.toml"
+    timed = found.own_stamps or any(p.channel == "t" for p in found.proposals)
+    open_ones = [*(["decide the guesses"] if counts["guess"] else []),
+                 *([] if timed else ["name the column of the time"]),
+                 *(["say which column is which channel, where it lists both"] if found.missing and found.unused else [])]
     if to is None:
         echo(f"Next: {again}")
-    elif counts["guess"] or not (found.own_stamps or any(p.channel == "t" for p in found.proposals)):
-        echo(f"Next: decide the guesses in {path}, then {command}")
+    elif open_ones:
+        echo(f"Next: in {path}, {'; '.join(open_ones)}. Then {command}")
     else:
         echo(f"Next: {command}")

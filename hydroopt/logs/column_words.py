@@ -48,6 +48,9 @@ QUANTITIES = {"q": {"angle"}, "qd": {"velocity"}, "qdd": {"acceleration"}, "leng
               "p_supply": {"supply"}, "p_tank": {"tank"}}
 """Words that a column of a channel of each suffix has."""
 IMPLIED = {"rad": "angle", "m": "length", "Pa": "pressure", "rad/s": "velocity", "N": "force", "N*m": "torque"}
+"""The quantity that channels of an SI unit have."""
+COUNTED = re.compile("[ab]|[0-9]+")
+"""Words that number chambers, ports or sensors, without saying which is which."""
 SHORTEST = 3
 """Letters of the shortest part of a compound word."""
 _FOLDED = str.maketrans(dict(zip("äöüÄÖÜß", ("ae", "oe", "ue", "Ae", "Oe", "Ue", "ss"), strict=True)))
@@ -106,15 +109,17 @@ def _parted(word: str) -> list[str]:
     return [word]
 
 
-def may_be(channel: str, named: Naming) -> bool:
-    """Whether a header names a channel's part and no other quantity, but not which of the part's channels it is.
+def may_be(channel: str, named: Naming, kind: str) -> bool:
+    """Whether a header leaves open that it is a channel of an SI unit: it names part or quantity, and nothing else.
 
-    >>> may_be("boom_cylinder.p_head", naming("Druck Boom bar")), may_be("boom_cylinder.p_head", naming("boom max bar"))
-    (True, False)
+    >>> [may_be("boom_cylinder.p_head", naming(text), "Pa") for text in ("Boom bar", "Druck_A (bar)", "boom max bar")]
+    [True, True, False]
     """
-    own = words_of(channel.rpartition(".")[0])
-    words = named.words | named.of_sheet
-    return (own - GENERIC or own) <= words and not named.words - own - GENERIC - {"pressure"}
+    part, _, suffix = channel.rpartition(".")
+    own, words = words_of(part), named.words | named.of_sheet
+    quantity = {IMPLIED.get(kind, ""), *QUANTITIES.get(suffix, words_of(suffix))}
+    other = {word for word in named.words - own - GENERIC - quantity if not COUNTED.fullmatch(word)}
+    return bool(words & quantity or words & (own - GENERIC or own)) and not other
 
 
 def matched(channel: str, named: Naming, kind: str) -> int:
@@ -137,4 +142,3 @@ def matched(channel: str, named: Naming, kind: str) -> int:
     if asked <= words:
         return 2
     return 1 if suffix in ("q", "length", "force", "tau", "qd") and named.units and not words - own - GENERIC else 0
-

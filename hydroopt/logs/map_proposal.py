@@ -13,6 +13,7 @@ import numpy as np
 
 from hydroopt.errors import HydrooptError, LogError
 from hydroopt.logs import stamps
+from hydroopt.logs.channels import si_unit
 from hydroopt.logs.column_words import Naming, matched, may_be, naming, words_of
 from hydroopt.logs.formats.files import open_files
 from hydroopt.logs.sheets import Sheet
@@ -31,6 +32,8 @@ LEAST_PRESSURE, MOST_PRESSURE = 1e6, 6e7
 """Highest pressure [Pa] of a log: at least, where its unit is inferred, and at most, where no relief is stated."""
 AGREES, DIFFERS = 0.01, 0.1
 """RMS difference of lengths from those by the angles, as part of their range, that confirms both, and that denies."""
+MOST = 6
+"""Channels that a question about a column names."""
 LEFT_OUT = ("qdd", "distance", "x", "y", "z", "fx", "fy", "fz", "mx", "my", "mz")
 """Suffixes of channels that are not looked for."""
 
@@ -73,7 +76,7 @@ class MapProposal:
     Attributes:
         path: of the file; `machine`: its name.
         proposals: by channel and, of the time, by sheet; `missing`: channels without a column; `unused`: headers.
-        possible: channels of the part that an unused column names without saying which, by header.
+        possible: channels that an unused column may be by its part or its quantity, by header.
         own_stamps: whether the rows of all sheets have stamps of their own; `several`: whether there are several.
     """
 
@@ -111,7 +114,8 @@ class MapProposal:
             lines.append('# t = { column = "?", unit = "s" }  # no column is named as a time')
         lines += [self._line(_key(each.channel), each) for each in listed]
         if self.missing:
-            lines += ["", "# no column was found for:", *(f"# {_key(name)}" for name in self.missing)]
+            lines += ["", "# no column was found for these: write its name and unit, and remove the #",
+                      *(f'# {_key(name)} = {{ column = "?", unit = "{si_unit(name)}" }}' for name in self.missing)]
         if self.unused:
             lines += ["", "# no channel was found for the columns:",
                       *(self._unused_line(name) for name in self.unused)]
@@ -122,8 +126,12 @@ class MapProposal:
 
     def _unused_line(self, header: str) -> str:
         line = f"# {json.dumps(header, ensure_ascii=False)}"
-        names = self.possible.get(header, ())
-        return f"{line}  # {' or '.join(names)}? Its name does not say: write the line" if names else line
+        return f"{line}  # {self.question(header)} Its name does not say" if header in self.possible else line
+
+    def question(self, header: str) -> str:
+        """Which of the possible channels a column is, as a question."""
+        names = self.possible[header]
+        return " or ".join([*names[:MOST], *([f"{len(names) - MOST} more"] if len(names) > MOST else [])]) + "?"
 
     def _line(self, key: str, each: Proposal) -> str:
         same = [header for header in each.column.sheet.content.header if header == each.column.header]
@@ -161,13 +169,19 @@ def propose_map(path: str | Path, machine: Machine) -> MapProposal:
     usual = {*(f"{joint}.q" for joint in machine.joints),
              *(chamber for each in machine.hydraulic_actuators for chamber in each.chambers)}
     unused = [column for column in rest if (column.sheet.name, column.index) not in taken]
-    possible = {column.header: some for column in unused if (some := tuple(
-        name for name, si in wanted.items() if name not in found and of_kind(column.named.units, si)
-        and may_be(name, column.named)))}
+    free = {name: si for name, si in wanted.items() if name not in found}
+    possible = {column.header: some for column in unused if (some := _possible(column.named, free, usual))}
     return MapProposal(
         str(path), machine.name, (*times, *(found[name] for name in wanted if name in found)),
         tuple(name for name in wanted if name in usual and name not in found),
         tuple(column.header for column in unused), own, several, possible)
+
+
+def _possible(named: Naming, free: Mapping[str, str], usual: Collection[str]) -> tuple[str, ...]:
+    """Which of the free channels a header may stand for, the usual ones alone if there are such."""
+    found = tuple(name for name, si in free.items() if may_be(name, named, si)
+                  and (of_kind(named.units, si) if named.units else name in usual))
+    return tuple(name for name in found if name in usual) or found
 
 
 def _key(channel: str) -> str:

@@ -160,6 +160,30 @@ def test_a_pressure_of_a_part_without_its_chamber_is_a_question(log, tmp_path):
     assert set(tomllib.loads(found.toml())["columns"]) == {"t"}
 
 
+def test_headers_that_leave_part_or_chamber_open_are_questions(log, tmp_path):
+    """By quantity alone, by ports A and B, by part alone without a unit; each line to fill in is then a map's."""
+    chambers = ("boom_cylinder.p_head", "boom_cylinder.p_rod", "stick_cylinder.p_head", "stick_cylinder.p_rod",
+                "swing_motor.p_a", "swing_motor.p_b")
+    path = written(log, tmp_path / "run.csv", {
+        "t": ("t [ms]", 1e3), "boom.q": ("Angle (Grad)", 180 / np.pi), "stick.q": ("Stick", 180 / np.pi),
+        "boom_cylinder.p_head": ("Druck_A (bar)", 1e-5), "boom_cylinder.p_rod": ("Ausleger Druck_B (bar)", 1e-5),
+        "boom_cylinder.length": ("Kolbenweg [mm]", 1e3), "stick_cylinder.p_head": ("P3", 1e-5)})
+    found = propose_map(path, load_machine("cat215b"))
+    assert dict(found.possible) == {
+        "Angle (Grad)": ("swing.q", "boom.q", "stick.q"), "Stick": ("stick.q", *chambers[2:4]),
+        "Druck_A (bar)": chambers, "Ausleger Druck_B (bar)": chambers[:2], "P3": chambers,
+        "Kolbenweg [mm]": ("boom_cylinder.length", "stick_cylinder.length")}
+    text = found.toml()
+    for channel, column, unit in (("boom.q", "Angle (Grad)", "deg"), ("boom_cylinder.p_head", "Druck_A (bar)", "bar")):
+        (line,) = (line for line in text.splitlines() if line.startswith(f'# "{channel}" ='))
+        filled = line[2:].replace('"?"', f'"{column}"')
+        text = text.replace(line, filled[:filled.index("unit")] + f'unit = "{unit}" }}')
+    (tmp_path / "map.toml").write_text(text)
+    read = read_log(path, mapping=tmp_path / "map.toml")
+    np.testing.assert_allclose(read.channels["boom.q"], log.channels["boom.q"], atol=1e-12)
+    np.testing.assert_allclose(read.channels["boom_cylinder.p_head"], log.channels["boom_cylinder.p_head"], rtol=1e-12)
+
+
 def test_a_clock_without_a_name_is_the_only_one_in_a_unit_of_time(log, tmp_path):
     path = written(log, tmp_path / "run.csv", {"t": ("arduino_ms", 1e3), "boom.q": ("boom angle deg", 180 / np.pi)})
     time = propose_map(path, load_machine("cat215b")).proposals[0]
