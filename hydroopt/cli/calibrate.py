@@ -39,6 +39,8 @@ def calibrate(
     validate: Validation = None,
     holdout_stage: Annotated[list[str] | None, typer.Option(
         help="Stage that is held out for validation; repeatable.")] = None,
+    holdout: Annotated[float, typer.Option(min=0.0, max=0.9, help=(
+        "Part of each stage's poses, evenly spread, that is held out for validation."))] = 0.0,
     map_file: MapFile = None,
     method: Annotated[str, typer.Option(help="Method of estimation: joint or hierarchical.")] = "joint",
     loss: LossName = "squares",
@@ -53,7 +55,7 @@ def calibrate(
 ) -> None:
     """Calibrate a machine's geometry from poses: DIR gets estimate.json, report.html, the calibrated machine.
 
-    Example: hydroopt calibrate cat215b poses.csv -o out/geometry
+    Example: hydroopt calibrate cat215b poses.csv --holdout 0.25 -o out/geometry
     """
     import numpy as np
 
@@ -69,7 +71,7 @@ def calibrate(
     began = time.perf_counter()
     described, chosen_loss = load_machine(machine), loss_of(loss, "--loss")
     with progress("reading poses", quiet) as say:
-        poses, held_out = _held_out(read_pose_files(tables, mapping=map_file), holdout_stage or (),
+        poses, held_out = _held_out(read_pose_files(tables, mapping=map_file), holdout_stage or (), holdout,
                                     read_pose_files(validate, mapping=map_file) if validate else None)
         problem = calibration_problem(described, poses, held_out, priors=priors).with_loss(chosen_loss)
         problem = problem.fixing(**parameter_values(fix or (), problem.parameters))
@@ -85,8 +87,8 @@ def calibrate(
     print_answer(solved, output, quiet=quiet, as_json=as_json)
 
 
-def _held_out(poses: Poses, stages: Sequence[str], extra: Poses | None) -> tuple[Poses, Poses | None]:
-    """Training poses, and those of some stages together with further ones for validation."""
+def _held_out(poses: Poses, stages: Sequence[str], part: float, extra: Poses | None) -> tuple[Poses, Poses | None]:
+    """Training poses, and those of some stages and a part of the others together with further ones for validation."""
     import numpy as np
 
     from hydroopt.logs.poses import joined
@@ -97,7 +99,10 @@ def _held_out(poses: Poses, stages: Sequence[str], extra: Poses | None) -> tuple
             raise ProblemError(f"no pose is of stage '{stage}'", where="--holdout-stage",
                                remedy=f"use one of {', '.join(known)}")
     aside = np.isin(poses.stage, list(stages))
+    for stage in set(known) - set(stages):
+        own = np.flatnonzero(poses.stage == stage)
+        aside[own] = np.diff(np.floor(part * np.arange(len(own) + 1))) > 0
     if np.all(aside):
         raise ProblemError("no training pose is left", where="--holdout-stage", remedy="hold out fewer stages")
-    parts = [*([poses.select(aside)] if stages else ()), *([extra] if extra else ())]
+    parts = [*([poses.select(aside)] if np.any(aside) else ()), *([extra] if extra else ())]
     return poses.select(~aside), joined(parts) if parts else None

@@ -67,9 +67,9 @@ def _next(found: MapProposal, log: Path, machine: str, to: Path | None) -> None:
     command = f"hydroopt identify {shlex.quote(machine)} {shlex.quote(str(log))} --map {shlex.quote(path)} -o out"
     again = f"hydroopt map {shlex.quote(str(log))} {shlex.quote(machine)} --to map.toml"
     timed = found.own_stamps or any(p.channel == "t" for p in found.proposals)
-    open_ones = [*(["decide the guesses"] if counts["guess"] else []),
-                 *([] if timed else ["name the column of the time"]),
-                 *(["say which column is which channel, where it lists both"] if found.missing and found.unused else [])]
+    questions = {"decide the guesses": counts["guess"], "name the column of the time": not timed,
+                 "say which column is which channel, where it lists both": found.missing and found.unused}
+    open_ones = [text for text, asked in questions.items() if asked]
     if to is None:
         echo(f"Next: {again}")
     elif open_ones:

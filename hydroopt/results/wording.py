@@ -171,7 +171,7 @@ class Kind(StrEnum):
     SUSPECTS_UNDECIDED = "cause of the contradiction undecided"
     NO_VALIDATION_POSES = "no validation poses"
     WORSE_THAN_NOMINAL = "held-out poses fit worse than before"
-    INTERVALS_TOO_NARROW = "intervals too narrow for held-out poses"
+    INTERVALS_TOO_NARROW = "held-out poses beyond their intervals"
     LARGER_ON_VALIDATION = "held-out poses fit worse than training poses"
     NO_REDUNDANCY = "no redundancy"
     ERRORS_LARGER = "errors larger than stated"
@@ -204,6 +204,7 @@ CONTRADICTIONS = OF_LOGS | {Kind.STROKE_CONTRADICTS_POSES, Kind.BIAS_DRIFTS, Kin
     Kind.STAGE_CONTRADICTS, Kind.FIXTURE_MOVED, Kind.BASE_MOVED, Kind.TOOL_MOVED, Kind.INSTRUMENT_MOVED,
     Kind.SENSOR_OFFSET, Kind.SENSOR_SCALE, Kind.BACKLASH, Kind.SENSOR_ECCENTRIC, Kind.SENSOR_NONLINEAR,
     Kind.JOINT_SAGS, Kind.SUSPECTS_UNDECIDED, Kind.DISTANCE_CONTRADICTS, Kind.DISTANCE_OFF, Kind.OFF_OPTIMUM,
+    Kind.INTERVALS_TOO_NARROW,
     Kind.SCALE_CONTRADICTED}
 """Kinds that make an answer suspect."""
 WORDS: dict[Kind, Words] = {
@@ -415,16 +416,17 @@ WORDS: dict[Kind, Words] = {
         "Something contradicts the poses, and the data do not decide between: {alternatives}."),
     Kind.NO_VALIDATION_POSES: Words(
         "No pose was held out, so that the prediction of unseen poses is not known.",
-        "Give --validate or --holdout-stage."),
+        "Give --validate, --holdout or --holdout-stage."),
     Kind.WORSE_THAN_NOMINAL: Words(
         "Held-out poses fit worse after calibration than before ({subject}: {after_mm:.3g} mm against {before_mm:.3g} "
         "mm)."),
     Kind.INTERVALS_TOO_NARROW: Words(
-        "Only {share:.0f %} of held-out errors lie within their 95 % intervals: the geometry is less certain "
-        "there than stated, or those poses are worse.", "Add poses from there to the training poses."),
+        "Errors of held-out poses are {ratio:.1f} times those that the intervals state, and only {share:.0f %} lie "
+        "within 95 %: the machine moves there in a way that the model lacks, or those poses are worse.",
+        "Look for the cause in those poses, or calibrate with them: the suspects are then named."),
     Kind.LARGER_ON_VALIDATION: Words(
-        "Held-out poses have {ratio:.1f} times the error of the training poses ({subject}): the geometry is "
-        "overfitted, or they lie where it was not measured."),
+        "Held-out poses have {ratio:.1f} times the error of the training poses ({subject}); this method has no "
+        "intervals that tell whether so much is to be expected.", "Use the method 'joint'."),
     Kind.NO_REDUNDANCY: Words(
         "There are as many equations as parameters, so that the size of the errors is not known.",
         "Measure more poses."),

@@ -6,7 +6,7 @@ import numpy as np
 
 from hydroopt import calibration_problem, load_machine, read_pose_files, solve
 from hydroopt.estimation.kinematic.observability import linearise
-from hydroopt.estimation.kinematic.prediction import NORMAL_95, standardised
+from hydroopt.estimation.kinematic.prediction import prediction_test
 from hydroopt.estimation.kinematic.residuals import predicted
 from hydroopt.estimation.kinematic.suspect import SuspectKind
 
@@ -93,8 +93,7 @@ def coverage_of_places(machine, poses) -> dict:
         solved = solve(calibration_problem(machine, poses.select(poses.stage == place)))
         for other in places:
             if other != place:
-                size = np.abs(standardised(solved, poses.select(poses.stage == other)))
-                inside[place, other] = size < NORMAL_95
+                inside[place, other] = prediction_test(solved, poses.select(poses.stage == other)).inside
     pairs = {pair: float(np.mean(hits)) for pair, hits in inside.items()}
     sound = [pair for pair in inside if "high" not in pair]
     return {"coverage_of_all_places": round(float(np.mean(np.concatenate(list(inside.values())))), 4),

@@ -12,7 +12,7 @@ import numpy as np
 from hydroopt.estimation.inference.identifiability import FULL
 from hydroopt.estimation.kinematic import calibrated_machine, diagnostics
 from hydroopt.estimation.kinematic.chain_sides import ChainSides, chain_sides, table_of
-from hydroopt.estimation.kinematic.prediction import coverage
+from hydroopt.estimation.kinematic.prediction import PredictionTest, prediction_test
 from hydroopt.estimation.kinematic.problem import CalibrationProblem
 from hydroopt.estimation.kinematic.residuals import PoseResiduals, loop_fit, predicted, residual_sizes, units_of
 from hydroopt.estimation.kinematic.solution import JOINT, KinematicSolution
@@ -77,9 +77,9 @@ class Calibration(KinematicSolution, Answer):
             prediction = loop_fit(*predicted(problem, problem.start, problem.validation))
         before = len(problem.poses if self.all_poses is None else self.all_poses.problem.poses)
         return tuple(diagnostics.diagnose(
-            self, nominal_prediction=prediction, coverage=self.validation_coverage, impossible=self._written.reason,
-            narrowed=self._written.narrowed, widened=self._written.widened, left_out=self.left_out,
-            poses_left_out=before - len(problem.poses)))
+            self, nominal_prediction=prediction, tested=self.tested,
+            impossible=self._written.reason, narrowed=self._written.narrowed, widened=self._written.widened,
+            left_out=self.left_out, poses_left_out=before - len(problem.poses)))
 
     @cached_property
     def parameters(self) -> ParameterTable:
@@ -99,8 +99,10 @@ class Calibration(KinematicSolution, Answer):
     @cached_property
     def uses(self) -> tuple[Use, ...]:
         """How well it places the machine's end, and which dimensions the poses determine."""
-        tested = self.problem.validation is not None
-        condition = f"95 %, by the intervals; {'tested on' if tested else 'no'} held-out poses"
+        held_out = "no held-out poses" if self.problem.validation is None else "tested on held-out poses"
+        if self.tested is not None:
+            held_out = f"errors of held-out poses {self.tested.ratio:.2g} times those stated"
+        condition = f"95 %, by the intervals; {held_out}"
         workspace = self.workspace
         extent = float(np.linalg.norm(np.ptp(workspace.position, axis=0))) / 2
         unknown = "" if np.all(np.isfinite(workspace.std)) else "the poses do not determine all that moves it"
@@ -189,11 +191,11 @@ class Calibration(KinematicSolution, Answer):
         return workspace_accuracy(self)
 
     @cached_property
-    def validation_coverage(self) -> float:
-        """Part of the held-out residuals within their 95 % intervals; NaN without held-out poses or intervals."""
+    def tested(self) -> PredictionTest | None:
+        """The held-out poses against the error stated for them; None without such poses or without intervals."""
         if self.problem.validation is None or self.algorithm != JOINT:
-            return float("nan")
-        return coverage(self, self.problem.validation)
+            return None
+        return prediction_test(self, self.problem.validation)
 
     def __str__(self) -> str:
         lines = [f"{self.machine_name} by {self.method}: {self.status}, {len(self.problem.poses)} poses, "
@@ -206,7 +208,7 @@ class Calibration(KinematicSolution, Answer):
 
     def details(self) -> Mapping[str, Any]:
         """Conditioning, correlations, suspects, uniqueness, accuracy over the workspace [m], and settings."""
-        identified, workspace = self.observability, self.workspace
+        identified, workspace, tested = self.observability, self.workspace, self.tested
         freedom = int(self.linearised.rank.sum()) + len(self.problem.distances.length) - identified.rank
         before = () if self.all_poses is None else [_suspect(self.all_poses.problem.poses, s) for s in self.left_out]
         return {
@@ -216,7 +218,9 @@ class Calibration(KinematicSolution, Answer):
                              "parameters": len(identified.names), "degrees_of_freedom": freedom},
             "correlations": [{"name": name, "other": other, "correlation": r}
                              for name, (other, r) in self.correlations.items()],
-            "noise_scale": number(self.noise_scale), "validation_coverage": number(self.validation_coverage),
+            "noise_scale": number(self.noise_scale),
+            "validation_coverage": None if tested is None else number(tested.coverage),
+            "validation_ratio": None if tested is None else number(tested.ratio),
             "suspects": [_suspect(self.problem.poses, s) for s in self.suspects],
             "left_out": list(before), "uniqueness": self.uniqueness.as_dict(),
             "workspace": {"point": workspace.point, "median_std": number(workspace.median_std),

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from hydroopt.estimation.kinematic.calibrated_machine import WidenedLimits
+from hydroopt.estimation.kinematic.prediction import PredictionTest
 from hydroopt.estimation.kinematic.solution import JOINT, KinematicSolution
 from hydroopt.estimation.kinematic.stated_checks import off_optimum, wrong_distances
 from hydroopt.estimation.kinematic.suspect import Suspect, SuspectKind
@@ -22,25 +23,24 @@ FAR = 3.0
 """Change in standard deviations of the prior from which on it is reported."""
 FAR_LARGER, LARGE, SMALL = 10.0, 1.5, 0.5
 """Errors, relative to those stated, that make an answer suspect, and above and below which a diagnostic says so."""
-OVERFITTED = 2.0
-"""Error of held-out poses relative to that of training poses from which on a diagnostic says so."""
-COVERED = 0.8
-"""Part of held-out residuals within their 95 % intervals below which a diagnostic says so."""
+HELD_OUT, CHANCE = 2.0, 1e-3
+"""Error of held-out poses, relative to what their intervals state (or, without intervals, to that of training poses),
+above which an answer is contradicted, unless stated errors give it with this probability or a larger one."""
 ROUNDED, READING = 1e-3, 3.0
 """How far beyond the end of a stroke a pose may lie: an angle [rad] and so many standard deviations of its reading."""
 FEW = 3
 """Single poses that are named one by one."""
 
 
-def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fit], coverage: float, impossible: str,
-             narrowed: Sequence[NarrowedLimits], widened: Sequence[WidenedLimits], left_out: Sequence[Suspect],
-             poses_left_out: int) -> Iterator[Diagnostic]:
+def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fit], tested: PredictionTest | None,
+             impossible: str, narrowed: Sequence[NarrowedLimits], widened: Sequence[WidenedLimits],
+             left_out: Sequence[Suspect], poses_left_out: int) -> Iterator[Diagnostic]:
     """All diagnostics, the most severe first.
 
     Args:
         solution: the calibration.
         nominal_prediction: fit of the held-out poses by the nominal geometry, by channel.
-        coverage: part of the held-out residuals within their 95 % intervals; NaN where there are none.
+        tested: the held-out poses against their intervals; None where there are none.
         impossible: why no machine can have the geometry; "" where one can.
         narrowed: joint limits of the calibrated machine that gave way to strokes.
         widened: joint limits of the calibrated machine that gave way to poses.
@@ -53,9 +53,7 @@ def diagnose(solution: KinematicSolution, *, nominal_prediction: Mapping[str, Fi
     yield from _poses(solution)
     yield from _suspects(solution)
     yield from _stated(solution)
-    yield from _prediction(solution, nominal_prediction)
-    if coverage < COVERED:
-        yield Diagnostic(Kind.INTERVALS_TOO_NARROW, (), {"share": coverage})
+    yield from _prediction(solution, nominal_prediction, tested)
     yield from _noise(solution)
     yield from _identifiability(solution)
     yield from _priors(solution)
@@ -134,7 +132,10 @@ def _stated(solution: KinematicSolution) -> Iterator[Diagnostic]:
             "factors": list(large.values())})
 
 
-def _prediction(solution: KinematicSolution, nominal: Mapping[str, Fit]) -> Iterator[Diagnostic]:
+def _prediction(solution: KinematicSolution, nominal: Mapping[str, Fit],
+                tested: PredictionTest | None) -> Iterator[Diagnostic]:
+    if tested is not None and tested.ratio > HELD_OUT and tested.chance < CHANCE:
+        yield Diagnostic(Kind.INTERVALS_TOO_NARROW, (), {"ratio": tested.ratio, "share": tested.coverage})
     if "validation" not in solution.fits:
         yield Diagnostic(Kind.NO_VALIDATION_POSES)
     for channel, held_out in solution.fits.get("validation", {}).items():
@@ -142,7 +143,7 @@ def _prediction(solution: KinematicSolution, nominal: Mapping[str, Fit]) -> Iter
         if before is not None and held_out.rms > before.rms:
             yield Diagnostic(Kind.WORSE_THAN_NOMINAL, (channel,),
                              {"after_mm": 1e3 * held_out.rms, "before_mm": 1e3 * before.rms})
-        elif trained is not None and held_out.rms > OVERFITTED * trained.rms:
+        elif tested is None and trained is not None and held_out.rms > HELD_OUT * trained.rms:
             yield Diagnostic(Kind.LARGER_ON_VALIDATION, (channel,), {"ratio": held_out.rms / trained.rms})
 
 

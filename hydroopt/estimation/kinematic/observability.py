@@ -29,6 +29,7 @@ SHARE = 1e-5
 class Linearised:
     """Whitened rows of all poses: residual (N, m), Jacobian (N, m, P) by all parameters, rank (N,) of each pose's rows.
 
+    `kept` (N, m) is the part of each row's variance, 1, that is left where unsensed angles take away some of it.
     `shared` and `shared_residual` are those of known distances, then of what is known before. `whitening` (N, u, u)
     makes these rows of the raw rows at the channels `used`; `by_angles` (N, u, n) are their changes by each angle.
     `unsensed` (N, k, 1 + P) are the parts of rows and Jacobian that the k joints which somewhere move unsensed explain:
@@ -38,6 +39,7 @@ class Linearised:
     residual: Array
     jacobian: Array
     rank: NDArray[np.int64]
+    kept: Array
     shared: Array
     shared_residual: Array
     whitening: Array
@@ -83,7 +85,7 @@ def linearise(problem: PoseEquations, theta: Array, q: Array) -> Linearised:
     total, n = len(problem.parameters), by_q.shape[2]
     blind = white[:, :, 1 + total : 1 + total + n]
     moving = layout.moving.any(axis=0)
-    rank, unsensed = present.sum(axis=1), None
+    rank, kept_part, unsensed = present.sum(axis=1), present.astype(float), None
     if np.any(moving):
         u, s, v = np.linalg.svd(blind[:, :, moving], full_matrices=False)
         kept = s > 1e-9 * np.maximum(s[:, :1], 1e-300)
@@ -92,8 +94,9 @@ def linearise(problem: PoseEquations, theta: Array, q: Array) -> Linearised:
         unsensed = inverse @ white[:, :, : 1 + total]
         white = white - u @ (u.transpose(0, 2, 1) @ white)
         rank = rank - (kept & (s > 0)).sum(axis=1)
+        kept_part -= np.sum(u**2, axis=2)
     extra, extra_residual = _shared(problem, theta)
-    return Linearised(white[:, :, 0], white[:, :, 1 : 1 + total], rank, extra, extra_residual,
+    return Linearised(white[:, :, 0], white[:, :, 1 : 1 + total], rank, kept_part, extra, extra_residual,
                       white[:, :, 1 + total + 2 * n :], used, white[:, :, 1 + total + n : 1 + total + 2 * n],
                       unsensed)
 

@@ -2,8 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
+from typing import NamedTuple
 
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import chdtrc, fdtrc
+
+from hydroopt.estimation.inference.identifiability import INFORMATION_TOLERANCE, significant
 from hydroopt.estimation.kinematic.observability import linearise
 from hydroopt.estimation.kinematic.residuals import predicted
 from hydroopt.estimation.kinematic.solution import KinematicSolution
@@ -12,14 +17,41 @@ from hydroopt.spatial.inertia import Array
 
 NORMAL_95 = 1.959964
 """Standard deviations on each side of a 95 % interval."""
+LEAST = 1e-6
+"""Part of a row's variance below which a fit to the poses themselves has taken it all."""
 
 
-def standardised(solution: KinematicSolution, poses: Poses) -> Array:
-    """Whitened residuals (k,) of held-out poses, in standard deviations of their prediction.
+class PredictionTest(NamedTuple):
+    """How held-out poses agree with the error that is stated for their prediction.
+
+    Attributes:
+        standardised: (k,) whitened residuals, each in standard deviations of its prediction.
+        ratio: size of all of them together, correlations included, relative to what is expected.
+        chance: probability of this ratio or a larger one if the stated errors hold, with the noise as uncertain as the
+            training poses leave it.
+    """
+
+    standardised: Array
+    ratio: float
+    chance: float
+
+    @property
+    def inside(self) -> NDArray[np.bool_]:
+        """Which of the residuals (k,) lie within their 95 % intervals."""
+        return np.abs(self.standardised) < NORMAL_95
+
+    @property
+    def coverage(self) -> float:
+        """Part of the residuals that lie within their 95 % intervals."""
+        return float(np.mean(self.inside)) if self.standardised.size else float("nan")
+
+
+def prediction_test(solution: KinematicSolution, poses: Poses) -> PredictionTest:
+    """Test the stated error of a calibrated geometry with held-out poses.
 
     The noise is that of the training poses, smaller or larger than stated; the geometry is as uncertain as this noise
-    and the priors leave it. What held-out poses tell alone, such as where a fixture stood, is fitted to them: its share
-    of noise and of wrong geometry is taken out.
+    and the priors leave it. What held-out poses tell alone, such as where a fixture stood, is fitted to them, as is
+    what neither training poses nor priors determine: their share of noise and of wrong geometry is taken out.
 
     Args:
         solution: the calibration.
@@ -30,25 +62,33 @@ def standardised(solution: KinematicSolution, poses: Poses) -> Array:
     """
     fresh, theta, q = predicted(solution.problem, solution.theta, poses)
     rows, known = linearise(fresh, theta, q), solution.observability
-    shared = [k for k, name in enumerate(fresh.parameters.names) if name in known.names and not fresh.free[k]]
-    free, count = np.flatnonzero(fresh.free), rows.residual.size
-    own = np.vstack([rows.jacobian[:, :, free].reshape(count, len(free)), rows.shared[:, free]])
-    left, s, _ = np.linalg.svd(own * fresh.parameters.scale[free], full_matrices=False)
-    left = left[:count, s > 1e-9 * s[0]] if s.size else np.zeros((count, 0))
-    slope = rows.jacobian[:, :, shared].reshape(count, -1)
-    slope = slope - left @ (left.T @ slope)
-    noise = solution.noise_scale**2 if np.isfinite(solution.noise_scale) else 1.0
+    measured = np.isfinite(solution.noise_scale)
+    noise = solution.noise_scale**2 if measured else 1.0
     information = known.information / noise + known.prior
     size = np.sqrt(np.maximum(np.diag(information), 1e-300))
-    inverse = np.linalg.pinv(information / np.outer(size, size), rcond=1e-12, hermitian=True) / np.outer(size, size)
+    values, vectors = np.linalg.eigh(information / np.outer(size, size))
+    vectors, told = vectors / size[:, None], significant(values, INFORMATION_TOLERANCE)
+    shared = [k for k, name in enumerate(fresh.parameters.names) if name in known.names and not fresh.free[k]]
     order = [known.names.index(fresh.parameters.names[k]) for k in shared]
-    variance = noise * (1 - np.sum(left**2, axis=1)) + np.einsum(
-        "rk,kl,rl->r", slope, inverse[np.ix_(order, order)], slope, optimize=True)
-    residual = rows.residual.ravel()
-    there = variance > 1e-6 * noise  # rows that are projected out are zero
-    return np.asarray(residual[there] / np.sqrt(variance[there]))
-
-
-def coverage(solution: KinematicSolution, poses: Poses) -> float:
-    """Part of the residuals of held-out poses that lie within their 95 % intervals."""
-    return float(np.mean(np.abs(standardised(solution, poses)) < NORMAL_95))
+    free, count = np.flatnonzero(fresh.free), rows.residual.size
+    slope = rows.jacobian[:, :, shared].reshape(count, -1) @ vectors[order]
+    fitted = np.column_stack([
+        np.vstack([rows.jacobian[:, :, free].reshape(count, len(free)), rows.shared[:, free]])
+        * fresh.parameters.scale[free],
+        np.vstack([slope[:, ~told], np.zeros((len(rows.shared), int(np.sum(~told))))])])
+    left, s, _ = np.linalg.svd(fitted, full_matrices=False)
+    left = left[:count, s > 1e-9 * s[0]] if s.size else np.zeros((count, 0))
+    by_geometry = slope[:, told] / np.sqrt(values[told])
+    by_geometry -= left @ (left.T @ by_geometry)
+    residual = rows.residual.ravel() - left @ (left.T @ rows.residual.ravel())
+    variance = noise * (rows.kept.ravel() - np.sum(left**2, axis=1)) + np.sum(by_geometry**2, axis=1)
+    there = variance > LEAST * noise
+    turned = by_geometry.T @ residual
+    explained = turned @ np.linalg.solve(by_geometry.T @ by_geometry + noise * np.eye(len(turned)), turned)
+    square = float(residual @ residual - explained) / noise
+    standardised, freedom = residual[there] / np.sqrt(variance[there]), int(rows.rank.sum()) - left.shape[1]
+    if freedom <= 0:
+        return PredictionTest(standardised, float("nan"), 1.0)
+    trained = int(solution.linearised.rank.sum()) - known.rank
+    chance = fdtrc(freedom, trained, square / freedom) if measured and trained > 0 else chdtrc(freedom, square)
+    return PredictionTest(standardised, float(np.sqrt(square / freedom)), float(chance))

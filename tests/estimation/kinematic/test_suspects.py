@@ -105,5 +105,6 @@ def test_limits_give_way_to_poses_and_intervals_are_held_against_others(sound: P
     assert widened.subject == ("boom",)
     angle = calibration.q[:, calibration.problem.model.joints.index("boom")]
     assert calibration.machine.link("boom").joint.range[0] <= np.min(angle) + 0.01
-    assert 0.88 < calibration.validation_coverage <= 1
+    assert 0.88 < calibration.tested.coverage <= 1
+    assert calibration.tested.ratio == pytest.approx(1, abs=0.15)
     assert not of_kind(calibration.diagnostics, Kind.INTERVALS_TOO_NARROW)
