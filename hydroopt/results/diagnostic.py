@@ -7,11 +7,12 @@ from dataclasses import dataclass, field
 from typing import Any
 
 from hydroopt.results.machine_wording import MACHINE_WORDS
+from hydroopt.results.pose_wording import POSE_WORDS
 from hydroopt.results.sensor_wording import SENSOR_WORDS
 from hydroopt.results.session_wording import SESSION_WORDS
 from hydroopt.results.wording import WORDS, Kind, filled
 
-_ALL_WORDS = WORDS | MACHINE_WORDS | SESSION_WORDS | SENSOR_WORDS
+_ALL_WORDS = WORDS | MACHINE_WORDS | POSE_WORDS | SESSION_WORDS | SENSOR_WORDS
 LEAST_P = 1e-15
 """p-value below which rounding errors leave no digit of it."""
 NAMED = 8
