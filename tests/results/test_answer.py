@@ -17,6 +17,7 @@ from hydroopt.results.diagnostic import Diagnostic, of_kind
 from hydroopt.results.fit import Fit
 from hydroopt.results.machine_wording import MACHINE_WORDS
 from hydroopt.results.parameter_table import ParameterTable, row
+from hydroopt.results.pose_wording import POSE_WORDS
 from hydroopt.results.sensor_wording import SENSOR_WORDS
 from hydroopt.results.session_wording import SESSION_WORDS
 from hydroopt.results.status import Status
@@ -126,7 +127,7 @@ def test_information_from_data_is_the_part_that_the_prior_does_not_explain() -> 
 
 
 def test_every_kind_has_words_and_is_found_by_kind() -> None:
-    assert {*WORDS, *MACHINE_WORDS, *SESSION_WORDS, *SENSOR_WORDS} == set(Kind)
+    assert {*WORDS, *MACHINE_WORDS, *POSE_WORDS, *SESSION_WORDS, *SENSOR_WORDS} == set(Kind)
     found = Example.diagnostics
     assert of_kind(found, Kind.WORSE_THAN_ZERO) == found
     assert not of_kind(found, Kind.NO_VALIDATION)
