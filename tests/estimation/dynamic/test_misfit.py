@@ -71,6 +71,33 @@ def test_a_sound_log_raises_no_alarm(crane: Model, sound: Log) -> None:
     assert Kind.DETECTABLE_FAULTS in {each.kind for each in estimate.findings}
 
 
+@pytest.mark.parametrize(("name", "seed"), [("kr300", 1), ("kr300", 3), ("panda_mukca", 0)])
+def test_forces_without_noise_are_as_uncertain_as_the_motion(name: str, seed: int) -> None:
+    """All that is left are errors of smoothed angles, whose covariance is not known to the last digit."""
+    arm = Model(load_machine(name))
+    motion = random_trajectory(arm, duration=20.0, rate=50.0, seed=seed)
+    log = simulate(arm, motion, random_truth(arm, seed), seed=seed)
+    estimate = identify(identification_problem(arm, [log]), intervals=False)
+    assert estimate.status == "ok"
+    assert not {Kind.SPIKES, Kind.LINE} & {each.kind for each in estimate.diagnostics}
+
+
+def test_spikes_and_pulsation_of_exact_forces_are_found(crane: Model) -> None:
+    """The crane with sensors of angles alone: its pressures are simulated without noise."""
+    data = crane.machine.model_dump()
+    kept = [sensor for sensor in data["sensors"] if ".p_" not in sensor["channels"][0]]
+    model = Model(Machine.model_validate({**data, "sensors": kept}))
+    motion = random_trajectory(model, duration=30.0, rate=50.0, seed=3)
+    log = simulate(model, motion, random_truth(model, 3), seed=3)
+    head, rng = log.channels["lift_cylinder.p_head"], np.random.default_rng(0)
+    size = 0.02 * np.std(head)
+    for added, kind in ((size * np.sin(2 * np.pi * 12.0 * log.t), Kind.LINE),
+                        (5 * size * (rng.random(log.size) < 0.01), Kind.SPIKES), (0.0, None)):
+        wrong = replace(log, channels={**log.channels, "lift_cylinder.p_head": head + added})
+        found = identify(identification_problem(model, [wrong]), intervals=False).diagnostics
+        assert {each.kind for each in found} & {Kind.SPIKES, Kind.LINE} == ({kind} if kind else set())
+
+
 def late(log: Log, samples: int) -> Log:
     """Pressures so many samples late."""
     return replace(log, channels={name: np.concatenate([np.repeat(x[:1], samples), x[:-samples]]) if ".p_" in name

@@ -17,16 +17,15 @@ from scipy.special import gammaincc
 from hydroopt.estimation.dynamic.misfit.blocks import COURSES, Columns, Data
 from hydroopt.estimation.dynamic.misfit.faults import Fault
 from hydroopt.estimation.dynamic.misfit.listed_faults import listed
-from hydroopt.estimation.dynamic.misfit.view import View
+from hydroopt.estimation.dynamic.misfit.view import UNKNOWN, View
 from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 
 ALARM = 1e-3
-"""Probability of a false alarm of the test of fit, all readings together."""
+"""Probability of a false alarm of the test of fit, all readings together, and that sound data show any fault of the
+list."""
 EXPLAINED = 0.02
 """Probability of the residuals that are left, all readings together, below which no cause is named."""
-LEVEL = 0.01
-"""Probability that sound data show any fault of the list."""
 EVIDENCE = np.log(10.0)
 """Evidence lnB that a fault needs."""
 TIED, ROUGH = 3.0, 0.05
@@ -218,7 +217,7 @@ class Search:
         near.sort(key=lambda cause: -cause.evidence)
         shown = [c for c in near if c.evidence > EVIDENCE and not (c.fault.positive and c.size < 0)
                  and abs(c.size) < LARGEST * c.fault.scale
-                 and len(self.faults) * float(gammaincc(0.5, (c.size / c.std) ** 2 / 2)) < LEVEL]
+                 and len(self.faults) * float(gammaincc(0.5, (c.size / c.std) ** 2 / 2)) < ALARM]
         return tuple(c for c in shown if c.evidence > shown[0].evidence - max(TIED, ROUGH * shown[0].evidence))
 
     def _followed(self, cause: Cause) -> Cause:
@@ -287,7 +286,7 @@ class Search:
         held, residual = self.present()
         every = np.ones(len(self.data.blocks), dtype=bool)
         table = _without(self.projected([*held, self._columns], residual, every), len(self.chosen))
-        needed = float(np.sqrt(2 * np.log(len(self.faults) / LEVEL))) + 1.645
+        needed = float(np.sqrt(2 * np.log(len(self.faults) / ALARM))) + 1.645
         return {fault: needed / float(np.sqrt(table[k, k])) if table[k, k] > 0 else np.inf
                 for k, fault in enumerate(self.faults)}
 
@@ -368,5 +367,6 @@ def _lines(view: View) -> Iterator[tuple[str, Line]]:
         power = np.abs(np.fft.rfft(r - r.mean())[fast]) ** 2
         top = int(np.argmax(power))
         excess = power[top] * np.log(2) / max(float(np.median(power)), 1e-300)
-        if excess > np.log(power.size / CLEAR):  # of so many exponentially distributed powers
-            yield name, Line(float(hertz[fast][top]), float(2 * np.sqrt(power[top]) / at.size), units[k])
+        amplitude = float(2 * np.sqrt(power[top]) / at.size)
+        if excess > np.log(power.size / CLEAR) and amplitude > UNKNOWN * view.of_motion[k]:  # of exponential powers
+            yield name, Line(float(hertz[fast][top]), amplitude, units[k])

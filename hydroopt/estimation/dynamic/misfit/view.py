@@ -28,10 +28,10 @@ SPIKE = 6.0
 EXCESS, AGAIN = 1.05, 4
 """What smoothing takes out as a multiple of the stated noise, beyond which some of it is motion; by what the number of
 smoothings of what is left is multiplied then."""
-UNREAD = 0.2
-"""Part of a passive joint's residuals that counts as white noise at least. Nothing is read there, so that only errors
-of the motion are left, and their covariance is itself known to about this part: smoothing in several passes is taken as
-one of the same bandwidth, and to first order."""
+UNKNOWN = 0.2
+"""Part of what errors of the motion add to a reading that counts as white noise at least: their covariance is itself
+known to about this part, since smoothing in several passes is taken as one of the same bandwidth, and to first order.
+Where a sensor is better than that, or nothing is read, as at a passive joint, these errors are all that is left."""
 STEP = 1e-5
 """Step of finite differences as a part of the RMS of a coordinate."""
 
@@ -117,8 +117,18 @@ class View:
         off = self.residual - median_filter(self.residual, size=(7, 1), mode="nearest")
         used = self.motion.interior
         size = 1.4826 * np.median(np.abs(off[used]), axis=0) if used.any() else np.ones(off.shape[1])
-        least = 1e-9 * np.abs(self.predicted).max(axis=0) + 1e-300
+        least = np.maximum(1e-9 * np.abs(self.predicted).max(axis=0) + 1e-300, UNKNOWN * self.of_motion)
         return np.asarray(self.read & (np.abs(off) > SPIKE * np.maximum(size, least)))
+
+    @cached_property
+    def of_motion(self) -> Array:
+        """RMS (c,) of what errors of the measured positions add to the readings, after smoothing: one draw of them."""
+        errors, rng = np.zeros_like(self.predicted), np.random.default_rng(0)
+        for joint, std in enumerate(self.angle_noise):
+            drawn = self.smoothed(std * rng.standard_normal(len(errors)), joint)
+            errors += np.einsum("on,onc->nc", drawn, self.by_motion[:, :, :, joint])
+        used = self.usable
+        return np.asarray(np.sqrt(np.sum(np.where(used, errors, 0.0) ** 2, axis=0) / np.maximum(used.sum(axis=0), 1)))
 
     @cached_property
     def taken(self) -> NDArray[np.bool_]:
@@ -154,8 +164,8 @@ class View:
 
     @cached_property
     def noise(self) -> Array:
-        """Standard deviation (c,) of the readings' white noise, from second differences of residuals; where nothing is
-        read, at least `UNREAD` of the residuals."""
+        """Standard deviation (c,) of the readings' white noise, from second differences of residuals; at least
+        `UNKNOWN` of what errors of the motion add."""
         found, segment = np.empty(len(self.names)), self.motion.segment
         whole = np.concatenate([[False], (segment[2:] == segment[:-2]), [False]])
         for k in range(len(found)):
@@ -166,8 +176,7 @@ class View:
         found *= self._hidden_noise
         size = np.sqrt(np.mean(self.measured**2, axis=0))
         floor = np.fmax(1e-6 * size + 1e-12, 1e-2 * np.nan_to_num(self.stated_noise))
-        for k in np.flatnonzero(~self.read & self.taken.any(axis=0)).tolist():
-            floor[k] = max(floor[k], UNREAD * np.sqrt(np.mean(self.residual[self.taken[:, k], k] ** 2)))
+        floor = np.maximum(floor, UNKNOWN * self.of_motion)
         return np.asarray(np.fmax(np.where(np.isfinite(found), found, np.nan_to_num(self.stated_noise)), floor))
 
     @property
