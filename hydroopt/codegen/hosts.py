@@ -13,7 +13,7 @@ class Host(NamedTuple):
 
     Attributes:
         text: what it is, in words.
-        files: template by file; ``{p}`` in the names stands for the prefix.
+        files: template by file, "" where no template alone makes it; ``{p}`` in the names stands for the prefix.
     """
 
     text: str
@@ -24,7 +24,9 @@ VALUES = "{p}_values.c"
 """Part of the library for hosts that include no header of C."""
 HOSTS: Mapping[str, Host] = {
     "cpp": Host("C++17 header", {"{p}.hpp": "host.hpp"}),
-    "python": Host("Python module by ctypes and numpy", {"{p}.py": "host.py.jinja", VALUES: "values.c"})}
+    "python": Host("Python module by ctypes and numpy", {"{p}.py": "host.py.jinja", VALUES: "values.c"}),
+    "fmi": Host("FMI 3.0, the plant for Model Exchange and Co-Simulation and the inverse dynamics for Co-Simulation", {
+        "{p}_plant.fmu": "", "{p}_inverse_dynamics.fmu": ""})}
 
 
 def templates(hosts: Sequence[str], prefix: str) -> dict[str, str]:

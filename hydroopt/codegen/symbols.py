@@ -161,6 +161,13 @@ class Symbols:
         """The symbol of an input (size,)."""
         return self.inputs.setdefault(name, ca.SX.sym(name, size))
 
+    def force_units(self, kind: str) -> tuple[str, ...]:
+        """Units of the forces that are counted in actuators or balances."""
+        if kind == "balance":
+            return self.complete.force_units
+        return tuple("N" if isinstance(each, Cylinder) else self.machine.effort_units(each.joint)[0]
+                     for each in self.machine.actuators)
+
     @property
     def lengths(self) -> ca.SX | None:
         """Pin distances of the hydraulic cylinders, if there are any."""

@@ -24,13 +24,15 @@ void constants({% for name in parameters %}const double *restrict {{ name }}, {%
 {% endfor %}
 }
 
-static void rates(const double *restrict x, const double *restrict w, const double *restrict c, double *restrict y)
+{% for name, lines in computed %}
+static void {{ name }}(const double *restrict x, const double *restrict w, const double *restrict c, double *restrict y)
 {
-{% for line in rates %}
+{% for line in lines %}
     {{ line }}
 {% endfor %}
 }
 
+{% endfor %}
 /* What one piece leaves to the next. */
 struct memory { double step, error, radius, direction[NX]; long implicit, suspicious, calm, steps, refused; };
 

@@ -167,7 +167,10 @@ def _memory(size: int) -> type[ctypes.Structure]:
 
 
 def source(made: Program, *, parameters: int) -> str:
-    """The integration's C; what the last inputs, the `parameters`, decide alone is computed once."""
+    """The integration's C; what the last inputs, the `parameters`, decide alone is computed once.
+
+    The first output are the rates; a second one becomes a function `outputs` beside them.
+    """
     count = len(made.inputs) - parameters
     (state, *held), fixed = made.inputs[:count], [given.name for given in made.inputs[count:]]
     before, rest = made.hoisted(fixed, "c")
@@ -188,4 +191,5 @@ def source(made: Program, *, parameters: int) -> str:
     return environment.get_template("integrator.c").render(
         states=state.size, held=size, parameters=fixed, count=before.outputs[0].rows,
         unary=sorted({node.op for node in made.nodes} & straight.UNARY - {"inv", "sign"}),
-        constants=lines(before, "c"), rates=lines(rest, "y"))
+        constants=lines(before, "c"), computed=[(name, lines(rest.only([each.name]), "y")) for name, each in zip(
+            ("rates", "outputs"), rest.outputs, strict=False)])
