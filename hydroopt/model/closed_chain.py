@@ -109,7 +109,7 @@ class KinematicModel(Shown):
         tracked = self._tracked(tip)
         loop = self._held(tip - place[:3], place)
         self.loop = ca.Function("loop", [g, q, place], [loop], ["g", "q", "place"], ["loop"])
-        self.measurements = measurements(Frames(self.geometry, poses,
+        self.measurements = measurements(Frames(self.geometry, poses, self._named(deflected),
                                                 {name: place[where] for name, where in self.inputs.items()}))
         more = [each.rows for each in self.measurements]
         self.observed = ca.Function("observed", [g, q, place], [ca.vertcat(loop, lengths, tracked, tapes, *more)],

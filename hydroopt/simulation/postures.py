@@ -127,10 +127,10 @@ def measured_channels(model: KinematicModel) -> tuple[str, ...]:
     """
     tips = [f"tip.{axis}" for axis in "xyz"] if model.machine.tracker else []
     joints = [f"{model.joints[k]}.q" for k in read_joints(model)]
-    # a length tells of the joints that it depends on, if the poses know them otherwise
+    # with a calibrator, a length tells of the joints that it depends on, if the poses know them otherwise
     known = {*(link.name for link in model.machine.chain), *(joint.removesuffix(".q") for joint in joints)}
     lengths = [f"{cylinder.name}.length" for cylinder in model.machine.cylinders
-               if known.issuperset(model.machine.moved_by(cylinder))]
+               if model.machine.calibrator is None or known.issuperset(model.machine.moved_by(cylinder))]
     more = [channel for each in model.measurements for channel in each.channels]
     channels = (*joints, *(channel for channel in (*lengths, *tips, *more) if model.machine.sensor(channel)))
     if not channels:

@@ -23,6 +23,9 @@ from hydroopt.machine.loops import Loop
 from hydroopt.machine.machine import BASE, Machine
 
 STEPS = 12
+FARTHEST = 0.3
+"""Largest change of a dependent joint [rad, m] from one posture to the next: beside a toggle Newton's method would lead
+farther ones onto the other branch."""
 
 
 class Pose(NamedTuple):
@@ -157,6 +160,10 @@ class ImplicitLagrange:
                 break
         return bool(np.max(np.abs(np.array(self.closed(z)[0])), initial=0.0) < 1e-12)
 
+    def _side(self, z: np.ndarray) -> float:
+        """Sign that changes where a loop passes a toggle."""
+        return float(np.linalg.slogdet(np.array(self.closed(z)[1])[:, self.free])[0])
+
     def _begin(self) -> np.ndarray:
         """All joints in the stated postures, with closed loops."""
         known = {name: sum(self.machine.link(name).joint.range) / 2 for name in self.machine.joints}
@@ -179,9 +186,17 @@ class ImplicitLagrange:
         if self.start is None:
             self.start = self._begin()
         z, begin = self.start.copy(), self.start[self.given]
-        for share in np.linspace(0, 1, STEPS + 1)[1:]:
-            z[self.given] = begin + share * (q - begin)
-            assert self._close(z)
+        share, step, side = 0.0, 1 / STEPS, self._side(z)
+        while share < 1:
+            step = min(step, 1 - share)
+            trial = z.copy()
+            trial[self.given] = begin + (share + step) * (q - begin)
+            if (self._close(trial) and np.max(np.abs(trial - z)[self.free], initial=0.0) < FARTHEST
+                    and self._side(trial) == side):
+                z, share, step = trial, share + step, 2 * step
+            else:
+                step /= 2
+                assert step > 1e-9, "the loops cannot be followed to this posture"
         jacobian = np.array(self.closed(z)[1])
         through = np.zeros((len(z), len(q)))
         through[self.given] = np.eye(len(q))

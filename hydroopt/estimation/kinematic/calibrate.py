@@ -141,8 +141,6 @@ def optimum(problem: CalibrationProblem, method: str, start: Array) -> Optimum:
     """
     start = np.clip(start, problem.parameters.lower, problem.parameters.upper)
     own = guess_unsensed(problem, start)
-    if problem.model.measurements:  # inclinations and places determine unsensed angles far better than a guess
-        own = follow_unsensed(problem, start, own)
     stages: tuple[StageResult, ...] = ()
     if method == JOINT:
         theta, q = gauss_newton.maximum_likelihood(problem, start, own)

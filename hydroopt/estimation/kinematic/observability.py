@@ -21,6 +21,8 @@ from hydroopt.spatial.inertia import Array
 
 ROUNDING = 1e-7
 """Size of a scaled column, relative to the largest, that is rounding only."""
+OPEN = 1e100
+"""Rows of a pose in which a linkage cannot close: no search accepts it."""
 SHARE = 1e-5
 """Part of a parameter's unit vector in the null space from which on it counts as part of a combination."""
 
@@ -66,6 +68,8 @@ def linearise(problem: PoseEquations, theta: Array, q: Array) -> Linearised:
     layout = problem.layout
     used = np.flatnonzero(layout.present.any(axis=0))
     rows, jacobian, by_q = problem.rows(theta, q, used)
+    if np.any(open_ := ~np.isfinite(rows).all(axis=1)):
+        rows[open_], jacobian[open_], by_q[open_] = OPEN, 0.0, 0.0
     present, row_sigma = layout.present[:, used], problem.row_sigma[:, used]
     read = np.where(layout.sensed, layout.reading - q, 0.0)
     rows = rows + np.einsum("nij,nj->ni", by_q, read)

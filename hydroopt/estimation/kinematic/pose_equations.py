@@ -127,12 +127,13 @@ class PoseEquations:
         present = layout.present[:, some]
         rows = np.where(present, value[:, some, 0] - layout.target[:, some], 0.0)
         jacobian = np.zeros((count, rows.shape[1], len(self.parameters)))
-        np.multiply(by_g[:, some], present[:, :, None], out=jacobian[:, :, :k])
-        by_q, by_place = by_q[:, some] * present[:, :, None], by_place[:, some] * present[:, :, None]
+        there = present[:, :, None]
+        np.copyto(jacobian[:, :, :k], by_g[:, some], where=there)
+        by_q, by_place = np.where(there, by_q[:, some], 0.0), np.where(there, by_place[:, some], 0.0)
         where, which, factor = layout.locked
         np.add.at(jacobian, (where[:, None] // n, np.arange(rows.shape[1]), which[:, None]),
                   factor[:, None] * by_q[where // n, :, where % n])
         for axis, column in enumerate(layout.place.T):
-            there = np.flatnonzero(column >= 0)
-            jacobian[there, :, column[there]] += by_place[there, :, axis]
+            placed = np.flatnonzero(column >= 0)
+            jacobian[placed, :, column[placed]] += by_place[placed, :, axis]
         return rows, jacobian, by_q

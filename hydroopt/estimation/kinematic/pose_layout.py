@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
@@ -10,9 +11,10 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.kinematic.turn_readings import COMPONENTS, turns
+from hydroopt.estimation.kinematic.unread_joints import determined
 from hydroopt.logs.poses import Poses
 from hydroopt.machine.addresses import fixture_numbers
-from hydroopt.machine.calibration_chain import Fixture
+from hydroopt.machine.calibration_chain import Fixture, Stage
 from hydroopt.machine.imus import ACCELEROMETER, GYROSCOPE
 from hydroopt.machine.machine import Machine
 from hydroopt.model.closed_chain import KinematicModel
@@ -122,18 +124,14 @@ class LayoutBuilder:
             if self.poses.units[name] != known[name]:
                 raise ProblemError(f"'{name}' is given in a unit of the kind '{self.poses.units[name]}'",
                                    where=self.where, remedy=f"give it in '{known[name]}' or a unit of that kind")
-        for joint in self.machine.dependent_joints:
-            if np.any(np.isfinite(self.poses.channels.get(f"{joint}.q", np.nan))):
-                follows = " and ".join(f"'{each}.q'" for each in self.machine.followed[joint])
-                raise ProblemError(f"'{joint}.q' is the position of a joint that follows others, which a calibration "
-                                   "does not use", where=self.where, remedy=f"leave it out, and record {follows}")
         count, rows = len(self.poses), self.model.channels
         self.target, self.present = np.zeros((count, len(rows))), np.zeros((count, len(rows)), dtype=bool)
         read = {**self.poses.channels, **turns(self.poses)}
         parts = {part.name for kind in (self.machine.instruments, self.machine.datums, self.machine.distances,
                                         self.machine.imus) for part in kind}
+        followers = {f"{joint}.q" for joint in self.machine.dependent_joints}
         for name, values in read.items():
-            measured = name.partition(".")[0] in parts or name.endswith(COMPONENTS[:3])
+            measured = name.partition(".")[0] in parts or name.endswith(COMPONENTS[:3]) or name in followers
             if measured and name not in rows and not name.endswith((*COMPONENTS[3:], *GYROSCOPE)) and np.any(
                     np.isfinite(values)):
                 raise self._no_accuracy(name)
@@ -230,6 +228,7 @@ class LayoutBuilder:
         stages = {stage.name: stage for stage in self.machine.stages}
         order = list(dict.fromkeys(str(stage) for stage in self.poses.stage))
         n = len(self.model.joints)
+        told = self._told(stages)
         locked_since: dict[str, int] = {}
         drifts: dict[str, list[int]] = {}
         for name in order:
@@ -246,15 +245,20 @@ class LayoutBuilder:
                 if not unread.size or not self._matters(k, unread):
                     self.reading[unread, k] = 0.0
                     continue
+                if not held and np.all(told[unread]):
+                    locked_since.pop(joint, None)
+                    self.moving[unread, k] = True
+                    continue
                 if stage is None or joint not in stage.locked:
+                    row = unread[np.argmin(told[unread])]
                     if stage is None and stages:
                         raise ProblemError(f"the machine has no stage '{name}', and '{joint}.q' is not read there",
-                                           where=self._row(unread[0]),
+                                           where=self._row(row),
                                            remedy=f"name the stage, one of {', '.join(stages)}, or record '{joint}.q'")
                     raise ProblemError(
                         f"the joint '{joint}' is neither sensed, nor locked or moving in stage '{name}'",
-                        where=self._row(unread[0]), remedy=f"record '{joint}.q', or state in the machine file's stage "
-                                                          f"'{name}' what the joint does")
+                        where=self._row(row), remedy=f"record '{joint}.q' or a length that tells it, or state "
+                                                          f"in the machine file's stage '{name}' what the joint does")
                 if joint not in locked_since:
                     note = self.machine.notes.get(f"{name}.locked.{joint}")
                     sigma = None if note is None else note.spread(stage.locked[joint])
@@ -270,6 +274,13 @@ class LayoutBuilder:
                     self.triplets += [(int(row) * n + k, drift, float(progress[i]))
                                       for i, row in enumerate(rows) if not self.sensed[row, k]]
                     drifts[joint].append(drift)
+
+    def _told(self, stages: Mapping[str, Stage]) -> NDArray[np.bool_]:
+        """(N,) which poses determine all joints that are neither read nor locked."""
+        locked = [[stage is not None and joint in stage.locked for joint in self.model.joints]
+                  for stage in map(stages.get, map(str, self.poses.stage))]
+        matters = (self.present[:, :, None] & self.depends).any(axis=1)
+        return determined(self.model, self.reading, ~self.sensed & ~np.array(locked) & matters, self.present)
 
     def _matters(self, k: int, rows: NDArray[np.intp]) -> bool:
         """Whether anything observed in these rows depends on a joint."""

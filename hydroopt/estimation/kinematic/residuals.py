@@ -62,8 +62,8 @@ def gaps(problem: CalibrationProblem, theta: Array, q: Array) -> Array:
     """(N, m) [m] residuals of every row: sensed angles as read, unsensed ones as they close best."""
     layout, model = problem.layout, problem.model
     rows, by_q = model.over(model.observed_by_angles, theta[: len(model.parameters)], q, problem.places(theta))
-    by_q = by_q * layout.present[:, :, None]
-    rows = (rows[:, :, 0] - layout.target) * layout.present
+    by_q = np.where(layout.present[:, :, None], by_q, 0.0)
+    rows = np.where(layout.present, rows[:, :, 0] - layout.target, 0.0)
     rows = rows + np.einsum("nij,nj->ni", by_q, np.where(layout.sensed, layout.reading - q, 0.0))
     left: Array = rows - np.einsum("nij,nj->ni", by_q, explained_by_unsensed(by_q, layout.moving, rows))
     return left

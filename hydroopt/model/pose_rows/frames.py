@@ -37,11 +37,13 @@ class Frames(NamedTuple):
     Attributes:
         geometry: of the machine.
         links: P_i of all links, and `base`.
+        joints: positions [rad or m] of all moving joints, dependent ones too.
         inputs: of a pose, by name: where instruments stand whose pose is not known, and readings that rows take.
     """
 
     geometry: Geometry
     links: Mapping[str, Pose]
+    joints: Mapping[str, ca.SX]
     inputs: Mapping[str, ca.SX]
 
     def link(self, name: str) -> Pose:
