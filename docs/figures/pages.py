@@ -45,14 +45,15 @@ def pictures() -> list[Picture]:
 
 
 @contextmanager
-def window(width: int = 1120, height: int = 760, scale: float = 1.0) -> Iterator[Any]:
+def window(width: int = 1120, height: int = 760, scale: float = 1.0, scheme: str = "light") -> Iterator[Any]:
     """A window of a browser whose 3-D graphics are computed by the processor."""
     from playwright.sync_api import sync_playwright  # noqa: PLC0415 (tests read this file where it is not installed)
 
     with sync_playwright() as playwright:
         browser = playwright.chromium.launch(executable_path=shutil.which("chromium"), args=[
             "--no-sandbox", "--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"])
-        yield browser.new_page(viewport={"width": width, "height": height}, device_scale_factor=scale)
+        yield browser.new_page(viewport={"width": width, "height": height}, device_scale_factor=scale,
+                               color_scheme=scheme)
         browser.close()
 
 

@@ -1,4 +1,5 @@
-"""Take docs/figures/readme.png, the README's picture of a report: ``python docs/figures/readme.py`` (extra ``dev``)."""
+"""Take the picture of a report that README and site show first, for light and dark readers: docs/figures/readme.webp
+and readme_dark.webp. ``python docs/figures/readme.py`` (extra ``dev``, Chromium)."""
 
 from __future__ import annotations
 
@@ -6,14 +7,13 @@ import io
 import tempfile
 from pathlib import Path
 
-from pages import window
+from pages import QUALITY, window
 from PIL import Image
 
 import hydroopt as ho
 from hydroopt.report import identification
 
 MACHINE = "excavator_bucket"
-COLOURS = 96
 SHORTEN = """() => {
     for (const figure of document.querySelectorAll(".first figure.chart"))
         if (!/^(boom|stick|bucket)_cylinder/.test(figure.textContent.trim())) figure.remove()
@@ -32,9 +32,9 @@ def report() -> str:
     return identification.render(ho.solve(ho.identification_problem(machine, [train], [unseen])))
 
 
-def picture(page: Path) -> bytes:
-    """What a browser shows of the machine in space and of the forces beside it."""
-    with window(width=1280, height=900, scale=1.5) as tab:
+def picture(page: Path, scheme: str) -> bytes:
+    """What a browser shows of the machine in space and of the forces beside it, ``light`` or ``dark``."""
+    with window(width=1280, height=900, scale=1.5, scheme=scheme) as tab:
         tab.goto(page.as_uri())
         tab.wait_for_timeout(3000)
         tab.evaluate(SHORTEN)
@@ -45,5 +45,6 @@ if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
         page = Path(folder) / "report.html"
         page.write_text(report(), "utf-8")
-        shot = Image.open(io.BytesIO(picture(page))).convert("RGB")
-    shot.quantize(COLOURS).save(Path(__file__).with_suffix(".png"), optimize=True)
+        for scheme, file in (("light", "readme.webp"), ("dark", "readme_dark.webp")):
+            shot = Image.open(io.BytesIO(picture(page, scheme))).convert("RGB")
+            shot.save(Path(__file__).with_name(file), quality=QUALITY, method=6)

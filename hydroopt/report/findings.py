@@ -7,12 +7,8 @@ from typing import NamedTuple
 
 from hydroopt.report.numbers import plain
 from hydroopt.results.diagnostic import Diagnostic, of_kind, sentences
+from hydroopt.results.summary import OF_MACHINE
 from hydroopt.results.wording import Kind
-
-PROPERTIES = (Kind.ACTIVE_CONSTRAINTS, Kind.NOT_EXCITED, Kind.NOT_IDENTIFIABLE, Kind.NO_CONFIDENCE_STATED,
-              Kind.NOT_BY_MOTION, Kind.RATIO_OR_PRODUCT_ONLY, Kind.COMBINATION_ONLY, Kind.NOTE,
-              Kind.IMPOSSIBLE_NOMINAL_BODIES, Kind.NOT_IDENTIFIED_BY_POSES)
-"""Kinds that state what machine, method and motion can determine, whatever was measured."""
 
 
 class Findings(NamedTuple):
@@ -29,8 +25,8 @@ def findings(diagnostics: Sequence[Diagnostic]) -> Findings:
     """Diagnostics in their order, by what they are about."""
     groups = of_kind(diagnostics, Kind.CONFOUNDED)
     rest = [each for each in diagnostics if each.kind is not Kind.CONFOUNDED]
-    return Findings(sentences(each for each in rest if each.kind not in PROPERTIES),
-                    sentences(each for each in rest if each.kind in PROPERTIES),
+    return Findings(sentences(each for each in rest if each.kind not in OF_MACHINE),
+                    sentences(each for each in rest if each.kind in OF_MACHINE),
                     [(", ".join(each.subject), *_effect(each)) for each in groups],
                     groups[0].remedy if groups else "")
 

@@ -91,7 +91,7 @@ def _scene(estimate: Estimate) -> SceneView:
         f"{balance.name}.residual", float(sigma) * force_charts.factor(estimate, k))
         for k, (balance, sigma) in enumerate(zip(machine.balances, estimate.sigma, strict=True)) if sigma > 0}
     return SceneView(estimate.problem.model.scene_graph, tuple(f"{joint}.q" for joint in machine.joints), (
-        Tint("residual", "residual / σ of the actuator", "σ", 4.0, columns=residual), *mass_tints(estimate.parameters)))
+        Tint("residual", "residual / σ of the actuator", "σ", 2.0, columns=residual), *mass_tints(estimate.parameters)))
 
 
 def _fit(estimate: Estimate) -> list[dict[str, Any]]:

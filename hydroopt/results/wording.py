@@ -39,7 +39,6 @@ class Kind(StrEnum):
     FINDING = "finding in the data"
     FORCE_NOT_MEASURED = "force not measured in a log"
     PRESSURE_NOT_MEASURED = "pressure not measured in a log"
-    NOTE = "note"
     IMPOSSIBLE_NOMINAL_BODIES = "nominal bodies not physically consistent"
     GRAVITY_IDLE = "gravity does no work"
 
@@ -211,7 +210,6 @@ WORDS: dict[Kind, Words] = {
         "No log was held out, so the prediction of unseen data is not known.",
         "Give --validate or --holdout."),
     Kind.FINDING: Words("{subject}: {text}"),
-    Kind.NOTE: Words("{text}"),
     Kind.LOG_MISREAD: Words(
         "{log} contradicts the machine file: {as_read}. It agrees with {reading}: {read_so}.",
         "Correct units, signs and names of {subject} in the file or its map; nothing was changed here."),

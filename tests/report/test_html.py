@@ -13,8 +13,12 @@ from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import identification_problem
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
+from hydroopt.report import page as page_module
 from hydroopt.report.findings import findings
 from hydroopt.report.identification import render
+from hydroopt.results.diagnostic import Diagnostic, of_kind
+from hydroopt.results.summary import OF_MACHINE
+from hydroopt.results.wording import Kind
 from hydroopt.simulation.simulate import random_trajectory, random_truth, simulate
 
 EVIL = "<script>alert(1)</script>"
@@ -93,7 +97,16 @@ def test_has_every_parameter_and_diagnostic(page: str, estimate: Estimate) -> No
     assert set(shown.data) | set(shown.machine) <= text
     assert {names for names, _, _ in shown.groups} <= text
     assert len(shown.data) + len(shown.machine) + len(shown.groups) == len(estimate.diagnostics)
-    assert page.index("<h2>Diagnostics</h2>") < page.index("<h2>Fit</h2>")
+    assert page.index("<h2>Machine and motion</h2>") < page.index("<h2>Fit</h2>")
+
+
+def test_a_page_without_findings_of_the_data_says_none_only_if_there_are_no_others(estimate: Estimate) -> None:
+    properties, found = of_kind(estimate.diagnostics, *OF_MACHINE), Diagnostic(Kind.NO_VALIDATION)
+    template = page_module._environment().get_template("diagnostics.html")
+    shown = [re.findall(r"<h2>(.*?)</h2>|(None\.)", template.render(found=findings(some)))
+             for some in ((), properties, (found, *properties))]
+    assert [["".join(each) for each in one] for one in shown] == [
+        ["Diagnostics", "None."], ["Machine and motion"], ["Diagnostics", "Machine and motion"]]
 
 
 def test_numbers_are_shown_without_escapes(page: str) -> None:
@@ -104,7 +117,7 @@ def test_numbers_are_shown_without_escapes(page: str) -> None:
 
 def test_order_of_contents(page: str) -> None:
     titles = re.findall(r"<h2>(.*?)</h2>", page)
-    assert titles == ["Diagnostics", "Machine and motion", "Fit", "Residuals", "Test of fit", "Parameters",
+    assert titles == ["Machine and motion", "Fit", "Residuals", "Test of fit", "Parameters",
                       "Masses of links in all", "Base parameters", "Conditioning and weights",
                       "Data and treatment", "Method"]
 

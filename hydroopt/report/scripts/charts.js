@@ -5,17 +5,17 @@ const DASH = [5, 4];
 function axes(across, up = "") {
   const one = { stroke: () => look.colour("soft"), grid: { stroke: () => look.colour("grid"), width: 1 },
     ticks: { stroke: () => look.colour("grid"), width: 1, size: 4 }, font: "11px system-ui, sans-serif",
-    labelFont: "11px system-ui, sans-serif", labelSize: 16, labelGap: 0 };
+    labelFont: "11px system-ui, sans-serif", labelSize: 16, labelGap: 0,
+    values: (u, splits) => splits.map((v) => v === null ? "" : number(v)) };
   return [{ ...one, label: across || undefined, size: 26 },
-    { ...one, label: up || undefined, size: (u, values) => 14 + 6.2 * Math.max(2, ...(values || []).map((v) => v ? String(v).length : 0)),
-      values: (u, splits) => splits.map((v) => v === null ? "" : number(v)) }];
+    { ...one, label: up || undefined, size: (u, values) => 14 + 6.2 * Math.max(2, ...(values || []).map((v) => v ? String(v).length : 0)) }];
 }
 
 function drawn(figure, options, data, aspect = 0) {
   const holder = figure.querySelector(".plot");
   const height = () => aspect ? Math.round(Math.min(aspect * holder.clientWidth, 420)) : +(figure.dataset.height || 170);
   const plot = new uPlot({ width: Math.max(holder.clientWidth, 120), height: height(), legend: { show: false },
-    padding: [8, 6, 0, 0], ...options,
+    padding: [8, 16, 0, 0], ...options,  // half of the last number stands right of its tick
     cursor: { x: false, y: false, points: { show: false }, drag: { x: false, y: false }, ...options.cursor } }, data, holder);
   new ResizeObserver(() => {
     const width = holder.clientWidth;
@@ -191,26 +191,27 @@ function heatMap(figure, chart, tip) {
   }
   const means = Array.from(sum, (s, k) => count[k] ? s / count[k] : NaN), known = means.filter(Number.isFinite).sort((a, b) => a - b);
   if (!known.length) { figure.hidden = true; return; }
-  const top = known[Math.floor(0.98 * (known.length - 1))] || 1;
+  const top = known[Math.floor(0.98 * (known.length - 1))] || 1, low = known[Math.floor(0.02 * (known.length - 1))];
+  const bottom = own && top - low > 0.05 * top ? low : 0;  // standard deviations hardly come near to zero
   const corner = (k, side) => spans[side][0] + k * (spans[side][1] - spans[side][0]) / CELLS;
   field(figure, chart, x, y, chart.across || "reach from the base's axis [m]", chart.up || "height [m]", (u) => {
     means.forEach((mean, at) => {
       if (!Number.isFinite(mean)) return;
       const i = at % CELLS, j = Math.floor(at / CELLS);
-      box(u, corner(i, 0), corner(i + 1, 0) + 1e-9, corner(j, 1), corner(j + 1, 1), rampCss(mean / top));
+      box(u, corner(i, 0), corner(i + 1, 0) + 1e-9, corner(j, 1), corner(j + 1, 1), rampCss((mean - bottom) / (top - bottom)));
     });
   }, 0.72);
-  figure.querySelector(".plot").before(scale(chart.unit, top));
+  figure.querySelector(".plot").before(scale(chart.unit, top, bottom));
   const worst = means.indexOf(Math.max(...known)), middle = known[Math.floor(known.length / 2)];
   const where = `${number(corner(worst % CELLS + 0.5, 0))} and ${number(corner(Math.floor(worst / CELLS) + 0.5, 1))}`;
   figure.querySelector(".plot").setAttribute("aria-label", `${chart.title}: median over the cells ${number(middle)} ${chart.unit}, `
     + `largest ${number(known[known.length - 1])} ${chart.unit} at ${chart.across || "reach"} and ${chart.up || "height"} of ${where}.`);
 }
 
-function scale(unit, top) {
+function scale(unit, top, bottom = 0) {
   const bar = element("span", { class: "ramp" });
   bar.style.background = `linear-gradient(90deg, ${RAMP.map((_, k) => rampCss(k / (RAMP.length - 1))).join(",")})`;
-  return element("div", { class: "keys" }, element("span", {}, "0"), bar, element("span", {}, `${number(top)} ${unit}`));
+  return element("div", { class: "keys" }, element("span", {}, number(bottom)), bar, element("span", {}, `${number(top)} ${unit}`));
 }
 
 function curves(figure, chart) {

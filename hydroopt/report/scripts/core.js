@@ -54,8 +54,8 @@ const look = (() => {
   };
 })();
 
-// Cividis in eleven steps: even in lightness, and the same to colour-blind eyes.
-const RAMP = ["#00224e", "#123570", "#3b496c", "#575d6d", "#707173", "#8a8678", "#a59c74", "#c3b369", "#e1cc55", "#fee838"]
+// Viridis in nine steps: even in lightness also to colour-blind eyes, and nowhere grey as parts without a number are.
+const RAMP = ["#440154", "#472d7b", "#3b528b", "#2c728e", "#21918c", "#28ae80", "#5ec962", "#addc30", "#fde725"]
   .map((text) => [1, 3, 5].map((k) => parseInt(text.slice(k, k + 2), 16)));
 
 function ramp(part) {
