@@ -38,8 +38,8 @@ LICENCE = ("SPDX-License-Identifier: 0BSD. This generated file is yours to use a
 INTERFACE_VERSION = (1, 0)
 """Of the conventions of generated C: the first number grows when what callers wrote may no longer compile or mean the
 same, the second when routines, members or statuses are added."""
-LARGEST = dict.fromkeys(("psi", "reading", "force", "std", "force_rate", "pressure_a", "pressure_b", "supply",
-                         "wrench", "actuator_force"), 1e9)
+LARGEST = dict.fromkeys(("psi", "reading", "force_rate", "pressure_a", "pressure_b", "supply",
+                         "wrench", "actuator_force", "loaded_psi"), 1e9)
 """Absolute value beyond which an input is refused, by the member's name; 1e5 for all others."""
 LARGE = 1200
 """Number of statements from which each routine gets its own file."""
@@ -154,7 +154,6 @@ class Code:
         names = {"params"}
         for routine in self.routines.values():
             names |= {routine.takes, routine.gives}
-            names |= {"load"} if routine.name == "payload_update" else set()
         return {name: struct for name, struct in self.interface.structs.items() if name in names}
 
     @property
@@ -250,8 +249,7 @@ class Code:
         """Rows of the README, one a routine, and how stack and flash were measured, if they were."""
         table = [["`prepare`", "`params`", "`constants`", _operations(self.programs[0])]]
         for routine in self.routines.values():
-            writes = "load" if routine.name == "payload_update" else routine.gives
-            table.append([f"`{routine.name}`", f"`{routine.takes}`: {', '.join(routine.reads)}", f"`{writes}`",
+            table.append([f"`{routine.name}`", f"`{routine.takes}`: {', '.join(routine.reads)}", f"`{routine.gives}`",
                           _operations(self.programs_of_routines[routine.name])])
         if not self.measured:
             return table, ""

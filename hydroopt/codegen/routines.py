@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from hydroopt.codegen import dynamics, residuals
+from hydroopt.codegen import dynamics, residuals, tilted
 from hydroopt.codegen.inverse_kinematics import inverse_kinematics, no_arm
 from hydroopt.codegen.joint_state import joint_state, no_lengths
 from hydroopt.codegen.symbols import Field, Guard, Routine, Symbols
@@ -189,28 +189,6 @@ def _meaning(api: Symbols) -> str:
     return "force = K * psi" if api.complete.linear else "K = d force / d psi, as Stribeck speeds are not linear"
 
 
-def _payload_update(api: Symbols) -> Routine:
-    last = api.machine.links[-1].name
-    rows = api.dynamics.at_balances(api.dynamics.joint_regressor(last))
-    motion = api.structs[api.motion()].fields
-    takes = api.struct("load_sample", "A motion with the forces measured in it.", *motion,
-                       api.per_row("force", "measured force of each {row}"
-                                   + (", as of `actuator_forces`" if api.row == "balance" else "")),
-                       api.per_row("std", "its standard deviation, positive"))
-    api.struct("load", f"Estimate of a load on {last}.",
-               Field("phi", ("body",), "kg, kg*m, kg*m^2", f"mass, moments and inertia in the frame of {last}"),
-               Field("std", ("body",), "kg, kg*m, kg*m^2", "standard deviation of phi"),
-               Field("prior", ("body",), "kg, kg*m, kg*m^2", "standard deviation of phi at the start, about zero"),
-               Field("forgetting", (), "1", "weight of earlier samples per step: 1 keeps all of them, 0.999 forgets"),
-               Field("unit", ("body", "body"), "", "for the routine: the covariance of phi is U D U^T, U unit upper"),
-               Field("diagonal", ("body",), "", "for the routine: D"))
-    gives = api.struct("load_rows", "Forces without load, and their derivative by the load.",
-                       api.per_row("predicted", "force of each {row} without load"),
-                       api.per_row("rows", "force per unit of the load", "body", unit="N or N*m per unit of phi"))
-    return Routine("payload_update", "One step of recursive least squares for the load.", takes, ("q", "qd", "qdd"),
-                   gives, {"predicted": api.predicted, "rows": rows}, api.guards(levers=True, gas=True), api.lengths)
-
-
 def _valve_feedforward(api: Symbols) -> Routine:
     plant, machine = Plant(api.complete), api.machine
     guards = api.guards(levers=machine.one_each, gas=True)
@@ -267,5 +245,6 @@ ROUTINES: Mapping[str, Callable[[Symbols], Routine]] = {
     "forward_dynamics": dynamics.forward_dynamics, "wrench_forces": residuals.wrench_forces,
     "tip_wrench": residuals.tip_wrench, "residual": residuals.residual, "residual_by_motion":
     residuals.residual_by_motion, "residual_by_parameters": residuals.residual_by_parameters,
-    "residual_by_geometry": residuals.residual_by_geometry, "closure": residuals.closure, "payload_update":
-    _payload_update, "valve_feedforward": _valve_feedforward}
+    "residual_by_geometry": residuals.residual_by_geometry, "closure": residuals.closure,
+    "tilted_regressor": tilted.tilted_regressor, "force_by_motion": tilted.force_by_motion, "valve_feedforward":
+    _valve_feedforward}

@@ -45,8 +45,7 @@ def vectors(interface: Interface, function: ca.Function, keys: list[tuple[str, s
     routines = {name for name, _ in keys}
     read = {name for routine in routines for name in interface.routines[routine].reads}
     return {"inputs": {name: array for name, array in inputs.items() if name in read}, "outputs": outputs,
-            "states": STATES, "params": {name: inputs[name] for name in inputs if name in interface.values}} | (
-        {"load": _load_update(outputs)} if "payload_update" in routines else {})
+            "states": STATES, "params": {name: inputs[name] for name in inputs if name in interface.values}}
 
 
 def _usable(interface: Interface, outputs: dict[tuple[str, str], Array]) -> bool:
@@ -99,6 +98,10 @@ def states(interface: Interface, count: int = STATES, seed: int = 0, *, single: 
                                      for each in q])
     if "wrench" in interface.inputs:
         inputs["wrench"] = rng.uniform(-1e4, 1e4, (count, 6))
+    if "tilted_regressor" in interface.routines:
+        psi = inputs["psi"]
+        inputs |= {"gravity": rng.uniform(-10, 10, (count, 3)),
+                   "loaded_psi": psi + rng.uniform(-0.1, 0.1, (count, len(psi))) * np.maximum(np.abs(psi), 10.0)}
     if "forward_dynamics" in interface.routines:
         inputs["actuator_force"] = rng.uniform(-1e5, 1e5, (count, len(machine.actuators)))
     if "valve_feedforward" in interface.routines:
@@ -157,19 +160,3 @@ def results(function: ca.Function, inputs: dict[str, Array]) -> list[Array]:
     rows = [function.call([ca.DM(array[k] if array.ndim == 2 else array) for array in inputs.values()])
             for k in range(count)]
     return [np.array([np.asarray(row[i].full()) for row in rows]) for i in range(function.n_out())]
-
-
-def _load_update(outputs: dict[tuple[str, str], Array]) -> dict[str, Array]:
-    """One update of the load by the textbook's formula for a whole block of rows (Ljung 1999, Section 11.2)."""
-    predicted = outputs["payload_update", "predicted"][0, :, 0]
-    rows = outputs["payload_update", "rows"][0]
-    prior, std = np.diag(np.linspace(50.0, 500.0, rows.shape[1])) ** 2, np.linspace(200.0, 400.0, len(rows))
-    force = np.round(predicted + np.linspace(-900.0, 1100.0, len(rows)))
-    forgetting = 0.96875  # a float can hold it
-    gain = prior @ rows.T @ np.linalg.inv(rows @ prior @ rows.T + np.diag(std**2))
-    covariance, phi = prior - gain @ rows @ prior, gain @ (force - predicted)
-    # what is forgotten falls back to the prior, whose mean is zero
-    information = forgetting * np.linalg.inv(covariance) + (1 - forgetting) * np.linalg.inv(prior)
-    phi = forgetting * np.linalg.solve(information, np.linalg.solve(covariance, phi))
-    return {"force": force, "std": std, "prior": np.sqrt(np.diag(prior)), "forgetting": np.array([forgetting]),
-            "phi": phi, "spread": np.sqrt(np.diag(np.linalg.inv(information)))}

@@ -234,7 +234,7 @@ class Symbols:
                            Field("qd", ("joint",), "rad/s or m/s", "its speed"),
                            Field("qdd", ("joint",), "rad/s^2 or m/s^2", "its acceleration"))
 
-    def per_row(self, name: str, text: str, *by: str, unit: str = "N or N*m") -> Field:
+    def per_row(self, name: str, text: str, *by: str | int, unit: str = "N or N*m") -> Field:
         """A member with a row for each actuator or balance, and columns; ``{row}`` in its text stands for one of these.
         """
         return Field(name, (self.row, *by), unit, text.format(row=self.row))

@@ -212,13 +212,16 @@ class Dynamics:
                 total[joint, joint] += drive.gear**2 * psi[place]
         return total
 
-    def gravity_torques(self, psi: ca.SX, *, actuator_inertia: bool = True) -> ca.SX:
-        """Generalised forces (n,) that hold all bodies against gravity."""
-        parameters = self._parameters(actuator_inertia=actuator_inertia)
+    def gravity_torques(self, psi: ca.SX, gravity: ca.SX | None = None, *, actuator_inertia: bool = True) -> ca.SX:
+        """Generalised forces (n,) that hold all bodies against gravity (3,) in the base frame, the machine file's if it
+        is not given."""
+        parameters, acceleration = self._parameters(actuator_inertia=actuator_inertia), gravity
+        if acceleration is None:
+            acceleration = gravity_in_base(self.machine)
         total = ca.SX.zeros(len(self.machine.joints))
         for owner in bodies(self.machine, actuator_inertia=actuator_inertia):
             phi = psi[parameters.bodies[owner]]
-            up = -self.body_motion(owner).pose.rotation.T @ gravity_in_base(self.machine)
+            up = -self.body_motion(owner).pose.rotation.T @ acceleration
             total += self._allowed(owner).T @ ca.vertcat(phi[0] * up, ca.cross(phi[1:4], up))
         return total
 

@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from enum import StrEnum
 
 import numpy as np
 
 from hydroopt.weighing.equations import Equations
-from hydroopt.weighing.least_squares import Weighed, weighed
-from hydroopt.weighing.load_change import RECENT, THRESHOLD, anything, load_change
+from hydroopt.weighing.recursion import Recursion, Weighed
 
-WINDOW = 50
-"""Largest number of samples that are weighed together."""
+THRESHOLD = 30.0
+"""Likelihood ratio (twice its logarithm) from which the load has changed."""
 SETTLED = 5
 """Number of samples that would show a further change, and do not, after which a new load is weighed."""
 RESTING = 5
@@ -55,12 +54,14 @@ class Reading:
         weighed: the load.
         load: number of the load, 0 while it is empty.
         status: whether it can be believed.
+        noticeable: change of the mass that the sample shows [kg], see `Recursion.take`.
     """
 
     sample: int
     weighed: Weighed
     load: int
     status: Weighable
+    noticeable: float
 
 
 def course(equations: Equations, *, tare: float, needed: float) -> Iterator[Reading]:
@@ -71,44 +72,47 @@ def course(equations: Equations, *, tare: float, needed: float) -> Iterator[Read
         tare: how long the machine is empty at the beginning [s]; 0 weighs without a tare.
         needed: half of the 95 % interval [kg] from which a mass is too uncertain.
     """
-    t, number, start, since = equations.t, 0, 0, 0
-    scale = equations.scale
-    empty = t < t[0] + tare
-    tared = weighed(equations, np.flatnonzero(empty), empty=True)
-    here = replace(equations, scale=replace(scale, own=tared.own))
-    blank, changing, mass = anything(here, tared), not tare, 0.0
-    before: dict[int, Weighed] = {}
-    contradicted = tared.misfit > CONTRADICTED
-    telling = equations.telling(NOTICED * scale.load.full_scale)
-    for i in range(len(t)):
-        if empty[i]:
-            yield Reading(i, tared, 0, Weighable.CONTRADICTED if contradicted else Weighable.TARING)
-            before[i], start = tared, i + 1
+    kernel, full_scale = equations.smoothed.kernel, equations.scale.load.full_scale
+    taring = round(tare / (kernel.stride * kernel.step))
+    number = start = settled = 0
+    changing, contradicted, resting = not taring, False, RESTING
+    known = equations.scale.own
+    sought = Recursion(equations, known)
+    found = sought.solved()
+    for i in range(len(equations.t)):
+        if i < taring:
+            sought.take(i, empty=True)
+            found = sought.solved_empty()
+            known, contradicted, start = found.own_known, found.misfit > CONTRADICTED, i + 1
+            yield Reading(i, found, 0, Weighable.CONTRADICTED if contradicted else Weighable.TARING, np.inf)
             continue
-        recent = np.arange(start if changing else max(start, i - RECENT), i + 1)[-WINDOW:]
-        change = load_change(here, recent, before.get(int(recent[0]), blank)) if len(recent) > 1 else None
-        if change and not changing and change.ratio > THRESHOLD and abs(change.size) > NOTICED * scale.load.full_scale:
-            number, changing, start, since, before = number + 1, True, change.sample + LASTS, i, {}
-        elif change and changing and change.ratio > GOES_ON:
-            start = since = change.sample
-        changing = changing and telling[max(start, since + 1) : i + 1].sum() < SETTLED
-        window = np.arange(max(start, i - WINDOW + 1), i + 1) if start <= i else np.array([i])
-        found = weighed(here, window, start=mass)
-        mass = found.mass
-        if not changing:
-            before[i] = found
-        status = _status(found, scale.load.full_scale, needed)
+        if i == start:
+            sought = Recursion(equations, known, found.mass + found.change.size * changing)
+        noticeable = np.inf
+        if i >= start:
+            noticeable = sought.take(i)
+            found = sought.solved()
+        telling = noticeable < NOTICED * full_scale
+        resting, settled = 0 if telling else resting + 1, settled + telling
+        change = found.change
+        if i >= start and not changing and change.ratio > THRESHOLD and abs(change.size) > NOTICED * full_scale:
+            number, changing, settled = number + 1, True, 0
+            start = i + max(1, LASTS - change.ago)
+        elif i >= start and changing and change.ratio > GOES_ON:
+            start, settled = i + 1, 0
+        changing = changing and settled < SETTLED
+        status = _status(found, sought.rows, full_scale, needed)
         if changing:
             status = Weighable.CHANGING
         elif contradicted:
             status = Weighable.CONTRADICTED
-        elif not telling[max(0, i - RESTING + 1) : i + 1].any():
+        elif resting >= RESTING:
             status = Weighable.STANDSTILL
-        yield Reading(i, found, number, status)
+        yield Reading(i, found, number, status, noticeable)
 
 
-def _status(found: Weighed, full_scale: float, needed: float) -> Weighable:
-    if found.moving < FEWEST:
+def _status(found: Weighed, rows: int, full_scale: float, needed: float) -> Weighable:
+    if rows < FEWEST:
         return Weighable.UNCERTAIN
     if found.misfit > CONTRADICTED:
         return Weighable.CONTRADICTED

@@ -18,8 +18,6 @@ from hydroopt.weighing.smoothing_kernel import SmoothingKernel
 
 MOVING = 0.03
 """Speed [rad/s or m/s] above which a joint moves: dry friction then has a sign."""
-CREEPING = 0.01
-"""Speed [rad/s or m/s] below which a joint stands."""
 UNEVEN = 0.1
 """Part of the sampling step by which steps may differ."""
 
@@ -33,8 +31,8 @@ class SmoothedLog:
         stretch: (M,) index of the uninterrupted stretch.
         q, qd, qdd, jerk: (M, n) motion.
         force: (M, r) measured forces.
-        sign: (M, r) 1 or −1 where the joint of a balance moves in one direction throughout, 0 where it stands
-            throughout, NaN where neither holds and nothing is known of dry friction.
+        sign: (M, r) 1 or −1 where the joint of a balance moves in one direction throughout, 0 elsewhere, where nothing
+            is known of dry friction.
         kernel: of the smoothing.
     """
 
@@ -93,5 +91,4 @@ def _signs(model: Model, kernel: SmoothingKernel, q: Array, at: NDArray[np.intp]
     reach = kernel.outlook
     speeds = np.stack([kernel.smoothed(q, places)[1] for places in (at - reach, at, at + reach)])
     slowest, fastest = (end(speeds[:, :, model.dynamics.kept], axis=0) for end in (np.min, np.max))
-    sign = np.where(slowest > MOVING, 1.0, np.where(fastest < -MOVING, -1.0, np.nan))
-    return np.where((slowest > -CREEPING) & (fastest < CREEPING), 0.0, sign)
+    return np.where(slowest > MOVING, 1.0, np.where(fastest < -MOVING, -1.0, 0.0))

@@ -25,11 +25,13 @@ from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 from hydroopt.weighing.course import CONTRADICTED, Reading, Weighable, course
 from hydroopt.weighing.equations import Equations, equations
-from hydroopt.weighing.least_squares import Weighed, weighed
+from hydroopt.weighing.recursion import Recursion, Weighed
 from hydroopt.weighing.scale import Scale
 from hydroopt.weighing.smoothed_log import smoothed_log
 
 METHOD = "moving scale"
+PASSES = 4
+"""How often a log with a known load is linearised."""
 NEEDED = 0.02
 """Half of a mass's 95 % interval, as a part of the full scale, above which it is too uncertain by default."""
 
@@ -271,8 +273,15 @@ def learned(scale: Scale, log: Log, mass: float, std: float) -> Scale:
                            remedy="give both in kg")
     made = equations(scale, smoothed_log(scale.model, log))
     with threadpool_limits(limits=1, user_api="blas"):
-        found = weighed(made, np.arange(len(made.t)), known=(mass, std))
+        sought = Recursion(made, scale.own, mass)
+        for _ in range(PASSES):
+            own, phi = sought.own, sought.phi
+            sought = Recursion(made, scale.own, mass)
+            for i in range(len(made.t)):
+                sought.own, sought.phi = own, phi  # each pass is linearised where the last one ended
+                sought.take(i)
+            found = sought.solved(known=(mass, std))
     if found.misfit > CONTRADICTED:
         raise ProblemError(f"the log contradicts the scale's model ({found.misfit:.1f} times the expected residuals)",
                            where=log.path or log.name, remedy="check the mass, the load's centre and the slope")
-    return replace(scale, own=found.own).on_slope(*scale.tilt)
+    return replace(scale, own=found.own_known).on_slope(*scale.tilt)

@@ -18,7 +18,7 @@ DOUBLE = re.compile(r"\.f64|__aeabi_(d|f2d|i2d|ui2d|l2d)\w*|<(sin|cos|sqrt|acos|
 """What double precision looks like in the machine code: instructions, the compiler's helpers, calls of the library."""
 
 CONTROL = ("forward_kinematics", "cylinder_state", "joint_state", "actuator_forces", "inverse_dynamics",
-           "gravity_forces", "regressor", "reduced_regressor", "closure", "payload_update")
+           "gravity_forces", "regressor", "reduced_regressor", "closure")
 CALIBRATION = ("residual", "residual_by_motion", "residual_by_parameters", "residual_by_geometry", "closure",
                "mass_matrix", "wrench_forces", "tip_wrench")
 

@@ -137,7 +137,7 @@ def trial(machine: SimulatedMachine, known: Scale, case: Case, seed: int) -> Out
     reached = motion.t[np.argmax(session.mass >= NOTICED)]
     noticed = [each.sample for each in readings if each.load == 1]
     # samples that show nothing of the load do not count
-    showing = read.telling(NOTICED) & (read.t >= reached)
+    showing = (np.array([each.noticeable for each in readings]) < NOTICED) & (read.t >= reached)
     stride = read.smoothed.kernel.stride * read.smoothed.kernel.step
     delay = delayed + stride * float(np.sum(showing[: noticed[0]])) if noticed else np.inf
     before = sum(read.t[sample] + delayed < PICKED for sample in noticed[:1])

@@ -30,7 +30,7 @@ from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.geometry import Geometry
 from hydroopt.model.closed_chain import KinematicModel
 from hydroopt.model.joints_from_readings import joints_from_readings
-from hydroopt.model.kinematics import coordinates
+from hydroopt.model.kinematics import coordinates, gravity_in_base
 from hydroopt.model.model import Model
 from hydroopt.model.regressor import Dynamics
 
@@ -61,7 +61,7 @@ WELL_DETERMINED = 1e-2
 """How well a posture must determine a wrench, from 0 to 1, for rounding not to grow."""
 STROKE = 1e-6
 """How far a pin distance may leave the stroke [m] before it is said."""
-PLAIN = tuple(name for name in ROUTINES if name not in ("inverse_kinematics", "payload_update", "valve_feedforward"))
+PLAIN = tuple(name for name in ROUTINES if name not in ("inverse_kinematics", "valve_feedforward"))
 """Routines that every folder has in this order, as far as its machine can have them."""
 ELSEWHERE = "force_parts", "forward_dynamics"
 """Routines among these that have tests of their own; the others are judged here."""
@@ -108,7 +108,9 @@ class Case:
                     "chain_q": rng.uniform(lower, upper, (count, len(joints))),
                     "fixture": rng.uniform(-3, 3, (count, 3)),
                     "reading": rng.uniform(-1e5, 3e7, (count, len(self.values["effort"]))),
-                    "wrench": speed * rng.uniform(-1e4, 1e4, (count, 6))}
+                    "wrench": speed * rng.uniform(-1e4, 1e4, (count, 6)),
+                    "gravity": rng.uniform(-10, 10, (count, 3)),
+                    "loaded_psi": self.values["psi"] * rng.uniform(0.5, 2, (count, len(self.values["psi"])))}
 
         def ends(of: list) -> Array:
             limits = np.array([joint.range for joint in of])
@@ -292,6 +294,21 @@ class Case:
         return {"by_geometry": over(function, given["q"], given["qd"], given["qdd"], given["wrench"],
                                     self.values["geometry"])[0]}
 
+    def tilted_regressor(self, given: Values) -> Values:
+        model, balances, states = self.model, self.machine.balances, (given["q"], given["qd"], given["qdd"])
+        K = over(model.linearised, *states, given["loaded_psi"])[0]
+        along = over(model.gravity_regressor, given["q"])[0].reshape(len(K), 3, *K.shape[1:])
+        change = given["gravity"] - np.asarray(gravity_in_base(self.machine)).ravel()
+        arms = over(model.transmission, given["q"])[0]
+        lever = [arms[:, self.machine.actuators.index(balance.alone), joint] if balance.alone else np.ones(len(K))
+                 for balance, joint in zip(balances, model.dynamics.kept, strict=True)]
+        return {"K": K + np.einsum("nc,ncrp->nrp", change, along), "lever": np.stack(lever, axis=1),
+                "by_gravity": over(model.gravity_forces, given["q"], given["loaded_psi"])[0]}
+
+    def force_by_motion(self, given: Values) -> Values:
+        made = over(self.model.force_by_motion, given["q"], given["qd"], given["qdd"], given["loaded_psi"])
+        return dict(zip(("by_q", "by_qd", "by_qdd"), made, strict=True))
+
     def closure(self, given: Values) -> Values:
         count, tip = len(self.machine.cylinders), self.machine.calibrator is not None
         g = self.chain.parameters.nominal
@@ -405,7 +422,7 @@ def test_machines_have_the_routines_that_their_parts_call_for(subject: str) -> N
     kinematics = () if subject in ("panda_mukca", "spatial", *library.LOOPED) else ("inverse_kinematics",)
     first, *others = (routine for routine in PLAIN if has(subject, routine))
     assert tuple(library.subject(subject, "double").routines) == (
-        first, *kinematics, *others, "payload_update",
+        first, *kinematics, *others,
         *(["valve_feedforward"] if len(described.circuits) == len(described.actuators) else ()))
 
 

@@ -14,7 +14,7 @@ from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
 
-ROUTINES = ("inverse_dynamics", "gravity_forces", "regressor", "reduced_regressor", "payload_update")
+ROUTINES = ("inverse_dynamics", "gravity_forces", "regressor", "reduced_regressor")
 
 
 def sticking(**more: float) -> Machine:

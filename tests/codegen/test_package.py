@@ -47,15 +47,6 @@ int main()
     if (model.inverse_dynamics(in, kept) != machine::status::not_finite || kept.force[0] != {real}(7)) {{
         return 2;
     }}
-    auto load = machine::payload_start({{50, 50, 50, 50, 50, 50, 50, 50, 50, 50}});
-    machine::load_sample_t sample;
-    sample.q[0] = {real}(0.25);
-    sample.qd[0] = {real}(0.5);
-    sample.force[0] = made.value.force[0] + {real}(1000);
-    sample.std[0] = {real}(100);
-    if (!load || model.payload_update(sample, load.value) != machine::status::ok || !(load.value.phi[0] != 0)) {{
-        return 3;
-    }}
     std::puts(machine::text(machine::status::stale));
     {p}_params_t other = {p}_values;
     other.interface++;
@@ -144,7 +135,7 @@ def test_the_header_compiles_for_every_struct_and_routine(compiler: str, subject
         f'#include "{subject}.hpp"\n#include "{subject}_params.h"\nusing namespace hydroopt::{subject};\n'
         f"int main()\n{{\n    const model all({subject}_values);\n" + "".join(
             f"    if (!all.{name}({routine.takes}_t{{}})) {{\n        return 1;\n    }}\n"
-            for name, routine in made.routines.items() if name != "payload_update")
+            for name, routine in made.routines.items())
         + "    return 0;\n}\n", encoding="utf-8")
     must([tool(compiler), "-std=c++17", "-fsyntax-only", *STRICT.split(), "-fno-exceptions", "all.cpp"], place)
 

@@ -91,7 +91,7 @@ def test_header_serves_cpp(compiler: str, folder) -> None:
 
 @pytest.mark.parametrize(("machine", "routine"), tiered([
     *(("patu655_lift", name) for name in ROUTINES if name != "residual_by_geometry"),  # none of its numbers has a sigma
-    ("cat215b", "residual_by_geometry"), ("cat215b", "cylinder_state"), ("cat215b", "payload_update"),
+    ("cat215b", "residual_by_geometry"), ("cat215b", "cylinder_state"), ("cat215b", "tilted_regressor"),
     ("cat215b folded", "forward_kinematics"), ("panda_mukca", "actuator_forces")],
     lambda machine, routine: (machine, routine) in {("patu655_lift", "joint_state"), ("patu655_lift", "closure")}))
 def test_each_routine_can_be_had_alone(machine: str, routine: str, tmp_path: Path) -> None:
@@ -397,7 +397,7 @@ def test_random_inputs_give_a_status_and_a_result_that_fits_it(machine: str, rea
     """A status of the list; nothing is written where it says so; finite results where they may be used."""
     counts = counted(sanitized(machine, real)["fuzz"])
     routines = library.subject(machine, real).routines
-    assert set(counts) == {(routine, mode) for routine in (*routines, "prepare", "payload_start") for mode in MODES}
+    assert set(counts) == {(routine, mode) for routine in (*routines, "prepare") for mode in MODES}
     for (routine, mode), count in counts.items():
         assert sum(count[status] for status in STATUSES) == INPUTS // len(MODES)
         assert count["unknown"] == 0, (routine, mode, count)
@@ -405,7 +405,7 @@ def test_random_inputs_give_a_status_and_a_result_that_fits_it(machine: str, rea
         assert count["touched"] <= (count["OPEN_TRIANGLE"] if routine == "prepare" else 0), (routine, mode, count)
         if mode == "bad":
             assert count["NOT_FINITE"] > 0, (routine, count)
-        if mode == "usual" or (mode == "near" and routine != "payload_start"):
+        if mode in ("usual", "near"):
             good = list(STATUSES)[OK], list(STATUSES)[OUT_OF_STROKE]
             assert sum(count[status] for status in good) > 0, (routine, mode, count)
     assert not {key: count["infinite"] for key, count in counts.items() if count["infinite"]}

@@ -16,7 +16,6 @@ from fixtures.library import (
     NULL_POINTER,
     OK,
     OPEN_TRIANGLE,
-    OUT_OF_RANGE,
     OUT_OF_STROKE,
     STALE,
     Library,
@@ -50,11 +49,9 @@ def excavator(request: pytest.FixtureRequest, libraries) -> Library:
 
 def good(lib: Library, name: str) -> Array:
     """One input of a routine that it can reckon with."""
-    takes = "load_sample" if name == "payload_update" else lib.interface.routines[name].takes
     states = self_test.states(lib.interface, 1, seed=3)
     given = {key: array[0] for key, array in states.items() if array.ndim == 2}
-    force = np.full(len(lib.interface.kinds["actuator"].names), 100.0)
-    return lib.filled(takes, given | {"force": force, "std": force}, 1)
+    return lib.filled(lib.interface.routines[name].takes, given, 1)
 
 
 def fresh(lib: Library, struct: str) -> Array:
@@ -75,28 +72,14 @@ def elements(record: Array, members: tuple[str, ...]) -> Iterator[tuple[str, Arr
             yield member, record[member], place
 
 
-def plain(lib: Library) -> list[str]:
-    return [name for name in lib.code.routines if name != "payload_update"]
-
-
-def prior(lib: Library) -> Array:
-    return np.full(10, 100.0, lib.real)
-
-
 def test_good_inputs_are_good(lib: Library) -> None:
     constants = lib.prepare()
-    for name in plain(lib):
+    for name in lib.code.routines:
         out = fresh(lib, lib.interface.routines[name].gives)
         assert lib.routine(name, constants, good(lib, name), out) == OK
         for field in out.dtype.names:
             assert np.all(np.isfinite(out[field]))
             assert not np.any(out[field] == fresh(lib, lib.interface.routines[name].gives)[field])
-    load = lib.load(prior(lib))
-    before = load.copy()
-    assert lib.routine("payload_update", constants, good(lib, "payload_update"), load) == OK
-    assert np.all(load["phi"] != before["phi"]) or lib.code.name == "patu655_lift"
-    assert np.all(load["std"] <= before["std"])
-    assert np.any(load["std"] < 0.99 * before["std"])
 
 
 def test_null_pointers(lib: Library) -> None:
@@ -105,25 +88,17 @@ def test_null_pointers(lib: Library) -> None:
     assert lib.routine("prepare", None, blank) == NULL_POINTER
     assert lib.routine("prepare", params, None) == NULL_POINTER
     assert np.all(blank == PATTERN)
-    for name in plain(lib):
+    for name in lib.code.routines:
         out = fresh(lib, lib.interface.routines[name].gives)
         arguments = [constants, good(lib, name), out]
         for k in range(3):
             assert lib.routine(name, *(None if i == k else each for i, each in enumerate(arguments))) == NULL_POINTER
         assert untouched(out)
-    load = fresh(lib, "load")
-    assert lib.routine("payload_start", None, load) == NULL_POINTER
-    assert lib.routine("payload_start", prior(lib), None) == NULL_POINTER
-    sample = good(lib, "payload_update")
-    assert lib.routine("payload_update", None, sample, load) == NULL_POINTER
-    assert lib.routine("payload_update", constants, None, load) == NULL_POINTER
-    assert lib.routine("payload_update", constants, sample, None) == NULL_POINTER
-    assert untouched(load)
 
 
 def test_not_finite_inputs(lib: Library) -> None:
     constants = lib.prepare()
-    for name in plain(lib):
+    for name in lib.code.routines:
         routine = lib.interface.routines[name]
         out, given = fresh(lib, routine.gives), good(lib, name)
         for member, array, place in elements(given, routine.reads):
@@ -140,7 +115,7 @@ def test_not_finite_inputs(lib: Library) -> None:
 def test_inputs_of_absurd_size(lib: Library) -> None:
     """What is at its limit is taken as it is, what is beyond is not."""
     constants = lib.prepare()
-    for name in plain(lib):
+    for name in lib.code.routines:
         routine = lib.interface.routines[name]
         out, given = fresh(lib, routine.gives), good(lib, name)
         for member, array, place in elements(given, routine.reads):
@@ -173,7 +148,7 @@ def test_parameters_of_other_code_and_constants_not_prepared_are_stale(lib: Libr
     assert lib.routine("prepare", params, blank) == STALE
     assert np.all(blank == PATTERN)
     for constants in (blank, np.zeros(CONSTANTS, np.uint8)):
-        for name in plain(lib):
+        for name in lib.code.routines:
             out = fresh(lib, lib.interface.routines[name].gives)
             assert lib.routine(name, constants, good(lib, name), out) == STALE
             assert untouched(out)
@@ -188,45 +163,6 @@ def test_constants_of_parameters_that_were_rejected_are_stale(excavator: Library
     out = fresh(excavator, "efforts")
     assert excavator.routine("inverse_dynamics", constants, good(excavator, "inverse_dynamics"), out) == STALE
     assert untouched(out)
-
-
-def test_load_that_is_not_finite_or_out_of_range(lib: Library) -> None:
-    constants, load, std = lib.prepare(), fresh(lib, "load"), prior(lib)
-    tiny, huge = np.sqrt(np.finfo(lib.real).tiny) * 1e-10, np.sqrt(np.finfo(lib.real).max) * 10
-    for k in range(10):
-        for bad, status in (*((bad, NOT_FINITE) for bad in (*BAD, huge)), (0.0, OUT_OF_RANGE), (-1.0, OUT_OF_RANGE),
-                            (tiny, OUT_OF_RANGE)):
-            before, std[k] = std[k], bad
-            assert lib.routine("payload_start", std, load) == status
-            std[k] = before
-    assert untouched(load)
-    load, given = lib.load(std, forgetting=0.5), good(lib, "payload_update")
-    kept = load.tobytes()
-
-    def refused(array: Array, place: tuple[int, ...], bad: float, *statuses: int) -> None:
-        before, array[place] = array[place].copy(), bad
-        whole = load.tobytes()
-        assert lib.routine("payload_update", constants, given, load) in statuses, (place, bad)
-        assert load.tobytes() == whole
-        array[place] = before
-
-    for _, array, place in elements(given, given.dtype.names):
-        for bad in BAD:
-            refused(array, place, bad, NOT_FINITE)
-    for member, array, place in elements(load, ("phi", "prior", "forgetting", "unit", "diagonal")):
-        for bad in BAD if member != "unit" or place[1] < place[2] else ():  # the rest is zeros and ones
-            refused(array, place, bad, NOT_FINITE, OUT_OF_RANGE)
-    for _, array, place in elements(given, ("std",)):
-        for bad in (0.0, -0.0, -1.0, tiny):
-            refused(array, place, bad, OUT_OF_RANGE)
-    for _, array, place in elements(load, ("forgetting",)):
-        for bad in (0.0, -0.0, -1.0, -tiny, np.nextafter(lib.real.type(1), lib.real.type(2)), 2.0):
-            refused(array, place, bad, OUT_OF_RANGE)
-    assert load.tobytes() == kept
-    # which members are the caller's to set, and which it may only read
-    load["std"] = np.nan
-    assert lib.routine("payload_update", constants, given, load) == OK
-    assert np.all(np.isfinite(load["std"]))
 
 
 def test_triangles_that_cannot_close(excavator: Library) -> None:
@@ -250,7 +186,7 @@ LEVERLESS = ("cylinder_state", "actuator_forces", "mass_matrix", "closure")
 """Routines that need no lever arm."""
 MOTIONS = (*LEVERLESS, "inverse_dynamics", "gravity_forces", "regressor", "reduced_regressor", "wrench_forces",
            "tip_wrench", "residual", "residual_by_motion", "residual_by_parameters", "residual_by_geometry",
-           "payload_update")
+           "tilted_regressor", "force_by_motion")
 
 
 def call(lib: Library, constants: Array, name: str, q: Array) -> tuple[int, Array]:
@@ -260,7 +196,7 @@ def call(lib: Library, constants: Array, name: str, q: Array) -> tuple[int, Arra
         given["chain_q"][0, :3] = q
     else:
         given["q"][0] = q
-    out = lib.load(prior(lib)) if name == "payload_update" else fresh(lib, lib.interface.routines[name].gives)
+    out = fresh(lib, lib.interface.routines[name].gives)
     return lib.routine(name, constants, given, out), out
 
 
@@ -277,8 +213,6 @@ def test_pins_that_coincide(excavator: Library) -> None:
         for name in MOTIONS:
             status, out = call(excavator, constants, name, np.array([0.5, 0.0, 1.5]))
             assert status == OPEN_TRIANGLE, (name, dead, status, out)
-            if name == "payload_update":
-                assert out.tobytes() == excavator.load(prior(excavator)).tobytes()
 
 
 @pytest.mark.parametrize("turns", [0.0, np.pi])
@@ -296,8 +230,6 @@ def test_dead_points(excavator: Library, cylinder, turns: float) -> None:
             assert all(np.all(np.isfinite(out[member])) for member in out.dtype.names)
         else:
             assert status == DEAD_POINT, name
-        if name == "payload_update":
-            assert out.tobytes() == excavator.load(prior(excavator)).tobytes()
     # the same by the length: exactly there rounding may open the triangle, and next to there single precision sees none
     k, (fixed, moving) = EXCAVATOR.machine.cylinders.index(cylinder), sides(cylinder)
     for inwards in (0.0, 1e-9) if excavator.real == np.float64 else ():
@@ -357,11 +289,9 @@ def test_a_gas_cylinder_without_gas(tmp_path) -> None:
     lower, upper = described.link(described.joints[1]).joint.range
     assert volume[(q[:, 1] >= lower) & (q[:, 1] <= upper)].min() > 0
     assert volume.min() < 0
-    routines = ("inverse_dynamics", "gravity_forces", "regressor", "reduced_regressor", "payload_update")
+    routines = ("inverse_dynamics", "gravity_forces", "regressor", "reduced_regressor", "tilted_regressor")
     lib = Library(library.code(described, routines=routines), tmp_path / "kr300", "-O0")
     constants = lib.prepare()
     for name in routines:
-        status, out = call(lib, constants, name, q[np.argmin(volume)])
+        status, _ = call(lib, constants, name, q[np.argmin(volume)])
         assert status == NO_GAS_VOLUME
-        if name == "payload_update":
-            assert out.tobytes() == lib.load(prior(lib)).tobytes()

@@ -12,7 +12,7 @@ from hydroopt.simulation.simulate import Trajectory
 from hydroopt.weighing.course import Weighable
 from hydroopt.weighing.equations import Equations, equations
 from hydroopt.weighing.gaussian import Gaussian
-from hydroopt.weighing.least_squares import linearised
+from hydroopt.weighing.recursion import Recursion, expected, load_prior
 from hydroopt.weighing.scale import CarriedLoad, Scale, scale
 from hydroopt.weighing.smoothed_log import smoothed_log
 from hydroopt.weighing.smoothing_kernel import SmoothingKernel
@@ -84,24 +84,26 @@ def test_equations_predict_what_inverse_dynamics_does_on_a_slope(made: Scale, li
     k = made.directions.shape[1]
     own = np.concatenate([rng.standard_normal(k), np.zeros(3), made.gravity[:2] + np.array([0.5, -0.7])])
     phi = np.array([400.0, 30.0, -20.0, 10.0, 60.0, 1.0, 2.0, 70.0, 3.0, 80.0])
-    at = tuple(np.nonzero(lines.moving()))
-    rest, J = linearised(lines, at, own, phi)
+    every = [lines.linearised(i, own, phi) for i in range(len(lines.t))]
+    rest, J = (np.array(each) for each in zip(*every, strict=True))
     psi = made.psi + made.directions @ own[:k] + made.carried @ phi
     roll_pitch = np.array([np.arcsin(-own[-1] / 9.81 / np.cos(np.arcsin(own[-2] / 9.81))), np.arcsin(own[-2] / 9.81)])
     tilted = ho.Model(made.model.machine.model_copy(update={"orientation": (*roll_pitch, 0.0)}))
     smoothed = lines.smoothed
     force = sum(share * tilted.over(tilted.inverse_dynamics, *smoothed.motion(tau), psi)[0][:, :, 0]
                 for tau, share in smoothed.kernel.nodes)
-    scatter = np.std(force, axis=0)[at[1]]
-    assert np.max(np.abs((smoothed.force - force)[at] - rest) / scatter) < 1e-9
-    step = 1e-5 * np.concatenate([np.full(10, 100.0), np.ones(len(own))])
-    for j in (0, 1, 9, 10, 10 + k, 10 + len(own) - 1):
+    assert np.max(np.abs(smoothed.force - force - rest) / np.std(force, axis=0)) < 1e-9
+    unknown = np.concatenate([own, phi])
+    step = 1e-5 * np.concatenate([np.ones(len(own)), np.full(10, 100.0)])
+    for j in (0, 1, k, len(own) - 1, len(own), len(own) + 9):
         ends = []
         for sign in (1, -1):
-            moved = np.concatenate([phi, own])
+            moved = unknown.copy()
             moved[j] += sign * step[j]
-            ends.append(linearised(lines, at, moved[10:], moved[:10])[0])
-        assert np.allclose(-(ends[0] - ends[1]) / (2 * step[j]), J[:, j], rtol=1e-5, atol=1e-5 * np.abs(J[:, j]).max())
+            ends.append(np.array([lines.linearised(i, moved[: len(own)], moved[len(own) :])[0]
+                                  for i in range(len(lines.t))]))
+        assert np.allclose(-(ends[0] - ends[1]) / (2 * step[j]), J[:, :, j], rtol=1e-5,
+                           atol=1e-5 * np.abs(J[:, :, j]).max())
 
 
 def test_smoothed_forces_are_predicted_in_fast_motion(made: Scale, machine: SimulatedMachine) -> None:
@@ -120,10 +122,50 @@ def test_smoothed_forces_are_predicted_in_fast_motion(made: Scale, machine: Simu
                                             strict=True)), force=kernel.smoothed(force, middles)[0])
     lines = equations(replace(made, psi=psi), smoothed)
     plain = smoothed.force - model.over(model.inverse_dynamics, smoothed.q, smoothed.qd, smoothed.qdd, psi)[0][:, :, 0]
-    moving = lines.moving()
+    moving = lines.moving
     off, before = (np.array([np.std(each[moving[:, k], k]) for k in range(3)]) for each in (lines.rest, plain))
     assert np.all(off < 3e-4 * np.std(force, axis=0))
     assert np.all(off < before / 20)
+
+
+def test_the_recursion_gives_what_the_whole_block_gives(made: Scale, lines: Equations) -> None:
+    """Generalised least squares of all rows at once, with the full covariance of their errors."""
+    count, some = 12, range(60, 75)
+    sought, (c, mass) = Recursion(lines, made.own, 800.0), (len(made.own.right), 800.0)
+    own, phi = made.own.mean, expected(LOAD, mass)
+    for i in some:
+        sought.own, sought.phi = own, phi
+        sought.take(i)
+    found = sought.solved()
+    at = [(i, a) for i in some for a in np.flatnonzero(lines.moving[i])]
+    assert len(at) > count
+    known = lines.smoothed.kernel.covariance
+    V, J, right = np.zeros((len(at), len(at))), np.zeros((len(at), c + 10)), np.zeros(len(at))
+    for x, (i, a) in enumerate(at):
+        rest, rows = lines.linearised(i, own, phi)
+        J[x], right[x] = rows[a], rest[a] + rows[a] @ np.concatenate([own, phi])
+        for y, (j, b) in enumerate(at):
+            if 0 <= j - i < len(known):
+                V[x, y] = np.einsum("an,ac,cn->", lines.noise_by_motion(i, phi)[a], known[j - i],
+                                    lines.noise_by_motion(j, phi)[b])
+                V[x, y] += known[j - i, 0, 0] * made.force_std[a] ** 2 * (a == b)
+                V[y, x] = V[x, y]
+    # the priors of the load are made for the mass that is found
+    prior = load_prior(LOAD, found.mass)
+    information = J.T @ np.linalg.solve(V, J)
+    information[:c, :c] += made.own.root.T @ made.own.root
+    information[c:, c:] += prior[:, :10].T @ prior[:, :10]
+    shown = J.T @ np.linalg.solve(V, right)
+    shown[:c] += made.own.root.T @ made.own.right
+    assert np.allclose(np.linalg.solve(information, shown)[c:], found.phi, rtol=1e-3, atol=1e-3)
+    assert np.allclose(np.linalg.inv(information)[c:, c:], found.load.covariance, rtol=2e-3, atol=1e-4)
+    # a change of the mass that began at the fifth last sample, tested with all unknowns eliminated
+    changed = np.array([rows if i >= some[-5] else 0.0 for (i, _), rows in zip(at, J[:, c], strict=True)])
+    W = np.linalg.inv(V)
+    left, with_all = W @ changed, J.T @ W @ changed
+    size = changed @ left - with_all @ np.linalg.solve(information, with_all)
+    along = changed @ W @ right - with_all @ np.linalg.solve(information, shown)
+    assert np.allclose(sought.with_prior(found.mass)[1][5], (size, along), rtol=1e-3, atol=1e-3 * abs(along))
 
 
 def test_a_picked_up_load_is_weighed_on_a_slope(weighing: Weighing) -> None:

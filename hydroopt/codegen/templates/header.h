@@ -49,7 +49,7 @@ enum {
 };
 
 {% endfor %}
-{% for struct in code.used.values() if struct.name != "load_rows" %}
+{% for struct in code.used.values() %}
 {{ struct.text | wrap }}
 typedef struct {
 {% if struct.name == "params" %}
@@ -78,7 +78,7 @@ typedef struct {
 /* Compute once what depends on the parameters alone. Use the constants only if the status is {{ P }}_OK. */
 {{ p }}_status_t {{ p }}_prepare(const {{ p }}_params_t *params, {{ p }}_constants_t *constants);
 
-{% for routine in code.routines.values() if routine.name != "payload_update" %}
+{% for routine in code.routines.values() %}
 {% set missing %}
 {% for member, reason in routine.missing.items() %} `{{ member }}` is missing, since {{ reason }}.{% endfor %}
 {% endset %}
@@ -87,16 +87,6 @@ typedef struct {
     {{ p }}_{{ routine.gives }}_t *out);
 
 {% endfor %}
-{% if "payload_update" in code.routines %}
-/* Start to estimate a load: the prior of phi has zero mean and standard deviations `prior` (positive, same units). */
-{{ p }}_status_t {{ p }}_payload_start(const {{ type }} prior[{{ P }}_BODY_COUNT], {{ p }}_load_t *load);
-
-{{ (code.routines.payload_update.text ~ " Call it while the machine moves: standing joints tell little, and their friction "
-    ~ "has no sign. What is forgotten falls back to the prior. `load` changes only if there is a result.") | wrap }}
-{{ p }}_status_t {{ p }}_payload_update(const {{ p }}_constants_t *constants, const {{ p }}_load_sample_t *in,
-    {{ p }}_load_t *load);
-
-{% endif %}
 #ifdef __cplusplus
 }
 #endif

@@ -42,7 +42,7 @@ template <class T> struct [[nodiscard]] result {
     explicit operator bool() const noexcept { return state == status::ok; }
 };
 
-{% for struct in code.used.values() if struct.name not in ("params", "load_rows") %}
+{% for struct in code.used.values() if struct.name != "params" %}
 struct {{ struct.name }}_t {
 {% for field in struct.fields %}
     {{ code.array(field) }} {{ field.name }}{}; // [{{ field.unit }}] {{ field.text }}
@@ -75,16 +75,6 @@ template <class In, class Out, class CppIn, class CppOut>
 
 } // namespace detail
 
-{% if "payload_update" in code.routines %}
-// A load of which nothing is known but the standard deviations of its prior.
-[[nodiscard]] inline result<load_t> payload_start(const std::array<{{ type }}, {{ P }}_BODY_COUNT> &prior) noexcept
-{
-    {{ p }}_load_t load{};
-    const auto state = static_cast<status>({{ p }}_payload_start(prior.data(), &load));
-    return {state, detail::as<load_t>(load)};
-}
-
-{% endif %}
 // The model with its parameters: the constants that {{ p }}_prepare computes once.
 class model {
 public:
@@ -97,7 +87,7 @@ public:
     [[nodiscard]] status prepared() const noexcept { return prepared_; }
     [[nodiscard]] const {{ p }}_constants_t &constants() const noexcept { return constants_; }
 
-{% for routine in code.routines.values() if routine.name != "payload_update" %}
+{% for routine in code.routines.values() %}
     // {{ routine.text }} Reads {{ routine.reads | join(", ") }}.
     [[nodiscard]] status {{ routine.name }}(const {{ routine.takes }}_t &in, {{ routine.gives }}_t &out) const noexcept
     {
@@ -112,14 +102,6 @@ public:
     }
 
 {% endfor %}
-{% if "payload_update" in code.routines %}
-    // {{ code.routines.payload_update.text }}
-    [[nodiscard]] status payload_update(const load_sample_t &in, load_t &load) const noexcept
-    {
-        return detail::call({{ p }}_payload_update, constants_, in, load);
-    }
-
-{% endif %}
 private:
     {{ p }}_constants_t constants_;
     status prepared_;

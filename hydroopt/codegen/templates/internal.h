@@ -51,13 +51,4 @@ static inline {{ p }}_status_t {{ p }}_stroke(const {{ p }}_constants_t *constan
 }
 
 {% endif %}
-{% if "payload_update" in code.routines %}
-{{ code.used["load_rows"].text | wrap }}
-typedef struct {
-{% for field in code.used["load_rows"].fields %}
-    {{ code.declared(field) }} /* [{{ field.unit }}] {{ field.text }} */
-{% endfor %}
-} {{ p }}_load_rows_t;
-
-{% endif %}
 #endif

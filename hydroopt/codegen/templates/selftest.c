@@ -7,9 +7,6 @@
 
 #define STATES {{ states }}
 #define TOLERANCE {{ (2e-5 if f else 1e-11) | number }}
-{% if load is defined %}
-#define LOAD_TOLERANCE {{ (1e-3 if f else 1e-9) | number }} /* computed from differences of forces */
-{% endif %}
 
 int {{ p }}_selftest(void);
 
@@ -32,7 +29,7 @@ static const {{ type }} in_{{ name }}[STATES][{{ values.shape[1] }}] = {
 {% endfor %}
 };
 {% endfor %}
-{% for (routine, key), values in outputs.items() if not key.startswith(":") and routine != "payload_update" %}
+{% for (routine, key), values in outputs.items() if not key.startswith(":") %}
 static const {{ type }} {{ routine }}_{{ key }}[STATES][{{ values[0].size }}] = {
 {% for row in values %}
     {
@@ -41,13 +38,6 @@ static const {{ type }} {{ routine }}_{{ key }}[STATES][{{ values[0].size }}] = 
 {% endfor %}
 };
 {% endfor %}
-{% if load is defined %}
-{% for name, values in load.items() %}
-static const {{ type }} load_{{ name }}[{{ values.size }}] = {
-{{ values | numbers }}
-};
-{% endfor %}
-{% endif %}
 
 /* Number of n values that differ by more than the tolerance, relative to the greatest magnitude. */
 static int differing(const {{ type }} *got, const {{ type }} *want, size_t n, {{ type }} tolerance)
@@ -80,7 +70,7 @@ int {{ p }}_selftest(void)
         return 1;
     }
     for (size_t s = 0U; s < (size_t)STATES; s++) {
-{% for routine in code.routines.values() if routine.name != "payload_update" %}
+{% for routine in code.routines.values() %}
         {
             {{ p }}_{{ routine.takes }}_t in;
             {{ p }}_{{ routine.gives }}_t out;
@@ -97,26 +87,6 @@ int {{ p }}_selftest(void)
         }
 {% endfor %}
     }
-{% if load is defined %}
-    {
-        {{ p }}_load_t load;
-        {{ p }}_load_sample_t in;
-        if ({{ p }}_payload_start(load_prior, &load) != {{ P }}_OK) {
-            wrong++;
-        }
-        load.forgetting = load_forgetting[0];
-{% for name in code.routines.payload_update.reads %}
-        copy(in.{{ name }}, in_{{ name }}[0], sizeof(in.{{ name }}) / sizeof(in.{{ name }}[0]));
-{% endfor %}
-        copy(in.force, load_force, (size_t){{ P }}_{{ code.interface.row | upper }}_COUNT);
-        copy(in.std, load_std, (size_t){{ P }}_{{ code.interface.row | upper }}_COUNT);
-        if ({{ p }}_payload_update(&constants, &in, &load) != {{ P }}_OK) {
-            wrong++;
-        }
-        wrong += differing(load.phi, load_phi, (size_t){{ P }}_BODY_COUNT, LOAD_TOLERANCE);
-        wrong += differing(load.std, load_spread, (size_t){{ P }}_BODY_COUNT, LOAD_TOLERANCE);
-    }
-{% endif %}
     return wrong;
 }
 
