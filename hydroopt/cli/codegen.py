@@ -22,7 +22,8 @@ def codegen(
     sizes: Annotated[bool, typer.Option("--sizes", help=(
         "Compile all routines, and state in README.md how much stack and flash each takes."))] = False,
     hosts: Annotated[list[str] | None, typer.Option("--for", metavar="HOST", help=(
-        "Also write what a host needs that calls the C: cpp, python, fmi; repeatable."))] = None,
+        "Also write what a host needs that calls the C: cpp, python, ros2_control, simulink, codesys or fmi; "
+        "repeatable."))] = None,
     parameter_set: ParameterSetName = None,
     quiet: Quiet = False,
 ) -> None:

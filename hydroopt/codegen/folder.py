@@ -13,7 +13,7 @@ import numpy as np
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from hydroopt.codegen import fmu, self_test
-from hydroopt.codegen.hosts import HOSTS, VALUES, templates
+from hydroopt.codegen.hosts import HOSTS, VALUES, Calls, templates
 from hydroopt.codegen.names import Names, prefix
 from hydroopt.codegen.parameter_source import Origin
 from hydroopt.codegen.routines import ROUTINES, DesignedMotion, Interface
@@ -184,7 +184,8 @@ class Code:
         return files | {
             f"{self.name}_selftest.c": self._render("selftest.c", **self_test.vectors(
                 self.interface, self.function, self.keys, single=self.single)),
-            **{name: self._render(template) for name, template in self.host_files.items() if template},
+            **{name: self._render(template, sources=sources)
+               for name, template in self.host_files.items() if template},
             "CMakeLists.txt": self._render("CMakeLists.txt", sources=sources, headers=headers),
             "Makefile": self._render("Makefile", sources=sources),
             "README.md": self._render("README.md", table=table, method=method)}
@@ -311,11 +312,6 @@ class Code:
         """A member's declaration, or that of a whole struct's array."""
         return f"{self.type} {field.name}{''.join(f'[{n}]' for n in self._counts(field))};"
 
-    @staticmethod
-    def python_arguments(routine: Routine) -> str:
-        """Members that a routine reads, each given by the variable of its name."""
-        return ", ".join(f"{name}={name}" for name in routine.reads)
-
     def array(self, field: Field) -> str:
         """A member's type in C++."""
         made = self.type
@@ -337,7 +333,8 @@ class Code:
             code=self, p=self.name, P=self.upper, kinds=KINDS, type=self.type, f="f" if self.single else "",
             gravity=[round(float(g), 6) + 0.0 for g in np.asarray(gravity_in_base(self.interface.machine)).ravel()],
             statuses=STATUSES, version=version(), licence=LICENCE, conventions=INTERFACE_VERSION,
-            hosts=HOSTS, digest=f"0x{self.digest}UL", estimate=f"0x{self.origin.sha256[:8]}UL", **more)
+            hosts=HOSTS, calls=Calls(self.interface, self.routines), digest=f"0x{self.digest}UL",
+            estimate=f"0x{self.origin.sha256[:8]}UL", **more)
 
 
 @cache

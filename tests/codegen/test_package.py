@@ -13,9 +13,7 @@ from fixtures import library
 from fixtures.library import run, write
 from fixtures.tiers import tiered
 from fixtures.tools import must, tool
-from hydroopt.cli.codegen import codegen
 from hydroopt.codegen.folder import INTERFACE_VERSION
-from hydroopt.codegen.hosts import HOSTS
 from hydroopt.errors import ProblemError
 
 STRICT = "-Wall -Wextra -Wpedantic -Wconversion -Wsign-conversion -Wshadow -Wdouble-promotion -Werror"
@@ -170,5 +168,3 @@ def test_unknown_hosts_are_refused() -> None:
         library.code(library.machine("patu655_lift"), hosts=("abap",))
 
 
-def test_the_command_names_all_hosts() -> None:
-    assert all(name in codegen.__annotations__["hosts"] for name in HOSTS)
