@@ -50,9 +50,10 @@ def calibrate_sensors(
     began, described = time.perf_counter(), load_machine(machine)
     recorded = reading(read_log, described, map_file, treat)(logs or [])
     problem = sensor_problem(described, recorded, [read_pose_files(poses)] if poses else (), geometry=geometry)
-    with (progress(f"calibrating the sensors of {described.name}", quiet),
+    with (progress(f"fitting motion and sensors of {described.name} to all readings", quiet) as say,
           failure_saved(output, Job.SENSORS, described, METHOD)):
         calibration = solve(problem)
+        say("writing the report", 0.7)
         calibration.save(output, pages={"report.html": sensors.render(calibration)},
                          wall_s=time.perf_counter() - began)
     print_answer(calibration, output, quiet=quiet, as_json=as_json)

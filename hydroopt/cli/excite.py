@@ -92,10 +92,11 @@ def excite(
     refuse_directory(output, (FILES[Job.EXCITATION], "report.html", "trajectory.csv", "trajectory.parquet"))
     described, origin = parameter_source.read(machine, parameter_set=parameter_set)
     basis, resting = _basis(duration, pieces, period, harmonics or 10, blend or 2.0), _resting(described, rest or ())
-    with progress(f"preparing {described.name}", quiet) as say:
+    with progress(f"stating limits and information of {described.name}'s motion", quiet) as say:
         logs = [open_log(path, mapping=map_file) for path in log or ()]
         problem = excitation_problem(described, basis, criterion=criterion or "D", focus=focus or (), priors=priors,
                                      logs=logs, rate=rate, resting=resting)
+        say("taking the first steps of each start")
         motion = solve(problem, starts=starts, seed=seed, seconds=seconds, processes=processes or os.cpu_count() or 1,
                        progress=lambda text, part=None: say(text, None if part is None else 0.8 * part))
         say("computing the expected accuracy, writing the report and the code", 0.8)

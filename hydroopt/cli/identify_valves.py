@@ -49,7 +49,7 @@ def identify_valves(
     began, described = time.perf_counter(), load_machine(machine, parameter_set=parameter_set)
     read = reading(read_log, described, map_file, treat)
     problem = hydraulic_problem(described, *parted(read(logs), read(validate or ()), holdout))
-    with (progress(f"identifying the valves of {described.name}", quiet) as say,
+    with (progress(f"adjusting the volume balances of {described.name}", quiet) as say,
           failure_saved(output, Job.HYDRAULICS, described, METHOD, lambda: problem.inputs)):
         estimate = solve(problem)
         say("running free over all logs, writing the report", 0.7)

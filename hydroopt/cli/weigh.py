@@ -88,16 +88,21 @@ def weigh(
     uncertain = Uncertain(size(slope_sigma, "rad", "--slope-sigma"), load_friction,
                           size(zero_drift, "Pa", "--zero-drift"))
     tilt = [size(text, "rad", option) if text else 0.0 for text, option in ((roll, "--roll"), (pitch, "--pitch"))]
-    with progress(f"weighing with {described.name}", quiet):
+    with progress(f"weighing with {described.name}", quiet) as say:
+        steps = 3 + len(known or ())
+        say("identifying the machine without load", 0.0)
         made = scale(model, session_of(described, calibration, "--calibration", map_file, treat), load,
                      uncertain=uncertain)
-        for text in known or ():
+        for k, text in enumerate(known or ()):
             mass, file = _known(text)
+            say(f"learning from the known load of {mass}", (1 + k) / steps)
             made = weighing.learned(made, read([file])[0], size(mass, "kg", "--known"),
                                     size(known_sigma, "kg", "--known-sigma"))
         made = made.on_slope(*tilt)
+        say(f"weighing along {log.name}", (steps - 2) / steps)
         found = weighing.weigh(made, read([log])[0], tare=size(tare, "s", "--tare"),
                                needed=None if needed is None else size(needed, "kg", "--needed"))
+        say("writing the report", (steps - 1) / steps)
         found.save(output, pages={"report.html": render(found)}, wall_s=time.perf_counter() - began)
     print_answer(found, output, quiet=quiet, as_json=as_json)
 
