@@ -152,7 +152,8 @@ class Dialogue:
             if question.key == f"{member.name}_stroke.extended":
                 try:
                     low, high = (math.degrees(limit) for limit in self.sketch.limits(k))
-                    echo(f"  It closes: the {member.name} turns from {low:.0f} to {high:.0f} deg.")
+                    echo(f"  It closes: the {member.name} turns from {low:.0f} to {high:.0f} deg; typical is "
+                         f"{member.range[0]:.0f} to {member.range[1]:.0f} deg.")
                 except OpenError as error:
                     echo(f"  It does not close: {error}. Write 'back' to correct a length.")
 

@@ -143,10 +143,18 @@ class SideGeometry:
             return near_to(angle, middle), 0.0
         part_of = member.linkage
         pivot = self.point(f"{part_of.rocker_name}.pin")
-        rocker = turned(self.barrel(k, before) - pivot, self.rocker_rod(part_of), length, part_of.turns)
+        try:
+            rocker = turned(self.barrel(k, before) - pivot, self.rocker_rod(part_of), length, part_of.turns)
+        except OpenError as error:
+            raise OpenError(f"{error}; those are the distances of the cylinder's two pins from the pivot of the "
+                            f"{part_of.rocker_name}") from None
         end = pivot + self.number(f"{part_of.rocker_name}.length") * cmath.exp(1j * rocker) - self.length(k - 1)
-        angle = turned(end, self.point(f"{part_of.coupler_name}.pin"), self.number(f"{part_of.coupler_name}.length"),
-                       part_of.branch)
+        try:
+            angle = turned(end, self.point(f"{part_of.coupler_name}.pin"),
+                           self.number(f"{part_of.coupler_name}.length"), part_of.branch)
+        except OpenError as error:
+            raise OpenError(f"the {part_of.coupler_name} of {error}; those are the distances of its two pins from the "
+                            f"{member.first}, the {part_of.rocker_name} standing as the cylinder holds it") from None
         return near_to(angle, middle), near_to(rocker, 0.0)
 
     def _lift_angles(self, k: int) -> tuple[float, ...]:

@@ -14,6 +14,11 @@ from hydroopt.guided.plane import OpenError
 from hydroopt.guided.question import TYPICAL, AnswerError, Question
 from hydroopt.guided.side_geometry import SideGeometry
 
+SIZES = ("bore", "rod")
+"""Of a cylinder's lengths those that are no distances between pins."""
+FAR = 1.5
+"""Ratio of an answer to the typical one from which on it is named where something does not close."""
+
 
 class Part(NamedTuple):
     """A part from the side: name, whether it was answered, and the points [m] of its line or outline."""
@@ -64,13 +69,38 @@ class Sketch(SideGeometry):
         try:
             if prefix.endswith("pin") and f"{prefix}.from_last" in made.answers:
                 made.point(prefix)
-            for k, member in enumerate(made.members):
-                if question.key.startswith(f"{member.name}_stroke.") or (
-                        question.key == f"{member.name}.extends"):
-                    made.stroke_closes(k, question.key.rpartition(".")[2])
         except OpenError as error:
             raise AnswerError(str(error)) from None
+        for k, member in enumerate(made.members):
+            if question.key.startswith(f"{member.name}_stroke.") or question.key == f"{member.name}.extends":
+                end = question.key.rpartition(".")[2]
+                try:
+                    made.stroke_closes(k, end)
+                except OpenError as error:
+                    raise AnswerError(f"{error}{made._furthest(k, end)}") from None
         return made
+
+    def _furthest(self, k: int, end: str) -> str:
+        """Which of the answers that the cylinder of member k depends on is furthest from what is typical, if any is far
+        from it, and whether it would close with that; begins with a semicolon."""
+        member = self.members[k]
+        owners = [f"{member.name}_stroke", *([member.cylinder.name] if member.cylinder else []),
+                  *(member.linkage[:2] if member.linkage else [])]
+        off = {question: max(answer / typical, typical / answer) for question in self.questions
+               if question.unit == "m" and self.measured(question.key)
+               and any(question.key.startswith(f"{owner}.") for owner in owners)
+               and question.key.rpartition(".")[2] not in SIZES
+               and min(answer := self.number(question.key), typical := float(question.typical)) > 0}
+        if not off or max(off.values()) < FAR:
+            return ""
+        question = max(off, key=lambda each: off[each])
+        found = (f"; of the answers that count here, {question.key} is the furthest from what is typical, "
+                 f"{self.answers[question.key]} instead of {question.shown}")
+        try:
+            Sketch(self.kind, {**self.answers, question.key: TYPICAL}).stroke_closes(k, end)
+        except OpenError:
+            return found
+        return f"{found}, with which it would close"
 
     def value(self, key: str) -> float | str:
         """A number in SI or a word, answered or typical."""

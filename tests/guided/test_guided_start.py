@@ -189,7 +189,7 @@ def tape(pin: Sequence[float], length: float) -> dict[str, str]:
             "side": "above" if y >= 0 else "below"}
 
 
-def test_a_published_excavator_measured_by_tape_moves_as_its_file_says() -> None:
+def taped() -> dict[str, str]:
     """Distances between the pins of a bundled mini-excavator, none of whose numbers the guided start knows."""
     known = load_machine("mini_excavator")
     cylinders = {each.name: each for each in known.cylinders}
@@ -210,9 +210,19 @@ def test_a_published_excavator_measured_by_tape_moves_as_its_file_says() -> None
         part = cylinders[f"{name}_cylinder"]
         answers |= {f"{name}_stroke.retracted": f"{part.dead_length:.5f} m",
                     f"{name}_stroke.extended": f"{part.dead_length + part.stroke:.5f} m"}
+    return answers
+
+
+def excavator(answers: dict[str, str]) -> Sketch:
+    """An excavator with these answers, all others typical."""
     sketch = Sketch(KINDS["excavator"], {})
     while (question := sketch.open) is not None:
         sketch = sketch.answered(question, answers.get(question.key, ""))
+    return sketch
+
+
+def test_a_published_excavator_measured_by_tape_moves_as_its_file_says() -> None:
+    known, sketch = load_machine("mini_excavator"), excavator(taped())
     made = read_machine(machine_text(sketch))
     swept = []
     for machine in (known, made):
@@ -225,3 +235,19 @@ def test_a_published_excavator_measured_by_tape_moves_as_its_file_says() -> None
         names = [each.name for each in machine.pinned]
         swept.append(lengths[:, [names.index(f"{name}_cylinder") for name in ("boom", "stick", "bucket")]])
     assert swept[0] == pytest.approx(swept[1], abs=2e-4)
+
+
+@pytest.mark.parametrize(("wrong", "said"), [
+    ({"rocker.length": "24 mm"}, "from the pivot of the rocker; of the answers that count here, rocker.length is the "
+     "furthest from what is typical, 24 mm instead of 319 mm"),
+    ({"coupler.length": "0.5 m"}, "the coupler of 500 mm does not close"),
+    ({"coupler.length": "0.5 m"}, "coupler.length is the furthest from what is typical, 0.5 m instead of 253 mm, with "
+     "which it would close"),
+    ({"bucket_stroke.retracted": "0.52 m"}, "bucket_stroke.retracted is the furthest"),
+    ({"rocker.length": "300 mm"}, "its two pins from the bucket pin, the rocker standing as the cylinder holds it")])
+def test_a_wrong_dimension_of_a_bucket_linkage_is_named(wrong: dict[str, str], said: str) -> None:
+    """Of a real machine whose right dimensions differ from the typical ones by up to a third."""
+    with pytest.raises(AnswerError) as refused:
+        excavator(taped() | wrong)
+    assert said in str(refused.value)
+    assert "it must lie between" in str(refused.value)
