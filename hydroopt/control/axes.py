@@ -7,6 +7,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from hydroopt.errors import ProblemError
 from hydroopt.model.plant import Plant
 from hydroopt.spatial.inertia import Array
 
@@ -32,6 +33,9 @@ class Axes:
 
     def __init__(self, plant: Plant) -> None:
         self.plant = plant
+        if shared := tuple(plant.machine.redundant):
+            raise ProblemError(f"more actuators than joints move {', '.join(shared)} together, between which position "
+                               "control does not choose", where=plant.machine.name, remedy="state as many as joints")
         self.actuators = tuple(plant.drivers.values())
         self.names = tuple(joint if len(places) > 1 else plant.actuators[places[0]].actuator.name
                            for joint, places in plant.drivers.items())

@@ -17,8 +17,9 @@ from hydroopt.machine.actuators import Actuator, Cylinder
 class Balance:
     """The measured equation of motion of one joint.
 
-    Where a single actuator is there to move the joint, it states the force of this actuator. Where several are, it
-    states what they do at the joint together, and of a passive joint that nothing acts there.
+    Where a single actuator is there to move the joint, it states the force of this actuator. Where several are, or
+    where more actuators than joints move several joints together, it states what they do at the joint together, and of
+    a passive joint that nothing acts there.
 
     Attributes:
         joint: whose equation it is.

@@ -74,7 +74,7 @@ class Span(NamedTuple):
     """Joints that only several cylinders together move, over their ranges.
 
     Attributes:
-        joints, cylinders: as many of each.
+        joints, cylinders: at least as many cylinders as joints.
         angle: least angle [rad] in the ranges between the direction in which one joint changes the lengths and those
             of all others together: the margin to a singular posture. Negative beyond such a posture.
         at: where this is, in words.
@@ -104,8 +104,11 @@ def spans(machine: Machine) -> tuple[Span, ...]:
         states = _samples(machine, around)
         size = len(joints)
         values = np.asarray(ca.Function("arms", [q], [arms]).map(states.shape[1])(states))
-        turned = values.reshape(size, -1, size).transpose(1, 0, 2)
+        turned = values.reshape(len(cylinders), -1, size).transpose(1, 0, 2)
         turned = turned / np.linalg.norm(turned, axis=1, keepdims=True)
+        if len(cylinders) > size:  # the triangle of the same lengths and angles, whose corner keeps its sign
+            corner = np.asarray(np.linalg.qr(turned, mode="r"))
+            turned = corner * np.sign(np.diagonal(corner, axis1=1, axis2=2))[:, :, None]
         volumes = np.linalg.det(turned)
         # a row of the inverse has the length of one over the sine of its joint's angle to the others
         usable: Array = np.where((np.abs(volumes) > 1e-12)[:, None, None], turned, np.eye(size))

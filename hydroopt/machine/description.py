@@ -172,7 +172,8 @@ class MachineDescription(Noun):
         """The measured equations of motion in the order of their joints: the order of measured forces."""
         drivers, found = self.drivers, []
         for joint in self.joints:
-            made = balance(joint, drivers[joint], prismatic=self.link(joint).joint.type == "prismatic")
+            made = balance(joint, self.redundant.get(joint, drivers[joint]),
+                           prismatic=self.link(joint).joint.type == "prismatic")
             found += [made] if made else []
         return tuple(found)
 
@@ -237,6 +238,15 @@ class MachineDescription(Noun):
     def entangled(self) -> tuple[tuple[str, ...], ...]:
         """Groups of joints that only all of their actuators move together, as those of a platform."""
         return entangled(self._moved, self._mains, self.joints)
+
+    @cached_property
+    def redundant(self) -> dict[str, tuple[Actuator, ...]]:
+        """The joints of `entangled` that more actuators than joints move together, with all of these actuators."""
+        found: dict[str, tuple[Actuator, ...]] = {}
+        for group in self.entangled:
+            shared = tuple(each for each in self.actuators if self.main_joint(each) in group)
+            found |= dict.fromkeys(group, shared) if len(shared) > len(group) else {}
+        return found
 
     def moved_by(self, part: Actuator | Pinned) -> tuple[str, ...]:
         """The joint of q that a motor or drive turns, or those on which a cylinder's length depends."""

@@ -187,11 +187,12 @@ class Machine(Drawn, MachineDescription):
         for joint, drivers in self.drivers.items():
             self._driven(joint, drivers, across.get(joint))
         for group in self.entangled:
-            shared = [each.name for joint in group for each in self.drivers[joint]]
-            if len(shared) > len(group):
-                raise ImpossibleError(f"{len(shared)} actuators, {', '.join(shared)}, move {len(group)} joints, "
-                                      f"{', '.join(group)}, together", "state as many as joints: cylinders side by "
-                                      "side are one with several 'jacks'")
+            shared = self.redundant.get(group[0], ())
+            if lost := next((each.name for each in shared if not each.measured), None):
+                raise ImpossibleError(f"'{lost}' is not measured, one of {len(shared)} actuators that move "
+                                      f"{len(group)} joints, {', '.join(group)}, together: the equations of motion "
+                                      "cannot tell its force from those of the others",
+                                      "measure all of them, or state as many as joints")
         if self.joints and not self.measured_actuators:
             raise ImpossibleError("no equation of motion contains a measured force",
                                   "measure at least one joint's actuators: all of them that move it")

@@ -124,7 +124,9 @@ class Dynamics:
         joints too; else the generalised force at the joint itself.
         """
         machine, made = self.machine, ca.SX.eye(len(self.machine.joints))
-        for j, drivers in enumerate(machine.drivers.values()):
+        for j, (joint, drivers) in enumerate(machine.drivers.items()):
+            if joint in machine.redundant:
+                continue
             lost = [each for each in drivers if not each.measured and len(machine.moved_by(each)) > 1]
             for each in lost or (drivers if len(drivers) == 1 and drivers[0].measured else ()):
                 made[:, j] = self.transmission[machine.actuators.index(each), :].T
@@ -137,6 +139,8 @@ class Dynamics:
         its direction is from those of the ones before, from 0 to 1."""
         found: list[ca.SX] = ca.vertsplit(ca.diag(self.work))
         for group in self.machine.entangled:
+            if group[0] in self.machine.redundant:
+                continue
             places = [self.machine.joints.index(joint) for joint in group]
             ways = self.work[places, places].T
             _, pivots = ca.qr(ways)

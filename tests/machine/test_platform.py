@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from fixtures.drives import crossing
+from fixtures.drives import crossing, eight_legs
 from hydroopt.errors import MachineError
+from hydroopt.logs.forces_from_pressures import actuator_forces, forces
 from hydroopt.machine.cylinder_checks import spans
 from hydroopt.machine.free_links import AXES
 from hydroopt.machine.machine import Machine
@@ -17,6 +18,7 @@ from hydroopt.machine.machine_file import load_machine, read_machine
 from hydroopt.machine.matching import matched
 from hydroopt.model.joints_from_readings import joints_from_readings, readings
 from hydroopt.model.model import Model
+from hydroopt.simulation.simulate import random_trajectory, simulate
 
 FILE = (Path(__file__).parents[2] / "models/stewart_platform.toml").read_text("utf-8")
 
@@ -127,10 +129,33 @@ def test_five_cylinders_do_not_hold_six_joints(platform: Machine) -> None:
         Machine.model_validate(data)
 
 
-def test_seven_cylinders_are_refused(platform: Machine) -> None:
-    data = platform.model_dump() | {"notes": {}}
-    data["cylinders"] = [*data["cylinders"], {**data["cylinders"][0], "name": "leg7"}]
-    with pytest.raises(ValueError, match=r"7 actuators, leg1, .* move 6 joints, .* together"):
+def test_eight_cylinders_are_weighed_by_what_they_do_at_the_joints() -> None:
+    """Of a log with the pressures of all legs, forces at the joints are those that bodies and friction demand."""
+    machine = eight_legs()
+    model = Model(machine)
+    assert [(each.name, each.unit) for each in machine.balances] == [
+        *((f"platform_{axis}", "N") for axis in "xyz"), *((f"platform_{turn}", "N*m") for turn in list(AXES)[3:])]
+    motion = random_trajectory(model, duration=2.0, rate=50.0, seed=1)
+    log = simulate(model, motion, noise=False)
+    own = [name for name in model.parameters.names if "coulomb" in name or "viscous" in name or "offset" in name]
+    assert len(own) == 24
+    legs = actuator_forces(model, log)
+    (arms,) = model.over(model.cylinder_kinematics, motion.q, motion.qd, motion.qdd)[3:4]
+    work = np.einsum("na,naj->nj", legs, arms)
+    np.testing.assert_allclose(forces(model, log, motion.q), work, rtol=1e-9, atol=1e-6)
+    demanded = model.over(model.inverse_dynamics, motion.q, motion.qd, motion.qdd, np.tile(
+        model.parameters.nominal, (log.size, 1)))[0][:, :, 0]
+    np.testing.assert_allclose(work, demanded, atol=1e-6 * np.max(np.abs(demanded)))
+    (span,) = spans(machine)
+    assert len(span.cylinders) == 8
+    assert np.degrees(span.angle) == pytest.approx(53.0, abs=0.5)
+
+
+def test_eight_cylinders_of_which_one_is_not_measured_are_refused() -> None:
+    data = eight_legs().model_dump() | {"notes": {}, "sensors": ()}
+    data["cylinders"] = [each | {"measured": each["name"] != "leg3"} for each in data["cylinders"]]
+    with pytest.raises(ValueError, match=r"'leg3' is not measured, one of 8 actuators that move 6 joints, .* together.*"
+                                         r"cannot tell"):
         Machine.model_validate(data)
 
 

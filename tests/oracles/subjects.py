@@ -114,12 +114,12 @@ def forces(subject: Model, state: list[np.ndarray], psi: np.ndarray) -> np.ndarr
 
 def balances(machine: Machine, arms: np.ndarray, torque: np.ndarray) -> np.ndarray:
     """What the balances measure (r,): unknown forces of lone measured actuators and of one unmeasured actuator a joint,
-    or generalised forces at joints."""
+    or generalised forces at joints, as of those that more actuators than joints move together."""
     columns = np.eye(len(machine.joints))
     for j, joint in enumerate(machine.joints):
         drivers = machine.drivers[joint]
         lost = [each for each in drivers if not each.measured]
-        chosen = lost[:1] or (drivers if len(drivers) == 1 else ())
+        chosen = lost[:1] or (drivers if len(drivers) == 1 and joint not in machine.redundant else ())
         for each in chosen:
             columns[:, j] = arms[machine.actuators.index(each)]
     found = np.linalg.solve(columns, torque)

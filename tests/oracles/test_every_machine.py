@@ -14,6 +14,7 @@ from hypothesis import HealthCheck, Phase, given, settings
 from hypothesis import strategies as st
 
 from fixtures.closures import crank, scissor, six_bar, sleeve, spherical, steering, telescope
+from fixtures.drives import eight_legs
 from fixtures.loops import z_bar
 from fixtures.mechanisms import KINDS, random_mechanism, with_all_bodies
 from fixtures.tiers import tiered
@@ -55,7 +56,7 @@ def trial(machine: Machine, seed: int, count: int) -> Trial:
 
 
 FIXTURES = {"telescope": telescope, "crank": crank, "sleeve": sleeve, "scissor": scissor, "six bars": six_bar,
-            "steering": steering, "spherical": spherical, "Z-bar": z_bar}
+            "steering": steering, "spherical": spherical, "Z-bar": z_bar, "eight legs": eight_legs}
 
 
 @pytest.fixture(scope="module", params=tiered(
