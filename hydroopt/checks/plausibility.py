@@ -57,7 +57,7 @@ def examine(model: Model, log: AnyLog) -> tuple[Diagnostic, ...]:
     >>> from hydroopt.machine.machine_file import load_machine
     >>> from hydroopt.simulation.simulate import random_trajectory, simulate
     >>> model = Model(load_machine("cat215b"))
-    >>> log = simulate(model, random_trajectory(model, duration=16.0, rate=50.0, seed=1), seed=1)
+    >>> log = simulate(model, random_trajectory(model, duration=10.0, rate=25.0, seed=1), seed=1)
     >>> examine(model, log)
     ()
     >>> flipped = replace(log, channels={**log.channels, "boom.q": -log.channels["boom.q"]})

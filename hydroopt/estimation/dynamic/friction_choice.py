@@ -223,7 +223,7 @@ def choose_friction(machine: GivenMachine, logs: Sequence[AnyLog], validation: S
     Example:
         >>> import hydroopt as ho
         >>> model = ho.Model(ho.load_machine("patu655_lift"))
-        >>> motions = [ho.random_trajectory(model, duration=20, rate=20, seed=k) for k in (1, 2)]
+        >>> motions = [ho.random_trajectory(model, duration=10, rate=20, seed=k) for k in (1, 2)]
         >>> logs = [ho.simulate(model, motion, seed=k) for k, motion in enumerate(motions)]
         >>> estimate = ho.choose_friction(model.machine, logs[:1], logs[1:], ["viscous", "coulomb+viscous"],
         ...                               intervals=False)

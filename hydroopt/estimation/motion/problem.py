@@ -81,7 +81,7 @@ def sensor_problem(machine: GivenMachine, logs: Log | Recording | Sequence[Log |
     >>> import hydroopt as ho
     >>> machine = ho.load_machine("excavator_imu")
     >>> model = ho.Model(machine)
-    >>> log = ho.simulate(model, ho.random_trajectory(model, duration=10.0, rate=50.0, seed=1))
+    >>> log = ho.simulate(model, ho.random_trajectory(model, duration=5.0, rate=25.0, seed=1))
     >>> found = ho.solve(ho.sensor_problem(machine, [log]))
     >>> found.parameters["stick_imu.roll"].unit, found.machine.name
     ('rad', 'excavator_imu')

@@ -86,7 +86,7 @@ def excitation_problem(machine: GivenMachine, basis: Basis, *, criterion: str = 
         >>> problem = ho.excitation_problem(ho.load_machine("patu655_lift"), Fourier(period=6.0, harmonics=2))
         >>> problem
         ExcitationProblem(patu655_lift: 5 coefficients, 5 base parameters, criterion D, 10 s at 100 Hz)
-        >>> motion = ho.solve(problem, starts=1, seconds=2.0)
+        >>> motion = ho.solve(problem, starts=1, seconds=0.5)
         >>> motion.trajectory.q.shape
         (1001, 1)
     """
