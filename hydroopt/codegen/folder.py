@@ -38,8 +38,8 @@ LICENCE = ("SPDX-License-Identifier: 0BSD. This generated file is yours to use a
 INTERFACE_VERSION = (1, 0)
 """Of the conventions of generated C: the first number grows when what callers wrote may no longer compile or mean the
 same, the second when routines, members or statuses are added."""
-LARGEST = dict.fromkeys(("psi", "reading", "force_rate", "pressure_a", "pressure_b", "supply",
-                         "wrench", "actuator_force", "loaded_psi"), 1e9)
+LARGEST = dict.fromkeys(("psi", "reading", "force_rate", "pressure_a", "pressure_b", "supply", "wrench",
+                         "actuator_force", "loaded_psi", "force_measured", "force_demanded", "state"), 1e9)
 """Absolute value beyond which an input is refused, by the member's name; 1e5 for all others."""
 LARGE = 1200
 """Number of statements from which each routine gets its own file."""
@@ -61,6 +61,7 @@ STATUSES = {
 KINDS = {"joint": "moving joint", "link": "link", "actuator": "actuator", "cylinder": "hydraulic cylinder",
          "valve": "valve of an actuator that is not the ground",
          "balance": "measured equation of motion: an actuator's force where it alone moves a joint, or the joint's own",
+         "axis": "position that is controlled: an actuator's, or the joint's that several share",
          "reading": "transducer of the actuators", "geometry": "number of the geometry",
          "psi": "dynamic parameter", "reduced": "dynamic parameter of the model without barrels and rods",
          "body": "number of a body; moments and inertia about the origin of its frame, I_xy = -sum(m x y)",

@@ -7,17 +7,14 @@ from typing import NamedTuple
 
 import casadi as ca
 
-from hydroopt.codegen import dynamics, residuals, tilted
+from hydroopt.codegen import dynamics, residuals, tilted, valves
 from hydroopt.codegen.inverse_kinematics import inverse_kinematics, no_arm
 from hydroopt.codegen.joint_state import joint_state, no_lengths
-from hydroopt.codegen.symbols import Field, Guard, Routine, Symbols
-from hydroopt.control import valve_inversion
+from hydroopt.codegen.symbols import Field, Routine, Symbols
 from hydroopt.errors import ProblemError
-from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.model.load_sharing import lever_arms
-from hydroopt.model.plant import Plant
 from hydroopt.spatial.inertia import Array
 
 
@@ -68,7 +65,7 @@ def _impossible(api: Symbols, name: str) -> str:
             return "the machine has no hydraulic cylinders"
         case "reduced_regressor" if not len(api.reduced.parameters):
             return "the reduced model has no dynamic parameters"
-        case "valve_feedforward" if len(machine.circuits) < len(machine.powered):
+        case "valve_feedforward" | "valve_refit" | "position_feedback" if len(machine.circuits) < len(machine.powered):
             return "the machine file does not state the valves of all actuators"
         case "closure" if not (machine.calibrator or machine.cylinders):
             return "the machine has neither hydraulic cylinders nor a calibrator"
@@ -189,44 +186,6 @@ def _meaning(api: Symbols) -> str:
     return "force = K * psi" if api.complete.linear else "K = d force / d psi, as Stribeck speeds are not linear"
 
 
-def _valve_feedforward(api: Symbols) -> Routine:
-    plant, machine = Plant(api.complete), api.machine
-    guards = api.guards(levers=machine.one_each, gas=True)
-    count, places = len(plant.actuators), [machine.actuators.index(each) for each in machine.powered]
-    force, measured = api.predicted, "measured force of each actuator in the motion"
-    if not machine.one_each:
-        force = api.dynamics.actuator_forces(api.inputs["psi"])[places]
-        measured += ("; those of a joint share its load with the least sum of (force/capacity)^2, and passive joints "
-                     "carry themselves")
-        guards += api.arms(lever_arms(machine, api.dynamics.transmission))
-    rate, p_a, p_b = (api.symbol(name, count) for name in ("force_rate", "pressure_a", "pressure_b"))
-    supply, speed = api.symbol("supply", 2), api.dynamics.rates[places] + api.symbol("speed_added", count)
-    openings, commands = [], []
-    for k, each in enumerate(plant.actuators):
-        value = plant.value(each, ca.SX(ca.DM(plant.parameters.nominal)))  # constants in the code
-        length = ca.SX(0)
-        if isinstance(each.actuator, Cylinder):  # its stroke begins at the calibrated dead length
-            dead = api.dynamics.geometry.value[f"{each.actuator.name}.dead_length"]
-            length = api.dynamics.cylinders[each.actuator.name].length - dead + each.actuator.dead_length
-        wide = valve_inversion.opening(each, speed[k], rate[k], length, ca.vertcat(p_a[k], p_b[k]), supply, value)
-        openings.append(ca.fmin(ca.fmax(wide, -1.0), 1.0))
-        commands.append(valve_inversion.command(each.valve, openings[-1], value))
-    motion = api.structs[api.motion()].fields
-    takes = api.struct("demand", "A motion to drive, with the pressures at the valves.", *motion,
-                       Field("speed_added", (api.valve,), "m/s or rad/s", "speed added by feedback; 0 without"),
-                       Field("force_rate", (api.valve,), "N/s or N*m/s", "demanded rate of each force"),
-                       Field("pressure_a", (api.valve,), "Pa", "in the head of a cylinder, at port A of a motor"),
-                       Field("pressure_b", (api.valve,), "Pa", "in the rod side of a cylinder, at port B of a motor"),
-                       Field("supply", (2,), "Pa", "pressures of supply and tank"))
-    gives = api.struct("commands", "Commands to the valves.",
-                       Field("force", (api.valve,), "N or N*m", measured),
-                       Field("opening", (api.valve,), "1", "opening of each valve, -1 to 1, positive from P to A"),
-                       Field("command", (api.valve,), "1, V or A", "command to each valve"))
-    return Routine("valve_feedforward", "Forces of a motion, and the valve commands that produce it, with the "
-                   "valves of the machine file.", takes,
-                   ("q", "qd", "qdd", "speed_added", "force_rate", "pressure_a", "pressure_b", "supply"), gives,
-                   {"force": force, "opening": ca.vertcat(*openings), "command": ca.vertcat(*commands)},
-                   (*guards, Guard(supply[0] - supply[1], ">", valve_inversion.DROP, "NO_SUPPLY")), api.lengths)
 
 
 def _excitation(api: Symbols, designed_motion: DesignedMotion) -> Routine:
@@ -247,4 +206,4 @@ ROUTINES: Mapping[str, Callable[[Symbols], Routine]] = {
     residuals.residual_by_motion, "residual_by_parameters": residuals.residual_by_parameters,
     "residual_by_geometry": residuals.residual_by_geometry, "closure": residuals.closure,
     "tilted_regressor": tilted.tilted_regressor, "force_by_motion": tilted.force_by_motion, "valve_feedforward":
-    _valve_feedforward}
+    valves.valve_feedforward, "valve_refit": valves.valve_refit, "position_feedback": valves.position_feedback}

@@ -13,6 +13,9 @@ import numpy as np
 from hydroopt.codegen.inverse_kinematics import arm
 from hydroopt.codegen.routines import Interface
 from hydroopt.codegen.symbols import Guard
+from hydroopt.codegen.valves import FACTORS
+from hydroopt.control.valve_refit import STATE
+from hydroopt.model.plant import Plant
 from hydroopt.spatial.inertia import Array
 
 STATES = 4
@@ -109,12 +112,30 @@ def states(interface: Interface, count: int = STATES, seed: int = 0, *, single: 
         inputs |= {"speed_added": rng.uniform(-0.1, 0.1, valves), "force_rate": rng.uniform(-1e5, 1e5, valves),
                   "pressure_a": rng.uniform(1e6, 2e7, valves), "pressure_b": rng.uniform(1e6, 2e7, valves),
                   "supply": np.tile([2.5e7, 3e5], (count, 1))}
+        inputs |= _samples_of_control(interface, count, rng)
     if interface.designed_motion is not None:
         inputs["t"] = rng.uniform(0, interface.designed_motion.duration, (count, 1))
     if "inverse_kinematics" in interface.routines:
         inputs |= _targets(interface, inputs)
+    if "q_demanded" in inputs:
+        inputs["q_demanded"] += q
     inputs = {name: inputs[name] for name in interface.inputs}
     return {name: array.astype(np.float32).astype(float) if single else array for name, array in inputs.items()}
+
+
+def _samples_of_control(interface: Interface, count: int, rng: np.random.Generator) -> dict[str, Array]:
+    """Readings, gains and what was kept before, of the routines that run in a loop; the valves' estimate has begun."""
+    valves, axes = (count, len(interface.machine.powered)), (count, len(interface.kinds["axis"].names))
+    made = {name: rng.uniform(0.9, 1.1, valves) for name in FACTORS}
+    made |= {"acting": np.tile([each.valve.neutral + 0.5 * each.valve.span
+                                for each in Plant(interface.complete).actuators], (count, 1)),
+             "period": np.full((count, 1), 0.0625), "state": np.zeros((count, len(STATE) * valves[1])),
+             "q_demanded": rng.uniform(-0.01, 0.01, (count, len(interface.machine.joints)))}
+    made["state"][:, [k for k in range(made["state"].shape[1]) if STATE[k % len(STATE)] in ("started", "elapsed")]] = 1
+    made |= {name: rng.uniform(-1e4, 1e4, valves) for name in ("force_measured", "force_demanded")}
+    made |= {"opening_before": rng.uniform(-0.5, 0.5, valves), "speed_before": rng.uniform(-0.1, 0.1, valves),
+             "force_gain": rng.uniform(1e-8, 1e-6, valves), "integral": rng.uniform(-0.01, 0.01, axes)}
+    return made | {name: rng.uniform(0.5, 2.0, axes) for name in ("position_gain", "integral_time", "filter_time")}
 
 
 def _targets(interface: Interface, inputs: dict[str, Array]) -> dict[str, Array]:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from functools import cached_property
 
+import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
@@ -25,6 +26,7 @@ class Axes:
         names: of the axes: the actuator's, or the shared joint's.
         actuators: of each axis, their places in `Plant.actuators`.
         of: the axis (a,) of each actuator.
+        places: of the axes' positions (m,) among those of the joints and the lengths of actuators behind them.
 
     >>> from hydroopt.machine.machine_file import load_machine
     >>> Axes(Plant(load_machine("backhoe"))).names
@@ -42,8 +44,7 @@ class Axes:
         self.of = np.array([next(i for i, places in enumerate(self.actuators) if k in places)
                             for k in range(len(plant.actuators))])
         self._joints = [plant.machine.joints.index(joint) for joint in plant.drivers]
-        # among those of the joints and the lengths of the actuators behind them
-        self._positions = np.array([joint if len(places) > 1 else len(plant.machine.joints) + places[0]
+        self.places = np.array([joint if len(places) > 1 else len(plant.machine.joints) + places[0]
                                     for joint, places in zip(self._joints, self.actuators, strict=True)])
 
     @property
@@ -57,7 +58,7 @@ class Axes:
 
     def positions(self, q: Array, length: Array) -> Array:
         """Positions (..., m) of the axes from those of joints (..., n) and the lengths of actuators (..., a)."""
-        return np.concatenate([q, length], axis=-1)[..., self._positions]
+        return np.concatenate([q, length], axis=-1)[..., self.places]
 
     def slopes(self, lever_arm: Array) -> Array:
         """Speeds (m, n) of the axes per speed of each joint, at lever arms (a, n)."""
@@ -71,6 +72,14 @@ class Axes:
         for i, places in enumerate(self.actuators):
             for k in places:
                 made[..., k, i] = lever_arm[..., k, self._joints[i]] if len(places) > 1 else 1.0
+        return made
+
+    def shares_of(self, lever_arm: ca.SX) -> ca.SX:
+        """`shares` (a, m) of symbolic lever arms (a, n)."""
+        made = ca.SX(len(self.of), len(self.names))
+        for i, places in enumerate(self.actuators):
+            for k in places:
+                made[k, i] = lever_arm[k, self._joints[i]] if len(places) > 1 else 1
         return made
 
     def shares_along(self, q: Array) -> Array:

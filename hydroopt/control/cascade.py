@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
+import casadi as ca
 import numpy as np
 
 from hydroopt.control.axes import Axes
@@ -11,7 +13,12 @@ from hydroopt.control.linear_system import LinearSystem
 from hydroopt.control.reference import Demand
 from hydroopt.control.sampled_plant import Point, Reading
 from hydroopt.control.valve_inversion import Valves
+from hydroopt.control.valve_refit import ValveRefit
+from hydroopt.kernels.one_sample import OneSample
 from hydroopt.spatial.inertia import Array
+
+SHORTEST = 1e-9
+"""Time constant [s] of a low pass that passes everything."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -31,6 +38,29 @@ class Gains:
     filter_time: Array
 
 
+def feedback(axes: Axes, error: ca.SX, shares: ca.SX, force_error: ca.SX, opening: ca.SX, filtered: ca.SX,
+             integral: ca.SX, gains: Gains, period: ca.SX) -> tuple[ca.SX, ca.SX]:
+    """One sample of the feedback of a `Cascade`: the speed (a,) that it adds, and the integrals (m,) for the next one.
+
+    Integrals wait while a valve of their axis is fully open.
+
+    Args:
+        axes: m of them, with a actuators.
+        error: of their positions (m,).
+        shares: speeds (a, m) of the actuators per speed of their axis.
+        force_error: of the actuators' forces (a,) [N or N·m].
+        opening: of the valves (a,) a sample ago, −1 to 1.
+        filtered: the speed (a,) that it added a sample ago.
+        integral: of the positions' errors (m,), by the integral time.
+        gains: as symbols.
+        period: since the last sample [s].
+    """
+    demanded = shares @ (gains.position * (error + integral)) + gains.force * force_error
+    pole = ca.exp(-period / ca.fmax(gains.filter_time[axes.of.tolist()], SHORTEST))
+    free = ca.vertcat(*(ca.sign(ca.fmax(0, 1 - ca.mmax(ca.fabs(opening[list(places)])))) for places in axes.actuators))
+    return pole * filtered + (1 - pole) * demanded, integral + free * period * error / gains.integral_time
+
+
 class Cascade:
     """v = v_r + K_x·(e + ∫e/T_i) + K_f·(f_r − f), and the command at which the valve gives this speed.
 
@@ -43,33 +73,49 @@ class Cascade:
     K_f/K_x·Δf until the integral action has removed it.
 
     With v_r = 0 and the static forces as f_r this is PI control with gravity compensation; with speeds and forces of
-    the motion it is computed-force feedforward.
+    the motion it is computed-force feedforward. With a `refit` the valves' flows are corrected on-line.
     """
 
-    def __init__(self, valves: Valves, demand: Demand, gains: Gains, period: float) -> None:
-        self.valves, self.demand, self.gains, self.period = valves, demand, gains, period
+    def __init__(self, valves: Valves, demand: Demand, gains: Gains, period: float, *,
+                 refit: ValveRefit | None = None) -> None:
+        self.valves, self.demand, self.gains, self.period, self.refit = valves, demand, gains, period, refit
         self.axes = Axes(valves.plant)
-        self._pole = np.exp(-period / np.maximum(gains.filter_time[self.axes.of], 1e-9))
+        self._pole = np.exp(-period / np.maximum(gains.filter_time[self.axes.of], SHORTEST))
         self._position, self._shares = self.axes.positions(demand.q, demand.length), self.axes.shares_along(demand.q)
-        self._integral, self._filtered = np.zeros(len(self.axes.names)), np.zeros(len(self._pole))
+        self.reset()
 
     def reset(self) -> None:
         """Return to the initial state."""
-        self._integral[:] = self._filtered[:] = 0.0
+        self._integral = np.zeros(len(self.axes.names))
+        self._filtered, self._opening = np.zeros((2, len(self.axes.of)))
+        if self.refit:
+            self.refit.reset()
 
     def command(self, k: int, reading: Reading) -> Array:
         """Commands (a,) at sample k from the readings."""
-        demand, gains = self.demand, self.gains
+        demand, preview, gains = self.demand, self.demand.preview, self.gains
         error = self._controlled(k, self._position[k] - self.axes.positions(reading.q, reading.length))
-        feedback = (self._shares[k] @ (gains.position * (error + self._integral))
-                    + gains.force * (demand.measured_force[k] - reading.force))
-        self._filtered = self._pole * self._filtered + (1 - self._pole) * feedback
-        preview = demand.preview
-        command, opening = self.valves.command(self._speed(k, reading), preview.force_rate[k], preview.length[k],
-                                               preview.pressure[k], reading.supply)
-        # anti-windup: the integral is held while a valve is fully open
-        self._integral += np.where(self.axes.open(opening), self.period * error / gains.integral_time, 0.0)
+        self._filtered, self._integral = self._feedback(
+            error, self._shares[k], demand.measured_force[k] - reading.force, self._opening, self._filtered,
+            self._integral, gains.position, gains.force, gains.integral_time, gains.filter_time)
+        factors = self.refit.read(reading) if self.refit else None
+        command, self._opening = self.valves.command(self._speed(k, reading), preview.force_rate[k], preview.length[k],
+                                                     preview.pressure[k], reading.supply, factors)
+        if self.refit:
+            self.refit.sent(command)
         return command
+
+    @cached_property
+    def _feedback(self) -> OneSample:
+        """(errors (m,), shares (a, m), errors of forces, openings, filtered (a,), integral (m,), gains) → filtered,
+        integral."""
+        m, a = len(self.axes.names), len(self.axes.of)
+        sizes = {"error": (m, 1), "shares": (a, m), "force_error": (a, 1), "opening": (a, 1), "filtered": (a, 1),
+                 "integral": (m, 1)} | {key: (len(values), 1) for key, values in vars(self.gains).items()}
+        given = [ca.SX.sym(name, *size) for name, size in sizes.items()]
+        error, shares, force_error, opening, filtered, integral, *gains = given
+        return OneSample(ca.Function("feedback", given, feedback(
+            self.axes, error, shares, force_error, opening, filtered, integral, Gains(*gains), ca.SX(self.period))))
 
     def _controlled(self, k: int, error: Array) -> Array:
         """The part of the axes' errors (m,) that position control answers for: all of it."""

@@ -159,7 +159,7 @@ def simulate(demands: Demands, controller: Controller, plant: Plant, psi: Array,
         readings = sensors.read(k, q, plant.chamber_pressures(x), plant.supply_pressure(x))
         p, angles = readings[n:-1].reshape(-1, 2), readings[:n].copy()
         force = sensors.areas[:, 0] * p[:, 0] - sensors.areas[:, 1] * p[:, 1]
-        reading = Reading(angles, motion(angles, angles)[0], force, np.array([readings[-1], supply[1]]))
+        reading = Reading(angles, motion(angles, angles)[0], force, p, np.array([readings[-1], supply[1]]))
         u = np.minimum(np.maximum(controller.command(k, reading), least), most)
         states.append(x)
         acting.append(delay.current)

@@ -17,15 +17,16 @@ from hydroopt.spatial.inertia import Array
 
 
 class Reading(NamedTuple):
-    """The input of a controller at a sample: lengths and forces (a,) of the actuators, pressures (2,) of supply and
-    tank.
+    """The input of a controller at a sample: lengths and forces (a,) of the actuators, pressures (a, 2) of their
+    chambers and (2,) of supply and tank.
 
-    Lengths are computed from the joint positions `q` (n,).
+    Lengths are computed from the joint positions `q` (n,), forces from pressures.
     """
 
     q: Array
     length: Array
     force: Array
+    pressure: Array
     supply: Array
 
 

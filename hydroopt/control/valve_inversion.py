@@ -46,7 +46,7 @@ def command(valve: Valve, opening: ca.SX, value: Value) -> ca.SX:
 
 
 def opening(each: ActuatorHydraulics, speed: ca.SX, force_rate: ca.SX, length: ca.SX, pressure: ca.SX, supply: ca.SX,
-            value: Value) -> ca.SX:
+            factors: ca.SX, value: Value) -> ca.SX:
     """Opening, −1 to 1, at which an actuator moves at a speed while its force changes at a rate.
 
     f' = A_a·p_a' − A_b·p_b' is the rate with a shut valve, due to motion and leaks, plus a part that is proportional
@@ -59,6 +59,7 @@ def opening(each: ActuatorHydraulics, speed: ca.SX, force_rate: ca.SX, length: c
         length: of a cylinder [m].
         pressure: (2,) of the chambers [Pa].
         supply: (2,) of supply and tank [Pa].
+        factors: (2,) on its flows, extending and retracting, see `valve_refit`.
         value: of the numbers of its circuit.
     """
     (a, b), (p_a, p_b), (pump, tank) = each.areas, ca.vertsplit(pressure), ca.vertsplit(supply)
@@ -74,7 +75,7 @@ def opening(each: ActuatorHydraulics, speed: ca.SX, force_rate: ca.SX, length: c
     extending = a * unit[0] * through("flow_pa", pump, p_a) + b * unit[1] * through("flow_bt", p_b, tank)
     retracting = a * unit[0] * through("flow_at", p_a, tank) + b * unit[1] * through("flow_pb", pump, p_b)
     missing = force_rate - (a * shut[0] - b * shut[1])
-    return ca.fmax(missing, 0) / extending + ca.fmin(missing, 0) / retracting
+    return ca.fmax(missing, 0) / (factors[0] * extending) + ca.fmin(missing, 0) / (factors[1] * retracting)
 
 
 class Slopes(NamedTuple):
@@ -100,14 +101,16 @@ class Valves:
 
     @cached_property
     def function(self) -> ca.Function:
-        """(speed, force_rate, length (n,), pressure (n, 2), supply (2,), θ) → command and opening (n,), p_a' (n,)."""
+        """(speed, force_rate, length (n,), pressure (n, 2), supply (2,), factors (n, 2), θ) → command and opening (n,),
+        p_a' (n,) with factors of one."""
         n, theta = len(self.plant.actuators), ca.SX.sym("theta", len(self.theta))
         speed, rate, length = (ca.SX.sym(name, n) for name in ("speed", "force_rate", "length"))
-        pressure, supply = ca.SX.sym("pressure", n, 2), ca.SX.sym("supply", 2)
+        pressure, supply, factors = ca.SX.sym("pressure", n, 2), ca.SX.sym("supply", 2), ca.SX.sym("factors", n, 2)
         commands, openings, rates = [], [], []
         for k, each in enumerate(self.plant.actuators):
             value, p = self.plant.value(each, theta), pressure[k, :].T
-            saturated = ca.fmin(ca.fmax(opening(each, speed[k], rate[k], length[k], p, supply, value), -1.0), 1.0)
+            wide = opening(each, speed[k], rate[k], length[k], p, supply, factors[k, :].T, value)
+            saturated = ca.fmin(ca.fmax(wide, -1.0), 1.0)
             openings.append(saturated)
             commands.append(command(each.valve, saturated, value))
             # within the ramp the spool crosses the overlap as the command does, so that rates do not jump about zero
@@ -115,9 +118,9 @@ class Valves:
             spool = ca.sign(saturated) * ca.fmin(1.0, size / RAMP) * (value("overlap") + size * (1 - value("overlap")))
             rates.append(each.pressure_rates(each.flows(spool, p[0], p[1], supply, value), p[0], p[1], length[k],
                                              speed[k], value)[0])
-        return ca.Function("valves", [speed, rate, length, pressure, supply, theta],
+        return ca.Function("valves", [speed, rate, length, pressure, supply, factors, theta],
                            [ca.vertcat(*commands), ca.vertcat(*openings), ca.vertcat(*rates)],
-                           ["speed", "force_rate", "length", "pressure", "supply", "theta"],
+                           ["speed", "force_rate", "length", "pressure", "supply", "factors", "theta"],
                            ["command", "opening", "p_a_rate"])
 
     @cached_property
@@ -157,13 +160,14 @@ class Valves:
         supply, theta = ca.SX.sym("supply", 2), ca.SX.sym("theta", len(self.theta))
         both = ca.horzcat(p_a, (a * p_a - force) / b)
         return ca.Function("demanded_pressures", [*parts, supply, theta],
-                           [self.function(speed, rate, length, both, supply, theta)[2]],
+                           [self.function(speed, rate, length, both, supply, ca.SX.ones(count, 2), theta)[2]],
                            [*names, "supply", "theta"], ["p_a_rate"])
 
-    def command(self, speed: Array, force_rate: Array, length: Array, pressure: Array,
-                supply: Array) -> tuple[Array, Array]:
-        """Commands and openings (n,)."""
-        commands, openings = self._commands(speed, force_rate, length, pressure, supply, self.theta)
+    def command(self, speed: Array, force_rate: Array, length: Array, pressure: Array, supply: Array,
+                factors: Array | None = None) -> tuple[Array, Array]:
+        """Commands and openings (n,); `factors` (n, 2) on the flows, one if None."""
+        factors = np.ones((len(speed), 2)) if factors is None else factors
+        commands, openings = self._commands(speed, force_rate, length, pressure, supply, factors, self.theta)
         return commands, openings
 
     @property
@@ -195,6 +199,6 @@ class Valves:
     def slopes(self, speed: Array, length: Array, pressure: Array, supply: Array) -> Slopes:
         """Derivatives of the commands, at speeds that open the valves beyond the ramp and constant forces."""
         still = np.zeros_like(speed)
-        by_speed, by_supply = (np.asarray(part) for part in self._derivatives(speed, still, length, pressure, supply,
-                                                                               self.theta))
+        by_speed, by_supply = (np.asarray(part) for part in self._derivatives(
+            speed, still, length, pressure, supply, np.ones((len(speed), 2)), self.theta))
         return Slopes(np.diag(by_speed).copy(), by_supply[:, 0].copy())

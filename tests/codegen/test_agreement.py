@@ -61,7 +61,8 @@ WELL_DETERMINED = 1e-2
 """How well a posture must determine a wrench, from 0 to 1, for rounding not to grow."""
 STROKE = 1e-6
 """How far a pin distance may leave the stroke [m] before it is said."""
-PLAIN = tuple(name for name in ROUTINES if name not in ("inverse_kinematics", "valve_feedforward"))
+VALVES = ("valve_feedforward", "valve_refit", "position_feedback")
+PLAIN = tuple(name for name in ROUTINES if name not in ("inverse_kinematics", *VALVES))
 """Routines that every folder has in this order, as far as its machine can have them."""
 ELSEWHERE = "force_parts", "forward_dynamics"
 """Routines among these that have tests of their own; the others are judged here."""
@@ -423,7 +424,7 @@ def test_machines_have_the_routines_that_their_parts_call_for(subject: str) -> N
     first, *others = (routine for routine in PLAIN if has(subject, routine))
     assert tuple(library.subject(subject, "double").routines) == (
         first, *kinematics, *others,
-        *(["valve_feedforward"] if len(described.circuits) == len(described.actuators) else ()))
+        *(VALVES if len(described.circuits) == len(described.actuators) else ()))
 
 
 @pytest.mark.parametrize(("subject", "routine", "real", "level"), tiered((

@@ -36,7 +36,7 @@ def test_self_test_passes(subject: str, real: str, tmp_path: Path) -> None:
 
 def test_valves_are_left_out_with_the_reason() -> None:
     assert library.code(twin()).missing["the machine file does not state the valves of all actuators"] == [
-        "valve_feedforward"]
+        "valve_feedforward", "valve_refit", "position_feedback"]
 
 
 def test_one_of_two_cylinders_at_its_dead_point_leaves_the_load_to_the_other(libraries) -> None:

@@ -33,7 +33,8 @@ def states(plant: Plant) -> dict[str, np.ndarray]:
     some = {"q": q, "qd": rng.uniform(-0.15, 0.15, q.shape), "qdd": rng.uniform(-0.3, 0.3, q.shape),
             "speed_added": rng.uniform(-0.02, 0.02, valves), "force_rate": rng.uniform(-5e4, 5e4, valves),
             "pressure_a": rng.uniform(3e6, 2e7, valves), "pressure_b": rng.uniform(3e6, 2e7, valves),
-            "supply": np.tile([2.5e7, 3e5], (COUNT, 1))}
+            "supply": np.tile([2.5e7, 3e5], (COUNT, 1)), "factor_extending": np.ones(valves),
+            "factor_retracting": np.ones(valves)}
     return {name: held(values) for name, values in some.items()}
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.estimation.hydraulic.readings import QUANTITIES, Readings
+from hydroopt.kernels.native import Runner
 from hydroopt.model.flow_demand import chamber_flows
 from hydroopt.model.hydraulics import ActuatorHydraulics, spool_position
 from hydroopt.model.plant import Plant
@@ -62,21 +63,21 @@ class VolumeBalance:
         whole[[free[k] for k in owned]] = theta
         value = plant.value(each, whole)
         self.begin, piece = _spool(each, theta, value)
-        interval = _interval(each, theta, value, parts)
-        self.pieces, self.intervals = cache(piece.mapaccum), cache(interval.map)  # making them takes longer than a run
+        self.interval, self._runner = _interval(each, theta, value, parts), Runner()
+        self.pieces = cache(piece.mapaccum)  # making it takes longer than a run
+        self._spools: tuple[Readings, Array, tuple[Array, Array]] | None = None
 
     def misclosure(self, readings: Readings, values: Array, theta: Array) -> Misclosure:
         """The balances of all intervals that count, with `values` (N, 5) for the readings and identified θ (p,)."""
         own, count, parts, first = theta[self.own], len(readings.dt), self.parts, readings.begin
         spool, by_own = self.spools(readings, own)
         at = np.arange(count)[:, None] * parts + np.arange(parts + 1)
-        value, *slopes = _called(self.intervals(count), spool[at].T, values[:-1].T, values[1:].T, readings.dt[None],
-                                 np.tile(own[:, None], count))
-        by_theta, by_spool, by_first, by_last = (each.reshape(2, count, -1).swapaxes(0, 1) for each in slopes)
+        value, by_theta, by_spool, by_first, by_last = self._runner.over(
+            self.interval, spool[at], values[:-1], values[1:], readings.dt[:, None], own)
         rows = list(readings.chambers)
         whole = np.zeros((count - first, len(rows), len(theta)))
         whole[:, :, self.own] = (by_theta + by_spool @ by_own[at])[first:, rows]
-        return Misclosure(value.T[first:, rows], whole, by_first[first:, rows], by_last[first:, rows])
+        return Misclosure(value[first:, rows, 0], whole, by_first[first:, rows], by_last[first:, rows])
 
     def symbolic(self, readings: Readings, values: ca.MX, theta: ca.MX) -> ca.MX:
         """The balances (2, N - 1) of both chambers in all intervals as an expression in readings (5, N) and θ (p,)."""
@@ -85,11 +86,19 @@ class VolumeBalance:
         start = self.begin(inputs[0, 0], own)
         states = ca.horzcat(start, self.pieces(inputs.shape[1])(start, inputs, ca.repmat(own, 1, inputs.shape[1])))
         spool = ca.vertcat(*(states[0, k : k + 1 + (count - 1) * parts : parts] for k in range(parts + 1)))
-        return self.intervals(count)(spool, values[:, :-1], values[:, 1:], readings.dt[None],
+        return self.interval.map(count)(spool, values[:, :-1], values[:, 1:], readings.dt[None],
                                      ca.repmat(own, 1, count))[0]
 
     def spools(self, readings: Readings, own: Array) -> tuple[Array, Array]:
-        """Places (M + 1,) of the spool at the ends of all pieces, and their derivatives (M + 1, p) by own numbers."""
+        """Places (M + 1,) of the spool at the ends of all pieces, and their derivatives (M + 1, p) by own numbers.
+
+        Those of the last call are kept: corrections of readings do not move the spool.
+        """
+        if self._spools is None or self._spools[0] is not readings or not np.array_equal(self._spools[1], own):
+            self._spools = readings, own, self._moved(readings, own)
+        return self._spools[2]
+
+    def _moved(self, readings: Readings, own: Array) -> tuple[Array, Array]:
         inputs = self._inputs(readings)
         (start,) = _called(self.begin, inputs[:1, :1], own[:, None])
         (after,) = _called(self.pieces(inputs.shape[1]), start, inputs, np.tile(own[:, None], inputs.shape[1]))

@@ -1,0 +1,178 @@
+"""A test of valves: each actuator in turn, in steps of its command, turned back before its joint reaches a limit."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple
+
+import numpy as np
+
+from hydroopt.control.closed_loop import CommandDelay
+from hydroopt.errors import ProblemError
+from hydroopt.logs.log import Log
+from hydroopt.model.plant import Plant
+from hydroopt.simulation.drive_valves import drive
+from hydroopt.spatial.inertia import Array
+
+OPENINGS = (1.0, 0.5, 0.25, 0.75, 0.12, 1.0)
+"""Commands of successive pairs of steps, one each way, as parts of a full one: full ones tell of the edges, small ones
+of the dead band."""
+LONGEST, SHORTEST = 1.3, 0.5
+"""Time [s] for which a command of nearly nothing and a full one are held."""
+SLEW = 6.0
+"""Full commands per second at which a command changes: a step to the valve, hardly one to the machine."""
+MARGIN = 0.1
+"""Part of its range that a joint keeps from either end."""
+SECONDS = 10.0
+"""For each actuator."""
+WINDOW = 0.1
+"""Time [s] over which a joint's speed is taken from its readings."""
+
+
+class Step(NamedTuple):
+    """One step of a test: an actuator's command, as a part of a full one, and for how long [s] it is held."""
+
+    actuator: str
+    opening: float
+    seconds: float
+
+
+@dataclass(frozen=True, eq=False)
+class ValveTest:
+    """Steps of commands for one actuator after the other, each the other way than the one before.
+
+    A joint that would come nearer than `MARGIN` of its range to an end of it, at its speed and within the time that its
+    valve takes to shut, is turned back at once. Which way it goes is therefore not known before: what is stated are the
+    steps and the limits. All other valves are shut meanwhile.
+
+    Attributes:
+        plant: the machine as it is known.
+        steps: in their order.
+        lower, upper: positions (n,) of the joints [rad or m] that a test keeps between.
+
+    Example:
+        >>> import hydroopt as ho
+        >>> plant = ho.Plant(ho.load_machine("patu655_lift"))
+        >>> test = valve_test(plant)
+        >>> test.steps[0]
+        Step(actuator='lift_cylinder', opening=1.0, seconds=0.5)
+        >>> round(test.duration)
+        10
+    """
+
+    plant: Plant
+    steps: tuple[Step, ...]
+    lower: Array
+    upper: Array
+
+    @property
+    def duration(self) -> float:
+        """Of the test [s]."""
+        return sum(step.seconds for step in self.steps)
+
+    @cached_property
+    def stopping(self) -> Array:
+        """Time (a,) [s] that each actuator takes to stop: delay of its valve, change of its command, lag of its spool.
+        """
+        found = []
+        for each in self.plant.actuators:
+            spool = 2 * (each.valve.damping or 1.0) / (2 * np.pi * each.valve.natural_frequency) if (
+                each.valve.natural_frequency) else 0.0
+            found.append(each.valve.delay + 1 / SLEW + spool)
+        return np.array(found)
+
+
+def valve_test(plant: Plant, *, seconds: float = SECONDS) -> ValveTest:
+    """A test of all valves of a machine.
+
+    Args:
+        plant: the machine as it is known.
+        seconds: for each actuator.
+
+    Raises:
+        ProblemError: the test is too short for the openings that tell valves apart.
+    """
+    machine = plant.machine
+    pairs = [(opening, LONGEST + (SHORTEST - LONGEST) * opening) for opening in OPENINGS for _ in range(2)]
+    least = sum(hold for _, hold in pairs)
+    if seconds < least:
+        raise ProblemError(f"a test of {seconds:g} s for each actuator does not cover all openings", where="valve test",
+                           remedy=f"give {np.ceil(least):.0f} s or more")
+    steps = []
+    for each in plant.actuators:
+        left, k = seconds, 0
+        while left > 1e-9:
+            opening, hold = pairs[k % len(pairs)]
+            steps.append(Step(each.actuator.name, opening, min(hold, left)))
+            left, k = left - hold, k + 1
+    lower, upper = np.array([machine.link(joint).joint.range for joint in machine.joints]).T
+    kept = MARGIN * (upper - lower)
+    return ValveTest(plant, tuple(steps), lower + kept, upper - kept)
+
+
+class StepDriver:
+    """What drives a test: the commands of a `ValveTest` from readings of the joints' positions, sample by sample."""
+
+    def __init__(self, test: ValveTest, period: float) -> None:
+        self.test, self.period, plant = test, period, test.plant
+        self.names = [each.actuator.name for each in plant.actuators]
+        self.neutral = np.array([each.valve.neutral for each in plant.actuators])
+        self.span = np.array([each.valve.span for each in plant.actuators])
+        self._ends = np.cumsum([step.seconds for step in test.steps])
+        self._joints = [next(i for i, joint in enumerate(plant.machine.joints) if k in plant.drivers.get(joint, ()))
+                        for k in range(len(plant.actuators))]
+        self._window = max(1, round(WINDOW / period))
+        self._opening, self._way, self._step = np.zeros(len(self.names)), 1.0, 0
+        self._before: list[Array] = []
+
+    def command(self, k: int, q: Array) -> Array:
+        """Commands (a,) at sample k, in the unit of each valve, from the joints' positions (n,)."""
+        test = self.test
+        now = min(int(np.searchsorted(self._ends, k * self.period, side="right")), len(test.steps) - 1)
+        if now != self._step:
+            self._step, self._way = now, -self._way
+        step = test.steps[now]
+        active = self.names.index(step.actuator)
+        joint = self._joints[active]
+        self._before = [*self._before[-self._window:], q]
+        speed = (q[joint] - self._before[0][joint]) / (self.period * max(1, len(self._before) - 1))
+        reach = q[joint] + speed * test.stopping[active]
+        # a cylinder that extends may lower its joint
+        side = np.sign(test.plant.transmission(q).full()[active, joint])
+        if reach > test.upper[joint] if self._way * side > 0 else reach < test.lower[joint]:
+            self._way = -self._way
+        wanted = np.zeros(len(self.names))
+        wanted[active] = self._way * step.opening
+        change = SLEW * self.period
+        self._opening = self._opening + np.clip(wanted - self._opening, -change, change)
+        return np.asarray(self.neutral + self.span * self._opening)
+
+
+def driven_test(test: ValveTest, psi: Array, theta: Array, *, plant: Plant | None = None, rate: float = 50.0,
+                noise: bool = True, seed: int = 0) -> Log:
+    """The log that a machine's sensors would record of a test, from the middle of the joints' limits on.
+
+    Args:
+        test: what is driven.
+        psi: the machine's true dynamic parameters (p,).
+        theta: its true hydraulic ones.
+        plant: the true machine; the test's if None.
+        rate: samples per second [Hz].
+        noise: whether sensors err.
+        seed: of their errors.
+
+    Raises:
+        ProblemError: a joint leaves its range all the same, or the machine cannot stand where it starts.
+    """
+    plant = plant or test.plant
+    n, period = len(plant.machine.joints), 1 / rate
+    start = plant.steady((test.lower + test.upper) / 2, np.zeros(n), psi, theta)
+    tester, delay = StepDriver(test, period), CommandDelay(plant.delays, period, start.u)
+    t, integrator, x = np.arange(int(test.duration * rate) + 1) / rate, plant.integrator(psi, theta), start.x
+    commands = []
+    for k in range(len(t)):
+        commands.append(tester.command(k, x[:n]))
+        for seconds, command in delay.push(commands[-1]):
+            x = integrator(x, seconds, command, plant.supply)
+    return drive(plant, t, np.array(commands), start.x, psi=psi, theta=theta, noise=noise, seed=seed, name="valve test")
