@@ -20,7 +20,8 @@ def codegen(
     fold_geometry: Annotated[bool, typer.Option("--fold-geometry", help=(
         "Build the geometry into the code: fewer operations, but a calibration needs new code."))] = False,
     sizes: Annotated[bool, typer.Option("--sizes", help=(
-        "Compile all routines, and state in README.md how much stack and flash each takes."))] = False,
+        "State in README.md how much stack, flash and how many instructions each routine takes on a Cortex-M4F and "
+        "M7."))] = False,
     hosts: Annotated[list[str] | None, typer.Option("--for", metavar="HOST", help=(
         "Also write what a host needs that calls the C: cpp, python, ros2_control, simulink, codesys or fmi; "
         "repeatable."))] = None,

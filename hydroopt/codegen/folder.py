@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import textwrap
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from functools import cache, cached_property, partial
 from pathlib import Path
 
@@ -73,8 +73,8 @@ KINDS = {"joint": "moving joint", "link": "link", "actuator": "actuator", "cylin
 class Code:
     """Generated C of some routines of a machine.
 
-    The texts depend on machine, options and origin only, except for stack and flash in the README, which are measured
-    with the installed compiler if `measured`.
+    The texts depend on machine, options and origin only, except for stack, flash and instructions in the README,
+    which are measured with the installed cross compiler and emulator if `measured`.
     """
 
     def __init__(self, machine: Machine, origin: Origin, *, routines: Sequence[str] = (), name: str | None = None,
@@ -162,6 +162,11 @@ class Code:
         """Text of the public header: structs, sizes, units and prototypes."""
         return self._render("header.h")
 
+    @property
+    def bench(self) -> dict[str, str]:
+        """What runs the self-test on a bare controller and counts there."""
+        return {name: self._render(name) for name in ("bench.c", "cortex_m.ld")}
+
     def files(self, progress: Progress = silent) -> dict[str, str]:
         """Every file by name."""
         progress("stating the routines", 0.0)
@@ -176,20 +181,19 @@ class Code:
                  f"{self.name}_params.h": self._render("params.h")}
         for file, names in parts.items():
             files[file] = self._render("source.c", names=names, prepares=file == f"{self.name}.c")
-        progress("measuring stack and flash" if self.measured else "counting operations", 0.6)
-        table, method = self._table(files)
+        progress("measuring stack, flash and instructions" if self.measured else "computing the self-test", 0.6)
+        files[f"{self.name}_selftest.c"] = self._render("selftest.c", **self_test.vectors(
+            self.interface, self.function, self.keys, single=self.single))
+        needs = sizes(files | self.bench, single=self.single) if self.measured else []
         sources = sorted((*parts, *(name for name in self.host_files if name == VALUES.format(p=self.name))))
         headers = (f"{self.name}.h", f"{self.name}_params.h",
                    *(name for name in self.host_files if name.endswith(".hpp")))
-        progress("computing the self-test", 0.8)
         return files | {
-            f"{self.name}_selftest.c": self._render("selftest.c", **self_test.vectors(
-                self.interface, self.function, self.keys, single=self.single)),
             **{name: self._render(template, sources=sources)
                for name, template in self.host_files.items() if template},
             "CMakeLists.txt": self._render("CMakeLists.txt", sources=sources, headers=headers),
             "Makefile": self._render("Makefile", sources=sources),
-            "README.md": self._render("README.md", table=table, method=method)}
+            "README.md": self._render("README.md", table=self._table(), needs=needs)}
 
     def write(self, directory: Path, progress: Progress = silent) -> tuple[str, ...]:
         """Write the folder; what an earlier run generated there and this one does not is removed.
@@ -247,17 +251,13 @@ class Code:
             return error.what
         return ""
 
-    def _table(self, files: Mapping[str, str]) -> tuple[list[list[str]], str]:
-        """Rows of the README, one a routine, and how stack and flash were measured, if they were."""
+    def _table(self) -> list[list[str]]:
+        """Rows of the README, one a routine."""
         table = [["`prepare`", "`params`", "`constants`", _operations(self.programs[0])]]
         for routine in self.routines.values():
             table.append([f"`{routine.name}`", f"`{routine.takes}`: {', '.join(routine.reads)}", f"`{routine.gives}`",
                           _operations(self.programs_of_routines[routine.name])])
-        if not self.measured:
-            return table, ""
-        found, method = sizes(files)
-        taken = [found.get(f"{self.name}_{row[0].strip('`')}") for row in table]
-        return [[*row, *map(str, size or ("", ""))] for row, size in zip(table, taken, strict=True)], method
+        return table
 
     def largest(self, name: str) -> float:
         """Absolute value beyond which an input is refused; smaller ones cannot overflow in single precision."""

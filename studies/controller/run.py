@@ -12,7 +12,6 @@ from hydroopt.codegen.folder import Code
 from hydroopt.codegen.parameter_source import Origin
 from hydroopt.codegen.sizes import CORTEX_M4F, sizes
 
-HERE = Path(__file__).parent
 TOOLS = ("arm-none-eabi-gcc", "arm-none-eabi-objdump", "arm-none-eabi-size", "qemu-system-arm", "cppcheck")
 DOUBLE = re.compile(r"\.f64|__aeabi_(d|f2d|i2d|ui2d|l2d)\w*|<(sin|cos|sqrt|acos|atan2|pow|fabs)>")
 """What double precision looks like in the machine code: instructions, the compiler's helpers, calls of the library."""
@@ -23,23 +22,11 @@ CALIBRATION = ("residual", "residual_by_motion", "residual_by_parameters", "resi
                "mass_matrix", "wrench_forces", "tip_wrench")
 
 
-def files(routines: tuple[str, ...], **options: bool) -> dict[str, str]:
-    """The generated folder."""
+def generated(routines: tuple[str, ...], **options: bool) -> Code:
+    """The generator of the folder."""
     machine = load_machine("cat215b")
     origin = Origin("nominal values of the machine cat215b", machine.sha256)
-    return Code(machine, origin, routines=routines, single=True, **options).files()
-
-
-def on_the_emulator(folder: Path) -> tuple[int, int]:
-    """Exit code of the self-test on an emulated Cortex-M4F, and bytes of flash of the whole program."""
-    sources = sorted(path.name for path in folder.glob("*.c"))
-    subprocess.run(["arm-none-eabi-gcc", "-std=c99", "-O2", *CORTEX_M4F, "-DCAT215B_NO_MAIN",
-                    "-Dselftest=cat215b_selftest", "-nostartfiles", "-T", HERE / "cortex_m4.ld", "-o", "program.elf",
-                    HERE / "start.c", *sources, "-lm"], cwd=folder, check=True)
-    size = subprocess.run(["arm-none-eabi-size", "program.elf"], cwd=folder, check=True, capture_output=True, text=True)
-    ended = subprocess.run(["qemu-system-arm", "-M", "mps2-an386", "-nographic", "-semihosting", "-kernel",
-                            "program.elf"], cwd=folder, check=False, timeout=60)
-    return ended.returncode, int(size.stdout.splitlines()[1].split()[0])
+    return Code(machine, origin, routines=routines, single=True, **options)
 
 
 def doubles(folder: Path) -> int:
@@ -72,17 +59,24 @@ def run() -> dict | None:
     results: dict = {}
     for name, routines, options in (("", CONTROL, {}), ("_folded", CONTROL, {"fold_geometry": True}),
                                     ("_residuals", CALIBRATION, {})):
-        written = files(routines, **options)
+        code = generated(routines, **options)
+        written = code.files()
         with tempfile.TemporaryDirectory() as scratch:
             folder = Path(scratch)
             for file, text in written.items():
                 (folder / file).write_text(text, encoding="utf-8")
-            results[f"selftest{name}"], results[f"program_flash{name}"] = on_the_emulator(folder)
             results[f"doubles{name}"] = doubles(folder)
             if not name:
                 results |= remarks(folder)
-        for routine, size in sizes(written)[0].items():
-            results[f"{routine.removeprefix('cat215b_')}{name}"] = f"{size.flash} flash, {size.stack} stack"
-            if routine in ("cat215b_inverse_dynamics", "cat215b_residual"):
-                results[f"{routine.removeprefix('cat215b_')}_flash{name}"] = size.flash
+        for needs, where in zip(sizes(written | code.bench, single=True), ("", "_m7"), strict=True):
+            results[f"selftest{name}{where}"] = 0 if needs.passed else 1
+            results[f"program_flash{name}{where}"] = needs.program
+            results[f"library{name}{where}"] = " ".join(needs.library)
+            results[f"stack_bound_holds{name}{where}"] = all(
+                each.used is not None and each.used <= each.stack for each in needs.functions.values())
+            for routine, size in needs.functions.items():
+                short = f"{routine.removeprefix('cat215b_')}{name}{where}"
+                results[short] = f"{size.flash} flash, {size.stack} stack, {size.used} used, {size.instructions} instr"
+                if routine == "cat215b_inverse_dynamics":
+                    results |= {f"{short}_flash": size.flash, f"{short}_instructions": size.instructions}
     return results

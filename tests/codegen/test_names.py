@@ -13,7 +13,6 @@ import tomlkit
 from fixtures.library import run
 from fixtures.tiers import tiered
 from hydroopt import cli
-from hydroopt.codegen import folder
 from hydroopt.results.json_file import SCHEMA
 
 STRICT = ("-std=c99", "-Wall", "-Wextra", "-pedantic", "-Wconversion", "-Wshadow", "-Wmissing-prototypes", "-Werror")
@@ -73,7 +72,6 @@ def codegen(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.Capt
     home = tmp_path / "home"
     home.mkdir()
     monkeypatch.chdir(home)
-    monkeypatch.setattr(folder, "sizes", lambda files: ({}, "Not measured."))
 
     def call(*arguments: str) -> Outcome:
         before = {file for file in tmp_path.rglob("*") if file.is_file()}
