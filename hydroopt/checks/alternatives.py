@@ -16,8 +16,12 @@ UNITS: Mapping[str, Mapping[str, float]] = {
     "angle": {"deg": np.pi / 180, "rad where deg is stated": 180 / np.pi},
     "length": {"mm": 1e-3, "cm": 1e-2, "m where mm is stated": 1e3},
     "pressure": {"bar": 1e5, "psi": 6894.757, "kPa": 1e3, "MPa": 1e6, "Pa where bar is stated": 1e-5,
-                 "Pa where psi is stated": 1 / 6894.757},
-    "effort": {"thousand times its unit": 1e3, "a thousandth of its unit": 1e-3},
+                 "Pa where psi is stated": 1 / 6894.757, "bar where MPa is stated": 0.1,
+                 "MPa where bar is stated": 10.0, "kPa where bar is stated": 0.01, "bar where kPa is stated": 100.0,
+                 "kPa where MPa is stated": 1e-3, "psi where bar is stated": 0.06894757,
+                 "bar where psi is stated": 14.50377},
+    "effort": {"thousand times its unit": 1e3, "a thousandth of its unit": 1e-3, "kgf or kgf*m": 9.80665,
+               "N or N*m where kgf or kgf*m is stated": 1 / 9.80665},
 }
 """Factors that mistaken units make, by the kind of channel."""
 PRESSURES = (3e5, 1e8)

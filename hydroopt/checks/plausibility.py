@@ -8,6 +8,7 @@ import numpy as np
 
 from hydroopt.checks.agreement import MARGIN, SAMPLES, Agreement, Evaluated, agreement, stated_rate
 from hydroopt.checks.alternatives import Alternative, alternatives
+from hydroopt.checks.sensors import beyond_sensors, stuck_sensors
 from hydroopt.errors import HydrooptError, LogError
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.calibrator_angles import calibrator_channels
@@ -46,8 +47,8 @@ def examine(model: Model, log: AnyLog) -> tuple[Diagnostic, ...]:
     Nothing is corrected. A mistake is named only if the log read otherwise agrees far better: with less than half of
     the score and at least 100 lower, where the score is minus two log likelihoods of forces under the machine file's
     priors, and terms for force levels, lengths against angles, joint ranges and the sampling rate. Readings that agree
-    equally well are named together. A log recorded with the calibrator attached is not judged: its forces are not those
-    of the machine alone.
+    equally well are named together, and none where a sensor is stuck, which no other reading mends. A log recorded with
+    the calibrator attached is not judged: its forces are not those of the machine alone.
 
     Args:
         model: the machine.
@@ -67,10 +68,11 @@ def examine(model: Model, log: AnyLog) -> tuple[Diagnostic, ...]:
     if calibrator_channels(model.machine, log):
         return ()
     held = log if isinstance(log, Log) else _sample(model, log)
-    mistakes, corrected = _mistakes(model, held)
     where = log.path or log.name
-    return (*(Diagnostic(Kind.LOG_MISREAD, channels, {"log": where, **evidence}) for channels, evidence in mistakes),
-            *_contradictions(model, corrected, where))
+    stuck = tuple(stuck_sensors(model.machine, held, where))
+    mistakes, corrected = ([], held) if stuck else _mistakes(model, held)
+    misread = (Diagnostic(Kind.LOG_MISREAD, channels, {"log": where, **evidence}) for channels, evidence in mistakes)
+    return *stuck, *misread, *_contradictions(model, corrected, where)
 
 
 def misread_error(model: Model, log: AnyLog) -> LogError | None:
@@ -170,6 +172,7 @@ def _contradictions(model: Model, log: Log, where: str) -> Iterator[Diagnostic]:
                 "log": where, "share": share, "low": float(np.min(q)), "high": float(np.max(q)),
                 "lower": low, "upper": high, "unit": machine.channel_units[f"{joint}.q"]})
     yield from _lengths(model, log, where)
+    yield from beyond_sensors(machine, log, where)
     low, high = stated_rate(machine.sensors, set(log.channels))
     hertz = 1 / float(np.median(np.diff(log.t)))
     if not low / 20 <= hertz <= OTHER_RATE * high:  # a log may keep only some of its sensors' samples

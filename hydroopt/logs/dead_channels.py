@@ -50,7 +50,12 @@ def without_dead_channels(machine: Machine, log: AnyLog) -> AnyLog:
 
 
 def _moves(machine: Machine, extremes: Mapping[str, tuple[float, float]], joint: str) -> bool:
-    ranges = {f"{joint}.q": np.ptp(machine.link(joint).joint.range)} | {
+    ranges = position_ranges(machine, joint)
+    return any(high - low > MOVES * ranges[name] for name, (low, high) in extremes.items() if name in ranges)
+
+
+def position_ranges(machine: Machine, joint: str) -> dict[str, float]:
+    """By channel that tells a joint's position, its own or a cylinder's length: from end to end."""
+    return {f"{joint}.q": float(np.ptp(machine.link(joint).joint.range))} | {
         f"{cylinder.name}.length": cylinder.stroke for cylinder in machine.cylinders
         if joint in machine.moved_by(cylinder)}
-    return any(high - low > MOVES * ranges[name] for name, (low, high) in extremes.items() if name in ranges)

@@ -2,12 +2,14 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
+from hydroopt.logs.channels import is_force
 from hydroopt.logs.table import runs
 
 Array = NDArray[np.float64]
@@ -151,21 +153,40 @@ def stuck(channels: Mapping[str, Array], whole: Mapping[str, Extremes] | None = 
     """Frozen samples by channel: level for more than 25 samples and 1 % of the log, begun or ended at speed.
 
     A run counts only while another channel passes through more than 5 % of its range. A joint that comes to
-    rest slows down first and is not meant, nor is a velocity of zero; a channel that never changes at all is. `whole`
-    are the channels' extremes where these are but a piece of the log.
+    rest slows down first and is not meant, nor is a velocity of zero; a channel that never changes at all is, and a
+    force that changes from sample to sample elsewhere. `whole` are the channels' extremes where these are but a piece
+    of the log.
     """
     out = {name: np.zeros(x.size, bool) for name, x in channels.items()}
     extremes = whole or {name: (float(x.min()), float(x.max())) for name, x in channels.items()}
     ranges = {name: extremes[name][1] - extremes[name][0] for name in channels}
     for name, x in channels.items():
+        odd = frozen(x) if is_force(name) else []
         for start, stop in _level_runs(x, max(26, x.size // 100 + 1)):
             at_rest = name.endswith(".qd") and x[start] == 0
-            if ranges[name] > 0 and (at_rest or not _abrupt(x, start, stop)):
+            if ranges[name] > 0 and (at_rest or not ((start, stop) in odd or _abrupt(x, start, stop))):
                 continue
             if any(np.ptp(y[start:stop]) > 0.05 * ranges[other] for other, y in channels.items()
                    if other != name and ranges[other] > 0):
                 out[name][start:stop] = True
     return out
+
+
+def frozen(x: Array, segment: NDArray[np.int64] | None = None) -> list[tuple[int, int]]:
+    """Half-open ranges of one stretch in which a channel (N,) rests at one value for more than 25 samples, though it
+    changes with nearly each sample elsewhere, as sensors with noise do. A range's end, where it rests again and again,
+    is not meant: it is saturated there."""
+    cuts = [] if segment is None else (np.flatnonzero(np.diff(segment)) + 1).tolist()
+    level = [(a + start, a + stop) for a, b in pairwise([0, *cuts, x.size])
+             for start, stop in _level_runs(x[a:b], _WINDOW + 1)]
+    free = np.ones(x.size, bool)
+    for start, stop in level:
+        free[start:stop] = False
+    if np.count_nonzero(free) < _WINDOW or np.mean(np.diff(x)[free[1:]] == 0) > 0.1:
+        return []
+    ends = [end for end in (np.nanmin(x), np.nanmax(x))
+            if np.any(x[free] == end) or sum(x[start] == end for start, _ in level) > 1]
+    return [(start, stop) for start, stop in level if x[start] not in ends]
 
 
 def _abrupt(x: Array, start: int, stop: int) -> bool:

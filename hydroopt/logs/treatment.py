@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import LogError, ProblemError
 from hydroopt.logs import quality as find
-from hydroopt.logs.channels import is_force
+from hydroopt.logs.channels import is_force, si_unit
 from hydroopt.logs.quality import Array, Finding, Mask
 from hydroopt.logs.table import runs
 
@@ -178,7 +178,7 @@ def _outliers(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, 
     level = {name: mask & ~clipped[name] & present[name] for name, mask in find.stuck(sensed, samples.whole).items()}
     spiky = {name: find.spikes(x) & ~clipped[name] & ~level[name] & present[name] for name, x in sensed.items()}
     texts: tuple[tuple[str, dict[str, Mask], Callable[[str, Mask], str]], ...] = (
-        ("saturated", clipped, lambda name, mask: "sit at or beyond the limit of the range"),
+        ("saturated", clipped, _at_limit(samples, limits)),
         ("stuck", level, lambda name, mask: "rest at one value while other channels move"),
         ("spike", spiky, _worst(samples)))
     drop = none
@@ -192,6 +192,19 @@ def _outliers(samples: Samples, chosen: Mapping[str, str], limits: Mapping[str, 
             elif chosen[kind] == "interpolate":
                 samples = _bridge(samples, name, mask, where)
     return samples.keep(~drop) if drop.any() else samples
+
+
+def _at_limit(samples: Samples, limits: Mapping[str, tuple[float, float]]) -> Callable[[str, Mask], str]:
+    def text(name: str, mask: Mask) -> str:
+        x, unit = samples.channels[name][mask], si_unit(name)
+        low, high = limits.get(name, (-np.inf, np.inf))
+        ends = [f"lie at or {word} {end:.4g} {unit}, the {which} that is stated" for word, which, end, there in (
+            ("below", "least", low, x <= low), ("above", "most", high, x >= high)) if np.any(there)]
+        if own := np.unique(x[(x > low) & (x < high)]).tolist():
+            values = " or ".join(f"{value:.4g} {unit}" for value in own)
+            ends.append(f"rest at {values}, the channel's own extreme, as if the sensor's range ended there")
+        return " or ".join(ends)
+    return text
 
 
 def _worst(samples: Samples) -> Callable[[str, Mask], str]:

@@ -47,6 +47,9 @@ class Kind(StrEnum):
     BEYOND_JOINT_LIMITS = "beyond joint limits"
     LENGTH_CONTRADICTS_ANGLE = "length contradicts angle"
     OTHER_SAMPLING_RATE = "other sampling rate"
+    SENSOR_STUCK = "sensor stuck"
+    SENSOR_SCATTERS = "sensor scatters beyond its accuracy"
+    BEYOND_RELIEF = "beyond relief pressure"
 
     # motion by all sensors
     SENSOR_MISREAD = "sensor misread"
@@ -94,6 +97,7 @@ class Kind(StrEnum):
     RESIDUALS_ABOVE_NOISE = "residuals above the sensors' noise"
     MISFIT_CAUSE = "likeliest cause of the misfit"
     LACK_OF_FIT = "lack of fit"
+    FASTER_THAN_SMOOTHING = "motion faster than smoothing passes"
     SPIKES = "spikes"
     LINE = "line in the spectrum"
     DETECTABLE_FAULTS = "smallest faults that would show"
@@ -194,12 +198,14 @@ class Kind(StrEnum):
 
 REFUTATIONS = frozenset({Kind.LOG_MISREAD, Kind.SENSOR_MISREAD})
 """Kinds that refute an answer's data: no machine is made of it unless that is forced."""
-OF_LOGS = REFUTATIONS | {Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE, Kind.OTHER_SAMPLING_RATE}
+OF_LOGS = REFUTATIONS | {Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE, Kind.OTHER_SAMPLING_RATE,
+                         Kind.SENSOR_STUCK, Kind.SENSOR_SCATTERS, Kind.BEYOND_RELIEF}
 """Kinds of what contradicts the machine file in a log as it is read, before any fit."""
 CONTRADICTIONS = OF_LOGS | {Kind.STROKE_CONTRADICTS_POSES, Kind.BIAS_DRIFTS, Kind.STATED_CONTRADICTED,
-    Kind.MOTION_UNEXPLAINED, Kind.POSITION_ASSUMED, Kind.MISFIT_CAUSE, Kind.LACK_OF_FIT, Kind.BODIES_CONTRADICTED,
-    Kind.PRIORS_CONTRADICTED, Kind.WORSE_THAN_ZERO, Kind.UNEXPLAINED_ACTUATOR, Kind.SAMPLING_NOT_CONVERGED,
-    Kind.UNEXPLAINED_FLOW, Kind.ERRORS_FAR_LARGER, Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED,
+    Kind.MOTION_UNEXPLAINED, Kind.POSITION_ASSUMED, Kind.MISFIT_CAUSE, Kind.LACK_OF_FIT, Kind.FASTER_THAN_SMOOTHING,
+    Kind.BODIES_CONTRADICTED, Kind.PRIORS_CONTRADICTED, Kind.WORSE_THAN_ZERO, Kind.UNEXPLAINED_ACTUATOR,
+    Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_FLOW, Kind.ERRORS_FAR_LARGER, Kind.SEARCH_INTERRUPTED,
+    Kind.BEST_RUN_STOPPED,
     Kind.STAGE_CONTRADICTS, Kind.FIXTURE_MOVED, Kind.BASE_MOVED, Kind.TOOL_MOVED, Kind.INSTRUMENT_MOVED,
     Kind.SENSOR_OFFSET, Kind.SENSOR_SCALE, Kind.BACKLASH, Kind.SENSOR_ECCENTRIC, Kind.SENSOR_NONLINEAR,
     Kind.JOINT_SAGS, Kind.SUSPECTS_UNDECIDED, Kind.DISTANCE_CONTRADICTS, Kind.DISTANCE_OFF, Kind.OFF_OPTIMUM,
@@ -211,7 +217,8 @@ WORDS: dict[Kind, Words] = {
         "Give --validate or --holdout."),
     Kind.FINDING: Words("{subject}: {text}"),
     Kind.LOG_MISREAD: Words(
-        "{log} contradicts the machine file: {as_read}. It agrees with {reading}: {read_so}.",
+        "Read with {reading}, {log} agrees with the machine file: {read_so}. As it is read, it contradicts the machine "
+        "file: {as_read}.",
         "Correct units, signs and names of {subject} in the file or its map; nothing was changed here."),
     Kind.BEYOND_JOINT_LIMITS: Words(
         "In {log}, {share:.0f %} of {subject} lie beyond the joint's limits: {low:.3g} to {high:.3g} {unit} against "
@@ -224,6 +231,17 @@ WORDS: dict[Kind, Words] = {
     Kind.OTHER_SAMPLING_RATE: Words(
         "{log} is sampled at {rate:.3g} Hz, where the machine file states {stated:.3g} Hz.",
         "Correct the unit of time in the file or its map, or the rate of the sensors."),
+    Kind.SENSOR_STUCK: Words(
+        "{subject} is stuck at {value:.4g} {unit} in {share:.0f %} of {log} (rows {rows}) while {joint} moves.",
+        "Check this sensor and its wiring, record again, or leave these samples out: --treat stuck=drop."),
+    Kind.SENSOR_SCATTERS: Words(
+        "{subject} in {log} scatters by {noise:.3g} {unit} from sample to sample, {ratio:.2g} times its stated "
+        "accuracy{reading}.",
+        "Correct the unit of this column in the file or its map, or the sensor's accuracy in the machine file."),
+    Kind.BEYOND_RELIEF: Words(
+        "{subject} in {log} is far beyond its relief pressure of {relief_bar:.0f} bar in {share:.0f %} of the samples: "
+        "up to {highest_bar:.0f} bar.",
+        "Correct the unit of this column in the file or its map, or the relief pressure in the machine file."),
     Kind.UNSTABLE_ELSEWHERE: Words(
         "{subject} is unstable in the posture of {point}, which the motion does not reach."),
     Kind.SMALL_MARGINS: Words(
@@ -299,9 +317,14 @@ WORDS: dict[Kind, Words] = {
         "show it alike, and it leaves no misfit.",
         "{remedy}"),
     Kind.LACK_OF_FIT: Words(
-        "The slow residuals of {subject} are not explained by noise and smoothing (probability {probability:.1g}). The "
-        "model lacks something that is not in the list of faults, or several faults at once.",
+        "The residuals of {worst} {course}, {ratio:.2g} times as large as noise and smoothing explain "
+        "({said}){others}. The model lacks something that is not in the list of faults, or several faults at once.",
         "Intervals hold only as far as the model does: see the figure of the residuals."),
+    Kind.FASTER_THAN_SMOOTHING: Words(
+        "The force of {subject} holds motion that smoothing of the angles takes away: {part:.0f %} of its residuals, "
+        "{ratio:.2g} times as large as noise explains, are faster than {bandwidth:.2g} Hz, most at {hertz:.2g} Hz.",
+        "Drive smoother, without steps of the valves; or let faster motion pass (--bandwidth, or bandwidth in the "
+        "machine file) where angles are exact enough."),
     Kind.SPIKES: Words(
         "Up to {share:.2g %} of the readings of {subject} are far off their neighbours.",
         "Use --treat spike=interpolate or --loss huber."),

@@ -215,6 +215,8 @@ def test_stuck_saturated_and_spiky_sensors_are_found(tmp_path):
     assert found["spike", "b.q"].first == 1201
     assert 1203 <= found["spike", "b.q"].last <= 1206
     assert found["stuck", "d.length"].count == 2000
+    assert found["saturated", "c.p_head"].text.endswith(
+        "rest at 1.08e+07 Pa, the channel's own extreme, as if the sensor's range ended there")
     with pytest.raises(LogError, match="would be left"):
         read_log(path, treatment={"stuck": "drop"})
 
@@ -224,6 +226,7 @@ def test_limits_of_a_sensor_count_as_saturation(tmp_path):
     log = read_log(path, limits={"c.p_head": (0, 1.05e7)}, treatment={"saturated": "drop"})
     assert log.channel("c.p_head").max() < 1.05e7
     assert kinds(log)[0] == "saturated"
+    assert "lie at or above 1.05e+07 Pa, the most that is stated; dropped" in log.findings[0].text
     assert read_log(path, limits={"d.p_head": (0, 1)}).findings == read_log(path).findings
 
 

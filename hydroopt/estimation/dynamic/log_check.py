@@ -139,7 +139,9 @@ class LogCheck(Answer):
 
     @cached_property
     def next_steps(self) -> tuple[NextStep, ...]:
-        """What to drive beside these logs, or to identify from them."""
+        """What to drive beside these logs, or to identify from them; nothing where they are contradicted."""
+        if self.contradictions:
+            return ()
         steps: list[NextStep] = []
         logs = " ".join(data.log.path or data.log.name for data in self.problem.experiments)
         weak = [each for each in self.coverage if each.of_range < LITTLE_RANGE]
@@ -195,7 +197,8 @@ class LogCheck(Answer):
             lines.append(f"  {each.joint:<20} {percentage(each.of_range):>12} {each.speed:>8.3g} {unit}/s "
                          f"{each.acceleration:>10.3g} {unit}/s²")
         for data in self.problem.experiments:
-            lines.append(f"  {data.log.path or data.log.name}: {data.sample_count} of {data.log.size} samples usable")
+            log = data.log
+            lines.append(f"  {log.path or log.name}: {data.sample_count} of {log.size} samples would take part")
         return "\n".join(lines)
 
 

@@ -20,7 +20,10 @@ from hydroopt.logs.spline import Basis, Grid
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import dump_machine, load_machine, read_machine
 from hydroopt.model.model import Model
+from hydroopt.model.plant import Plant
+from hydroopt.results.diagnostic import of_kind
 from hydroopt.results.wording import Kind
+from hydroopt.simulation.drive_valves import drive
 from hydroopt.simulation.simulate import Trajectory, random_trajectory, random_truth, simulate
 
 
@@ -173,3 +176,20 @@ def test_the_machine_file_states_sizes_of_faults(crane: Model, sound: Log) -> No
     assert scale["tilt base about x"] == UNCERTAIN["tilt"]
     with pytest.raises(ProblemError, match="no fault that can be freed"):
         chosen_faults(view, ["bodies"])
+
+
+def test_steps_of_valves_are_faster_than_smoothing_passes(excavator: tuple[Model, np.ndarray, Trajectory]) -> None:
+    """One actuator after the other, 10 s each: the boom swings on its oil at 3 Hz, where the file states 2 Hz."""
+    model, truth, _ = excavator
+    plant, t = Plant(model), np.arange(1500) / 50
+    u = np.zeros((t.size, 3))
+    for k, begin in enumerate((0.0, 10.0, 20.0)):
+        for first, last, opening in ((0.5, 2.5, 0.25), (3.5, 5.5, -0.25), (6.5, 8.0, 0.15), (8.5, 9.5, -0.15)):
+            u[(t >= begin + first) & (t < begin + last), k] = opening
+    middle = np.array([np.mean(model.machine.link(joint).joint.range) for joint in model.machine.joints])
+    log = drive(plant, t, u, middle, psi=truth, seed=1)
+    found = of_kind(identify(identification_problem(model, [log]), intervals=False).contradictions,
+                    Kind.FASTER_THAN_SMOOTHING)
+    boom, = (each for each in found if each.subject == ("boom_cylinder",))
+    assert 2.0 < boom.evidence["hertz"] < 5.0
+    assert boom.evidence["ratio"] > 3

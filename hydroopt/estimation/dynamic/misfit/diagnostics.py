@@ -7,10 +7,13 @@ from collections.abc import Iterator
 from hydroopt.estimation.dynamic.misfit.faults import Fault
 from hydroopt.estimation.dynamic.misfit.freed import Freed
 from hydroopt.estimation.dynamic.misfit.naming import Misfit
-from hydroopt.results.diagnostic import Diagnostic, listed
+from hydroopt.results.diagnostic import Diagnostic, listed, probability
 from hydroopt.results.tables import number
 from hydroopt.results.wording import Kind
 
+LARGE = 2.0
+"""Residuals as a multiple of what noise and errors of the motion add, from which on those that are faster than
+smoothing passes are worth a diagnostic, though the slow ones may be by chance."""
 SPIKES = 0.003
 """Share of spikes among a reading's samples that is worth a diagnostic."""
 
@@ -26,14 +29,33 @@ def diagnose(found: Misfit) -> Iterator[Diagnostic]:
             "size": cause.size * fault.factor, "std": cause.std * fault.factor,
             "unit": fault.unit, "evidence": cause.evidence, "tied": [other.name for other in cause.tied],
             "others": f"; these data do not tell it from: {listed(tied, 3)}" if tied else ""})
-    if found.alarmed and not found.causes:
-        least = min(found.before.values())
-        yield Diagnostic(Kind.LACK_OF_FIT, found.alarmed, {"probability": least})
+    if not found.causes:
+        yield from _unexplained(found)
     spiked = {name: share for name, share in found.spikes.items() if share > SPIKES}
     if spiked and not found.causes:  # a cause moves the steps of friction, which then look like spikes
         yield Diagnostic(Kind.SPIKES, tuple(spiked), {"share": max(spiked.values())})
     for name, line in found.lines.items():
         yield Diagnostic(Kind.LINE, (name,), {"hz": line.hertz, "amplitude": line.amplitude, "unit": line.unit})
+
+
+def _unexplained(found: Misfit) -> Iterator[Diagnostic]:
+    """Readings whose residuals nothing explains, the least likely first: those faster than smoothing passes apart."""
+    fast = [name for name in found.fast if name in found.alarmed or found.excess[name] > LARGE]
+    for name in sorted(fast, key=lambda name: -found.excess[name]):
+        yield Diagnostic(Kind.FASTER_THAN_SMOOTHING, (name,), {
+            "ratio": found.excess[name], **found.fast[name]._asdict()})
+    slow = sorted(set(found.alarmed) - set(fast), key=lambda name: (found.before[name], -found.excess[name]))
+    if slow:
+        first, *others = slow
+        yield Diagnostic(Kind.LACK_OF_FIT, tuple(slow), {
+            "worst": first, "course": _COURSES[found.follows[first]], "ratio": found.excess[first],
+            "probability": found.before[first], "said": probability(found.before[first]),
+            "others": f"; those of {listed(others)}, too" if others else ""})
+
+
+_COURSES = {"time": "drift over the log", "position": "depend on the position of its joint",
+            "speed": "depend on its speed"}
+"""What residuals do that are not like noise over one of the courses."""
 
 
 def _remedy(fault: Fault) -> str:

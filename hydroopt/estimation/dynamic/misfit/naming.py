@@ -7,9 +7,9 @@ with LM = u²/i and τ its usual size. Everything after the whitening is algebra
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from scipy.special import gammaincc
@@ -17,7 +17,7 @@ from scipy.special import gammaincc
 from hydroopt.estimation.dynamic.misfit.blocks import COURSES, Columns, Data
 from hydroopt.estimation.dynamic.misfit.faults import Fault
 from hydroopt.estimation.dynamic.misfit.listed_faults import listed
-from hydroopt.estimation.dynamic.misfit.view import UNKNOWN, View
+from hydroopt.estimation.dynamic.misfit.spectrum import Fast, Line, faster, lines
 from hydroopt.results.tables import number
 from hydroopt.spatial.inertia import Array
 
@@ -36,8 +36,6 @@ MOST, LARGEST = 2, 10.0
 beyond, the prior by which its evidence is weighed would itself be refuted."""
 AGREE, SEEN = 0.5, 1.64
 """Both halves show a fault: sizes agree within this part of their mean or 2 standard deviations, each beyond `SEEN`."""
-SLOWEST_LINE, CLEAR = 3.0, 1e-6
-"""Lines are looked for above this frequency [Hz]; probability below which one is no noise."""
 REFITS = 8
 """Candidates whose effect is followed beyond its derivative."""
 
@@ -74,14 +72,6 @@ class Cause:
                 "repeats": self.repeats, "not_told_apart": [other.name for other in self.tied]}
 
 
-class Line(NamedTuple):
-    """An oscillation in a reading's residuals: frequency [Hz], amplitude and its unit."""
-
-    hertz: float
-    amplitude: float
-    unit: str
-
-
 @dataclass(frozen=True, eq=False)
 class Misfit:
     """What a test of fit found.
@@ -94,6 +84,9 @@ class Misfit:
         noise: ratio of each reading's white noise to what its sensors state; NaN where nothing is stated.
         spikes: share of each reading's samples that are far off their neighbours.
         lines: oscillations by reading, faster than the motion.
+        follows: over what each reading's residuals are least like noise, one of `COURSES`.
+        excess: RMS of each reading's residuals as a multiple of what noise and errors of the motion add.
+        fast: readings whose residuals are mostly faster than what smoothing passes.
     """
 
     before: Mapping[str, float]
@@ -103,6 +96,9 @@ class Misfit:
     noise: Mapping[str, float]
     spikes: Mapping[str, float]
     lines: Mapping[str, Line]
+    follows: Mapping[str, str]
+    excess: Mapping[str, float]
+    fast: Mapping[str, Fast]
 
     @property
     def alarmed(self) -> tuple[str, ...]:
@@ -128,7 +124,6 @@ class Misfit:
     def causes(self) -> tuple[Cause, ...]:
         """The faults that may be named: together they explain the misfit, and each repeats."""
         return self.found if self.explained and all(cause.repeats for cause in self.found) else ()
-
 
     def as_dict(self) -> dict[str, Any]:
         """The entry of a JSON file; sizes as printed, in the unit of each fault."""
@@ -186,6 +181,10 @@ class Search:
 
     def lack_of_fit(self) -> dict[str, float]:
         """Probability of the slow residuals of each reading if nothing but the chosen faults were there."""
+        return {name: min(1.0, len(COURSES) * min(p.values())) for name, p in self.by_course().items()}
+
+    def by_course(self) -> dict[str, dict[str, float]]:
+        """The same over each of `COURSES`."""
         held, residual = self.present()
         every, names = np.ones(len(self.data.blocks), dtype=bool), self.data.views[0].names
         table = _without(self.projected([*held, self.data.cosines], residual, every, 0.01), len(self.chosen))
@@ -193,8 +192,7 @@ class Search:
         ends = np.cumsum(tests).tolist()
         p = [_of_noise(table[end - count : end, end - count : end], table[end - count : end, -1])
              for end, count in zip(ends, tests, strict=True)]
-        least = np.min(np.reshape(p, (len(names), len(COURSES))), axis=1)
-        return dict(zip(names, np.minimum(1.0, len(COURSES) * least).tolist(), strict=True))
+        return {name: dict(zip(COURSES, p[k * len(COURSES) :], strict=False)) for k, name in enumerate(names)}
 
     def step(self) -> tuple[Cause, ...]:
         """The faults that explain most of what is left, the likeliest first; none where nothing is shown."""
@@ -327,6 +325,7 @@ def examine_fit(data: Data) -> Misfit:
     view = data.views[0]
     search = Search(data, list(listed(view)))
     before = search.lack_of_fit()
+    follows = {name: min(p, key=lambda over: p[over]) for name, p in search.by_course().items()}
     smallest = search.smallest()
     steps: list[tuple[Cause, ...]] = []
     while len(steps) < MOST and (shown := search.step()):
@@ -341,32 +340,12 @@ def examine_fit(data: Data) -> Misfit:
         search = search.settled()
         found, after = search.judged(steps), search.lack_of_fit()
     ratio = np.mean([one.noise / one.stated_noise for one in data.views], axis=0)
-    lines = {name: line for one in data.views for name, line in _lines(one)}
     spikes = np.mean([one.spike_share for one in data.views], axis=0)
-    return Misfit(before, after, found, smallest, dict(zip(view.names, ratio.tolist(), strict=True)),
-                  dict(zip(view.names, spikes.tolist(), strict=True)), lines)
+    excess = np.mean([one.excess for one in data.views], axis=0)
 
+    def by_name(values: Array) -> dict[str, float]:
+        return dict(zip(view.names, values.tolist(), strict=True))
 
-def _lines(view: View) -> Iterator[tuple[str, Line]]:
-    """Frequencies that stand out of the residuals' spectrum (Fisher's test), faster than the motion."""
-    motion = view.motion
-    longest = int(np.argmax(np.bincount(motion.segment - motion.segment[0]))) + motion.segment[0]
-    at = np.flatnonzero((motion.segment == longest) & motion.interior)
-    if at.size < 64:
-        return
-    step = float(np.median(np.diff(motion.t[at])))
-    hertz = np.fft.rfftfreq(at.size, step)
-    fast = hertz > max(SLOWEST_LINE, 2 * float(np.max(view.motion.bandwidth)))
-    if np.sum(fast) < 16:
-        return
-    units = (*view.model.force_units, *["m"] * len(view.lengths))
-    for k, name in enumerate(view.names):
-        if not view.read[k]:
-            continue
-        r = np.where(view.taken[at, k], view.residual[at, k], 0.0)
-        power = np.abs(np.fft.rfft(r - r.mean())[fast]) ** 2
-        top = int(np.argmax(power))
-        excess = power[top] * np.log(2) / max(float(np.median(power)), 1e-300)
-        amplitude = float(2 * np.sqrt(power[top]) / at.size)
-        if excess > np.log(power.size / CLEAR) and amplitude > UNKNOWN * view.of_motion[k]:  # of exponential powers
-            yield name, Line(float(hertz[fast][top]), amplitude, units[k])
+    return Misfit(before, after, found, smallest, by_name(ratio), by_name(spikes),
+                  {name: line for one in data.views for name, line in lines(one)}, follows, by_name(excess),
+                  {name: fast for one in data.views for name, fast in faster(one)})

@@ -155,6 +155,13 @@ class View:
         """Share (c,) of the usable readings that are spikes."""
         return np.asarray(np.sum(self.usable & self.spikes, axis=0) / np.maximum(np.sum(self.usable, axis=0), 1))
 
+    @property
+    def excess(self) -> Array:
+        """RMS (c,) of the residuals that take part, as a multiple of what noise and errors of the motion add."""
+        squares = np.sum(np.where(self.taken, self.residual, 0.0) ** 2, axis=0)
+        expected = np.hypot(self.noise, self.of_motion)
+        return np.asarray(np.sqrt(squares / np.maximum(self.taken.sum(axis=0), 1)) / expected)
+
     @cached_property
     def stated_noise(self) -> Array:
         """Standard deviation (c,) of the readings that the machine file states; NaN where it states none."""

@@ -1,0 +1,101 @@
+"""Sensors that are stuck, scatter or exceed relief pressure are named; sound ones, at rest or saturated, are not."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from hydroopt.checks.plausibility import examine
+from hydroopt.checks.sensors import beyond_sensors, stuck_sensors
+from hydroopt.estimation.dynamic.identify import identify
+from hydroopt.estimation.dynamic.log_check import check_logs
+from hydroopt.estimation.dynamic.problem import identification_problem
+from hydroopt.logs.log import Log
+from hydroopt.machine.machine_file import load_machine
+from hydroopt.model.model import Model
+from hydroopt.results.wording import Kind
+from hydroopt.simulation.simulate import random_trajectory, random_truth, simulate
+
+PRESSURES = [("cat215b", "boom_cylinder.p_head"), ("cat215b", "boom_cylinder.p_rod"), ("cat215b", "swing_motor.p_a"),
+             ("wheel_loader", "tilt_cylinder.p_head"), ("wheel_loader", "lift_cylinder.p_rod")]
+
+
+def sound(name: str, seed: int = 1) -> tuple[Model, Log]:
+    model = Model(load_machine(name))
+    motion = random_trajectory(model, duration=20.0, rate=50.0, seed=seed)
+    return model, simulate(model, motion, random_truth(model, seed), seed=seed)
+
+
+def changed(log: Log, channel: str, values: np.ndarray) -> Log:
+    return replace(log, channels={**log.channels, channel: values})
+
+
+def held(x: np.ndarray, start: int, stop: int) -> np.ndarray:
+    made = x.copy()
+    made[start:stop] = made[start]
+    return made
+
+
+@pytest.mark.parametrize(("name", "channel"), PRESSURES)
+@pytest.mark.parametrize("span", [(500, 1000), (0, 500), (300, 450)])
+def test_a_stuck_pressure_is_named_first(name: str, channel: str, span: tuple[int, int]) -> None:
+    model, log = sound(name)
+    stuck = changed(log, channel, held(log.channels[channel], *span))
+    found = check_logs(model, [stuck])
+    assert found.status == "suspect"
+    (first,) = found.contradictions
+    assert (first.kind, first.subject) == (Kind.SENSOR_STUCK, (channel,))
+    assert found.verdict.cause.startswith(f"{channel} is stuck at ")
+    assert first.evidence["share"] == pytest.approx((span[1] - span[0]) / log.size, abs=0.01)
+
+
+def test_the_answer_names_the_stuck_sensor_first() -> None:
+    model, log = sound("wheel_loader")
+    stuck = changed(log, "lift_cylinder.p_head", held(log.channels["lift_cylinder.p_head"], 500, 1000))
+    answer = identify(identification_problem(model, [stuck]), intervals=False)
+    assert answer.status == "suspect"
+    assert answer.diagnostics[0].subject == ("lift_cylinder.p_head",)
+    assert answer.content()["verdict"]["cause"].startswith("lift_cylinder.p_head is stuck at ")
+
+
+@pytest.mark.parametrize("name", ["cat215b", "wheel_loader", "ur10", "forestry_crane"])
+def test_sound_sensors_are_left_in_peace(name: str) -> None:
+    for seed in (1, 2, 3):
+        model, log = sound(name, seed)
+        assert not list(stuck_sensors(model.machine, log, "run"))
+        assert not list(beyond_sensors(model.machine, log, "run"))
+
+
+def test_rest_clipping_and_coarse_steps_are_no_stuck_sensor() -> None:
+    model, log = sound("cat215b")
+    head = log.channels["boom_cylinder.p_head"]
+    at_rest = {name: held(x, 400, 800) for name, x in log.channels.items()}
+    empty = np.maximum(head - np.quantile(head, 0.5), 0.0)
+    coarse = 2e6 * np.round(head / 2e6)
+    for sane in (replace(log, channels=at_rest), changed(log, "boom_cylinder.p_head", empty),
+                 changed(log, "boom_cylinder.p_head", coarse)):
+        assert not list(stuck_sensors(model.machine, sane, "run"))
+
+
+@pytest.mark.parametrize(("name", "channel"), PRESSURES)
+def test_a_pressure_ten_times_too_large_is_named_with_its_unit(name: str, channel: str) -> None:
+    model, log = sound(name)
+    found = examine(model, changed(log, channel, 10.0 * log.channels[channel]))
+    assert channel in found[0].subject
+    assert found[0].kind in (Kind.LOG_MISREAD, Kind.SENSOR_SCATTERS)
+    assert "bar where MPa is stated" in found[0].evidence["reading"]
+
+
+def test_noise_five_times_as_stated_and_pressures_beyond_relief_are_named() -> None:
+    model, log = sound("cat215b")
+    rng, rod = np.random.default_rng(0), "boom_cylinder.p_rod"
+    sensor = model.machine.sensor(rod)
+    assert sensor is not None
+    noisy = changed(log, rod, log.channels[rod] + 8 * sensor.std * rng.standard_normal(log.size))
+    (found,) = beyond_sensors(model.machine, noisy, "run")
+    assert (found.kind, found.subject) == (Kind.SENSOR_SCATTERS, (rod,))
+    assert found.evidence["ratio"] == pytest.approx(np.hypot(8, 1), rel=0.1)
+    (found,) = beyond_sensors(model.machine, changed(log, rod, log.channels[rod] + 6e7), "run")
+    assert (found.kind, found.subject) == (Kind.BEYOND_RELIEF, (rod,))
