@@ -20,8 +20,7 @@ UNITS: Mapping[str, Mapping[str, float]] = {
                  "MPa where bar is stated": 10.0, "kPa where bar is stated": 0.01, "bar where kPa is stated": 100.0,
                  "kPa where MPa is stated": 1e-3, "psi where bar is stated": 0.06894757,
                  "bar where psi is stated": 14.50377},
-    "effort": {"thousand times its unit": 1e3, "a thousandth of its unit": 1e-3, "kgf or kgf*m": 9.80665,
-               "N or N*m where kgf or kgf*m is stated": 1 / 9.80665},
+    "effort": {"thousand times its unit": 1e3, "a thousandth of its unit": 1e-3},
 }
 """Factors that mistaken units make, by the kind of channel."""
 PRESSURES = (3e5, 1e8)

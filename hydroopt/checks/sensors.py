@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from hydroopt.checks.alternatives import UNITS
+from hydroopt.logs.channels import is_force
 from hydroopt.logs.dead_channels import position_ranges
 from hydroopt.logs.log import Log
 from hydroopt.logs.quality import frozen
@@ -93,10 +94,11 @@ def _movers(machine: Machine, log: Log) -> Mapping[str, tuple[str, ...]]:
 
 
 def _scattering(machine: Machine, log: Log, where: str) -> Iterator[Diagnostic]:
-    """Channels that scatter from sample to sample far more than stated, with the unit that would explain it."""
+    """Forces that scatter from sample to sample far more than stated, with the unit that would explain it; positions
+    are not judged, whose motion is as large as that between two samples."""
     for sensor in machine.sensors:
         ratios = {channel: noise(log.channels[channel], log.segment) / sensor.std for channel in sensor.channels
-                  if channel in log.channels and sensor.std > 0}
+                  if channel in log.channels and is_force(channel) and sensor.std > 0}
         for channel, ratio in ratios.items():
             if ratio > SCATTER:
                 others = [other for name, other in ratios.items() if name != channel]
