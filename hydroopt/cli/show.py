@@ -202,7 +202,7 @@ def _table(title: str, rows: list[dict[str, Any]], *, short: bool = False) -> Ta
                   box=box.SIMPLE_HEAD if short else box.HEAVY_HEAD, show_edge=not short)
     for key in rows[0]:
         table.add_column(escape(key), no_wrap=short and key not in summary.WRAPPED,
-                         overflow="ellipsis" if short else "fold")
+                         overflow="ellipsis" if short and key not in summary.WRAPPED else "fold")
     for row in rows:
         table.add_row(*[f"{v:.6g}" if isinstance(v, float) else escape(str(v)) for v in row.values()])
     return table

@@ -17,7 +17,7 @@ WORDS = {
              "elapsed", "runtime", "laufzeit", "messzeit", "temps", "tiempo", "aika", "tid", "jikan"),
     "boom": ("ausleger", "hubarm", "mainboom"), "stick": ("arm", "dipper", "stiel", "loeffelstiel", "dipperstick"),
     "bucket": ("loeffel", "schaufel", "attachment"),
-    "swing": ("slew", "drehwerk", "oberwagen", "schwenk", "house", "cab"),
+    "swing": ("slew", "drehwerk", "oberwagen", "schwenk", "schwenkwerk", "house", "cab"),
     "lift": ("hub", "heben"), "tilt": ("kipp", "kippen"), "extension": ("ausschub", "teleskop", "telescope"),
     "cylinder": ("cyl", "zylinder", "zyl"), "motor": ("drive", "antrieb"), "pump": ("pumpe",),
     "angle": ("winkel", "ang", "q", "pos", "position", "enc", "encoder", "resolver", "theta", "phi",

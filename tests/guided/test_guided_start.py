@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 import pytest
 
+from hydroopt import identification_problem, random_trajectory, random_truth, simulate, solve
 from hydroopt.guided.drawing import HEIGHT, WIDTH, page, terminal
 from hydroopt.guided.kinds import KINDS
 from hydroopt.guided.machine_text import machine_text
@@ -17,6 +18,8 @@ from hydroopt.guided.side_geometry import MARGIN, STOP
 from hydroopt.guided.sketch import Sketch
 from hydroopt.machine.machine_file import load_machine, read_machine
 from hydroopt.model.model import Model
+from hydroopt.results.status import Status
+from hydroopt.results.verdict import Purpose, Usable
 
 
 def answered(kind: str, **given: str) -> Sketch:
@@ -251,3 +254,17 @@ def test_a_wrong_dimension_of_a_bucket_linkage_is_named(wrong: dict[str, str], s
         excavator(taped() | wrong)
     assert said in str(refused.value)
     assert "it must lie between" in str(refused.value)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("kind", ["excavator", "loader", "crane"])
+def test_a_machine_of_the_guided_start_is_identified_from_its_first_log(kind: str) -> None:
+    """Its wide confidences of slender bodies made sampling slow, which was taken for a failure of every answer."""
+    machine = read_machine(machine_text(answered(kind)))
+    model = Model(machine)
+    motions = [random_trajectory(model, duration=40, rate=25, seed=seed) for seed in (1, 2)]
+    truth = random_truth(model, seed=3)
+    train, unseen = (simulate(model, motion, truth, seed=k) for k, motion in enumerate(motions))
+    estimate = solve(identification_problem(machine, [train], [unseen]))
+    assert estimate.status is Status.OK
+    assert any(use.usable is Usable.YES for use in estimate.uses if use.purpose is Purpose.FORCES)

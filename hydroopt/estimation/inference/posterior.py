@@ -43,8 +43,9 @@ BATCHES = 0, 1, 3, TRIES
 """Proposals are evaluated in these parts, the later ones for the chains that still wait."""
 
 DRIFT, MEMORY, ROUNDS = 0.5, 0.5, 8
-"""Chains have settled when, over half a warm-up, their mean moves by less than this many of its standard deviations and
-their places correlate by less than this, in every coordinate; they are given this many warm-ups."""
+"""Chains have settled when, over the later half of all sweeps so far, their mean moves by less than this many of its
+standard deviations and their places correlate by less than this, in every coordinate; they are given this many
+warm-ups. Slow chains, those of slender bodies with widely uncertain centres of mass, need some of them."""
 WIDER = 1.2
 """Width of the Gaussian that stands in, over that of the chains: one that is too narrow never leaves their tails."""
 NEARER = 0.8
@@ -105,19 +106,20 @@ def sample(problem: InferenceProblem, R: Array, r: Array, psi: Array, *, consist
     inside = interior(inner, gaussian.root, gaussian.right, inequalities.matrices, inequalities.single)
     rng = np.random.default_rng(seed)
     chains = _Chains.standing_in(inequalities.about(inside), rng)
-    settled = False
-    for _ in range(ROUNDS):
+    settled, earlier = False, list[Array]()
+    for warm_ups in range(1, ROUNDS + 1):
         for _ in range(2):
             chains = chains.refitted()
-            before = chains.state.copy()
+            earlier.append(chains.parameters)
             for _ in range(WARM_UP // 2):
                 chains.sweep(rng)
-        settled = _settled(before, chains.state)
+        settled = _settled(chains.states(earlier[warm_ups]), chains.state)
         if settled:
             break
     kept = []
-    for _ in range(SWEEPS):
-        chains.sweep(rng)
+    for _ in range(SWEEPS):  # as far apart as it takes these chains to forget their places
+        for _ in range(warm_ups if settled else 1):
+            chains.sweep(rng)
         kept.append(chains.parameters)
     samples = np.concatenate(kept)
     mean = (samples.mean(axis=0) - gaussian.offset) / scale
@@ -154,6 +156,12 @@ class _Chains:
         """ψ (c, p)."""
         gaussian = self.inequalities.gaussian
         return np.asarray(gaussian.offset + (gaussian.slope @ self.state).T)
+
+    def states(self, parameters: Array) -> Array:
+        """States (k, c) of other places ψ (c, p) in the coordinates of these chains."""
+        gaussian, scale = self.inequalities.gaussian, self.inequalities.scale
+        return np.asarray(np.linalg.lstsq(gaussian.slope / scale[:, None],
+                                          ((parameters - gaussian.offset) / scale).T, rcond=None)[0])
 
     def refitted(self) -> _Chains:
         """The same chains about a Gaussian with their mean, and wider where they are, so that they move far."""
@@ -208,6 +216,7 @@ class _Inequalities:
         self.start = gradient @ gaussian.offset - np.concatenate([right, *(c.right for c in linear)])
         self._user = user
         self.gaussian = gaussian
+        self.scale = problem.parameters.scale
         self.inside = inside
         self._ratio = inside.ratio
 

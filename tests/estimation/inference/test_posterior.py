@@ -11,10 +11,16 @@ from scipy.stats import truncnorm, wishart
 from hydroopt.estimation.dynamic.estimate import Estimate
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.problem import IdentificationProblem, identification_problem
+from hydroopt.estimation.inference import posterior
 from hydroopt.estimation.inference.posterior import _pivots, sample
+from hydroopt.guided.kinds import KINDS
+from hydroopt.guided.machine_text import machine_text
+from hydroopt.guided.sketch import Sketch
 from hydroopt.logs.log import Log
 from hydroopt.logs.smoothing import Fourier
+from hydroopt.machine.machine_file import read_machine
 from hydroopt.model.model import Model
+from hydroopt.simulation.simulate import random_trajectory, random_truth, simulate
 
 NAMES = ("drive.tau_offset", "drive.tau_coulomb", "drive.tau_viscous", "drive.rotor_inertia")
 
@@ -186,3 +192,30 @@ def test_an_active_inequality_keeps_its_intervals(noisy: IdentificationProblem, 
     assert "light" in cut.active
     assert np.isfinite(cut.std[cut.problem.parameters.index("boom.m")])
     assert cut["boom.m"].value + cut["stick.m"].value < limit
+
+
+@pytest.mark.slow
+def test_slow_chains_have_the_spread_of_ones_that_run_long(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Slender bodies whose centres of mass are widely uncertain: few warm-ups against thirty, with twenty times the
+    samples."""
+    sketch = Sketch(KINDS["loader"], {})
+    while (question := sketch.open) is not None:
+        sketch = sketch.answered(question, "")
+    model = Model(read_machine(machine_text(sketch)))
+    log = simulate(model, random_trajectory(model, duration=40, rate=25, seed=31), random_truth(model, seed=3), seed=1)
+    problem = identification_problem(model.machine, [log])
+    found = identify(problem).posterior
+    assert found is not None
+    assert found.converged
+    monkeypatch.setattr(posterior, "ROUNDS", 30)
+    monkeypatch.setattr(posterior, "SWEEPS", 400)
+    monkeypatch.setattr(posterior, "MEMORY", -1.0)
+    long = identify(problem).posterior
+    assert long is not None
+    spread = long.samples.std(axis=0)
+    moving = spread > 0
+    assert np.mean(found.samples.std(axis=0)[moving] / spread[moving]) == pytest.approx(1, abs=0.03)
+    low, high = found.interval()[1][moving].T
+    inside = np.mean((long.samples[:, moving] >= low) & (long.samples[:, moving] <= high), axis=0)
+    assert np.mean(inside) == pytest.approx(0.95, abs=0.01)
+    assert np.min(inside) > 0.9
