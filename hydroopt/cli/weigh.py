@@ -24,7 +24,10 @@ from hydroopt.cli.options import (
 )
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
     from hydroopt.model.model import Model
+    from hydroopt.weighing.weighing import Weighing
 
 
 def weigh(
@@ -55,6 +58,11 @@ def weigh(
     known_sigma: Annotated[str, typer.Option(help="Standard deviation of known masses.")] = "2 kg",
     needed: Annotated[str | None, typer.Option(help=(
         "Half of the 95 % interval above which a mass is too uncertain; 2 % of the full scale if not given."))] = None,
+    code: Annotated[bool, typer.Option("--code", help=(
+        "Also write the scale as C to DIR/c, for a controller that samples as the log does."))] = False,
+    float32: Annotated[bool, typer.Option("--float32", help="Single precision throughout the C.")] = False,
+    sizes: Annotated[bool, typer.Option("--sizes", help="State in its README.md how much stack and flash it takes."
+                                        )] = False,
     map_file: MapFile = None,
     treat: Treat = None,
     parameter_set: ParameterSetName = None,
@@ -65,6 +73,7 @@ def weigh(
 
     Example: hydroopt weigh cat215b work.csv --calibration out/crane --full-scale '2500 kg' -o out/loads
     """
+    from hydroopt.files import write_files
     from hydroopt.logs.log_files import read_log
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.model.model import Model
@@ -87,7 +96,8 @@ def weigh(
                        size(full_scale, "kg", "--full-scale"))
     uncertain = Uncertain(size(slope_sigma, "rad", "--slope-sigma"), load_friction,
                           size(zero_drift, "Pa", "--zero-drift"))
-    tilt = [size(text, "rad", option) if text else 0.0 for text, option in ((roll, "--roll"), (pitch, "--pitch"))]
+    tilt = [size(text, "rad", option) if text else stated for text, option, stated in (
+        (roll, "--roll", described.orientation[0]), (pitch, "--pitch", described.orientation[1]))]
     with progress(f"weighing with {described.name}", quiet) as say:
         steps = 3 + len(known or ())
         say("identifying the machine without load", 0.0)
@@ -103,8 +113,20 @@ def weigh(
         found = weighing.weigh(made, read([log])[0], tare=size(tare, "s", "--tare"),
                                needed=None if needed is None else size(needed, "kg", "--needed"))
         say("writing the report", (steps - 1) / steps)
+        files = _c_of(found, single=float32, measured=sizes, directory=output / "c") if code else {}
         found.save(output, pages={"report.html": render(found)}, wall_s=time.perf_counter() - began)
+        if files:
+            write_files(output / "c", files)
     print_answer(found, output, quiet=quiet, as_json=as_json)
+
+
+def _c_of(found: Weighing, *, single: bool, measured: bool, directory: Path) -> Mapping[str, str | bytes | None]:
+    """The scale that weighed as C."""
+    from hydroopt.codegen.scale_code import scale_code
+
+    made = scale_code(found.scale, found.equations.smoothed.kernel.step, needed=found.needed, single=single,
+                      measured=measured)
+    return made.files_for(directory)
 
 
 def _place(model: Model, link: str, text: str | None) -> tuple[float, float, float]:

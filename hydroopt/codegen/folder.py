@@ -17,6 +17,7 @@ from hydroopt.codegen.hosts import HOSTS, VALUES, Calls, templates
 from hydroopt.codegen.names import Names, prefix
 from hydroopt.codegen.parameter_source import Origin
 from hydroopt.codegen.routines import ROUTINES, DesignedMotion, Interface
+from hydroopt.codegen.scale_tables import FILES, ScaleTables
 from hydroopt.codegen.sizes import sizes
 from hydroopt.codegen.symbols import Field, Routine, Struct
 from hydroopt.errors import ProblemError
@@ -79,7 +80,8 @@ class Code:
 
     def __init__(self, machine: Machine, origin: Origin, *, routines: Sequence[str] = (), name: str | None = None,
                  single: bool = False, fold_geometry: bool = False, designed_motion: DesignedMotion | None = None,
-                 psi: Array | None = None, measured: bool = False, hosts: Sequence[str] = ()) -> None:
+                 psi: Array | None = None, measured: bool = False, hosts: Sequence[str] = (),
+                 scale: ScaleTables | None = None) -> None:
         self.interface = Interface(machine, fold_geometry=fold_geometry, designed_motion=designed_motion, psi=psi)
         self.name = (prefix(machine.name.lower(), where=machine.name) if name is None
                      else prefix(name, where="--prefix"))
@@ -88,6 +90,8 @@ class Code:
         self.type = "float" if single else "double"
         self.hosts = tuple(hosts)
         self.host_files = templates(hosts, self.name)
+        self.scale = scale
+        self.scale_files = {file.format(p=self.name): template for file, template in FILES.items()} if scale else {}
         self.routines = self.interface.chosen(routines)
         self.missing = self._missing(routines)
         """What this machine has not, by reason: routines, unless some are named, and members of their results."""
@@ -150,6 +154,12 @@ class Code:
         return hashlib.sha256(made.encode()).hexdigest()[:8]
 
     @property
+    def scale_digest(self) -> str:
+        """What header, source and parameters of the scale must have in common."""
+        templates = (self._source(template) for template in FILES.values())
+        return self.scale.digest(self.digest, *templates) if self.scale else ""
+
+    @property
     def used(self) -> dict[str, Struct]:
         """The structs that the routines need."""
         names = {"params"}
@@ -181,13 +191,17 @@ class Code:
                  f"{self.name}_params.h": self._render("params.h")}
         for file, names in parts.items():
             files[file] = self._render("source.c", names=names, prepares=file == f"{self.name}.c")
+        files |= {file: self._render(template, scale_digest=f"0x{self.scale_digest}UL")
+                  for file, template in self.scale_files.items()}
         progress("measuring stack, flash and instructions" if self.measured else "computing the self-test", 0.6)
         files[f"{self.name}_selftest.c"] = self._render("selftest.c", **self_test.vectors(
             self.interface, self.function, self.keys, single=self.single))
         needs = sizes(files | self.bench, single=self.single) if self.measured else []
-        sources = sorted((*parts, *(name for name in self.host_files if name == VALUES.format(p=self.name))))
+        sources = sorted((*parts, *(name for name in self.host_files if name == VALUES.format(p=self.name)),
+                          *(name for name in self.scale_files if name.endswith(".c"))))
         headers = (f"{self.name}.h", f"{self.name}_params.h",
-                   *(name for name in self.host_files if name.endswith(".hpp")))
+                   *(name for name in self.host_files if name.endswith(".hpp")),
+                   *(name for name in self.scale_files if name.endswith(".h")))
         return files | {
             **{name: self._render(template, sources=sources)
                for name, template in self.host_files.items() if template},
@@ -257,6 +271,9 @@ class Code:
         for routine in self.routines.values():
             table.append([f"`{routine.name}`", f"`{routine.takes}`: {', '.join(routine.reads)}", f"`{routine.gives}`",
                           _operations(self.programs_of_routines[routine.name])])
+        for name, reads in (("scale_start", "scale_params"), ("scale_update", "scale_sample")) if self.scale else ():
+            table.append([f"`{name}`", f"`{reads}`", "`scale`" if name == "scale_start" else "`scale_reading`",
+                          "see `tilted_regressor`"])
         return table
 
     def largest(self, name: str) -> float:
@@ -329,12 +346,17 @@ class Code:
             lambda name, k: f"params->{name}[{k}]", lambda _, k: f"constants->value[{k}] = {{}};",
             self.type, self.single, self.call))
 
+    def _source(self, template: str) -> str:
+        environment = _environment(self.single)
+        assert environment.loader is not None
+        return environment.loader.get_source(environment, template)[0]
+
     def _render(self, template: str, **more: object) -> str:
         return _environment(self.single).get_template(template).render(
             code=self, p=self.name, P=self.upper, kinds=KINDS, type=self.type, f="f" if self.single else "",
             gravity=[round(float(g), 6) + 0.0 for g in np.asarray(gravity_in_base(self.interface.machine)).ravel()],
             statuses=STATUSES, version=version(), licence=LICENCE, conventions=INTERFACE_VERSION,
-            hosts=HOSTS, calls=Calls(self.interface, self.routines), digest=f"0x{self.digest}UL",
+            hosts=HOSTS, scale=self.scale, calls=Calls(self.interface, self.routines), digest=f"0x{self.digest}UL",
             estimate=f"0x{self.origin.sha256[:8]}UL", **more)
 
 

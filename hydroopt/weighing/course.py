@@ -8,7 +8,9 @@ from enum import StrEnum
 
 import numpy as np
 
+from hydroopt.spatial.inertia import Array
 from hydroopt.weighing.equations import Equations
+from hydroopt.weighing.gaussian import Gaussian
 from hydroopt.weighing.recursion import Recursion, Weighed
 
 THRESHOLD = 30.0
@@ -77,17 +79,19 @@ def course(equations: Equations, *, tare: float, needed: float) -> Iterator[Read
     number = start = settled = 0
     changing, contradicted, resting = not taring, False, RESTING
     known = equations.scale.own
-    sought = Recursion(equations, known)
+    tared, sought = known, Recursion(equations, known)
     found = sought.solved()
     for i in range(len(equations.t)):
         if i < taring:
             sought.take(i, empty=True)
             found = sought.solved_empty()
-            known, contradicted, start = found.own_known, found.misfit > CONTRADICTED, i + 1
+            if i == taring - 1:
+                found = _tared(equations, known, i + 1, sought.own)
+            tared, contradicted, start = found.own_known, found.misfit > CONTRADICTED, i + 1
             yield Reading(i, found, 0, Weighable.CONTRADICTED if contradicted else Weighable.TARING, np.inf)
             continue
         if i == start:
-            sought = Recursion(equations, known, found.mass + found.change.size * changing)
+            sought = Recursion(equations, tared, found.mass + found.change.size * changing)
         noticeable = np.inf
         if i >= start:
             noticeable = sought.take(i)
@@ -109,6 +113,15 @@ def course(equations: Equations, *, tare: float, needed: float) -> Iterator[Read
         elif resting >= RESTING:
             status = Weighable.STANDSTILL
         yield Reading(i, found, number, status, noticeable)
+
+
+def _tared(equations: Equations, known: Gaussian, count: int, at: Array) -> Weighed:
+    """What the first samples tell of the scale, linearised where they led: slope times bodies is no small product."""
+    sought = Recursion(equations, known)
+    for i in range(count):
+        sought.own = at
+        sought.take(i, empty=True)
+    return sought.solved_empty()
 
 
 def _status(found: Weighed, rows: int, full_scale: float, needed: float) -> Weighable:

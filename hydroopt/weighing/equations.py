@@ -13,7 +13,7 @@ from hydroopt.weighing.scale import Scale, acting
 from hydroopt.weighing.smoothed_log import SmoothedLog
 
 LEAST = 1e-6
-"""Square of gravity's part along the base's z axis that is left at least [m²/s⁴]."""
+"""Square of gravity's part along that of the machine file that is left at least [m²/s⁴]."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -28,8 +28,8 @@ class Equations:
         sign: (M, r) see `SmoothedLog`; where it is 0 the equation is not used.
         rest: (M, r) measured less predicted force.
         K: (M, r, 1 + k + r + 10), 0 in its first column; G: (M, r, 1 + k + r + 10, 3).
-        by_motion: (M, r, 3, n, 11) derivatives of the force by q, q̇, q̈, without load and per number of it, times the
-            standard deviation of a position's reading.
+        by_motion: (M, r, 4, n, 11) derivatives of the force by q and its first three derivatives, without load and per
+            number of it, times the standard deviation of a position's reading.
     """
 
     scale: Scale
@@ -63,21 +63,21 @@ class Equations:
         return self.rest[i] - by_number @ x, np.hstack([by_number[:, 1:-10], by_tilt, by_number[:, -10:]])
 
     def noise_by_motion(self, i: int, phi: Array) -> Array:
-        """(r, 3, n) derivatives of sample i's forces by q, q̇, q̈ with a load φ, per noise of each joint's readings."""
+        """(r, 4, n) derivatives of sample i's forces by the motion with a load φ, per noise of a position."""
         return np.asarray(self.by_motion[i] @ np.concatenate([[1.0], phi]))
 
     def _gravity(self, own: Array) -> tuple[Array, Array]:
         """Gravity (3,) less that of the machine file, for the scale's own unknowns (c,), and its derivatives (3, 2)."""
-        nominal = self.scale.gravity
-        x, y = own[-2:]
-        z = (np.sign(nominal[2]) or -1.0) * np.sqrt(max(float(nominal @ nominal) - x**2 - y**2, LEAST))
-        return np.array([x, y, z]) - nominal, np.array([[1.0, 0.0], [0.0, 1.0], [-x / z, -y / z]])
+        nominal, axes, across = self.scale.gravity, self.scale.axes, own[-2:]
+        along = np.sqrt(max(float(nominal @ nominal - across @ across), LEAST))
+        return (np.array([*across, along]) @ axes - nominal,
+                axes[:2].T - np.outer(axes[2], across / along))
 
 
 def equations(scale: Scale, smoothed: SmoothedLog) -> Equations:
     """The equations of smoothed samples for a scale."""
     model, psi, M = scale.model, scale.psi, len(smoothed)
-    n, r = smoothed.q.shape[1], smoothed.force.shape[1]
+    r = smoothed.force.shape[1]
     parts = [(share, smoothed.motion(tau)) for tau, share in smoothed.kernel.nodes]
     K, predicted = (sum(share * each for (share, _), each in zip(parts, some, strict=True)) for some in zip(*(
         model.over(model.linearised, *at, psi) for _, at in parts), strict=True))
@@ -89,7 +89,10 @@ def equations(scale: Scale, smoothed: SmoothedLog) -> Equations:
     seen[:, :, 1 + k : 1 + k + r] += np.eye(r) * rubbing[:, :, None]
     heavy = sum(share * model.over(model.gravity_regressor, at[0])[0] for share, at in parts)
     G = (heavy @ numbers).reshape(M, 3, r, -1).transpose(0, 2, 3, 1)
-    by_motion = np.stack([np.concatenate(model.over(model.force_by_motion, *smoothed.motion(0.0), column), axis=2)
-                          for column in (psi, *scale.carried.T)], axis=3)
+    by_motion = np.zeros((M, r, 4, smoothed.q.shape[1], 11))
+    for tau, share in smoothed.kernel.nodes:
+        for k, column in enumerate((psi, *scale.carried.T)):
+            by = np.stack(model.over(model.force_by_motion, *smoothed.motion(tau), column), axis=2)
+            by_motion[..., k] += share * np.einsum("mrxn,xd->mrdn", by, smoothed.kernel.at_node(tau))
     return Equations(scale, smoothed, smoothed.force - predicted[:, :, 0], seen, np.ascontiguousarray(G),
-                     (by_motion * np.tile(scale.angle_std, 3)[:, None]).reshape(M, r, 3, n, 11))
+                     by_motion * scale.angle_std[:, None])

@@ -137,6 +137,8 @@ class Recursion:
         self._table: Array = np.zeros((c + 10, c + 10 + 1 + RECENT))
         self._table[:c, :c], self._table[:c, c + 10] = known.root, known.right
         self._products = np.zeros((1 + RECENT, 2))
+        # mean squares of the residuals after each of the last samples: those of before a change widen its errors
+        self._before = np.zeros(RECENT + 1)
         # of the last samples: whitened rows, their errors' derivatives, and the factor of their covariance
         self._white = np.zeros((lags * r, self._table.shape[1]))
         self._by = np.zeros((lags, r, *equations.by_motion.shape[2:4]))
@@ -167,6 +169,7 @@ class Recursion:
         self._table = triangle[: c + 10]
         self._products += _products(triangle[c + 10 :, c + 10 :])
         self.rows += int(used.sum())
+        self._before[1:], self._before[0] = self._before[:-1].copy(), self._products[0, 0] / max(self.rows, 1)
         with np.errstate(divide="ignore"):
             return float(np.min(SHOWN * noise[used] / np.abs(J[used, c]), initial=np.inf))
 
@@ -223,8 +226,7 @@ class Recursion:
         ratios = [along**2 / size if size > 0 else 0.0 for size, along in changes]
         ago = int(np.argmax(ratios))
         size, along = changes[ago]
-        # errors that the change does not explain widen it
-        change = Change(float(ratios[ago] / max(1.0, (rest - ratios[ago]) / max(self.rows, 1))), ago,
+        change = Change(float(ratios[ago]) / max(1.0, self._before[-1]), ago,
                         float(along / size) if size > 0 else 0.0)
         return Weighed(self.own, Gaussian(root, right), float(np.sqrt(rest / max(self.rows, 1))), change)
 

@@ -85,8 +85,8 @@ class Scale:
     """An identified machine that weighs; `scale` makes one, `learned` refines it.
 
     Its own unknowns are, in this order: k numbers of the model, in directions that are independent and standard normal
-    after the calibration; the friction of r balances per force; two components of gravity [m/s²] along the base's x
-    and y.
+    after the calibration; the friction of r balances per force; two components of gravity [m/s²] across that of the
+    machine file, along the base's x and y where z points up.
 
     Attributes:
         model: of the machine.
@@ -123,6 +123,11 @@ class Scale:
         """(3,) that of the machine file in the base frame [m/s²]."""
         return np.asarray(gravity_in_base(self.model.machine)).ravel()
 
+    @cached_property
+    def axes(self) -> Array:
+        """(3, 3): unit vectors in the base frame, two across the machine file's gravity and one along it."""
+        return _axes(self.gravity)
+
     @property
     def count(self) -> int:
         """Number of its own unknowns."""
@@ -135,7 +140,8 @@ class Scale:
         """
         std = self.uncertain.slope if std is None else std
         size = float(np.linalg.norm(self.gravity))
-        mean = size * np.array([np.sin(pitch), -np.sin(roll) * np.cos(pitch)])
+        mean = self.axes[:2] @ (size * np.array([np.sin(pitch), -np.sin(roll) * np.cos(pitch),
+                                                 -np.cos(roll) * np.cos(pitch)]))
         tilt = slice(self.count - 2, self.count)
         return replace(self, tilt=(roll, pitch, std),
                        own=self.own.without(tilt).and_independent(mean, np.full(2, size * std)))
@@ -177,22 +183,33 @@ def scale(machine: Model | GivenMachine, calibration: Log | Sequence[Log] | str 
                            remedy="state [[sensors]] with 'accuracy' for angles and pressures")
     trials = [random_trajectory(model, duration=TRIAL_DURATION, rate=TRIAL_RATE, seed=seed) for seed in range(TRIALS)]
     K = model.over(model.linearised, trials[0].q, trials[0].qd, trials[0].qdd, found.offset)[0]
-    G = model.over(model.gravity_regressor, trials[0].q)[0].reshape(len(K), 3, *K.shape[1:])[:, :2]
+    G = model.over(model.gravity_regressor, trials[0].q)[0].reshape(len(K), 3, *K.shape[1:])
     driven = trials if logs is None else [Trajectory(
         np.concatenate([each.t for each in logs]), np.concatenate([each.q for each in logs]),
         np.concatenate([each.qd for each in logs]), np.concatenate([each.qdd for each in logs]))]
     taken = np.array([_taken_for_friction(model, known, found, motion) for motion in driven])
     scatter = uncertain.load_friction * np.concatenate([*(taken - taken.mean(axis=0))], axis=1) / np.sqrt(len(taken))
     slope = np.hstack([found.slope, _drifts(model, uncertain.zero_drift), scatter])
-    tilted = machine.gravity * STEEP * np.moveaxis(G, 1, 0)
+    across = _axes(np.asarray(gravity_in_base(machine)).ravel())[:2]
+    tilted = machine.gravity * STEEP * np.einsum("ac,mcrp->amrp", across, G)
     directions = _reduced(np.concatenate([K, *tilted]), slope, force_std)
     r, size = len(machine.balances), machine.gravity
     own = Gaussian.independent(
-        np.concatenate([np.zeros(directions.shape[1] + r), np.asarray(gravity_in_base(machine)).ravel()[:2]]),
+        np.zeros(directions.shape[1] + r + 2),
         np.concatenate([np.ones(directions.shape[1]), np.full(r, uncertain.load_friction),
                         np.full(2, size * uncertain.slope)]))
     return Scale(model, found.offset, directions, taken.mean(axis=0), load, own, uncertain, angle_std, force_std,
                  (*machine.orientation[:2], uncertain.slope))
+
+
+def _axes(gravity: Array) -> Array:
+    """(3, 3): unit vectors, two across gravity (3,), near coordinate axes, and one along it."""
+    down = gravity / np.linalg.norm(gravity)
+    across = np.eye(3)[np.sort(np.argsort(np.abs(down), kind="stable")[:2])]
+    first = across[0] - (across[0] @ down) * down
+    first /= np.linalg.norm(first)
+    second = across[1] - (across[1] @ down) * down - (across[1] @ first) * first
+    return np.stack([first, second / np.linalg.norm(second), down])
 
 
 def acting(model: Model, q: Array, sign: Array) -> Array:

@@ -51,9 +51,8 @@ class SmoothedLog:
 
     def motion(self, tau: float) -> tuple[Array, Array, Array]:
         """The cubic motion (M, n) at a time from each middle [s], whose mean under the kernel is q, qd, qdd."""
-        rest = (tau**2 - self.kernel.spread) / 2
-        return (self.q + self.qd * tau + self.qdd * rest + self.jerk * (tau**3 / 6 - self.kernel.spread * tau / 2),
-                self.qd + self.qdd * tau + self.jerk * rest, self.qdd + self.jerk * tau)
+        q, qd, qdd = np.tensordot(self.kernel.at_node(tau), np.stack([self.q, self.qd, self.qdd, self.jerk]), axes=1)
+        return q, qd, qdd
 
 
 def smoothed_log(model: Model, log: Log) -> SmoothedLog:

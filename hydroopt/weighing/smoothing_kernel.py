@@ -84,6 +84,13 @@ class SmoothingKernel:
         apart, share = math.sqrt(fourth / self.spread), self.spread**2 / (2 * fourth)
         return (-apart, share), (0.0, 1 - 2 * share), (apart, share)
 
+    def at_node(self, tau: float) -> Array:
+        """(3, 4): position, speed and acceleration at a time from the middle [s], by a smoothed sample's value and
+        derivatives: of the cubic whose mean under the kernel they are."""
+        rest = (tau**2 - self.spread) / 2
+        return np.array([[1.0, tau, rest, tau**3 / 6 - self.spread * tau / 2], [0.0, 1.0, tau, rest],
+                         [0.0, 0.0, 1.0, tau]])
+
     @property
     def _times(self) -> Array:
         return np.asarray(np.arange(-self.half, self.half + 1) * self.step)
@@ -99,9 +106,9 @@ class SmoothingKernel:
 
     @cached_property
     def covariance(self) -> Array:
-        """(L, 3, 3): covariance of a smoothed sample's value and first two derivatives with those of the l-th one
+        """(L, 4, 4): covariance of a smoothed sample's value and first three derivatives with those of the l-th one
         after it, per variance of a sample; zero from the L-th on."""
-        weights, size, made = self.weights[:3], self.weights.shape[1], []
+        weights, size, made = self.weights, self.weights.shape[1], []
         for shift in range(0, size, self.stride):
             made.append(weights[:, shift:] @ weights[:, : size - shift].T)
         return np.stack(made)

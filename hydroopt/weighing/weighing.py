@@ -81,6 +81,7 @@ class Weighing(Answer):
         log: that it weighed.
         equations: of the smoothed log.
         readings: what it showed at each smoothed sample.
+        needed: half of the 95 % interval [kg] above which a mass is too uncertain.
 
     Example:
         See `weigh`.
@@ -90,6 +91,7 @@ class Weighing(Answer):
     log: Log
     equations: Equations
     readings: tuple[Reading, ...]
+    needed: float
     job = Job.WEIGHING
 
     @property
@@ -253,8 +255,9 @@ def weigh(scale: Scale, log: Log, *, tare: float = 10.0, needed: float | None = 
         raise LogError("a scale needs the pressures of all actuators", where=log.path or log.name,
                        remedy="record them, or leave out samples that are not numbers with --treat nan=drop")
     with threadpool_limits(limits=1, user_api="blas"):
-        shown = tuple(course(made, tare=tare, needed=NEEDED * scale.load.full_scale if needed is None else needed))
-    return Weighing(scale, log, made, shown)
+        needed = NEEDED * scale.load.full_scale if needed is None else needed
+        shown = tuple(course(made, tare=tare, needed=needed))
+    return Weighing(scale, log, made, shown, needed)
 
 
 def learned(scale: Scale, log: Log, mass: float, std: float) -> Scale:

@@ -60,10 +60,10 @@ def test_covariances_of_smoothed_samples_are_those_of_many_draws() -> None:
     noise = np.random.default_rng(1).standard_normal((200, 4000))
     first, second = (kernel.smoothed(noise, np.array([100 + shift * kernel.stride])) for shift in (0, 2))
     expected = kernel.covariance[2]
-    found = np.einsum("amn,bmn->ab", first[:3], second[:3]) / noise.shape[1]
+    found = np.einsum("amn,bmn->ab", first, second) / noise.shape[1]
     size = np.sqrt(np.outer(np.diag(kernel.covariance[0]), np.diag(kernel.covariance[0])))
     assert np.max(np.abs(found - expected) / size) < 5 / np.sqrt(noise.shape[1])
-    assert np.all(kernel.covariance[0] @ np.eye(3) == kernel.covariance[0].T)
+    assert np.all(kernel.covariance[0] == kernel.covariance[0].T)
 
 
 def test_what_is_left_of_a_gaussian_has_its_mean_and_covariance() -> None:
@@ -82,7 +82,7 @@ def test_equations_predict_what_inverse_dynamics_does_on_a_slope(made: Scale, li
     """With a load and another ψ the force is that of the machine whose stick has the load, on tilted ground."""
     rng = np.random.default_rng(3)
     k = made.directions.shape[1]
-    own = np.concatenate([rng.standard_normal(k), np.zeros(3), made.gravity[:2] + np.array([0.5, -0.7])])
+    own = np.concatenate([rng.standard_normal(k), np.zeros(3), np.array([0.5, -0.7])])
     phi = np.array([400.0, 30.0, -20.0, 10.0, 60.0, 1.0, 2.0, 70.0, 3.0, 80.0])
     every = [lines.linearised(i, own, phi) for i in range(len(lines.t))]
     rest, J = (np.array(each) for each in zip(*every, strict=True))
