@@ -49,6 +49,8 @@ def simulate(
         "Drive the valves, in open loop, by commands for that motion; the log contains commands and supply, too."))
         ] = False,
     commands: Annotated[Path | None, typer.Option(help="Log whose commands drive the valves.")] = None,
+    tested: Annotated[bool, typer.Option("--valve-test", help=(
+        "Drive the test of plan-valve-test; the log contains commands and supply, too."))] = False,
     poses: Annotated[Path | None, typer.Option("--postures", help=(
         "Postures at which the machine stands still, such as postures.csv of plan-poses; DIR gets poses.csv."))] = None,
     map_file: MapFile = None,
@@ -85,9 +87,9 @@ def simulate(
         raise ProblemError(f"the truth '{truth}' is neither nominal nor random", where="--truth",
                            remedy="use nominal or random")
     if poses is not None:
-        if driven or motion is not None or commands is not None or duration is not None or rate is not None:
-            raise ProblemError("poses are at rest", where="--postures", remedy="leave out --driven, --motion, "
-                               "--commands, --duration and --rate")
+        if driven or tested or motion is not None or commands is not None or duration is not None or rate is not None:
+            raise ProblemError("poses are at rest", where="--postures", remedy="leave out --driven, "
+                               "--valve-test, --motion, --commands, --duration and --rate")
         with progress("simulating", quiet):
             said = _poses(described, poses, map_file, output, random=truth == "random", noise=noise, seed=seed,
                           truth_seed=truth_seed, parquet=parquet)
@@ -101,14 +103,21 @@ def simulate(
     if commands is not None and (driven or motion is not None or duration is not None or rate is not None):
         raise ProblemError("given commands determine the motion", where="--commands",
                            remedy="leave out --driven, --motion, --duration and --rate")
+    if tested and (driven or motion is not None or commands is not None or duration is not None):
+        raise ProblemError("a test of the valves has steps of its own", where="--valve-test",
+                           remedy="leave out --driven, --motion, --commands and --duration")
     draw, random = seed if truth_seed is None else truth_seed, truth == "random"
     with progress("choosing motion and truth", quiet) as say:
         psi = simulation.random_truth(model, draw) if random else model.parameters.nominal
         named = dict(zip(model.parameters.names, psi.tolist(), strict=True))
-        if driven or commands is not None:
+        if driven or tested or commands is not None:
             plant = Plant(model)
             theta = drive_valves.random_numbers(plant, draw) if random else plant.parameters.nominal
             named |= zip(plant.parameters.names, theta.tolist(), strict=True)
+        if tested:
+            say("driving the valves", 0.2)
+            log = _tested(plant, psi, theta, rate, noise=noise, seed=seed)
+        elif driven or commands is not None:
             if commands is not None:
                 tries = [partial(_commands, plant, read_log(commands, mapping=map_file))]
             else:
@@ -131,6 +140,15 @@ def simulate(
             indent=1)})
     if not quiet:
         echo(f"{output / name}: {len(log.t)} samples, channels {', '.join(log.channels)}")
+
+
+def _tested(plant: Plant, psi: Array, theta: Array, rate: float | None, *, noise: bool, seed: int) -> Log:
+    """The log of a test of the valves."""
+    from hydroopt.control.valve_test import driven_test, valve_test
+    from hydroopt.simulation.simulate import sampling_rate
+
+    return driven_test(valve_test(plant), psi, theta, rate=sampling_rate(plant.machine) if rate is None else rate,
+                       noise=noise, seed=seed)
 
 
 def _poses(machine: Machine, file: Path, map_file: Path | None, output: Path, *, random: bool, noise: bool, seed: int,

@@ -12,6 +12,7 @@ from hydroopt.control.closed_loop import CommandDelay
 from hydroopt.errors import ProblemError
 from hydroopt.logs.log import Log
 from hydroopt.model.plant import Plant
+from hydroopt.results.tables import csv_text
 from hydroopt.simulation.drive_valves import drive
 from hydroopt.spatial.inertia import Array
 
@@ -71,6 +72,26 @@ class ValveTest:
         """Of the test [s]."""
         return sum(step.seconds for step in self.steps)
 
+    def sheet(self) -> str:
+        """What an operator, or a controller, has to do, in words."""
+        machine = self.plant.machine
+        lines = [f"Test of the valves of {machine.name}: {self.duration:.0f} s, in free space, without a load.", "",
+                 "Begin with every joint in the middle of its limits, at rest. Log commands, pressures of chambers",
+                 "and supply, and angles or lengths. Command one valve at a time, all others shut. Each step goes the",
+                 "other way than the one before; turn back at once where a joint would pass a limit. Try a quarter",
+                 "of the openings first, and stop where anything moves that should not.", ""]
+        for joint, lower, upper in zip(machine.joints, self.lower, self.upper, strict=True):
+            turns = machine.channel_units[f"{joint}.q"] == "rad"
+            ends = [f"{np.degrees(end):.1f} deg" if turns else f"{end:.3f} m" for end in (lower, upper)]
+            lines.append(f"{joint}: from {ends[0]} to {ends[1]}")
+        lines += ["", f"{'actuator':<24}{'command':>10}{'time':>8}"]
+        lines += [f"{step.actuator:<24}{100 * step.opening:>8.0f} %{step.seconds:>6.1f} s" for step in self.steps]
+        return "\n".join(lines) + "\n"
+
+    def table(self) -> str:
+        """The steps as a CSV table: actuator, part of a full command, seconds."""
+        return csv_text([step._asdict() for step in self.steps])
+
     @cached_property
     def stopping(self) -> Array:
         """Time (a,) [s] that each actuator takes to stop: delay of its valve, change of its command, lag of its spool.
@@ -91,9 +112,15 @@ def valve_test(plant: Plant, *, seconds: float = SECONDS) -> ValveTest:
         seconds: for each actuator.
 
     Raises:
-        ProblemError: the test is too short for the openings that tell valves apart.
+        ProblemError: the test is too short for the openings that tell valves apart, or several valves move one joint.
     """
     machine = plant.machine
+    for joint, places in plant.drivers.items():
+        if len(places) > 1:
+            names = " and ".join(plant.actuators[k].actuator.name for k in places)
+            raise ProblemError(f"{names} both move {joint}, so that neither can be tested while the other is shut",
+                               where=machine.name, remedy="log a motion that drives them together, by 'simulate "
+                               "--driven' or on the machine")
     pairs = [(opening, LONGEST + (SHORTEST - LONGEST) * opening) for opening in OPENINGS for _ in range(2)]
     least = sum(hold for _, hold in pairs)
     if seconds < least:

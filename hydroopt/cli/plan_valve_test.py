@@ -1,0 +1,34 @@
+"""`hydroopt plan-valve-test`: the steps from which valves are identified."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from hydroopt.cli.options import Directory, MachineName, Quiet
+from hydroopt.cli.terminal import echo
+
+
+def plan_valve_test(
+    machine: MachineName,
+    output: Directory,
+    seconds: Annotated[float, typer.Option(help="For each actuator [s].")] = 10.0,
+    quiet: Quiet = False,
+) -> None:
+    """Plan a test of the valves: DIR gets sheet.txt to drive by, and steps.csv for a controller.
+
+    Bodies and valves are identified from its log. `simulate --valve-test` gives one.
+
+    Example: hydroopt plan-valve-test cat215b -o out/test
+    """
+    from hydroopt.control.valve_test import valve_test
+    from hydroopt.files import write_files
+    from hydroopt.machine.machine_file import load_machine
+    from hydroopt.model.plant import Plant
+
+    test = valve_test(Plant(load_machine(machine)), seconds=seconds)
+    sheet = test.sheet()
+    write_files(output, {"sheet.txt": sheet, "steps.csv": test.table()})
+    if not quiet:
+        echo(sheet)
