@@ -7,11 +7,12 @@ from collections.abc import Iterator
 import numpy as np
 
 from hydroopt.checks.agreement import MARGIN, SAMPLES, Agreement, Evaluated, agreement, stated_rate
-from hydroopt.checks.alternatives import Alternative, alternatives
-from hydroopt.checks.sensors import beyond_sensors, stuck_sensors
+from hydroopt.checks.alternatives import Alternative, Scaled, alternatives
+from hydroopt.checks.sensors import beyond_relief, scattering, stuck_sensors
 from hydroopt.errors import HydrooptError, LogError
 from hydroopt.logs.any_log import AnyLog
 from hydroopt.logs.calibrator_angles import calibrator_channels
+from hydroopt.logs.channels import is_force
 from hydroopt.logs.joint_angles import angle_channels
 from hydroopt.logs.log import Log
 from hydroopt.logs.stream import LogStream
@@ -29,6 +30,8 @@ IMPOSSIBLE = 4.0
 FEW, CLEARLY = 2.0, 0.75
 """Reversals of a joint, on average, below which a log is short; and the part of an actuator's nominal error that
 another reading must leave there at most, if forces alone speak for it."""
+MODEST = 150.0
+"""Factor between units of pressures up to which nominal forces, too, must speak for it."""
 TIED = 10.0
 """Alternatives whose scores differ by less are named together."""
 MISTAKES = 3
@@ -117,10 +120,14 @@ def _mistakes(model: Model, log: Log) -> tuple[list[tuple[tuple[str, ...], dict[
 def _scored(model: Model, log: Log, now: Agreement | None,
             evaluated: Evaluated) -> list[tuple[float, Alternative, Agreement]]:
     """Alternatives that agree far better than the log as read, the best first."""
-    results = [(made.score, one, made) for one in alternatives(model, log)
+    loud = {name for each in scattering(model.machine, log, log.name) if each.evidence["reading"]
+            for name in each.subject}  # a unit that explains a column's scatter needs no other mistake beside it
+    tried = (one for one in alternatives(model, log) if not loud or set(one.channels) <= loud)
+    results = [(made.score, one, made) for one in tried
                if (made := agreement(model, one.of(log), evaluated)) is not None
                and (now is None or (_far_better(made, now) and not _far_better(now, made)
-                                    and (now.reversals >= FEW or _seen(made, now)) and _worse_in_nothing(made, now)))]
+                                    and (now.reversals >= FEW or _seen(made, now)) and _worse_in_nothing(made, now)
+                                    and (not _modest(one) or _forces_agree(made, now))))]
     return sorted(results, key=lambda each: (each[2].worst > IMPOSSIBLE, each[0]))
 
 
@@ -145,9 +152,23 @@ def _seen(made: Agreement, now: Agreement) -> bool:
     Where the model misses as much either way, such as friction that it lacks in a short log, squares of residuals
     decide by chance.
     """
-    forces = any(made.missed[name] < CLEARLY * missed for name, missed in now.missed.items())
     beside = now.levels + now.lengths + now.ranges + now.rate - made.levels - made.lengths - made.ranges - made.rate
-    return forces or beside >= LOWER
+    return _clearer(made, now) or beside >= LOWER
+
+
+def _clearer(made: Agreement, now: Agreement) -> bool:
+    """Whether nominal forces of some actuator agree clearly better."""
+    return any(made.missed[name] < CLEARLY * missed for name, missed in now.missed.items())
+
+
+def _modest(one: Alternative) -> bool:
+    """Whether another reading makes pressures so many times larger or smaller that a fault of the model may look so."""
+    return isinstance(one, Scaled) and is_force(one.channels[0]) and 1 / MODEST <= one.factor <= MODEST
+
+
+def _forces_agree(made: Agreement, now: Agreement) -> bool:
+    """Whether nominal forces of some actuator agree clearly better, and those of none clearly worse."""
+    return _clearer(made, now) and all(made.missed[name] <= missed + MISSED for name, missed in now.missed.items())
 
 
 def _worse_in_nothing(made: Agreement, now: Agreement) -> bool:
@@ -172,7 +193,8 @@ def _contradictions(model: Model, log: Log, where: str) -> Iterator[Diagnostic]:
                 "log": where, "share": share, "low": float(np.min(q)), "high": float(np.max(q)),
                 "lower": low, "upper": high, "unit": machine.channel_units[f"{joint}.q"]})
     yield from _lengths(model, log, where)
-    yield from beyond_sensors(machine, log, where)
+    yield from scattering(machine, log, where)
+    yield from beyond_relief(machine, log, where)
     low, high = stated_rate(machine.sensors, set(log.channels))
     hertz = 1 / float(np.median(np.diff(log.t)))
     if not low / 20 <= hertz <= OTHER_RATE * high:  # a log may keep only some of its sensors' samples

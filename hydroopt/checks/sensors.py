@@ -33,9 +33,8 @@ OFTEN = 0.02
 """Share of samples beyond relief pressure that is worth a diagnostic."""
 
 
-def beyond_sensors(machine: Machine, log: Log, where: str) -> Iterator[Diagnostic]:
-    """Channels that scatter more than their sensors can, or exceed what relief valves allow."""
-    yield from _scattering(machine, log, where)
+def beyond_relief(machine: Machine, log: Log, where: str) -> Iterator[Diagnostic]:
+    """Pressures that exceed what relief valves allow."""
     for part in machine.hydraulic_actuators:
         for channel in part.chambers if part.relief_pressure else ():
             share = float(np.mean(log.channels.get(channel, np.zeros(1)) > RELIEF * (part.relief_pressure or 0.0)))
@@ -93,7 +92,7 @@ def _movers(machine: Machine, log: Log) -> Mapping[str, tuple[str, ...]]:
     return {channel: joints for channel, joints in found.items() if channel in log.channels}
 
 
-def _scattering(machine: Machine, log: Log, where: str) -> Iterator[Diagnostic]:
+def scattering(machine: Machine, log: Log, where: str) -> Iterator[Diagnostic]:
     """Forces that scatter from sample to sample far more than stated, with the unit that would explain it; positions
     are not judged, whose motion is as large as that between two samples."""
     for sensor in machine.sensors:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from hydroopt.checks.plausibility import examine
-from hydroopt.checks.sensors import beyond_sensors, stuck_sensors
+from hydroopt.checks.sensors import beyond_relief, scattering, stuck_sensors
 from hydroopt.estimation.dynamic.identify import identify
 from hydroopt.estimation.dynamic.log_check import check_logs
 from hydroopt.estimation.dynamic.problem import identification_problem
@@ -65,7 +65,8 @@ def test_sound_sensors_are_left_in_peace(name: str) -> None:
     for seed in (1, 2, 3):
         model, log = sound(name, seed)
         assert not list(stuck_sensors(model.machine, log, "run"))
-        assert not list(beyond_sensors(model.machine, log, "run"))
+        assert not list(scattering(model.machine, log, "run"))
+        assert not list(beyond_relief(model.machine, log, "run"))
 
 
 def test_rest_clipping_and_coarse_steps_are_no_stuck_sensor() -> None:
@@ -94,8 +95,8 @@ def test_noise_five_times_as_stated_and_pressures_beyond_relief_are_named() -> N
     sensor = model.machine.sensor(rod)
     assert sensor is not None
     noisy = changed(log, rod, log.channels[rod] + 8 * sensor.std * rng.standard_normal(log.size))
-    (found,) = beyond_sensors(model.machine, noisy, "run")
+    (found,) = scattering(model.machine, noisy, "run")
     assert (found.kind, found.subject) == (Kind.SENSOR_SCATTERS, (rod,))
     assert found.evidence["ratio"] == pytest.approx(np.hypot(8, 1), rel=0.1)
-    (found,) = beyond_sensors(model.machine, changed(log, rod, log.channels[rod] + 6e7), "run")
+    (found,) = beyond_relief(model.machine, changed(log, rod, log.channels[rod] + 6e7), "run")
     assert (found.kind, found.subject) == (Kind.BEYOND_RELIEF, (rod,))
