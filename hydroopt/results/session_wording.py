@@ -70,6 +70,9 @@ SESSION_WORDS: dict[Kind, Words] = {
     Kind.LOAD_NOT_WEIGHABLE: Words(
         "{subject}, carried from {begin:.1f} to {end:.1f} s, cannot be weighed: {why}.",
         "Move boom and stick for some seconds with it."),
+    Kind.NO_LOAD_FOUND: Words(
+        "No load was found from {begin:.1f} to {end:.1f} s: nothing differs from the tare.",
+        "The log must begin with the empty machine, and go on with a load."),
     Kind.SCALE_CONTRADICTED: Words(
         "Readings contradict the calibrated model: residuals are {misfit:.1f} times as large as expected.",
         "Check signs and channels of pressures, that the machine was empty during the tare, the tool, and the "

@@ -143,6 +143,7 @@ class Kind(StrEnum):
     LOAD_PARTLY_IDENTIFIABLE = "payload partly identifiable"
     LOAD_WEIGHED = "load weighed"
     LOAD_NOT_WEIGHABLE = "load not weighable"
+    NO_LOAD_FOUND = "no load found"
     SCALE_CONTRADICTED = "readings contradict the scale's model"
     FORCE_SCALE_ASSUMED = "scale of force readings assumed exact"
     NO_INTERIOR = "intervals of least squares"

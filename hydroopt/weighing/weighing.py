@@ -143,7 +143,10 @@ class Weighing(Answer):
 
     @cached_property
     def findings(self) -> tuple[Diagnostic, ...]:
-        """Each load in a sentence."""
+        """Each load in a sentence, or that there is none."""
+        if not self.loads:
+            first, last = (float(self.equations.t[self.readings[k].sample]) for k in (0, -1))
+            return (Diagnostic(Kind.NO_LOAD_FOUND, (), {"begin": first, "end": last}),)
         return tuple(Diagnostic(Kind.LOAD_WEIGHED, (each.name,), {
             "mass": f"{each.mass:.0f} ± {NORMAL * each.mass_std:.0f}", "begin": each.begin, "end": each.end})
             if each.ok else Diagnostic(Kind.LOAD_NOT_WEIGHABLE, (each.name,), {

@@ -8,6 +8,8 @@ import numpy as np
 import pytest
 
 import hydroopt as ho
+from hydroopt.report.weighing import render
+from hydroopt.results.wording import Kind
 from hydroopt.simulation.simulate import Trajectory
 from hydroopt.weighing.course import Weighable
 from hydroopt.weighing.equations import Equations, equations
@@ -182,14 +184,21 @@ def test_a_picked_up_load_is_weighed_on_a_slope(weighing: Weighing) -> None:
 
 
 def test_it_is_saved_and_shown(weighing: Weighing, tmp_path_factory: pytest.TempPathFactory) -> None:
-    from hydroopt.report.weighing import render
-
     folder = tmp_path_factory.mktemp("loads")
     weighing.save(folder, pages={"report.html": render(weighing)})
     found = ho.load(folder)
     assert found.parameters["load_1.m"].value == pytest.approx(weighing.loads[0].mass)
     assert found.details()["loads"][0]["status"] == "ok"
     assert "weighing.csv" in found.files()
+
+
+def test_an_empty_machine_has_no_load(made: Scale, machine: SimulatedMachine) -> None:
+    motion = ho.random_trajectory(machine.model, duration=16.0, rate=50.0, seed=7)
+    found = weigh(made, machine.log(Session(motion, np.zeros(len(motion.t)), CENTRE), 7))
+    assert not found.loads
+    assert [each.kind for each in found.findings] == [Kind.NO_LOAD_FOUND]
+    assert "No load was found from" in str(found)
+    assert "No load was found from" in render(found)
 
 
 def test_a_known_load_makes_the_scale_surer(made: Scale, log: ho.Log, machine: SimulatedMachine) -> None:
