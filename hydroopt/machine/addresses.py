@@ -128,12 +128,14 @@ def circuit_numbers(owner: str, circuit: Circuit) -> Iterator[Number]:
               (valve, "valve.", "overlap", kinds.OVERLAP, "1"),
               (valve, "valve.", "natural_frequency", kinds.SPOOL_FREQUENCY, "Hz"),
               (valve, "valve.", "damping", kinds.SPOOL_DAMPING, "1"),
+              (valve, "valve.", "delay", kinds.DELAY, "s"),
               *((circuit, "", key, kinds.VOLUME, "m^3") for key in ("volume_a", "volume_b")),
               (circuit, "", "hose_modulus", kinds.HOSE_MODULUS, "Pa"),
               *((circuit, "", key, kinds.LEAKAGE, "m^3/(s*Pa)") for key in ("leakage", "leakage_a", "leakage_b")),
               *((circuit, "", key, kinds.AIR, "1") for key in ("air_a", "air_b"))]
     for part, under, key, kind, unit in stated:
-        if (value := getattr(part, key)) is not None:
+        value = getattr(part, key)
+        if value is not None and not (kind is kinds.DELAY and value == 0):
             yield Number(f"{owner}.{key}", kind, unit, value, f"{owner}.circuit.{under}{key}")
 
 

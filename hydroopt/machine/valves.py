@@ -2,7 +2,7 @@
 
 Ports are called as on every valve: P supply, T tank, A the head side of a cylinder or side a of a motor, B the other.
 A number with a `sigma` is identified from logs, one without is exact; so are in any case those that only define others
-or a shape: the commands in neutral and at full opening, rounding, drops, delay and the air's exponent. What is not
+or a shape: the commands in neutral and at full opening, rounding, drops and the air's exponent. What is not
 stated is not modelled.
 """
 
@@ -84,7 +84,7 @@ class Valve(Noun):
     damping: Number | None = Field(None, gt=0, le=10)
     """Damping of the spool; with `natural_frequency`."""
     delay: Duration = Field(0.0, ge=0, le=10)
-    """By what commands arrive later."""
+    """By what commands arrive later; a number of θ where it is not zero."""
 
     @model_validator(mode="before")
     @classmethod

@@ -158,7 +158,7 @@ class Plant(Shown):
 
     @cached_property
     def delays(self) -> Array:
-        """Of the valves (a,) [s]."""
+        """Of the valves (a,) [s], as the machine file states them."""
         return np.array([each.valve.delay for each in self.actuators])
 
     @property

@@ -13,6 +13,9 @@ from hydroopt.parameters.parameter_set import ParameterSet
 LEAK = 1e-13
 """Typical conductance of a leak [m³/(s·Pa)]: 0.06 L/min at 100 bar."""
 
+LONGEST = 10.0
+"""Delay [s] of a valve at most, as in a machine file."""
+
 MOST = 0.9
 """Part of the travel that dead band and overlap take at most, if the file states no more: at all, nothing opens."""
 
@@ -33,6 +36,8 @@ def _bounded(number: Number, machine: Machine) -> Scalar:
     if number.kind is Kind.DEAD_BAND:
         span = abs(machine.circuits[owner].valve.span)
         return Scalar(number, 0.0, max(MOST * span, value), 0.1 * span)
+    if number.kind is Kind.DELAY:
+        return Scalar(number, 0.0, LONGEST, value)
     if number.kind is Kind.LEAKAGE:
         return Scalar(number, 0.0, np.inf, LEAK)
     if number.kind is Kind.AIR:

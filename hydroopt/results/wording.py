@@ -79,6 +79,9 @@ class Kind(StrEnum):
 
     # identification of valves and oil
     UNEXPLAINED_FLOW = "flow not explained by the model"
+    COMMANDS_LATE = "commands arrive at another time than stated"
+    DELAY_EXACT = "delay taken as exact"
+    SUPPLY_ASSUMED = "pressure of the supply not measured"
     NO_INFORMATION = "no information in the data"
     LITTLE_INFORMATION = "little information in the data"
     RATIO_OR_PRODUCT_ONLY = "only a ratio or product identifiable"
@@ -205,8 +208,8 @@ OF_LOGS = REFUTATIONS | {Kind.BEYOND_JOINT_LIMITS, Kind.LENGTH_CONTRADICTS_ANGLE
 CONTRADICTIONS = OF_LOGS | {Kind.STROKE_CONTRADICTS_POSES, Kind.BIAS_DRIFTS, Kind.STATED_CONTRADICTED,
     Kind.MOTION_UNEXPLAINED, Kind.POSITION_ASSUMED, Kind.MISFIT_CAUSE, Kind.LACK_OF_FIT, Kind.FASTER_THAN_SMOOTHING,
     Kind.BODIES_CONTRADICTED, Kind.PRIORS_CONTRADICTED, Kind.WORSE_THAN_ZERO, Kind.UNEXPLAINED_ACTUATOR,
-    Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_FLOW, Kind.ERRORS_FAR_LARGER, Kind.SEARCH_INTERRUPTED,
-    Kind.BEST_RUN_STOPPED,
+    Kind.SAMPLING_NOT_CONVERGED, Kind.UNEXPLAINED_FLOW, Kind.COMMANDS_LATE, Kind.ERRORS_FAR_LARGER,
+    Kind.SEARCH_INTERRUPTED, Kind.BEST_RUN_STOPPED,
     Kind.STAGE_CONTRADICTS, Kind.FIXTURE_MOVED, Kind.BASE_MOVED, Kind.TOOL_MOVED, Kind.INSTRUMENT_MOVED,
     Kind.SENSOR_OFFSET, Kind.SENSOR_SCALE, Kind.BACKLASH, Kind.SENSOR_ECCENTRIC, Kind.SENSOR_NONLINEAR,
     Kind.JOINT_SAGS, Kind.SUSPECTS_UNDECIDED, Kind.DISTANCE_CONTRADICTS, Kind.DISTANCE_OFF, Kind.OFF_OPTIMUM,
@@ -274,6 +277,18 @@ WORDS: dict[Kind, Words] = {
         "intervals are widened.",
         "Check the sensors' accuracy and the signs of commands, and whether edges and directions differ (flow_pa, "
         "dead_band_reverse)."),
+    Kind.COMMANDS_LATE: Words(
+        "The commands of {subject} arrive about {by:.2g} s {sense} than the machine file's delay says (± {std:.1g} s); "
+        "spool and intervals are wrong by that.",
+        "State a 'sigma' of its valve's 'delay', which is then identified, or correct the clocks of the log."),
+    Kind.DELAY_EXACT: Words(
+        "The delays of {subject} count as exact, since the machine file states no 'sigma' of them; these logs would "
+        "show an error from {least:.2g} s on, and smaller ones end in the spools' numbers.",
+        "State a 'sigma' of each valve's 'delay', which is then identified."),
+    Kind.SUPPLY_ASSUMED: Words(
+        "{log} lacks {subject}: the supply counts as exactly {pressure:.3g} bar, but its pump gives at most {flow:.3g} "
+        "L/min into a volume of its own, so that it falls under load; flows and their intervals are wrong by that.",
+        "Log pump.p_supply."),
     Kind.NO_INFORMATION: Words(
         "The logs carry no information on {subject}; {determined_by} determines it.",
         "Record a motion that excites it, or remove its sigma."),

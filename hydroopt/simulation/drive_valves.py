@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.kernels.integrator import IntegrationError
@@ -18,6 +19,9 @@ from hydroopt.spatial.inertia import Array
 
 ACCURACY = 1e-9
 """Relative error of the simulation's steps: well below what sensors show, and what identification leaves of its own."""
+
+TOGETHER = 1e-9
+"""Times [s] that lie closer together count as one."""
 
 REST = 1e-9
 """Speed [rad/s or m/s] and change of place [rad or m] of a base that stands still, but for rounding."""
@@ -59,7 +63,8 @@ def drive(plant: Plant | Model | GivenMachine, t: Array, commands: Array, start:
 
     Args:
         plant: the machine.
-        t: (N,) times [s], evenly spaced; between them commands and supply keep their values.
+        t: (N,) times [s], evenly spaced; between them supply and commands keep their values, these from when they
+            arrive, which may be between two samples.
         commands: (N, a) in the unit of each valve.
         start: (nx,) states at the beginning, or (n,) the posture in which the machine stands still.
         supply: (2,) or (N, 2) pressures of supply and tank [Pa]; as the machine file states if None.
@@ -79,22 +84,23 @@ def drive(plant: Plant | Model | GivenMachine, t: Array, commands: Array, start:
         100
     """
     plant = plant if isinstance(plant, Plant) else Plant(plant)
-    step = float(t[1] - t[0])
-    if not np.allclose(np.diff(t), step, rtol=1e-6):
+    if not np.allclose(np.diff(t), t[1] - t[0], rtol=1e-6):
         raise ProblemError("the times are not evenly spaced", where="drive", remedy="give commands at a steady rate")
     psi, theta = _numbers(plant, psi, theta)
     given = np.broadcast_to(plant.supply if supply is None else supply, (len(t), 2))
     n = len(plant.machine.joints)
     if len(start) == n:
         start = plant.steady(start, np.zeros(n), psi, theta, given[0]).x
-    late = np.column_stack([arrived(t, commands[:, k], each.valve.delay) for k, each in enumerate(plant.actuators)])
+    delays = delays_at(plant, theta)
+    at, samples = changes(t, delays)
+    late = np.column_stack([arrived(t, commands[:, k], delay, at) for k, delay in enumerate(delays)])
     integrator = plant.integrator(psi, theta, tolerance=ACCURACY)
     try:
-        after = integrator.along(start, np.full(len(t) - 1, step), late[:-1], given[:-1])
+        after = integrator.along(start, np.diff(at), late[:-1], arrived(t, given, 0.0, at)[:-1])
     except IntegrationError:
         raise ProblemError("the simulation did not converge", where=name,
                            remedy="give commands that keep the machine within its range") from None
-    states = np.vstack([start, after])
+    states, late = np.vstack([start, after])[samples], late[samples]
     _refuse_far(plant, t, states, name)
     channels = _channels(plant, states, late, given, psi, theta)
     rng, machine = np.random.default_rng(seed), plant.machine
@@ -142,12 +148,30 @@ def _refuse_far(plant: Plant, t: Array, states: Array, name: str) -> None:
                                where=name, remedy="give others, for a shorter time, or start elsewhere")
 
 
+def delays_at(plant: Plant, theta: Array) -> Array:
+    """Delays of the valves (a,) [s] at hydraulic parameters θ; none where the file states none."""
+    places = [plant.parameters.positions.get(f"{each.actuator.name}.delay") for each in plant.actuators]
+    return np.array([0.0 if place is None else theta[place] for place in places])
+
+
+def changes(t: Array, delays: Array) -> tuple[Array, NDArray[np.intp]]:
+    """Times (M,) of all samples t (N,) and of what arrives between them, late by (a,), and the places (N,) of samples.
+    """
+    found = np.unique(np.concatenate([t[:0], *(t[:-1] + delay for delay in delays.tolist())]))
+    found = found[(found > t[0]) & (found < t[-1])]
+    after = np.searchsorted(t, found)
+    alone = (np.minimum(found - t[after - 1], t[after] - found) > TOGETHER) & (
+        np.diff(found, prepend=-np.inf) > TOGETHER)
+    moments = np.sort(np.concatenate([t, found[alone]]))
+    return moments, np.searchsorted(moments, t)
+
+
 def arrived(t: Array, command: Array, delay: float, at: Array | None = None) -> Array:
     """The commands of the times t (N,) that act `at` other times (…), those themselves if None, late by `delay` [s].
 
     At first the first one.
     """
-    return command[np.maximum(np.searchsorted(t, (t if at is None else at) - delay + 1e-9, side="right") - 1, 0)]
+    return command[np.maximum(np.searchsorted(t, (t if at is None else at) - delay + TOGETHER, side="right") - 1, 0)]
 
 
 def _numbers(plant: Plant, psi: Array | None, theta: Array | None) -> tuple[Array, Array]:

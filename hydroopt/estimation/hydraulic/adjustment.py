@@ -35,6 +35,8 @@ LEAST, MOST = 0.01, 10.0
 """Densities of the random flow: what adds this part of a reading's error over a whole stretch, and in an interval."""
 POOR, GOOD = 0.25, 0.75
 """Parts of a promised fall, below and above which the next step is damped more and less (Marquardt)."""
+INFORMED = 1e-10
+"""Part of the greatest information below which another is rounding."""
 ROUNDS, AGREED = 10, 0.3
 """How often that density is found again, until it changes by less than this part."""
 
@@ -57,6 +59,7 @@ class Linear:
         at: misclosures at the corrected readings, with their derivatives.
         correction: (N, 5) of the readings.
         residuals, slope: (I·c,), (I·c, p + g) independent residuals of unit variance, and their derivatives.
+        by_delay: (I·c,) their derivatives by the delay of the commands [1/s].
     """
 
     missed: Array
@@ -64,6 +67,7 @@ class Linear:
     correction: Array
     residuals: Array
     slope: Array
+    by_delay: Array
 
     def covariance(self, readings: Readings, density: float) -> Array:
         """Lower band (2c, I·c) of the covariance of what is missed [m⁶].
@@ -96,6 +100,8 @@ class Adjustment:
         density: (a,) of the random flow of each actuator [m³/√s].
         misfit: (a,) RMS of each actuator's residuals, in units of the sensors' errors alone; NaN without readings.
         correction: for each stretch (N, 5) corrections of its readings.
+        later: (a, 2) by how much later than stated each actuator's commands seem to arrive where the delay is not
+            identified, and the standard deviation [s], all identified numbers being free; NaN where nothing tells.
     """
 
     theta: Array
@@ -105,6 +111,7 @@ class Adjustment:
     density: Array
     misfit: Array
     correction: tuple[Array, ...]
+    later: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -163,18 +170,19 @@ class _Solver:
         at = each.balance.misclosure(readings, values, self.theta(x))
         missed = at.value - np.einsum("nic,nc->ni", at.by_first, correction[begin:-1]) - np.einsum(
             "nic,nc->ni", at.by_last, correction[begin + 1 :])
-        found = Linear(missed, at, correction, np.zeros(0), np.zeros(0))
+        found = Linear(missed, at, correction, np.zeros(0), np.zeros(0), np.zeros(0))
         factor = cholesky_banded(found.covariance(readings, self.density[each.actuator]), lower=True)
         slope = np.concatenate([at.by_theta * self.parameters.scale,
                                 at.by_first[:, :, :1] * readings.lever[begin:-1, None]
                                 + at.by_last[:, :, :1] * readings.lever[begin + 1 :, None]], axis=2)
         both = solve_banded((len(factor) - 1, 0), factor, np.column_stack([
-            missed.ravel(), slope.reshape(missed.size, -1)]))
+            missed.ravel(), slope.reshape(missed.size, -1), at.by_delay.ravel()]))
         force = cho_solve_banded((factor, True), missed.ravel()).reshape(missed.shape)
         new = np.zeros_like(correction)
         new[begin:-1] -= np.einsum("nic,ni->nc", at.by_first, force)
         new[begin + 1 :] -= np.einsum("nic,ni->nc", at.by_last, force)
-        return replace(found, correction=new * readings.variance, residuals=both[:, 0], slope=both[:, 1:])
+        return replace(found, correction=new * readings.variance, residuals=both[:, 0], slope=both[:, 1:-1],
+                       by_delay=both[:, -1])
 
     def solve(self, x: Array, corrections: Sequence[Array]) -> _State:
         """Damped steps of Gauss and Newton from x on.
@@ -307,4 +315,21 @@ def _answer(solver: _Solver, here: _State) -> Adjustment:
         solver.theta(here.x), triangle.T @ triangle / np.outer(scale, scale),
         (here.slope.T @ here.residuals)[:p] / scale,
         float(np.sqrt(readings @ readings / freedom)) if freedom > 0 else float("nan"), solver.density,
-        np.sqrt(total / np.where(count > 0, count, np.nan)), tuple(each.correction for each in here.linear))
+        np.sqrt(total / np.where(count > 0, count, np.nan)), tuple(each.correction for each in here.linear),
+        _later(solver, here))
+
+
+def _later(solver: _Solver, here: _State) -> Array:
+    """`Adjustment.later`: one step of each delay beside all identified numbers."""
+    found = np.full((len(solver.density), 2), np.nan)
+    values, vectors = np.linalg.eigh(here.slope.T @ here.slope)
+    known = values > INFORMED * values[-1]
+    root = vectors[:, known] / np.sqrt(values[known])
+    for k in {each.actuator for each in solver.stretches if not each.balance.late}:
+        by = np.concatenate([np.zeros(len(solver.prior)), *(
+            one.by_delay * (each.actuator == k) for each, one in zip(solver.stretches, here.linear, strict=True))])
+        shared = root.T @ (here.slope.T @ by)
+        left = by - here.slope @ (root @ shared)
+        if (information := left @ left) > INFORMED * (by @ by) > 0:
+            found[k] = -(left @ here.residuals) / information, 1 / np.sqrt(information)
+    return found

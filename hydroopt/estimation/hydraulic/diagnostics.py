@@ -13,6 +13,9 @@ from hydroopt.spatial.inertia import Array
 
 MISFIT = 1.5
 """Ratio of residuals and what sensors' errors leave, from which on the model does not explain an actuator."""
+LATE, BARELY = 4.0, 1e-3
+"""How many of its standard deviations a delay must be off to be named, and how far [s] at least: the model's flows
+within an interval are no more exact."""
 NOTHING = 1e-6
 """Part of the prior's information below which the data carry none."""
 
@@ -22,6 +25,22 @@ def unexplained_actuators(actuators: Sequence[str], misfit: Array) -> Iterator[D
     for actuator, factor in zip(actuators, misfit, strict=True):
         if factor > MISFIT:
             yield Diagnostic(Kind.UNEXPLAINED_FLOW, (actuator,), {"factor": float(factor)})
+
+
+def late_commands(actuators: Sequence[str], later: Array) -> Iterator[Diagnostic]:
+    """Actuators whose commands arrive at another time than the machine file states, by `Adjustment.later` (a, 2)."""
+    for actuator, (by, std) in zip(actuators, later, strict=True):
+        if abs(by) > max(LATE * std, BARELY):
+            yield Diagnostic(Kind.COMMANDS_LATE, (actuator,), {
+                "by": float(abs(by)), "std": float(std), "sense": "later" if by > 0 else "earlier"})
+
+
+def exact_delays(actuators: Sequence[str], later: Array) -> Iterator[Diagnostic]:
+    """Actuators whose delay is not identified, by `Adjustment.later` (a, 2)."""
+    some = [k for k in range(len(actuators)) if np.isfinite(later[k, 1]) and LATE * later[k, 1] > BARELY]
+    if some:
+        yield Diagnostic(Kind.DELAY_EXACT, tuple(actuators[k] for k in some),
+                         {"least": float(LATE * np.max(later[some, 1]))})
 
 
 def parameter_diagnostics(estimate: BoundedGaussian) -> tuple[Diagnostic, ...]:

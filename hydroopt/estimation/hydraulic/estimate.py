@@ -11,7 +11,12 @@ import numpy as np
 
 from hydroopt.estimation.hydraulic.adjustment import Adjustment, adjust
 from hydroopt.estimation.hydraulic.bounded_gaussian import BoundedGaussian
-from hydroopt.estimation.hydraulic.diagnostics import parameter_diagnostics, unexplained_actuators
+from hydroopt.estimation.hydraulic.diagnostics import (
+    exact_delays,
+    late_commands,
+    parameter_diagnostics,
+    unexplained_actuators,
+)
 from hydroopt.estimation.hydraulic.free_run import Run, free_runs
 from hydroopt.estimation.hydraulic.problem import SUPPLY, HydraulicProblem
 from hydroopt.machine.links import Note
@@ -69,7 +74,10 @@ class HydraulicEstimate(Answer):
         """
         lost = (Diagnostic(Kind.PRESSURE_NOT_MEASURED, channels, {"log": where})
                 for where, channels in self.problem.lost_pressures.items())
+        later = self.adjustment.later * [1.0, max(1.0, self.adjustment.residual_scale)]
         return (*lost, *unexplained_actuators(self.actuators, self.adjustment.misfit),
+                *late_commands(self.actuators, later), *exact_delays(self.actuators, later),
+                *self.problem.assumed_supplies,
                 *parameter_diagnostics(self.posterior))
 
     @property

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import casadi as ca
@@ -11,13 +11,18 @@ import numpy as np
 from hydroopt.errors import SolverError
 from hydroopt.estimation.hydraulic.motion_readings import MotionReadings
 from hydroopt.estimation.hydraulic.problem import SUPPLY, HydraulicProblem, Stretch
+from hydroopt.kernels.integrator import IntegrationError, Integrator
 from hydroopt.logs.log import Log
 from hydroopt.logs.readings import bridged, reading
 from hydroopt.model.hydraulics import spool_position
 from hydroopt.model.plant import Plant
-from hydroopt.simulation.drive_valves import arrived
+from hydroopt.simulation.drive_valves import arrived, changes, delays_at
 from hydroopt.spatial.inertia import Array
 
+AT_FIRST, REFINED = 0.3, 4
+"""Time [s] over which first readings tell first speeds, and steps towards these."""
+SLIGHT = 1e-3
+"""Change of a speed [rad/s or m/s] for derivatives by it."""
 ACCURACY = 1e-6
 """Error of a simulation's step, relative and in units of the states' scales."""
 
@@ -57,41 +62,76 @@ def free_run(problem: HydraulicProblem, stretch: Stretch, theta: Array) -> Run:
         SolverError: the states diverge.
     """
     plant, log, whole = problem.plant, stretch.log, problem.whole(theta)
-    u = np.column_stack([*(arrived(log.t, reading(plant.machine, log, name), each.valve.delay)
-                           for name, each in zip(plant.inputs, plant.actuators, strict=True)), _supply(plant, log)])
+    at, samples = changes(log.t, delays := delays_at(plant, whole))
+    inputs = np.column_stack([*(arrived(log.t, reading(plant.machine, log, name), delay, at)
+                                for name, delay in zip(plant.inputs, delays, strict=True)),
+                              *(np.interp(at, log.t, pressure) for pressure in _supply(plant, log).T)])
     y = np.column_stack([log.channels.get(channel, np.full(log.size, np.nan)) for channel in problem.channels])
-    states = simulated(plant, log.t, u, _first(plant, stretch, u, whole), whole, log.path or log.name)
-    psi, count = plant.model.parameters.nominal, log.size
-    found = plant.outputs.map(count)(states.T, u[:, :-2].T, u[:, -2:].T, np.tile(psi[:, None], count),
-                                     np.tile(whole[:, None], count))
-    outputs = {name: np.asarray(values).reshape(len(np.asarray(values)), count, -1)
-               for name, values in zip(plant.outputs.name_out(), found, strict=True)}
-    return Run(log.t, u, y, states, np.column_stack([_channel(plant, outputs, channel)
-                                                     for channel in problem.channels]))
+
+    integrator = plant.integrator(plant.model.parameters.nominal, whole, tolerance=ACCURACY)
+
+    def run(first: Array, count: int) -> tuple[Array, Array]:
+        """States (count, nx) and outputs (count, ny) of so many samples from first states (nx,) on."""
+        end, some = samples[count - 1] + 1, samples[:count]
+        states = simulated(integrator, at[:end], inputs[:end], first, log.path or log.name)[some]
+        return states, _outputs(problem, states, inputs[some], whole)
+
+    first = _first(plant, stretch, inputs, whole)
+    states, outputs = run(_with_speeds(problem, log.t, y, first, run), log.size)
+    return Run(log.t, inputs[samples], y, states, outputs)
 
 
-def simulated(plant: Plant, t: Array, u: Array, first: Array, theta: Array, where: str) -> Array:
+def simulated(integrator: Integrator, t: Array, u: Array, first: Array, where: str) -> Array:
     """States (N, nx) at the times (N,) from first states (nx,) on; commands are held, the supply is straight between.
 
     Raises:
-        SolverError: CVODES failed, as it does where the states diverge.
+        SolverError: no step succeeds, as where the states diverge.
     """
-    x, given, change, dt, at = (ca.SX.sym(name, size) for name, size in (
-        ("x", len(first)), ("u", u.shape[1]), ("change", u.shape[1]), ("dt", 1), ("at", 1)))
-    now, scale = given + change * at, ca.DM(plant.scale)
-    rate = plant.rates(x * scale, now[:-2], now[-2:], plant.model.parameters.nominal, theta) * dt / scale
-    # every interval is integrated anew: inputs may jump there, which a multistep method takes for its own error
-    interval = ca.integrator("interval", "cvodes", {"x": x, "p": ca.vertcat(given, change, dt), "t": at, "ode": rate},
-                             0.0, 1.0, {"reltol": ACCURACY, "abstol": ACCURACY, "max_num_steps": 100000})
-    change = np.diff(u, axis=0)
-    change[:, :-2] = 0.0
+    seconds = np.diff(t)
+    slopes = np.diff(u, axis=0) / seconds[:, None]
+    slopes[:, :-2] = 0.0
     try:
-        found = interval.mapaccum(len(t) - 1)(x0=first / plant.scale,
-                                              p=np.column_stack([u[:-1], change, np.diff(t)]).T)["xf"]
-    except RuntimeError as error:
+        return np.vstack([first, integrator.along(first, seconds, u[:-1], slopes=(slopes,))])
+    except IntegrationError as error:
         raise SolverError("the free run did not converge", where=where,
                           remedy="correct numbers of the machine file that are far off") from error
-    return np.vstack([first, np.asarray(found).T * plant.scale])
+
+
+def _outputs(problem: HydraulicProblem, states: Array, u: Array, theta: Array) -> Array:
+    """Outputs (N, ny) of the problem's channels at states (N, nx), commands and supply (N, a + 2)."""
+    plant, count = problem.plant, len(states)
+    psi = plant.model.parameters.nominal
+    found = plant.outputs.map(count)(states.T, u[:, :-2].T, u[:, -2:].T, np.tile(psi[:, None], count),
+                                     np.tile(theta[:, None], count))
+    outputs = {name: np.asarray(values).reshape(len(np.asarray(values)), count, -1)
+               for name, values in zip(plant.outputs.name_out(), found, strict=True)}
+    return np.column_stack([_channel(plant, outputs, channel) for channel in problem.channels])
+
+
+def _with_speeds(problem: HydraulicProblem, t: Array, y: Array, first: Array,
+                 run: Callable[[Array, int], tuple[Array, Array]]) -> Array:
+    """First states with those speeds of the joints from which a run follows the first readings best.
+
+    At the end of a stretch the speed of a smoothed motion is hardly known, and moves pressures by tens of bars.
+    """
+    plant = problem.plant
+    count = max(2, int(np.searchsorted(t, t[0] + AT_FIRST)))
+    free = [plant.states.index(f"{joint}.qd") for joint in plant.machine.joints
+            if joint not in plant.machine.base_joints]
+
+    def missed(start: Array) -> Array:
+        return np.nan_to_num((run(start, count)[1] - y[:count]) / problem.sigma).ravel()
+
+    here = missed(first)
+    for _ in range(REFINED):
+        slope = np.column_stack([(missed(first + SLIGHT * np.eye(len(first))[k]) - here) / SLIGHT for k in free])
+        trial = first.copy()
+        trial[free] -= np.linalg.lstsq(slope, here)[0]
+        there = missed(trial)
+        if there @ there >= here @ here:
+            break
+        first, here = trial, there
+    return first
 
 
 def _supply(plant: Plant, log: Log) -> Array:

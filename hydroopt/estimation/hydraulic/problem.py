@@ -29,7 +29,8 @@ from hydroopt.model.model import Model
 from hydroopt.model.plant import Plant
 from hydroopt.notebook_card import Card, Shown
 from hydroopt.parameters.parameter_set import ParameterSet, parameter_table
-from hydroopt.simulation.drive_valves import arrived
+from hydroopt.results.diagnostic import Diagnostic
+from hydroopt.results.wording import Kind
 from hydroopt.spatial.inertia import Array
 
 SUPPLY = ("pump.p_supply", "pump.p_tank")
@@ -126,7 +127,7 @@ class HydraulicProblem(Shown):
         found = []
         for stretch in self.stretches:
             for k, readings in enumerate(stretch.actuators):
-                key = k, readings.command.shape[1]
+                key = k, readings.times.shape[1]
                 if key not in functions:
                     functions[key] = VolumeBalance(self.plant, k, self.theta.tolist(), key[1])
                 if readings.used > 0:
@@ -146,11 +147,11 @@ class HydraulicProblem(Shown):
             values.append(bridged(read))
             variance.append(np.where(np.isfinite(read), std, UNREAD) ** 2)
         times, frequency = pieces(log.t), each.valve.natural_frequency
-        late = each.valve.delay
+        late = self.plant.delays[k]
         if frequency:
             late += FORGOTTEN / (2 * np.pi * frequency * min(each.valve.damping or 1.0, 1.0))
-        return Readings(log.t, times, arrived(log.t, reading(machine, log, f"{name}.u"), each.valve.delay, times),
-                        np.column_stack(values), np.column_stack(variance),
+        return Readings(log.t, times, reading(machine, log, f"{name}.u"), np.column_stack(values),
+                        np.column_stack(variance),
                         tuple(side for side, channel in enumerate(each.chambers) if channel in log.channels),
                         int(np.searchsorted(log.t, log.t[0] + late)), lever)
 
@@ -161,6 +162,16 @@ class HydraulicProblem(Shown):
         lacking = {log.path or log.name: tuple(channel for channel in wanted if channel not in log.channels)
                    for log in (*self.logs, *self.validation)}
         return {where: channels for where, channels in lacking.items() if channels}
+
+    @property
+    def assumed_supplies(self) -> Iterator[Diagnostic]:
+        """Logs without the supply's pressure, though it follows what the machine draws from its pump."""
+        pump = self.plant.machine.pump
+        for log in (*self.logs, *self.validation):
+            if pump and SUPPLY[0] in self.plant.states and SUPPLY[0] not in log.channels:
+                yield Diagnostic(Kind.SUPPLY_ASSUMED, SUPPLY[:1], {
+                    "log": log.path or log.name, "pressure": float(self.plant.supply[0]) / 1e5,
+                    "flow": 6e4 * float(pump.max_flow or np.inf)})
 
     @property
     def inputs(self) -> tuple[dict[str, Any], ...]:

@@ -23,7 +23,7 @@ class Readings:
     Attributes:
         t: (N,) times [s].
         times: (N - 1, parts) when each piece of an interval begins [s].
-        command: (N - 1, parts) what acts on the spool in it, delay included.
+        command: (N,) given at the samples, before it arrives.
         values: (N, 5) the `QUANTITIES`.
         variance: (N, 5) of their errors, which differ at every sample.
         chambers: whose pressures are read, 0 or 1 or both.

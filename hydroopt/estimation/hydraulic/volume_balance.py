@@ -5,7 +5,7 @@ The equations of both pressures, integrated over an interval (Merritt 1967), nee
     A_a·ΔL = ∫q_a dt − C_a·Δp_a  and  −A_b·ΔL = ∫q_b dt − C_b·Δp_b,
 
 with the flows q into the chambers and the oil C that raises their pressures by one pascal. Pressures are straight
-between samples, the spool follows its commands exactly, and Simpson's rule integrates the flows.
+between samples, the spool follows its commands exactly, whenever they arrive, and Simpson's rule integrates the flows.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cache
+from typing import NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -23,6 +24,7 @@ from hydroopt.kernels.native import Runner
 from hydroopt.model.flow_demand import chamber_flows
 from hydroopt.model.hydraulics import ActuatorHydraulics, spool_position
 from hydroopt.model.plant import Plant
+from hydroopt.simulation.drive_valves import arrived
 from hydroopt.spatial.inertia import Array
 
 
@@ -34,12 +36,23 @@ class Misclosure:
         value: (I, c).
         by_theta: (I, c, p).
         by_first, by_last: (I, c, 5) by the readings at both ends of an interval.
+        by_delay: (I, c) by the delay of the commands [m³/s], be it identified or not.
     """
 
     value: Array
     by_theta: Array
     by_first: Array
     by_last: Array
+    by_delay: Array
+
+
+class Spools(NamedTuple):
+    """Places (M + 1,) of a spool at the ends of all pieces, and their derivatives by the balance's own numbers
+    (M + 1, p) and by the delay (M + 1,) of the commands [s]."""
+
+    place: Array
+    by_own: Array
+    by_delay: Array
 
 
 class VolumeBalance:
@@ -54,9 +67,15 @@ class VolumeBalance:
 
     def __init__(self, plant: Plant, actuator: int, free: Sequence[int], parts: int) -> None:
         each, names = plant.actuators[actuator], plant.parameters.names
-        owned = [k for k, at in enumerate(free) if names[at].partition(".")[0] in (each.actuator.name, "oil")]
+        late = f"{each.actuator.name}.delay"
+        owned = [k for k, at in enumerate(free)
+                 if names[at].partition(".")[0] in (each.actuator.name, "oil") and names[at] != late]
         self.own: NDArray[np.intp] = np.array(owned, dtype=np.intp)
-        """Positions of the numbers on which the balances depend among the identified ones."""
+        """Positions of the numbers on which the balances depend among the identified ones, but for the delay."""
+        self.late = [k for k, at in enumerate(free) if names[at] == late]
+        """Position of the delay among the identified numbers, if it is one."""
+        self.delay = float(plant.delays[actuator])
+        """As the machine file states it [s]."""
         self.owner, self.parts = each.actuator.name, parts
         theta = ca.SX.sym("theta", len(owned))
         whole = ca.SX(ca.DM(plant.parameters.nominal))
@@ -65,49 +84,61 @@ class VolumeBalance:
         self.begin, piece = _spool(each, theta, value)
         self.interval, self._runner = _interval(each, theta, value, parts), Runner()
         self.pieces = cache(piece.mapaccum)  # making it takes longer than a run
-        self._spools: tuple[Readings, Array, tuple[Array, Array]] | None = None
+        self._spools: tuple[Readings, Array, Spools] | None = None
 
     def misclosure(self, readings: Readings, values: Array, theta: Array) -> Misclosure:
         """The balances of all intervals that count, with `values` (N, 5) for the readings and identified θ (p,)."""
         own, count, parts, first = theta[self.own], len(readings.dt), self.parts, readings.begin
-        spool, by_own = self.spools(readings, own)
+        spool, by_own, by_delay = self.spools(readings, theta)
         at = np.arange(count)[:, None] * parts + np.arange(parts + 1)
         value, by_theta, by_spool, by_first, by_last = self._runner.over(
             self.interval, spool[at], values[:-1], values[1:], readings.dt[:, None], own)
         rows = list(readings.chambers)
         whole = np.zeros((count - first, len(rows), len(theta)))
         whole[:, :, self.own] = (by_theta + by_spool @ by_own[at])[first:, rows]
-        return Misclosure(value[first:, rows, 0], whole, by_first[first:, rows], by_last[first:, rows])
+        late = np.einsum("ick,ik->ic", by_spool, by_delay[at])[first:, rows]
+        whole[:, :, self.late] = late[:, :, None]
+        return Misclosure(value[first:, rows, 0], whole, by_first[first:, rows], by_last[first:, rows], late)
 
     def symbolic(self, readings: Readings, values: ca.MX, theta: ca.MX) -> ca.MX:
         """The balances (2, N - 1) of both chambers in all intervals as an expression in readings (5, N) and θ (p,)."""
         own, count, parts = theta[self.own.tolist()], len(readings.dt), self.parts
-        inputs = self._inputs(readings)
+        inputs = ca.MX(self._inputs(readings, self.delay))
+        for late in self.late:
+            inputs[2, :] += inputs[3, :] * (theta[late] - self.delay)
         start = self.begin(inputs[0, 0], own)
         states = ca.horzcat(start, self.pieces(inputs.shape[1])(start, inputs, ca.repmat(own, 1, inputs.shape[1])))
         spool = ca.vertcat(*(states[0, k : k + 1 + (count - 1) * parts : parts] for k in range(parts + 1)))
         return self.interval.map(count)(spool, values[:, :-1], values[:, 1:], readings.dt[None],
                                      ca.repmat(own, 1, count))[0]
 
-    def spools(self, readings: Readings, own: Array) -> tuple[Array, Array]:
-        """Places (M + 1,) of the spool at the ends of all pieces, and their derivatives (M + 1, p) by own numbers.
+    def spools(self, readings: Readings, theta: Array) -> Spools:
+        """What the spool does at identified θ (p,).
 
-        Those of the last call are kept: corrections of readings do not move the spool.
+        The last one is kept: corrections of readings do not move the spool.
         """
+        own = theta[[*self.own, *self.late]]
         if self._spools is None or self._spools[0] is not readings or not np.array_equal(self._spools[1], own):
-            self._spools = readings, own, self._moved(readings, own)
+            self._spools = readings, own, self._moved(readings, theta)
         return self._spools[2]
 
-    def _moved(self, readings: Readings, own: Array) -> tuple[Array, Array]:
-        inputs = self._inputs(readings)
+    def _moved(self, readings: Readings, theta: Array) -> Spools:
+        own, inputs = theta[self.own], self._inputs(readings, float(theta[self.late[0]]) if self.late else self.delay)
         (start,) = _called(self.begin, inputs[:1, :1], own[:, None])
         (after,) = _called(self.pieces(inputs.shape[1]), start, inputs, np.tile(own[:, None], inputs.shape[1]))
         states = np.hstack([start, after])
-        return states[0], states[2::2].T
+        return Spools(states[0], states[2:-2:2].T, states[-2])
 
-    def _inputs(self, readings: Readings) -> Array:
-        """(2, M) command and duration of all pieces."""
-        return np.vstack([readings.command.ravel(), np.repeat(readings.dt / self.parts, self.parts)])
+    def _inputs(self, readings: Readings, delay: float) -> Array:
+        """(5, M) commands at the begin and at the end of all pieces, when the second one arrives after the begin,
+        whether it does so in this piece, and durations."""
+        begin, duration = readings.times.ravel(), np.repeat(readings.dt / self.parts, self.parts)
+        places = np.arange(len(readings.t), dtype=float)
+        first, second = (arrived(readings.t, places, delay, at).astype(int)
+                         for at in (begin, begin + duration))
+        moves = (first != second).astype(float)
+        after = np.clip(readings.t[second] + delay - begin, 0.0, duration) * moves
+        return np.vstack([readings.command[first], readings.command[second], after, moves, duration])
 
 
 def _called(function: ca.Function, *arguments: Array) -> list[Array]:
@@ -124,28 +155,40 @@ def _called(function: ca.Function, *arguments: Array) -> list[Array]:
 
 
 def _spool(each: ActuatorHydraulics, theta: ca.SX, value: ca.SX) -> tuple[ca.Function, ca.Function]:
-    """At rest where a command wants it, and after a piece of constant command: place, speed, derivatives by θ.
+    """At rest where a command wants it, and after a piece in which another one arrives: place, speed, derivatives by θ
+    and by how much later it arrives.
 
     A system of second order, stepped by the Padé approximant (2, 2) of its exponential, stable for any duration.
     """
-    state, slope = ca.SX.sym("spool", 2), ca.SX.sym("slope", 2, theta.numel())
-    command, duration = ca.SX.sym("command"), ca.SX.sym("duration")
-    wanted = ca.vertcat(spool_position(each.valve, command, value), 0)
-    after = wanted
-    if each.spool_states:
+    state, slope, later = ca.SX.sym("spool", 2), ca.SX.sym("slope", 2, theta.numel() + 1), ca.SX.sym("later")
+    first, second, arrives, moves, duration = inputs = [ca.SX.sym(name) for name in (
+        "first", "second", "arrives", "moves", "duration")]
+    by = ca.vertcat(theta, later)
+
+    def wanted(command: ca.SX) -> ca.SX:
+        return ca.vertcat(spool_position(each.valve, command, value), 0)
+
+    def after(begin: ca.SX, command: ca.SX, seconds: ca.SX) -> ca.SX:
+        if not each.spool_states:
+            return wanted(command)
         rates = ca.vertcat(*each.spool_rates(state[0], state[1], ca.SX(0), value))
-        step = ca.jacobian(rates, state) * duration
+        step = ca.jacobian(rates, state) * seconds
         even, odd, one = step @ step / 12, step / 2, ca.SX.eye(2)
         top, (a, b, c, d) = one + odd + even, ca.vertsplit(ca.vec((one - odd + even).T))
         inverse = ca.vertcat(ca.horzcat(d, -b), ca.horzcat(-c, a)) / (a * d - b * c)
-        after += inverse @ (top @ (state - wanted))
+        return wanted(command) + inverse @ (top @ (begin - wanted(command)))
 
     def whole(place: ca.SX, derivative: ca.SX) -> ca.SX:
         return ca.vertcat(place, ca.vec(ca.densify(derivative)))
 
-    return (ca.Function("begin", [command, theta], [whole(wanted, ca.jacobian(wanted, theta))]),
-            ca.Function("piece", [whole(state, slope), ca.vertcat(command, duration), theta],
-                        [whole(after, ca.jacobian(after, state) @ slope + ca.jacobian(after, theta))]))
+    # where the second one arrives later than the piece ends, it acts for less than no time
+    at = arrives + moves * later
+    end = after(after(state, first, at), second, duration - at)
+    by_state, by_numbers = ca.jacobian(end, state), ca.jacobian(end, by)
+    rest = wanted(first)
+    return (ca.Function("begin", [first, theta], [whole(rest, ca.jacobian(rest, by))]),
+            ca.Function("piece", [whole(state, slope), ca.vertcat(*inputs), theta],
+                        [ca.substitute(whole(end, by_state @ slope + by_numbers), later, ca.SX(0))]))
 
 
 def _interval(each: ActuatorHydraulics, theta: ca.SX, value: ca.SX, parts: int) -> ca.Function:

@@ -54,8 +54,9 @@ def test_the_band_is_the_covariance_of_what_errors_of_readings_leave(chambers: t
     variance, dt = RNG.uniform(0.5, 2.0, (count + 1, 5)), RNG.uniform(0.01, 0.02, count)
     readings = Readings(np.append(0, np.cumsum(dt)), *np.zeros((2, count, 2)), np.zeros((count + 1, 5)), variance,
                         chambers, 0, np.zeros((count + 1, 0)))
-    at = Misclosure(np.zeros((count, c)), np.zeros((count, c, 1)), first, last)
-    band = Linear(at.value, at, np.zeros((count + 1, 5)), np.zeros(0), np.zeros(0)).covariance(readings, 3.0)
+    at = Misclosure(np.zeros((count, c)), np.zeros((count, c, 1)), first, last, np.zeros((count, c)))
+    nothing = np.zeros(0)
+    band = Linear(at.value, at, np.zeros((count + 1, 5)), nothing, nothing, nothing).covariance(readings, 3.0)
     slope = np.zeros((count * c, (count + 1) * 5))
     for j in range(count):
         slope[j * c : (j + 1) * c, 5 * j : 5 * j + 10] = np.hstack([first[j], last[j]])

@@ -13,6 +13,7 @@ import pytest
 from hydroopt import Model, load_machine
 from hydroopt.errors import IdentifiabilityError, LogError, ProblemError
 from hydroopt.estimation.hydraulic.estimate import free_run_fit, identify_hydraulics
+from hydroopt.estimation.hydraulic.free_run import free_runs
 from hydroopt.estimation.hydraulic.problem import hydraulic_problem
 from hydroopt.logs.log import Log
 from hydroopt.machine.machine import Machine
@@ -186,3 +187,17 @@ def _with(log: Log, channel: str, values: np.ndarray) -> Log:
 
 def _without(log: Log, channel: str) -> Log:
     return replace(log, channels={name: x for name, x in log.channels.items() if name != channel})
+
+
+def test_a_free_run_that_begins_in_motion_begins_at_the_right_speed() -> None:
+    """By the true numbers: the speed of a smoothed motion at the end of a log moved pressures by 4 bar."""
+    plant = Plant(Model(load_machine("patu655_lift")))
+    t = np.arange(600) / 100
+    u = 5.7 + 1.2 * np.sin(2 * np.pi * 0.25 * t)
+    clean = drive(plant, t, u[:, None], np.array([0.5]), noise=False)
+    rest = drive(plant, t, u[:, None], np.array([0.5]), seed=4).slice(300, 600)
+    problem = hydraulic_problem(plant.machine, [rest])
+    (run,) = free_runs(problem, rest, problem.parameters.nominal)
+    for channel in ("lift_cylinder.p_head", "lift_cylinder.p_rod"):
+        error = run.outputs[:, problem.channels.index(channel)] - clean.channels[channel][300:]
+        assert np.sqrt(np.mean(error[:100] ** 2)) < 1e5
