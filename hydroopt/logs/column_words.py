@@ -49,8 +49,8 @@ QUANTITIES = {"q": {"angle"}, "qd": {"velocity"}, "qdd": {"acceleration"}, "leng
 """Words that a column of a channel of each suffix has."""
 IMPLIED = {"rad": "angle", "m": "length", "Pa": "pressure", "rad/s": "velocity", "N": "force", "N*m": "torque"}
 """The quantity that channels of an SI unit have."""
-COUNTED = re.compile("[ab]|[0-9]+")
-"""Words that number chambers, ports or sensors, without saying which is which."""
+COUNTED = re.compile("[ab]|left|right|links|rechts|[0-9]+")
+"""Words that tell chambers, ports or sensors apart, without saying which is which."""
 SHORTEST = 3
 """Letters of the shortest part of a compound word."""
 _FOLDED = str.maketrans(dict(zip("äöüÄÖÜß", ("ae", "oe", "ue", "Ae", "Oe", "Ue", "ss"), strict=True)))

@@ -167,11 +167,13 @@ def test_headers_that_leave_part_or_chamber_open_are_questions(log, tmp_path):
     path = written(log, tmp_path / "run.csv", {
         "t": ("t [ms]", 1e3), "boom.q": ("Angle (Grad)", 180 / np.pi), "stick.q": ("Stick", 180 / np.pi),
         "boom_cylinder.p_head": ("Druck_A (bar)", 1e-5), "boom_cylinder.p_rod": ("Ausleger Druck_B (bar)", 1e-5),
-        "boom_cylinder.length": ("Kolbenweg [mm]", 1e3), "stick_cylinder.p_head": ("P3", 1e-5)})
+        "boom_cylinder.length": ("Kolbenweg [mm]", 1e3), "stick_cylinder.p_head": ("P3", 1e-5),
+        "swing_motor.p_a": ("swing_left_bar", 1e-5)})
     found = propose_map(path, load_machine("cat215b"))
     assert dict(found.possible) == {
         "Angle (Grad)": ("swing.q", "boom.q", "stick.q"), "Stick": ("stick.q", *chambers[2:4]),
         "Druck_A (bar)": chambers, "Ausleger Druck_B (bar)": chambers[:2], "P3": chambers,
+        "swing_left_bar": chambers[4:],
         "Kolbenweg [mm]": ("boom_cylinder.length", "stick_cylinder.length")}
     text = found.toml()
     for channel, column, unit in (("boom.q", "Angle (Grad)", "deg"), ("boom_cylinder.p_head", "Druck_A (bar)", "bar")):
