@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Sequence
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -106,7 +105,7 @@ def simulate(
     if tested and (driven or motion is not None or commands is not None or duration is not None):
         raise ProblemError("a test of the valves has steps of its own", where="--valve-test",
                            remedy="leave out --driven, --motion, --commands and --duration")
-    draw, random = seed if truth_seed is None else truth_seed, truth == "random"
+    draw, random, smaller = seed if truth_seed is None else truth_seed, truth == "random", ""
     with progress("choosing motion and truth", quiet) as say:
         psi = simulation.random_truth(model, draw) if random else model.parameters.nominal
         named = dict(zip(model.parameters.names, psi.tolist(), strict=True))
@@ -126,7 +125,7 @@ def simulate(
                 sizes = [0.5**k for k in range(1 if motion is not None else HALVINGS + 1)]
                 tries = [partial(_driving, plant, path, psi, theta, size) for size in sizes]
             say("driving the valves", 0.2)
-            log = _first_possible(tries, lambda given: drive_valves.drive(
+            log, smaller = _first_possible(tries, lambda given: drive_valves.drive(
                 plant, *given, psi=psi, theta=theta, noise=noise, seed=seed, name=described.name))
         else:
             path = (_random(model, duration, rate, seed) if motion is None
@@ -140,6 +139,8 @@ def simulate(
             indent=1)})
     if not quiet:
         echo(f"{output / name}: {len(log.t)} samples, channels {', '.join(log.channels)}")
+        if smaller:
+            echo(smaller)
 
 
 def _tested(plant: Plant, psi: Array, theta: Array, rate: float | None, *, noise: bool, seed: int) -> Log:
@@ -202,17 +203,20 @@ def _driving(plant: Plant, motion: Trajectory, psi: Array, theta: Array, size: f
 
 
 def _first_possible(tries: Sequence[Callable[[], tuple[Array, Array, Array]]],
-                    drive: Callable[[tuple[Array, Array, Array]], Log]) -> Log:
-    """The log of the first commands that supply and joint ranges allow.
+                    drive: Callable[[tuple[Array, Array, Array]], Log]) -> tuple[Log, str]:
+    """The log of the first commands that supply and joint ranges allow, and a sentence where these are not the first.
 
     Raises:
         ProblemError: they allow none.
     """
     *most, last = tries
-    for each in most:
-        with suppress(ProblemError):
-            return drive(each())
-    return drive(last())
+    smaller = ""
+    for k, each in enumerate(most):
+        try:
+            return drive(each()), smaller
+        except ProblemError as refused:
+            smaller = f"amplitude {0.5 ** (k + 1):.3g} of the random motion's, since of a larger one {refused.what}"
+    return drive(last()), smaller
 
 
 def _commands(plant: Plant, log: Log) -> tuple[Array, Array, Array]:

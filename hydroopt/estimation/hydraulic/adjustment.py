@@ -278,7 +278,14 @@ def _with_likeliest_density(stretches: Sequence[Balanced], parameters: Parameter
                             density: Array) -> tuple[_Solver, _State]:
     """Numbers and densities in turn, until the densities stay."""
     solver = _Solver(stretches, parameters, density)
-    here = solver.solve(np.zeros(solver.p + solver.g), [np.zeros_like(each.readings.values) for each in stretches])
+    x, corrections = np.zeros(solver.p + solver.g), [np.zeros_like(each.readings.values) for each in stretches]
+    if late := [k for each in stretches for k in each.balance.late]:
+        # far from the solution, a delay and a spool that oscillates imitate each other
+        free = solver.lower.copy(), solver.upper.copy()
+        solver.lower[late] = solver.upper[late] = 0.0
+        near = solver.solve(x, corrections)
+        (solver.lower, solver.upper), x, corrections = free, near.x, [each.correction for each in near.linear]
+    here = solver.solve(x, corrections)
     for _ in range(ROUNDS):
         density = solver.likeliest(here.linear)
         if np.all(np.abs(density - solver.density) <= AGREED * density):
