@@ -42,7 +42,7 @@ same, the second when routines, members or statuses are added."""
 LARGEST = dict.fromkeys(("psi", "reading", "force_rate", "pressure_a", "pressure_b", "supply", "wrench",
                          "actuator_force", "loaded_psi", "force_measured", "force_demanded", "state"), 1e9)
 """Absolute value beyond which an input is refused, by the member's name; 1e5 for all others."""
-LARGE = 1200
+LARGE = 1500
 """Number of statements from which each routine gets its own file."""
 STATUSES = {
     "OK": "the result is there",
@@ -300,7 +300,10 @@ class Code:
             return f"constants->value[{k}]" if name == "constants" else f"in->{name}[{k}]"
 
         naming = Naming(source, target, self.type, self.single, self.call)
-        return statements(self.programs_of_routines[routine.name], naming)
+        lines = statements(self.programs_of_routines[routine.name], naming)
+        checked = max((k + 1 for k, line in enumerate(lines) if " return " in line), default=0)
+        early = [line for line in lines[:checked] if line.startswith("out->")]  # inputs that are results, too
+        return [*(line for line in lines[:checked] if line not in early), *early, *lines[checked:]]
 
     def call(self, operation: str) -> str:
         """The C function of an operation."""

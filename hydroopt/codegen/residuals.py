@@ -9,7 +9,7 @@ from collections.abc import Mapping
 
 import casadi as ca
 
-from hydroopt.codegen.symbols import COINCIDENT, DETERMINED, Field, Guard, Kind, Routine, Symbols
+from hydroopt.codegen.symbols import ABOVE, COINCIDENT, DETERMINED, Field, Guard, Kind, Routine, Symbols
 
 READS = ("q", "qd", "qdd", "reading", "wrench")
 
@@ -28,7 +28,12 @@ def _measurement(api: Symbols) -> str:
                       Field("q", ("joint",), "rad or m", "position of each joint"),
                       Field("qd", ("joint",), "rad/s or m/s", "its speed"),
                       Field("qdd", ("joint",), "rad/s^2 or m/s^2", "its acceleration"),
-                      Field("reading", ("reading",), "Pa or N*m", "reading of each transducer"), wrench_member(api))
+                      reading_member(), wrench_member(api))
+
+
+def reading_member() -> Field:
+    """The member with readings of transducers."""
+    return Field("reading", ("reading",), "Pa or N*m", f"reading of each transducer; pressures {ABOVE}")
 
 
 def wrench_member(api: Symbols) -> Field:
@@ -46,8 +51,8 @@ def _of_measurement(api: Symbols, name: str, text: str, gives: str, outputs: Map
     # a routine reads only what its result depends on: readings enter no derivative, a wrench not that by parameters
     reads = tuple(key for key in READS if ca.depends_on(ca.veccat(*outputs.values()), api.inputs[key])
                   or key in ("q", "qd", "qdd"))
-    return Routine(name, text, _measurement(api), reads, gives, outputs, api.guards(levers=True, gas=True),
-                   api.lengths)
+    guards = (*api.pressures(*({"reading"} & set(reads))), *api.guards(levers=True, gas=True))
+    return Routine(name, text, _measurement(api), reads, gives, outputs, guards, api.lengths)
 
 
 def residual(api: Symbols) -> Routine:
@@ -115,7 +120,7 @@ def closure(api: Symbols) -> Routine:
     missing = no_geometry(api)
     if not missing:
         outputs["by_geometry"] = ca.jacobian(rows, g)
-    guards = [*api.straight(chain.loop_sines(g, q))]
+    guards = [*api.turns(q, chain.joints), *api.straight(chain.loop_sines(g, q))]
     guards += [Guard(value, ">", COINCIDENT, "OPEN_TRIANGLE") for value in ca.vertsplit(distance)] if count else []
     held = [one.name for one in api.machine.fixtures if one.kind != "ball"]
     lost = {"by_geometry": missing} if missing else {}
@@ -149,4 +154,5 @@ def tip_wrench(api: Symbols) -> Routine:
         "wrench", (6,), "N, N*m", f"{meaning}, at the far end of {api.machine.tip}, in the base frame"))
     return Routine("tip_wrench", "The wrench at the tip that explains the measured forces of a motion.",
                    _measurement(api), ("q", "qd", "qdd", "reading"), gives, {"wrench": wrench},
-                   (*api.guards(levers=True, gas=True), Guard(determined, ">", DETERMINED, "SINGULAR")), api.lengths)
+                   (*api.pressures("reading"), *api.guards(levers=True, gas=True),
+                    Guard(determined, ">", DETERMINED, "SINGULAR")), api.lengths)

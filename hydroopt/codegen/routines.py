@@ -95,7 +95,7 @@ def _forward_kinematics(api: Symbols) -> Routine:
               f"{machine.tip}, in the base frame, per speed of each joint"))
     return Routine("forward_kinematics", "Poses of all links and the Jacobian of the last one's far end.",
                    api.motion(), ("q",), gives, {"pose": ca.vertcat(*poses), "jacobian": api.dynamics.tip_jacobian},
-                   api.straight(api.dynamics.tree.sines))
+                   (*api.turns(api.coordinates.q, machine.joints), *api.straight(api.dynamics.tree.sines)))
 
 
 def _cylinder_state(api: Symbols) -> Routine:
@@ -122,7 +122,7 @@ def _actuator_forces(api: Symbols) -> Routine:
     outputs = {"force": force, "torque": api.dynamics.transmission.T @ acting}
     takes = api.struct("readings", "Readings of the actuators' transducers.",
                        Field("q", ("joint",), "rad or m", "position of each joint"),
-                       Field("reading", ("reading",), "Pa or N*m", "reading of each transducer"))
+                       residuals.reading_member())
     unread = ", ".join(each.name for each, known in zip(api.machine.actuators, read, strict=True) if not known)
     members = (Field("force", ("actuator",), "N or N*m", "force of each actuator by its readings, with offset"
                      + (f"; 0 for {unread}, which no balance contains" if unread else "")),
@@ -130,12 +130,13 @@ def _actuator_forces(api: Symbols) -> Routine:
     if api.row == "actuator":
         gives = api.struct("loads", "Forces of the actuators and their effect.", *members)
         return Routine("actuator_forces", "Forces of the actuators from their pressures, and joint torques.", takes,
-                       ("q", "reading"), gives, outputs, api.guards(), api.lengths)
+                       ("q", "reading"), gives, outputs, (*api.pressures("reading"), *api.guards()), api.lengths)
     gives = api.struct("loads", "Forces of the actuators and their effect.", *members,
                        api.per_row("balance", "measured force of each {row}, with offsets"))
     return Routine("actuator_forces", "Forces of the actuators from their pressures, their effect at the joints, and "
                    "what the balances measure.", takes, ("q", "reading"), gives, outputs | {"balance": api.measured},
-                   api.guards(levers=not api.dynamics.work.sparsity().is_diag()), api.lengths)
+                   (*api.pressures("reading"), *api.guards(levers=not api.dynamics.work.sparsity().is_diag())),
+                   api.lengths)
 
 
 def _inverse_dynamics(api: Symbols) -> Routine:

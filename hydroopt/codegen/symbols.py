@@ -27,6 +27,11 @@ STRAIGHT = 1e-4
 """Sine of the angle between the bars of a loop below which it is at a dead point, or cannot close."""
 EMPTY = 1e-9
 """Volume [m³] below which a gas cylinder counts as empty."""
+TURN = 2 * np.pi
+NO_PRESSURE = -1e6
+"""Reading [Pa, gauge] below which a pressure is none: far below vacuum, beyond what errors of transducers explain."""
+ABOVE = f"above {NO_PRESSURE / 1e6:g} MPa"
+"""The same in the comments of members."""
 DETERMINED = 1e-6
 """How well a posture must determine the wrench at the tip, from 0 to 1, see `Dynamics.tip_wrench`."""
 
@@ -205,7 +210,7 @@ class Symbols:
 
     def guards(self, *, levers: bool = False, gas: bool = False) -> tuple[Guard, ...]:
         """Checks of loops and pin distances, and if asked for of lever arms and gas volumes."""
-        found = [*self.straight(self.dynamics.tree.sines)]
+        found = [*self.turns(self.coordinates.q, self.machine.joints), *self.straight(self.dynamics.tree.sines)]
         found += [Guard(self.dynamics.cylinders[c.name].length, ">", COINCIDENT, "OPEN_TRIANGLE")
                  for c in self.machine.pinned]
         if levers:
@@ -215,6 +220,24 @@ class Symbols:
             found += [Guard(each.gas_volume(self.dynamics.cylinders[each.name].length), ">", EMPTY, "NO_GAS_VOLUME")
                       for each in self.machine.gas_cylinders]
         return tuple(found)
+
+    def turns(self, q: ca.SX, joints: Iterable[str]) -> tuple[Guard, ...]:
+        """Checks that angles q of joints with limits are within half a turn of the middle of their ranges.
+
+        Others, such as degrees for radians, would be taken for angles within them.
+        """
+        known, found = {link.name: link.joint for link in self.chain.links}, []
+        for k, name in enumerate(joints):
+            lower, upper = known[name].range
+            if known[name].type == "revolute" and upper - lower < TURN:
+                found.append(Guard(q[k] - (lower + upper) / 2, "<=", TURN / 2, "OUT_OF_RANGE", absolute=True))
+        return tuple(found)
+
+    def pressures(self, *names: str) -> tuple[Guard, ...]:
+        """Checks that inputs which are pressures can be such; of readings those in Pa."""
+        units = {"reading": self.kinds["reading"].units}
+        return tuple(Guard(self.inputs[name][k], ">=", NO_PRESSURE, "OUT_OF_RANGE") for name in names
+                     for k in range(self.inputs[name].numel()) if name not in units or units[name][k] == "Pa")
 
     @staticmethod
     def arms(bars: Iterable[ca.SX]) -> tuple[Guard, ...]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import casadi as ca
 
-from hydroopt.codegen.symbols import Field, Guard, Kind, Routine, Symbols
+from hydroopt.codegen.symbols import ABOVE, Field, Guard, Kind, Routine, Symbols
 from hydroopt.control import cascade, valve_inversion
 from hydroopt.control import valve_refit as refit
 from hydroopt.control.axes import Axes
@@ -54,7 +54,7 @@ def valve_feedforward(api: Symbols) -> Routine:
                    ("q", "qd", "qdd", "speed_added", "force_rate", "pressure_a", "pressure_b", "supply", *FACTORS),
                    gives,
                    {"force": force, "opening": ca.vertcat(*openings), "command": ca.vertcat(*commands)},
-                   (*guards, _supplied(supply), *(Guard(factor, ">", LEAST_FACTOR, "OUT_OF_RANGE") for factor in
+                   (*guards, *_supplied(api), *(Guard(factor, ">", LEAST_FACTOR, "OUT_OF_RANGE") for factor in
                                                    ca.vertsplit(ca.vec(factors)))), api.lengths)
 
 
@@ -85,7 +85,7 @@ def valve_refit(api: Symbols) -> Routine:
                    ("q", "acting", "pressure_a", "pressure_b", "supply", "period", "state"), gives,
                    {FACTORS[0]: factors[:, 0], FACTORS[1]: factors[:, 1], "std_extending": deviations[:, 0],
                     "std_retracting": deviations[:, 1], "state": ca.vertcat(*after)},
-                   (*api.guards(), _supplied(supply), *_periodic(period)), api.lengths)
+                   (*api.guards(), *_supplied(api), *_periodic(period)), api.lengths)
 
 
 def position_feedback(api: Symbols) -> Routine:
@@ -149,9 +149,9 @@ def _value(plant: Plant, each: ActuatorHydraulics) -> Value:
 
 
 def _pressures(api: Symbols) -> tuple[Field, ...]:
-    return (Field("pressure_a", (api.valve,), "Pa", "in the head of a cylinder, at port A of a motor"),
-            Field("pressure_b", (api.valve,), "Pa", "in the rod side of a cylinder, at port B of a motor"),
-            Field("supply", (2,), "Pa", "pressures of supply and tank"))
+    return (Field("pressure_a", (api.valve,), "Pa", f"in the head of a cylinder, at port A of a motor, {ABOVE}"),
+            Field("pressure_b", (api.valve,), "Pa", f"in the rod side of a cylinder, at port B of a motor, {ABOVE}"),
+            Field("supply", (2,), "Pa", f"pressures of supply and tank, {ABOVE}"))
 
 
 def _factors(api: Symbols) -> tuple[Field, ...]:
@@ -160,8 +160,11 @@ def _factors(api: Symbols) -> tuple[Field, ...]:
                        f"the same of a {way} one") for way in ("extending", "retracting"))
 
 
-def _supplied(supply: ca.SX) -> Guard:
-    return Guard(supply[0] - supply[1], ">", valve_inversion.DROP, "NO_SUPPLY")
+def _supplied(api: Symbols) -> tuple[Guard, ...]:
+    """Checks of the pressures: none that cannot be, and the supply's above the tank's."""
+    supply = api.inputs["supply"]
+    return (*api.pressures("pressure_a", "pressure_b", "supply"),
+            Guard(supply[0] - supply[1], ">", valve_inversion.DROP, "NO_SUPPLY"))
 
 
 def _periodic(period: ca.SX) -> tuple[Guard, ...]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 
 import numpy as np
@@ -220,7 +221,9 @@ def test_pins_that_coincide(excavator: Library) -> None:
 def test_dead_points(excavator: Library, cylinder, turns: float) -> None:
     joint, triangle = Geometry(EXCAVATOR.machine).triangle(cylinder)
     q = np.array([0.5, -0.5, 1.5])
-    q[EXCAVATOR.machine.joints.index(joint)] = turns - float(triangle.offset)
+    middle = sum(EXCAVATOR.machine.link(joint).joint.range) / 2
+    q[EXCAVATOR.machine.joints.index(joint)] = middle + math.remainder(turns - float(triangle.offset) - middle,
+                                                                       2 * math.pi)
     q = held(q)
     constants = excavator.prepare()
     for name in MOTIONS:

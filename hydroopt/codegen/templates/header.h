@@ -31,7 +31,8 @@ extern "C" {
 extern const char {{ p }}_version[];
 
 /* Status of a call: use a result only if it is {{ P }}_OK. Lengths, angles, speeds and accelerations above 1e5, and
- * masses, forces and pressures above 1e9, are rejected. To extrapolate beyond the strokes on purpose, widen `shortest`
+ * masses, forces and pressures above 1e9, are rejected, and angles of joints with limits more than half a turn from the
+ * middle of their range. To extrapolate beyond the strokes on purpose, widen `shortest`
  * and `longest` of the parameters. */
 typedef enum {
 {% for name, text in statuses.items() %}
