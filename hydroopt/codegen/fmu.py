@@ -147,7 +147,7 @@ def plant(made: Plant, name: str, psi: Array) -> Fmu:
         *(computed[key][k] for key, k in outputs)))], ["x", "u", "supply", "psi", "theta"], ["rates", "outputs"])
     compiled = program(function)
     return Fmu(f"{name}_plant", f"{machine.name} driven by its valves", *_placed(groups), made.states, "plant.c", {
-        "equations": integrator.source(compiled, parameters=2), "scale": _row(made.scale), "ranges": ranges,
+        "equations": integrator.source(compiled, parameters=2), "typical": _row(made.scale), "ranges": ranges,
         "constants": compiled.hoisted(["psi", "theta"], "c")[0].outputs[0].rows})
 
 

@@ -1,6 +1,6 @@
 {{ equations }}
 static const double scale[NX] = {
-{{ scale }}
+{{ typical }}
 };
 
 /* What the parameters decide, and what the integration remembers from step to step. */
