@@ -100,7 +100,7 @@ class Kind(StrEnum):
     RESIDUALS_ABOVE_NOISE = "residuals above the sensors' noise"
     MISFIT_CAUSE = "likeliest cause of the misfit"
     LACK_OF_FIT = "lack of fit"
-    FASTER_THAN_SMOOTHING = "motion faster than smoothing passes"
+    FASTER_THAN_SMOOTHING = "residuals faster than smoothing passes"
     SPIKES = "spikes"
     LINE = "line in the spectrum"
     DETECTABLE_FAULTS = "smallest faults that would show"
@@ -337,8 +337,9 @@ WORDS: dict[Kind, Words] = {
         "({said}){others}. The model lacks something that is not in the list of faults, or several faults at once.",
         "Intervals hold only as far as the model does: see the figure of the residuals."),
     Kind.FASTER_THAN_SMOOTHING: Words(
-        "The force of {subject} holds motion that smoothing of the angles takes away: {part:.0f %} of its residuals, "
-        "{ratio:.2g} times as large as noise explains, are faster than {bandwidth:.2g} Hz, most at {hertz:.2g} Hz.",
+        "{part:.0f %} of the residuals of {subject}, {ratio:.2g} times as large as noise explains, are faster than the "
+        "{bandwidth:.2g} Hz that smoothing passes, most at {hertz:.2g} Hz: motion that smoothing takes away, as after "
+        "steps of valves, or a fast effect that the model lacks.",
         "Drive smoother, without steps of the valves; or let faster motion pass (--bandwidth, or bandwidth in the "
         "machine file) where angles are exact enough."),
     Kind.SPIKES: Words(
