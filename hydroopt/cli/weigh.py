@@ -32,8 +32,8 @@ if TYPE_CHECKING:
 
 def weigh(
     machine: MachineName,
-    log: Annotated[Path, typer.Argument(metavar="LOG", help=(
-        "Log of joint angles and pressures that begins with the empty machine in motion."))],
+    logs: Annotated[list[Path], typer.Argument(metavar="LOG...", help=(
+        "Logs of joint angles and pressures, each of which begins with the empty machine in motion."))],
     output: Directory,
     calibration: Annotated[list[Path], typer.Option(metavar="LOG|DIR", help=(
         "Directory that identify wrote from logs without load; or such a log, repeatable."))],
@@ -44,7 +44,7 @@ def weigh(
         ))] = None,
     centre_sigma: Annotated[str, typer.Option(help="Standard deviation of that place.")] = "5 cm",
     tare: Annotated[str, typer.Option(help=(
-        "How long the machine is empty at the beginning of the log; '0 s' weighs without a tare."))] = "10 s",
+        "How long the machine is empty at the beginning of each log; '0 s' weighs without a tare."))] = "10 s",
     roll: Annotated[str | None, typer.Option(help="Roll of the base as measured, e.g. '2 deg'.")] = None,
     pitch: Annotated[str | None, typer.Option(help="Pitch of the base as measured.")] = None,
     slope_sigma: Annotated[str, typer.Option(help=(
@@ -109,8 +109,8 @@ def weigh(
             made = weighing.learned(made, read([file])[0], size(mass, "kg", "--known"),
                                     size(known_sigma, "kg", "--known-sigma"))
         made = made.on_slope(*tilt)
-        say(f"weighing along {log.name}", (steps - 2) / steps)
-        found = weighing.weigh(made, read([log])[0], tare=size(tare, "s", "--tare"),
+        say(f"weighing along {', '.join(each.name for each in logs)}", (steps - 2) / steps)
+        found = weighing.weigh(made, read(logs), tare=size(tare, "s", "--tare"),
                                needed=None if needed is None else size(needed, "kg", "--needed"))
         say("writing the report", (steps - 1) / steps)
         files = _c_of(found, single=float32, measured=sizes, directory=output / "c") if code else {}
@@ -124,7 +124,7 @@ def _c_of(found: Weighing, *, single: bool, measured: bool, directory: Path) -> 
     """The scale that weighed as C."""
     from hydroopt.codegen.scale_code import scale_code
 
-    made = scale_code(found.scale, found.equations.smoothed.kernel.step, needed=found.needed, single=single,
+    made = scale_code(found.scale, found.logs[0].equations.smoothed.kernel.step, needed=found.needed, single=single,
                       measured=measured)
     return made.files_for(directory)
 

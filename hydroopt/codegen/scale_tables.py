@@ -15,7 +15,7 @@ from hydroopt.results.verdict import NORMAL
 from hydroopt.spatial.inertia import Array
 from hydroopt.weighing import course, equations, recursion, smoothed_log
 from hydroopt.weighing.course import Weighable
-from hydroopt.weighing.scale import Scale
+from hydroopt.weighing.scale import STEEPEST, Scale
 from hydroopt.weighing.smoothing_kernel import SmoothingKernel
 
 ROUTINES = ("actuator_forces", "tilted_regressor", "force_by_motion")
@@ -113,7 +113,7 @@ class ScaleTables:
     def rules(self) -> Mapping[str, float]:
         """Numbers of the rules."""
         return {"MOVING": smoothed_log.MOVING, "UNEVEN": smoothed_log.UNEVEN, "LEAST": equations.LEAST,
-                "SHOWN": recursion.SHOWN, "AGAIN": recursion.AGAIN, "WIDEST": recursion.WIDEST,
+                "STEEPEST": STEEPEST, "SHOWN": recursion.SHOWN, "AGAIN": recursion.AGAIN, "WIDEST": recursion.WIDEST,
                 "SMALLEST": recursion.SMALLEST, "THRESHOLD": course.THRESHOLD, "GOES_ON": course.GOES_ON,
                 "NOTICED": course.NOTICED, "LASTS": course.LASTS, "SETTLED": course.SETTLED,
                 "RESTING": course.RESTING, "FEWEST": course.FEWEST, "CONTRADICTED": course.CONTRADICTED,

@@ -22,15 +22,19 @@ if TYPE_CHECKING:
 def render(weighing: Weighing) -> str:
     """The page; it needs nothing else."""
     model, table = weighing.scale.model, weighing.table
-    machine, t = model.machine, table["t [s]"]
+    machine = model.machine
     good = np.array([each.status is Weighable.OK for each in weighing.readings])
     believed = {key: np.where(good, table[f"{key} [kg]"], np.nan) for key in ("mass", "low", "high")}
     unbelieved = np.where(good, np.nan, table["mass [kg]"])
     shown = np.concatenate([believed["low"][good], believed["high"][good], [0.0]])
     margin = 0.05 * weighing.scale.load.full_scale
-    samples = joined([Recording("weighing", weighing.log.name, t, weighing.equations.smoothed.stretch, {
-        **positions(machine.joints, weighing.equations.smoothed.q), **believed, "not weighable": unbelieved,
-        "misfit": table["misfit"]})])
+    courses, recordings, first = {**believed, "not weighable": unbelieved, "misfit": table["misfit"]}, [], 0
+    for each in weighing.logs:
+        here = slice(first, first := first + len(each.readings))
+        recordings.append(Recording("weighing", each.log.name, each.t, each.equations.smoothed.stretch, {
+            **positions(machine.joints, each.equations.smoothed.q),
+            **{key: values[here] for key, values in courses.items()}}))
+    samples = joined(recordings)
     lines = (Line("mass", "mass"), Line("not weighable", "not weighable", "measured", dots=True))
     chart = TimeChart("mass [kg]", lines,
                       span=(float(shown.min() - margin), float(shown.max() + margin)),

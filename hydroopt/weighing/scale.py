@@ -30,6 +30,8 @@ from hydroopt.weighing.smoothed_log import smoothed_log
 
 NEGLIGIBLE = 1e-3
 """RMS force, per σ of a sensor, below which a direction of the model's uncertainty is left out."""
+STEEPEST = 0.5
+"""Cosine of the angle from the machine file's gravity up to which a slope is taken."""
 STEEP = np.radians(5.0)
 """Slope of the base at which it is measured [rad]."""
 TRIALS, TRIAL_DURATION, TRIAL_RATE = 8, 60.0, 5.0
@@ -137,11 +139,18 @@ class Scale:
         """The same scale on another slope: roll and pitch of the base [rad] as an inclinometer reads them.
 
         Friction and bodies stay as they were learned; what was learned of the former slope goes.
+
+        Raises:
+            ProblemError: gravity is nearly across that of the machine file.
         """
         std = self.uncertain.slope if std is None else std
         size = float(np.linalg.norm(self.gravity))
-        mean = self.axes[:2] @ (size * np.array([np.sin(pitch), -np.sin(roll) * np.cos(pitch),
-                                                 -np.cos(roll) * np.cos(pitch)]))
+        down = self.axes @ np.array([np.sin(pitch), -np.sin(roll) * np.cos(pitch), -np.cos(roll) * np.cos(pitch)])
+        if not down[2] > STEEPEST:
+            raise ProblemError("this slope turns gravity more than 60 degrees from that of the machine file",
+                               where="slope", remedy="give roll and pitch of the base as the file's orientation has "
+                                                     "them, in rad")
+        mean = size * down[:2]
         tilt = slice(self.count - 2, self.count)
         return replace(self, tilt=(roll, pitch, std),
                        own=self.own.without(tilt).and_independent(mean, np.full(2, size * std)))

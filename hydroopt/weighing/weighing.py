@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -11,6 +11,7 @@ import numpy as np
 from threadpoolctl import threadpool_limits
 
 from hydroopt.errors import LogError, ProblemError
+from hydroopt.logs.frames import all_of
 from hydroopt.logs.log import Log
 from hydroopt.machine.parameter_kind import ParameterKind
 from hydroopt.results.answer import Answer
@@ -36,17 +37,52 @@ NEEDED = 0.02
 """Half of a mass's 95 % interval, as a part of the full scale, above which it is too uncertain by default."""
 
 
+@dataclass(frozen=True, eq=False)
+class WeighedLog:
+    """What a scale showed over a log.
+
+    Attributes:
+        log: that was weighed.
+        equations: of its smoothed samples.
+        readings: what the scale showed at each of them.
+        first: number of loads in the logs before.
+    """
+
+    log: Log
+    equations: Equations
+    readings: tuple[Reading, ...]
+    first: int
+
+    @property
+    def t(self) -> Array:
+        """(M,) times of the readings [s]."""
+        return self.equations.t
+
+    @cached_property
+    def loads(self) -> tuple[LoadWeighed, ...]:
+        """The loads one after the other, without the empty machine at the beginning."""
+        found: list[LoadWeighed] = []
+        for k in range(1, self.readings[-1].load + 1):
+            some = [each for each in self.readings if each.load == k]
+            good = [each for each in some if each.status is Weighable.OK]
+            found.append(LoadWeighed(self.first + k, self.log.name, float(self.t[some[0].sample]),
+                                     float(self.t[some[-1].sample]), (good or some)[-1]))
+        return tuple(found)
+
+
 @dataclass(frozen=True)
 class LoadWeighed:
     """One load of a log.
 
     Attributes:
-        number: from 1.
+        number: from 1, over all logs.
+        log: name of its log.
         begin, end: when it was carried [s].
         reading: the last one that can be believed, or else the last one.
     """
 
     number: int
+    log: str
     begin: float
     end: float
     reading: Reading
@@ -74,13 +110,11 @@ class LoadWeighed:
 
 @dataclass(frozen=True, eq=False, repr=False)
 class Weighing(Answer):
-    """What a scale showed over a log; `weigh` returns it.
+    """What a scale showed over one log or several; `weigh` returns it.
 
     Attributes:
         scale: that weighed.
-        log: that it weighed.
-        equations: of the smoothed log.
-        readings: what it showed at each smoothed sample.
+        logs: what it showed over each log.
         needed: half of the 95 % interval [kg] above which a mass is too uncertain.
 
     Example:
@@ -88,9 +122,7 @@ class Weighing(Answer):
     """
 
     scale: Scale
-    log: Log
-    equations: Equations
-    readings: tuple[Reading, ...]
+    logs: tuple[WeighedLog, ...]
     needed: float
     job = Job.WEIGHING
 
@@ -106,15 +138,13 @@ class Weighing(Answer):
 
     @cached_property
     def loads(self) -> tuple[LoadWeighed, ...]:
-        """The loads one after the other, without the empty machine at the beginning."""
-        found: list[LoadWeighed] = []
-        t = self.equations.t
-        for k in range(1, self.readings[-1].load + 1):
-            some = [each for each in self.readings if each.load == k]
-            good = [each for each in some if each.status is Weighable.OK]
-            found.append(LoadWeighed(k, float(t[some[0].sample]), float(t[some[-1].sample]),
-                                     (good or some)[-1]))
-        return tuple(found)
+        """The loads one after the other, log by log."""
+        return tuple(load for each in self.logs for load in each.loads)
+
+    @cached_property
+    def readings(self) -> tuple[Reading, ...]:
+        """What the scale showed, log by log."""
+        return tuple(reading for each in self.logs for reading in each.readings)
 
     def centre(self, weighed: Weighed) -> tuple[Array, Array]:
         """Centre of mass (3,) of a load in the frame of its link [m], and standard deviations."""
@@ -133,8 +163,9 @@ class Weighing(Answer):
         masses = np.array([each.weighed.mass for each in self.readings])
         stds = np.array([each.weighed.mass_std for each in self.readings])
         centres = np.array([np.concatenate(self.centre(each.weighed)) for each in self.readings])
-        return {"t [s]": self.equations.t[[each.sample for each in self.readings]],
-                "load": np.array([each.load for each in self.readings]),
+        return {"t [s]": np.concatenate([each.t for each in self.logs]),
+                "load": np.array([each.first + reading.load if reading.load else 0
+                                  for each in self.logs for reading in each.readings]),
                 "mass [kg]": masses, "std [kg]": stds, "low [kg]": masses - NORMAL * stds,
                 "high [kg]": masses + NORMAL * stds,
                 **{f"com_{axis} [m]": centres[:, k] for k, axis in enumerate("xyz")},
@@ -145,8 +176,8 @@ class Weighing(Answer):
     def findings(self) -> tuple[Diagnostic, ...]:
         """Each load in a sentence, or that there is none."""
         if not self.loads:
-            first, last = (float(self.equations.t[self.readings[k].sample]) for k in (0, -1))
-            return (Diagnostic(Kind.NO_LOAD_FOUND, (), {"begin": first, "end": last}),)
+            return (Diagnostic(Kind.NO_LOAD_FOUND, (), {"begin": float(self.logs[0].t[0]),
+                                                        "end": float(self.logs[-1].t[-1])}),)
         return tuple(Diagnostic(Kind.LOAD_WEIGHED, (each.name,), {
             "mass": f"{each.mass:.0f} ± {NORMAL * each.mass_std:.0f}", "begin": each.begin, "end": each.end})
             if each.ok else Diagnostic(Kind.LOAD_NOT_WEIGHABLE, (each.name,), {
@@ -195,14 +226,14 @@ class Weighing(Answer):
 
     @property
     def inputs(self) -> tuple[Mapping[str, Any], ...]:
-        """The log."""
-        return ({"path": self.log.path or self.log.name, "sha256": self.log.sha256 or None, "samples": self.log.size,
-                 "role": "weighed"},)
+        """The logs."""
+        return tuple({"path": log.path or log.name, "sha256": log.sha256 or None, "samples": log.size,
+                      "role": "weighed"} for log in (each.log for each in self.logs))
 
     def details(self) -> Mapping[str, Any]:
         """The loads with their times and statuses, and what the scale assumes."""
         load, uncertain = self.scale.load, self.scale.uncertain
-        return {"loads": [{"name": each.name, "begin": each.begin, "end": each.end,
+        return {"loads": [{"name": each.name, "log": each.log, "begin": each.begin, "end": each.end,
                            "status": str(each.reading.status), "misfit": number(each.reading.weighed.misfit)}
                           for each in self.loads],
                 "assumed": {"link": load.link, "centre": list(load.centre), "centre_std": list(load.centre_std),
@@ -211,7 +242,8 @@ class Weighing(Answer):
 
     def files(self) -> Mapping[str, str]:
         """What the scale showed over time, as CSV."""
-        columns = {**{key: values.tolist() for key, values in self.table.items()},
+        columns = {"log": [each.log.name for each in self.logs for _ in each.readings],
+                   **{key: values.tolist() for key, values in self.table.items()},
                    "status": [str(each.status) for each in self.readings]}
         return {"weighing.csv": csv_text([dict(zip(columns, values, strict=True))
                                           for values in zip(*columns.values(), strict=True)])}
@@ -224,20 +256,20 @@ def _row(name: str, kind: ParameterKind, unit: str, value: float, std: float, kn
                identifiability=known)
 
 
-def weigh(scale: Scale, log: Log, *, tare: float = 10.0, needed: float | None = None) -> Weighing:
-    """Weigh the loads of a log while the machine moves.
+def weigh(scale: Scale, logs: Log | Sequence[Log], *, tare: float = 10.0, needed: float | None = None) -> Weighing:
+    """Weigh the loads of one log or several while the machine moves.
 
-    The log begins with the empty machine in motion. It tells slope, friction and what has drifted since the
+    Each log begins with the empty machine in motion. It tells slope, friction and what has drifted since the
     calibration; each change of the load begins a new one.
 
     Args:
-        scale: of the machine, on the log's slope.
-        log: joint angles and pressures at a regular rate.
-        tare: how long the machine is empty at the beginning [s]; 0 weighs without a tare.
+        scale: of the machine, on the logs' slope.
+        logs: joint angles and pressures at a regular rate.
+        tare: how long the machine is empty at the beginning of each log [s]; 0 weighs without a tare.
         needed: half of the 95 % interval [kg] above which a mass is too uncertain; 2 % of the full scale by default.
 
     Raises:
-        LogError: the log lacks a channel, is too short, or sampled irregularly.
+        LogError: there is no log, or one lacks a channel, is too short, or sampled irregularly.
         ProblemError: the tare is negative, or no interval is small enough.
 
     >>> import hydroopt as ho
@@ -245,22 +277,28 @@ def weigh(scale: Scale, log: Log, *, tare: float = 10.0, needed: float | None = 
     >>> motions = [ho.random_trajectory(model, duration=30, rate=50, seed=k) for k in (1, 2)]
     >>> known, empty = (ho.simulate(model, motion, seed=k) for k, motion in enumerate(motions))
     >>> load = ho.CarriedLoad("lift", (3.0, 0.0, 0.0), (0.05, 0.05, 0.05), full_scale=1000.0)
-    >>> scale = ho.scale(model, known, load).on_slope(0.0, 0.0)
-    >>> found = ho.weigh(scale, empty, tare=10.0)
+    >>> scale = ho.scale(model, known, load)
+    >>> found = ho.weigh(scale.on_slope(*scale.tilt), empty, tare=10.0)
     >>> found.loads, found.centre(found.readings[-1].weighed)[0].shape
     ((), (3,))
     """
     if not (tare >= 0 and (needed is None or needed > 0)):
         raise ProblemError("a tare is not negative, and an interval positive", where="weigh",
                            remedy="give the tare in s and the interval in kg")
-    made = equations(scale, smoothed_log(scale.model, log))
-    if not np.all(np.isfinite(made.rest)):
-        raise LogError("a scale needs the pressures of all actuators", where=log.path or log.name,
-                       remedy="record them, or leave out samples that are not numbers with --treat nan=drop")
-    with threadpool_limits(limits=1, user_api="blas"):
-        needed = NEEDED * scale.load.full_scale if needed is None else needed
-        shown = tuple(course(made, tare=tare, needed=needed))
-    return Weighing(scale, log, made, shown, needed)
+    needed = NEEDED * scale.load.full_scale if needed is None else needed
+    given = all_of(logs, (Log,), "log", scale.model.machine.name)
+    if not given:
+        raise LogError("there is no log", where="weigh", remedy="give one or several")
+    found: list[WeighedLog] = []
+    for log in given:
+        made = equations(scale, smoothed_log(scale.model, log))
+        if not np.all(np.isfinite(made.rest)):
+            raise LogError("a scale needs the pressures of all actuators", where=log.path or log.name,
+                           remedy="record them, or leave out samples that are not numbers with --treat nan=drop")
+        with threadpool_limits(limits=1, user_api="blas"):
+            shown = tuple(course(made, tare=tare, needed=needed))
+        found.append(WeighedLog(log, made, shown, sum(each.readings[-1].load for each in found)))
+    return Weighing(scale, tuple(found), needed)
 
 
 def learned(scale: Scale, log: Log, mass: float, std: float) -> Scale:

@@ -20,6 +20,8 @@ from studies.weighing.machines import LINK, PIN, RATE, Session, SimulatedMachine
 from studies.weighing.quasistatic import QuasistaticScale
 
 MACHINES, MATRICES = 200, 50
+FIRST = 9000
+"""Seed of the first machine that weighs; rules and thresholds were chosen on seeds below 7000."""
 FULL_SCALE = 2500.0
 """Largest load [kg]; 1 % of it is 25 kg."""
 TARE, PICKED, WEIGHED = 10.0, 12.0, 5.0
@@ -79,7 +81,7 @@ def run() -> dict[str, Any]:
     """Errors, coverage, delays and false alarms of each case."""
     found: dict[str, list[Outcome]] = {}
     with threadpool_limits(limits=1, user_api="blas"):
-        for outcomes in machines(range(MACHINES)):
+        for outcomes in machines(range(FIRST, FIRST + MACHINES)):
             for name, outcome in outcomes.items():
                 found.setdefault(name, []).append(outcome)
         matrix = quasistatic(range(MATRICES))
@@ -180,6 +182,7 @@ def summary(some: list[Outcome]) -> dict[str, Any]:
             "within 1 % where shown": round(float(np.mean(np.abs(error[shown]) < 0.01 * FULL_SCALE)), 3),
             "median std [% of full scale]": round(100 * float(np.median(std)) / FULL_SCALE, 2),
             "coverage of 95 % intervals": round(float(np.mean(z < 1.96)), 3),
+            "coverage of 95 % intervals where shown": round(float(np.mean(z[shown] < 1.96)), 3),
             "coverage of 68 % intervals": round(float(np.mean(z < 1.0)), 3),
             "largest error in deviations": round(float(np.max(z)), 2),
             "found within 1.5 s": round(float(np.mean(delay <= 1.5)), 3),

@@ -270,6 +270,8 @@ int main(void)
     wrong += out.weighable != CAT215B_SCALE_REFUSED;
     wrong += cat215b_scale_start(&params, 10.0f, 0.0f, 0.0f, 0.0f, &scale) != CAT215B_OUT_OF_RANGE;
     wrong += cat215b_scale_start(&params, -1.0f, 0.0f, 0.0f, 0.1f, &scale) != CAT215B_OUT_OF_RANGE;
+    wrong += cat215b_scale_start(&params, 60.0f, 0.0f, 0.0f, 0.1f, &scale) != CAT215B_OUT_OF_RANGE;
+    wrong += cat215b_scale_start(&params, 10.0f, 1.5f, 0.0f, 0.1f, &scale) != CAT215B_OUT_OF_RANGE;
     wrong += cat215b_scale_start(NULL, 10.0f, 0.0f, 0.0f, 0.1f, &scale) != CAT215B_NULL_POINTER;
     wrong += cat215b_scale_start(&params, 10.0f, 0.0f, 0.0f, 0.1f, &scale) != CAT215B_OK;
     params.estimate++; /* of another calibration than the constants */
@@ -314,6 +316,18 @@ def test_stale_and_mismatched_parameters_are_refused(tmp_path: Path) -> None:
         check=False,
     )
     assert b"#error" in refused.stderr
+
+
+def test_all_it_needs_on_a_controller_is_measured() -> None:
+    made = scale_code(subject("patu655_lift")[0], 1 / RATE, single=True, measured=True)
+    readme = made.files()["README.md"]
+    rows = re.findall(r"`patu655_lift_scale_update` \| (\d+) \| (\d+) \| (\d+) \| (\d+)", readme)
+    if not rows:
+        pytest.skip("neither cross compiler nor emulator is here")
+    for stack, used, _, instructions in rows:
+        assert 0 < int(used) <= int(stack)
+        assert 10_000 < int(instructions) < 1_000_000
+    assert f"{made.scale.state_size(single=True)} bytes" in readme
 
 
 def test_scales_that_have_no_c_are_refused() -> None:

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 import hydroopt as ho
+from hydroopt.model.kinematics import gravity_in_base
 from hydroopt.report.weighing import render
 from hydroopt.results.wording import Kind
 from hydroopt.simulation.simulate import Trajectory
@@ -177,10 +179,24 @@ def test_a_picked_up_load_is_weighed_on_a_slope(weighing: Weighing) -> None:
     centre, std = weighing.centre(load.reading.weighed)
     assert np.all(np.abs(centre - [1.8, 0, 0] - CENTRE) < 3.5 * std)
     assert np.all(std < 0.06)
-    t = weighing.equations.t
+    t = weighing.logs[0].t
     wrong = [each for each in weighing.readings if each.status is Weighable.OK and t[each.sample] > 14
              and abs(each.weighed.mass - MASS) > 0.015 * FULL_SCALE]
     assert not wrong
+
+
+def test_loads_of_several_logs_are_numbered_throughout(made: Scale, log: ho.Log, weighing: Weighing,
+                                                       tmp_path: Path) -> None:
+    other = ho.Log("other", log.t + 100.0, {name: log.channel(name) for name in log.channels}, units=log.units)
+    both = weigh(made, [log, other])
+    assert [(each.name, each.log) for each in both.loads] == [("load_1", log.name), ("load_2", "other")]
+    assert [each.mass for each in both.loads] == [pytest.approx(weighing.loads[0].mass)] * 2
+    assert both.loads[1].begin == pytest.approx(both.loads[0].begin + 100.0)
+    assert set(both.table["load"].tolist()) == {0, 1, 2}
+    both.save(tmp_path, pages={"report.html": render(both)})
+    assert (tmp_path / "weighing.csv").read_text("utf-8").count("\nother,") == len(weighing.readings)
+    with pytest.raises(ho.LogError, match="no log"):
+        weigh(made, [])
 
 
 def test_it_is_saved_and_shown(weighing: Weighing, tmp_path_factory: pytest.TempPathFactory) -> None:
@@ -250,6 +266,21 @@ def test_numbers_that_are_none_are_refused(made: Scale, log: ho.Log) -> None:
     head[600] = np.nan
     with pytest.raises(ho.LogError, match="pressures"):
         weigh(made, changed(log, boom_cylinder_p_head=head))
+
+
+def test_a_base_that_stands_on_its_side_is_no_slope() -> None:
+    """The crane's file turns the base by 90 degrees: gravity is that of the file, and level ground is refused."""
+    model = ho.Model("patu655_lift")
+    log = ho.simulate(model, ho.random_trajectory(model, duration=30, rate=50, seed=1), seed=1)
+    made = scale(model, log, CarriedLoad("lift", (3.0, 0.0, 0.0), (0.05, 0.05, 0.05), 1000.0))
+    assert np.allclose(made.axes @ made.axes.T, np.eye(3))
+    assert np.allclose(made.on_slope(*made.tilt).own.mean[-2:], 0.0)
+    steeper = made.on_slope(made.tilt[0] + 0.1, 0.0)
+    tilted = np.asarray(gravity_in_base(model.machine.model_copy(update={"orientation": (
+        made.tilt[0] + 0.1, 0.0, 0.0)}))).ravel()
+    assert np.allclose(steeper.own.mean[-2:], made.axes[:2] @ tilted)
+    with pytest.raises(ho.ProblemError, match="more than 60 degrees"):
+        made.on_slope(0.0, 0.0)
 
 
 @pytest.mark.parametrize(("centre", "std", "full"), [((0, 0, np.nan), (1, 1, 1), 1), ((0, 0, 0), (1, 0, 1), 1),

@@ -5,6 +5,10 @@
  */
 #define {{ P }}_NO_MAIN
 #include "{{ p }}_selftest.c"
+{% if code.scale %}
+#include "{{ p }}_params.h"
+#include "{{ p }}_scale_params.h"
+{% endif %}
 
 #define LOOPS 100
 #define TICK 40U /* instructions in a tick of SysTick, at 25 MHz */
@@ -137,6 +141,38 @@ static __attribute__((noinline)) void measure_{{ routine.name }}(const {{ p }}_c
 }
 
 {% endfor %}
+{% if code.scale %}
+/* The most instructions of a call while all joints swing. */
+static __attribute__((noinline)) void measure_scale(void)
+{
+    static {{ p }}_constants_t prepared;
+    static {{ p }}_scale_t scale;
+    static {{ p }}_scale_sample_t in;
+    static {{ p }}_scale_reading_t out;
+    unsigned int most = 0U;
+    unsigned int stack = 0U;
+    status = (int){{ p }}_prepare(&{{ p }}_values, &prepared);
+    status = (int){{ p }}_scale_start(&{{ p }}_scale_values, {{ 1 | number }}, {{ code.scale.scale.tilt[0] | number }}, {{ code.scale.scale.tilt[1] | number }}, {{ 0.05 | number }}, &scale);
+    for (int k = 0; k < (4 * {{ P }}_SCALE_SPAN); k++) {
+        for (int j = 0; j < {{ P }}_JOINT_COUNT; j++) {
+            in.q[j] = in_q[0][j] + ({{ 0.002 | number }} * ({{ type }})(k - (2 * {{ P }}_SCALE_SPAN)));
+        }
+        copy(in.reading, in_reading[0], sizeof(in.reading) / sizeof(in.reading[0]));
+        in.step = {{ code.scale.kernel.step | number }};
+        paint();
+        start();
+        status = (int){{ p }}_scale_update(&prepared, &{{ p }}_scale_values, &in, &scale, &out);
+        {
+            const unsigned int taken = passed() * (unsigned int)LOOPS;
+            const unsigned int deepest = written();
+            most = (taken > most) ? taken : most;
+            stack = (deepest > stack) ? deepest : stack;
+        }
+    }
+    print("{{ p }}_scale_update", most, stack);
+}
+
+{% endif %}
 static int main_of_bench(void)
 {
     static {{ p }}_constants_t constants;
@@ -144,6 +180,9 @@ static int main_of_bench(void)
 {% for routine in code.routines.values() %}
     measure_{{ routine.name }}(&constants);
 {% endfor %}
+{% if code.scale %}
+    measure_scale();
+{% endif %}
     return {{ p }}_selftest();
 }
 

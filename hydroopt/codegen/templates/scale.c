@@ -698,6 +698,9 @@ static {{ p }}_status_t advance(const {{ p }}_constants_t *constants, const {{ p
     down[0] = sin{{ f }}(pitch);
     down[1] = -sin{{ f }}(roll) * cos{{ f }}(pitch);
     down[2] = -cos{{ f }}(roll) * cos{{ f }}(pitch);
+    if (!(((down[0] * params->axes[2][0]) + (down[1] * params->axes[2][1]) + (down[2] * params->axes[2][2])) > STEEPEST)) {
+        return {{ P }}_OUT_OF_RANGE;
+    }
     for (size_t i = 0U; i < (size_t)OWN; i++) {
         for (size_t j = 0U; j <= (size_t)OWN; j++) {
             scale->known[i][j] = {{ 0 | number }};

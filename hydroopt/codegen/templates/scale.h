@@ -123,7 +123,8 @@ typedef struct {
 
 /* Begin with the empty machine.
  * duration: how long it moves without load from now on [s], at most {{ "%g" | format(scale.longest_tare) }}; 0 weighs without a tare.
- * roll, pitch, slope_std: of the base as an inclinometer reads them, and their standard deviation, positive [rad]. */
+ * roll, pitch, slope_std: of the base as an inclinometer reads them, and their standard deviation, positive [rad]; gravity may be
+ * turned by up to 60 degrees from that of the machine file. */
 {{ p }}_status_t {{ p }}_scale_start(const {{ p }}_scale_params_t *params, {{ type }} duration, {{ type }} roll, {{ type }} pitch, {{ type }} slope_std,
     {{ p }}_scale_t *scale);
 
