@@ -44,6 +44,9 @@ def control(
         "Largest sensitivity |1/(1 + L)| of a loop, to which the gains are tuned; 1.3 keeps a gain margin of 12.7 dB "
         "and a phase margin of 45 degrees."))] = 1.3,
     gain: Annotated[float, typer.Option(help="By what the tuned position gains are multiplied.")] = 1.0,
+    drawn: Annotated[int, typer.Option("--draws", min=0, max=1000, help=(
+        "Machines to draw from the file's confidences as well; each is identified from a test of its valves and "
+        "follows the motion. Some 20 s each."))] = 0,
     seed: Seed = 0,
     noise: Noise = True,
     parameter_set: ParameterSetName = None,
@@ -61,6 +64,7 @@ def control(
     from hydroopt.codegen.folder import Code
     from hydroopt.codegen.parameter_source import Origin
     from hydroopt.control.comparison import compare
+    from hydroopt.control.draws import draws
     from hydroopt.control.model_variants import COMPLETE, ModelVariant, nominal_of, reduced, truth
     from hydroopt.control.outcome import FEEDFORWARD
     from hydroopt.control.setting import Setting, rate_of
@@ -98,9 +102,12 @@ def control(
         variants = [*([before] if before else ()), *([reduced(complete)] if FEEDFORWARD in kinds else ()), complete]
         setting = Setting(plant, path, *truth(true, plant, seed=seed), plant.parameters.nominal,
                           rate_of(plant, rate, path), seed if noise else None, sensitivity, gain)
+        share = 0.95 / (1 + drawn)
         found = compare(setting, variants, kinds,
-                        progress=lambda text, part=None: say(text, None if part is None else 0.95 * part))
-        comparison = replace(found, source=origin.text, options={
+                        progress=lambda text, part=None: say(text, None if part is None else share * part))
+        machines = draws(setting, drawn, progress=lambda text, part=None: say(
+            text, None if part is None else share + (0.95 - share) * part))
+        comparison = replace(found, draws=machines, source=origin.text, options={
             "motion": str(motion), "truth": true, "seed": seed, "noise": noise, "sensitivity": sensitivity,
             "gain": gain, "controllers": list(kinds)})
         say("writing the report and the code", 0.95)

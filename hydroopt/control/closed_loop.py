@@ -177,6 +177,12 @@ def simulate(demands: Demands, controller: Controller, plant: Plant, psi: Array,
                np.broadcast_to(plant.supply_pressure(x), done), contact, stopped)
 
 
+def tip(plant: Plant, q: Array) -> Array:
+    """Positions (N, 3) [m] of the last link's far end in the base frame."""
+    model = plant.model
+    return np.asarray(model.over(model.forward_kinematics, q)[-1][:, :3, 3])
+
+
 class CommandDelay:
     """The valves' delays: which commands act in which part of a sampling period."""
 

@@ -11,8 +11,9 @@ import numpy as np
 
 from hydroopt.control.axes import Axes
 from hydroopt.control.cascade import Cascade, Gains
-from hydroopt.control.closed_loop import simulate
+from hydroopt.control.closed_loop import simulate, tip
 from hydroopt.control.diagnostics import control_diagnostics
+from hydroopt.control.draws import Draw, spread
 from hydroopt.control.feasibility import refuse_flow, refuse_opening, refuse_unstable
 from hydroopt.control.linear_system import LinearSystem
 from hydroopt.control.loop_margins import Margin, margins
@@ -26,7 +27,6 @@ from hydroopt.control.tuning import tuned
 from hydroopt.logs.table import encoded_columns
 from hydroopt.machine.actuators import Cylinder
 from hydroopt.machine.machine import Machine
-from hydroopt.model.plant import Plant
 from hydroopt.model.workspace import Sweep, workspace_sweeps
 from hydroopt.progress import Progress, silent
 from hydroopt.results.answer import Answer
@@ -54,6 +54,7 @@ class Comparison(Answer):
         reference: joint positions (N, n) to follow.
         source: origin of the machine's parameters, in words.
         options: of the command, kept in the JSON file.
+        draws: drawn machines, each identified from its own test of the valves; none unless asked for.
     """
 
     job = Job.CONTROL
@@ -65,6 +66,7 @@ class Comparison(Answer):
     reference: Array
     source: str = "the machine file"
     options: Mapping[str, Any] = field(default_factory=dict)
+    draws: tuple[Draw, ...] = ()
 
     @cached_property
     def sweeps(self) -> tuple[Sweep, ...]:
@@ -157,7 +159,8 @@ class Comparison(Answer):
         """Options, the best candidate, and errors, pressures, energy and smallest margins of every candidate."""
         return {**self.options, "origin": self.source, "rate": self.setting.rate,
                 "truth_text": self.setting.true.text, "winner": self.winner.name,
-                "candidates": [self._candidate(each) for each in self.outcomes]}
+                "candidates": [self._candidate(each) for each in self.outcomes],
+                "draws": [{key: number(value) for key, value in each._asdict().items()} for each in self.draws]}
 
     def _candidate(self, outcome: Outcome) -> dict[str, Any]:
         run = outcome.run
@@ -214,6 +217,10 @@ class Comparison(Answer):
                 f"tip {1e3 * outcome.tip_rms:.1f} mm RMS, {1e3 * outcome.tip.max():.1f} mm at most; "
                 f"{outcome.run.pressure.max() / 1e5:.0f} bar at most, {outcome.run.energy / 1e3:.0f} kJ"))
                 + (" *" if outcome is self.winner else ""))
+        if self.draws:
+            nominal, identified = ([getattr(each, key) for each in self.draws] for key in ("nominal", "identified"))
+            lines.append(f"  {len(self.draws)} drawn machines, feedforward: tip {spread(nominal)} RMS with the machine "
+                         f"file's numbers, {spread(identified)} identified from a test of the valves")
         return "\n".join(lines)
 
     def psi_of(self, variant: ModelVariant) -> Array:
@@ -298,12 +305,6 @@ def compare(setting: Setting, variants: Sequence[ModelVariant], kinds: Sequence[
         tip_error = np.linalg.norm(tip(true, run.q) - tip(setting.plant, reference), axis=1)
         outcomes.append(Outcome(name, kind, variant, run, run.q - reference, tip_error, found, bode))
     return Comparison(setting, gains, (*on_motion, *in_workspace), tuple(outcomes), path.q)
-
-
-def tip(plant: Plant, q: Array) -> Array:
-    """Positions (N, 3) [m] of the last link's far end in the base frame."""
-    model = plant.model
-    return np.asarray(model.over(model.forward_kinematics, q)[-1][:, :3, 3])
 
 
 def _margins(plants: Sequence[LinearSystem], points: Sequence[Point], controller: Linear,

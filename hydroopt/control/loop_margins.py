@@ -30,6 +30,8 @@ class Margin(NamedTuple):
         phase_at: its frequency [rad/s], where the gain crosses one.
         distance: smallest distance of the Nyquist curve from −1.
         damping: smallest damping ratio of the closed loop's poles; negative where it is unstable.
+        disk: disk margin α (Seiler, Packard and Gahinet 2020, balanced): gain may change by any factor between
+            (2 − α)/(2 + α) and its inverse, and the phase at the same time within the same disk.
     """
 
     point: str
@@ -40,6 +42,7 @@ class Margin(NamedTuple):
     phase_at: float
     distance: float
     damping: float
+    disk: float
 
     def as_dict(self) -> dict[str, str | float | None]:
         """The entry of a table, in dB, degrees and Hz; None where a number does not exist."""
@@ -47,7 +50,7 @@ class Margin(NamedTuple):
                 "gain_crossing_hz": number(self.gain_at / (2 * np.pi)),
                 "phase_margin_deg": number(np.degrees(self.phase)),
                 "phase_crossing_hz": number(self.phase_at / (2 * np.pi)), "sensitivity": number(1 / self.distance),
-                "damping": self.damping}
+                "damping": self.damping, "disk_margin": number(self.disk)}
 
 
 def frequencies(period: float) -> Array:
@@ -85,11 +88,12 @@ def margins(plant: LinearSystem, feedback: LinearSystem, names: Sequence[str],
     curves = CubicSpline(np.log(omega), np.stack([
         L.real, L.imag, np.log(np.maximum(np.abs(L), 1e-300)), np.abs(1 + L)]), axis=-1)
     nearest = np.min(np.abs(1 + L), axis=1)
+    disk = np.min(2 * np.abs(1 + L) / np.maximum(np.abs(1 - L), 1e-300), axis=1)
     return [_margin(where, name, [PPoly.construct_fast(curves.c[..., k, i], curves.x) for k in range(4)],
-                    float(nearest[i]), damping) for i, name in enumerate(names)], omega, L
+                    float(nearest[i]), damping, float(disk[i])) for i, name in enumerate(names)], omega, L
 
 
-def _margin(where: str, name: str, curves: Sequence[PPoly], nearest: float, damping: float) -> Margin:
+def _margin(where: str, name: str, curves: Sequence[PPoly], nearest: float, damping: float, disk: float) -> Margin:
     """The margins of a loop L(jω) by curves of its real and imaginary parts, log |L| and |1 + L|, the least of which at
     the frequencies themselves is `nearest`."""
     real, imaginary, size, distance = curves
@@ -104,7 +108,7 @@ def _margin(where: str, name: str, curves: Sequence[PPoly], nearest: float, damp
     phase, phase_at = _nearest(phases, at_one, phases)
     turning = distance.derivative().roots(extrapolate=False)
     least = float(np.min(distance(turning), initial=nearest))
-    return Margin(where, name, gain, gain_at, phase, phase_at, least, damping)
+    return Margin(where, name, gain, gain_at, phase, phase_at, least, damping, disk)
 
 
 def _nearest(margin: Array, at: Array, measure: Array) -> tuple[float, float]:

@@ -46,6 +46,7 @@ def render(comparison: Comparison) -> str:
         sensitivity=plain(setting.sensitivity), best=comparison.feedforward,
         units=[SMALL[machine.channel_units[f"{joint}.q"]][0] for joint in machine.joints],
         rows=[_row(comparison, outcome) for outcome in comparison.outcomes],
+        draws=[(each.seed, *(plain(1e3 * value, 3) for value in each[1:])) for each in comparison.draws],
         gains=[(name, *(plain(value, 3) for value in values))
                for name, values in comparison.gains_of_actuators.items()],
         passive=[joint for joint in machine.joints if machine.link(joint).joint.passive],
@@ -83,6 +84,9 @@ def _loops(comparison: Comparison, outcome: Outcome) -> list[tuple[str, ...]]:
             found = outcome.worst(name, key, points)
             value = 20 * np.log10(found.gain) if key == "gain" else np.degrees(found.phase)
             cells.append(f"{plain(float(value), 3)} ({found.point})" if np.isfinite(value) else NONE)
+        for key in ("disk", "damping"):
+            found = outcome.worst(name, key)
+            cells.append(f"{plain(float(getattr(found, key)), 2)} ({found.point})")
         rows.append(("cascade" if outcome.in_cascade else outcome.name, name, *cells))
     return rows
 

@@ -19,7 +19,7 @@ from hydroopt import (
 )
 from hydroopt.control import closed_loop
 from hydroopt.control.cascade import Cascade, Gains
-from hydroopt.control.comparison import tip
+from hydroopt.control.closed_loop import tip
 from hydroopt.control.hybrid import ForceGains, Hybrid, Pressing
 from hydroopt.control.model_variants import COMPLETE, NOMINAL, TRUE, ModelVariant
 from hydroopt.control.reference import Demands, Reference

@@ -118,3 +118,11 @@ def test_margins_and_poles_are_those_of_python_control(loop: tuple[LinearSystem,
                                                          if len(phases) else np.inf, rel=1e-3)
         assert margin.distance <= min(distances) * (1 + 1e-3)
         assert margin.distance == pytest.approx(min(*distances, *np.abs(1 + curve)), rel=1e-3)
+
+
+@pytest.mark.parametrize("gain", [2.0, 10.0, 25.0])
+def test_disk_margin_is_that_of_python_control(gain: float) -> None:
+    """Of an integrator with a sample of delay."""
+    (found,), omega, _ = margins(sampled(INTEGRATOR, np.array([PERIOD]), PERIOD), proportional(gain), ["a"], "here")
+    loop = control.tf([gain * PERIOD], [1, -1, 0], PERIOD)
+    assert found.disk == pytest.approx(float(control.disk_margins(loop, omega, skew=0.0)[0]), rel=1e-6)
