@@ -17,6 +17,8 @@ FACTORS = ("factor_extending", "factor_retracting")
 """Members with the factors on the valves' flows."""
 LEAST_FACTOR = 0.1
 """Below which a factor is a mistake, such as a member that was never set."""
+LEAST_TIME = 1e-4
+"""Integral time [s] below which the feedback could overflow."""
 
 
 def valve_feedforward(api: Symbols) -> Routine:
@@ -126,7 +128,8 @@ def position_feedback(api: Symbols) -> Routine:
                     "force_gain", "integral_time", "filter_time", "period", "speed_before", "integral"), gives,
                    {"speed_added": after, "integral": further},
                    (*api.guards(), *_periodic(period),
-                    *(Guard(time, ">", 0.0, "OUT_OF_RANGE") for time in ca.vertsplit(integral_time))), api.lengths)
+                    *(Guard(time, ">", LEAST_TIME, "OUT_OF_RANGE") for time in ca.vertsplit(integral_time))),
+                   api.lengths)
 
 
 def _length(api: Symbols, each: ActuatorHydraulics) -> ca.SX:
