@@ -150,8 +150,8 @@ def deepest(name: str, frames: Mapping[str, int], calls: Mapping[str, set[str]],
     """
     if name in above:
         raise RecursionError(f"{name} calls itself")
-    return frames.get(name, 0) + max((deepest(each, frames, calls, above | {name}) for each in calls.get(name, ())),
-                                     default=0)
+    chains = (deepest(each, frames, calls, above | {name}) for each in sorted(calls.get(name, ())))
+    return frames.get(name, 0) + max(chains, default=0)
 
 
 def _emulated(folder: Path, target: Target) -> tuple[dict[str, tuple[int, int]], bool | None]:
