@@ -13,6 +13,7 @@ from hydroopt.cli.options import (
     AsJson,
     Directory,
     Fixed,
+    Holdout,
     LossName,
     MachineName,
     MapFile,
@@ -39,8 +40,7 @@ def calibrate(
     validate: Validation = None,
     holdout_stage: Annotated[list[str] | None, typer.Option(
         help="Stage that is held out for validation; repeatable.")] = None,
-    holdout: Annotated[float, typer.Option(min=0.0, max=0.9, help=(
-        "Part of each stage's poses, evenly spread, that is held out for validation."))] = 0.0,
+    holdout: Holdout = 0.0,
     map_file: MapFile = None,
     method: Annotated[str, typer.Option(help="Method of estimation: joint or hierarchical.")] = "joint",
     loss: LossName = "squares",

@@ -6,7 +6,15 @@ from typing import Annotated
 
 import typer
 
-from hydroopt.cli.options import Directory, MachineOrFolder, ParameterSetName, Quiet, progress
+from hydroopt.cli.options import (
+    Directory,
+    MachineOrFolder,
+    ParameterSetName,
+    Quiet,
+    SinglePrecision,
+    Sizes,
+    progress,
+)
 from hydroopt.cli.terminal import echo
 
 
@@ -16,12 +24,10 @@ def codegen(
     functions: Annotated[list[str] | None, typer.Option(
         help="A routine to write, see README.md in DIR; repeatable; all if not given.")] = None,
     prefix: Annotated[str | None, typer.Option(help="Prefix of all names; else the machine's name.")] = None,
-    float32: Annotated[bool, typer.Option("--float32", help="Single precision throughout.")] = False,
+    float32: SinglePrecision = False,
     fold_geometry: Annotated[bool, typer.Option("--fold-geometry", help=(
         "Build the geometry into the code: fewer operations, but a calibration needs new code."))] = False,
-    sizes: Annotated[bool, typer.Option("--sizes", help=(
-        "State in README.md how much stack, flash and how many instructions each routine takes on a Cortex-M4F and "
-        "M7."))] = False,
+    sizes: Sizes = False,
     hosts: Annotated[list[str] | None, typer.Option("--for", metavar="HOST", help=(
         "Also write what a host needs that calls the C: cpp, python, ros2_control, simulink, codesys or fmi; "
         "repeatable."))] = None,

@@ -54,7 +54,12 @@ PoseTables = Annotated[list[Path], typer.Argument(metavar="POSES...", help="Pose
 Validation = Annotated[list[Path] | None, typer.Option(
     "--validate", metavar="FILE...", help="Logs or pose tables for validation only.")]
 Holdout = Annotated[float, typer.Option(
-    help="Part of the end of every log that is held out for validation.", min=0.0, max=0.9)]
+    min=0.0, max=0.9,
+    help="Part of the data held out for validation: the end of every log; poses of every stage, evenly spread.")]
+SinglePrecision = Annotated[bool, typer.Option("--float32", help="Single precision throughout the generated C.")]
+Sizes = Annotated[bool, typer.Option("--sizes", help=(
+    "State in README.md how much stack and flash the generated C takes, and how many instructions on a Cortex-M4F and "
+    "M7."))]
 LossName = Annotated[str, typer.Option(help="squares, huber or student_t.")]
 Seed = Annotated[int, typer.Option(help="Seed of all that is drawn at random.", min=0)]
 Starts = Annotated[int, typer.Option(help="Number of initial guesses of the search.", min=1)]

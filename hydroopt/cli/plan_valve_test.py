@@ -13,7 +13,7 @@ from hydroopt.cli.terminal import echo
 def plan_valve_test(
     machine: MachineName,
     output: Directory,
-    seconds: Annotated[float, typer.Option(help="For each actuator [s].")] = 10.0,
+    per_actuator: Annotated[float, typer.Option(help="Duration of the test of each actuator [s].")] = 10.0,
     quiet: Quiet = False,
 ) -> None:
     """Plan a test of the valves: DIR gets sheet.txt to drive by, and steps.csv for a controller.
@@ -27,7 +27,7 @@ def plan_valve_test(
     from hydroopt.machine.machine_file import load_machine
     from hydroopt.model.plant import Plant
 
-    test = valve_test(Plant(load_machine(machine)), seconds=seconds)
+    test = valve_test(Plant(load_machine(machine)), seconds=per_actuator)
     sheet = test.sheet()
     write_files(output, {"sheet.txt": sheet, "steps.csv": test.table()})
     if not quiet:

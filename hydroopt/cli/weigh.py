@@ -17,6 +17,8 @@ from hydroopt.cli.options import (
     MapFile,
     ParameterSetName,
     Quiet,
+    SinglePrecision,
+    Sizes,
     Treat,
     progress,
     reading,
@@ -60,9 +62,8 @@ def weigh(
         "Half of the 95 % interval above which a mass is too uncertain; 2 % of the full scale if not given."))] = None,
     code: Annotated[bool, typer.Option("--code", help=(
         "Also write the scale as C to DIR/c, for a controller that samples as the log does."))] = False,
-    float32: Annotated[bool, typer.Option("--float32", help="Single precision throughout the C.")] = False,
-    sizes: Annotated[bool, typer.Option("--sizes", help="State in its README.md how much stack and flash it takes."
-                                        )] = False,
+    float32: SinglePrecision = False,
+    sizes: Sizes = False,
     map_file: MapFile = None,
     treat: Treat = None,
     parameter_set: ParameterSetName = None,

@@ -56,7 +56,7 @@ def feedback(axes: Axes, error: ca.SX, shares: ca.SX, force_error: ca.SX, openin
         period: since the last sample [s].
     """
     demanded = shares @ (gains.position * (error + integral)) + gains.force * force_error
-    pole = ca.exp(-period / ca.fmax(gains.filter_time[axes.of.tolist()], SHORTEST))
+    pole = ca.exp(-period / ca.fmax(gains.filter_time[axes.of.tolist(), 0], SHORTEST))
     free = ca.vertcat(*(ca.sign(ca.fmax(0, 1 - ca.mmax(ca.fabs(opening[list(places)])))) for places in axes.actuators))
     return pole * filtered + (1 - pole) * demanded, integral + free * period * error / gains.integral_time
 

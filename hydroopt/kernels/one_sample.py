@@ -29,9 +29,9 @@ class OneSample:
                     place(i, memoryview(values.T.reshape(-1).data))
 
     def __call__(self, *arguments: Array) -> list[Array]:
-        """Results, (n,) or (n, m), at arguments of these shapes."""
+        """Results, (n,) or (n, m), at arguments of these shapes or (n, 1)."""
         for place, values in zip(self._arguments, arguments, strict=True):
-            place[...] = values
+            place[...] = np.reshape(values, place.shape)
         self._run()
         return [values.copy() for values in self._results]
 

@@ -11,7 +11,7 @@ import typer
 from hydroopt.cli import app
 
 ROOT = Path(__file__).parents[2]
-OTHERS = {"--version", "--help", "--nthreads", "--nworkers"}
+OTHERS = {"--version", "--help", "--nthreads", "--nworkers", "--build", "--install", "--no-show-raw-insn"}
 """Options of other programs that texts speak of."""
 
 

@@ -73,7 +73,7 @@ def test_the_force_in_the_pressures_is_found() -> None:
     wrench = np.array([300.0, -200.0, FORCE, 0, 0, 0])
     force = MODEL.inverse_dynamics(moving.q[2], moving.qd[2], moving.qdd[2], psi) + MODEL.wrench_forces(
         moving.q[2], wrench)
-    reading = Reading(moving.q[2], np.zeros(3), np.asarray(force).ravel(), np.zeros(2))
+    reading = Reading(moving.q[2], np.zeros(3), np.asarray(force).ravel(), np.zeros((3, 2)), np.zeros(2))
     assert one.estimated_force(2, reading) == pytest.approx(FORCE, rel=1e-9)
 
 

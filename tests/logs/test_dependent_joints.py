@@ -6,10 +6,8 @@ from functools import cache
 import numpy as np
 import pytest
 
-from hydroopt.errors import LogError, ProblemError
-from hydroopt.estimation.kinematic.problem import calibration_problem
+from hydroopt.errors import LogError
 from hydroopt.logs.joint_angles import angle_channels, angle_noise, measured_angles
-from hydroopt.logs.poses import Poses
 from hydroopt.machine.machine import Machine
 from hydroopt.machine.machine_file import load_machine
 from hydroopt.model.model import Model
@@ -59,11 +57,3 @@ def test_angles_that_no_posture_has_are_named() -> None:
     far = replace(log, channels={**log.channels, "rocker.q": log.channels["rocker.q"] + np.pi})
     with pytest.raises(LogError, match=r"no posture of bucket .* sample 1: rocker.q = 4.036 rad.* changes steadily"):
         measured_angles(model, far)
-
-
-def test_tables_of_poses_refuse_them() -> None:
-    machine = load_machine("excavator_bucket")
-    none = np.full(2, "")
-    poses = Poses(name="table", stage=none, fixture=none, channels={"rocker.q": np.ones(2)}, units={"rocker.q": "rad"})
-    with pytest.raises(ProblemError, match=r"'rocker.q' is the position of a joint that follows.*record 'bucket.q'"):
-        calibration_problem(machine, poses)

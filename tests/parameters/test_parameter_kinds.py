@@ -28,7 +28,7 @@ KINDS = {
     r"dead_length": "DEAD_LENGTH", r"compliance": "COMPLIANCE", r"bulk_modulus": "BULK_MODULUS",
     r"hose_modulus": "HOSE_MODULUS", r"air(_[ab])?": "AIR", r"(rated_flow|flow_(pa|at|pb|bt))": "RATED_FLOW",
     r"dead_band(_reverse)?": "DEAD_BAND", r"overlap": "OVERLAP", r"natural_frequency": "SPOOL_FREQUENCY",
-    r"damping": "SPOOL_DAMPING", r"volume_[ab]": "VOLUME", r"leakage(_[ab])?": "LEAKAGE"}
+    r"damping": "SPOOL_DAMPING", r"delay": "DELAY", r"volume_[ab]": "VOLUME", r"leakage(_[ab])?": "LEAKAGE"}
 """By what stands after the last dot of a name."""
 
 
