@@ -104,6 +104,8 @@ class ParquetFile:
     @staticmethod
     def _numbers(column: Any, *, moment: bool) -> NDArray[Any]:
         """An Arrow array as floating point; of a time as dates or whole numbers where it holds these."""
+        if (plain := _plain(column)) is not None:
+            return plain if moment and plain.dtype.kind in "iu" else plain.astype(float)
         if moment:
             values = column.to_numpy(zero_copy_only=False)
             if values.dtype.kind in "mMiu":
@@ -131,11 +133,11 @@ class ParquetFile:
         for key in keys:
             name = self._column(key, moment=key == time)
             try:
-                column = self._file.read(columns=[name]).column(0)
-                if key == time and (made := stamps.of_column(column.to_numpy()[rows - 1])) and not made.unit:
+                values = self._numbers(self._file.read(columns=[name]).column(0).combine_chunks(), moment=key == time)
+                if key == time and (made := stamps.of_column(values[rows - 1])) and not made.unit:
                     columns[key] = made.seconds()
                     continue
-                columns[key] = np.asarray(column.cast("float64", safe=False).to_numpy(), dtype=float)[rows - 1]
+                columns[key] = values.astype(float)[rows - 1]
             except (ArrowException, OSError, ValueError, IndexError) as error:
                 raise unreadable("Parquet", self.where, error) from None
         return Table(columns, rows, stamps=made, texts={
@@ -151,3 +153,14 @@ class ParquetFile:
             raise LogError(f"column '{name}' cannot be read as text", where=self.where,
                            remedy="convert the column to strings") from None
         return ["" if cell is None else cell for cell in cells]
+
+
+def _plain(column: Any) -> NDArray[Any] | None:
+    """An Arrow array of whole or floating-point numbers without nulls, in the memory of that array; None of others.
+
+    What Arrow itself offers for this imports pandas, where it is installed.
+    """
+    from pyarrow import types  # noqa: PLC0415 (import cost)
+
+    sound = (types.is_integer(column.type) or types.is_floating(column.type)) and not column.null_count
+    return np.from_dlpack(column) if sound and len(column) else None
