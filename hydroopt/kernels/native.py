@@ -211,15 +211,30 @@ def library(function: ca.Function, by: Compiler, write: Callable[[Program], str]
         OSError, subprocess.SubprocessError: it cannot be compiled or loaded.
         NotImplementedError: the function has no C counterpart.
     """
-    key = hashlib.sha256()
     here = Path(__file__).parent
-    read = [(here / name).read_bytes() for name in ("expression_graph.py", "c_writer.py", "compiler.py", *own)]
-    for part in (function.serialize().encode(), *read, options.encode(), " ".join((*by.command, *FLAGS)).encode(),
-                 by.macros):
+    read = [(here / name).read_bytes() for name in ("expression_graph.py", "c_writer.py", *own)]
+    return built([function.serialize().encode(), *read, options.encode()], by, lambda: write(program(function)))
+
+
+def built(content: Sequence[bytes], by: Compiler, write: Callable[[], str]) -> ctypes.CDLL:
+    """The shared library of some C, kept in the cache under the hash of all that it depends on.
+
+    Args:
+        content: what the C depends on.
+        by: the compiler.
+        write: writes the C.
+
+    Raises:
+        OSError, subprocess.SubprocessError: it cannot be compiled or loaded.
+        NotImplementedError: there is no C for it.
+    """
+    key = hashlib.sha256()
+    how = Path(__file__).with_name("compiler.py").read_bytes()
+    for part in (*content, how, " ".join((*by.command, *FLAGS)).encode(), by.macros):
         key.update(hashlib.sha256(part).digest())
 
     def compiled(place: Path) -> Path:
-        return by.compile(write(program(function)), place)
+        return by.compile(write(), place)
 
     try:
         return _kept(cache.folder(), key.hexdigest()[:32], compiled)

@@ -14,8 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from functools import partial
-from itertools import pairwise
+from functools import cached_property, partial
 
 import casadi as ca
 import numpy as np
@@ -23,24 +22,19 @@ from numpy.typing import NDArray
 
 from hydroopt.errors import ProblemError
 from hydroopt.estimation.inference import conditions as physics
-from hydroopt.estimation.inference import sdp
+from hydroopt.estimation.inference import elliptical_moves, sdp
 from hydroopt.estimation.inference.barrier import Interior, Matrices, interior
 from hydroopt.estimation.inference.conditions import MARGIN, UPPER, Condition
 from hydroopt.estimation.inference.constraints import Named, as_casadi
 from hydroopt.estimation.inference.problem import InferenceProblem
 from hydroopt.estimation.inference.whitening import GaussianPosterior, gaussian_posterior
+from hydroopt.kernels import ellipses
 from hydroopt.spatial.inertia import Array
 
 Mask = NDArray[np.bool_]
 
-CHAINS, WARM_UP, SWEEPS, BLOCK, TRIES = 128, 30, 20, 12, 6
-"""Number of chains; sweeps of a warm-up and of sampling; coordinates moved together; proposals of each move."""
-HEAVY_BLOCK, FREEDOMS = 8, 4.0
-"""Where log-det distances make exponential tails: coordinates moved together, and degrees of freedom of the Student-t
-about which they move then. About a Gaussian, chains hardly ever enter or leave such tails: spreads came out 4 % too
-small."""
-BATCHES = 0, 1, 3, TRIES
-"""Proposals are evaluated in these parts, the later ones for the chains that still wait."""
+CHAINS, WARM_UP, SWEEPS = 128, 30, 20
+"""Number of chains; sweeps of a warm-up and of sampling."""
 
 DRIFT, MEMORY, ROUNDS = 0.5, 0.5, 8
 """Chains have settled when, over the later half of all sweeps so far, their mean moves by less than this many of its
@@ -171,11 +165,7 @@ class _Chains:
 
     def sweep(self, rng: np.random.Generator) -> None:
         """Move every coordinate of every chain once."""
-        order = rng.permutation(len(self.state))
-        size = HEAVY_BLOCK if self.inequalities.heavy_tailed else BLOCK
-        for first in range(0, len(order), size):
-            block = order[first : first + size]
-            _elliptical_step(self.state, self.slack, self.log_density, block, self.inequalities, rng)
+        elliptical_moves.sweep(self.inequalities, self.state, self.slack, self.log_density, rng)
 
 
 def _settled(before: Array, now: Array) -> bool:
@@ -224,6 +214,17 @@ class _Inequalities:
     def heavy_tailed(self) -> bool:
         """Whether log-det distances make the density fall like an exponential, not like a Gaussian."""
         return bool(self._distant.size)
+
+    @cached_property
+    def sweeper(self) -> ellipses.Sweeper | None:
+        """The compiled sweep; None where no compiler works, or the user's inequalities have to be called."""
+        sweep = ellipses.compiled() if self._user.inequality is None else None
+        if sweep is None:
+            return None
+        spread = np.ones(self._matrices)
+        spread[self._distant] = self._spread
+        return ellipses.Sweeper(sweep, self.slope, *self._ratio, self._all_weights, spread,
+                                elliptical_moves.FREEDOMS if self.heavy_tailed else 0.0)
 
     def about(self, inside: Interior) -> _Inequalities:
         """The same in the coordinates of a Gaussian that stands in for the posterior."""
@@ -289,67 +290,6 @@ class _Inequalities:
         square = np.sum((entries[diagonal] - mean) ** 2, axis=0) + 2 * np.sum(entries[~diagonal] ** 2, axis=0)
         distance = np.sum(entries[diagonal], axis=0) - np.sum(np.log(pivots), axis=0)
         return np.asarray(self._weights @ (square / mean / 4 - distance / 2))
-
-
-def _elliptical_step(state: Array, slack: Array, log_density: Array, block: NDArray[np.intp],
-                     inequalities: _Inequalities, rng: np.random.Generator) -> None:
-    """Move a block of coordinates of all chains along random ellipses, shrunk until the density is high enough.
-
-    State (k, c), slack (m, c) and log-density (c,) change in place.
-
-    A chain that found no place after `TRIES` stays: every number of rejected places is as likely on the way back,
-    so that stopping early keeps the distribution, and the slowest chain does not hold up the others.
-    """
-    chains = state.shape[1]
-    other = rng.standard_normal((len(block), chains))
-    heavy = inequalities.heavy_tailed
-    if heavy:  # the variance of the ellipses, given where the chains are
-        square = np.sum(state[block] ** 2, axis=0)
-        other *= np.sqrt((FREEDOMS + square) / rng.chisquare(FREEDOMS + len(block), chains))
-    # how the bracket shrinks does not depend on the inequalities: all places to try are known beforehand
-    angles = np.empty((TRIES, chains))
-    angles[0] = rng.uniform(0, 2 * np.pi, chains)
-    high = angles[0]
-    low = high - 2 * np.pi
-    for k in range(1, TRIES):
-        angles[k] = rng.uniform(low, high)
-        low, high = np.where(angles[k] < 0, angles[k], low), np.where(angles[k] < 0, high, angles[k])
-    threshold = log_density - rng.exponential(size=chains)
-    if heavy:
-        threshold += _over_t(state[block])
-    waiting, slope = np.arange(chains), inequalities.slope[:, block]
-    others = inequalities.ratio(state) - inequalities.ratio(state[block], block)  # of the coordinates that stay
-    for first, end in pairwise(BATCHES):  # most chains are done after one
-        if not len(waiting):
-            break
-        angle, current = angles[first:end, waiting], state[np.ix_(block, waiting)]
-        step = current[:, None] * (np.cos(angle) - 1) + other[:, waiting][:, None] * np.sin(angle)
-        flat = step.reshape(len(block), -1)
-        linear = slope @ flat
-        linear.reshape(len(slack), end - first, -1)[:] += slack[:, None, waiting]
-        ratio = others[waiting] + inequalities.ratio(current[:, None] + step, block)
-        new = inequalities.truncated(linear, partial(_stepped, state, np.tile(waiting, end - first), block, flat))
-        new += ratio.ravel()
-        level = new.reshape(angle.shape) + (_over_t(current[:, None] + step) if heavy else 0.0)
-        good = level > threshold[waiting]
-        found = np.flatnonzero(good.any(axis=0))
-        pick = np.argmax(good[:, found], axis=0) * len(waiting) + found  # the first accepted one
-        state[np.ix_(block, waiting[found])] += flat[:, pick]
-        slack[:, waiting[found]] = linear[:, pick]
-        log_density[waiting[found]] = new[pick]
-        waiting = np.delete(waiting, found)
-
-
-def _over_t(block: Array) -> Array:
-    """Logarithm (...) of a standard normal density of a block (b, ...) over that of Student's t, but for a constant."""
-    square = np.sum(block**2, axis=0)
-    return np.asarray((FREEDOMS + len(block)) / 2 * np.log1p(square / FREEDOMS) - square / 2)
-
-
-def _stepped(state: Array, chains: NDArray[np.intp], block: NDArray[np.intp], step: Array) -> Array:
-    moved = state[:, chains]
-    moved[block] += step
-    return moved
 
 
 def _pivots(upper: Array) -> Array:
