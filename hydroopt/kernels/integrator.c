@@ -9,23 +9,39 @@
 {% for name in unary %}
 static inline double each_{{ name }}(double x) { return {{ name }}(x); }
 {% endfor %}
-static inline double each_sign(double x) { return (double)((x > 0) - (x < 0)) + (x - x); }
 #define each_pow pow
 #define each_atan2 atan2
-#define each_fmin fmin
-#define each_fmax fmax
+/* Rates have a kink where one of these takes another side: `*sides` differs, in all likelihood, when a side does. */
+#define each_fabs(x) side_fabs(x, sides)
+#define each_sign(x) side_sign(x, sides)
+#define each_corner(root, x) side_corner(root, x, sides)
+#define each_fmin(x, y) side_fmin(x, y, sides)
+#define each_fmax(x, y) side_fmax(x, y, sides)
+static inline void side(int which, unsigned long long *sides) { *sides = *sides * 3 + (unsigned)which; }
+static inline double side_fabs(double x, unsigned long long *sides) { side(x < 0, sides); return fabs(x); }
+static inline double side_corner(double root, double x, unsigned long long *sides) { side(x < 0, sides); return root; }
+static inline double side_fmin(double x, double y, unsigned long long *sides) { side(x < y, sides); return fmin(x, y); }
+static inline double side_fmax(double x, double y, unsigned long long *sides) { side(x < y, sides); return fmax(x, y); }
+static inline double side_sign(double x, unsigned long long *sides)
+{
+    side((x > 0) - (x < 0) + 1, sides);
+    return (double)((x > 0) - (x < 0)) + (x - x);
+}
 
 int constant_count(void) { return {{ count }}; }
 
 void constants({% for name in parameters %}const double *restrict {{ name }}, {% endfor %}double *restrict c)
 {
+    unsigned long long of_constants = 0, *const sides = &of_constants;
+    (void)sides;
 {% for line in constants %}
     {{ line }}
 {% endfor %}
 }
 
 {% for name, lines in computed %}
-static void {{ name }}(const double *restrict x, const double *restrict w, const double *restrict c, double *restrict y)
+static void {{ name }}(const double *restrict x, const double *restrict w, const double *restrict c, double *restrict y,
+                  unsigned long long *restrict sides)
 {
 {% for line in lines %}
     {{ line }}
@@ -34,16 +50,19 @@ static void {{ name }}(const double *restrict x, const double *restrict w, const
 
 {% endfor %}
 /* What one piece leaves to the next. */
-struct memory { double step, error, radius, direction[NX]; long implicit, suspicious, calm, steps, refused; };
+struct memory { double step, error, radius, whole, direction[NX]; long implicit, suspicious, calm, steps, refused; };
 
 /* A call: inputs of a piece and their slopes, results that depend on the parameters alone, and what errors are weighed by. */
 struct call { const double *w, *slopes, *c, *scale; double relative, absolute; };
 
-static void slope(const struct call *by, double t, const double *x, double *y)
+/* Rates y, and the sides that its branches take. */
+static unsigned long long slope(const struct call *by, double t, const double *x, double *y)
 {
     double w[NW + 1];
+    unsigned long long sides = 0;
     for (int i = 0; i < NW; i++) w[i] = by->slopes ? by->w[i] + t * by->slopes[i] : by->w[i];
-    rates(x, w, by->c, y);
+    rates(x, w, by->c, y, &sides);
+    return sides;
 }
 
 /* Root mean square of a vector in units of the admissible error between the states x and z. */
@@ -57,29 +76,43 @@ static double weighed(const struct call *by, const double *x, const double *z, c
     return sqrt(sum / NX);
 }
 
-/* Dormand and Prince 5(4) from x over h to z: its error as a part of the admissible one. `first` holds the rates at x,
-   `last` gets those at z; `stability` gets an estimate of h*|lambda|. */
-static double dormand_prince(const struct call *by, double t, double h, const double *x, const double *first,
-                             double *z, double *last, double *stability)
+/* Rates and the sides of their branches in one place. */
+struct slope { double of[NX]; unsigned long long sides; };
+
+/* Dormand and Prince 5(4) from x over h to z: its error as a part of the admissible one. `start` holds the slope at x,
+   `end` gets that at z; `stability` gets an estimate of h*|lambda|; `kink` whether rates have one on the way.
+
+   A kink at u*h adds h^2*((1 - u)^2/2 - sum of b_i*(c_i - u)^+) times its size to the error, and with the embedded
+   weights only a thirtieth of that to their estimate, a hundredth and less for some u. Where rates have a kink the
+   estimate therefore is the norm of all combinations of slopes that meet the conditions of order three, whose
+   orthonormal weights are `low` (that of k2 is zero): of what a kink adds it is .49 at least, of a jump 1.2. */
+static double dormand_prince(const struct call *by, double t, double h, const double *x, const struct slope *start,
+                             double *z, struct slope *end, double *stability, int *kink)
 {
-    double k2[NX], k3[NX], k4[NX], k5[NX], k6[NX], y[NX], error[NX];
+    static const double low[3][6] = {
+        {0, 0, 0, 0, 0.7071067811865475, -0.7071067811865475},
+        {-0.1837131733257392, 0.4303457310141945, -0.7929829716046822, 0.3696098034306554, 0.08837030524278557, 0.08837030524278584},
+        {-0.1845177248105718, 0.3995620916529339, -0.03895975967381697, -0.786454086705469, 0.305184739768462, 0.3051847397684618}};
+    double k2[NX], k3[NX], k4[NX], k5[NX], k6[NX], y[NX], error[NX], *last = end->of;
+    const double *first = start->of;
+    unsigned long long sides[6];
     for (int i = 0; i < NX; i++) y[i] = x[i] + h * (first[i] / 5);
-    slope(by, t + h / 5, y, k2);
+    sides[0] = slope(by, t + h / 5, y, k2);
     for (int i = 0; i < NX; i++) y[i] = x[i] + h * (3.0 / 40 * first[i] + 9.0 / 40 * k2[i]);
-    slope(by, t + 3 * h / 10, y, k3);
+    sides[1] = slope(by, t + 3 * h / 10, y, k3);
     for (int i = 0; i < NX; i++) y[i] = x[i] + h * (44.0 / 45 * first[i] - 56.0 / 15 * k2[i] + 32.0 / 9 * k3[i]);
-    slope(by, t + 4 * h / 5, y, k4);
+    sides[2] = slope(by, t + 4 * h / 5, y, k4);
     for (int i = 0; i < NX; i++)
         y[i] = x[i] + h * (19372.0 / 6561 * first[i] - 25360.0 / 2187 * k2[i] + 64448.0 / 6561 * k3[i] - 212.0 / 729 * k4[i]);
-    slope(by, t + 8 * h / 9, y, k5);
+    sides[3] = slope(by, t + 8 * h / 9, y, k5);
     for (int i = 0; i < NX; i++)
         y[i] = x[i] + h * (9017.0 / 3168 * first[i] - 355.0 / 33 * k2[i] + 46732.0 / 5247 * k3[i] + 49.0 / 176 * k4[i]
                            - 5103.0 / 18656 * k5[i]);
-    slope(by, t + h, y, k6);
+    sides[4] = slope(by, t + h, y, k6);
     for (int i = 0; i < NX; i++)
         z[i] = x[i] + h * (35.0 / 384 * first[i] + 500.0 / 1113 * k3[i] + 125.0 / 192 * k4[i] - 2187.0 / 6784 * k5[i]
                            + 11.0 / 84 * k6[i]);
-    slope(by, t + h, z, last);
+    sides[5] = end->sides = slope(by, t + h, z, last);
     double change = 0, apart = 0;
     for (int i = 0; i < NX; i++) {
         error[i] = h * (71.0 / 57600 * first[i] - 71.0 / 16695 * k3[i] + 71.0 / 1920 * k4[i] - 17253.0 / 339200 * k5[i]
@@ -89,6 +122,18 @@ static double dormand_prince(const struct call *by, double t, double h, const do
         apart += of_states * of_states;
     }
     *stability = apart > 0 ? h * sqrt(change / apart) : 0;
+    *kink = 0;
+    for (int s = 0; s < 6; s++) *kink |= sides[s] != start->sides;
+    if (*kink) for (int i = 0; i < NX; i++) {
+        const double slopes[6] = {first[i], k3[i], k4[i], k5[i], k6[i], last[i]};
+        double sum = 0;
+        for (int j = 0; j < 3; j++) {
+            double part = 0;
+            for (int s = 0; s < 6; s++) part += low[j][s] * slopes[s];
+            sum += part * part;
+        }
+        error[i] = h * sqrt(sum);
+    }
     return weighed(by, x, z, error);
 }
 
@@ -209,32 +254,32 @@ long along(struct memory *m, long pieces, const double *seconds, const double *w
 {
     for (long piece = 0; piece < pieces; piece++) {
         const struct call by = {w + piece * NW, slopes ? slopes + piece * NW : 0, c, scale, relative, absolute};
-        double first[NX], z[NX], last[NX], held[NX];
-        double elapsed = 0;
+        struct slope first, last;
+        double z[NX], held[NX], elapsed = 0;
         long here = 0;
         int refused = 0;
-        slope(&by, elapsed, x, first);
+        first.sides = slope(&by, elapsed, x, first.of);
         if (!(m->step > 0)) {
             for (int i = 0; i < NX; i++) held[i] = 0;
-            double fast = weighed(&by, x, x, first), size = weighed(&by, held, x, x);
+            double fast = weighed(&by, x, x, first.of), size = weighed(&by, held, x, x);
             m->step = fast > 0 && size > 0 ? 0.01 * size / fast : seconds[piece];
         }
         while (elapsed < seconds[piece]) {
             double left = seconds[piece] - elapsed, h = m->step, stability = 0, error, factor;
-            int final = h >= left * (1 - 1e-12);
+            int kink = 0, final = h >= left * (1 - 1e-12);
             if (final) h = left;
             if (++here > PIECE || !(h > 1e-15 * seconds[piece])) return piece;
             if (m->implicit) {
                 double J[NX * NX];
-                jacobian(&by, elapsed, x, first, J);
+                jacobian(&by, elapsed, x, first.of, J);
                 m->radius = radius(m, J, scale);
-                error = rodas(&by, elapsed, h, x, first, J, z);
-                if (error <= 1) slope(&by, elapsed + h, z, last);
+                error = rodas(&by, elapsed, h, x, first.of, J, z);
+                if (error <= 1) last.sides = slope(&by, elapsed + h, z, last.of);
                 factor = 0.9 * pow(fmax(error, 1e-8), -0.25);
                 factor = fmax(0.2, fmin(factor, refused ? 1 : 6));
             } else
             {
-                error = dormand_prince(&by, elapsed, h, x, first, z, last, &stability);
+                error = dormand_prince(&by, elapsed, h, x, &first, z, &last, &stability, &kink);
                 factor = 0.9 * pow(fmax(error, 1e-8), -0.17);
                 if (error <= 1) factor *= pow(m->error, 0.04);
                 factor = fmax(0.2, fmin(factor, refused ? 1 : 10));
@@ -242,15 +287,20 @@ long along(struct memory *m, long pieces, const double *seconds, const double *w
             m->steps++;
             if (!(error <= 1)) { /* also where it is not a number */
                 m->refused++;
-                m->step = h * (error > 1 && isfinite(error) ? fmin(factor, 0.9) : 0.1);
+                if (kink && isfinite(error)) { /* halved until the kink adds little, and behind it as long as before */
+                    if (!(m->whole > 0)) m->whole = h;
+                    m->step = h / 2;
+                } else m->step = h * (error > 1 && isfinite(error) ? fmin(factor, 0.9) : 0.1);
                 refused = 1;
                 continue;
             }
             refused = 0;
             m->error = fmax(error, 1e-4);
             m->step = final ? fmax(m->step, h * factor) : h * factor;
+            if (kink && m->whole > 0) { m->step = m->whole; m->whole = 0; }
             elapsed = final ? seconds[piece] : elapsed + h;
-            for (int i = 0; i < NX; i++) { x[i] = z[i]; first[i] = last[i]; }
+            for (int i = 0; i < NX; i++) { x[i] = z[i]; }
+            first = last;
             if (m->implicit) {
                 /* back, where explicit steps would be long enough */
                 m->calm = h * m->radius < COST * BOUND ? m->calm + 1 : 0;

@@ -1,15 +1,15 @@
 """Integration of ẋ = f(x, w, parameters) over pieces of time, in C compiled with f.
 
 Explicit steps by Dormand and Prince 5(4), whose size one piece leaves to the next, and implicit ones by RODAS 4(3)
-where stiffness makes them cheaper (Hairer and Wanner 1996). Without a compiler CVODES integrates on CasADi's virtual
-machine.
+where stiffness makes them cheaper (Hairer and Wanner 1996). Where a branch or a rounded corner takes another side
+within an explicit step, its error is estimated apart. Without a compiler CVODES integrates on CasADi's virtual machine.
 """
 
 from __future__ import annotations
 
 import ctypes
 import subprocess
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from functools import cached_property, partial
 
 import casadi as ca
@@ -19,7 +19,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 from hydroopt.kernels import c_writer, native
 from hydroopt.kernels import expression_graph as straight
 from hydroopt.kernels.compiler import compiler, notice, reason
-from hydroopt.kernels.expression_graph import Program
+from hydroopt.kernels.expression_graph import Node, Program, Ref
 from hydroopt.spatial.inertia import Array
 
 
@@ -159,7 +159,7 @@ class Integrator:
 def _memory(size: int) -> type[ctypes.Structure]:
     """The structure `memory` of integrator.c."""
     class Memory(ctypes.Structure):
-        _fields_ = [*((name, ctypes.c_double) for name in ("step", "error", "radius")),
+        _fields_ = [*((name, ctypes.c_double) for name in ("step", "error", "radius", "whole")),
                     ("direction", ctypes.c_double * size),
                     *((name, ctypes.c_long) for name in ("implicit", "suspicious", "calm", "steps", "refused"))]
 
@@ -174,6 +174,7 @@ def source(made: Program, *, parameters: int) -> str:
     count = len(made.inputs) - parameters
     (state, *held), fixed = made.inputs[:count], [given.name for given in made.inputs[count:]]
     before, rest = made.hoisted(fixed, "c")
+    rest = _with_corners(rest, "c")
     offsets, size = {}, 0
     for given in held:
         offsets[given.name] = size
@@ -190,6 +191,39 @@ def source(made: Program, *, parameters: int) -> str:
                               trim_blocks=True, lstrip_blocks=True)
     return environment.get_template("integrator.c").render(
         states=state.size, held=size, parameters=fixed, count=before.outputs[0].rows,
-        unary=sorted({node.op for node in made.nodes} & straight.UNARY - {"inv", "sign"}),
+        unary=sorted({node.op for node in made.nodes} & straight.UNARY - {"inv", "sign", "fabs"}),
         constants=lines(before, "c"), computed=[(name, lines(rest.only([each.name]), "y")) for name, each in zip(
             ("rates", "outputs"), rest.outputs, strict=False)])
+
+
+def _with_corners(made: Program, fixed: str) -> Program:
+    """The same, in which each root √(a·x² + b), a rounded corner at x = 0, passes through an operation `corner` that
+    takes x as well; a and b are constants, or of the input `fixed`."""
+    def known(ref: Ref) -> bool:
+        node = made.nodes[ref.node]
+        return node.op == "constant" or (node.op == "input" and made.inputs[node.place[0]].name == fixed)
+
+    def varying(node: Node, op: str) -> list[Ref]:
+        return [ref for ref in node.operands if not known(ref)] if node.op == op else []
+
+    def corner(root: Node) -> Ref | None:
+        """x, where a node is such a root."""
+        if root.op != "sqrt" or len(terms := varying(made.nodes[root.operands[0].node], "sum")) != 1:
+            return None
+        factors = varying(made.nodes[terms[0].node], "product")
+        return factors[0] if len(factors) == 2 and factors[0] == factors[1] else None
+
+    nodes: list[Node] = []
+    place: list[int] = []
+
+    def moved(refs: Iterable[Ref]) -> tuple[Ref, ...]:
+        return tuple(ref._replace(node=place[ref.node]) for ref in refs)
+
+    for node in made.nodes:
+        nodes.append(node._replace(operands=moved(node.operands)))
+        at = corner(node)
+        if at is not None:
+            nodes.append(Node("corner", (Ref(len(nodes) - 1), *moved([at]))))
+        place.append(len(nodes) - 1)
+    return made._replace(nodes=tuple(nodes), outputs=tuple(
+        out._replace(entries=moved(out.entries)) for out in made.outputs))

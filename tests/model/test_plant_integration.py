@@ -20,8 +20,8 @@ from hydroopt.spatial.inertia import Array
 PERIOD = 0.02
 FRICTION = 2000.0
 """Dry friction [N or N·m] of every actuator."""
-COARSE, FINE = 1e-4, 1e-7
-"""Errors at the tolerances 1e-7 and 1e-10 in typical sizes of states: 1e-4 rad and 1000 Pa, 1e-7 rad and 1 Pa.
+COARSE, FINE = 5e-6, 1e-7
+"""Errors at the tolerances 1e-7 and 1e-10 in typical sizes of states: 5e-6 rad and 50 Pa, 1e-7 rad and 1 Pa.
 CVODES at 1e-7 errs by up to 8e-5 on these drives."""
 
 

@@ -19,8 +19,9 @@ static const char *prepare(made_t *made, const double *v)
 /* Rates of the states and outputs. */
 static const char *compute(const made_t *made, double *v)
 {
-    rates(&v[STATE], &v[INPUT], made->c, &v[DERIVATIVE]);
-    outputs(&v[STATE], &v[INPUT], made->c, &v[OUTPUT]);
+    unsigned long long sides = 0;
+    rates(&v[STATE], &v[INPUT], made->c, &v[DERIVATIVE], &sides);
+    outputs(&v[STATE], &v[INPUT], made->c, &v[OUTPUT], &sides);
     for (int i = DERIVATIVE; i < VALUES; i++) {
         if (!(fabs(v[i]) <= DBL_MAX)) {
             return "rates or outputs are not finite: a dead point, or a state or parameter that cannot be";
