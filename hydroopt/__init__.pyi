@@ -32,6 +32,9 @@ from .estimation.motion.sensor_calibration import SensorCalibration as SensorCal
 from .excitation.motion.design import excitation_problem as excitation_problem
 from .excitation.motion.excitation import Excitation as Excitation
 from .excitation.motion.problem import ExcitationProblem as ExcitationProblem
+from .excitation.poses.measure_up import MeasureUpProblem as MeasureUpProblem
+from .excitation.poses.measure_up import measure_up_problem as measure_up_problem
+from .excitation.poses.measure_up_plan import MeasureUpPlan as MeasureUpPlan
 from .excitation.poses.plan import PosePlan as PosePlan
 from .excitation.poses.problem import PoseProblem as PoseProblem
 from .excitation.poses.problem import pose_problem as pose_problem

@@ -18,6 +18,8 @@ if TYPE_CHECKING:
     from hydroopt.estimation.motion.sensor_calibration import SensorCalibration
     from hydroopt.excitation.motion.excitation import Excitation
     from hydroopt.excitation.motion.problem import ExcitationProblem
+    from hydroopt.excitation.poses.measure_up import MeasureUpProblem
+    from hydroopt.excitation.poses.measure_up_plan import MeasureUpPlan
     from hydroopt.excitation.poses.plan import PosePlan
     from hydroopt.excitation.poses.problem import PoseProblem
 
@@ -31,7 +33,9 @@ SOLVERS = {
     ("hydroopt.estimation.hydraulic.problem", "HydraulicProblem"): (
         "hydroopt.estimation.hydraulic.estimate", "identify_hydraulics"),
     ("hydroopt.excitation.motion.problem", "ExcitationProblem"): ("hydroopt.excitation.motion.design", "design"),
-    ("hydroopt.excitation.poses.problem", "PoseProblem"): ("hydroopt.excitation.poses.exchange", "fedorov_exchange")}
+    ("hydroopt.excitation.poses.problem", "PoseProblem"): ("hydroopt.excitation.poses.exchange", "fedorov_exchange"),
+    ("hydroopt.excitation.poses.measure_up", "MeasureUpProblem"): (
+        "hydroopt.excitation.poses.measure_up", "fewest_readings")}
 """Module and name of each kind of problem's solver: only that of the problem at hand is imported."""
 
 
@@ -47,18 +51,22 @@ def solve(problem: HydraulicProblem, **options: Any) -> HydraulicEstimate: ...
 def solve(problem: ExcitationProblem, **options: Any) -> Excitation: ...
 @overload
 def solve(problem: PoseProblem, **options: Any) -> PosePlan: ...
+@overload
+def solve(problem: MeasureUpProblem, **options: Any) -> MeasureUpPlan: ...
 
 
 def solve(problem: Any, *arguments: Any, **options: Any) -> Any:
     """Solve a problem; the problem itself is not changed.
 
     Args:
-        problem: identification, kinematic calibration, sensors, valves and oil, or the design of a motion or of poses.
+        problem: identification, kinematic calibration, sensors, valves and oil, the design of a motion or of poses,
+            or a measure-up.
         arguments: a method, where the problem has several.
         options: of `hydroopt.estimation.dynamic.identify.identify`,
             `hydroopt.estimation.kinematic.calibrate.calibrate`,
-            `hydroopt.estimation.hydraulic.estimate.identify_hydraulics`, `hydroopt.excitation.motion.design.design` or
-            `hydroopt.excitation.poses.exchange.fedorov_exchange`.
+            `hydroopt.estimation.hydraulic.estimate.identify_hydraulics`, `hydroopt.excitation.motion.design.design`,
+            `hydroopt.excitation.poses.exchange.fedorov_exchange` or
+            `hydroopt.excitation.poses.measure_up.fewest_readings`.
 
     Raises:
         ProblemError: this is no problem that hydroopt can solve, or what the solver of its kind says.

@@ -73,6 +73,8 @@ Fixed = Annotated[list[str] | None, typer.Option(metavar="NAME[=VALUE]", help=(
     "Hold a parameter at a value with unit, e.g. 'ball.y=0 m', or at its nominal one; repeatable."))]
 Focus = Annotated[list[str] | None, typer.Option(help=(
     "Parameter that alone counts; for excite also a part, payload or friction; repeatable."))]
+SetUp = Annotated[list[str] | None, typer.Option("--setup", help=(
+    "Set-up of instruments whose pose is not known; repeatable; each stage is measured in all."))]
 Rate = Annotated[float | None, typer.Option(help=(
     "Samples per second [Hz]; the highest that the machine file states for a joint's sensor, or 50, if not given."))]
 SmoothingText = Annotated[str, typer.Option(help=(

@@ -17,6 +17,7 @@ from hydroopt.cli.options import (
     Priors,
     Quiet,
     Seed,
+    SetUp,
     parameter_values,
     progress,
 )
@@ -32,8 +33,7 @@ def plan_poses(
     focus: Focus = None,
     priors: Priors = False,
     fix: Fixed = None,
-    setup: Annotated[list[str] | None, typer.Option(help=(
-        "Set-up of instruments whose pose is not known; repeatable; each stage is measured in all."))] = None,
+    setup: SetUp = None,
     candidates: Annotated[int, typer.Option(
         help="Random postures of each stage and fixture to choose from.", min=1)] = 2000,
     seed: Seed = 0,

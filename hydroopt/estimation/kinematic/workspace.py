@@ -47,14 +47,14 @@ def workspace_accuracy(solution: KinematicSolution) -> WorkspaceAccuracy:
     model = solution.problem.model
     low, high = postures.limits(model)
     q = np.random.default_rng(solution.seed).uniform(low, high, (SAMPLES, len(low)))
-    name, function = _end(model)
+    name, function = machine_end(model)
     geometry = solution.theta[: len(model.parameters)]
     position, by_g = model.over(function, geometry, q)
     std = spread(model, solution.observability, by_g) * max(1.0, solution.noise_scale)
     return WorkspaceAccuracy(name, position[:, :, 0], std, model.over(function, geometry, solution.q)[0][:, :, 0])
 
 
-def _end(model: KinematicModel) -> tuple[str, ca.Function]:
+def machine_end(model: KinematicModel) -> tuple[str, ca.Function]:
     """Name of the machine's end, and (g, q) -> its place (3,) [m] and Jacobian by g (3, p)."""
     g, q = ca.SX.sym("g", len(model.parameters)), ca.SX.sym("q", len(model.joints))
     calibrator = model.machine.calibrator

@@ -61,7 +61,7 @@ def fedorov_exchange(problem: PoseProblem, *, candidates: int = 2000, seed: int 
     drawn = []
     for k, group in enumerate(groups):
         progress(f"drawing postures for {group}", DRAWN * k / len(groups))
-        drawn.append(_candidates(problem, group, candidates, rng))
+        drawn.append(candidate_postures(problem, group, candidates, rng))
     found = np.array(drawn)
     design = _Design(*linearised(problem, np.concatenate(found), problem.labels(candidates)), problem.criterion,
                      problem.focus, len(groups))
@@ -76,7 +76,7 @@ def _lengths(model: KinematicModel, q: Array) -> Array:
     return model.over(model.lengths, model.parameters.nominal, q)[0][:, :, 0]
 
 
-def _candidates(problem: PoseProblem, group: PoseGroup, count: int, rng: np.random.Generator) -> Array:
+def candidate_postures(problem: PoseProblem, group: PoseGroup, count: int, rng: np.random.Generator) -> Array:
     """Random closed postures (count, n) within the limits of joints and strokes, in the order of measuring.
 
     They stay away from the ends of strokes as far as the uncertain geometry may shift these, so that the machine
