@@ -14,7 +14,7 @@ from hydroopt.cli.options import AsJson, Directory, Fixed, MachineName, Quiet, S
 def measure_up(
     machine: MachineName,
     output: Directory,
-    tip: Annotated[str, typer.Option(help="Standard deviation of the tip to reach, with unit, such as '10 mm'.")],
+    tip_std: Annotated[str, typer.Option(help="Standard deviation of the tip to reach, with unit, such as '10 mm'.")],
     minutes: Annotated[list[str] | None, typer.Option(metavar="NAME=MINUTES", help=(
         "What a reading takes, such as tape=3; 0 for one that needs no hand; repeatable."))] = None,
     setup: SetUp = None,
@@ -27,7 +27,7 @@ def measure_up(
 
     DIR also gets poses.csv to fill in for `calibrate`.
 
-    Example: hydroopt measure-up excavator.toml --tip '10 mm' -o out/sheet
+    Example: hydroopt measure-up excavator.toml --tip-std '10 mm' -o out/sheet
     """
     from hydroopt.errors import ProblemError
     from hydroopt.excitation.poses.measure_up import fewest_readings, measure_up_problem
@@ -46,7 +46,8 @@ def measure_up(
             raise ProblemError(f"'{text}' is not NAME=MINUTES", where="--minutes",
                                remedy="write, for instance, --minutes tape=3") from None
     with progress(f"planning a measure-up of {described.name}", quiet) as say:
-        problem = measure_up_problem(described, to_si(tip, "m", where="--tip"), minutes=spent, setups=setup or ("",))
+        problem = measure_up_problem(described, to_si(tip_std, "m", where="--tip-std"), minutes=spent,
+                                     setups=setup or ("",))
         if fix:
             problem = problem.fixing(**parameter_values(fix, problem.poses.parameters))
         plan = fewest_readings(problem, seed=seed, progress=say)
